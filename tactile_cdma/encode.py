@@ -1,0 +1,44 @@
+"""What the nodes do: words to the chips that they put on the line."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .errors import SpecError
+from .frame import UNIPOLAR, FrameSpec
+
+
+def word_bits(codes: ArrayLike, bits: int) -> NDArray[np.uint8]:
+    """Bits of ADC words, most significant first: (n,) integers to (n, bits) uint8.
+
+    Raises SpecError where a code does not fit.
+    """
+    words = np.asarray(codes, dtype=np.int64)
+    if words.size and not 0 <= words.min() <= words.max() < 1 << bits:
+        bad = words[(words < 0) | (words >= 1 << bits)][0]
+        raise SpecError(f"code {bad} does not fit {bits} bits (0…{(1 << bits) - 1})")
+    return ((words[:, None] >> np.arange(bits - 1, -1, -1)) & 1).astype(np.uint8)
+
+
+def line_chips(
+    spec: FrameSpec,
+    codes: ArrayLike,
+    active: ArrayLike | None = None,
+    amplitude_v: ArrayLike | None = None,
+) -> NDArray[np.float32]:
+    """Level of the digitized line in every chip of one frame.
+
+    codes: (n,) ADC words. active: (n,) bool, all by default; a silent node adds nothing.
+    amplitude_v: (n,) or scalar, V; the specification's by default.
+    Returns (k, N) float32, V, amplifier polarity applied, offset and noise not.
+    """
+    default_v = 1.0 if spec.amplitude_v is None else spec.amplitude_v
+    level_v = np.broadcast_to(default_v if amplitude_v is None else amplitude_v, spec.nodes)
+    talking = np.ones(spec.nodes, bool) if active is None else np.asarray(active, bool)
+    level_v = np.where(talking, level_v, 0.0)
+    symbols = (2.0 * word_bits(codes, spec.bits).T - 1.0) * (spec.signs * level_v)  # (k, n)
+    chips = symbols @ spec.book.rows(spec.rows)
+    if spec.drive == UNIPOLAR:
+        chips = (chips + level_v.sum()) / 2
+    return (spec.polarity * chips).astype(np.float32)

@@ -1,0 +1,33 @@
+"""The exceptions that misuse raises. Line noise is never an exception: it is counted.
+
+TactileError
+├── SpecError         a parameter, or a combination of parameters, that cannot work
+├── ParameterError    an unknown parameter name, a wrong type or a value out of range
+├── PortError         the port cannot be opened, was lost, or carries something else
+├── ProtocolError     the digitizer speaks another protocol version or refuses a command
+└── CaptureError      a capture file that is empty, truncated or not what it should be
+"""
+
+
+class TactileError(Exception):
+    """Base of all errors of this package; its text is meant for the person at the bench."""
+
+
+class SpecError(TactileError, ValueError):
+    """A parameter, or a combination of parameters, that cannot work."""
+
+
+class ParameterError(TactileError, ValueError):
+    """An unknown parameter name, a value of the wrong type, or a value out of range."""
+
+
+class PortError(TactileError, OSError):
+    """The port cannot be opened, was lost, or carries something other than packets."""
+
+
+class ProtocolError(TactileError):
+    """The digitizer speaks another protocol version, or refuses what was asked of it."""
+
+
+class CaptureError(TactileError):
+    """A capture file that is empty, truncated or not what it should be."""
