@@ -17,7 +17,7 @@ from functools import cached_property, lru_cache, reduce
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .errors import SpecError
 
@@ -44,7 +44,7 @@ class CodeBook:
         """The whole book, (N, N) int8 of ±1; row 0 is all ones. N² bytes: meant for small N."""
         return reduce(np.kron, self.factors)
 
-    def rows(self, indices: NDArray[np.intp] | list[int]) -> NDArray[np.int8]:
+    def rows(self, indices: ArrayLike) -> NDArray[np.int8]:
         """Chosen rows, (len(indices), N) int8, without forming the matrix."""
         remaining = np.asarray(indices, dtype=np.intp)
         if remaining.size and not 0 <= remaining.min() <= remaining.max() < self.order:
@@ -52,7 +52,8 @@ class CodeBook:
         rows = np.ones((remaining.size, 1), dtype=np.int8)
         for factor in reversed(self.factors):
             remaining, digit = np.divmod(remaining, len(factor))
-            rows = np.einsum("ri,rj->rij", factor[digit], rows).reshape(remaining.size, -1)
+            width = rows.shape[1] * len(factor)
+            rows = (factor[digit][:, :, None] * rows[:, None, :]).reshape(remaining.size, width)
         return rows
 
 
@@ -200,14 +201,18 @@ def _irreducible(p: int, m: int) -> NDArray[np.int64]:
     for low in product(range(p), repeat=m):
         candidate = np.array([*low, 1])
         divisors = (
-            np.array([*rest, 1]) for d in range(1, m // 2 + 1) for rest in product(range(p), repeat=d)
+            np.array([*rest, 1])
+            for d in range(1, m // 2 + 1)
+            for rest in product(range(p), repeat=d)
         )
         if all(_remainder(candidate, divisor, p).any() for divisor in divisors):
             return candidate
     raise AssertionError("an irreducible polynomial exists for every degree")
 
 
-def _remainder(dividend: NDArray[np.int64], divisor: NDArray[np.int64], p: int) -> NDArray[np.int64]:
+def _remainder(
+    dividend: NDArray[np.int64], divisor: NDArray[np.int64], p: int
+) -> NDArray[np.int64]:
     """Remainder of a division by a monic polynomial over GF(p), rising coefficients."""
     rest, degree = dividend.copy(), len(divisor) - 1
     for top in range(len(rest) - 1, degree - 1, -1):

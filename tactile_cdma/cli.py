@@ -1,0 +1,229 @@
+"""The command `tactile-cdma`: decode, record and simulate, all without ROS."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from . import __version__
+from .capture import is_text, read_scope_csv
+from .driver import Session
+from .errors import CaptureError, PortError, SpecError, TactileError
+from .offline import decode_raw, decode_scope, describe_frame, described_parameters
+from .parameters import BY_NAME, GAP, NATURAL_SIGNS, SkinConfig, Value, read_file
+from .pipeline import Pipeline
+from .protocol import GetInfo, Info, PacketParser, PacketWriter, Start, Stop, diagnose
+from .source import Port
+
+_SKIN_OPTIONS = {
+    "--nodes": "nodes",
+    "--bits": "bits",
+    "--chip-us": "chip_us",
+    "--frame-period-ms": "frame_period_ms",
+    "--order": "order",
+    "--first-row": "first_row",
+    "--sign-seed": "sign_seed",
+    "--drive": "drive",
+    "--polarity": "polarity",
+    "--amplitude-mv": "amplitude_mv",
+    "--timing": "timing",
+    "--samples-per-chip": "samples_per_chip",
+    "--vref": "vref_v",
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; returns the exit code."""
+    arguments = _parser().parse_args(argv)
+    try:
+        code: int = arguments.run(arguments)
+        return code
+    except TactileError as error:
+        print(f"tactile-cdma: {error}", file=sys.stderr)
+        return 1
+    except BrokenPipeError:  # the reader of our output has seen enough
+        sys.stderr.close()
+        return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="tactile-cdma", description=__doc__)
+    parser.add_argument("--version", action="version", version=__version__)
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    decode = commands.add_parser("decode", help="decode a raw or an oscilloscope capture")
+    decode.add_argument("file", type=Path, help="raw capture, or CSV of time in s and voltage in V")
+    decode.add_argument("--json", action="store_true", help="one JSON object per frame")
+    _add_skin_options(decode)
+    decode.set_defaults(run=_decode)
+
+    record = commands.add_parser("record", help="write the bytes of a port to a file")
+    record.add_argument("port", help="pyserial URL: /dev/ttyACM0, sim://?scene=press, …")
+    record.add_argument("file", type=Path)
+    record.add_argument("--seconds", type=float, help="end after so long; else on Ctrl-C")
+    record.add_argument("--baud", type=int, default=BY_NAME["baud"].default)
+    record.add_argument("--force", action="store_true", help="overwrite the file")
+    _add_skin_options(record)
+    record.set_defaults(run=_record)
+
+    simulate = commands.add_parser("simulate", help="a virtual digitizer behind a real tty")
+    simulate.add_argument("--pty", action="store_true", required=True, help="serve on a pty")
+    simulate.add_argument("--link", type=Path, help="also make a symbolic link to the tty")
+    simulate.add_argument("--seconds", type=float, help="end after so long; else on Ctrl-C")
+    simulate.add_argument(
+        "url", nargs="?", default="sim://", help="options as in a port: 'sim://?scene=press&seed=1'"
+    )
+    simulate.set_defaults(run=_simulate)
+    return parser
+
+
+def _add_skin_options(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("the skin (defaults: what the capture says, else the driver's)")
+    group.add_argument("--params", type=Path, metavar="FILE", help="ROS 2 parameter file")
+    for option, name in _SKIN_OPTIONS.items():
+        parameter = BY_NAME[name]
+        unit = f" [{parameter.unit}]" if parameter.unit else ""
+        kind = type(parameter.default)
+        group.add_argument(option, type=kind, dest=name, help=f"{parameter.text}{unit}")
+    group.add_argument(
+        "--natural-signs",
+        action="store_const",
+        const=NATURAL_SIGNS,
+        dest="sign_seed",
+        help="no row signs, as in the paper",
+    )
+
+
+def _given(arguments: argparse.Namespace) -> dict[str, Value]:
+    """Parameters from the file, overridden by those from options."""
+    values = read_file(arguments.params) if arguments.params else {}
+    options = {name: getattr(arguments, name) for name in _SKIN_OPTIONS.values()}
+    return values | {name: value for name, value in options.items() if value is not None}
+
+
+def _decode(arguments: argparse.Namespace) -> int:
+    path: Path = arguments.file
+    values: dict[str, Value] = {"amplitude_mv": 0.0}
+    if is_text(path):
+        given = _given(arguments)
+        if given.get("timing", GAP) != GAP:
+            raise SpecError(
+                "an oscilloscope capture holds nothing but the waveform: use --timing gap"
+            )
+        # Only a digitizer integrates chips; the capture's own rate is what counts here.
+        values |= {**given, "timing": GAP, "samples_per_chip": BY_NAME["samples_per_chip"].default}
+        config = SkinConfig.of(values)
+        capture = read_scope_csv(path)
+        for note in capture.notes:
+            print(f"tactile-cdma: {path}: {note}", file=sys.stderr)
+        frames = decode_scope(capture, config)
+        pipeline = None
+    else:
+        values |= described_parameters(path) | _given(arguments)
+        config = SkinConfig.of(values)
+        pipeline = Pipeline(config)
+        frames = decode_raw(path, pipeline)
+    count = 0
+    for t_start, words in frames:
+        count += 1
+        frame = describe_frame(t_start, words, config)
+        print(json.dumps(frame) if arguments.json else _line(frame), flush=arguments.json)
+    return _conclude(path, count, pipeline)
+
+
+def _line(frame: dict) -> str:  # type: ignore[type-arg]
+    nodes = "  ".join(
+        f"{node['node']}: {node['bits']} {node['voltage']:.2f} V {node['pressure_pa'] / 1e3:.1f} kPa"
+        f" ({node['snr_db']:.0f} dB{', doubtful' if node['doubtful'] else ''})"
+        for node in frame["nodes"]
+    )
+    return f"{frame['t']:.6f} s  {nodes or 'all silent'}"
+
+
+def _conclude(path: Path, frames: int, pipeline: Pipeline | None) -> int:
+    """Say on stderr what a capture held, and complain where it held nothing."""
+    if pipeline is not None:
+        counters, packets = pipeline.counters, pipeline.parser.counters
+        print(
+            f"frames={frames} lost_frames={counters.lost_frames} packets={packets.packets} "
+            f"lost_packets={packets.lost_packets} crc_errors={packets.crc_errors} "
+            f"rejected={pipeline.rejected}",
+            file=sys.stderr,
+        )
+    if not frames:
+        reason = (pipeline.problem if pipeline else None) or (
+            "no frame found: check chip duration, order, bits and the frame period"
+        )
+        raise CaptureError(f"{path}: {reason}")
+    return 0
+
+
+def _record(arguments: argparse.Namespace) -> int:
+    given = _given(arguments)
+    path: Path = arguments.file
+    try:
+        file = path.open("wb" if arguments.force else "xb")
+    except FileExistsError:
+        raise CaptureError(f"{path}: exists already; --force overwrites it") from None
+    except OSError as error:
+        raise CaptureError(f"{path}: {error.strerror}") from None
+    stop = _stop_on_signal(arguments.seconds)
+    parser, writer = PacketParser(), PacketWriter()
+    described = False
+    start = time.monotonic()
+    with file, Port(arguments.port, arguments.baud) as port:
+        if given:
+            port.write(Session(SkinConfig.of(given)).open())
+        else:
+            port.write(writer.encode(GetInfo()) + writer.encode(Start()))
+        try:
+            while not stop.is_set():
+                data, _ = port.read()
+                file.write(data)
+                described |= any(isinstance(packet, Info) for packet in parser.feed(data))
+        except PortError as error:
+            print(f"tactile-cdma: {error}; keeping what was recorded", file=sys.stderr)
+        else:
+            port.write(writer.encode(Stop()))
+    counters = parser.counters
+    print(
+        f"seconds={time.monotonic() - start:.1f} bytes={counters.bytes} "
+        f"packets={counters.packets} lost_packets={counters.lost_packets} "
+        f"crc_errors={counters.crc_errors}"
+    )
+    if not described:
+        reason = diagnose(counters) or "packets, but no description of the digitizer (INFO)"
+        raise CaptureError(f"{path}: this capture cannot be decoded: {reason}")
+    return 0
+
+
+def _simulate(arguments: argparse.Namespace) -> int:
+    from .sim.options import parse_url
+    from .sim.pty import serve
+
+    options = parse_url(arguments.url)
+    stop = _stop_on_signal(arguments.seconds)
+    serve(options, arguments.link, stop, lambda name: print(f"serving on {name}", flush=True))
+    return 0
+
+
+def _stop_on_signal(seconds: float | None) -> threading.Event:
+    """An event that Ctrl-C, SIGTERM or the end of a time span sets."""
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    if seconds is not None:
+        timer = threading.Timer(seconds, stop.set)
+        timer.daemon = True
+        timer.start()
+    return stop
+
+
+if __name__ == "__main__":
+    sys.exit(main())

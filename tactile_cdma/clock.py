@@ -1,0 +1,56 @@
+"""The digitizer's clock seen from the host."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+MAX_RATE_ERROR = 1e-3
+"""Largest believable rate difference of two crystal clocks; a steeper fit is jitter of the bus."""
+
+
+class DeviceClock:
+    """Maps device time to host time, both in s, from the arrival times of packets.
+
+    A packet arrives late, never early, and by a varying amount: so the line of device time against
+    host time is fitted by least squares to the earliest arrival of every interval, then lowered
+    until no observation lies below it.
+    """
+
+    def __init__(self, interval_s: float = 0.25, intervals: int = 120) -> None:
+        """interval_s: device time covered by one kept observation; `intervals` of them are kept."""
+        self._interval_s = interval_s
+        self._observed: deque[tuple[float, float]] = deque(maxlen=intervals)
+        self._interval = -1
+        self._rate = 1.0
+        self._origin = (0.0, 0.0)
+
+    def observe(self, t_device: float, t_host: float) -> None:
+        """A packet that left the device at t_device was read at t_host."""
+        if self._observed and t_device < self._observed[-1][0] - self._interval_s:
+            self._observed.clear()  # the device was restarted
+        interval = int(t_device // self._interval_s)
+        if not self._observed or interval != self._interval:
+            self._interval = interval
+            self._observed.append((t_device, t_host))
+        elif t_host - t_device < self._observed[-1][1] - self._observed[-1][0]:
+            self._observed[-1] = (t_device, t_host)
+        else:
+            return
+        self._fit()
+
+    def to_host(self, t_device: float) -> float:
+        """Host time of a moment of device time."""
+        return self._origin[1] + (t_device - self._origin[0]) * self._rate
+
+    def _fit(self) -> None:
+        device, host = np.array(self._observed).T
+        # Differences to the first observation keep the precision over weeks of device time.
+        x, y = device - device[0], host - host[0]
+        rate = 1.0
+        if len(x) >= 8:
+            rate = float(np.polyfit(x, y, 1)[0])
+            rate = min(max(rate, 1 - MAX_RATE_ERROR), 1 + MAX_RATE_ERROR)
+        lowest = float(np.min(y - rate * x))
+        self._rate, self._origin = rate, (float(device[0]), float(host[0]) + lowest)

@@ -1,0 +1,175 @@
+"""A running skin: port, handshake and decoding in one thread, reconnecting by itself."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from types import TracebackType
+
+from .errors import PortError
+from .parameters import GAP, SkinConfig
+from .pipeline import Pipeline, TactileFrame
+from .protocol import (
+    Configure,
+    FrameLayout,
+    GetInfo,
+    Packet,
+    PacketWriter,
+    Result,
+    Start,
+    Stop,
+    SyncMode,
+    diagnose,
+)
+from .source import Port
+
+PATIENCE_S = 1.0
+"""A digitizer that says nothing useful for so long is asked again."""
+RETRY_S = (0.2, 0.5, 1.0, 2.0)
+"""Pauses between attempts to open a port; the last one repeats."""
+
+
+class Driver:
+    """Runs one skin in a thread of its own until stopped.
+
+    on_frame is called in that thread for every frame; on_problem with one sentence whenever the
+    reason for not receiving frames changes, and with None when frames flow again.
+    """
+
+    def __init__(
+        self,
+        config: SkinConfig,
+        url: str,
+        baud: int,
+        on_frame: Callable[[TactileFrame], None],
+        on_problem: Callable[[str | None], None],
+    ) -> None:
+        self.pipeline = Pipeline(config)
+        self.problem: str | None = None
+        self.reconnects = 0
+        self._url, self._baud = url, baud
+        self._on_frame, self._on_problem = on_frame, on_problem
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"skin {url}", daemon=True)
+
+    def start(self, port: Port | None = None) -> None:
+        """Begin to stream, on an already open port if one is given (the driver closes it)."""
+        self._first_port = port
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Stop the digitizer, close the port, join the thread."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def __enter__(self) -> Driver:
+        self.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()
+
+    def _run(self) -> None:
+        attempt = 0
+        while not self._stop.is_set():
+            try:
+                port = self._first_port or Port(self._url, self._baud)
+                self._first_port = None
+                with port:
+                    attempt = 0
+                    self._stream(port)
+            except PortError as error:
+                self._report(str(error))
+                self.reconnects += 1
+                self._stop.wait(RETRY_S[min(attempt, len(RETRY_S) - 1)])
+                attempt += 1
+
+    def _stream(self, port: Port) -> None:
+        """Handshake, then decode until stopped; raises PortError when the port is lost."""
+        pipeline, session = self.pipeline, Session(self.pipeline.config)
+        pipeline.reconnected()
+        port.write(session.open())
+        try:
+            while not self._stop.is_set():
+                data, t_host = port.read()
+                frames = pipeline.feed(data, t_host)
+                for frame in frames:
+                    self._on_frame(frame)
+                if frames and self.problem:
+                    self._report(None)
+                if request := session.watch(pipeline, t_host):
+                    port.write(request)
+                    self._report(session.problem)
+        finally:
+            if self._stop.is_set():
+                port.write(session.close())
+
+    def _report(self, problem: str | None) -> None:
+        if problem != self.problem:
+            self.problem = problem
+            self._on_problem(problem)
+
+
+class Session:
+    """The host's side of the start-up handshake: what to send, and what is wrong if nothing comes.
+
+    No I/O: bytes to send are returned.
+    """
+
+    def __init__(self, config: SkinConfig) -> None:
+        self.problem: str | None = None
+        self._writer = PacketWriter()
+        self._configure = Configure(
+            FrameLayout.of(config.spec, config.samples_per_chip),
+            SyncMode.NONE if config.timing == GAP else SyncMode.DRIVE,
+            config.samples_per_chip == 1,
+        )
+        self._progress = (0, 0)
+        self._deadline: float | None = None
+
+    def open(self) -> bytes:
+        """Configure and start the digitizer."""
+        return self._requests(self._configure, GetInfo(), Start())
+
+    def close(self) -> bytes:
+        """Stop the digitizer."""
+        return self._requests(Stop())
+
+    def watch(self, pipeline: Pipeline, now_s: float) -> bytes:
+        """Requests to repeat because nothing came of the last ones; empty while all is well."""
+        progress = (pipeline.counters.frames, pipeline.counters.restarts)
+        if self._deadline is None or progress != self._progress:
+            self._progress, self._deadline = progress, now_s + self._patience(pipeline)
+        if now_s < self._deadline:
+            return b""
+        self._deadline = now_s + self._patience(pipeline)
+        self.problem = self._why(pipeline)
+        return self.open()
+
+    def _patience(self, pipeline: Pipeline) -> float:
+        return max(PATIENCE_S, 3 * pipeline.config.spec.frame_period_s)
+
+    def _why(self, pipeline: Pipeline) -> str:
+        """The likely cause of having received no frame for a while."""
+        if pipeline.problem:
+            return pipeline.problem
+        ack = pipeline.ack
+        if ack is not None and ack.result != Result.OK:
+            return f"the digitizer refused command 0x{ack.command:02x}: {ack.result.name.lower()}"
+        if pipeline.info is None:
+            return diagnose(pipeline.parser.counters) or "packets arrive, but no description (INFO)"
+        if pipeline.rejected:
+            return (
+                f"samples arrive, but no frame fits ({pipeline.rejected} bursts rejected): "
+                "check chip_us, order, bits and polarity"
+            )
+        return "the digitizer answers but sends no frames; is the skin connected and powered?"
+
+    def _requests(self, *packets: Packet) -> bytes:
+        return b"".join(self._writer.encode(packet) for packet in packets)

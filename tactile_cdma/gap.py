@@ -1,0 +1,379 @@
+"""Where in a stretch of samples a frame lies: burst search, chip clock recovery, fit quality.
+
+Functions of samples only, no stream state: `timing` feeds them. Times are in samples relative to
+the stretch, and sample i is the line's level at instant i: it stands for [i − ½, i + ½).
+
+How a frame is found between two gaps. A frame has no preamble, its chip period is stretched by an
+unknown 0…11 %, and where two nodes cancel its first or last chips look like the gap. But every
+bit carries the same energy (the code rows are orthogonal), so the window of one frame's length
+with the most energy holds the frame, and its loud part [first, last] bounds start and end:
+last − k·N·T ≤ start ≤ first. Level changes happen on the chip lattice only, so the squared
+differences of the line have a spectral line at 1/T, whose phase is the lattice's. That leaves a
+few whole-chip shifts for each of a few T. Among these the most likely one (white noise) explains
+the most energy of the samples by words of constant amplitude:
+
+    E(start, T) = k·N·T · Σ_active nodes (mean over bits of |r|)²,      r = correlations.
+
+A wrong shift or period makes |r| vary from bit to bit or leaves loud samples out, and both cost
+energy. With the words known, every level change of the model tells by how much it comes late;
+weighted linear regression over all of them gives the final start and T (and averages jitter that
+does not accumulate).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .frame import MAX_STRETCH, UNIPOLAR, FrameSpec
+from .transform import correlate
+
+Floats = NDArray[np.float64]
+
+MAX_SPREAD = 0.12
+"""Relative variance of |r| within the words beyond which a fit is not believed. White noise alone
+gives 1/ρ²; chips that have nothing to do with the code book give π/2 − 1 = 0.57."""
+_CELLS = 320
+"""Burst search divides a frame into at most about this many cells, whatever its order."""
+_LOUD = 6.0
+"""A half-chip mean this many noise deviations off the gap level belongs to a frame."""
+_MAX_LINES = 12
+"""Spectral lines that are tried at most."""
+
+
+class Line:
+    """Samples and their running integral, evaluated at fractional instants.
+
+    volts: (m,) float64, V, gap level removed; the line is taken as 0 V outside.
+    """
+
+    def __init__(self, volts: Floats) -> None:
+        """Integrate once; float64 sums keep 1e-16·m relative, far below any ADC count."""
+        self.volts = volts
+        self._padded = np.append(volts, 0.0)
+        self._sums = np.concatenate(([0.0], np.cumsum(volts)))
+
+    def integral(self, times: Floats) -> Floats:
+        """∫ line dt up to each instant, V·samples."""
+        shifted = np.clip(times + 0.5, 0.0, float(self.volts.size))
+        whole = shifted.astype(np.intp)
+        return self._sums[whole] + (shifted - whole) * self._padded[whole]
+
+
+def integrate(
+    line: Line, start: Floats, chip: Floats, spec: FrameSpec, share: float = 1.0
+) -> NDArray[np.float32]:
+    """Mean level of every chip for each hypothesis of start and chip duration.
+
+    start, chip: (c,) float64, samples. share: middle part of each chip that is integrated.
+    Returns (c, k, N) float32, V.
+    """
+    steps = np.arange(spec.chips + 1)
+    if share == 1.0:
+        area = np.diff(line.integral(start[:, None] + chip[:, None] * steps))
+    else:
+        middle = start[:, None] + chip[:, None] * (steps[:-1] + 0.5)
+        reach = chip[:, None] * (0.5 * share)
+        area = line.integral(middle + reach) - line.integral(middle - reach)
+    levels = (area / (chip[:, None] * share)).astype(np.float32)
+    return levels.reshape(-1, spec.bits, spec.order)
+
+
+@dataclass(frozen=True, slots=True)
+class Words:
+    """What chips say when every node is held to one amplitude per word.
+
+    signed: (c, k, n) float32, V: correlations of the nodes' rows.
+    amplitude: (c, n) float32, V: mean of |signed| over the bits; 0 where the node is silent.
+    pedestal: (c,) float32, V: the level that unipolar nodes add; 0 for bipolar drive.
+    spread: (c,) float32: variance of |signed| within active words over their power.
+    """
+
+    signed: NDArray[np.float32]
+    amplitude: NDArray[np.float32]
+    pedestal: NDArray[np.float32]
+    spread: NDArray[np.float32]
+
+    def explained(self, chip: Floats, spec: FrameSpec) -> Floats:
+        """Energy of the samples that the words account for, (c,) V²·samples."""
+        power = np.square(self.amplitude).sum(axis=1) + np.square(self.pedestal)
+        return spec.chips * chip * power
+
+
+def read_words(chips: NDArray[np.float32], spec: FrameSpec) -> Words:
+    """Words of each hypothesis: chips (c, k, N) float32, V. A node under half the max is silent."""
+    rows = correlate(chips, spec.book)
+    signed = rows[..., spec.first_row : spec.first_row + spec.nodes]
+    size = np.abs(signed)
+    mean = size.mean(axis=1)
+    active = mean > 0.5 * mean.max(axis=1, keepdims=True)
+    amplitude = np.where(active, mean, np.float32(0))
+    power = np.square(amplitude).sum(axis=1)
+    total = (np.square(size).mean(axis=1) * active).sum(axis=1)
+    spread = total / np.maximum(power, np.float32(1e-30)) - 1
+    if spec.drive == UNIPOLAR:
+        pedestal = rows[..., 0].mean(axis=1)
+    else:
+        pedestal = np.zeros(len(chips), np.float32)
+    return Words(signed, amplitude, pedestal, spread)
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A frame found in a line: start and chip in samples, spread as in Words."""
+
+    start: float
+    chip: float
+    spread: float
+
+    def end(self, spec: FrameSpec) -> float:
+        """Instant at which the last chip ends."""
+        return self.start + spec.chips * self.chip
+
+
+def refine(line: Line, fit: Fit, spec: FrameSpec, hold_start: bool = False) -> Fit:
+    """Move start and chip duration to where the level changes of the decided words are.
+
+    Around edge j the area between line and model is (v[j−1] − v[j])·τ[j] for an edge that comes
+    τ[j] late; τ = δstart + j·δchip is fitted by least squares, in which big steps count most.
+    """
+    start, chip = fit.start, fit.chip
+    steps = np.arange(spec.chips + 1.0)
+    codes = spec.book.rows(spec.rows).astype(np.float32)
+    spread = fit.spread
+    for width in (0.5, 0.5, 0.4):
+        words = read_words(_one(line, start, chip, spec), spec)
+        levels = (np.sign(words.signed[0]) * words.amplitude[0]) @ codes + words.pedestal[0]
+        levels = np.concatenate(([0.0], levels.ravel().astype(np.float64), [0.0]))
+        before, after = levels[:-1], levels[1:]
+        edges, reach = start + chip * steps, width * chip
+        area = line.integral(edges + reach) - line.integral(edges - reach)
+        area -= reach * (before + after)
+        step = before - after
+        weight, moment = np.square(step), step * area
+        w0, w1, w2 = weight.sum(), weight @ steps, weight @ np.square(steps)
+        m0, m1 = moment.sum(), moment @ steps
+        spread = float(words.spread[0])
+        if hold_start:
+            if w2 <= 0:
+                break
+            chip += m1 / w2
+            continue
+        determinant = w0 * w2 - w1 * w1
+        if determinant <= 1e-9 * w0 * w2:
+            break
+        start += (w2 * m0 - w1 * m1) / determinant
+        chip += (w0 * m1 - w1 * m0) / determinant
+    spread = float(read_words(_one(line, start, chip, spec), spec).spread[0])
+    return Fit(float(start), float(chip), spread)
+
+
+def _one(line: Line, start: float, chip: float, spec: FrameSpec) -> NDArray[np.float32]:
+    return integrate(line, np.array([start]), np.array([chip]), spec)
+
+
+@dataclass(frozen=True, slots=True)
+class Quiet:
+    """Level of the gap, V, and variance of its half-chip means, V²."""
+
+    level: float
+    variance: float
+
+
+@dataclass(frozen=True, slots=True)
+class Burst:
+    """The loud part of a line: samples first…last, and how far (samples) they may be wrong.
+
+    snr: its mean power over the variance of half-chip means in the gap.
+    """
+
+    first: float
+    last: float
+    slack: float
+    snr: float
+
+
+class GapSearch:
+    """Finds a frame of one specification between gaps, at one sampling rate.
+
+    spec: the frame's shape. rate_hz: samples per second.
+    """
+
+    def __init__(self, spec: FrameSpec, rate_hz: float) -> None:
+        """Derive the search's lengths; all in samples but where the name says otherwise."""
+        self.spec = spec
+        self.chip = rate_hz * spec.chip_s
+        self.period = rate_hz * spec.frame_period_s
+        self.shortest = spec.chips * self.chip
+        self.longest = self.shortest * (1 + MAX_STRETCH)
+        self.half = max(1, round(self.chip / 2))
+        gap = max(self.period - self.longest, 0.3 * (self.period - self.shortest))
+        self.quiet_halves = max(8, int(0.6 * gap / self.half))
+        swing = spec.node_swing_v
+        # A node may be half as strong as specified; less than half of that is no node.
+        self.least_power = 0.0 if swing is None else (swing / 4) ** 2
+
+    @cached_property
+    def _snr_floor(self) -> float:
+        """Mean excess power of a frame, in gap variances, that noise practically never reaches."""
+        return 0.1 + 6.0 * np.sqrt(self.half / self.shortest)
+
+    def quiet(self, volts: Floats, known: Quiet | None) -> list[Quiet]:
+        """The gap's level: of the quietest window, judged from the known level if there is one.
+
+        volts: (m,) float64, V. Returns candidates, most likely first; there is a second one only
+        where a lone node on row 0 may hold the line at a constant level for a whole frame.
+        """
+        means = self._halves(volts)
+        width = min(self.quiet_halves, means.size)
+        if width < 4:
+            return []
+        centre = float(np.median(means)) if known is None else known.level
+        sums = _window_sums(means - centre, width) / width
+        power = _window_sums(np.square(means - centre), width) / width
+        variance = np.maximum(power - np.square(sums), 0.0)
+        if known is not None:
+            best = int(np.argmin(power))
+            fresh = 1.2 * float(variance[best])  # a minimum over windows is biased low
+            return [Quiet(centre + float(sums[best]), 0.7 * known.variance + 0.3 * fresh)]
+        best = int(np.argmin(variance))
+        floor = float(variance[best])
+        found = [Quiet(centre + float(sums[best]), 1.2 * floor)]
+        if self.spec.first_row == 0:
+            tiny = 1e-6 * float(power.max())
+            other = variance <= 4 * floor + tiny
+            other &= np.abs(sums - sums[best]) > 4 * np.sqrt(floor + tiny)
+            if other.any():
+                second = int(np.argmin(np.where(other, variance, np.inf)))
+                found.append(Quiet(centre + float(sums[second]), 1.2 * float(variance[second])))
+        return found
+
+    def burst(self, volts: Floats, variance: float) -> Burst | None:
+        """The window of one frame's length with the most energy, cut to its loud part.
+
+        volts: (m,) float64, V, gap level removed. None where there is nothing but noise.
+        """
+        energy = np.square(self._halves(volts))
+        group = max(1, round(self.shortest / self.half) // _CELLS)
+        cells = energy[: energy.size // group * group].reshape(-1, group).mean(axis=1)
+        size = self.half * group
+        low, high = int(self.shortest / size), int(self.longest / size) + 1
+        low = min(low, cells.size)
+        if low < 8:
+            return None
+        sums = _window_sums(cells, low)
+        peak = float(sums.max()) / low
+        variance = max(variance, 1e-8 * peak)
+        power = peak - variance
+        if power < max(self._snr_floor * variance, self.least_power):
+            return None
+        # Of all windows of a possible length, the one with the greatest excess over a quarter of
+        # the frame's power; then cut quiet cells from its ends.
+        gain = np.concatenate(([0.0], np.cumsum(cells - (variance + 0.25 * power))))
+        lengths = np.arange(low, min(high, cells.size) + 1)
+        ends = np.arange(cells.size + 1 - low)[:, None] + lengths
+        totals = np.where(
+            ends <= cells.size, gain[np.minimum(ends, cells.size)] - gain[: len(ends), None], -np.inf
+        )
+        begin, choice = np.unravel_index(int(np.argmax(totals)), totals.shape)
+        end = int(begin) + int(lengths[choice])
+        bit = int(np.ceil(self.spec.order * self.chip / size)) + 1
+        first = int(begin) + int(np.argmin(gain[begin : begin + bit + 1]))
+        last = end - bit + int(np.argmax(gain[end - bit : end + 1])) if end > bit else end
+        # Loud half chips are sharper than that, and reach beyond where chips are small.
+        first, last = first * group, last * group
+        loud = energy > _LOUD**2 * variance
+        before = np.flatnonzero(loud[max(0, first - bit * group) : first])
+        after = np.flatnonzero(loud[last : last + bit * group])
+        if before.size:
+            first += int(before[0]) - min(first, bit * group)
+        if after.size:
+            last += int(after[-1]) + 1
+        snr = power / variance
+        slack = self.chip * (1.5 + 4.0 / snr) + (size - self.half)
+        return Burst(first * self.half - 0.5, last * self.half - 0.5, slack, snr)
+
+    def fit(self, line: Line, burst: Burst, last_chip: float | None) -> Fit | None:
+        """The most likely frame around a burst, or None where no frame can have this length.
+
+        last_chip: chip duration of the frame before, tried too: words with few level changes
+        show little of their own.
+        """
+        spec, loud = self.spec, burst.last - burst.first
+        if not self.shortest - 1.5 * spec.order * self.chip <= loud + 2 * burst.slack:
+            return None
+        if loud - 2 * burst.slack > self.longest:
+            return None
+        clocks = self._chip_lines(line.volts, burst)
+        for chip in (loud / spec.chips, last_chip):
+            if chip is not None:
+                clocks += [(chip, burst.first), (chip, burst.last)]
+        starts, chips = self._shifts(clocks, burst)
+        if not starts.size:
+            return None
+        words = read_words(integrate(line, starts, chips, spec), spec)
+        best = int(np.argmax(words.explained(chips, spec)))
+        coarse = Fit(float(starts[best]), float(chips[best]), float(words.spread[best]))
+        fit = refine(line, coarse, spec)
+        if not 0.99 * self.chip <= fit.chip <= 1.01 * (1 + MAX_STRETCH) * self.chip:
+            return None
+        return fit
+
+    def _chip_lines(self, volts: Floats, burst: Burst) -> list[tuple[float, float]]:
+        """(chip duration, instant of some chip edge) for each strong line of squared differences.
+
+        Levels are averaged over half a chip on either side of a difference against noise.
+        """
+        begin = max(0, int(burst.first - burst.slack))
+        sums = np.concatenate(([0.0], np.cumsum(volts[begin : int(burst.last + burst.slack) + 2])))
+        h = self.half if self.chip >= 5 else 1
+        steps = np.square(sums[2 * h :] - 2 * sums[h:-h] + sums[: -2 * h])
+        steps -= steps.mean()
+        size = 1 << int(4 * steps.size - 1).bit_length()
+        low = int(size / (self.chip * (1 + MAX_STRETCH) * 1.004))
+        high = int(size / (self.chip * 0.996)) + 2
+        band = np.fft.rfft(steps, size)[low - 1 : high + 1]
+        power = np.abs(band)
+        inner = power[1:-1]
+        peaks = np.flatnonzero((inner >= power[:-2]) & (inner > power[2:]))
+        peaks = peaks[inner[peaks] > 0.5 * inner.max()]
+        peaks = peaks[np.argsort(-inner[peaks])][:_MAX_LINES]
+        lines = []
+        for peak in peaks:
+            left, mid, right = power[peak : peak + 3]
+            shift = 0.5 * (left - right) / (left - 2 * mid + right)
+            frequency = (low + peak + shift) / size
+            # The phase turns by about π·(length/size) per bin off the peak.
+            phase = np.angle(band[peak + 1]) - np.pi * shift * steps.size / size
+            edge = -phase / (2 * np.pi * frequency)
+            lines.append((1 / frequency, begin + h - 0.5 + edge))
+        return lines
+
+    def _shifts(self, clocks: list[tuple[float, float]], burst: Burst) -> tuple[Floats, Floats]:
+        """Every whole-chip start that lets a frame cover the burst: starts and chips, (c,) each.
+
+        Quiet chips at either end of a frame are fewer than a bit's.
+        """
+        starts, chips = [np.empty(0)], [np.empty(0)]
+        for chip, edge in clocks:
+            length, bit = self.spec.chips * chip, self.spec.order * chip
+            low = max(burst.last - length, burst.first - bit) - burst.slack
+            high = min(burst.first, burst.last + bit - length) + burst.slack
+            at = np.arange(np.ceil((low - edge) / chip), np.floor((high - edge) / chip) + 1)
+            starts.append(edge + at * chip)
+            chips.append(np.full(at.size, chip))
+        return np.concatenate(starts), np.concatenate(chips)
+
+    def _halves(self, volts: Floats) -> Floats:
+        """Means of consecutive half chips, (m // half,)."""
+        count = volts.size // self.half
+        return volts[: count * self.half].reshape(count, self.half).mean(axis=1)
+
+
+def _window_sums(values: Floats, width: int) -> Floats:
+    """Sums of all windows of this many values, (m − width + 1,)."""
+    sums = np.concatenate(([0.0], np.cumsum(values)))
+    return sums[width:] - sums[:-width]

@@ -1,0 +1,43 @@
+"""Pressure as a picture: colours and rasters, shared by the Image topic and the terminal."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+_STOPS = (
+    (0.00, (6, 8, 30)),
+    (0.20, (65, 18, 105)),
+    (0.40, (145, 40, 110)),
+    (0.60, (215, 70, 65)),
+    (0.80, (250, 155, 30)),
+    (1.00, (252, 250, 180)),
+)
+"""A dark-to-light scale whose brightness rises evenly, so it also reads in grey."""
+NO_READING_RGB = (70, 78, 86)
+
+
+def _scale() -> NDArray[np.uint8]:
+    at = np.linspace(0, 1, 256)
+    places = [place for place, _ in _STOPS]
+    channels = [np.interp(at, places, [rgb[c] for _, rgb in _STOPS]) for c in range(3)]
+    table = np.stack(channels, axis=1).round().astype(np.uint8)
+    return np.vstack([table, np.array([NO_READING_RGB], dtype=np.uint8)])
+
+
+_COLOURS = _scale()
+
+
+def colours(pressure_pa: NDArray[np.float32], max_pa: float) -> NDArray[np.uint8]:
+    """One colour per taxel, (n, 3) uint8 RGB, on a fixed scale 0…max_pa; grey where NaN."""
+    with np.errstate(invalid="ignore"):
+        index = np.clip(pressure_pa * (255 / max_pa), 0, 255).astype(np.int16)
+    return _COLOURS[np.where(np.isnan(pressure_pa), 256, index)]
+
+
+def heatmap(
+    pressure_pa: NDArray[np.float32], rows: int, columns: int, max_pa: float, pixels: int
+) -> NDArray[np.uint8]:
+    """The skin as a picture, (rows·pixels, columns·pixels, 3) uint8 RGB, row 0 on top."""
+    picture = colours(pressure_pa, max_pa).reshape(rows, columns, 3)
+    return picture.repeat(pixels, axis=0).repeat(pixels, axis=1)

@@ -1,0 +1,102 @@
+"""Decoding of captures without a digitizer: the same stages, fed from a file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .capture import ScopeCapture
+from .decode import Words, decode
+from .encode import word_bits
+from .errors import CaptureError
+from .parameters import GAP, LINE, NATURAL_SIGNS, SkinConfig, Value
+from .pipeline import Pipeline
+from .protocol import Info, PacketParser, SyncMode, diagnose
+from .timing import GapTiming, SampleBlock
+
+_CHUNK_BYTES = 1 << 16
+_MIN_SAMPLES_PER_CHIP = 3
+
+
+def decode_scope(capture: ScopeCapture, config: SkinConfig) -> Iterator[tuple[float, Words]]:
+    """Frames of an oscilloscope capture: start of the first chip on the file's time axis (s), words.
+
+    Raises CaptureError where the capture is too coarse to show single chips.
+    """
+    spec, samples_per_chip = config.spec, capture.rate_hz * config.spec.chip_s
+    if samples_per_chip < _MIN_SAMPLES_PER_CHIP:
+        raise CaptureError(
+            f"{capture.rate_hz:g} samples/s are {samples_per_chip:.2g} per chip of "
+            f"{spec.chip_s * 1e6:g} µs; {_MIN_SAMPLES_PER_CHIP} or more are needed: "
+            "record faster, or correct the chip duration"
+        )
+    for start_s, volts in capture.pieces:
+        timing = GapTiming(spec, capture.rate_hz)
+        for chips in timing.feed(SampleBlock(0, volts)) + timing.flush():
+            if not chips.idle:
+                words = decode(chips.volts, spec, config.threshold)
+                yield start_s + chips.start / capture.rate_hz, words
+
+
+def described_parameters(path: Path) -> dict[str, Value]:
+    """The frame layout that the digitizer described in a raw capture, as parameters.
+
+    Raises CaptureError where the capture holds no such description.
+    """
+    parser = PacketParser()
+    with path.open("rb") as file:
+        while data := file.read(_CHUNK_BYTES):
+            for packet in parser.feed(data):
+                if isinstance(packet, Info):
+                    spec = packet.frame.spec()
+                    return {
+                        "nodes": spec.nodes,
+                        "bits": spec.bits,
+                        "order": spec.order,
+                        "chip_us": spec.chip_s * 1e6,
+                        "frame_period_ms": spec.frame_period_s * 1e3,
+                        "first_row": spec.first_row,
+                        "sign_seed": NATURAL_SIGNS if spec.sign_seed is None else spec.sign_seed,
+                        "drive": spec.drive,
+                        "polarity": spec.polarity,
+                        "timing": GAP if packet.sync_mode == SyncMode.NONE else LINE,
+                        "samples_per_chip": packet.frame.samples_per_chip,
+                    }
+    reason = diagnose(parser.counters) or "packets, but no description of the digitizer (INFO)"
+    raise CaptureError(f"{path}: {reason}")
+
+
+def decode_raw(path: Path, pipeline: Pipeline) -> Iterator[tuple[float, Words]]:
+    """Frames of a raw capture: start of the first chip in device time (s), words."""
+    with path.open("rb") as file:
+        while data := file.read(_CHUNK_BYTES):
+            for frame in pipeline.feed(data, 0.0):
+                yield frame.t_start, frame.words
+    for frame in pipeline.flush():
+        yield frame.t_start, frame.words
+
+
+def describe_frame(t_start: float, words: Words, config: SkinConfig) -> dict[str, Any]:
+    """One frame for people and JSON: active nodes only, nodes counted from 1 as in the paper."""
+    voltage_v = config.adc.voltage(words.codes)
+    pressure_pa = config.curve.pressure(voltage_v)
+    bits = word_bits(words.codes, config.spec.bits)
+    return {
+        "t": round(t_start, 9),
+        "nodes": [
+            {
+                "node": int(i) + 1,
+                "bits": "".join(map(str, bits[i])),
+                "code": int(words.codes[i]),
+                "voltage": round(float(voltage_v[i]), 4),
+                "pressure_pa": round(float(pressure_pa[i]), 1),
+                "snr_db": round(20 * math.log10(float(words.rho[i])), 1),
+                "doubtful": bool(words.doubtful[i]),
+            }
+            for i in np.flatnonzero(words.active)
+        ],
+    }

@@ -1,0 +1,277 @@
+"""Every user-visible parameter, once: name, default, limits, unit, meaning.
+
+The ROS node declares its parameters from this table, the command line takes its defaults from it,
+and the parameter file is read against it.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from .calibration import AdcScale, PressureCurve
+from .errors import ParameterError, SpecError
+from .frame import BIPOLAR, MAX_STRETCH, UNIPOLAR, FrameSpec
+from .layout import GridLayout
+
+Value = bool | int | float | str
+NATURAL_SIGNS = -1
+LINE, GAP = "line", "gap"
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One parameter. limits are inclusive; live parameters may change while the node is active."""
+
+    name: str
+    default: Value
+    text: str
+    unit: str = ""
+    limits: tuple[float, float] | None = None
+    choices: tuple[Value, ...] = ()
+    live: bool = False
+
+    def check(self, value: object) -> Value:
+        """The value in this parameter's type.
+
+        Raises ParameterError, naming the value, the limit and the unit.
+        """
+        kind = type(self.default)
+        if kind is float and type(value) is int:
+            value = float(value)
+        if type(value) is not kind:
+            raise ParameterError(
+                f"{self.name} must be {_KIND_NAMES[kind]}, got {value!r} ({type(value).__name__})"
+            )
+        assert isinstance(value, bool | int | float | str)
+        if self.choices and value not in self.choices:
+            raise ParameterError(
+                f"{self.name} is {value!r}; it must be one of "
+                + ", ".join(str(choice) for choice in self.choices)
+            )
+        if self.limits and not isinstance(value, str | bool):
+            low, high = self.limits
+            if not (math.isfinite(value) and low <= value <= high):
+                unit = f" {self.unit}" if self.unit else ""
+                raise ParameterError(
+                    f"{self.name} is {value:g}{unit}; it must lie within {low:g}…{high:g}{unit}"
+                )
+        return value
+
+
+_KIND_NAMES = {bool: "true or false", int: "an integer", float: "a number", str: "a text"}
+
+PARAMETERS: tuple[Parameter, ...] = (
+    Parameter(
+        "port", "sim://", "pyserial URL of the digitizer: /dev/ttyACM0, sim://?scene=hand, …"
+    ),
+    Parameter("baud", 2_000_000, "baud rate; USB ports ignore it", "baud", (1_200, 20_000_000)),
+    Parameter("nodes", 16, "sensing nodes on the wire", "", (1, 65_536)),
+    Parameter("bits", 10, "word length of a node's ADC", "bit", (8, 16)),
+    Parameter("chip_us", 50.0, "pulse length: duration of one chip", "µs", (0.01, 1e6)),
+    Parameter("frame_period_ms", 12.8, "from one frame's start to the next", "ms", (0.01, 1e5)),
+    Parameter("order", 0, "code order (chips per bit); 0: the smallest that fits", "", (0, 65_536)),
+    Parameter("first_row", 1, "code row of node 1; the paper uses 0", "", (0, 65_535)),
+    Parameter(
+        "sign_seed",
+        1,
+        "seed of the row signs; -1: natural signs, as in the paper",
+        "",
+        (-1, 2**32 - 1),
+    ),
+    Parameter("drive", BIPOLAR, "a node's chip is ±A or 0/A", choices=(BIPOLAR, UNIPOLAR)),
+    Parameter("polarity", 1, "-1 where the amplifier inverts", choices=(1, -1)),
+    Parameter(
+        "amplitude_mv",
+        300.0,
+        "level A of one node on the digitized line; 0: learnt from every frame",
+        "mV",
+        (0.0, 1e5),
+    ),
+    Parameter(
+        "timing",
+        LINE,
+        "frame starts: marked by the digitizer, or found in the waveform",
+        choices=(LINE, GAP),
+    ),
+    Parameter(
+        "samples_per_chip", 4, "asked of the digitizer; 1: it sends one mean per chip", "", (1, 256)
+    ),
+    Parameter(
+        "vref_v", 3.3, "reference of the nodes' ADC: V = code·vref/2^bits", "V", (0.1, 100.0)
+    ),
+    Parameter("v0_v", 3.3, "sensor voltage without pressure", "V", (0.01, 100.0)),
+    Parameter("knee_kpa", 50.0, "end of the sensor's first stage", "kPa", (0.001, 1e5)),
+    Parameter("range_kpa", 140.0, "end of the sensor's second stage", "kPa", (0.001, 1e5)),
+    Parameter(
+        "sensitivity1_v_per_kpa", 0.033, "fall of voltage, first stage", "V/kPa", (1e-6, 100.0)
+    ),
+    Parameter(
+        "sensitivity2_v_per_kpa", 0.0059, "fall of voltage, second stage", "V/kPa", (1e-6, 100.0)
+    ),
+    Parameter(
+        "threshold",
+        0.5,
+        "a node spoke where its amplitude exceeds this share of amplitude_mv",
+        "",
+        (0.1, 0.9),
+        live=True,
+    ),
+    Parameter(
+        "stale_after_s",
+        3.0,
+        "a node silent for longer is stale (pressure NaN)",
+        "s",
+        (0.1, 86_400.0),
+        live=True,
+    ),
+    Parameter("rows", 0, "taxel rows of the skin; 0: as square as fits", "", (0, 4_096)),
+    Parameter("columns", 0, "taxel columns of the skin; 0: as square as fits", "", (0, 4_096)),
+    Parameter("pitch_mm", 7.0, "distance of neighbouring taxels", "mm", (0.01, 1_000.0)),
+    Parameter("taxel_mm", 5.5, "edge length of a taxel's sensing area", "mm", (0.01, 1_000.0)),
+    Parameter("frame_id", "skin", "tf frame of the skin"),
+    Parameter("publish_voltage", False, "also fill TactileArray.voltage", live=True),
+    Parameter("heatmap_rate_hz", 30.0, "most heatmaps per second", "Hz", (0.1, 30.0)),
+    Parameter(
+        "heatmap_max_kpa",
+        140.0,
+        "pressure at the top of the colour scale",
+        "kPa",
+        (0.1, 1e5),
+        live=True,
+    ),
+    Parameter(
+        "heatmap_pixels", 16, "edge length of a taxel in the heatmap", "px", (1, 256), live=True
+    ),
+    Parameter("autostart", True, "configure and activate without being asked"),
+)
+BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
+
+
+@dataclass(frozen=True, slots=True)
+class SkinConfig:
+    """The parameters of the decoding chain in the form that the stages take."""
+
+    spec: FrameSpec
+    timing: str
+    samples_per_chip: int
+    adc: AdcScale
+    curve: PressureCurve
+    layout: GridLayout
+    threshold: float
+    stale_after_s: float
+
+    @classmethod
+    def of(cls, values: Mapping[str, Value]) -> SkinConfig:
+        """From parameter values; missing ones take their defaults.
+
+        Raises ParameterError for a single bad value, SpecError for an impossible combination.
+        """
+        checked = check_values(values)
+        get: dict[str, Any] = {p.name: checked.get(p.name, p.default) for p in PARAMETERS}
+        spec = FrameSpec(
+            nodes=get["nodes"],
+            bits=get["bits"],
+            order=get["order"],
+            chip_s=get["chip_us"] * 1e-6,
+            frame_period_s=get["frame_period_ms"] * 1e-3,
+            first_row=get["first_row"],
+            sign_seed=None if get["sign_seed"] == NATURAL_SIGNS else get["sign_seed"],
+            drive=get["drive"],
+            polarity=get["polarity"],
+            amplitude_v=get["amplitude_mv"] * 1e-3 or None,
+        )
+        if get["timing"] == GAP:
+            _check_gap(spec, get["samples_per_chip"])
+        curve = PressureCurve.two_stage(
+            v0_v=get["v0_v"],
+            knee_pa=get["knee_kpa"] * 1e3,
+            range_pa=get["range_kpa"] * 1e3,
+            stage1_v_per_pa=get["sensitivity1_v_per_kpa"] * 1e-3,
+            stage2_v_per_pa=get["sensitivity2_v_per_kpa"] * 1e-3,
+        )
+        return cls(
+            spec=spec,
+            timing=get["timing"],
+            samples_per_chip=get["samples_per_chip"],
+            adc=AdcScale(get["bits"], get["vref_v"]),
+            curve=curve,
+            layout=GridLayout.of(
+                get["nodes"],
+                get["rows"],
+                get["columns"],
+                get["pitch_mm"] * 1e-3,
+                get["taxel_mm"] * 1e-3,
+            ),
+            threshold=get["threshold"],
+            stale_after_s=get["stale_after_s"],
+        )
+
+
+def check_values(values: Mapping[str, object]) -> dict[str, Value]:
+    """Every value in its parameter's type; raises ParameterError for an unknown name or bad value."""
+    for name in values:
+        if name not in BY_NAME:
+            raise ParameterError(unknown(name, BY_NAME))
+    return {name: BY_NAME[name].check(value) for name, value in values.items()}
+
+
+def unknown(name: str, known: Iterable[str]) -> str:
+    """What to say of a name that isn't there."""
+    close = difflib.get_close_matches(name, list(known), n=1)
+    return f"unknown parameter {name!r}" + (f"; did you mean {close[0]!r}?" if close else "")
+
+
+def read_file(path: Path) -> dict[str, Value]:
+    """Values of a ROS 2 parameter file (every node's `ros__parameters` merged in file order).
+
+    Raises ParameterError, naming the file, for anything that is not such a file.
+    """
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ParameterError(f"{path}: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ParameterError(f"{path}: not a YAML file: {' '.join(str(error).split())}") from None
+    values: dict[str, object] = {}
+    sections = list(_sections(content))
+    if not sections:
+        raise ParameterError(
+            f"{path}: no 'ros__parameters' section; is this a ROS 2 parameter file?"
+        )
+    for section in sections:
+        values.update(section)
+    try:
+        return check_values(values)
+    except ParameterError as error:
+        raise ParameterError(f"{path}: {error}") from None
+
+
+def _sections(content: object) -> Iterable[Mapping[str, object]]:
+    if isinstance(content, Mapping):
+        for name, below in content.items():
+            if name == "ros__parameters" and isinstance(below, Mapping):
+                yield below
+            else:
+                yield from _sections(below)
+
+
+def _check_gap(spec: FrameSpec, samples_per_chip: int) -> None:
+    if samples_per_chip < 3:
+        raise SpecError(
+            f"timing 'gap' needs raw samples to find the chips in: samples_per_chip is "
+            f"{samples_per_chip}, it must be 3 or more"
+        )
+    longest_s = (1 + MAX_STRETCH) * spec.frame_s
+    if longest_s >= spec.frame_period_s:
+        raise SpecError(
+            f"timing 'gap' needs a silence between frames: a frame stretched by "
+            f"{MAX_STRETCH:.0%} lasts {longest_s * 1e3:g} ms, its period is "
+            f"{spec.frame_period_s * 1e3:g} ms"
+        )

@@ -1,0 +1,215 @@
+"""One skin's decoding chain: bytes in, TactileFrames out. No I/O, no ROS."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from .clock import DeviceClock
+from .decode import Words, decode, silent
+from .parameters import GAP, SkinConfig
+from .protocol import (
+    VERSION,
+    Ack,
+    FrameLayout,
+    Info,
+    OtherVersion,
+    PacketParser,
+    Samples,
+    Status,
+    SyncMode,
+)
+from .taxels import Readings, Taxels
+from .timing import FrameChips, GapTiming, LineTiming, SampleBlock
+
+
+@dataclass(frozen=True, slots=True)
+class TactileFrame:
+    """One decoded frame.
+
+    sequence: counts frame periods on the wire; a gap is the number of frames lost.
+    t_start: device time of the first chip, s.
+    t_middle: device time of the middle of the frame's chips, s.
+    t_host: the same moment on the host's monotonic clock, s.
+    chip_s: measured chip duration, s.
+    clipped: share of the frame's samples at a rail of the digitizer, 0…1.
+    """
+
+    sequence: int
+    t_start: float
+    t_middle: float
+    t_host: float
+    chip_s: float
+    clipped: float
+    words: Words
+    readings: Readings
+
+
+@dataclass(slots=True)
+class PipelineCounters:
+    """What happened so far; every number only grows."""
+
+    frames: int = 0
+    lost_frames: int = 0
+    samples: int = 0
+    lost_samples: int = 0
+    unannounced_samples: int = 0
+    restarts: int = 0
+
+
+class Pipeline:
+    """Feeds the digitizer's bytes through parser, timing, decoder and calibration.
+
+    problem: why nothing can be decoded just now, in one sentence; None while all is well.
+    info: the digitizer's last description of itself, None before the first.
+    """
+
+    def __init__(self, config: SkinConfig) -> None:
+        self.config = config
+        self.counters = PipelineCounters()
+        self.parser = PacketParser()
+        self.taxels = Taxels(config.spec.nodes, config.adc, config.curve, config.stale_after_s)
+        self.threshold = config.threshold
+        self.info: Info | None = None
+        self.status: Status | None = None
+        self.ack: Ack | None = None
+        self.problem: str | None = None
+        self._clock = DeviceClock()
+        self._timing: LineTiming | GapTiming | None = None
+        self._anchors: deque[tuple[int, float]] = deque(maxlen=4096)
+        self._next_index: int | None = None
+        self._sequence = -1
+        self._last_start_s: float | None = None
+
+    @property
+    def rejected(self) -> int:
+        """Bursts on the line that were no frame, under the present digitizer set-up."""
+        return self._timing.rejected if self._timing else 0
+
+    def feed(self, data: bytes, t_host: float) -> list[TactileFrame]:
+        """Decode what was read at t_host (monotonic, s). Any split gives the same frames."""
+        frames: list[TactileFrame] = []
+        for packet in self.parser.feed(data):
+            match packet:
+                case Samples():
+                    frames += self._samples(packet, t_host)
+                case Info():
+                    self._describe(packet)
+                case OtherVersion():
+                    self.problem = (
+                        f"the digitizer speaks protocol version {packet.version}, this driver "
+                        f"speaks {VERSION}: update whichever is older"
+                    )
+                case Status():
+                    self.status = packet
+                case Ack():
+                    self.ack = packet
+        return frames
+
+    def flush(self) -> list[TactileFrame]:
+        """At the end of a recording: a last frame that nothing followed."""
+        return [self._frame(chips) for chips in self._timing.flush()] if self._timing else []
+
+    def reconnected(self) -> None:
+        """The port was opened anew: whatever was under way is void, held values stay."""
+        self.parser.feed(b"\0")  # ends a packet that was cut off
+        self.info = self.ack = self._timing = self._next_index = None
+        self.problem = None
+        self._anchors.clear()
+        self._clock = DeviceClock()
+
+    def _describe(self, info: Info) -> None:
+        if info == self.info:
+            return
+        self.info = info
+        self.problem = _contradiction(info, self.config)
+        if self.problem:
+            self._timing = None
+            return
+        low_v, high_v = info.volts(np.array([info.min_count, info.max_count], dtype=np.int16))
+        timing = GapTiming if self.config.timing == GAP else LineTiming
+        self._timing = timing(self.config.spec, info.sample_rate_hz, (float(low_v), float(high_v)))
+
+    def _samples(self, packet: Samples, t_host: float) -> list[TactileFrame]:
+        count = len(packet.counts)
+        if self.info is None or self._timing is None:
+            self.counters.unannounced_samples += count
+            return []
+        self.counters.samples += count
+        t_device = packet.device_time_us * 1e-6
+        if self._next_index is not None and packet.first_index != self._next_index:
+            self._hole(packet.first_index - self._next_index)
+        self._next_index = packet.first_index + count
+        self._anchors.append((packet.first_index, t_device))
+        self._clock.observe(t_device + count / self.info.sample_rate_hz, t_host)
+        block = SampleBlock(packet.first_index, self.info.volts(packet.counts), packet.sync)
+        return [self._frame(chips) for chips in self._timing.feed(block)]
+
+    def _hole(self, missing: int) -> None:
+        """The sample stream jumped: forwards by a loss, backwards by a restarted digitizer."""
+        assert self._timing is not None
+        if missing > 0:
+            self.counters.lost_samples += missing
+        else:
+            self.counters.restarts += 1
+            self._anchors.clear()
+            self._last_start_s = None
+            self._clock = DeviceClock()
+        self._timing.reset()
+
+    def _frame(self, chips: FrameChips) -> TactileFrame:
+        assert self.info is not None
+        spec = self.config.spec
+        chip_s = chips.chip_samples / self.info.sample_rate_hz
+        t_start = self._device_time(chips.start)
+        t_middle = t_start + chip_s * spec.chips / 2
+        words = silent(spec) if chips.idle else decode(chips.volts, spec, self.threshold)
+        step = 1
+        if self._last_start_s is not None:
+            step = max(1, round((t_start - self._last_start_s) / spec.frame_period_s))
+        self._last_start_s = t_start
+        self._sequence += step
+        self.counters.frames += 1
+        self.counters.lost_frames += step - 1
+        return TactileFrame(
+            sequence=self._sequence,
+            t_start=t_start,
+            t_middle=t_middle,
+            t_host=self._clock.to_host(t_middle),
+            chip_s=chip_s,
+            clipped=chips.clipped,
+            words=words,
+            readings=self.taxels.update(words, t_middle),
+        )
+
+    def _device_time(self, index: float) -> float:
+        """Device time, s, of a place in the sample stream."""
+        assert self.info is not None
+        for first_index, t_device in reversed(self._anchors):
+            if first_index <= index:
+                break
+        return t_device + (index - first_index) / self.info.sample_rate_hz
+
+
+def _contradiction(info: Info, config: SkinConfig) -> str | None:
+    """Why this digitizer's stream cannot be decoded with these parameters, or None."""
+    if config.timing != GAP and info.sync_mode == SyncMode.NONE:
+        return (
+            "the digitizer marks no frame starts but timing is 'line': set timing to 'gap', "
+            "or connect the sync wire"
+        )
+    if config.timing == GAP and info.integrated:
+        return "the digitizer sends one mean per chip, timing 'gap' needs raw samples"
+    theirs, ours = info.frame, FrameLayout.of(config.spec, config.samples_per_chip)
+    # A digitizer may sample faster or slower than asked: its rate is in INFO and is what counts.
+    different = [
+        f"{field.name} {getattr(theirs, field.name)} (parameters: {getattr(ours, field.name)})"
+        for field in fields(FrameLayout)
+        if field.name != "samples_per_chip"
+        and getattr(theirs, field.name) != getattr(ours, field.name)
+    ]
+    if different:
+        return f"the digitizer is set to {', '.join(different)}; make the two agree"
+    return None

@@ -1,0 +1,1 @@
+"""The ROS 2 side: the driver node, messages, and a viewer. Nothing else imports rclpy."""

@@ -1,0 +1,108 @@
+"""Frames and configuration to ROS messages."""
+
+from __future__ import annotations
+
+from array import array
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Point32
+from numpy.typing import NDArray
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+
+from tactile_cdma.msg import TactileArray, TactileSkinInfo
+
+from ..heatmap import heatmap
+from ..parameters import SkinConfig
+from ..pipeline import TactileFrame
+
+
+def ros_array(values: NDArray[np.generic]) -> array[float] | array[int]:
+    """An ndarray as the array.array that rosidl takes without looking at every element."""
+    result: array[float] = array(_TYPE_CODES[values.dtype.str[1:]])
+    result.frombytes(np.ascontiguousarray(values).tobytes())
+    return result
+
+
+_TYPE_CODES = {"f4": "f", "u1": "B", "u2": "H", "u4": "I"}
+
+
+def tactile_array(
+    frame: TactileFrame,
+    config: SkinConfig,
+    header: Header,
+    info_id: int,
+    with_voltage: bool,
+) -> TactileArray:
+    """One frame as the message that a manipulation stack subscribes to."""
+    message = TactileArray()
+    message.header = header
+    message.sequence = frame.sequence
+    message.device_time_us = max(0, round(frame.t_middle * 1e6))
+    message.info_id = info_id
+    message.height, message.width = config.layout.rows, config.layout.columns
+    message.pressure = ros_array(frame.readings.pressure_pa)
+    if with_voltage:
+        message.voltage = ros_array(frame.readings.voltage_v)
+    message.status = ros_array(frame.readings.status)
+    message.noise_rms = frame.words.noise_rms_v
+    return message
+
+
+def skin_info(config: SkinConfig, header: Header, info_id: int) -> TactileSkinInfo:
+    """What does not change from frame to frame."""
+    spec, layout = config.spec, config.layout
+    message = TactileSkinInfo()
+    message.header = header
+    message.info_id = info_id
+    message.nodes = spec.nodes
+    message.height, message.width = layout.rows, layout.columns
+    message.positions = [_point(place) for place in layout.positions_m]
+    message.normals = [Point32(x=0.0, y=0.0, z=1.0)] * spec.nodes
+    message.area = ros_array(np.full(spec.nodes, layout.area_m2, dtype=np.float32))
+    message.node = ros_array(np.arange(1, spec.nodes + 1, dtype=np.uint16))
+    message.code_row = ros_array(spec.rows.astype(np.uint32))
+    message.code_order = spec.order
+    message.bits = spec.bits
+    message.frame_period = spec.frame_period_s
+    message.pressure_min = 0.0
+    message.pressure_max = config.curve.range_pa
+    return message
+
+
+def heatmap_image(
+    pressure_pa: NDArray[np.float32],
+    config: SkinConfig,
+    header: Header,
+    max_pa: float,
+    pixels: int,
+) -> Image:
+    """The skin as an rgb8 picture on a fixed scale of 0…max_pa."""
+    picture = heatmap(pressure_pa, config.layout.rows, config.layout.columns, max_pa, pixels)
+    message = Image()
+    message.header = header
+    message.height, message.width = picture.shape[:2]
+    message.encoding = "rgb8"
+    message.step = picture.shape[1] * 3
+    message.data = ros_array(picture)
+    return message
+
+
+def diagnostic(name: str, level: bytes, text: str, values: dict[str, object]) -> DiagnosticStatus:
+    """One line of /diagnostics."""
+    pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+    return DiagnosticStatus(
+        level=level, name=name, message=text, hardware_id=name.split(":")[0], values=pairs
+    )
+
+
+def stamp(nanoseconds: int) -> Time:
+    """A ROS time stamp."""
+    return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
+
+
+def _point(place: NDArray[np.float32]) -> Point32:
+    x, y, z = place.tolist()
+    return Point32(x=x, y=y, z=z)

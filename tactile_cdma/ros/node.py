@@ -1,0 +1,341 @@
+"""The driver node: parameters, lifecycle, publishers. Decoding runs in the Driver's thread."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+import time
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter as RosParameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+
+from tactile_cdma.msg import TactileArray, TactileSkinInfo
+
+from ..driver import Driver
+from ..errors import ParameterError, PortError, TactileError
+from ..parameters import BY_NAME, PARAMETERS, Parameter, SkinConfig, Value, unknown
+from ..pipeline import TactileFrame
+from ..source import Port
+from . import convert
+
+NODE_NAME = "skin"
+RETRY_S = 2.0
+LATCHED = QoSProfile(
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+PICTURE = QoSProfile(depth=2, reliability=ReliabilityPolicy.RELIABLE)
+_STANDARD_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+
+
+class SkinNode(LifecycleNode):
+    """Publishes one skin patch.
+
+    configure checks the parameters and opens the port, activate streams, deactivate stops and
+    closes the port. With `autostart` the node does both by itself, and tries again for as long
+    as the reason for a failure lasts.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(NODE_NAME, automatically_declare_parameters_from_overrides=True)
+        self._faults: dict[str, str] = {}
+        self._declare_parameters()
+        self.add_on_set_parameters_callback(self._on_set)
+        self._config: SkinConfig | None = None
+        self._port: Port | None = None
+        self._driver: Driver | None = None
+        self._info_id = 0
+        self._latest: TactileFrame | None = None
+        self._drawn: TactileFrame | None = None
+        self._last_failure = ""
+        self._counted = (time.monotonic(), 0)
+        self._array_publisher = self.create_lifecycle_publisher(
+            TactileArray, "~/tactile", qos_profile_sensor_data
+        )
+        self._info_publisher = self.create_lifecycle_publisher(TactileSkinInfo, "~/info", LATCHED)
+        self._image_publisher = self.create_lifecycle_publisher(Image, "~/heatmap", PICTURE)
+        self._diagnostics_publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._diagnostics_timer = self.create_timer(1.0, self._publish_diagnostics)
+        self._heatmap_timer = self.create_timer(
+            1.0 / self._value("heatmap_rate_hz"), self._publish_heatmap, autostart=False
+        )
+        self._start_timer = self.create_timer(RETRY_S, self._start)
+        if self._value("autostart"):
+            self._start()
+        else:
+            self._start_timer.cancel()
+
+    # Parameters
+
+    def _declare_parameters(self) -> None:
+        """Declare the table; a wrong override is kept as a fault that forbids configuring."""
+        given = {name: p.value for name, p in self.get_parameters_by_prefix("").items()}
+        for name in given:
+            if name not in BY_NAME and not name.startswith(_STANDARD_PARAMETERS):
+                self._fault(name, unknown(name, BY_NAME))
+        for parameter in PARAMETERS:
+            if parameter.name in given:
+                self.undeclare_parameter(parameter.name)
+            value = parameter.default
+            try:
+                value = parameter.check(given.get(parameter.name, value))
+            except ParameterError as error:
+                self._fault(parameter.name, str(error))
+            self.declare_parameter(
+                parameter.name, value, _descriptor(parameter), ignore_override=True
+            )
+
+    def _fault(self, name: str, text: str) -> None:
+        self._faults[name] = text
+        self.get_logger().error(f"{text} (not starting until this is corrected)")
+
+    def _value(self, name: str) -> Value:
+        value: Value = self.get_parameter(name).value
+        return value
+
+    def _values(self) -> dict[str, Value]:
+        return {parameter.name: self._value(parameter.name) for parameter in PARAMETERS}
+
+    def _on_set(self, changes: list[RosParameter]) -> SetParametersResult:
+        """Refuse what cannot work, saying why; let live parameters take effect at once."""
+        new = {change.name: change.value for change in changes if change.name in BY_NAME}
+        try:
+            if self._config is not None:
+                fixed = [name for name in new if not BY_NAME[name].live]
+                if fixed:
+                    raise ParameterError(
+                        f"{', '.join(fixed)} cannot change while configured: deactivate and clean "
+                        f"up first (ros2 lifecycle set {self.get_fully_qualified_name()} "
+                        "deactivate, then cleanup)"
+                    )
+            others = {name: fault for name, fault in self._faults.items() if name not in new}
+            if not others:
+                SkinConfig.of({**self._values(), **new})
+        except TactileError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        self._faults = others
+        if self._driver is not None:
+            pipeline = self._driver.pipeline
+            pipeline.threshold = new.get("threshold", pipeline.threshold)
+            pipeline.taxels.stale_after_s = new.get("stale_after_s", pipeline.taxels.stale_after_s)
+        return SetParametersResult(successful=True)
+
+    # Lifecycle. rclpy swallows exceptions of these callbacks, so each says what went wrong itself.
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Check the parameters and open the port."""
+        try:
+            if self._faults:
+                raise ParameterError("; ".join(self._faults.values()))
+            config = SkinConfig.of(self._values())
+            self._port = Port(str(self._value("port")), int(self._value("baud")))
+        except TactileError as error:
+            if str(error) != self._last_failure:
+                self._last_failure = str(error)
+                self.get_logger().error(f"cannot configure: {error}")
+            return TransitionCallbackReturn.FAILURE
+        self._last_failure = ""
+        self._config = config
+        self._info_id += 1
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stream."""
+        assert self._config is not None
+        result = super().on_activate(state)
+        self._info_publisher.publish(
+            convert.skin_info(self._config, self._header_now(), self._info_id)
+        )
+        self._driver = Driver(
+            self._config,
+            str(self._value("port")),
+            int(self._value("baud")),
+            self._publish_frame,
+            self._log_problem,
+        )
+        port, self._port = self._port, None
+        self._driver.start(port)
+        self._counted = (time.monotonic(), 0)
+        self._heatmap_timer.reset()
+        spec = self._config.spec
+        self.get_logger().info(
+            f"streaming {spec.nodes} nodes from {self._value('port')}: order {spec.order}, "
+            f"{spec.bits} bits, a frame every {spec.frame_period_s * 1e3:g} ms"
+        )
+        return result
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop streaming and close the port."""
+        self._stop_driver()
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Forget the configuration, so that every parameter can change."""
+        self._release()
+        return super().on_cleanup(state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Release everything."""
+        self._release()
+        return super().on_shutdown(state)
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Fall back to unconfigured."""
+        self._release()
+        return TransitionCallbackReturn.SUCCESS
+
+    def destroy_node(self) -> None:
+        """Join the reader before its publishers go."""
+        self._release()
+        super().destroy_node()
+
+    def _start(self) -> None:
+        """Configure and activate, unless somebody has taken the lifecycle into their own hands."""
+        if self._config is None and self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
+            self.trigger_activate()
+        if self._config is not None:
+            self._start_timer.cancel()
+
+    def _stop_driver(self) -> None:
+        self._heatmap_timer.cancel()
+        if self._driver is not None:
+            self._driver.stop()
+            self._driver = None
+        self._latest = self._drawn = None
+
+    def _release(self) -> None:
+        self._start_timer.cancel()
+        self._stop_driver()
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+        self._config = None
+
+    # Publishing
+
+    def _publish_frame(self, frame: TactileFrame) -> None:
+        """In the driver's thread: the way from a decoded frame to the wire is one publish long."""
+        assert self._config is not None
+        header = self._header_at(frame.t_host)
+        self._array_publisher.publish(
+            convert.tactile_array(
+                frame, self._config, header, self._info_id, bool(self._value("publish_voltage"))
+            )
+        )
+        self._latest = frame
+
+    def _publish_heatmap(self) -> None:
+        frame = self._latest
+        if frame is None or frame is self._drawn or self._config is None:
+            return
+        if not self._image_publisher.get_subscription_count():
+            return
+        self._drawn = frame
+        self._image_publisher.publish(
+            convert.heatmap_image(
+                frame.readings.pressure_pa,
+                self._config,
+                self._header_at(frame.t_host),
+                float(self._value("heatmap_max_kpa")) * 1e3,
+                int(self._value("heatmap_pixels")),
+            )
+        )
+
+    def _publish_diagnostics(self) -> None:
+        name = f"{self.get_fully_qualified_name().lstrip('/')}: stream"
+        driver = self._driver
+        if driver is None:
+            text = self._last_failure or "not active"
+            level = DiagnosticStatus.ERROR if self._last_failure else DiagnosticStatus.STALE
+            values: dict[str, object] = {}
+        else:
+            pipeline = driver.pipeline
+            now, frames = time.monotonic(), pipeline.counters.frames
+            rate_hz = (frames - self._counted[1]) / max(now - self._counted[0], 1e-3)
+            self._counted = (now, frames)
+            level, text = DiagnosticStatus.OK, "receiving"
+            if driver.problem:
+                level, text = DiagnosticStatus.ERROR, driver.problem
+            values = {
+                "port": self._value("port"),
+                "rate (Hz)": f"{rate_hz:.2f}",
+                "expected rate (Hz)": f"{1 / pipeline.config.spec.frame_period_s:.2f}",
+                "reconnects": driver.reconnects,
+                "rejected bursts": pipeline.rejected,
+                **_counts(pipeline.counters),
+                **_counts(pipeline.parser.counters),
+            }
+            if pipeline.status is not None:
+                values.update({f"digitizer {k}": v for k, v in _counts(pipeline.status).items()})
+        message = DiagnosticArray(status=[convert.diagnostic(name, level, text, values)])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics_publisher.publish(message)
+
+    def _log_problem(self, problem: str | None) -> None:
+        if problem is None:
+            self.get_logger().info("receiving frames")
+        else:
+            self.get_logger().error(problem)
+
+    def _header_now(self) -> Header:
+        return self._header_at(time.monotonic())
+
+    def _header_at(self, t_host: float) -> Header:
+        """A header stamped with a moment of the host's monotonic clock."""
+        age_ns = time.monotonic_ns() - round(t_host * 1e9)
+        stamp = convert.stamp(self.get_clock().now().nanoseconds - age_ns)
+        return Header(stamp=stamp, frame_id=str(self._value("frame_id")))
+
+
+def _counts(counters: object) -> dict[str, object]:
+    fields = dataclasses.asdict(counters)  # type: ignore[call-overload]
+    return {name.replace("_", " "): value for name, value in fields.items()}
+
+
+def _descriptor(parameter: Parameter) -> ParameterDescriptor:
+    text = parameter.text + (f" [{parameter.unit}]" if parameter.unit else "")
+    descriptor = ParameterDescriptor(description=text)
+    if parameter.choices:
+        descriptor.additional_constraints = "one of " + ", ".join(map(str, parameter.choices))
+    elif not parameter.live:
+        descriptor.additional_constraints = "takes effect on configure"
+    if parameter.limits:
+        low, high = parameter.limits
+        if isinstance(parameter.default, float):
+            descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+        else:
+            descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
+    descriptor.read_only = parameter.name == "autostart"
+    return descriptor
+
+
+def main() -> None:
+    """Run the node until interrupted."""
+    rclpy.init(args=sys.argv)
+    node = SkinNode()
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    try:
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,6 @@
+"""A skin without hardware: scenes, sensing nodes, analog line and digitizer, byte for byte.
+
+    scene ──▶ nodes ──▶ channel ──▶ digitizer ──▶ sim:// (protocol_sim) or a tty (pty)
+
+pyserial finds `sim://` once 'tactile_cdma.sim' is in serial.protocol_handler_packages.
+"""

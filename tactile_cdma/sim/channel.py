@@ -1,0 +1,201 @@
+"""The analog line: from the chips of all nodes to digitized samples.
+
+y(t) = offset + polarity · Σ aᵢ·xᵢ(t) + noise, clipped at the amplifier's rails, then quantised.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..codes import code_book
+from ..encode import word_bits
+from ..frame import UNIPOLAR, FrameSpec
+
+DEFAULT_AMPLITUDE_V = 0.3
+"""Level of one node where the specification leaves it open; the paper's."""
+MAX_JITTER = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """What the line adds to the chips.
+
+    offset_v: level of silence, V. noise_rms_v: of one sample, V. stretch: the chips of a frame
+    last up to this share longer, drawn per frame, the same for all nodes. jitter: largest
+    displacement of a chip's edge, in chips, drawn per edge and not accumulating. rail_v: the
+    amplifier saturates this far from the offset, V; 0 leaves room for every likely sum.
+    adc_bits: the digitizer's converter, whose full scale just spans the rails.
+    """
+
+    offset_v: float = 0.0
+    noise_rms_v: float = 0.005
+    stretch: float = 0.0
+    jitter: float = 0.0
+    rail_v: float = 0.0
+    adc_bits: int = 12
+
+    def rail_of(self, spec: FrameSpec) -> float:
+        """Rails of the amplifier about the offset, V.
+
+        With random signs the sum of n nodes stays below 8·√n·A (design: 4.5 to 5.5 in realistic
+        scenes); with natural signs it reaches n·A.
+        """
+        if self.rail_v:
+            return self.rail_v
+        peak = float(spec.nodes)
+        if spec.sign_seed is not None and spec.drive != UNIPOLAR:
+            peak = min(peak, 8.0 * math.sqrt(peak))
+        return peak * _amplitude_v(spec) + 6.0 * self.noise_rms_v
+
+    def volts_per_count(self, spec: FrameSpec) -> float:
+        """One count of the digitized line, V, as a float32 can say it."""
+        finest = abs(self.offset_v) / 32_767  # zero_count is an int16 on the wire
+        return float(np.float32(max(2.0 * self.rail_of(spec) / (1 << self.adc_bits), finest)))
+
+    def zero_count(self, spec: FrameSpec) -> int:
+        """Reading at 0 V: the middle of the converter's range is at the offset."""
+        return round(-self.offset_v / self.volts_per_count(spec))
+
+    @property
+    def min_count(self) -> int:
+        """Lowest reading of the converter."""
+        return -(1 << (self.adc_bits - 1))
+
+    @property
+    def max_count(self) -> int:
+        """Highest reading of the converter."""
+        return (1 << (self.adc_bits - 1)) - 1
+
+    def edges(self, spec: FrameSpec, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Start of every chip, and the end of the last one: (k·N + 1,) s after the frame's start."""
+        chip_s = spec.chip_s * (1.0 + self.stretch * rng.random())
+        edges = np.arange(spec.chips + 1, dtype=np.float64)
+        if self.jitter:
+            edges[1:] += rng.uniform(-self.jitter, self.jitter, spec.chips)
+        return edges * chip_s
+
+    def digitize(
+        self,
+        volts: NDArray[np.float32],
+        spec: FrameSpec,
+        rng: np.random.Generator,
+        averaged: int = 1,
+    ) -> NDArray[np.int16]:
+        """Amplify and convert: noise, rails, offset, quantisation. (m,) V to (m,) counts.
+
+        averaged: samples that one value is the mean of.
+        """
+        if self.noise_rms_v:
+            noise = rng.standard_normal(len(volts), dtype=np.float32)
+            volts = volts + np.float32(self.noise_rms_v / math.sqrt(averaged)) * noise
+        rail_v = self.rail_of(spec)
+        line_v = np.clip(volts, -rail_v, rail_v) + np.float32(self.offset_v)
+        counts = np.rint(line_v / np.float32(self.volts_per_count(spec))) + self.zero_count(spec)
+        return np.clip(counts, self.min_count, self.max_count).astype(np.int16)
+
+    def volts(self, counts: NDArray[np.int16], spec: FrameSpec) -> NDArray[np.float32]:
+        """What the counts mean, V."""
+        # int16 minus int16 needs 17 bits: widen before subtracting.
+        volts = (counts.astype(np.int32) - self.zero_count(spec)) * self.volts_per_count(spec)
+        return volts.astype(np.float32)
+
+
+def frame_levels(
+    spec: FrameSpec, codes: NDArray[np.int64], active: NDArray[np.bool_]
+) -> NDArray[np.float32]:
+    """Line level of every chip of a frame, (k·N,) float32, V.
+
+    The same as encode.line_chips, by the book's Kronecker factors: O(N·Σ factor) instead of O(N²)
+    per bit, which lets thousands of nodes run in real time.
+    """
+    amplitude_v = _amplitude_v(spec)
+    symbols = np.zeros((spec.bits, spec.order), dtype=np.float32)
+    bits = word_bits(codes[active], spec.bits).T
+    symbols[:, spec.rows[active]] = (2.0 * bits - 1.0) * (spec.signs[active] * amplitude_v)
+    levels = symbols.reshape(spec.bits, -1)
+    for factor in _factors(spec.order):
+        # Combine the rows of the slowest axis and rotate it to the back; after all factors the
+        # axes are back in order.
+        levels = levels.reshape(spec.bits, len(factor), -1).swapaxes(1, 2) @ factor
+    levels = levels.reshape(-1)
+    if spec.drive == UNIPOLAR:
+        levels = (levels + np.float32(active.sum() * amplitude_v)) / 2
+    return spec.polarity * levels
+
+
+def point_samples(
+    levels: NDArray[np.float32],
+    edges_s: NDArray[np.float64],
+    rate_hz: float,
+    first: int,
+    stop: int,
+) -> NDArray[np.float32]:
+    """The line seen by a converter that samples instants, (stop − first,) float32, V.
+
+    levels: (c,) V; edges_s: (c + 1,) s on the stream's clock. Sample i is taken in the middle of
+    its period, at (i + ½)/rate_hz; before the first and after the last chip the line is at 0. The
+    0.1 to 0.2 µs that an edge takes are neglected.
+    """
+    begins = np.clip(first_sample(edges_s, rate_hz), first, stop)
+    runs = np.diff(begins, prepend=first, append=stop)
+    return np.repeat(np.concatenate(([0], levels, [0]), dtype=np.float32), runs)
+
+
+def chip_means(
+    levels: NDArray[np.float32], edges_s: NDArray[np.float64], start_s: float, chip_s: float
+) -> NDArray[np.float32]:
+    """Mean of the line over every nominal chip from start_s on, (c,) float32, V.
+
+    This is what a digitizer integrates: it does not know that the chips stretch or jitter.
+    """
+    integral = np.concatenate(([0.0], np.cumsum(levels * np.diff(edges_s))))
+    windows = start_s + np.arange(len(levels) + 1) * chip_s
+    return (np.diff(np.interp(windows, edges_s, integral)) / chip_s).astype(np.float32)
+
+
+def first_sample(t_s: ArrayLike, rate_hz: float) -> NDArray[np.int64]:
+    """Index of the first sample taken at or after t_s."""
+    return np.ceil(np.asarray(t_s) * rate_hz - 0.5).astype(np.int64)
+
+
+def scope_capture(
+    spec: FrameSpec,
+    frames: Sequence[tuple[NDArray[np.int64], NDArray[np.bool_]]],
+    rate_hz: float,
+    channel: Channel | None = None,
+    lead_s: float = 1e-3,
+    seed: int = 0,
+) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    """What an oscilloscope on the line records of some frames, as in the paper's experiments.
+
+    frames: (codes, active) of each frame, (n,) each. lead_s: recorded before the first frame, s.
+    Returns time_s (m,) float64, 0 at the first sample, and volts (m,) float32.
+    """
+    channel = channel or Channel()
+    volts = []
+    first = 0
+    for number, (codes, active) in enumerate(frames):
+        start_s = lead_s + number * spec.frame_period_s
+        stop = int(first_sample(start_s + spec.frame_period_s, rate_hz))
+        rng = np.random.default_rng([seed, number])
+        edges_s = start_s + channel.edges(spec, rng)
+        levels = frame_levels(spec, np.asarray(codes), np.asarray(active, dtype=bool))
+        line_v = point_samples(levels, edges_s, rate_hz, first, stop)
+        volts.append(channel.volts(channel.digitize(line_v, spec, rng), spec))
+        first = stop
+    return np.arange(first) / rate_hz, np.concatenate(volts)
+
+
+def _amplitude_v(spec: FrameSpec) -> float:
+    return DEFAULT_AMPLITUDE_V if spec.amplitude_v is None else spec.amplitude_v
+
+
+@lru_cache(maxsize=8)
+def _factors(order: int) -> tuple[NDArray[np.float32], ...]:
+    return tuple(factor.astype(np.float32) for factor in code_book(order).factors)

@@ -1,0 +1,264 @@
+"""The options of a sim:// URL, and what they make of the frame layout that a host asks for."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+from urllib.parse import parse_qsl, urlsplit
+
+from ..codes import smallest_order
+from ..errors import ParameterError, SpecError
+from ..frame import MAX_STRETCH, FrameSpec
+from ..layout import GridLayout
+from ..parameters import BY_NAME, GAP, NATURAL_SIGNS, Parameter, Value
+from ..protocol import SyncMode
+from .channel import DEFAULT_AMPLITUDE_V, MAX_JITTER, Channel
+from .nodes import NodeRules
+from .scene import SCENES, Skin
+
+SCHEME = "sim"
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """How a digitizer is set: what CONFIGURE asks for and INFO reports.
+
+    sync: source of the frame marks. integrated: it sends one mean value per chip.
+    """
+
+    spec: FrameSpec = FrameSpec()
+    samples_per_chip: int = 4
+    sync: SyncMode = SyncMode.DRIVE
+    integrated: bool = False
+
+    def __post_init__(self) -> None:
+        if self.integrated and self.sync == SyncMode.NONE:
+            raise SpecError(
+                "integrated chips need frame marks, which timing 'gap' does not give: "
+                "set timing to 'line' or integrated to 0"
+            )
+
+    @property
+    def rate_hz(self) -> float:
+        """Values per second: of the samples, or of the chips where they are integrated."""
+        return (1 if self.integrated else self.samples_per_chip) / self.spec.chip_s
+
+
+def _option(
+    name: str,
+    default: Value,
+    text: str,
+    unit: str = "",
+    limits: tuple[float, float] | None = None,
+    choices: tuple[Value, ...] = (),
+) -> Any:
+    parameter = Parameter(name, default, text, unit, limits, choices)
+    return field(default=default, metadata={"parameter": parameter})
+
+
+def _pin(name: str) -> Any:
+    """An option that pins one of the driver's parameters; None leaves it to the host."""
+    return field(default=None, metadata={"parameter": BY_NAME[name]})
+
+
+@dataclass(frozen=True)
+class SimOptions:
+    """Options of the simulator, named as in its URL; see OPTIONS for meanings and limits.
+
+    Those of the frame layout (nodes … integrated) follow the host's CONFIGURE where they are None.
+    Raises SpecError, naming option, value and limits, for a bad value or combination.
+    """
+
+    scene: str = _option("scene", "moving", "what touches the skin", choices=tuple(SCENES))
+    nodes: int | None = _pin("nodes")
+    bits: int | None = _pin("bits")
+    order: int | None = _pin("order")
+    chip_us: float | None = _pin("chip_us")
+    frame_period_ms: float | None = _pin("frame_period_ms")
+    first_row: int | None = _pin("first_row")
+    sign_seed: int | None = _pin("sign_seed")
+    drive: str | None = _pin("drive")
+    polarity: int | None = _pin("polarity")
+    samples_per_chip: int | None = _pin("samples_per_chip")
+    timing: str | None = _pin("timing")
+    integrated: bool | None = field(
+        default=None,
+        metadata={"parameter": Parameter("integrated", False, "send one mean value per chip")},
+    )
+    amplitude_mv: float = _option(
+        "amplitude_mv",
+        DEFAULT_AMPLITUDE_V * 1e3,
+        "level of one node on the digitized line",
+        "mV",
+        (1e-3, 1e5),
+    )
+    noise: float = _option("noise", 0.005, "noise of one sample, rms", "V", (0.0, 100.0))
+    offset: float = _option("offset", 0.0, "level of the silent line", "V", (-100.0, 100.0))
+    stretch: float = _option(
+        "stretch", 0.0, "frames last up to this share longer, at random", "", (0.0, MAX_STRETCH)
+    )
+    jitter: float = _option(
+        "jitter", 0.0, "largest displacement of a chip's edge, in chips", "", (0.0, MAX_JITTER)
+    )
+    rail: float = _option(
+        "rail", 0.0, "amplifier's rails about the offset; 0: out of reach", "V", (0.0, 1e4)
+    )
+    adc_bits: int = _option("adc_bits", 12, "resolution of the digitizer", "bit", (4, 16))
+    threshold: int = _option(
+        "threshold", 1, "change that makes a node talk; 0: always", "LSB", (0, 65_535)
+    )
+    heartbeat: int = _option(
+        "heartbeat", 78, "a node talks at least once in so many frames; 0: never", "", (0, 65_535)
+    )
+    start_phase: float = _option(
+        "start_phase", 0.0, "share of the first frame's period that START comes late", "", (0, 0.99)
+    )
+    seed: int = _option("seed", 0, "of everything random", "", (0, 2**32 - 1))
+    speed: float = _option(
+        "speed", 1.0, "pace; 1: real time, 0: as fast as it is read", "", (0.0, 1000.0)
+    )
+    rows: int = _option("rows", 0, "taxel rows; 0: as square as fits", "", (0, 4_096))
+    columns: int = _option("columns", 0, "taxel columns; 0: as square as fits", "", (0, 4_096))
+    pitch_mm: float = _option(
+        "pitch_mm", 7.0, "distance of neighbouring taxels", "mm", (0.01, 1_000.0)
+    )
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if value is not None:
+                object.__setattr__(self, item.name, _check(item.metadata["parameter"], value))
+        self.setup()
+
+    @classmethod
+    def from_url(cls, url: str) -> SimOptions:
+        """From sim://?option=value&…; raises SpecError."""
+        parts = urlsplit(url)
+        if parts.scheme != SCHEME or parts.netloc or parts.path.strip("/") or parts.fragment:
+            raise SpecError(f"{url!r} is not of the form sim://?option=value&option=value")
+        values: dict[str, Value] = {}
+        for name, text in parse_qsl(parts.query, keep_blank_values=True):
+            if name in values:
+                raise SpecError(f"option {name!r} is given twice")
+            values[name] = _parse(_known(name), text)
+        return cls(**values)  # type: ignore[arg-type]  # checked in __post_init__
+
+    @property
+    def channel(self) -> Channel:
+        """The analog line."""
+        return Channel(
+            offset_v=self.offset,
+            noise_rms_v=self.noise,
+            stretch=self.stretch,
+            jitter=self.jitter,
+            rail_v=self.rail,
+            adc_bits=self.adc_bits,
+        )
+
+    @property
+    def rules(self) -> NodeRules:
+        """When nodes talk."""
+        return NodeRules(self.threshold, self.heartbeat)
+
+    def skin(self, nodes: int) -> Skin:
+        """The taxels; raises SpecError where rows and columns do not fit the nodes."""
+        pitch_m = self.pitch_mm * 1e-3
+        grid = GridLayout.of(nodes, self.rows, self.columns, pitch_m, pitch_m)
+        return Skin(grid.positions_m[:, :2].astype(float), pitch_m, self.seed)
+
+    def setup(self, asked: Setup | None = None) -> Setup:
+        """The digitizer's set-up when a host asks for one; None: before any CONFIGURE.
+
+        Pinned options win. Where they leave too few code rows or too short a frame period, these
+        grow, unless pinned themselves, so that INFO can show the host what contradicts it.
+        Raises SpecError where the result cannot work.
+        """
+        asked = asked or Setup()
+        pins = self._pinned_fields()
+        spec = replace(asked.spec, amplitude_v=self.amplitude_mv * 1e-3)
+        if pins:
+            spec = replace(spec, **self._room(spec, pins), **pins)
+        if spec.frame_s * (1 + self.stretch) > spec.frame_period_s:
+            raise SpecError(
+                f"a frame of {spec.frame_s * 1e3:g} ms stretched by {self.stretch:g} is longer "
+                f"than its period of {spec.frame_period_s * 1e3:g} ms"
+            )
+        self.skin(spec.nodes)
+        sync, integrated = asked.sync, asked.integrated
+        if self.timing is not None:
+            sync = SyncMode.NONE if self.timing == GAP else SyncMode.DRIVE
+            integrated = integrated and sync != SyncMode.NONE
+        if self.integrated is not None:
+            integrated = self.integrated
+            if integrated and self.timing is None:
+                sync = SyncMode.DRIVE
+        return Setup(spec, self.samples_per_chip or asked.samples_per_chip, sync, integrated)
+
+    def _pinned_fields(self) -> dict[str, Any]:
+        """The fields of FrameSpec that these options pin."""
+        names = ("nodes", "bits", "order", "first_row", "drive", "polarity")
+        pins: dict[str, Any] = {name: getattr(self, name) for name in names}
+        # The wire carries whole ns and µs.
+        if self.chip_us is not None:
+            pins["chip_s"] = round(self.chip_us * 1e3) * 1e-9
+        if self.frame_period_ms is not None:
+            pins["frame_period_s"] = round(self.frame_period_ms * 1e3) * 1e-6
+        pins = {name: value for name, value in pins.items() if value is not None}
+        if self.sign_seed is not None:
+            pins["sign_seed"] = None if self.sign_seed == NATURAL_SIGNS else self.sign_seed
+        return pins
+
+    def _room(self, spec: FrameSpec, pins: dict[str, Any]) -> dict[str, Any]:
+        """Order and frame period, where not pinned, that are large enough for the pinned rest."""
+
+        def wanted(name: str) -> Any:
+            return pins.get(name, getattr(spec, name))
+
+        rows = wanted("nodes") + wanted("first_row")
+        order = wanted("order") or smallest_order(rows)
+        if "order" not in pins and order < rows:
+            order = smallest_order(rows)
+        frame_s = wanted("bits") * order * wanted("chip_s")
+        period_s = spec.frame_period_s
+        if frame_s * (1 + self.stretch) > period_s:
+            period_s = math.ceil(1.6e6 * frame_s) * 1e-6  # the paper's ratio of period to frame
+        room = {"order": order, "frame_period_s": period_s}
+        return {name: value for name, value in room.items() if name not in pins}
+
+
+OPTIONS: tuple[Parameter, ...] = tuple(item.metadata["parameter"] for item in fields(SimOptions))
+"""Every option of a sim:// URL: name, meaning, unit, limits."""
+
+_BY_NAME = {parameter.name: parameter for parameter in OPTIONS}
+_TRUTH = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no": False}
+
+
+def _known(name: str) -> Parameter:
+    if name not in _BY_NAME:
+        close = difflib.get_close_matches(name, _BY_NAME, n=2)
+        hint = f"did you mean {' or '.join(close)}?" if close else f"options: {', '.join(_BY_NAME)}"
+        raise SpecError(f"the simulator has no option {name!r}; {hint}")
+    return _BY_NAME[name]
+
+
+def _parse(parameter: Parameter, text: str) -> Value:
+    """An option's text in the type of its parameter."""
+    kind = type(parameter.default)
+    if parameter.name == "sign_seed" and text == "natural":
+        return NATURAL_SIGNS
+    try:
+        return _TRUTH[text.lower()] if kind is bool else kind(text)
+    except (ValueError, KeyError):
+        wanted = {bool: "0 or 1", int: "an integer", float: "a number"}[kind]
+        raise SpecError(f"option {parameter.name} is {text!r}; it must be {wanted}") from None
+
+
+def _check(parameter: Parameter, value: Value) -> Value:
+    try:
+        return parameter.check(value)
+    except ParameterError as error:
+        close = difflib.get_close_matches(str(value), [str(c) for c in parameter.choices], n=1)
+        hint = f"; did you mean {close[0]}?" if close else ""
+        raise SpecError(f"option {error}{hint}") from None

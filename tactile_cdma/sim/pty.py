@@ -1,0 +1,91 @@
+"""The virtual digitizer behind a real tty, for programs that open a device path."""
+
+from __future__ import annotations
+
+import os
+import select
+import threading
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from ..errors import PortError
+from .digitizer import VirtualDigitizer
+from .options import SimOptions
+
+_CHUNK = 4096
+_STOP_POLL_S = 0.1
+
+
+def serve(
+    options: SimOptions,
+    link: Path | None,
+    stop: threading.Event,
+    on_ready: Callable[[Path], None],
+) -> None:
+    """Run a virtual digitizer on a pseudo-terminal until `stop` is set.
+
+    link: a symbolic link to create to the terminal, replacing an older link. on_ready is called
+    with the path to open, the link's if there is one. Clients may come and go: the digitizer stays
+    powered and, between START and STOP, streams on; what nobody reads is dropped and counted.
+    Raises PortError where there is no pseudo-terminal or the link cannot be made.
+    """
+    with ExitStack() as stack:
+        host, path = stack.enter_context(_raw_terminal())
+        if link is not None:
+            stack.enter_context(_symlink(link, path))
+        digitizer = VirtualDigitizer(options)
+        on_ready(link or path)
+        _pump(digitizer, host, stop)
+
+
+def _pump(digitizer: VirtualDigitizer, host: int, stop: threading.Event) -> None:
+    """Carry bytes both ways, in the digitizer's time."""
+    outgoing = b""
+    while not stop.is_set():
+        wait_s = digitizer.advance(_CHUNK)
+        outgoing = outgoing or digitizer.take(_CHUNK)
+        readable, writable, _ = select.select(
+            [host], [host] if outgoing else [], [], min(wait_s, _STOP_POLL_S)
+        )
+        if readable:
+            digitizer.receive(os.read(host, _CHUNK))
+        if writable:
+            outgoing = outgoing[os.write(host, outgoing) :]
+
+
+@contextmanager
+def _raw_terminal() -> Iterator[tuple[int, Path]]:
+    """A pseudo-terminal in raw mode: the host's side and the path of the other one.
+
+    The other side is kept open here as well, so that its mode and what it has to say outlive the
+    clients that open and close it.
+    """
+    try:
+        host, device = os.openpty()
+    except OSError as error:
+        raise PortError(f"no pseudo-terminal to be had: {error.strerror}") from None
+    try:
+        tty.setraw(device)
+        os.set_blocking(host, False)
+        yield host, Path(os.ttyname(device))
+    finally:
+        os.close(host)
+        os.close(device)
+
+
+@contextmanager
+def _symlink(link: Path, target: Path) -> Iterator[None]:
+    if link.exists() and not link.is_symlink():
+        raise PortError(f"{link} exists and is no symbolic link; it is left alone")
+    try:
+        link.unlink(missing_ok=True)
+        link.symlink_to(target)
+    except OSError as error:
+        raise PortError(f"cannot create the link {link}: {error.strerror}") from None
+    try:
+        yield
+    finally:
+        if link.is_symlink() and Path(os.readlink(link)) == target:
+            link.unlink()

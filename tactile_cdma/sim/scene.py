@@ -1,0 +1,169 @@
+"""What touches the skin: pressure fields over time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+PEAK_PA = 120e3
+"""Peak pressure of a firm contact: well inside the second stage of the paper's sensor."""
+
+
+@dataclass(frozen=True)
+class Skin:
+    """The taxels that a scene presses on.
+
+    positions_m: (n, 2) float64, centre of every taxel about the centre of the skin, m.
+    pitch_m: distance of neighbouring taxels, m. seed: places the contacts of random scenes.
+    """
+
+    positions_m: NDArray[np.float64]
+    pitch_m: float
+    seed: int = 0
+
+    @property
+    def half_extent_m(self) -> NDArray[np.float64]:
+        """(2,) distance from the centre of the skin to its outermost taxels, m."""
+        return np.abs(self.positions_m).max(axis=0)
+
+    @cached_property
+    def contacts(self) -> list[_Contact]:
+        """The contacts of the scene "presses": three, and more on a large skin."""
+        rng = np.random.default_rng([self.seed, 0, 1])  # [seed, frame] belongs to the line's noise
+        count = min(3 + len(self.positions_m) // 128, 16)
+        return [
+            _Contact(
+                centre_m=self.positions_m[rng.integers(len(self.positions_m))],
+                radius_m=rng.uniform(0.9, 2.2) * self.pitch_m,
+                peak_pa=rng.uniform(0.25, 1.0) * PEAK_PA,
+                period_s=rng.uniform(2.0, 5.0),
+                phase=rng.uniform(),
+            )
+            for _ in range(count)
+        ]
+
+
+Scene = Callable[[float, Skin], NDArray[np.float64]]
+"""(t_s, skin) → (n,) float64, Pa: pressure on every taxel t_s seconds after START."""
+
+
+def idle(t_s: float, skin: Skin) -> NDArray[np.float64]:
+    """Nothing touches the skin."""
+    return np.zeros(len(skin.positions_m))
+
+
+def press(t_s: float, skin: Skin) -> NDArray[np.float64]:
+    """A fingertip on the node nearest the centre, 2 s on and 2 s off."""
+    nearest = np.argmin(np.square(skin.positions_m).sum(axis=1))
+    peak_pa = PEAK_PA * _on_off(t_s / 4.0)
+    return _bump(skin, skin.positions_m[nearest], 0.9 * skin.pitch_m, peak_pa)
+
+
+def presses(t_s: float, skin: Skin) -> NDArray[np.float64]:
+    """Several contacts of different size and force, each coming and going at its own pace."""
+    return np.max(
+        [
+            _bump(
+                skin,
+                contact.centre_m,
+                contact.radius_m,
+                contact.peak_pa * _on_off(t_s / contact.period_s + contact.phase),
+            )
+            for contact in skin.contacts
+        ],
+        axis=0,
+    )
+
+
+def moving(t_s: float, skin: Skin) -> NDArray[np.float64]:
+    """One contact wandering over the whole skin on a Lissajous figure, its force breathing."""
+    swing = 0.85 * skin.half_extent_m
+    centre = swing * [math.sin(2 * math.pi * t_s / 5.0), math.sin(2 * math.pi * t_s / 7.0 + 1.0)]
+    radius_m = max(1.6 * skin.pitch_m, 0.25 * float(skin.half_extent_m.max()))
+    return _bump(skin, centre, radius_m, PEAK_PA * (0.8 + 0.2 * math.sin(2 * math.pi * t_s / 3.0)))
+
+
+def all_taxels(t_s: float, skin: Skin) -> NDArray[np.float64]:
+    """Every taxel pressed by 15 to 115 kPa: a slow wave that crosses the skin."""
+    x = skin.positions_m[:, 0] / max(2 * float(skin.half_extent_m[0]), skin.pitch_m)
+    return 65e3 + 50e3 * np.sin(2 * np.pi * (x - t_s / 8.0))
+
+
+def hand(t_s: float, skin: Skin) -> NDArray[np.float64]:
+    """A resting hand of natural size: most of a small skin, palm and five fingers on a large one."""
+    load_pa = PEAK_PA * (0.75 + 0.25 * math.sin(2 * math.pi * t_s / 4.0))
+    palm = _profile(np.hypot(*(skin.positions_m / _PALM_M).T))
+    fingers = [
+        _profile(_distance_m(skin.positions_m, np.array(base), np.array(tip)) / _FINGER_RADIUS_M)
+        for base, tip in _FINGERS_M
+    ]
+    return load_pa * np.max([0.6 * palm, *fingers], axis=0)
+
+
+SCENES: dict[str, Scene] = {
+    "idle": idle,
+    "press": press,
+    "presses": presses,
+    "moving": moving,
+    "all": all_taxels,
+    "hand": hand,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class _Contact:
+    centre_m: NDArray[np.float64]
+    radius_m: float
+    peak_pa: float
+    period_s: float
+    phase: float
+
+
+_PALM_M = (0.042, 0.045)
+_FINGER_RADIUS_M = 0.010
+_FINGERS_M = (
+    ((-0.030, 0.048), (-0.042, 0.100)),
+    ((-0.010, 0.052), (-0.014, 0.118)),
+    ((0.010, 0.052), (0.012, 0.112)),
+    ((0.030, 0.046), (0.038, 0.092)),
+    ((-0.040, -0.005), (-0.078, 0.035)),
+)
+"""Base and tip of index, middle, ring and little finger and thumb about the palm's centre, m."""
+
+
+def _bump(
+    skin: Skin, centre_m: NDArray[np.float64], radius_m: float, peak_pa: float
+) -> NDArray[np.float64]:
+    """Pressure under a round contact, (n,) Pa."""
+    distance_m = np.hypot(*(skin.positions_m - centre_m).T)
+    return peak_pa * _profile(distance_m / radius_m)
+
+
+def _profile(rho: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Relative pressure at the relative radius ρ: (1 − ρ²)^1.5 inside the contact, 0 outside.
+
+    Hertz's contact of two bodies has (1 − ρ²)^0.5; the soft cover of the skin rounds off its
+    vertical edge.
+    """
+    return np.power(np.clip(1.0 - np.square(rho), 0.0, None), 1.5)
+
+
+def _on_off(cycles: float) -> float:
+    """0…1…0 once per cycle: on for half of it, with soft edges of a tenth of a cycle."""
+    from_middle = abs(cycles % 1.0 - 0.5)
+    ramp = min(max((0.3 - from_middle) / 0.1, 0.0), 1.0)
+    return ramp * ramp * (3.0 - 2.0 * ramp)
+
+
+def _distance_m(
+    points: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Distance of points (n, 2) to a line segment, (n,)."""
+    along = end - start
+    share = np.clip((points - start) @ along / (along @ along), 0.0, 1.0)
+    return np.hypot(*(points - start - share[:, None] * along).T)

@@ -1,0 +1,99 @@
+"""The serial port: the only module that uses pyserial."""
+
+from __future__ import annotations
+
+import errno
+import time
+from types import TracebackType
+
+import serial
+from serial.tools import list_ports
+
+from .errors import PortError, SpecError
+
+READ_TIMEOUT_S = 0.1
+SIM_HANDLERS = "tactile_cdma.sim"
+
+if SIM_HANDLERS not in serial.protocol_handler_packages:
+    serial.protocol_handler_packages.append(SIM_HANDLERS)  # makes sim:// a port like any other
+
+
+class Port:
+    """An open port, named by a pyserial URL: /dev/ttyACM0, sim://, socket://host:4000, …
+
+    Use as a context manager. Raises PortError, with the likely cause, from every operation.
+    """
+
+    def __init__(self, url: str, baud: int) -> None:
+        self.url = url
+        try:
+            self._serial = serial.serial_for_url(url, do_not_open=True)
+            self._serial.baudrate = baud
+            self._serial.timeout = READ_TIMEOUT_S
+            self._serial.write_timeout = 1.0
+            if url.startswith("/"):
+                self._serial.exclusive = True
+            self._serial.open()
+        except SpecError as error:  # an option of a sim:// URL
+            raise PortError(f"{url}: {error}") from None
+        except (OSError, ValueError) as error:
+            raise PortError(f"{url}: {_open_failure(error, url)}") from None
+
+    def read(self) -> tuple[bytes, float]:
+        """What has arrived, waiting at most READ_TIMEOUT_S for the first byte.
+
+        Returns the bytes (none after a quiet time-out) and the host's monotonic time, s, just
+        after they were read.
+        """
+        try:
+            data = self._serial.read(1)
+            if data:
+                data += self._serial.read(self._serial.in_waiting)
+        except (OSError, TypeError) as error:  # TypeError: pyserial reading a port closed under it
+            raise PortError(f"{self.url}: lost while reading; unplugged? ({error})") from None
+        return data, time.monotonic()
+
+    def write(self, data: bytes) -> None:
+        """Send bytes."""
+        try:
+            self._serial.write(data)
+        except OSError as error:
+            raise PortError(f"{self.url}: lost while writing; unplugged? ({error})") from None
+
+    def close(self) -> None:
+        """Close the port; closing twice is harmless."""
+        try:
+            self._serial.close()
+        except OSError:
+            pass  # the device is gone: there is nothing left to close
+
+    def __enter__(self) -> Port:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def _open_failure(error: OSError | ValueError, url: str) -> str:
+    """Why a port did not open, and what to do about it."""
+    code = getattr(error, "errno", None)
+    if code == errno.ENOENT:
+        names = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"
+        return f"no such port; is the digitizer plugged in? Serial ports on this machine: {names}"
+    if code in (errno.EACCES, errno.EPERM):
+        return (
+            "no permission; add yourself to the port's group "
+            "(sudo usermod -aG dialout $USER, then log in again)"
+        )
+    if code in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in str(error):
+        return "busy: another program has it open (another driver, a serial monitor?)"
+    if "could not configure port" in str(error).lower() or code == errno.ENOTTY:
+        return "not a serial port"
+    if isinstance(error, ValueError) and "protocol" in str(error):
+        return "unknown kind of port; use a device path, sim://, socket://host:port or rfc2217://…"
+    return str(error)

@@ -1,0 +1,43 @@
+"""The device clock regression."""
+
+import numpy as np
+import pytest
+
+from tactile_cdma.clock import DeviceClock
+
+
+@pytest.mark.parametrize("drift", [0.0, 80e-6, -80e-6])
+@pytest.mark.parametrize("start", [0.0, 3e6])
+def test_offset_and_rate_are_found_through_bus_jitter(drift: float, start: float) -> None:
+    """USB-like delays of 0.2 ms plus up to 4 ms; device time up to a month."""
+    rng, clock = np.random.default_rng(0), DeviceClock()
+    for i in range(20_000):
+        device = start + i * 2e-3
+        clock.observe(device, 1000 + (device - start) * (1 + drift) + 0.2e-3 + rng.exponential(1e-3))
+    now = start + 40.0
+    truth = 1000 + (now - start) * (1 + drift) + 0.2e-3
+    assert clock.to_host(now) == pytest.approx(truth, abs=0.1e-3)
+
+
+def test_never_later_than_any_arrival() -> None:
+    rng, clock = np.random.default_rng(1), DeviceClock()
+    for i in range(3000):
+        device, arrival = i * 5e-3, 7 + i * 5e-3 + rng.exponential(2e-3)
+        clock.observe(device, arrival)
+        assert clock.to_host(device) <= arrival + 1e-9
+
+
+def test_a_restarted_device_is_followed_at_once() -> None:
+    clock = DeviceClock()
+    for i in range(100):
+        clock.observe(500 + i * 0.1, 1000 + i * 0.1)
+    clock.observe(0.0, 2000.0)
+    assert clock.to_host(0.5) == pytest.approx(2000.5)
+
+
+def test_wild_arrivals_do_not_bend_the_rate() -> None:
+    clock = DeviceClock()
+    for i in range(200):
+        stall = 3.0 if 100 < i < 140 else 0.0
+        clock.observe(i * 0.1, i * 0.1 + stall)
+    assert clock.to_host(20.0) == pytest.approx(20.0, abs=0.05)

@@ -1,0 +1,75 @@
+"""Hadamard code books: orthogonality, coverage of orders, row signs."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tactile_cdma.codes import code_book, is_feasible, row_signs, smallest_order
+from tactile_cdma.errors import SpecError
+
+MULTIPLES = range(4, 1001, 4)
+FEASIBLE = [order for order in MULTIPLES if is_feasible(order)]
+
+
+@pytest.mark.parametrize("order", [1, 2, *[n for n in FEASIBLE if n <= 260], 336, 500, 676, 972])
+def test_rows_are_orthogonal_and_row_zero_is_all_ones(order: int) -> None:
+    matrix = code_book(order).matrix.astype(np.float32)
+    assert np.array_equal(np.abs(matrix), np.ones((order, order)))
+    assert np.array_equal(matrix @ matrix.T, order * np.eye(order))
+    assert (matrix[0] == 1).all()
+
+
+def test_constructions_cover_what_they_are_known_to_cover() -> None:
+    assert len(FEASIBLE) == 195
+    assert {28, 36, 52, 244, 344} <= set(FEASIBLE)  # Paley over 27, 17, 25, 243 and 343
+    assert not {92, 116, 156, 188, 668} & set(FEASIBLE)
+    assert max(smallest_order(n) - n for n in range(4, 1001)) == 11
+
+
+def test_powers_of_two_are_sylvester_in_natural_order() -> None:
+    i = np.arange(64)
+    parity = np.array([[bin(a & b).count("1") % 2 for b in i] for a in i])
+    assert np.array_equal(code_book(64).matrix, 1 - 2 * parity)
+
+
+@given(st.sampled_from([1, 2, 12, 20, 48, 144, 1024, 1040]), st.data())
+def test_single_rows_equal_rows_of_the_matrix(order: int, data: st.DataObject) -> None:
+    rows = data.draw(st.lists(st.integers(0, order - 1), max_size=5))
+    assert np.array_equal(code_book(order).rows(rows), code_book(order).matrix[rows])
+
+
+@pytest.mark.parametrize(("order", "named"), [(92, ("88", "96")), (3, ("2", "4")), (668, ("664", "672"))])
+def test_infeasible_orders_name_their_neighbours(order: int, named: tuple[str, str]) -> None:
+    with pytest.raises(SpecError) as caught:
+        code_book(order)
+    assert all(f" {number}" in str(caught.value) for number in (order, *named))
+
+
+@pytest.mark.parametrize("order", [0, -4, 65_540])
+def test_orders_out_of_range_are_refused(order: int) -> None:
+    with pytest.raises(SpecError, match="65536"):
+        code_book(order)
+
+
+def test_rows_out_of_range_are_refused() -> None:
+    with pytest.raises(SpecError, match="0 to 15"):
+        code_book(16).rows([16])
+
+
+def test_signs_are_fixed_balanced_and_per_row() -> None:
+    rows = np.arange(4096)
+    signs = row_signs(rows, 1)
+    assert set(np.unique(signs)) == {-1, 1}
+    assert abs(int(signs.sum())) < 4 * 64  # 4 standard deviations of fair coins
+    assert np.array_equal(row_signs(rows[100:200], 1), signs[100:200])
+    assert abs(int(signs @ row_signs(rows, 2).astype(int))) < 4 * 64
+    assert (row_signs(rows, None) == 1).all()
+
+
+def test_random_signs_lower_the_crest_of_equal_words() -> None:
+    book, rows = code_book(256), np.arange(256)
+    natural = np.abs(book.matrix.sum(axis=0, dtype=int)).max()
+    scrambled = np.abs(row_signs(rows, 1).astype(int) @ book.matrix).max()
+    assert natural == 256
+    assert scrambled < 6 * 16  # 6·√n

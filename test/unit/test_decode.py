@@ -1,0 +1,110 @@
+"""Correlation and decoding of chips: identities, noise, activity."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tactile_cdma.codes import code_book
+from tactile_cdma.decode import decode, silent
+from tactile_cdma.encode import line_chips
+from tactile_cdma.frame import FrameSpec
+from tactile_cdma.transform import correlate
+
+SPECS = {
+    "default": FrameSpec(),
+    "paper": FrameSpec(order=16, first_row=0, sign_seed=None, polarity=-1),
+    "unipolar": FrameSpec(drive="unipolar", polarity=-1),
+    "learnt amplitude": FrameSpec(amplitude_v=None),
+    "12 bits, 35 nodes": FrameSpec(nodes=35, bits=12, chip_s=20e-6),
+    "256 nodes": FrameSpec(nodes=256, bits=16, chip_s=2e-6),
+}
+
+
+@pytest.mark.parametrize("order", [1, 2, 4, 12, 20, 64, 72, 128, 144, 400, 1024, 1040])
+def test_fast_correlation_equals_the_matrix_product(order: int) -> None:
+    chips = np.random.default_rng(order).normal(size=(3, order)).astype(np.float32)
+    exact = chips.astype(np.float64) @ code_book(order).matrix.T.astype(np.float64) / order
+    assert np.allclose(correlate(chips, code_book(order)), exact, atol=1e-6)
+
+
+@pytest.mark.parametrize("order", [16, 20, 1040])
+def test_correlation_keeps_the_energy(order: int) -> None:
+    chips = np.random.default_rng(1).normal(size=(10, order)).astype(np.float32)
+    energy = np.square(correlate(chips, code_book(order)).astype(np.float64)).sum() * order
+    assert energy == pytest.approx(np.square(chips.astype(np.float64)).sum(), rel=1e-5)
+
+
+@settings(max_examples=60)
+@given(st.sampled_from(sorted(SPECS)), st.integers(0, 2**32 - 1), st.floats(0, 1))
+def test_decoding_undoes_encoding_for_every_word_and_activity(
+    name: str, seed: int, share: float
+) -> None:
+    spec, rng = SPECS[name], np.random.default_rng(seed)
+    codes = rng.integers(0, 1 << spec.bits, spec.nodes)
+    active = rng.random(spec.nodes) < share
+    words = decode(line_chips(spec, codes, active), spec)
+    assert np.array_equal(words.active, active)
+    assert np.array_equal(words.codes[active], codes[active])
+    assert not words.doubtful.any()
+    level = (spec.amplitude_v or 1.0) / (2 if spec.drive == "unipolar" else 1)
+    assert np.allclose(words.amplitude_v[active], level, rtol=1e-3)
+
+
+@pytest.mark.parametrize("name", sorted(SPECS.keys() - {"learnt amplitude"}))
+def test_noise_is_measured_and_errors_follow_the_matched_filter(name: str) -> None:
+    """Bit errors at ρ = 3 lie within five standard deviations of Q(ρ)."""
+    spec, rng, rho = SPECS[name], np.random.default_rng(3), 3.0
+    frames = 200 if spec.nodes < 100 else 20
+    swing = spec.node_swing_v
+    sigma = swing * math.sqrt(spec.order) / rho
+    wrong = total = 0
+    noise = []
+    for _ in range(frames):
+        codes = rng.integers(0, 1 << spec.bits, spec.nodes)
+        chips = line_chips(spec, codes)
+        words = decode(chips + rng.normal(0, sigma, chips.shape).astype(np.float32), spec)
+        heard = words.active
+        differing = (words.codes ^ codes)[heard]
+        wrong += sum(int(word).bit_count() for word in differing)
+        total += int(heard.sum()) * spec.bits
+        noise.append(words.noise_rms_v / sigma)
+    expected = 0.5 * math.erfc(rho / math.sqrt(2)) * total
+    assert abs(wrong - expected) < 5 * math.sqrt(expected)
+    # Without spare rows the noise comes from the words' own scatter, biased at such a low ρ.
+    assert np.mean(noise) == pytest.approx(1.0, abs=0.05 if len(spec.spare_rows) else 0.25)
+
+
+def test_noise_alone_is_silence_even_with_unknown_amplitude() -> None:
+    rng = np.random.default_rng(4)
+    for spec in (SPECS["learnt amplitude"], FrameSpec(order=16, first_row=0, amplitude_v=None)):
+        for _ in range(200):
+            chips = rng.normal(0, 0.05, (spec.bits, spec.order)).astype(np.float32)
+            assert not decode(chips, spec).active.any()
+
+
+def test_close_decisions_are_flagged() -> None:
+    spec, rng = FrameSpec(), np.random.default_rng(5)
+    chips = line_chips(spec, np.full(16, 682))
+    chips[3] *= 0.2  # one bit nearly lost, as a dropout of the line would do
+    words = decode(chips, spec)
+    assert words.doubtful.all()
+    noisy = line_chips(spec, np.full(16, 682)) + rng.normal(0, 0.4, chips.shape)
+    assert decode(noisy.astype(np.float32), spec).doubtful.any()
+
+
+def test_offset_does_not_reach_nodes_while_row_zero_is_free() -> None:
+    spec = FrameSpec()
+    codes = np.arange(16) * 60
+    words = decode(line_chips(spec, codes) + np.float32(5.0), spec)
+    assert np.array_equal(words.codes, codes)
+
+
+def test_silent_words_have_the_shape_of_decoded_ones() -> None:
+    nothing, decoded = silent(FrameSpec()), decode(np.zeros((10, 20), np.float32), FrameSpec())
+    for field in ("active", "codes", "amplitude_v", "rho", "doubtful"):
+        a, b = getattr(nothing, field), getattr(decoded, field)
+        assert (a.shape, a.dtype) == (b.shape, b.dtype)
+        assert np.array_equal(a, b)

@@ -1,0 +1,93 @@
+"""The parameter table, parameter files and the configuration made of them."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from tactile_cdma.errors import ParameterError, SpecError
+from tactile_cdma.parameters import PARAMETERS, SkinConfig, check_values, read_file
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_every_default_lies_within_its_own_limits() -> None:
+    for parameter in PARAMETERS:
+        assert parameter.check(parameter.default) == parameter.default
+    assert SkinConfig.of({}).spec.nodes == 16
+
+
+def test_the_shipped_file_is_the_default_configuration() -> None:
+    assert SkinConfig.of(read_file(ROOT / "config" / "skin.yaml")) == SkinConfig.of({})
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"chip_uss": 50.0}, "unknown parameter 'chip_uss'; did you mean 'chip_us'"),
+        ({"nodes": "16"}, "nodes must be an integer, got '16'"),
+        ({"nodes": True}, "nodes must be an integer"),
+        ({"bits": 10.0}, "bits must be an integer"),
+        ({"chip_us": -1.0}, "chip_us is -1 µs; it must lie within 0.01…1e.06 µs"),
+        ({"chip_us": float("nan")}, "chip_us is nan"),
+        ({"drive": "uni"}, "drive is 'uni'; it must be one of bipolar, unipolar"),
+        ({"polarity": 2}, "polarity is 2; it must be one of 1, -1"),
+    ],
+)
+def test_bad_values_are_refused_with_value_and_limit(values: dict, message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
+        SkinConfig.of(values)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"nodes": 64}, "longer than its period"),
+        ({"timing": "gap", "samples_per_chip": 1}, "samples_per_chip is 1, it must be 3 or more"),
+        ({"timing": "gap", "frame_period_ms": 11.0}, "silence between frames"),
+        ({"rows": 3, "columns": 3}, "9 places for 16 nodes"),
+        ({"knee_kpa": 200.0}, "knee"),
+    ],
+)
+def test_impossible_combinations_are_refused(values: dict, message: str) -> None:
+    with pytest.raises(SpecError, match=message):
+        SkinConfig.of(values)
+
+
+def test_integers_are_taken_where_numbers_are_asked_for() -> None:
+    assert check_values({"chip_us": 50}) == {"chip_us": 50.0}
+
+
+def test_zero_amplitude_means_learnt_and_minus_one_natural_signs() -> None:
+    spec = SkinConfig.of({"amplitude_mv": 0.0, "sign_seed": -1}).spec
+    assert spec.amplitude_v is None
+    assert spec.sign_seed is None
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "no 'ros__parameters' section"),
+        ("nodes: 16", "no 'ros__parameters' section"),
+        ("/**: {ros__parameters: {nodess: 3}}", "did you mean 'nodes'"),
+        ("/**: [", "not a YAML file"),
+        ("/**: {ros__parameters: {nodes: 0}}", "nodes is 0"),
+    ],
+)
+def test_broken_files_are_refused_by_name(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "broken.yaml"
+    path.write_text(text)
+    with pytest.raises(ParameterError, match=message) as caught:
+        read_file(path)
+    assert str(path) in str(caught.value)
+
+
+def test_missing_files_are_named(tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match="nowhere.yaml: No such file"):
+        read_file(tmp_path / "nowhere.yaml")
+
+
+def test_sections_of_namespaced_files_are_found(tmp_path: Path) -> None:
+    path = tmp_path / "names.yaml"
+    path.write_text(yaml.safe_dump({"/left/skin": {"ros__parameters": {"bits": 12}}}))
+    assert read_file(path) == {"bits": 12}

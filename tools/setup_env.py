@@ -1,0 +1,389 @@
+#!/usr/bin/env python3
+"""Makes .venv, in which everything here runs: `make setup`. Standard library only.
+
+Without a ROS 2 installation, .venv gets ROS 2 Jazzy from PyPI and is itself the ROS prefix: the
+messages are built into it, next to those of the wheels. With one sourced, .venv borrows its rclpy
+and colcon and gets only the Python packages and our messages.
+
+Steps are stamped in .venv/setup.json with a hash of their inputs, so a second run does nothing and
+an interrupted one is repaired: a venv that is not stamped complete is made anew.
+"""
+
+from __future__ import annotations
+
+import argparse
+import fcntl
+import hashlib
+import json
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+CHECKOUT = Path(__file__).resolve().parent.parent
+SUPPORTED = ((3, 12), (3, 11))  # the ROS wheels exist for these
+
+CORE_REQUIREMENTS = ("requirements.txt", "requirements-dev.txt")
+ROS_REQUIREMENTS = ("requirements-ros.txt",)
+
+
+class SetupError(Exception):
+    """Something the person at the keyboard has to put right; the text says how."""
+
+
+def main() -> int:
+    """Bring .venv up to date; say what is being done only if something is."""
+    parser = argparse.ArgumentParser(description="Make or update the environment in .venv.")
+    parser.add_argument("--venv", type=Path, default=CHECKOUT / ".venv")
+    venv = Path(os.path.abspath(parser.parse_args().venv))
+    try:
+        # Two makes at once would delete each other's work.
+        with open(__file__) as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            set_up(venv)
+    except SetupError as error:
+        print(f"setup: error: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("\nsetup: interrupted; the next run starts this step again", file=sys.stderr)
+        return 130
+    return 0
+
+
+def set_up(venv: Path) -> None:
+    """Run the steps whose inputs changed since they were last completed."""
+    distro = os.environ.get("ROS_DISTRO", "")
+    interpreter, version = choose_interpreter(any_version=bool(distro))
+    base_key = digest(
+        [interpreter, version, str(venv), str(CHECKOUT), distro],
+        [CHECKOUT / name for name in CORE_REQUIREMENTS + ROS_REQUIREMENTS],
+        [Path(__file__), CHECKOUT / "tools" / "venv_startup.py"],
+    )
+    # Of launch files and configuration only the names: .venv holds links to them.
+    installed = [*CHECKOUT.glob("launch/*"), *CHECKOUT.glob("config/**/*")]
+    message_key = digest(
+        sorted(str(path.relative_to(CHECKOUT)) for path in installed),
+        sorted([*CHECKOUT.glob("msg/*.msg"), *CHECKOUT.glob("srv/*.srv")]),
+        sorted([*CHECKOUT.glob("scripts/*")]),
+        [CHECKOUT / "CMakeLists.txt", CHECKOUT / "package.xml"],
+    )
+
+    state = State(venv / "setup.json")
+    started = time.monotonic()
+    has_base = state.get("base") == base_key and (venv / "bin" / "python").exists()
+    if has_base and state.get("messages") == message_key:
+        return
+    use_installation = bool(distro) and imports_rclpy(interpreter)
+    if distro and not use_installation:
+        print(
+            f"setup: ROS_DISTRO is {distro}, but {interpreter} cannot import rclpy: "
+            "using ROS 2 Jazzy from PyPI"
+        )
+        if version_of(version) not in SUPPORTED:
+            raise SetupError(unsupported(version))
+    require_tools(interpreter, version_of(version))
+    if not has_base:
+        if venv.exists() and not state.path.exists():
+            raise SetupError(f"{venv} was not made by this script; remove it, or set VENV=<other>")
+        create_venv(venv, state, interpreter, version, use_installation)
+        install_packages(venv, use_installation)
+        adapt_venv(venv)
+        state.put("base", base_key)
+    state.put("messages", None)
+    build_messages(venv, use_installation)
+    state.put("messages", message_key)
+    print(f"      ready after {time.monotonic() - started:.0f} s", flush=True)
+
+
+# ---- the four steps -----------------------------------------------------------------------------
+
+
+def create_venv(
+    venv: Path, state: State, interpreter: str, version: str, use_installation: bool
+) -> None:
+    """Make an empty venv, anew if a broken, interrupted or outdated one is there."""
+    ros = f" on ROS 2 {os.environ['ROS_DISTRO']}" if use_installation else ""
+    step(1, f"creating {relative(venv)} with Python {version}{ros}")
+    shutil.rmtree(venv, ignore_errors=True)
+    state.put("base", None)  # marks the directory as ours from now on
+    options = ["--system-site-packages"] if use_installation else []
+    run([interpreter, "-m", "venv", *options, str(venv)], venv / "setup.log")
+
+
+def install_packages(venv: Path, use_installation: bool) -> None:
+    """Install what requirements*.txt list."""
+    names = list(CORE_REQUIREMENTS)
+    if use_installation:
+        step(2, "installing Python packages from PyPI")
+    else:
+        step(2, "installing ROS 2 Jazzy and Python packages from PyPI (about 150 MB)")
+        names += ROS_REQUIREMENTS
+    wanted = [argument for name in names for argument in ("-r", str(CHECKOUT / name))]
+    if not shutil.which("cmake"):
+        wanted.append("cmake>=3.22,<4")
+    if not (shutil.which("colcon") or not use_installation):
+        wanted.append("colcon-common-extensions~=0.3.0")
+    pip = [str(venv / "bin" / "python"), "-m", "pip", "install", "--no-input"]
+    pip += ["--disable-pip-version-check", "--progress-bar", "off"]
+    run([*pip, *wanted], venv / "setup.log", explain=explain_pip)
+
+
+def adapt_venv(venv: Path) -> None:
+    """Make the wheels usable for building, and the venv's Python find the checkout."""
+    step(3, "adapting the environment")
+    python = venv / "bin" / "python"
+    answer = output(
+        [
+            str(python),
+            "-c",
+            "import sysconfig as s; print(s.get_path('include'));print(s.get_path('purelib'))",
+        ]
+    )
+    include, site_packages = answer.splitlines()
+
+    # The wheels' CMake exports name directories of the machine they were built on.
+    prefix = r"/opt/python/cp3\d+-cp3\d+"
+    for path in (venv / "share").glob("**/*.cmake"):
+        text = path.read_text()
+        ours = re.sub(prefix + r"/include/python3\.\d+", include, text)
+        ours = re.sub(prefix + r"/lib/python3\.\d+/site-packages", site_packages, ours)
+        if ours != text:
+            path.write_text(ours)
+
+    startup = Path(site_packages, "_tactile_cdma_venv.py")
+    shutil.copy(CHECKOUT / "tools" / "venv_startup.py", startup)
+    startup.with_suffix(".pth").write_text(
+        f"import _tactile_cdma_venv; _tactile_cdma_venv.start({str(CHECKOUT)!r})\n"
+    )
+    # sh finds the interpreter, so that blanks or great length of its path do no harm.
+    command = venv / "bin" / "tactile-cdma"
+    command.write_text(
+        f"#!/bin/sh\n'''exec' \"{python}\" \"$0\" \"$@\"\n' '''\n"
+        "import sys\n\nfrom tactile_cdma.cli import main\n\nsys.exit(main())\n"
+    )
+    command.chmod(0o755)
+
+
+def build_messages(venv: Path, use_installation: bool) -> None:
+    """Build this package with colcon, into the venv itself."""
+    step(4, "building the messages")
+    shutil.rmtree(venv / "build", ignore_errors=True)
+    environment = dict(os.environ, PATH=f"{venv / 'bin'}{os.pathsep}{os.environ['PATH']}")
+    for variable in ("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH"):
+        # Without a ROS installation nothing else is a ROS prefix, whatever the variables say.
+        others = os.environ.get(variable, "") if use_installation else ""
+        environment[variable] = os.pathsep.join(filter(None, [str(venv), others]))
+    run(
+        [
+            "colcon",
+            "--log-base",
+            str(venv / "log"),
+            "build",
+            "--paths",
+            str(CHECKOUT),
+            "--packages-select",
+            "tactile_cdma",
+            "--build-base",
+            str(venv / "build"),
+            "--install-base",
+            str(venv),
+            "--merge-install",
+            "--symlink-install",
+            "--cmake-args",
+            "-DBUILD_TESTING=OFF",
+            "-DCMAKE_BUILD_TYPE=Release",
+            f"-DPython3_EXECUTABLE={venv / 'bin' / 'python'}",
+            "--no-warn-unused-cli",
+        ],
+        venv / "setup.log",
+        environment,
+    )
+    # A run that failed here must not be mistaken for a good one.
+    run([str(venv / "bin" / "python"), "-c", "import rclpy, tactile_cdma.msg"], venv / "setup.log")
+
+
+# ---- what the machine has -----------------------------------------------------------------------
+
+
+def choose_interpreter(any_version: bool) -> tuple[str, str]:
+    """Return path and full version of the Python to build the venv on."""
+    # From inside a venv, even this one, its base: the venv may be about to be deleted.
+    own = getattr(sys, "_base_executable", sys.executable)
+    if any_version or sys.version_info[:2] in SUPPORTED:
+        return own, platform.python_version()
+    for major, minor in SUPPORTED:
+        found = shutil.which(f"python{major}.{minor}")
+        try:
+            version = output([found, "-c", "import platform; print(platform.python_version())"])
+        except (TypeError, OSError, subprocess.CalledProcessError):
+            continue  # not there, or a shim with nothing behind it
+        return str(found), version
+    raise SetupError(unsupported(platform.python_version()))
+
+
+def unsupported(version: str) -> str:
+    """Say what to do about a Python the ROS wheels do not exist for."""
+    return (
+        f"ROS 2 from PyPI needs Python 3.12 or 3.11, and this is {version}; install one of them "
+        "(apt install python3.12-venv python3.12-dev, or pyenv), or source a ROS 2 installation"
+    )
+
+
+def imports_rclpy(interpreter: str) -> bool:
+    """Tell whether the sourced ROS 2 installation works with this interpreter."""
+    return subprocess.run([interpreter, "-c", "import rclpy"], capture_output=True).returncode == 0
+
+
+def require_tools(interpreter: str, version: tuple[int, int]) -> None:
+    """Install missing system packages if that needs no questions; otherwise name them."""
+    packages = missing_packages(interpreter, version)
+    if not packages:
+        return
+    if shutil.which("apt-get") and may_be_root():
+        apt_get = ["apt-get"] if os.geteuid() == 0 else ["sudo", "apt-get"]
+        install = [*apt_get, "install", "-y", "--no-install-recommends", *packages]
+        step(0, " ".join(install))
+        subprocess.run([*apt_get, "update"], stdout=subprocess.DEVNULL, check=False)
+        subprocess.run(install, stdout=subprocess.DEVNULL, check=False)
+        packages = missing_packages(interpreter, version)
+    if packages:
+        raise SetupError(f"needed on this machine: sudo apt install {' '.join(packages)}")
+
+
+def may_be_root() -> bool:
+    """Tell whether system packages can be installed without a question."""
+    if os.geteuid() == 0:
+        return True
+    sudo = shutil.which("sudo")
+    return bool(sudo) and subprocess.run([sudo, "-n", "true"], capture_output=True).returncode == 0
+
+
+def missing_packages(interpreter: str, version: tuple[int, int]) -> list[str]:
+    """Return Debian names of the packages that this machine lacks. cmake may come from PyPI."""
+    python = f"python{version[0]}.{version[1]}"
+    probe = (
+        "import importlib.util as u, os, sysconfig;"
+        "print(int(bool(u.find_spec('ensurepip') and u.find_spec('venv'))),"
+        "int(os.path.exists(os.path.join(sysconfig.get_path('include'), 'Python.h'))))"
+    )
+    has_venv, has_headers = output([interpreter, "-c", probe]).split()
+    missing = []
+    if has_venv == "0":
+        missing.append(f"{python}-venv")
+    if has_headers == "0":
+        missing.append(f"{python}-dev")
+    if not (shutil.which("c++") and shutil.which("cc")):
+        missing.append("g++")
+    if not shutil.which("make"):
+        missing.append("make")
+    return missing
+
+
+# ---- helpers ------------------------------------------------------------------------------------
+
+
+class State:
+    """The stamps of completed steps, in a JSON file inside the venv."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def _load(self) -> dict[str, str | None]:
+        try:
+            return dict(json.loads(self.path.read_text()))
+        except (OSError, ValueError):
+            return {}
+
+    def get(self, name: str) -> str | None:
+        """Return the stamp of a step; None: not complete."""
+        return self._load().get(name)
+
+    def put(self, name: str, key: str | None) -> None:
+        """Stamp a step complete, or with None incomplete."""
+        stamps = {**self._load(), name: key}
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = self.path.with_suffix(".tmp")
+        temporary.write_text(json.dumps(stamps))
+        temporary.replace(self.path)
+
+
+def digest(*groups: list[str] | list[Path]) -> str:
+    """Hash of strings and of the contents of files."""
+    total = hashlib.sha256()
+    for item in (item for group in groups for item in group):
+        content = item.read_bytes() if isinstance(item, Path) else item.encode()
+        name = item.name if isinstance(item, Path) else ""
+        total.update(repr((name, content)).encode())
+    return total.hexdigest()
+
+
+def run(command: list[str], log: Path, env: dict[str, str] | None = None, explain=None) -> None:
+    """Run a step's command; its output goes to the log, a sign of life to the terminal."""
+    with log.open("ab") as sink:
+        begin = sink.tell()
+        process = subprocess.Popen(
+            command,
+            cwd=CHECKOUT,
+            env=env,
+            stdin=subprocess.DEVNULL,
+            stdout=sink,
+            stderr=subprocess.STDOUT,
+        )
+        started = time.monotonic()
+        try:
+            while True:
+                try:
+                    code = process.wait(timeout=15)
+                    break
+                except subprocess.TimeoutExpired:
+                    print(f"      … {time.monotonic() - started:.0f} s", flush=True)
+        except KeyboardInterrupt:
+            process.wait()  # the terminal has interrupted it too; do not pull its log away
+            raise
+    if code:
+        text = log.read_bytes()[begin:].decode(errors="replace")
+        print("\n".join(text.splitlines()[-20:]), file=sys.stderr)
+        hint = explain(text) if explain else None
+        raise SetupError(hint or f"`{Path(command[0]).name}` failed (above; all of it in {log})")
+
+
+def explain_pip(text: str) -> str | None:
+    """Translate pip's usual troubles."""
+    offline = "NewConnectionError|NameResolutionError|Max retries|ProxyError|timed out"
+    if re.search(offline, text):
+        return "PyPI cannot be reached; check the network (behind a proxy: set https_proxy)"
+    if re.search(r"No matching distribution found for ros-jazzy", text):
+        return (
+            "PyPI has no ROS 2 wheels for this platform (they are for Linux on x86_64 and "
+            "aarch64); install ROS 2, source its setup.bash and run make again"
+        )
+    return None
+
+
+def output(command: list[str]) -> str:
+    """Return what a short command prints."""
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+
+
+def version_of(version: str) -> tuple[int, int]:
+    """Return (3, 11) for "3.11.7"."""
+    major, minor = version.split(".")[:2]
+    return int(major), int(minor)
+
+
+def relative(path: Path) -> str:
+    """Name a path as seen from here."""
+    return os.path.relpath(path)
+
+
+def step(number: int, text: str) -> None:
+    """Show progress."""
+    print(f"[{number}/4] {text}", flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
