@@ -72,11 +72,12 @@ def outputs() -> Iterator[tuple[str, str]]:
     definition = yaml.safe_load((ROOT / DEFINITION).read_text(encoding="utf-8"))
     yield PYTHON, python_tables(definition)
     yield HEADER, c_header(definition)
-    sys.path.insert(0, str(ROOT))
-    vectors = importlib.import_module("firmware.vectors")
-    yield VECTORS, vectors.dump(vectors.protocol_vectors())
-    yield CODES, vectors.dump(vectors.code_vectors())
-    yield DOCUMENT, document(definition, vectors.example())
+    sys.path[:0] = [str(ROOT), str(ROOT / "firmware")]
+    make_vectors = importlib.import_module("make_vectors")  # imports what was just written
+    yield VECTORS, make_vectors.protocol_vectors()
+    yield CODES, make_vectors.code_vectors()
+    examples = {"example": make_vectors.example(), "signs": make_vectors.sign_table()}
+    yield DOCUMENT, document(definition, examples)
 
 
 # Shared by all outputs
@@ -187,6 +188,9 @@ def c_header(definition: Definition) -> str:
         '#error "the wire is little-endian: this target needs byte swapping"',
         "#endif",
         "",
+        "#define TP_ASSERT_AT(type, field, offset) \\",
+        '    _Static_assert(offsetof(struct type, field) == offset, #type "." #field)',
+        "",
         f"#define TP_VERSION {definition['version']}",
         f"#define TP_SAMPLE_XOR 0x{definition['sample_xor']:04X}u",
         f"#define TP_MAX_SAMPLES {definition['max_samples']}",
@@ -254,8 +258,7 @@ def c_struct(definition: Definition, name: str, message: Definition) -> Iterator
                 yield f"#define TP_{field['name'].upper()}_{bound} {value}{suffix}"
     offset = 0
     for field in message["fields"]:
-        member = f"offsetof(struct {tag}, {field['name']})"
-        yield f'_Static_assert({member} == {offset}, "{tag}.{field["name"]}");'
+        yield f"TP_ASSERT_AT({tag}, {field['name']}, {offset});"
         offset += size_of(definition, field["type"])
     yield f'_Static_assert(sizeof(struct {tag}) == {offset}, "size of {tag}");'
 
@@ -263,12 +266,12 @@ def c_struct(definition: Definition, name: str, message: Definition) -> Iterator
 # Document
 
 
-def document(definition: Definition, example: str) -> str:
+def document(definition: Definition, examples: dict[str, str]) -> str:
     """docs/protocol.md with the text between its markers renewed."""
     text = (ROOT / DOCUMENT).read_text(encoding="utf-8")
     blocks = {f"fields {name}": field_table(definition, name) for name in messages(definition)}
     blocks |= {f"enum {name}": enum_table(enum) for name, enum in definition["enums"].items()}
-    blocks["example"] = example
+    blocks |= examples
     for name, block in blocks.items():
         pattern = re.compile(f"(<!-- begin {name} -->\n).*?(<!-- end -->)", re.DOTALL)
         text = pattern.sub(lambda match, block=block: match[1] + block + match[2], text)
@@ -279,7 +282,8 @@ def field_table(definition: Definition, name: str) -> str:
     message = messages(definition)[name]
     if not message["fields"]:
         return "No payload.\n"
-    rows, offset = ["| offset | size | type | field | unit | meaning |", "|--:|--:|---|---|---|---|"], 0
+    rows = ["| offset | size | type | field | unit | meaning |", "|--:|--:|---|---|---|---|"]
+    offset = 0
     for field in message["fields"]:
         size = size_of(definition, field["type"])
         meaning = field["doc"]

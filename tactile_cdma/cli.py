@@ -19,6 +19,8 @@ from .offline import decode_raw, decode_scope, describe_frame, described_paramet
 from .parameters import BY_NAME, GAP, NATURAL_SIGNS, SkinConfig, Value, read_file
 from .pipeline import Pipeline
 from .protocol import GetInfo, Info, PacketParser, PacketWriter, Start, Stop, diagnose
+from .sim.options import SimOptions
+from .sim.pty import serve
 from .source import Port
 
 _SKIN_OPTIONS = {
@@ -204,10 +206,7 @@ def _record(arguments: argparse.Namespace) -> int:
 
 
 def _simulate(arguments: argparse.Namespace) -> int:
-    from .sim.options import parse_url
-    from .sim.pty import serve
-
-    options = parse_url(arguments.url)
+    options = SimOptions.from_url(arguments.url)
     stop = _stop_on_signal(arguments.seconds)
     serve(options, arguments.link, stop, lambda name: print(f"serving on {name}", flush=True))
     return 0

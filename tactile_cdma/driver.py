@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable
 from types import TracebackType
@@ -15,7 +16,6 @@ from .protocol import (
     GetInfo,
     Packet,
     PacketWriter,
-    Result,
     Start,
     Stop,
     SyncMode,
@@ -130,8 +130,9 @@ class Session:
             SyncMode.NONE if config.timing == GAP else SyncMode.DRIVE,
             config.samples_per_chip == 1,
         )
-        self._progress = (0, 0)
-        self._deadline: float | None = None
+        self._progress: tuple[int, int] | None = None
+        self._bytes = 0
+        self._deadline = -math.inf
 
     def open(self) -> bytes:
         """Configure and start the digitizer."""
@@ -144,26 +145,27 @@ class Session:
     def watch(self, pipeline: Pipeline, now_s: float) -> bytes:
         """Requests to repeat because nothing came of the last ones; empty while all is well."""
         progress = (pipeline.counters.frames, pipeline.counters.restarts)
-        if self._deadline is None or progress != self._progress:
-            self._progress, self._deadline = progress, now_s + self._patience(pipeline)
-        if now_s < self._deadline:
+        stuck = progress == self._progress
+        if stuck and now_s < self._deadline:
             return b""
-        self._deadline = now_s + self._patience(pipeline)
-        self.problem = self._why(pipeline)
-        return self.open()
-
-    def _patience(self, pipeline: Pipeline) -> float:
-        return max(PATIENCE_S, 3 * pipeline.config.spec.frame_period_s)
+        if stuck:
+            self.problem = self._why(pipeline)
+        self._progress, self._bytes = progress, pipeline.parser.counters.bytes
+        self._deadline = now_s + max(PATIENCE_S, 3 * pipeline.config.spec.frame_period_s)
+        return self.open() if stuck else b""
 
     def _why(self, pipeline: Pipeline) -> str:
         """The likely cause of having received no frame for a while."""
         if pipeline.problem:
             return pipeline.problem
-        ack = pipeline.ack
-        if ack is not None and ack.result != Result.OK:
-            return f"the digitizer refused command 0x{ack.command:02x}: {ack.result.name.lower()}"
+        counters = pipeline.parser.counters
+        if counters.packets and counters.bytes == self._bytes:
+            return "the digitizer has fallen silent: is it still powered?"
+        if pipeline.refusal:
+            command, reason = pipeline.refusal.command, pipeline.refusal.result.name.lower()
+            return f"the digitizer refused command 0x{command:02x}: {reason.replace('_', ' ')}"
         if pipeline.info is None:
-            return diagnose(pipeline.parser.counters) or "packets arrive, but no description (INFO)"
+            return diagnose(counters) or "packets arrive, but no description (INFO)"
         if pipeline.rejected:
             return (
                 f"samples arrive, but no frame fits ({pipeline.rejected} bursts rejected): "

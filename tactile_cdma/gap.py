@@ -153,6 +153,7 @@ def refine(line: Line, fit: Fit, spec: FrameSpec, hold_start: bool = False) -> F
         area = line.integral(edges + reach) - line.integral(edges - reach)
         area -= reach * (before + after)
         step = before - after
+        step = np.where((edges >= reach - 0.5) & (edges + reach <= line.volts.size - 0.5), step, 0.0)
         weight, moment = np.square(step), step * area
         w0, w1, w2 = weight.sum(), weight @ steps, weight @ np.square(steps)
         m0, m1 = moment.sum(), moment @ steps
@@ -217,7 +218,7 @@ class GapSearch:
         self.least_power = 0.0 if swing is None else (swing / 4) ** 2
 
     @cached_property
-    def _snr_floor(self) -> float:
+    def snr_floor(self) -> float:
         """Mean excess power of a frame, in gap variances, that noise practically never reaches."""
         return 0.1 + 6.0 * np.sqrt(self.half / self.shortest)
 
@@ -268,7 +269,7 @@ class GapSearch:
         peak = float(sums.max()) / low
         variance = max(variance, 1e-8 * peak)
         power = peak - variance
-        if power < max(self._snr_floor * variance, self.least_power):
+        if power < max(self.snr_floor * variance, self.least_power):
             return None
         # Of all windows of a possible length, the one with the greatest excess over a quarter of
         # the frame's power; then cut quiet cells from its ends.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import dataclass, fields
+from collections import Counter, deque
+from dataclasses import asdict, dataclass, fields
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from .protocol import (
     Info,
     OtherVersion,
     PacketParser,
+    Result,
     Samples,
     Status,
     SyncMode,
@@ -64,6 +65,7 @@ class Pipeline:
 
     problem: why nothing can be decoded just now, in one sentence; None while all is well.
     info: the digitizer's last description of itself, None before the first.
+    refusal: the last command that the digitizer refused and did not obey since.
     """
 
     def __init__(self, config: SkinConfig) -> None:
@@ -74,14 +76,20 @@ class Pipeline:
         self.threshold = config.threshold
         self.info: Info | None = None
         self.status: Status | None = None
-        self.ack: Ack | None = None
+        self.refusal: Ack | None = None
         self.problem: str | None = None
+        self._earlier_packets: Counter[str] = Counter()
         self._clock = DeviceClock()
         self._timing: LineTiming | GapTiming | None = None
         self._anchors: deque[tuple[int, float]] = deque(maxlen=4096)
         self._next_index: int | None = None
         self._sequence = -1
         self._last_start_s: float | None = None
+
+    @property
+    def packet_counts(self) -> Counter[str]:
+        """The parser's counters, over all connections."""
+        return self._earlier_packets + Counter(asdict(self.parser.counters))
 
     @property
     def rejected(self) -> int:
@@ -105,7 +113,7 @@ class Pipeline:
                 case Status():
                     self.status = packet
                 case Ack():
-                    self.ack = packet
+                    self._acknowledged(packet)
         return frames
 
     def flush(self) -> list[TactileFrame]:
@@ -114,11 +122,18 @@ class Pipeline:
 
     def reconnected(self) -> None:
         """The port was opened anew: whatever was under way is void, held values stay."""
-        self.parser.feed(b"\0")  # ends a packet that was cut off
-        self.info = self.ack = self._timing = self._next_index = None
+        self._earlier_packets = self.packet_counts
+        self.parser = PacketParser()
+        self.info = self.refusal = self._timing = self._next_index = None
         self.problem = None
         self._anchors.clear()
         self._clock = DeviceClock()
+
+    def _acknowledged(self, ack: Ack) -> None:
+        if ack.result != Result.OK:
+            self.refusal = ack
+        elif self.refusal and self.refusal.command == ack.command:
+            self.refusal = None
 
     def _describe(self, info: Info) -> None:
         if info == self.info:

@@ -217,7 +217,7 @@ class Samples(Packet):
 
     def __post_init__(self) -> None:
         counts = self.counts
-        if counts.ndim != 1 or counts.dtype != np.int16 or not 1 <= counts.size <= MAX_SAMPLES:
+        if counts.ndim != 1 or counts.dtype != _INT16 or not 1 <= counts.size <= MAX_SAMPLES:
             raise SpecError(
                 f"counts are {counts.dtype} of shape {counts.shape}; "
                 f"a packet takes int16 of shape (1…{MAX_SAMPLES},)"
@@ -244,7 +244,7 @@ class Samples(Packet):
     def payload(self) -> bytes:
         flags = FLAG_SYNC * self.sync | FLAG_OVERRUN * self.overrun
         head = _WIRE["Samples"].pack(self.device_time_us, self.first_index, flags)
-        return head + (self.counts ^ np.int16(SAMPLE_XOR)).astype("<i2", copy=False).tobytes()
+        return head + (self.counts ^ _SAMPLE_XOR).astype("<i2", copy=False).tobytes()
 
 
 @dataclass(frozen=True, slots=True)
@@ -415,7 +415,7 @@ class PacketParser:
         except ValueError:
             self._count["framing_errors"] += 1
             return None
-        body = raw[:-_CRC.size]
+        body = raw[: -_CRC.size]
         if len(raw) < _CRC.size or zlib.crc32(body) != _CRC.unpack_from(raw, len(body))[0]:
             self._count["crc_errors"] += 1
             return None
@@ -469,7 +469,7 @@ class PacketParser:
         return Samples(
             device_time_us,
             first_index,
-            words ^ np.int16(SAMPLE_XOR),
+            words ^ _SAMPLE_XOR,
             bool(flags & FLAG_SYNC),
             bool(flags & FLAG_OVERRUN),
             sequence=sequence,
@@ -531,18 +531,21 @@ def cobs_encode(data: bytes) -> bytes:
 
 def cobs_decode(data: bytes) -> bytes:
     """The inverse of cobs_encode. Raises ValueError for what is no COBS."""
-    blocks, start, size = [], 0, len(data)
+    decoded, unended = bytearray(data), []
+    start, size = 0, len(data)
     while start < size:
         length = data[start]
-        end = start + length
-        if not length or end > size:
-            raise ValueError(f"no COBS: block of {length} at byte {start} of {size}")
-        blocks.append(data[start + 1 : end])
-        if length < 255 and end < size:  # the imagined zero at the very end is not data
-            blocks.append(b"\0")
-        start = end
-    decoded = b"".join(blocks)
-    return decoded
+        decoded[start] = 0  # a block's first byte lies where the zero of the block before it was
+        if length == 255:
+            unended.append(start + 255)  # where no zero was
+        elif not length:
+            raise ValueError(f"no COBS: a zero at byte {start} of {size}")
+        start += length
+    if start != size:
+        raise ValueError(f"no COBS: the last block ends at byte {start} of {size}")
+    for position in reversed(unended):
+        del decoded[position : position + 1]
+    return bytes(decoded[1:])
 
 
 def _codes(name: str) -> str:
@@ -601,12 +604,13 @@ def _whole(name: str, seconds: float, per_second: int, unit: str) -> int:
     return count
 
 
-_HEADER = struct.Struct("<" + _codes("Header"))
-_CRC = struct.Struct("<I")
 _WIRE = {name: struct.Struct("<" + _codes(name)) for name in FIELDS}
+_HEADER = _WIRE["Header"]
+_CRC = struct.Struct("<I")
+_INT16 = np.dtype(np.int16)
+_SAMPLE_XOR = np.int16(SAMPLE_XOR)
 _PACKETS: dict[int, type[Packet]] = {
-    kind.TYPE: kind
-    for kind in (Info, Samples, Status, Ack, GetInfo, Start, Stop, Configure)
+    kind.TYPE: kind for kind in (Info, Samples, Status, Ack, GetInfo, Start, Stop, Configure)
 }
 _COMMAND_BIT = 0x80
 _SEQUENCES = 2**16

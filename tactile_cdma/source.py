@@ -34,6 +34,7 @@ class Port:
             if url.startswith("/"):
                 self._serial.exclusive = True
             self._serial.open()
+            self._serial.reset_input_buffer()  # of what came for whoever had it open before
         except SpecError as error:  # an option of a sim:// URL
             raise PortError(f"{url}: {error}") from None
         except (OSError, ValueError) as error:

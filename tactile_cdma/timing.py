@@ -7,7 +7,6 @@ waveform. Both keep their own samples, and how the stream is cut into blocks cha
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -18,8 +17,16 @@ from .errors import SpecError
 from .frame import MAX_STRETCH, FrameSpec
 from .gap import MAX_SPREAD, Burst, Fit, Floats, GapSearch, Line, Quiet, integrate, read_words, refine
 
+CLEAN_SPREAD = 0.08
+"""Spread of words at which a frame marked by its sync is taken as timed right: ρ > 3.5."""
+MAX_LINE_SPREAD = 0.25
+"""Spread beyond which a frame marked by its sync is rejected after all stretches were tried."""
 ABSURD_V = 1e6
 """No digitizer reports more; such samples are treated like NaN."""
+
+
+MIDDLE = 0.78
+"""Share of a chip that is clear of edges up to 10 % of a chip off their ideal position."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +142,17 @@ class _Timing:
         self._fresh = False
         return False
 
+    def _chips(self, line: Line, fit: Fit) -> tuple[NDArray[np.float32], float]:
+        """Chips (k, N), V, and their spread: whole chips, or their middle where edges jitter.
+
+        Whole chips are the matched filter; the middle is blind to edges a tenth of a chip off.
+        """
+        start, chip = np.array([fit.start]), np.array([fit.chip])
+        both = [integrate(line, start, chip, self.spec, share) for share in (1.0, MIDDLE)]
+        spreads = [float(read_words(chips, self.spec).spread[0]) for chips in both]
+        best = int(np.argmin(spreads))
+        return both[best][0], spreads[best]
+
     def _idle(self, start: float, chip: float, offset_v: float) -> FrameChips:
         zeros = np.zeros((self.spec.bits, self.spec.order), np.float32)
         return FrameChips(start, chip, zeros, offset_v, 0.0, True)
@@ -151,9 +169,9 @@ class _Timing:
 class GapTiming(_Timing):
     """Frames from nothing but the waveform: they stand between gaps, stretched by 0…11 %.
 
-    Samples from `_cursor` on are undecided; as soon as there are enough of them to hold the
-    frame expected next, the search decides: nothing, a frame, or something else. What is decided
-    depends on sample positions only, so any cutting into blocks gives the same frames.
+    Samples from `_cursor` on are undecided. At `_due`, when they hold the frame expected next,
+    the search decides: nothing, a frame, or something else. Decisions depend on sample positions
+    only, so any cutting into blocks gives the same frames.
     """
 
     def __init__(
@@ -173,37 +191,302 @@ class GapTiming(_Timing):
                 f"a gap of {gap_chips:.1f} chips is too short to find frames of order "
                 f"{spec.order} by; lengthen frame_period_s or use line timing"
             )
-        self._guard = math.ceil(3 * search.chip)
+        # From a frame's first loud sample to the instant at which it must be over.
+        self._reach = math.ceil(search.longest + 3 * search.chip)
         self._bit = math.ceil(1.11 * spec.order * search.chip)
         self._quiet: Quiet | None = None
         self._chip: float | None = None
         self._cursor = 0
-        self._raster = 0.0
+        self._due = 0
+        self._raster = 0.0  # start of the next slot
         self._failures = 0
 
     def feed(self, block: SampleBlock) -> list[FrameChips]:
         """Take samples in; return the frames and silent slots that they complete."""
         if not self._continue(block):
-            self._cursor = block.first_index
-            missed = math.ceil((block.first_index - self._raster) / self._search.period)
-            if self._chip is None or missed < 0:
-                self._raster = float(block.first_index)
-            else:
-                self._raster += missed * self._search.period
+            self._begin_at(block.first_index)
         frames: list[FrameChips] = []
         volts, slice_size = np.asarray(block.volts), math.ceil(self._search.period)
         for begin in range(0, volts.size, slice_size):  # keeps the buffer bounded
             self._samples.append(volts[begin : begin + slice_size])
-            frames += self._decide()
+            while self._samples.end >= self._due:
+                frames += self._decide(self._due)
         return frames
 
     def flush(self) -> list[FrameChips]:
         """The recording ends here: decode a last frame that is complete."""
         frames: list[FrameChips] = []
-        while self._samples.end - self._cursor > self._search.shortest:
-            before = self._cursor
-            frames += self._step(self._samples.end, final=True)
-            if self._cursor <= before:
-                break
+        cursor = -1
+        while self._samples.end - self._cursor > self._search.shortest and cursor != self._cursor:
+            cursor = self._cursor
+            frames += self._decide(self._samples.end, final=True)
         self.reset()
         return frames
+
+    def _begin_at(self, index: int) -> None:
+        """Start looking at this sample; slots stay on their raster across a hole."""
+        if self._chip is None or index < self._raster - self._search.period:
+            self._raster = float(index)
+        self._skip_to(index)
+
+    def _skip_to(self, index: int) -> None:
+        """Decide on samples from here on, and leave out slots that have gone by."""
+        self._cursor = index
+        late = math.ceil((index - self._raster) / self._search.period - 0.5)
+        self._raster += max(0, late) * self._search.period
+        self._schedule()
+
+    def _schedule(self) -> None:
+        """Forget what is decided; set when the next decision is due."""
+        if self._quiet is None:  # a whole gap must be in view
+            self._due = self._cursor + math.ceil(self._search.period) + self._reach
+        else:
+            self._due = max(math.ceil(self._raster), self._cursor) + self._reach
+        self._samples.drop(self._cursor)
+
+    def _decide(self, end: int, final: bool = False) -> list[FrameChips]:
+        """Look at the samples from the cursor to `end`, and move on. final: none will follow."""
+        volts = self._samples.take(self._cursor, end)
+        bad = np.flatnonzero(np.isnan(volts))
+        if bad.size:
+            self.rejected += 1
+            self._skip_to(self._cursor + int(bad[-1]) + 1)
+            return []
+        candidates = self._search.quiet(volts, self._quiet)
+        seen: Burst | None = None
+        for quiet in candidates:
+            shifted = volts - quiet.level
+            burst = self._first_burst(shifted, quiet)
+            if burst is None:
+                continue
+            seen = burst
+            if not final and self._incomplete(burst, volts.size):
+                self._due = max(end + 1, self._cursor + math.ceil(burst.first) + self._reach)
+                return []
+            if burst.first < self._search.chip:
+                continue  # no gap before it: the rest of a frame that began before the cursor
+            line = Line(shifted)
+            fit = self._search.fit(line, burst, self._chip)
+            if fit is None or fit.end(self.spec) > volts.size + 0.5 * fit.chip:
+                continue
+            chips, spread = self._chips(line, fit)
+            if spread <= MAX_SPREAD:
+                self._quiet = quiet
+                return self._emit(volts, fit, chips, quiet)
+        if seen is None or seen.snr < 2 * self._search.snr_floor:
+            self._quiet = candidates[0] if candidates and not final else self._quiet
+            return [] if final else self._pass_idle(end)
+        self.rejected += 1
+        self._failures += 1
+        if self._failures == 3:  # perhaps it is the level that is wrong
+            self._quiet, self._failures = None, 0
+        self._skip_to(self._cursor + max(1, math.ceil(seen.last)))
+        return []
+
+    def _first_burst(self, volts: Floats, quiet: Quiet) -> Burst | None:
+        """The earliest burst: the strongest one may have a weaker one before it."""
+        found = None
+        while burst := self._search.burst(volts, quiet.variance):
+            found = burst
+            before = int(burst.first - self._search.chip)
+            if before < self._search.shortest:
+                break
+            volts = volts[:before]
+        return found
+
+    def _incomplete(self, burst: Burst, size: int) -> bool:
+        """Whether chips of this burst's frame may still come after the samples in view."""
+        if size > self._search.period + 2 * self._reach:
+            return False
+        return size < min(burst.first + self._reach, burst.last + self._bit)
+
+    def _emit(
+        self, volts: Floats, fit: Fit, chips: NDArray[np.float32], quiet: Quiet
+    ) -> list[FrameChips]:
+        """The frame, after the silent slots before it."""
+        first, end = fit.start - fit.chip, fit.end(self.spec) + fit.chip
+        before = volts[max(0, int(first) - self._bit) : max(0, int(first))]
+        after = volts[math.ceil(end) : math.ceil(end) + self._bit]
+        gap = np.concatenate((before, after))
+        offset = float(gap.mean()) if gap.size else quiet.level
+        clipped = self._clipped(volts[max(0, round(fit.start)) : round(fit.end(self.spec))])
+        start = self._cursor + fit.start
+        frames = list(self._idle_slots(start - self._search.period / 2))
+        levelled = chips + np.float32(quiet.level - offset)
+        frames.append(FrameChips(start, fit.chip, levelled, offset, clipped, False))
+        self._chip, self._failures = fit.chip, 0
+        self._raster = start + self._search.period
+        self._cursor += math.ceil(fit.end(self.spec) + 0.5 * fit.chip)
+        self._schedule()
+        return frames
+
+    def _pass_idle(self, end: int) -> list[FrameChips]:
+        """Nothing up to `end`, but a frame may begin within the last frame's length before it."""
+        frames = list(self._idle_slots(end - self._reach))
+        self._cursor = max(self._cursor, end - self._reach)
+        self._schedule()
+        return frames
+
+    def _idle_slots(self, until: float) -> Iterator[FrameChips]:
+        """The silent slots that begin up to an index."""
+        level = self._quiet.level if self._quiet else 0.0
+        while self._raster <= until:
+            yield self._idle(self._raster, self._search.chip, level)
+            self._raster += self._search.period
+
+
+class LineTiming(_Timing):
+    """Frames that the digitizer marks: each starts at the first sample of a block with sync.
+
+    At one sample per chip the digitizer integrates whole chips, and these are the frame. Raw
+    samples are integrated with the nominal chip duration, refined on the frame's own edges; only
+    where words do not come out clean, all stretches up to 11 % are searched, which takes the
+    samples that such a frame would have.
+    """
+
+    def __init__(
+        self, spec: FrameSpec, rate_hz: float, rails_v: tuple[float, float] | None = None
+    ) -> None:
+        """See _Timing."""
+        super().__init__(spec, rate_hz, rails_v)
+        self._nominal = rate_hz * spec.chip_s
+        self._integrated = abs(self._nominal - 1) < 0.01
+        if not self._integrated and self._nominal < 1.9:
+            raise SpecError(
+                f"{self._nominal:.2g} samples per chip: line timing takes one integrated value per "
+                f"chip ({1 / spec.chip_s:.6g} Hz) or at least two samples"
+            )
+        self._gap_size = math.ceil(spec.order * self._nominal)
+        self._nominal_size = math.ceil(spec.chips * self._nominal - 0.5)
+        swing = spec.node_swing_v
+        # A node may be half as strong as specified; less than half of that is no node.
+        self._least_power = 0.0 if swing is None else (swing / 4) ** 2
+        self._start: int | None = None
+        self._due = 0
+        self._gap_begin: int | None = None  # end of the last frame, if no hole followed
+        self._level_v = 0.0
+        self._gap_variance = 0.0
+        self._chip = self._nominal
+
+    def feed(self, block: SampleBlock) -> list[FrameChips]:
+        """Take samples in; return the frames that they complete."""
+        self._continue(block)
+        frames: list[FrameChips] = []
+        if block.sync:
+            frames += self._close()
+            self._open(block.first_index)
+        volts, slice_size = np.asarray(block.volts), self._nominal_size
+        for begin in range(0, volts.size, slice_size):  # keeps the buffer bounded
+            self._samples.append(volts[begin : begin + slice_size])
+            while self._start is not None and self._samples.end >= self._due:
+                frames += self._decide(self._start, self._due, final=False)
+            if self._start is None:
+                self._samples.drop(self._samples.end - self._gap_size)
+        return frames
+
+    def flush(self) -> list[FrameChips]:
+        """The recording ends here: decode the frame in progress if it is complete."""
+        frames = self._close()
+        self.reset()
+        return frames
+
+    def reset(self) -> None:
+        """The stream has a hole: forget the frame in progress."""
+        super().reset()
+        if self._start is not None:
+            self.rejected += 1
+        self._start = self._gap_begin = None
+
+    def _open(self, index: int) -> None:
+        """A frame begins at this sample; what came since the last frame's end is gap."""
+        begin = index if self._gap_begin is None else max(self._gap_begin, index - self._gap_size)
+        gap = self._samples.take(begin, index)
+        if gap.size and not np.isnan(gap.sum()):
+            self._level_v, self._gap_variance = float(gap.mean()), float(gap.var())
+        elif self.spec.first_row > 0:
+            self._level_v = 0.0  # row 0 is free and will show the offset
+        self._samples.drop(index)
+        self._start, self._due = index, index + self._nominal_size
+
+    def _close(self) -> list[FrameChips]:
+        """No more samples for the frame in progress: take what there is, or reject it."""
+        frames: list[FrameChips] = []
+        if self._start is not None:
+            if self._samples.end - self._start >= self._nominal_size:
+                frames = self._decide(self._start, self._samples.end, final=True)
+            else:
+                self._reject()
+        return frames
+
+    def _reject(self) -> None:
+        self.rejected += 1
+        self._start = self._gap_begin = None
+
+    def _decide(self, start: int, end: int, final: bool) -> list[FrameChips]:
+        """Decode the frame from samples up to `end`, or ask for more. final: none will follow."""
+        spec, volts = self.spec, self._samples.take(start, end)
+        if np.isnan(volts.sum()):
+            self._reject()
+            return []
+        line = Line(volts - self._level_v)
+        fit = Fit(-0.5, self._nominal, 0.0)  # the first sample stands for half a sample before it
+        chips, _ = self._chips(line, fit)
+        if self._silent(chips):
+            return self._emit(start, volts, fit, None)
+        if self._integrated:
+            return self._emit(start, volts, fit, chips)
+        for chip in (self._nominal, self._chip):
+            fit = self._refined(line, chip)
+            chips, spread = self._chips(line, fit)
+            if spread < CLEAN_SPREAD:
+                missing = fit.end(spec) - volts.size
+                if missing < 0.5 * chip or final:
+                    return self._emit(start, volts, fit, chips)
+                self._due = end + math.ceil(missing)
+                return []
+        longest = start + math.ceil((1 + MAX_STRETCH) * spec.chips * self._nominal)
+        if end < longest and not final:
+            self._due = longest
+            return []
+        fit = self._refined(line, self._stretched(line))
+        chips, spread = self._chips(line, fit)
+        if spread < MAX_LINE_SPREAD:
+            return self._emit(start, volts, fit, chips)
+        self._reject()
+        return []
+
+    def _refined(self, line: Line, chip: float) -> Fit:
+        """The frame at this start, its chip duration refined if that stays possible."""
+        fit = refine(line, Fit(-0.5, chip, 0.0), self.spec, hold_start=True)
+        possible = 0.99 <= fit.chip / self._nominal <= 1.01 * (1 + MAX_STRETCH)
+        return fit if possible else Fit(-0.5, chip, 0.0)
+
+    def _stretched(self, line: Line) -> float:
+        """The chip duration that explains the most energy, of all that end within the samples."""
+        spec, step = self.spec, 0.5 / self.spec.chips
+        chip = self._nominal * np.arange(1, 1 + MAX_STRETCH + step, step)
+        chip = chip[chip * spec.chips <= line.volts.size + self._nominal]
+        batches = np.array_split(chip, 1 + chip.size * spec.chips // 2**18)
+        gains = [
+            read_words(integrate(line, np.full(some.size, -0.5), some, spec), spec).explained(some, spec)
+            for some in batches
+        ]
+        return float(chip[np.argmax(np.concatenate(gains))])
+
+    def _silent(self, chips: NDArray[np.float32]) -> bool:
+        """Whether these chips are weaker than any node, or no stronger than the gap's noise."""
+        level = chips - chips.mean() if self.spec.first_row > 0 else chips
+        noise = self._gap_variance / self._nominal
+        return float(np.square(level).mean()) <= max(self._least_power, 1.6 * noise)
+
+    def _emit(
+        self, start: int, volts: Floats, fit: Fit, chips: NDArray[np.float32] | None
+    ) -> list[FrameChips]:
+        """The frame that begins at this sample; chips None where it is silent."""
+        size = round(fit.end(self.spec) + 0.5)
+        self._start, self._gap_begin = None, start + math.ceil(size + 0.5 * (fit.chip - 1))
+        if chips is None:
+            return [self._idle(float(start), fit.chip, self._level_v)]
+        self._chip = fit.chip
+        clipped = self._clipped(volts[:size])
+        return [FrameChips(float(start), fit.chip, chips, self._level_v, clipped, False)]

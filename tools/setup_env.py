@@ -26,6 +26,7 @@ from pathlib import Path
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 SUPPORTED = ((3, 12), (3, 11))  # the ROS wheels exist for these
+LAYOUT = "1"  # raise when this script changes so that older venvs will not do
 
 CORE_REQUIREMENTS = ("requirements.txt", "requirements-dev.txt")
 ROS_REQUIREMENTS = ("requirements-ros.txt",)
@@ -59,12 +60,12 @@ def set_up(venv: Path) -> None:
     distro = os.environ.get("ROS_DISTRO", "")
     interpreter, version = choose_interpreter(any_version=bool(distro))
     base_key = digest(
-        [interpreter, version, str(venv), str(CHECKOUT), distro],
+        [LAYOUT, interpreter, version, str(venv), str(CHECKOUT), distro],
         [CHECKOUT / name for name in CORE_REQUIREMENTS + ROS_REQUIREMENTS],
-        [Path(__file__), CHECKOUT / "tools" / "venv_startup.py"],
+        [CHECKOUT / "tools" / "venv_startup.py"],
     )
     # Of launch files and configuration only the names: .venv holds links to them.
-    installed = [*CHECKOUT.glob("launch/*"), *CHECKOUT.glob("config/**/*")]
+    installed = [*CHECKOUT.glob("launch/*.py"), *CHECKOUT.glob("config/**/*")]
     message_key = digest(
         sorted(str(path.relative_to(CHECKOUT)) for path in installed),
         sorted([*CHECKOUT.glob("msg/*.msg"), *CHECKOUT.glob("srv/*.srv")]),
@@ -127,7 +128,7 @@ def install_packages(venv: Path, use_installation: bool) -> None:
         wanted.append("cmake>=3.22,<4")
     if not (shutil.which("colcon") or not use_installation):
         wanted.append("colcon-common-extensions~=0.3.0")
-    pip = [str(venv / "bin" / "python"), "-m", "pip", "install", "--no-input"]
+    pip = [str(venv / "bin" / "python"), "-m", "pip", "install", "--no-input", "--retries", "2"]
     pip += ["--disable-pip-version-check", "--progress-bar", "off"]
     run([*pip, *wanted], venv / "setup.log", explain=explain_pip)
 

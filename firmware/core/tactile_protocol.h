@@ -12,6 +12,9 @@
 #error "the wire is little-endian: this target needs byte swapping"
 #endif
 
+#define TP_ASSERT_AT(type, field, offset) \
+    _Static_assert(offsetof(struct type, field) == offset, #type "." #field)
+
 #define TP_VERSION 1
 #define TP_SAMPLE_XOR 0x5555u
 #define TP_MAX_SAMPLES 512
@@ -65,8 +68,8 @@ struct __attribute__((packed)) tp_header {
     uint8_t type; /* packet type */
     uint16_t sequence; /* counts every packet its sender made; wraps */
 };
-_Static_assert(offsetof(struct tp_header, type) == 0, "tp_header.type");
-_Static_assert(offsetof(struct tp_header, sequence) == 1, "tp_header.sequence");
+TP_ASSERT_AT(tp_header, type, 0);
+TP_ASSERT_AT(tp_header, sequence, 1);
 _Static_assert(sizeof(struct tp_header) == 3, "size of tp_header");
 
 /* How the nodes share the line. */
@@ -95,17 +98,17 @@ struct __attribute__((packed)) tp_frame_layout {
 #define TP_FRAME_PERIOD_US_MAX 4294967295u
 #define TP_SAMPLES_PER_CHIP_MIN 1u
 #define TP_SAMPLES_PER_CHIP_MAX 65535u
-_Static_assert(offsetof(struct tp_frame_layout, nodes) == 0, "tp_frame_layout.nodes");
-_Static_assert(offsetof(struct tp_frame_layout, bits) == 2, "tp_frame_layout.bits");
-_Static_assert(offsetof(struct tp_frame_layout, order) == 3, "tp_frame_layout.order");
-_Static_assert(offsetof(struct tp_frame_layout, chip_ns) == 7, "tp_frame_layout.chip_ns");
-_Static_assert(offsetof(struct tp_frame_layout, frame_period_us) == 11, "tp_frame_layout.frame_period_us");
-_Static_assert(offsetof(struct tp_frame_layout, first_row) == 15, "tp_frame_layout.first_row");
-_Static_assert(offsetof(struct tp_frame_layout, sign_seed) == 17, "tp_frame_layout.sign_seed");
-_Static_assert(offsetof(struct tp_frame_layout, natural_signs) == 21, "tp_frame_layout.natural_signs");
-_Static_assert(offsetof(struct tp_frame_layout, drive) == 22, "tp_frame_layout.drive");
-_Static_assert(offsetof(struct tp_frame_layout, polarity) == 23, "tp_frame_layout.polarity");
-_Static_assert(offsetof(struct tp_frame_layout, samples_per_chip) == 24, "tp_frame_layout.samples_per_chip");
+TP_ASSERT_AT(tp_frame_layout, nodes, 0);
+TP_ASSERT_AT(tp_frame_layout, bits, 2);
+TP_ASSERT_AT(tp_frame_layout, order, 3);
+TP_ASSERT_AT(tp_frame_layout, chip_ns, 7);
+TP_ASSERT_AT(tp_frame_layout, frame_period_us, 11);
+TP_ASSERT_AT(tp_frame_layout, first_row, 15);
+TP_ASSERT_AT(tp_frame_layout, sign_seed, 17);
+TP_ASSERT_AT(tp_frame_layout, natural_signs, 21);
+TP_ASSERT_AT(tp_frame_layout, drive, 22);
+TP_ASSERT_AT(tp_frame_layout, polarity, 23);
+TP_ASSERT_AT(tp_frame_layout, samples_per_chip, 24);
 _Static_assert(sizeof(struct tp_frame_layout) == 26, "size of tp_frame_layout");
 
 /* What the digitizer is and how it is set. */
@@ -114,7 +117,7 @@ struct __attribute__((packed)) tp_info {
     uint8_t firmware_major; /* firmware version */
     uint8_t firmware_minor; /* firmware version */
     uint8_t digitizer_id[8]; /* unique per board */
-    uint64_t sample_rate_uhz; /* µHz: rate of the words in SAMPLES; in integrated mode: of the chips */
+    uint64_t sample_rate_uhz; /* µHz: rate of the words in SAMPLES, so of chips if integrated */
     float volts_per_count; /* V: one count */
     int16_t zero_count; /* count: reading at 0 V */
     int16_t min_count; /* count: lower rail of the ADC */
@@ -125,18 +128,18 @@ struct __attribute__((packed)) tp_info {
 };
 #define TP_SAMPLE_RATE_UHZ_MIN 1u
 #define TP_SAMPLE_RATE_UHZ_MAX 18446744073709551615ull
-_Static_assert(offsetof(struct tp_info, version) == 0, "tp_info.version");
-_Static_assert(offsetof(struct tp_info, firmware_major) == 1, "tp_info.firmware_major");
-_Static_assert(offsetof(struct tp_info, firmware_minor) == 2, "tp_info.firmware_minor");
-_Static_assert(offsetof(struct tp_info, digitizer_id) == 3, "tp_info.digitizer_id");
-_Static_assert(offsetof(struct tp_info, sample_rate_uhz) == 11, "tp_info.sample_rate_uhz");
-_Static_assert(offsetof(struct tp_info, volts_per_count) == 19, "tp_info.volts_per_count");
-_Static_assert(offsetof(struct tp_info, zero_count) == 23, "tp_info.zero_count");
-_Static_assert(offsetof(struct tp_info, min_count) == 25, "tp_info.min_count");
-_Static_assert(offsetof(struct tp_info, max_count) == 27, "tp_info.max_count");
-_Static_assert(offsetof(struct tp_info, sync_mode) == 29, "tp_info.sync_mode");
-_Static_assert(offsetof(struct tp_info, integrated) == 30, "tp_info.integrated");
-_Static_assert(offsetof(struct tp_info, frame) == 31, "tp_info.frame");
+TP_ASSERT_AT(tp_info, version, 0);
+TP_ASSERT_AT(tp_info, firmware_major, 1);
+TP_ASSERT_AT(tp_info, firmware_minor, 2);
+TP_ASSERT_AT(tp_info, digitizer_id, 3);
+TP_ASSERT_AT(tp_info, sample_rate_uhz, 11);
+TP_ASSERT_AT(tp_info, volts_per_count, 19);
+TP_ASSERT_AT(tp_info, zero_count, 23);
+TP_ASSERT_AT(tp_info, min_count, 25);
+TP_ASSERT_AT(tp_info, max_count, 27);
+TP_ASSERT_AT(tp_info, sync_mode, 29);
+TP_ASSERT_AT(tp_info, integrated, 30);
+TP_ASSERT_AT(tp_info, frame, 31);
 _Static_assert(sizeof(struct tp_info) == 57, "size of tp_info");
 
 /* Consecutive samples of the line. */
@@ -146,9 +149,9 @@ struct __attribute__((packed)) tp_samples {
     uint8_t flags; /* bit 0 SYNC, bit 1 OVERRUN */
     uint16_t words[]; /* int16 counts, each XORed with TP_SAMPLE_XOR */
 };
-_Static_assert(offsetof(struct tp_samples, device_time_us) == 0, "tp_samples.device_time_us");
-_Static_assert(offsetof(struct tp_samples, first_index) == 8, "tp_samples.first_index");
-_Static_assert(offsetof(struct tp_samples, flags) == 16, "tp_samples.flags");
+TP_ASSERT_AT(tp_samples, device_time_us, 0);
+TP_ASSERT_AT(tp_samples, first_index, 8);
+TP_ASSERT_AT(tp_samples, flags, 16);
 _Static_assert(sizeof(struct tp_samples) == 17, "size of tp_samples");
 
 /* The digitizer's health. */
@@ -159,11 +162,11 @@ struct __attribute__((packed)) tp_status {
     uint32_t commands_refused; /* acknowledged with another result than OK */
     uint8_t streaming; /* between START and STOP */
 };
-_Static_assert(offsetof(struct tp_status, uptime_us) == 0, "tp_status.uptime_us");
-_Static_assert(offsetof(struct tp_status, samples_lost) == 8, "tp_status.samples_lost");
-_Static_assert(offsetof(struct tp_status, packets_dropped) == 12, "tp_status.packets_dropped");
-_Static_assert(offsetof(struct tp_status, commands_refused) == 16, "tp_status.commands_refused");
-_Static_assert(offsetof(struct tp_status, streaming) == 20, "tp_status.streaming");
+TP_ASSERT_AT(tp_status, uptime_us, 0);
+TP_ASSERT_AT(tp_status, samples_lost, 8);
+TP_ASSERT_AT(tp_status, packets_dropped, 12);
+TP_ASSERT_AT(tp_status, commands_refused, 16);
+TP_ASSERT_AT(tp_status, streaming, 20);
 _Static_assert(sizeof(struct tp_status) == 21, "size of tp_status");
 
 /* Answers one command. */
@@ -172,9 +175,9 @@ struct __attribute__((packed)) tp_ack {
     uint16_t command_sequence; /* sequence of the command */
     uint8_t result; /* what became of it */
 };
-_Static_assert(offsetof(struct tp_ack, command) == 0, "tp_ack.command");
-_Static_assert(offsetof(struct tp_ack, command_sequence) == 1, "tp_ack.command_sequence");
-_Static_assert(offsetof(struct tp_ack, result) == 3, "tp_ack.result");
+TP_ASSERT_AT(tp_ack, command, 0);
+TP_ASSERT_AT(tp_ack, command_sequence, 1);
+TP_ASSERT_AT(tp_ack, result, 3);
 _Static_assert(sizeof(struct tp_ack) == 4, "size of tp_ack");
 
 /* Sets the frame layout and the way of sampling. */
@@ -183,9 +186,9 @@ struct __attribute__((packed)) tp_configure {
     uint8_t sync_mode; /* source of the frame marks */
     uint8_t integrated; /* 0: raw samples, 1: one mean value per chip */
 };
-_Static_assert(offsetof(struct tp_configure, frame) == 0, "tp_configure.frame");
-_Static_assert(offsetof(struct tp_configure, sync_mode) == 26, "tp_configure.sync_mode");
-_Static_assert(offsetof(struct tp_configure, integrated) == 27, "tp_configure.integrated");
+TP_ASSERT_AT(tp_configure, frame, 0);
+TP_ASSERT_AT(tp_configure, sync_mode, 26);
+TP_ASSERT_AT(tp_configure, integrated, 27);
 _Static_assert(sizeof(struct tp_configure) == 28, "size of tp_configure");
 
 /* longest packet: payload; with type and sequence; with CRC; with COBS and delimiter */

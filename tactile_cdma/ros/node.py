@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import sys
 import time
+from dataclasses import fields
+from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -49,8 +50,10 @@ class SkinNode(LifecycleNode):
     as the reason for a failure lasts.
     """
 
-    def __init__(self) -> None:
-        super().__init__(NODE_NAME, automatically_declare_parameters_from_overrides=True)
+    def __init__(self, **node_options: Any) -> None:
+        super().__init__(
+            NODE_NAME, automatically_declare_parameters_from_overrides=True, **node_options
+        )
         self._faults: dict[str, str] = {}
         self._declare_parameters()
         self.add_on_set_parameters_callback(self._on_set)
@@ -275,11 +278,13 @@ class SkinNode(LifecycleNode):
                 "expected rate (Hz)": f"{1 / pipeline.config.spec.frame_period_s:.2f}",
                 "reconnects": driver.reconnects,
                 "rejected bursts": pipeline.rejected,
-                **_counts(pipeline.counters),
-                **_counts(pipeline.parser.counters),
             }
-            if pipeline.status is not None:
-                values.update({f"digitizer {k}": v for k, v in _counts(pipeline.status).items()})
+            for count in fields(pipeline.counters):
+                values[_words(count.name)] = getattr(pipeline.counters, count.name)
+            for count in fields(pipeline.parser.counters):
+                values[_words(count.name)] = pipeline.packet_counts[count.name]
+            for count in fields(pipeline.status) if pipeline.status else ():
+                values["digitizer " + _words(count.name)] = getattr(pipeline.status, count.name)
         message = DiagnosticArray(status=[convert.diagnostic(name, level, text, values)])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_publisher.publish(message)
@@ -300,9 +305,8 @@ class SkinNode(LifecycleNode):
         return Header(stamp=stamp, frame_id=str(self._value("frame_id")))
 
 
-def _counts(counters: object) -> dict[str, object]:
-    fields = dataclasses.asdict(counters)  # type: ignore[call-overload]
-    return {name.replace("_", " "): value for name, value in fields.items()}
+def _words(name: str) -> str:
+    return name.replace("_", " ")
 
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:

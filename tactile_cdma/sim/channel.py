@@ -51,7 +51,7 @@ class Channel:
         peak = float(spec.nodes)
         if spec.sign_seed is not None and spec.drive != UNIPOLAR:
             peak = min(peak, 8.0 * math.sqrt(peak))
-        return peak * _amplitude_v(spec) + 6.0 * self.noise_rms_v
+        return 1.1 * peak * _amplitude_v(spec) + 6.0 * self.noise_rms_v
 
     def volts_per_count(self, spec: FrameSpec) -> float:
         """One count of the digitized line, V, as a float32 can say it."""
@@ -73,7 +73,7 @@ class Channel:
         return (1 << (self.adc_bits - 1)) - 1
 
     def edges(self, spec: FrameSpec, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Start of every chip, and the end of the last one: (k·N + 1,) s after the frame's start."""
+        """Start of every chip, and the end of the last: (k·N + 1,) s after the frame's start."""
         chip_s = spec.chip_s * (1.0 + self.stretch * rng.random())
         edges = np.arange(spec.chips + 1, dtype=np.float64)
         if self.jitter:
@@ -95,9 +95,9 @@ class Channel:
             noise = rng.standard_normal(len(volts), dtype=np.float32)
             volts = volts + np.float32(self.noise_rms_v / math.sqrt(averaged)) * noise
         rail_v = self.rail_of(spec)
-        line_v = np.clip(volts, -rail_v, rail_v) + np.float32(self.offset_v)
+        line_v = np.minimum(np.maximum(volts, -rail_v), rail_v) + np.float32(self.offset_v)
         counts = np.rint(line_v / np.float32(self.volts_per_count(spec))) + self.zero_count(spec)
-        return np.clip(counts, self.min_count, self.max_count).astype(np.int16)
+        return np.minimum(np.maximum(counts, self.min_count), self.max_count).astype(np.int16)
 
     def volts(self, counts: NDArray[np.int16], spec: FrameSpec) -> NDArray[np.float32]:
         """What the counts mean, V."""
@@ -115,18 +115,19 @@ def frame_levels(
     per bit, which lets thousands of nodes run in real time.
     """
     amplitude_v = _amplitude_v(spec)
-    symbols = np.zeros((spec.bits, spec.order), dtype=np.float32)
     bits = word_bits(codes[active], spec.bits).T
+    symbols = np.zeros((spec.bits, spec.order), dtype=np.float32)
     symbols[:, spec.rows[active]] = (2.0 * bits - 1.0) * (spec.signs[active] * amplitude_v)
-    levels = symbols.reshape(spec.bits, -1)
+    levels: NDArray[np.float32] = symbols
     for factor in _factors(spec.order):
-        # Combine the rows of the slowest axis and rotate it to the back; after all factors the
-        # axes are back in order.
-        levels = levels.reshape(spec.bits, len(factor), -1).swapaxes(1, 2) @ factor
+        # Combine the rows of the fastest axis and rotate it to the front; after all factors the
+        # axes are back in order. (transform.correlate does the transpose of this.)
+        levels = levels.reshape(-1, len(factor)) @ factor
+        levels = levels.reshape(spec.bits, -1, len(factor)).swapaxes(1, 2)
     levels = levels.reshape(-1)
     if spec.drive == UNIPOLAR:
-        levels = (levels + np.float32(active.sum() * amplitude_v)) / 2
-    return spec.polarity * levels
+        levels = (levels + np.float32(active.sum() * amplitude_v)) / np.float32(2)
+    return levels * np.float32(spec.polarity)
 
 
 def point_samples(
@@ -142,26 +143,32 @@ def point_samples(
     its period, at (i + ½)/rate_hz; before the first and after the last chip the line is at 0. The
     0.1 to 0.2 µs that an edge takes are neglected.
     """
-    begins = np.clip(first_sample(edges_s, rate_hz), first, stop)
-    runs = np.diff(begins, prepend=first, append=stop)
-    return np.repeat(np.concatenate(([0], levels, [0]), dtype=np.float32), runs)
+    begins = np.empty(len(edges_s) + 2, dtype=np.int64)
+    begins[0], begins[-1] = first, stop
+    begins[1:-1] = np.maximum(np.minimum(first_sample(edges_s, rate_hz), stop), first)
+    heights = np.zeros(len(levels) + 2, dtype=np.float32)
+    heights[1:-1] = levels
+    return np.repeat(heights, begins[1:] - begins[:-1])
 
 
 def chip_means(
-    levels: NDArray[np.float32], edges_s: NDArray[np.float64], start_s: float, chip_s: float
+    levels: NDArray[np.float32], edges_s: NDArray[np.float64], chip_s: float
 ) -> NDArray[np.float32]:
-    """Mean of the line over every nominal chip from start_s on, (c,) float32, V.
+    """Mean of the line over every nominal chip of a frame, (c,) float32, V.
 
-    This is what a digitizer integrates: it does not know that the chips stretch or jitter.
+    levels: (c,) V; edges_s: (c + 1,) s after the frame's start. This is what a digitizer
+    integrates: it does not know that the chips stretch or jitter.
     """
     integral = np.concatenate(([0.0], np.cumsum(levels * np.diff(edges_s))))
-    windows = start_s + np.arange(len(levels) + 1) * chip_s
-    return (np.diff(np.interp(windows, edges_s, integral)) / chip_s).astype(np.float32)
+    windows = np.arange(len(levels) + 1) * chip_s
+    means: NDArray[np.float64] = np.diff(np.interp(windows, edges_s, integral)) / chip_s
+    return means.astype(np.float32)
 
 
 def first_sample(t_s: ArrayLike, rate_hz: float) -> NDArray[np.int64]:
     """Index of the first sample taken at or after t_s."""
-    return np.ceil(np.asarray(t_s) * rate_hz - 0.5).astype(np.int64)
+    index: NDArray[np.float64] = np.ceil(np.asarray(t_s, dtype=np.float64) * rate_hz - 0.5)
+    return index.astype(np.int64)
 
 
 def scope_capture(
@@ -198,4 +205,5 @@ def _amplitude_v(spec: FrameSpec) -> float:
 
 @lru_cache(maxsize=8)
 def _factors(order: int) -> tuple[NDArray[np.float32], ...]:
-    return tuple(factor.astype(np.float32) for factor in code_book(order).factors)
+    """The book's factors, the one that varies fastest first."""
+    return tuple(factor.astype(np.float32) for factor in reversed(code_book(order).factors))

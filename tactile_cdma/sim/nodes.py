@@ -62,7 +62,7 @@ def node_frames(
     last_sent = rest.copy()
     turn = np.arange(spec.nodes) * rules.heartbeat // spec.nodes
     for number in count():
-        start_s = (number - start_phase) * spec.frame_period_s
+        start_s = frame_start_s(spec, number, start_phase)
         pressure_pa = scene(start_s, skin)
         voltage_v = curve.voltage(pressure_pa)
         codes = adc.code(voltage_v)
@@ -74,3 +74,8 @@ def node_frames(
             active[:] = True
         last_sent[active] = codes[active]
         yield NodeFrame(number, start_s, pressure_pa, voltage_v, codes, active)
+
+
+def frame_start_s(spec: FrameSpec, number: int, start_phase: float = 0.0) -> float:
+    """When a frame's first chip begins, s since START."""
+    return (number - start_phase) * spec.frame_period_s

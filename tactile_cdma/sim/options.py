@@ -28,7 +28,7 @@ class Setup:
     sync: source of the frame marks. integrated: it sends one mean value per chip.
     """
 
-    spec: FrameSpec = FrameSpec()
+    spec: FrameSpec = field(default_factory=FrameSpec)
     samples_per_chip: int = 4
     sync: SyncMode = SyncMode.DRIVE
     integrated: bool = False
@@ -202,9 +202,9 @@ class SimOptions:
         pins: dict[str, Any] = {name: getattr(self, name) for name in names}
         # The wire carries whole ns and µs.
         if self.chip_us is not None:
-            pins["chip_s"] = round(self.chip_us * 1e3) * 1e-9
+            pins["chip_s"] = round(self.chip_us * 1e3) / 10**9
         if self.frame_period_ms is not None:
-            pins["frame_period_s"] = round(self.frame_period_ms * 1e3) * 1e-6
+            pins["frame_period_s"] = round(self.frame_period_ms * 1e3) / 10**6
         pins = {name: value for name, value in pins.items() if value is not None}
         if self.sign_seed is not None:
             pins["sign_seed"] = None if self.sign_seed == NATURAL_SIGNS else self.sign_seed
@@ -223,7 +223,7 @@ class SimOptions:
         frame_s = wanted("bits") * order * wanted("chip_s")
         period_s = spec.frame_period_s
         if frame_s * (1 + self.stretch) > period_s:
-            period_s = math.ceil(1.6e6 * frame_s) * 1e-6  # the paper's ratio of period to frame
+            period_s = math.ceil(1.6e6 * frame_s) / 10**6  # the paper's ratio of period to frame
         room = {"order": order, "frame_period_s": period_s}
         return {name: value for name, value in room.items() if name not in pins}
 

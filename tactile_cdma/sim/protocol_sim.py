@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from typing import TYPE_CHECKING
@@ -29,6 +30,7 @@ class Serial(SerialBase):
         # Guards the digitizer; notified when bytes may have become due or a read is to end.
         self._changed = threading.Condition()
         self._cancelled = False
+        self.is_open = False
         super().__init__(*args, **kwargs)
 
     def open(self) -> None:
@@ -57,17 +59,18 @@ class Serial(SerialBase):
 
     def read(self, size: int = 1) -> bytes:
         """Wait for `size` bytes, at most as long as the timeout; returns what there is."""
-        deadline = None if self._timeout is None else time.monotonic() + self._timeout
+        deadline = math.inf if self._timeout is None else time.monotonic() + self._timeout
+        data = b""
         with self._changed:
-            self._cancelled = False
-            while self.is_open and not self._cancelled:
+            while True:
                 digitizer = self._powered()
-                wait_s = digitizer.advance(size)
-                left_s = float("inf") if deadline is None else deadline - time.monotonic()
-                if digitizer.pending >= size or left_s <= 0:
-                    return digitizer.take(size)
+                wait_s = digitizer.advance(size - len(data))
+                data += digitizer.take(size - len(data))
+                left_s = deadline - time.monotonic()
+                if len(data) >= size or left_s <= 0 or self._cancelled:
+                    self._cancelled = False
+                    return data
                 self._changed.wait(min(wait_s, left_s, threading.TIMEOUT_MAX))
-            return self._powered().take(size)
 
     def write(self, data: ReadableBuffer, /) -> int:
         """Send bytes to the digitizer; returns their number."""
@@ -78,7 +81,7 @@ class Serial(SerialBase):
         return len(sent)
 
     def cancel_read(self) -> None:
-        """End a read() in another thread."""
+        """End a read() in another thread, or the next one if there is none."""
         with self._changed:
             self._cancelled = True
             self._changed.notify_all()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -29,7 +29,7 @@ class Skin:
     @property
     def half_extent_m(self) -> NDArray[np.float64]:
         """(2,) distance from the centre of the skin to its outermost taxels, m."""
-        return np.abs(self.positions_m).max(axis=0)
+        return np.asarray(np.abs(self.positions_m).max(axis=0))
 
     @cached_property
     def contacts(self) -> list[_Contact]:
@@ -66,17 +66,14 @@ def press(t_s: float, skin: Skin) -> NDArray[np.float64]:
 
 def presses(t_s: float, skin: Skin) -> NDArray[np.float64]:
     """Several contacts of different size and force, each coming and going at its own pace."""
-    return np.max(
-        [
-            _bump(
-                skin,
-                contact.centre_m,
-                contact.radius_m,
-                contact.peak_pa * _on_off(t_s / contact.period_s + contact.phase),
-            )
-            for contact in skin.contacts
-        ],
-        axis=0,
+    return _strongest(
+        _bump(
+            skin,
+            contact.centre_m,
+            contact.radius_m,
+            contact.peak_pa * _on_off(t_s / contact.period_s + contact.phase),
+        )
+        for contact in skin.contacts
     )
 
 
@@ -95,14 +92,14 @@ def all_taxels(t_s: float, skin: Skin) -> NDArray[np.float64]:
 
 
 def hand(t_s: float, skin: Skin) -> NDArray[np.float64]:
-    """A resting hand of natural size: most of a small skin, palm and five fingers on a large one."""
+    """A resting hand, life-size: most of a small skin, palm and five fingers on a large one."""
     load_pa = PEAK_PA * (0.75 + 0.25 * math.sin(2 * math.pi * t_s / 4.0))
-    palm = _profile(np.hypot(*(skin.positions_m / _PALM_M).T))
+    palm = 0.6 * _profile(_radius_m(skin.positions_m / _PALM_M))
     fingers = [
         _profile(_distance_m(skin.positions_m, np.array(base), np.array(tip)) / _FINGER_RADIUS_M)
         for base, tip in _FINGERS_M
     ]
-    return load_pa * np.max([0.6 * palm, *fingers], axis=0)
+    return load_pa * _strongest([palm, *fingers])
 
 
 SCENES: dict[str, Scene] = {
@@ -140,8 +137,7 @@ def _bump(
     skin: Skin, centre_m: NDArray[np.float64], radius_m: float, peak_pa: float
 ) -> NDArray[np.float64]:
     """Pressure under a round contact, (n,) Pa."""
-    distance_m = np.hypot(*(skin.positions_m - centre_m).T)
-    return peak_pa * _profile(distance_m / radius_m)
+    return peak_pa * _profile(_radius_m(skin.positions_m - centre_m) / radius_m)
 
 
 def _profile(rho: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -166,4 +162,14 @@ def _distance_m(
     """Distance of points (n, 2) to a line segment, (n,)."""
     along = end - start
     share = np.clip((points - start) @ along / (along @ along), 0.0, 1.0)
-    return np.hypot(*(points - start - share[:, None] * along).T)
+    return _radius_m(points - start - share[:, None] * along)
+
+
+def _radius_m(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distance of points (n, 2) to the origin, (n,)."""
+    return np.asarray(np.hypot(points[:, 0], points[:, 1]))
+
+
+def _strongest(fields: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """The largest of several pressures on every taxel, (n,)."""
+    return np.asarray(np.stack(list(fields)).max(axis=0))

@@ -1,0 +1,222 @@
+"""The test vectors that C and Python share, made with the Python implementation.
+
+They pin the wire down: a change of one shows in the diff. That they are right in the first place
+is for the tests to show, which derive some of them by other means.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import textwrap
+import zlib
+from typing import Any
+
+import numpy as np
+
+from tactile_cdma.codes import code_book, row_signs
+from tactile_cdma.frame import UNIPOLAR, FrameSpec
+from tactile_cdma.protocol import (
+    Ack,
+    Configure,
+    FrameLayout,
+    GetInfo,
+    Info,
+    Message,
+    Packet,
+    PacketType,
+    PacketWriter,
+    Result,
+    Samples,
+    Start,
+    Status,
+    Stop,
+    SyncMode,
+    cobs_decode,
+    cobs_encode,
+)
+
+PAPER = FrameLayout.of(
+    FrameSpec(order=16, first_row=0, sign_seed=None, polarity=-1), samples_per_chip=8
+)
+LARGE = FrameLayout.of(
+    FrameSpec(nodes=1024, chip_s=780e-9, frame_period_s=10e-3, sign_seed=2**32 - 1, drive=UNIPOLAR),
+    samples_per_chip=1,
+)
+EXAMPLE = Samples(1_000_000, 4096, np.array([0, 1, -1, 300], dtype=np.int16), sync=True)
+
+PACKETS: dict[str, tuple[int, Packet]] = {
+    "info of the paper's skin": (
+        0,
+        Info(
+            firmware_minor=1,
+            digitizer_id=bytes(range(8)),
+            sample_rate_uhz=160_000_000_000,
+            volts_per_count=3.3 / 4096,
+            zero_count=2048,
+            min_count=0,
+            max_count=4095,
+            sync_mode=SyncMode.HEAR,
+            frame=PAPER,
+        ),
+    ),
+    "info of a large skin": (
+        65_535,
+        Info(
+            firmware_major=255,
+            firmware_minor=254,
+            digitizer_id=b"\xff" * 8,
+            sample_rate_uhz=round(1e6 / 780e-9),
+            volts_per_count=1e-3,
+            sync_mode=SyncMode.DRIVE,
+            integrated=True,
+            frame=LARGE,
+        ),
+    ),
+    "samples, the example of docs/protocol.md": (7, EXAMPLE),
+    "samples, one, after an overrun": (
+        256,
+        Samples(2**64 - 1, 2**64 - 1, np.array([-32_768], dtype=np.int16), overrun=True),
+    ),
+    "samples, most, blocks longer than 254 bytes": (
+        257,
+        Samples(1, 2, np.arange(512, dtype=np.int16) * 97 + 1000, sync=True, overrun=True),
+    ),
+    "samples, all zero on the wire": (258, Samples(0, 0, np.full(40, 0x5555, dtype=np.int16))),
+    "status": (259, Status(2**40 + 3, 1, 2, 3, streaming=True)),
+    "ack": (260, Ack(PacketType.CONFIGURE, 513, Result.UNSUPPORTED)),
+    "get info": (0, GetInfo()),
+    "start": (1, Start()),
+    "stop": (65_535, Stop()),
+    "configure": (2, Configure(PAPER, SyncMode.HEAR, integrated=True)),
+}
+
+COBS = (  # those of the literature, then the ends of long blocks
+    b"",
+    b"\0",
+    b"\0\0",
+    b"\0\x11\0",
+    b"\x11\x22\0\x33",
+    b"\x11\x22\x33\x44",
+    b"\x11\0\0\0",
+    bytes(range(1, 254)),
+    bytes(range(1, 255)),
+    bytes(range(0, 255)),
+    bytes(range(1, 256)),
+    bytes(range(2, 256)) + b"\0",
+    bytes(range(3, 256)) + b"\0\1",
+    b"\x55" * 508,
+    b"\x55" * 508 + b"\0",
+)
+
+CODE_ORDERS = (1, 2, 4, 12, 16, 20, 28, 36, 64, 144)
+LONG_ORDERS = {1024: (1, 512, 1023), 1040: (1, 519, 1039)}
+"""Too large to be given whole."""
+SIGN_SEEDS = (0, 1, 2, 0xDEADBEEF, 0xFFFFFFFF)
+SIGN_ROWS = (*range(32), 1023, 4095, 65_534, 65_535)
+
+
+def protocol_vectors() -> str:
+    """firmware/vectors/protocol.json."""
+    packets = []
+    for name, (sequence, packet) in PACKETS.items():
+        wire = PacketWriter(sequence).encode(packet)
+        packets.append(
+            {
+                "name": name,
+                "packet": type(packet).__name__,
+                "type": packet.TYPE,
+                "sequence": sequence,
+                "fields": as_json(packet),
+                "body": cobs_decode(wire[:-1])[:-4].hex(),
+                "wire": wire.hex(),
+            }
+        )
+    return dump(
+        {
+            "crc32": [
+                {"data": data.hex(), "crc": zlib.crc32(data)} for data in (b"", b"123456789", b"\0")
+            ],
+            "cobs": [{"data": data.hex(), "encoded": cobs_encode(data).hex()} for data in COBS],
+            "packets": packets,
+        }
+    )
+
+
+def code_vectors() -> str:
+    """firmware/vectors/codes.json: chips and signs as strings of + and -."""
+    orders = {order: tuple(range(order)) for order in CODE_ORDERS} | LONG_ORDERS
+    return dump(
+        {
+            "rows": [
+                {"order": order, "row": row, "chips": plus_minus(code_book(order).rows([row])[0])}
+                for order, rows in orders.items()
+                for row in rows
+            ],
+            "sign_rows": list(SIGN_ROWS),
+            "signs": [
+                {"seed": seed, "signs": plus_minus(row_signs(np.array(SIGN_ROWS), seed))}
+                for seed in SIGN_SEEDS
+            ],
+        }
+    )
+
+
+def example() -> str:
+    """The worked example of docs/protocol.md."""
+    sequence = next(sequence for sequence, packet in PACKETS.values() if packet is EXAMPLE)
+    wire = PacketWriter(sequence).encode(EXAMPLE)
+    raw = cobs_decode(wire[:-1])
+    parts = [
+        ("02", "type: SAMPLES"),
+        (raw[1:3].hex(" "), f"sequence: {sequence}"),
+        (raw[3:11].hex(" "), f"device_time_us: {EXAMPLE.device_time_us}"),
+        (raw[11:19].hex(" "), f"first_index: {EXAMPLE.first_index}"),
+        (raw[19:20].hex(" "), "flags: SYNC"),
+        (raw[20:-4].hex(" "), f"words: {', '.join(map(str, EXAMPLE.counts))}, each XOR 0x5555"),
+        (raw[-4:].hex(" "), f"CRC-32 of the above: 0x{zlib.crc32(raw[:-4]):08x}"),
+    ]
+    lines = [f"{bytes_hex:24s} {meaning}" for bytes_hex, meaning in parts]
+    on_wire = textwrap.wrap(wire.hex(" "), 3 * 20)
+    return "\n".join(["```", *lines, "", "on the wire:", *on_wire, "```", ""])
+
+
+def sign_table() -> str:
+    """The row signs of docs/protocol.md."""
+    rows = (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 1000, 65_535)
+    table = [f"| sign_seed | {' | '.join(f'r = {row}' for row in rows)} |", "|--:" * 13 + "|"]
+    for seed in (0, 1, 0xFFFFFFFF):
+        signs = plus_minus(row_signs(np.array(rows), seed)).replace("-", "−")
+        table.append(f"| {seed} | {' | '.join(signs)} |")
+    return "\n".join([*table, ""])
+
+
+def as_json(message: Message) -> dict[str, Any]:
+    """The fields of a packet as plain JSON; bytes in hex."""
+
+    def plain(value: Any) -> Any:
+        match value:
+            case Message():
+                return as_json(value)
+            case bytes():
+                return value.hex()
+            case np.ndarray():
+                return value.tolist()
+        return value
+
+    names = [field.name for field in dataclasses.fields(message)]
+    return {name: plain(getattr(message, name)) for name in names if name != "sequence"}
+
+
+def plus_minus(chips: np.ndarray) -> str:
+    """[1, -1] → "+-"."""
+    return "".join("+" if chip > 0 else "-" for chip in chips)
+
+
+def dump(vectors: dict[str, Any]) -> str:
+    """JSON with one vector per line, so that diffs are readable."""
+    sections = []
+    for name, items in vectors.items():
+        lines = ",\n".join("  " + json.dumps(item) for item in items)
+        sections.append(f'"{name}": [\n{lines}\n]')
+    return "{\n" + ",\n".join(sections) + "\n}\n"

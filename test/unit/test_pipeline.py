@@ -1,0 +1,223 @@
+"""The decoding chain on the virtual digitizer's bytes, whole, cut, corrupted and restarted."""
+
+import re
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tactile_cdma.parameters import GAP, SkinConfig
+from tactile_cdma.pipeline import Pipeline, TactileFrame
+from tactile_cdma.protocol import (
+    Configure,
+    FrameLayout,
+    GetInfo,
+    Info,
+    PacketParser,
+    PacketWriter,
+    Samples,
+    Start,
+    SyncMode,
+)
+from tactile_cdma.sim.digitizer import VirtualDigitizer, truth
+from tactile_cdma.sim.options import Setup, SimOptions
+from tactile_cdma.taxels import Status
+
+
+def configuration(config: SkinConfig) -> Configure:
+    """What the driver would ask of the digitizer."""
+    return Configure(
+        FrameLayout.of(config.spec, config.samples_per_chip),
+        SyncMode.NONE if config.timing == GAP else SyncMode.DRIVE,
+        config.samples_per_chip == 1,
+    )
+
+
+def stream(config: SkinConfig, url: str, frames: int) -> bytes:
+    """What a digitizer sends for so many frames after being configured and started."""
+    digitizer = VirtualDigitizer(SimOptions.from_url(f"{url}&speed=0"))
+    writer = PacketWriter()
+    for command in (configuration(config), GetInfo(), Start()):
+        digitizer.receive(writer.encode(command))
+    end_s = frames * config.spec.frame_period_s
+    data, parser, now_s = b"", PacketParser(), 0.0
+    while now_s < end_s:
+        digitizer.advance(4096)
+        chunk = digitizer.take(4096)
+        for packet in parser.feed(chunk):
+            if isinstance(packet, Samples):
+                now_s = packet.device_time_us * 1e-6
+        data += chunk
+    return data
+
+
+def run(config: SkinConfig, data: bytes, chunk: int | None = None) -> list[TactileFrame]:
+    pipeline = Pipeline(config)
+    chunk = chunk or len(data)
+    return [
+        frame
+        for start in range(0, len(data), chunk)
+        for frame in pipeline.feed(data[start : start + chunk], start * 1e-6)
+    ]
+
+
+def assert_true(frames: list[TactileFrame], config: SkinConfig, url: str) -> None:
+    """Every decoded frame is one that the simulated nodes sent, word by word."""
+    options = SimOptions.from_url(url)
+    asked = configuration(config)
+    setup = Setup(
+        asked.frame.spec(), asked.frame.samples_per_chip, asked.sync_mode, asked.integrated
+    )
+    sent = list(islice(truth(options, setup), len(frames) + 10))
+    for frame in frames:
+        node_frame = sent[round(frame.t_start / config.spec.frame_period_s)]
+        assert np.array_equal(frame.words.active, node_frame.active)
+        said = node_frame.active
+        assert np.array_equal(frame.words.codes[said], node_frame.codes[said])
+
+
+CONFIGS = {
+    "line, 4 samples per chip": {},
+    "line, integrated": {"samples_per_chip": 1},
+    "line, 8 samples, inverted": {"samples_per_chip": 8, "polarity": -1},
+    "line, unipolar": {"drive": "unipolar"},
+    "line, the paper's book": {"order": 16, "first_row": 0, "sign_seed": -1, "polarity": -1},
+    "line, 64 nodes": {"nodes": 64, "chip_us": 10.0, "rows": 8, "columns": 8},
+    "gap": {"timing": "gap", "samples_per_chip": 8},
+    "gap, the paper's book": {
+        "timing": "gap",
+        "samples_per_chip": 6,
+        "order": 16,
+        "first_row": 0,
+        "sign_seed": -1,
+        "polarity": -1,
+    },
+    "gap, unipolar": {"timing": "gap", "drive": "unipolar"},
+}
+
+
+@pytest.mark.parametrize("scene", ["moving", "all", "presses"])
+@pytest.mark.parametrize("name", CONFIGS)
+def test_every_word_that_is_sent_is_read(name: str, scene: str) -> None:
+    config = SkinConfig.of(CONFIGS[name])
+    stretch = 0.11 if config.timing == "gap" else 0.0
+    url = f"sim://?scene={scene}&seed=3&threshold=0&stretch={stretch}"
+    frames = run(config, stream(config, url, 40))
+    assert len(frames) >= 38
+    assert_true(frames, config, url)
+    assert [f.sequence for f in frames] == list(range(len(frames)))
+
+
+def test_stretched_frames_are_read_with_line_timing_too() -> None:
+    config = SkinConfig.of({"samples_per_chip": 8})
+    url = "sim://?scene=all&seed=5&threshold=0&stretch=0.1"
+    frames = run(config, stream(config, url, 40))
+    assert len(frames) >= 38
+    assert_true(frames, config, url)
+    assert max(f.chip_s for f in frames) > 1.08 * config.spec.chip_s
+
+
+def test_silent_frames_hold_values_and_keep_the_frame_rate() -> None:
+    for timing in ("line", "gap"):
+        config = SkinConfig.of({"timing": timing})
+        frames = run(config, stream(config, "sim://?scene=idle&seed=1&heartbeat=16", 60))
+        assert len(frames) >= 57
+        last = frames[-1].readings
+        assert not np.isnan(last.pressure_pa).any()
+        assert np.count_nonzero(last.status & Status.SILENT) == 15  # one heartbeat a frame
+        assert [f.sequence for f in frames] == list(range(len(frames)))
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.sampled_from(["line, 4 samples per chip", "gap"]), st.integers(1, 3000))
+def test_chunking_is_invisible(name: str, chunk: int) -> None:
+    config = SkinConfig.of(CONFIGS[name])
+    data = stream(config, "sim://?scene=moving&seed=2", 6)
+    whole, split = run(config, data), run(config, data, chunk)
+    assert [f.t_start for f in whole] == [f.t_start for f in split]
+    for a, b in zip(whole, split, strict=True):
+        assert np.array_equal(a.readings.pressure_pa, b.readings.pressure_pa, equal_nan=True)
+        assert np.array_equal(a.readings.status, b.readings.status)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.sampled_from(["line, 4 samples per chip", "gap"]), st.integers(0, 2**32 - 1))
+def test_corrupted_bytes_cost_frames_but_give_no_false_ones(name: str, seed: int) -> None:
+    config = SkinConfig.of(CONFIGS[name])
+    url = "sim://?scene=all&seed=4&threshold=0"
+    intact = stream(config, url, 30)
+    data = bytearray(intact)
+    rng = np.random.default_rng(seed)
+    for place in rng.integers(400, len(data), 5):
+        data[place] ^= 1 << rng.integers(8)
+    pipeline = Pipeline(config)
+    frames = pipeline.feed(bytes(data), 0.0)
+    clean = {round(f.t_start, 5): f.words for f in run(config, intact)}
+    counters = pipeline.parser.counters
+    assert counters.crc_errors + counters.framing_errors + counters.resyncs
+    assert counters.lost_packets <= 10
+    assert len(frames) >= 15
+    for frame in frames:
+        if frame.words.active.any():  # a slot in which the samples were lost may look silent
+            assert np.array_equal(frame.words.codes, clean[round(frame.t_start, 5)].codes)
+
+
+def test_lost_frames_leave_a_gap_in_the_sequence() -> None:
+    config = SkinConfig.of({})
+    parser, writer = PacketParser(), PacketWriter()
+    packets = parser.feed(stream(config, "sim://?scene=all&seed=1&threshold=0", 20))
+    starts = [i for i, p in enumerate(packets) if isinstance(p, Samples) and p.sync]
+    kept = packets[: starts[8]] + packets[starts[11] :]
+    pipeline = Pipeline(config)
+    frames = pipeline.feed(b"".join(writer.encode(p) for p in kept), 0.0)
+    steps = np.diff([f.sequence for f in frames])
+    assert sorted(set(steps.tolist())) == [1, 4]
+    assert pipeline.counters.lost_frames == 3
+    assert pipeline.counters.lost_samples == 3 * 1024
+
+
+def test_a_restarted_digitizer_is_followed() -> None:
+    config = SkinConfig.of({})
+    data = stream(config, "sim://?scene=all&seed=1&threshold=0", 10)
+    pipeline = Pipeline(config)
+    first = pipeline.feed(data, 0.0)
+    second = pipeline.feed(data, 1.0)
+    assert pipeline.counters.restarts == 1
+    assert len(second) >= len(first) - 1
+    assert [f.sequence for f in first + second] == list(range(len(first) + len(second)))
+
+
+@pytest.mark.parametrize(
+    ("theirs", "ours", "message"),
+    [
+        ("order=24", {}, r"order 24 \(parameters: 20\)"),
+        ("chip_us=40", {}, r"chip_ns 40000 \(parameters: 50000\)"),
+        ("timing=gap", {}, "marks no frame starts"),
+        ("drive=unipolar&bits=8", {}, "bits 8 .*drive"),
+    ],
+)
+def test_a_digitizer_set_otherwise_is_reported_and_not_decoded(
+    theirs: str, ours: dict, message: str
+) -> None:
+    config = SkinConfig.of(ours)
+    pipeline = Pipeline(config)
+    assert pipeline.feed(stream(config, f"sim://?{theirs}", 5), 0.0) == []
+    assert re.search(message, pipeline.problem or "")
+
+
+def test_another_protocol_version_is_reported() -> None:
+    config = SkinConfig.of({})
+    info = next(
+        p for p in PacketParser().feed(stream(config, "sim://?", 1)) if isinstance(p, Info)
+    )
+    pipeline = Pipeline(config)
+    pipeline.feed(PacketWriter().encode(replace(info, version=9)), 0.0)
+    assert "protocol version 9, this driver speaks 1" in (pipeline.problem or "")
+
+
+@given(st.binary(max_size=3000))
+def test_garbage_gives_nothing(data: bytes) -> None:
+    assert Pipeline(SkinConfig.of({})).feed(data, 0.0) == []

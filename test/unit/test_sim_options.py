@@ -1,0 +1,95 @@
+"""The simulator's URL: what it accepts, refuses, and makes of a host's wishes."""
+
+import pytest
+
+from tactile_cdma.errors import SpecError
+from tactile_cdma.frame import FrameSpec
+from tactile_cdma.protocol import FrameLayout, SyncMode
+from tactile_cdma.sim.options import OPTIONS, Setup, SimOptions
+
+
+def test_without_options_the_host_decides_the_layout() -> None:
+    asked = Setup(FrameSpec(nodes=64, chip_s=10e-6), 8, SyncMode.HEAR)
+    assert SimOptions.from_url("sim://").setup(asked) == asked
+    assert SimOptions.from_url("sim://?noise=0.1&scene=hand").setup(asked) == asked
+
+
+def test_every_option_can_be_given() -> None:
+    url = (
+        "sim://?nodes=12&scene=press&noise=0.01&seed=7&stretch=0.1&drive=unipolar&bits=12&order=16"
+        "&chip_us=20&frame_period_ms=10&first_row=2&sign_seed=natural&polarity=-1&amplitude_mv=100"
+        "&samples_per_chip=8&timing=gap&integrated=0&offset=-0.2&jitter=0.05&threshold=3"
+        "&heartbeat=10&speed=0&adc_bits=10&rail=2.5&rows=3&columns=4&pitch_mm=5&start_phase=0.5"
+    )
+    options = SimOptions.from_url(url)
+    setup = options.setup()
+    assert setup.spec == FrameSpec(
+        nodes=12,
+        bits=12,
+        order=16,
+        chip_s=20e-6,
+        frame_period_s=10e-3,
+        first_row=2,
+        sign_seed=None,
+        drive="unipolar",
+        polarity=-1,
+        amplitude_v=0.1,
+    )
+    assert (setup.samples_per_chip, setup.sync, setup.integrated) == (8, SyncMode.NONE, False)
+    assert (options.rules.threshold, options.rules.heartbeat) == (3, 10)
+    assert url.count("=") == len(OPTIONS)
+
+
+def test_pinned_options_win_and_the_rest_follows() -> None:
+    asked = Setup(FrameSpec(nodes=16, bits=12, chip_s=25e-6), 6)
+    setup = SimOptions(nodes=9, drive="unipolar").setup(asked)
+    assert (setup.spec.nodes, setup.spec.drive) == (9, "unipolar")
+    assert (setup.spec.bits, setup.spec.chip_s, setup.samples_per_chip) == (12, 25e-6, 6)
+
+
+def test_what_is_pinned_makes_room_for_itself() -> None:
+    spec = SimOptions(nodes=256).setup(Setup(FrameSpec(nodes=16))).spec
+    assert spec.order >= 257
+    assert spec.frame_s < spec.frame_period_s
+    FrameLayout.of(spec, 4)  # the wire can say so
+
+
+def test_pinned_sampling_wins() -> None:
+    integrated = Setup(integrated=True)
+    assert SimOptions(timing="gap").setup(integrated) == Setup(sync=SyncMode.NONE)
+    blind = Setup(sync=SyncMode.NONE)
+    assert SimOptions(integrated=True).setup(blind) == integrated
+
+
+@pytest.mark.parametrize(
+    ("query", "words"),
+    [
+        ("scene=pres", ["scene", "'pres'", "idle, press, presses", "did you mean press"]),
+        ("noize=1", ["'noize'", "did you mean noise"]),
+        ("qqq=1", ["'qqq'", "options: scene, nodes"]),
+        ("stretch=0.5", ["stretch is 0.5", "0…0.11"]),
+        ("nodes=many", ["nodes is 'many'", "an integer"]),
+        ("noise=", ["noise is ''", "a number"]),
+        ("noise=nan", ["noise", "0…100 V"]),
+        ("integrated=maybe", ["integrated is 'maybe'", "0 or 1"]),
+        ("polarity=0", ["polarity is 0", "1, -1"]),
+        ("seed=1&seed=2", ["'seed'", "twice"]),
+        ("integrated=1&timing=gap", ["integrated", "timing 'gap'"]),
+        ("rows=3", ["3 rows", "16 nodes"]),
+        ("order=18", ["18", "16 and 20"]),
+        ("nodes=64&frame_period_ms=12.8", ["12.8 ms"]),
+        ("stretch=0.1&chip_us=60&frame_period_ms=12.8", ["stretched by 0.1", "12.8 ms"]),
+        ("first_row=0&drive=unipolar", ["row 0"]),
+    ],
+)
+def test_bad_options_are_refused_by_name(query: str, words: list[str]) -> None:
+    with pytest.raises(SpecError) as caught:
+        SimOptions.from_url(f"sim://?{query}")
+    for word in words:
+        assert word in str(caught.value)
+
+
+@pytest.mark.parametrize("url", ["sim://host", "loop://", "sim:///path?seed=1", "sim://?a=1#b"])
+def test_other_urls_are_refused(url: str) -> None:
+    with pytest.raises(SpecError):
+        SimOptions.from_url(url)

@@ -1,0 +1,46 @@
+"""Writes README.md's table of parameters from the one that the driver uses; --check only compares."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from tactile_cdma.parameters import PARAMETERS, Parameter
+
+README = Path(__file__).resolve().parents[1] / "README.md"
+BEGIN, END = (
+    "<!-- parameters: written by tools/parameter_table.py -->",
+    "<!-- end of parameters -->",
+)
+
+
+def row(parameter: Parameter) -> str:
+    default = str(parameter.default)
+    if isinstance(parameter.default, bool):
+        default = default.lower()
+    allowed = ", ".join(f"`{choice}`" for choice in parameter.choices)
+    if parameter.limits:
+        low, high = parameter.limits
+        allowed = f"{low:.10g} … {high:.10g} {parameter.unit}".strip()
+    live = " •" if parameter.live else ""
+    return f"| `{parameter.name}`{live} | `{default}` | {allowed} | {parameter.text} |"
+
+
+def with_table(text: str) -> str:
+    """The README's text with the present table."""
+    before, rest = text.split(BEGIN)
+    _, after = rest.split(END)
+    lines = ["| name | default | allowed | meaning |", "|---|---|---|---|", *map(row, PARAMETERS)]
+    return "\n".join([before + BEGIN, *lines, END + after])
+
+
+def main() -> int:
+    text = README.read_text(encoding="utf-8")
+    if "--check" in sys.argv:
+        return int(with_table(text) != text)
+    README.write_text(with_table(text), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
