@@ -269,19 +269,24 @@ def c_struct(definition: Definition, name: str, message: Definition) -> Iterator
 def document(definition: Definition, examples: dict[str, str]) -> str:
     """docs/protocol.md with the text between its markers renewed."""
     text = (ROOT / DOCUMENT).read_text(encoding="utf-8")
-    blocks = {f"fields {name}": field_table(definition, name) for name in messages(definition)}
+    blocks = {
+        f"fields {name}": field_table(definition, name)
+        for name, message in messages(definition).items()
+        if message["fields"]
+    }
     blocks |= {f"enum {name}": enum_table(enum) for name, enum in definition["enums"].items()}
     blocks |= examples
     for name, block in blocks.items():
-        pattern = re.compile(f"(<!-- begin {name} -->\n).*?(<!-- end -->)", re.DOTALL)
-        text = pattern.sub(lambda match, block=block: match[1] + block + match[2], text)
+        before, begin, rest = text.partition(f"<!-- begin {name} -->\n")
+        _, end, after = rest.partition("<!-- end -->")
+        if not end:
+            raise SystemExit(f"{DOCUMENT}: no place for {name}: its begin or end marker is missing")
+        text = before + begin + block + end + after
     return text
 
 
 def field_table(definition: Definition, name: str) -> str:
     message = messages(definition)[name]
-    if not message["fields"]:
-        return "No payload.\n"
     rows = ["| offset | size | type | field | unit | meaning |", "|--:|--:|---|---|---|---|"]
     offset = 0
     for field in message["fields"]:

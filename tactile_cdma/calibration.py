@@ -102,11 +102,14 @@ class PressureCurve:
 
     def voltage(self, pressure_pa: ArrayLike) -> NDArray[np.float64]:
         """Pa to V, clamped to the curve's ends."""
-        return np.interp(pressure_pa, self.pressure_pa, self.voltage_v)
+        return np.interp(
+            np.asarray(pressure_pa, dtype=np.float64), self.pressure_pa, self.voltage_v
+        )
 
     def pressure(self, voltage_v: ArrayLike) -> NDArray[np.float64]:
         """V to Pa, clamped to 0…range: above V0 there is no pressure, below the end full range."""
-        return np.interp(voltage_v, self.voltage_v[::-1], self.pressure_pa[::-1])
+        volts = np.asarray(voltage_v, dtype=np.float64)
+        return np.interp(volts, self.voltage_v[::-1], self.pressure_pa[::-1])
 
     def saturated(self, voltage_v: ArrayLike) -> NDArray[np.bool_]:
         """Where the voltage lies beyond the end of the range, so that the pressure is clamped."""

@@ -8,8 +8,10 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from . import __version__
 from .capture import is_text, read_scope_csv
@@ -18,7 +20,7 @@ from .errors import CaptureError, PortError, SpecError, TactileError
 from .offline import decode_raw, decode_scope, describe_frame, described_parameters
 from .parameters import BY_NAME, GAP, NATURAL_SIGNS, SkinConfig, Value, read_file
 from .pipeline import Pipeline
-from .protocol import GetInfo, Info, PacketParser, PacketWriter, Start, Stop, diagnose
+from .protocol import Info, PacketParser, diagnose
 from .sim.options import SimOptions
 from .sim.pty import serve
 from .source import Port
@@ -86,7 +88,9 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_skin_options(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("the skin (defaults: what the capture says, else the driver's)")
+    group = parser.add_argument_group(
+        "the skin (default: what a raw capture says, else the driver's)"
+    )
     group.add_argument("--params", type=Path, metavar="FILE", help="ROS 2 parameter file")
     for option, name in _SKIN_OPTIONS.items():
         parameter = BY_NAME[name]
@@ -139,13 +143,16 @@ def _decode(arguments: argparse.Namespace) -> int:
     return _conclude(path, count, pipeline)
 
 
-def _line(frame: dict) -> str:  # type: ignore[type-arg]
-    nodes = "  ".join(
-        f"{node['node']}: {node['bits']} {node['voltage']:.2f} V {node['pressure_pa'] / 1e3:.1f} kPa"
-        f" ({node['snr_db']:.0f} dB{', doubtful' if node['doubtful'] else ''})"
-        for node in frame["nodes"]
+def _line(frame: dict[str, Any]) -> str:
+    return f"{frame['t']:.6f} s  {'  '.join(map(_word, frame['nodes'])) or 'all silent'}"
+
+
+def _word(node: dict[str, Any]) -> str:
+    doubt = ", doubtful" if node["doubtful"] else ""
+    return (
+        f"{node['node']}: {node['bits']} {node['voltage']:.2f} V "
+        f"{node['pressure_pa'] / 1e3:.1f} kPa ({node['snr_db']:.0f} dB{doubt})"
     )
-    return f"{frame['t']:.6f} s  {nodes or 'all silent'}"
 
 
 def _conclude(path: Path, frames: int, pipeline: Pipeline | None) -> int:
@@ -167,32 +174,27 @@ def _conclude(path: Path, frames: int, pipeline: Pipeline | None) -> int:
 
 
 def _record(arguments: argparse.Namespace) -> int:
-    given = _given(arguments)
-    path: Path = arguments.file
-    try:
-        file = path.open("wb" if arguments.force else "xb")
-    except FileExistsError:
-        raise CaptureError(f"{path}: exists already; --force overwrites it") from None
-    except OSError as error:
-        raise CaptureError(f"{path}: {error.strerror}") from None
-    stop = _stop_on_signal(arguments.seconds)
-    parser, writer = PacketParser(), PacketWriter()
+    given, path = _given(arguments), arguments.file
+    if path.exists() and not arguments.force:
+        raise CaptureError(f"{path}: exists already; --force overwrites it")
+    parser, start = PacketParser(), time.monotonic()
     described = False
-    start = time.monotonic()
-    with file, Port(arguments.port, arguments.baud) as port:
-        if given:
-            port.write(Session(SkinConfig.of(given)).open())
-        else:
-            port.write(writer.encode(GetInfo()) + writer.encode(Start()))
+    with Port(arguments.port, arguments.baud) as port, _stop_event(arguments.seconds) as stop:
         try:
-            while not stop.is_set():
-                data, _ = port.read()
-                file.write(data)
-                described |= any(isinstance(packet, Info) for packet in parser.feed(data))
-        except PortError as error:
-            print(f"tactile-cdma: {error}; keeping what was recorded", file=sys.stderr)
-        else:
-            port.write(writer.encode(Stop()))
+            file = path.open("wb")
+        except OSError as error:
+            raise CaptureError(f"{path}: {error.strerror}") from None
+        session = Session(SkinConfig.of(given)) if given else Session()
+        with file:
+            try:
+                port.write(session.open())
+                while not stop.is_set():
+                    data, _ = port.read()
+                    file.write(data)
+                    described |= any(isinstance(packet, Info) for packet in parser.feed(data))
+                port.write(session.close())
+            except PortError as error:
+                print(f"tactile-cdma: {error}; keeping what was recorded", file=sys.stderr)
     counters = parser.counters
     print(
         f"seconds={time.monotonic() - start:.1f} bytes={counters.bytes} "
@@ -207,21 +209,28 @@ def _record(arguments: argparse.Namespace) -> int:
 
 def _simulate(arguments: argparse.Namespace) -> int:
     options = SimOptions.from_url(arguments.url)
-    stop = _stop_on_signal(arguments.seconds)
-    serve(options, arguments.link, stop, lambda name: print(f"serving on {name}", flush=True))
+    with _stop_event(arguments.seconds) as stop:
+        serve(options, arguments.link, stop, lambda path: print(f"serving on {path}", flush=True))
     return 0
 
 
-def _stop_on_signal(seconds: float | None) -> threading.Event:
+@contextmanager
+def _stop_event(seconds: float | None) -> Iterator[threading.Event]:
     """An event that Ctrl-C, SIGTERM or the end of a time span sets."""
     stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    timer = threading.Timer(seconds or 0.0, stop.set)
     if seconds is not None:
-        timer = threading.Timer(seconds, stop.set)
-        timer.daemon = True
         timer.start()
-    return stop
+    before = {
+        number: signal.signal(number, lambda *_: stop.set())
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield stop
+    finally:
+        timer.cancel()
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ Sylvester's matrix in natural order, which is also what MATLAB's and scipy's `ha
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache, reduce
+from functools import cache, cached_property, lru_cache, reduce
 from itertools import product
 
 import numpy as np
@@ -48,7 +48,7 @@ class CodeBook:
         """Chosen rows, (len(indices), N) int8, without forming the matrix."""
         remaining = np.asarray(indices, dtype=np.intp)
         if remaining.size and not 0 <= remaining.min() <= remaining.max() < self.order:
-            raise SpecError(f"code rows run from 0 to {self.order - 1}, got {indices}")
+            raise SpecError(f"code rows run from 0 to {self.order - 1}, got {indices!r}")
         rows = np.ones((remaining.size, 1), dtype=np.int8)
         for factor in reversed(self.factors):
             remaining, digit = np.divmod(remaining, len(factor))
@@ -110,7 +110,7 @@ def row_signs(rows: NDArray[np.intp], seed: int | None) -> NDArray[np.int8]:
     return np.where(h >> np.uint64(31), -1, 1).astype(np.int8)
 
 
-@lru_cache(maxsize=None)
+@cache
 def _plan(order: int) -> tuple[int, ...] | None:
     """Orders of the primitive factors with the least total size; None where none exists.
 
@@ -122,7 +122,7 @@ def _plan(order: int) -> tuple[int, ...] | None:
         return (2,) * (order.bit_length() - 1)
     if order % 4:
         return None
-    plans = [(order,)] if _paley_field(order) else []
+    plans: list[tuple[int, ...]] = [(order,)] if _paley_field(order) else []
     for small in (d for d in range(2, int(order**0.5) + 1) if order % d == 0):
         left, right = _plan(small), _plan(order // small)
         if left and right:
@@ -150,7 +150,8 @@ def _primitive(order: int) -> NDArray[np.int8]:
         matrix = np.kron(core, np.array([[1, 1], [1, -1]], dtype=np.int8)) + np.kron(
             eye, np.array([[1, -1], [-1, -1]], dtype=np.int8)
         )
-    return (matrix * matrix[0]).astype(np.int8)
+    normalised: NDArray[np.int8] = (matrix * matrix[0]).astype(np.int8)
+    return normalised
 
 
 def _paley_field(order: int) -> tuple[int, int] | None:

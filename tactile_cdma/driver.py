@@ -122,21 +122,22 @@ class Session:
     No I/O: bytes to send are returned.
     """
 
-    def __init__(self, config: SkinConfig) -> None:
+    def __init__(self, config: SkinConfig | None = None) -> None:
+        """config: how the digitizer is to be set; None leaves it as it is."""
         self.problem: str | None = None
         self._writer = PacketWriter()
-        self._configure = Configure(
-            FrameLayout.of(config.spec, config.samples_per_chip),
-            SyncMode.NONE if config.timing == GAP else SyncMode.DRIVE,
-            config.samples_per_chip == 1,
-        )
+        self._setting: tuple[Configure, ...] = ()
+        if config is not None:
+            layout = FrameLayout.of(config.spec, config.samples_per_chip)
+            sync_mode = SyncMode.NONE if config.timing == GAP else SyncMode.DRIVE
+            self._setting = (Configure(layout, sync_mode, config.samples_per_chip == 1),)
         self._progress: tuple[int, int] | None = None
         self._bytes = 0
         self._deadline = -math.inf
 
     def open(self) -> bytes:
-        """Configure and start the digitizer."""
-        return self._requests(self._configure, GetInfo(), Start())
+        """Configure (where asked to) and start the digitizer."""
+        return self._requests(*self._setting, GetInfo(), Start())
 
     def close(self) -> bytes:
         """Stop the digitizer."""

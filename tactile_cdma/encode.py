@@ -41,4 +41,4 @@ def line_chips(
     chips = symbols @ spec.book.rows(spec.rows)
     if spec.drive == UNIPOLAR:
         chips = (chips + level_v.sum()) / 2
-    return (spec.polarity * chips).astype(np.float32)
+    return np.asarray(spec.polarity * chips, dtype=np.float32)

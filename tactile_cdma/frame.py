@@ -77,8 +77,8 @@ class FrameSpec:
             )
         if not self.frame_s <= self.frame_period_s:
             raise SpecError(
-                f"a frame of {self.bits} bits × {self.order} chips × {self.chip_s * 1e6:g} µs lasts "
-                f"{self.frame_s * 1e3:g} ms, longer than its period of "
+                f"a frame of {self.bits} bits × {self.order} chips × {self.chip_s * 1e6:g} µs "
+                f"lasts {self.frame_s * 1e3:g} ms, longer than its period of "
                 f"{self.frame_period_s * 1e3:g} ms"
             )
 

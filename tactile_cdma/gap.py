@@ -23,7 +23,7 @@ does not accumulate).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,8 @@ Floats = NDArray[np.float64]
 MAX_SPREAD = 0.12
 """Relative variance of |r| within the words beyond which a fit is not believed. White noise alone
 gives 1/ρ²; chips that have nothing to do with the code book give π/2 − 1 = 0.57."""
+MAX_DISTORTION = 0.15
+"""Power left over by the words, relative to theirs, that edges and clipping may account for."""
 _CELLS = 320
 """Burst search divides a frame into at most about this many cells, whatever its order."""
 _LOUD = 6.0
@@ -89,91 +91,111 @@ class Words:
     signed: (c, k, n) float32, V: correlations of the nodes' rows.
     amplitude: (c, n) float32, V: mean of |signed| over the bits; 0 where the node is silent.
     pedestal: (c,) float32, V: the level that unipolar nodes add; 0 for bipolar drive.
+    power: (c,) float32, V²: mean power of the chips that these words account for.
     spread: (c,) float32: variance of |signed| within active words over their power.
+    misfit: (c,) float32: power of the chips that the words leave over, relative to `power`.
     """
 
     signed: NDArray[np.float32]
     amplitude: NDArray[np.float32]
     pedestal: NDArray[np.float32]
+    power: NDArray[np.float32]
     spread: NDArray[np.float32]
+    misfit: NDArray[np.float32]
 
-    def explained(self, chip: Floats, spec: FrameSpec) -> Floats:
-        """Energy of the samples that the words account for, (c,) V²·samples."""
-        power = np.square(self.amplitude).sum(axis=1) + np.square(self.pedestal)
-        return spec.chips * chip * power
+    def believable(self, limit: float, spec: FrameSpec) -> NDArray[np.bool_]:
+        """Whether the words are even within a spread, and what is left over is white noise, (c,).
+
+        Noise that makes words spread by s leaves s/active in each of the N rows; beyond thrice
+        that (s is an estimate from few bits) and some distortion there is a signal not understood.
+        """
+        active = np.count_nonzero(self.amplitude, axis=1)
+        noise = 3 * spec.order / np.maximum(active, 1) * self.spread
+        return (self.power > 0) & (self.spread < limit) & (self.misfit < noise + MAX_DISTORTION)
 
 
 def read_words(chips: NDArray[np.float32], spec: FrameSpec) -> Words:
     """Words of each hypothesis: chips (c, k, N) float32, V. A node under half the max is silent."""
     rows = correlate(chips, spec.book)
     signed = rows[..., spec.first_row : spec.first_row + spec.nodes]
-    size = np.abs(signed)
-    mean = size.mean(axis=1)
+    mean = np.abs(signed).sum(axis=1) / np.float32(spec.bits)
     active = mean > 0.5 * mean.max(axis=1, keepdims=True)
-    amplitude = np.where(active, mean, np.float32(0))
-    power = np.square(amplitude).sum(axis=1)
-    total = (np.square(size).mean(axis=1) * active).sum(axis=1)
-    spread = total / np.maximum(power, np.float32(1e-30)) - 1
+    amplitude = mean * active
+    word_power = np.einsum("cn,cn->c", amplitude, amplitude)
+    signed_power = np.einsum("ckn,ckn,cn->c", signed, signed, active.astype(np.float32))
+    total = np.einsum("ckr,ckr->c", rows, rows)
     if spec.drive == UNIPOLAR:
-        pedestal = rows[..., 0].mean(axis=1)
+        pedestal = rows[..., 0].sum(axis=1) / np.float32(spec.bits)
     else:
         pedestal = np.zeros(len(chips), np.float32)
-    return Words(signed, amplitude, pedestal, spread)
+        if spec.first_row > 0:  # a free row 0 holds nothing but what is left of the offset
+            total -= np.einsum("ck,ck->c", rows[..., 0], rows[..., 0])
+    floor = np.float32(1e-30)
+    power = word_power + np.square(pedestal)
+    return Words(
+        signed,
+        amplitude,
+        pedestal,
+        power,
+        signed_power / np.maximum(spec.bits * word_power, floor) - 1,
+        total / np.maximum(spec.bits * power, floor) - 1,
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """A frame found in a line: start and chip in samples, spread as in Words."""
+    """A frame in a line: first chip's begin and duration of a chip, samples."""
 
     start: float
     chip: float
-    spread: float
 
     def end(self, spec: FrameSpec) -> float:
         """Instant at which the last chip ends."""
         return self.start + spec.chips * self.chip
 
 
-def refine(line: Line, fit: Fit, spec: FrameSpec, hold_start: bool = False) -> Fit:
+def refine(
+    line: Line, fit: Fit, spec: FrameSpec, earliest: float = -np.inf, latest: float = np.inf
+) -> Fit:
     """Move start and chip duration to where the level changes of the decided words are.
 
     Around edge j the area between line and model is (v[j−1] − v[j])·τ[j] for an edge that comes
     τ[j] late; τ = δstart + j·δchip is fitted by least squares, in which big steps count most.
+    earliest, latest: bounds of the start. Edges out of view are left out.
     """
     start, chip = fit.start, fit.chip
     steps = np.arange(spec.chips + 1.0)
-    codes = spec.book.rows(spec.rows).astype(np.float32)
-    spread = fit.spread
-    for width in (0.5, 0.5, 0.4):
-        words = read_words(_one(line, start, chip, spec), spec)
-        levels = (np.sign(words.signed[0]) * words.amplitude[0]) @ codes + words.pedestal[0]
-        levels = np.concatenate(([0.0], levels.ravel().astype(np.float64), [0.0]))
+    levels = np.zeros(spec.chips + 2)  # the gap on either side
+    for _ in range(2):
+        words = read_words(integrate(line, np.array([start]), np.array([chip]), spec), spec)
+        symbols = np.sign(words.signed[0]) * words.amplitude[0]
+        levels[1:-1] = (symbols @ _code_rows(spec) + words.pedestal[0]).ravel()
         before, after = levels[:-1], levels[1:]
-        edges, reach = start + chip * steps, width * chip
-        area = line.integral(edges + reach) - line.integral(edges - reach)
-        area -= reach * (before + after)
-        step = before - after
-        step = np.where((edges >= reach - 0.5) & (edges + reach <= line.volts.size - 0.5), step, 0.0)
+        edges, reach = start + chip * steps, 0.5 * chip
+        area = (
+            line.integral(edges + reach) - line.integral(edges - reach) - reach * (before + after)
+        )
+        seen = (edges >= reach - 0.5) & (edges + reach <= line.volts.size - 0.5)
+        step = (before - after) * seen
         weight, moment = np.square(step), step * area
         w0, w1, w2 = weight.sum(), weight @ steps, weight @ np.square(steps)
         m0, m1 = moment.sum(), moment @ steps
-        spread = float(words.spread[0])
-        if hold_start:
-            if w2 <= 0:
-                break
-            chip += m1 / w2
-            continue
         determinant = w0 * w2 - w1 * w1
-        if determinant <= 1e-9 * w0 * w2:
-            break
-        start += (w2 * m0 - w1 * m1) / determinant
-        chip += (w0 * m1 - w1 * m0) / determinant
-    spread = float(read_words(_one(line, start, chip, spec), spec).spread[0])
-    return Fit(float(start), float(chip), spread)
+        if determinant > 1e-9 * w0 * w2:
+            moved = start + (w2 * m0 - w1 * m1) / determinant
+        else:
+            moved = start
+        moved = min(max(moved, earliest), latest)
+        if w2 > 0:
+            chip += (m1 - w1 * (moved - start)) / w2
+        start = moved
+    return Fit(float(start), float(chip))
 
 
-def _one(line: Line, start: float, chip: float, spec: FrameSpec) -> NDArray[np.float32]:
-    return integrate(line, np.array([start]), np.array([chip]), spec)
+@lru_cache(maxsize=8)
+def _code_rows(spec: FrameSpec) -> NDArray[np.float32]:
+    """The nodes' rows, (n, N)."""
+    return spec.book.rows(spec.rows).astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,7 +299,9 @@ class GapSearch:
         lengths = np.arange(low, min(high, cells.size) + 1)
         ends = np.arange(cells.size + 1 - low)[:, None] + lengths
         totals = np.where(
-            ends <= cells.size, gain[np.minimum(ends, cells.size)] - gain[: len(ends), None], -np.inf
+            ends <= cells.size,
+            gain[np.minimum(ends, cells.size)] - gain[: len(ends), None],
+            -np.inf,
         )
         begin, choice = np.unravel_index(int(np.argmax(totals)), totals.shape)
         end = int(begin) + int(lengths[choice])
@@ -316,9 +340,8 @@ class GapSearch:
         if not starts.size:
             return None
         words = read_words(integrate(line, starts, chips, spec), spec)
-        best = int(np.argmax(words.explained(chips, spec)))
-        coarse = Fit(float(starts[best]), float(chips[best]), float(words.spread[best]))
-        fit = refine(line, coarse, spec)
+        best = int(np.argmax(words.power * chips))
+        fit = refine(line, Fit(float(starts[best]), float(chips[best])), spec)
         if not 0.99 * self.chip <= fit.chip <= 1.01 * (1 + MAX_STRETCH) * self.chip:
             return None
         return fit

@@ -23,7 +23,7 @@ _MIN_SAMPLES_PER_CHIP = 3
 
 
 def decode_scope(capture: ScopeCapture, config: SkinConfig) -> Iterator[tuple[float, Words]]:
-    """Frames of an oscilloscope capture: start of the first chip on the file's time axis (s), words.
+    """Frames of a scope's capture: start of the first chip on the file's time axis (s), words.
 
     Raises CaptureError where the capture is too coarse to show single chips.
     """

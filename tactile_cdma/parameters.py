@@ -215,7 +215,7 @@ class SkinConfig:
 
 
 def check_values(values: Mapping[str, object]) -> dict[str, Value]:
-    """Every value in its parameter's type; raises ParameterError for an unknown name or bad value."""
+    """Every value in its parameter's type; raises ParameterError for a bad name or value."""
     for name in values:
         if name not in BY_NAME:
             raise ParameterError(unknown(name, BY_NAME))

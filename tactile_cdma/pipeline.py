@@ -202,9 +202,8 @@ class Pipeline:
     def _device_time(self, index: float) -> float:
         """Device time, s, of a place in the sample stream."""
         assert self.info is not None
-        for first_index, t_device in reversed(self._anchors):
-            if first_index <= index:
-                break
+        at_or_before = (anchor for anchor in reversed(self._anchors) if anchor[0] <= index)
+        first_index, t_device = next(at_or_before, self._anchors[0])
         return t_device + (index - first_index) / self.info.sample_rate_hz
 
 

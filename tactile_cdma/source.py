@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import time
+from contextlib import suppress
 from types import TracebackType
 
 import serial
@@ -63,10 +64,8 @@ class Port:
 
     def close(self) -> None:
         """Close the port; closing twice is harmless."""
-        try:
+        with suppress(OSError):  # the device is gone: there is nothing left to close
             self._serial.close()
-        except OSError:
-            pass  # the device is gone: there is nothing left to close
 
     def __enter__(self) -> Port:
         return self

@@ -26,7 +26,10 @@ class Status(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """The skin at one frame. pressure_pa, voltage_v: (n,) float32, NaN where stale; status: (n,) uint8."""
+    """The skin at one frame.
+
+    pressure_pa, voltage_v: (n,) float32, NaN where stale. status: (n,) uint8, bits of Status.
+    """
 
     pressure_pa: NDArray[np.float32]
     voltage_v: NDArray[np.float32]
@@ -41,7 +44,9 @@ class Taxels:
     NaN (flag STALE), as does one that was never heard.
     """
 
-    def __init__(self, nodes: int, adc: AdcScale, curve: PressureCurve, stale_after_s: float) -> None:
+    def __init__(
+        self, nodes: int, adc: AdcScale, curve: PressureCurve, stale_after_s: float
+    ) -> None:
         self.stale_after_s = stale_after_s
         self._adc, self._curve = adc, curve
         self._voltage_v = np.full(nodes, np.nan, dtype=np.float32)

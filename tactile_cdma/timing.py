@@ -15,7 +15,18 @@ from numpy.typing import NDArray
 
 from .errors import SpecError
 from .frame import MAX_STRETCH, FrameSpec
-from .gap import MAX_SPREAD, Burst, Fit, Floats, GapSearch, Line, Quiet, integrate, read_words, refine
+from .gap import (
+    MAX_SPREAD,
+    Burst,
+    Fit,
+    Floats,
+    GapSearch,
+    Line,
+    Quiet,
+    integrate,
+    read_words,
+    refine,
+)
 
 CLEAN_SPREAD = 0.08
 """Spread of words at which a frame marked by its sync is taken as timed right: ρ > 3.5."""
@@ -142,16 +153,19 @@ class _Timing:
         self._fresh = False
         return False
 
-    def _chips(self, line: Line, fit: Fit) -> tuple[NDArray[np.float32], float]:
-        """Chips (k, N), V, and their spread: whole chips, or their middle where edges jitter.
+    def _chips(self, line: Line, fit: Fit, limit: float) -> tuple[NDArray[np.float32], bool]:
+        """Chips (k, N), V, and whether their words are believable within a limit of spread.
 
-        Whole chips are the matched filter; the middle is blind to edges a tenth of a chip off.
+        Whole chips are the matched filter; their middle is blind to edges a tenth of a chip off.
+        Taken is what gives the more even words.
         """
         start, chip = np.array([fit.start]), np.array([fit.chip])
-        both = [integrate(line, start, chip, self.spec, share) for share in (1.0, MIDDLE)]
-        spreads = [float(read_words(chips, self.spec).spread[0]) for chips in both]
-        best = int(np.argmin(spreads))
-        return both[best][0], spreads[best]
+        both = np.concatenate(
+            [integrate(line, start, chip, self.spec, share) for share in (1.0, MIDDLE)]
+        )
+        words = read_words(both, self.spec)
+        best = int(np.argmin(words.spread))
+        return both[best], bool(words.believable(limit, self.spec)[best])
 
     def _idle(self, start: float, chip: float, offset_v: float) -> FrameChips:
         zeros = np.zeros((self.spec.bits, self.spec.order), np.float32)
@@ -269,8 +283,8 @@ class GapTiming(_Timing):
             fit = self._search.fit(line, burst, self._chip)
             if fit is None or fit.end(self.spec) > volts.size + 0.5 * fit.chip:
                 continue
-            chips, spread = self._chips(line, fit)
-            if spread <= MAX_SPREAD:
+            chips, believable = self._chips(line, fit, MAX_SPREAD)
+            if believable:
                 self._quiet = quiet
                 return self._emit(volts, fit, chips, quiet)
         if seen is None or seen.snr < 2 * self._search.snr_floor:
@@ -365,7 +379,7 @@ class LineTiming(_Timing):
         self._due = 0
         self._gap_begin: int | None = None  # end of the last frame, if no hole followed
         self._level_v = 0.0
-        self._gap_variance = 0.0
+        self._noise = 0.0  # variance of a chip's level in the gap, V²; 0 where unknown
         self._chip = self._nominal
 
     def feed(self, block: SampleBlock) -> list[FrameChips]:
@@ -402,7 +416,7 @@ class LineTiming(_Timing):
         begin = index if self._gap_begin is None else max(self._gap_begin, index - self._gap_size)
         gap = self._samples.take(begin, index)
         if gap.size and not np.isnan(gap.sum()):
-            self._level_v, self._gap_variance = float(gap.mean()), float(gap.var())
+            self._level_v, self._noise = float(gap.mean()), float(gap.var()) / self._nominal
         elif self.spec.first_row > 0:
             self._level_v = 0.0  # row 0 is free and will show the offset
         self._samples.drop(index)
@@ -428,38 +442,44 @@ class LineTiming(_Timing):
         if np.isnan(volts.sum()):
             self._reject()
             return []
-        line = Line(volts - self._level_v)
-        fit = Fit(-0.5, self._nominal, 0.0)  # the first sample stands for half a sample before it
-        chips, _ = self._chips(line, fit)
-        if self._silent(chips):
-            return self._emit(start, volts, fit, None)
+        volts = volts - self._level_v
         if self._integrated:
-            return self._emit(start, volts, fit, chips)
+            chips = volts[: spec.chips].astype(np.float32).reshape(spec.bits, spec.order)
+            return self._emit(start, Fit(-0.5, 1.0), chips, volts, self._silent(chips))
+        line = Line(volts)
+        nominal = Fit(-0.5, self._nominal)  # the first sample stands for half a sample before it
+        chips, _ = self._chips(line, nominal, CLEAN_SPREAD)
+        power = self._power(chips)
+        if power <= self._least_power:
+            return self._emit(start, nominal, chips, volts, True)
         for chip in (self._nominal, self._chip):
             fit = self._refined(line, chip)
-            chips, spread = self._chips(line, fit)
-            if spread < CLEAN_SPREAD:
+            chips, clean = self._chips(line, fit, CLEAN_SPREAD)
+            if clean and not self._silent(chips):
                 missing = fit.end(spec) - volts.size
                 if missing < 0.5 * chip or final:
-                    return self._emit(start, volts, fit, chips)
+                    return self._emit(start, fit, chips, volts, False)
                 self._due = end + math.ceil(missing)
                 return []
+        if power <= 1.6 * self._noise:  # too weak to look for at other stretches
+            return self._emit(start, nominal, chips, volts, True)
         longest = start + math.ceil((1 + MAX_STRETCH) * spec.chips * self._nominal)
         if end < longest and not final:
             self._due = longest
             return []
         fit = self._refined(line, self._stretched(line))
-        chips, spread = self._chips(line, fit)
-        if spread < MAX_LINE_SPREAD:
-            return self._emit(start, volts, fit, chips)
+        chips, believable = self._chips(line, fit, MAX_LINE_SPREAD)
+        silent = self._silent(chips)
+        if believable or silent:
+            return self._emit(start, fit, chips, volts, silent)
         self._reject()
         return []
 
     def _refined(self, line: Line, chip: float) -> Fit:
-        """The frame at this start, its chip duration refined if that stays possible."""
-        fit = refine(line, Fit(-0.5, chip, 0.0), self.spec, hold_start=True)
+        """The frame refined around the first sample; as it was if that leads nowhere."""
+        fit = refine(line, Fit(-0.5, chip), self.spec, earliest=-1.0, latest=0.5)
         possible = 0.99 <= fit.chip / self._nominal <= 1.01 * (1 + MAX_STRETCH)
-        return fit if possible else Fit(-0.5, chip, 0.0)
+        return fit if possible else Fit(-0.5, chip)
 
     def _stretched(self, line: Line) -> float:
         """The chip duration that explains the most energy, of all that end within the samples."""
@@ -468,25 +488,32 @@ class LineTiming(_Timing):
         chip = chip[chip * spec.chips <= line.volts.size + self._nominal]
         batches = np.array_split(chip, 1 + chip.size * spec.chips // 2**18)
         gains = [
-            read_words(integrate(line, np.full(some.size, -0.5), some, spec), spec).explained(some, spec)
+            read_words(integrate(line, np.full(some.size, -0.5), some, spec), spec).power * some
             for some in batches
         ]
         return float(chip[np.argmax(np.concatenate(gains))])
 
-    def _silent(self, chips: NDArray[np.float32]) -> bool:
-        """Whether these chips are weaker than any node, or no stronger than the gap's noise."""
+    def _power(self, chips: NDArray[np.float32]) -> float:
+        """Mean power of chips, V², without an unknown offset."""
         level = chips - chips.mean() if self.spec.first_row > 0 else chips
-        noise = self._gap_variance / self._nominal
-        return float(np.square(level).mean()) <= max(self._least_power, 1.6 * noise)
+        return float(np.square(level).mean())
+
+    def _silent(self, chips: NDArray[np.float32]) -> bool:
+        """Whether no word rises above the gap's noise, or above what any node would send.
+
+        Noise gives words of 0.8 ± 0.6/√k deviations of a correlation.
+        """
+        strongest = float(read_words(chips[None], self.spec).amplitude.max())
+        return strongest**2 <= max(self._least_power, 4 * self._noise / self.spec.order)
 
     def _emit(
-        self, start: int, volts: Floats, fit: Fit, chips: NDArray[np.float32] | None
+        self, start: int, fit: Fit, chips: NDArray[np.float32], volts: Floats, idle: bool
     ) -> list[FrameChips]:
-        """The frame that begins at this sample; chips None where it is silent."""
-        size = round(fit.end(self.spec) + 0.5)
-        self._start, self._gap_begin = None, start + math.ceil(size + 0.5 * (fit.chip - 1))
-        if chips is None:
+        """The frame that begins at this sample."""
+        self._start = None
+        self._gap_begin = start + math.ceil(fit.end(self.spec) + 0.5 * fit.chip)
+        if idle:
             return [self._idle(float(start), fit.chip, self._level_v)]
         self._chip = fit.chip
-        clipped = self._clipped(volts[:size])
+        clipped = self._clipped(volts[: round(fit.end(self.spec) + 0.5)] + self._level_v)
         return [FrameChips(float(start), fit.chip, chips, self._level_v, clipped, False)]

@@ -21,13 +21,15 @@ def correlate(chips: NDArray[np.float32], book: CodeBook) -> NDArray[np.float32]
     applied one after the other, O(N·Σ factor) instead of O(N²).
     """
     shape = chips.shape
-    values = np.ascontiguousarray(chips, dtype=np.float32).reshape(-1, book.order)
+    values: NDArray[np.float32] = np.ascontiguousarray(chips, dtype=np.float32).reshape(
+        -1, book.order
+    )
     count = len(values)
     for factor in reversed(_blocks(book.order)):
         # Transform the fastest axis and rotate it to the front; after all factors the axes are
         # back in order.
-        values = values.reshape(-1, len(factor)) @ factor.T
-        values = values.reshape(count, -1, len(factor)).swapaxes(1, 2)
+        transformed = values.reshape(-1, len(factor)) @ factor.T
+        values = transformed.reshape(count, -1, len(factor)).swapaxes(1, 2)
     return values.reshape(shape) * np.float32(1.0 / book.order)
 
 

@@ -1,4 +1,4 @@
-"""Writes README.md's table of parameters from the one that the driver uses; --check only compares."""
+"""Writes the driver's table of parameters into README.md; --check only compares."""
 
 from __future__ import annotations
 

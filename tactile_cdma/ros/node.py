@@ -25,7 +25,7 @@ from std_msgs.msg import Header
 from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
 from ..driver import Driver
-from ..errors import ParameterError, PortError, TactileError
+from ..errors import ParameterError, TactileError
 from ..parameters import BY_NAME, PARAMETERS, Parameter, SkinConfig, Value, unknown
 from ..pipeline import TactileFrame
 from ..source import Port
@@ -73,7 +73,7 @@ class SkinNode(LifecycleNode):
         self._diagnostics_publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._diagnostics_timer = self.create_timer(1.0, self._publish_diagnostics)
         self._heatmap_timer = self.create_timer(
-            1.0 / self._value("heatmap_rate_hz"), self._publish_heatmap, autostart=False
+            1.0 / float(self._value("heatmap_rate_hz")), self._publish_heatmap, autostart=False
         )
         self._start_timer = self.create_timer(RETRY_S, self._start)
         if self._value("autostart"):

@@ -110,7 +110,8 @@ def draw(message: TactileArray, tally: Tally, max_pa: float, size: os.terminal_s
         for line in range(tall):
             cells = []
             for i in range(row * columns, row * columns + min(columns, size.columns // width)):
-                text = _label(pressure[i], status[i]) if line == tall // 2 and width == _CELL else ""
+                labelled = line == tall // 2 and width == _CELL
+                text = _label(pressure[i], status[i]) if labelled else ""
                 cells.append(_paint(text.center(width), paint[i]))
             lines.append("".join(cells) + _RESET)
     silent = int(np.count_nonzero(status & TactileArray.STATUS_SILENT))
@@ -120,7 +121,8 @@ def draw(message: TactileArray, tally: Tally, max_pa: float, size: os.terminal_s
     lines += [
         "",
         f"{tally.rate_hz:6.1f} frames/s   age {tally.percentile_ms(50, 256):5.2f} ms "
-        f"(p99 {tally.percentile_ms(99, 256):5.2f})   received {tally.received}   lost {tally.lost}",
+        f"(p99 {tally.percentile_ms(99, 256):5.2f})   "
+        f"received {tally.received}   lost {tally.lost}",
         f"speaking {status.size - silent}   silent {silent}   stale {stale}   "
         f"low SNR {doubtful}   saturated {saturated}   noise {message.noise_rms * 1e3:.2f} mV"
         "   Ctrl-C ends",

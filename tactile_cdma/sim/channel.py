@@ -97,7 +97,10 @@ class Channel:
         rail_v = self.rail_of(spec)
         line_v = np.minimum(np.maximum(volts, -rail_v), rail_v) + np.float32(self.offset_v)
         counts = np.rint(line_v / np.float32(self.volts_per_count(spec))) + self.zero_count(spec)
-        return np.minimum(np.maximum(counts, self.min_count), self.max_count).astype(np.int16)
+        in_range: NDArray[np.float32] = np.minimum(
+            np.maximum(counts, self.min_count), self.max_count
+        )
+        return in_range.astype(np.int16)
 
     def volts(self, counts: NDArray[np.int16], spec: FrameSpec) -> NDArray[np.float32]:
         """What the counts mean, V."""

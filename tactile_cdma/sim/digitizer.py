@@ -43,7 +43,7 @@ PACKET_S = 1.6e-3
 REPORT_S = 1.0
 """INFO and STATUS are repeated at this interval."""
 BUFFER_S = 0.5
-"""Output that waits for a slow host, in seconds of streaming; older packets are kept."""
+"""Output that waits for a slow host, in seconds of host time; older packets are kept."""
 MIN_BUFFER = 65_536
 _REPORT_RESERVE = 4096
 """Bytes of the output buffer that only other packets than SAMPLES may use."""
@@ -252,7 +252,8 @@ class VirtualDigitizer:
 
     def _send(self, packet: Packet) -> None:
         data = self._writer.encode(packet)
-        room = max(MIN_BUFFER, int(BUFFER_S * 2 * self.setup.rate_hz)) - self.pending
+        bytes_per_s = 2 * self.setup.rate_hz * max(1.0, self.options.speed)
+        room = max(MIN_BUFFER, int(BUFFER_S * bytes_per_s)) - self.pending
         if not isinstance(packet, Samples):
             room += _REPORT_RESERVE
         if len(data) <= room or self._hurried:

@@ -5,15 +5,11 @@ from __future__ import annotations
 import math
 import threading
 import time
-from typing import TYPE_CHECKING
 
 from serial.serialutil import PortNotOpenError, SerialBase, SerialException, to_bytes
 
 from .digitizer import VirtualDigitizer
 from .options import SimOptions
-
-if TYPE_CHECKING:
-    from _typeshed import ReadableBuffer
 
 _READ_AHEAD = 4096
 """Bytes that in_waiting has generated where the pace is as fast as they are read."""
@@ -72,7 +68,7 @@ class Serial(SerialBase):
                     return data
                 self._changed.wait(min(wait_s, left_s, threading.TIMEOUT_MAX))
 
-    def write(self, data: ReadableBuffer, /) -> int:
+    def write(self, data: bytes | bytearray | memoryview) -> int:
         """Send bytes to the digitizer; returns their number."""
         sent = to_bytes(data)
         with self._changed:

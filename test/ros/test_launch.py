@@ -108,7 +108,8 @@ def test_simulated_skin_starts_and_publishes(namespace: str) -> None:
 
     from tactile_cdma.msg import TactileArray
 
-    command = [ros2, "launch", str(LAUNCH_FILE), "sim:=true", f"namespace:={namespace}"]
+    command = [ros2, "launch", str(LAUNCH_FILE), "sim:=true"]
+    command += [f"namespace:={namespace}"] if namespace else []
     launch = subprocess.Popen(
         command,
         env={**os.environ, "PATH": path},

@@ -66,7 +66,8 @@ def test_a_terminal_shows_a_coloured_heatmap_until_ctrl_c() -> None:
 def test_a_parameter_file_with_a_wrong_key_is_reported_and_the_node_lives(tmp_path: Path) -> None:
     path = tmp_path / "wrong.yaml"
     path.write_text("/**:\n  ros__parameters:\n    chip_uss: 40.0\n")
-    command = [sys.executable, "-m", "tactile_cdma.ros.node", "--ros-args", "--params-file", str(path)]
+    command = [sys.executable, "-m", "tactile_cdma.ros.node", "--ros-args"]
+    command += ["--params-file", str(path)]
     node = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     try:
         assert node.stderr is not None

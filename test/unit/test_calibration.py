@@ -11,7 +11,10 @@ from tactile_cdma.errors import SpecError
 CURVE = PressureCurve.two_stage()
 
 
-@pytest.mark.parametrize(("code", "volts"), [(0b0101101110, 1.18), (0b1000110000, 1.80), (0b1010011001, 2.14)])
+PAPER = [(0b0101101110, 1.18), (0b1000110000, 1.80), (0b1010011001, 2.14)]
+
+
+@pytest.mark.parametrize(("code", "volts"), PAPER)
 def test_the_papers_words_are_the_papers_voltages(code: int, volts: float) -> None:
     assert round(float(AdcScale(10, 3.3).voltage(code)), 2) == volts
 

@@ -33,7 +33,9 @@ def rows(time_s: np.ndarray = TIME_S, volts: np.ndarray = VOLTS, sep: str = ",")
     ],
 )
 @pytest.mark.parametrize("sep", [",", ";", "\t", "  "])
-def test_header_lines_and_delimiters_do_not_matter(tmp_path: Path, header: list[str], sep: str) -> None:
+def test_header_lines_and_delimiters_do_not_matter(
+    tmp_path: Path, header: list[str], sep: str
+) -> None:
     capture = read_scope_csv(write(tmp_path / "scope.csv", header + rows(sep=sep)))
     [(start_s, volts)] = capture.pieces
     assert start_s == pytest.approx(-1e-3)

@@ -13,7 +13,8 @@ def test_offset_and_rate_are_found_through_bus_jitter(drift: float, start: float
     rng, clock = np.random.default_rng(0), DeviceClock()
     for i in range(20_000):
         device = start + i * 2e-3
-        clock.observe(device, 1000 + (device - start) * (1 + drift) + 0.2e-3 + rng.exponential(1e-3))
+        delay = 0.2e-3 + rng.exponential(1e-3)
+        clock.observe(device, 1000 + (device - start) * (1 + drift) + delay)
     now = start + 40.0
     truth = 1000 + (now - start) * (1 + drift) + 0.2e-3
     assert clock.to_host(now) == pytest.approx(truth, abs=0.1e-3)

@@ -39,7 +39,10 @@ def test_single_rows_equal_rows_of_the_matrix(order: int, data: st.DataObject) -
     assert np.array_equal(code_book(order).rows(rows), code_book(order).matrix[rows])
 
 
-@pytest.mark.parametrize(("order", "named"), [(92, ("88", "96")), (3, ("2", "4")), (668, ("664", "672"))])
+NEIGHBOURS = [(92, ("88", "96")), (3, ("2", "4")), (668, ("664", "672"))]
+
+
+@pytest.mark.parametrize(("order", "named"), NEIGHBOURS)
 def test_infeasible_orders_name_their_neighbours(order: int, named: tuple[str, str]) -> None:
     with pytest.raises(SpecError) as caught:
         code_book(order)

@@ -1,11 +1,11 @@
-"""The driver thread on real pyserial ports: sim://, a pty, and everything that can go wrong there."""
+"""The driver thread on real pyserial ports: sim://, a pty, and what can go wrong there."""
 
 import os
 import threading
 import time
 import tty
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -87,9 +87,12 @@ def test_a_real_tty_gives_the_same_frames_and_values_as_sim(tmp_path: Path) -> N
     """The same seed on sim:// and behind a pty: same words, pressures and status."""
     options = "?seed=7&scene=moving&noise=0.02"
     by_sim, by_tty = Watch(), Watch()
-    with virtual_tty(tmp_path / "skin", f"sim://{options}") as path:
-        with by_sim.driver(f"sim://{options}"), by_tty.driver(str(path)):
-            wait_for(lambda: min(len(by_sim.frames), len(by_tty.frames)) >= 100)
+    with (
+        virtual_tty(tmp_path / "skin", f"sim://{options}") as path,
+        by_sim.driver(f"sim://{options}"),
+        by_tty.driver(str(path)),
+    ):
+        wait_for(lambda: min(len(by_sim.frames), len(by_tty.frames)) >= 100)
     for a, b in zip(by_sim.frames[:100], by_tty.frames[:100], strict=True):
         assert a.sequence == b.sequence
         assert np.array_equal(a.words.active, b.words.active)
@@ -124,15 +127,10 @@ def test_a_digitizer_that_restarts_is_started_again() -> None:
 
                 def serve_until(count: int, digitizer: VirtualDigitizer = digitizer) -> bool:
                     digitizer.advance(4096)
-                    try:
+                    with suppress(BlockingIOError):
                         digitizer.receive(os.read(host, 4096))
-                    except BlockingIOError:
-                        pass
-                    if digitizer.pending:
-                        try:
-                            os.write(host, digitizer.take(4096))
-                        except BlockingIOError:
-                            pass
+                    with suppress(BlockingIOError):
+                        os.write(host, digitizer.take(1024))
                     return len(watch.frames) >= count
 
                 wait_for(lambda seen=seen, step=serve_until: step(seen + 20))
@@ -184,9 +182,8 @@ def test_missing_ports_and_bad_options_are_clear(tmp_path: Path) -> None:
 
 def test_a_port_that_is_open_elsewhere_is_busy() -> None:
     with raw_pty() as (_, name):
-        with Port(name, 115_200):
-            with pytest.raises(PortError, match="busy: another program"):
-                Port(name, 115_200)
+        with Port(name, 115_200), pytest.raises(PortError, match="busy: another program"):
+            Port(name, 115_200)
         Port(name, 115_200).close()
 
 
@@ -194,7 +191,7 @@ def test_a_port_that_is_open_elsewhere_is_busy() -> None:
 def test_a_port_without_permission_names_the_group(tmp_path: Path) -> None:
     with raw_pty() as (_, name):
         os.chmod(name, 0)
-        with pytest.raises(PortError, match="no permission.*dialout"):
+        with pytest.raises(PortError, match=r"no permission.*dialout"):
             Port(name, 115_200)
 
 

@@ -17,10 +17,11 @@ from tactile_cdma.sim.channel import Channel, scope_capture
 
 PAPER = FrameSpec(order=16, first_row=0, sign_seed=None, polarity=-1)
 SCOPE = Channel(offset_v=0.02, noise_rms_v=0.01, stretch=0.10, adc_bits=8)
-OPTIONS = (
-    "--timing gap --nodes 16 --bits 10 --chip-us 50 --order 16 --drive bipolar --polarity -1 "
-    "--frame-period-ms 12.8 --natural-signs --first-row 0 --vref 3.3 --json"
-).split()
+OPTIONS = [
+    *("--timing", "gap", "--nodes", "16", "--bits", "10", "--chip-us", "50", "--order", "16"),
+    *("--drive", "bipolar", "--polarity", "-1", "--frame-period-ms", "12.8"),
+    *("--natural-signs", "--first-row", "0", "--vref", "3.3", "--json"),
+]
 FRAMES = 12
 
 

@@ -83,7 +83,7 @@ def test_broken_files_are_refused_by_name(tmp_path: Path, text: str, message: st
 
 
 def test_missing_files_are_named(tmp_path: Path) -> None:
-    with pytest.raises(ParameterError, match="nowhere.yaml: No such file"):
+    with pytest.raises(ParameterError, match=r"nowhere\.yaml: No such file"):
         read_file(tmp_path / "nowhere.yaml")
 
 

@@ -210,9 +210,7 @@ def test_a_digitizer_set_otherwise_is_reported_and_not_decoded(
 
 def test_another_protocol_version_is_reported() -> None:
     config = SkinConfig.of({})
-    info = next(
-        p for p in PacketParser().feed(stream(config, "sim://?", 1)) if isinstance(p, Info)
-    )
+    info = next(p for p in PacketParser().feed(stream(config, "sim://?", 1)) if isinstance(p, Info))
     pipeline = Pipeline(config)
     pipeline.feed(PacketWriter().encode(replace(info, version=9)), 0.0)
     assert "protocol version 9, this driver speaks 1" in (pipeline.problem or "")

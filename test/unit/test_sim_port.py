@@ -88,7 +88,7 @@ def test_read_waits_no_longer_than_the_timeout(port: serial.SerialBase) -> None:
 
 
 def test_more_than_the_buffer_holds_can_be_read_at_once() -> None:
-    with serial.serial_for_url("sim://?speed=20", timeout=5) as port:
+    with serial.serial_for_url("sim://?speed=10", timeout=5) as port:
         start(port)
         data = port.read(300_000)
         parser = PacketParser()
