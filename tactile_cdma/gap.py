@@ -22,6 +22,7 @@ does not accumulate).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -38,10 +39,14 @@ MAX_SPREAD = 0.12
 gives 1/ρ²; chips that have nothing to do with the code book give π/2 − 1 = 0.57."""
 MAX_DISTORTION = 0.15
 """Power left over by the words, relative to theirs, that edges and clipping may account for."""
+TIE = 1e-4
+"""Relative difference of explained energies that counts as one unit of log-likelihood at least."""
 _CELLS = 320
 """Burst search divides a frame into at most about this many cells, whatever its order."""
 _LOUD = 6.0
 """A half-chip mean this many noise deviations off the gap level belongs to a frame."""
+_LEAST_POWER = 1e-14
+"""Power of what is not even rounding, V²."""
 _MAX_LINES = 12
 """Spectral lines that are tried at most."""
 
@@ -62,7 +67,8 @@ class Line:
         """∫ line dt up to each instant, V·samples."""
         shifted = np.clip(times + 0.5, 0.0, float(self.volts.size))
         whole = shifted.astype(np.intp)
-        return self._sums[whole] + (shifted - whole) * self._padded[whole]
+        area: Floats = self._sums[whole] + (shifted - whole) * self._padded[whole]
+        return area
 
 
 def integrate(
@@ -103,15 +109,25 @@ class Words:
     spread: NDArray[np.float32]
     misfit: NDArray[np.float32]
 
-    def believable(self, limit: float, spec: FrameSpec) -> NDArray[np.bool_]:
+    def believable(
+        self, limit: float, spec: FrameSpec, noise: float | None = None
+    ) -> NDArray[np.bool_]:
         """Whether the words are even within a spread, and what is left over is white noise, (c,).
 
-        Noise that makes words spread by s leaves s/active in each of the N rows; beyond thrice
-        that (s is an estimate from few bits) and some distortion there is a signal not understood.
+        noise: variance of a chip's level in the gap, V². Where it is not known, it follows from
+        the words: noise that makes them spread by s leaves s/active in each of the N rows. Beyond
+        that (and its scatter, s is an estimate from few bits) and some distortion there is a
+        signal not understood.
         """
-        active = np.count_nonzero(self.amplitude, axis=1)
-        noise = 3 * spec.order / np.maximum(active, 1) * self.spread
-        return (self.power > 0) & (self.spread < limit) & (self.misfit < noise + MAX_DISTORTION)
+        if noise is None:
+            active = np.count_nonzero(self.amplitude, axis=1)
+            left = 3 * spec.order / np.maximum(active, 1) * self.spread
+        else:
+            left = 2 * np.float32(noise) / np.maximum(self.power, np.float32(1e-30))
+        good: NDArray[np.bool_] = (
+            (self.power > 0) & (self.spread < limit) & (self.misfit < left + MAX_DISTORTION)
+        )
+        return good
 
 
 def read_words(chips: NDArray[np.float32], spec: FrameSpec) -> Words:
@@ -210,13 +226,15 @@ class Quiet:
 class Burst:
     """The loud part of a line: samples first…last, and how far (samples) they may be wrong.
 
-    snr: its mean power over the variance of half-chip means in the gap.
+    snr: its mean power over the variance of half-chip means in the gap. noise: variance of a
+    sample, V².
     """
 
     first: float
     last: float
     slack: float
     snr: float
+    noise: float
 
 
 class GapSearch:
@@ -242,7 +260,7 @@ class GapSearch:
     @cached_property
     def snr_floor(self) -> float:
         """Mean excess power of a frame, in gap variances, that noise practically never reaches."""
-        return 0.1 + 6.0 * np.sqrt(self.half / self.shortest)
+        return 0.1 + 6.0 * math.sqrt(self.half / self.shortest)
 
     def quiet(self, volts: Floats, known: Quiet | None) -> list[Quiet]:
         """The gap's level: of the quietest window, judged from the known level if there is one.
@@ -291,11 +309,11 @@ class GapSearch:
         peak = float(sums.max()) / low
         variance = max(variance, 1e-8 * peak)
         power = peak - variance
-        if power < max(self.snr_floor * variance, self.least_power):
+        if power < max(_LEAST_POWER, self.snr_floor * variance, self.least_power):
             return None
-        # Of all windows of a possible length, the one with the greatest excess over a quarter of
-        # the frame's power; then cut quiet cells from its ends.
-        gain = np.concatenate(([0.0], np.cumsum(cells - (variance + 0.25 * power))))
+        # Of all windows of a possible length, the one with the greatest excess over half of the
+        # frame's power; then cut quiet cells from its ends.
+        gain = np.concatenate(([0.0], np.cumsum(cells - (variance + 0.5 * power))))
         lengths = np.arange(low, min(high, cells.size) + 1)
         ends = np.arange(cells.size + 1 - low)[:, None] + lengths
         totals = np.where(
@@ -310,7 +328,8 @@ class GapSearch:
         last = end - bit + int(np.argmax(gain[end - bit : end + 1])) if end > bit else end
         # Loud half chips are sharper than that, and reach beyond where chips are small.
         first, last = first * group, last * group
-        loud = energy > _LOUD**2 * variance
+        node_power = max(self.least_power, power / (16 * self.spec.nodes))  # hum stays below
+        loud = energy > max(_LOUD**2 * variance, node_power)
         before = np.flatnonzero(loud[max(0, first - bit * group) : first])
         after = np.flatnonzero(loud[last : last + bit * group])
         if before.size:
@@ -318,14 +337,19 @@ class GapSearch:
         if after.size:
             last += int(after[-1]) + 1
         snr = power / variance
-        slack = self.chip * (1.5 + 4.0 / snr) + (size - self.half)
-        return Burst(first * self.half - 0.5, last * self.half - 0.5, slack, snr)
+        slack = self.chip * (1.5 + 14.0 / snr) + (size - self.half)
+        noise = variance * self.half
+        return Burst(first * self.half - 0.5, last * self.half - 0.5, slack, snr, noise)
 
-    def fit(self, line: Line, burst: Burst, last_chip: float | None) -> Fit | None:
+    def fit(
+        self, line: Line, burst: Burst, last_chip: float | None, expected: float | None
+    ) -> Fit | None:
         """The most likely frame around a burst, or None where no frame can have this length.
 
         last_chip: chip duration of the frame before, tried too: words with few level changes
-        show little of their own.
+        show little of their own. expected: start of a frame that keeps to the period; it decides
+        where energies can't. (Paley's rows are shifts of each other: two nodes that cancel in
+        their first and last chips may look exactly like two others, a few chips later.)
         """
         spec, loud = self.spec, burst.last - burst.first
         if not self.shortest - 1.5 * spec.order * self.chip <= loud + 2 * burst.slack:
@@ -340,7 +364,12 @@ class GapSearch:
         if not starts.size:
             return None
         words = read_words(integrate(line, starts, chips, spec), spec)
-        best = int(np.argmax(words.power * chips))
+        energy = spec.chips * chips * words.power
+        # Log-likelihood in white noise, no sharper than the waveform keeps to the model.
+        score = energy / max(2 * burst.noise, TIE * float(energy.max()), 1e-30)
+        if expected is not None:
+            score -= np.log1p(np.square((starts - expected) / (0.5 * chips)))
+        best = int(np.argmax(score))
         fit = refine(line, Fit(float(starts[best]), float(chips[best])), spec)
         if not 0.99 * self.chip <= fit.chip <= 1.01 * (1 + MAX_STRETCH) * self.chip:
             return None
@@ -399,5 +428,5 @@ class GapSearch:
 
 def _window_sums(values: Floats, width: int) -> Floats:
     """Sums of all windows of this many values, (m − width + 1,)."""
-    sums = np.concatenate(([0.0], np.cumsum(values)))
-    return sums[width:] - sums[:-width]
+    sums: Floats = np.concatenate(([0.0], np.cumsum(values)))
+    return np.asarray(sums[width:] - sums[:-width])

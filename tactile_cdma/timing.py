@@ -75,7 +75,7 @@ class FrameChips:
 
 
 class _Samples:
-    """The samples that are still needed, addressed by stream index. float64, V; NaN where absurd."""
+    """The samples still needed, addressed by stream index; float64, V, NaN where absurd."""
 
     def __init__(self) -> None:
         self.begin = 0
@@ -153,7 +153,9 @@ class _Timing:
         self._fresh = False
         return False
 
-    def _chips(self, line: Line, fit: Fit, limit: float) -> tuple[NDArray[np.float32], bool]:
+    def _chips(
+        self, line: Line, fit: Fit, limit: float, noise: float | None = None
+    ) -> tuple[NDArray[np.float32], bool]:
         """Chips (k, N), V, and whether their words are believable within a limit of spread.
 
         Whole chips are the matched filter; their middle is blind to edges a tenth of a chip off.
@@ -165,7 +167,7 @@ class _Timing:
         )
         words = read_words(both, self.spec)
         best = int(np.argmin(words.spread))
-        return both[best], bool(words.believable(limit, self.spec)[best])
+        return both[best], bool(words.believable(limit, self.spec, noise)[best])
 
     def _idle(self, start: float, chip: float, offset_v: float) -> FrameChips:
         zeros = np.zeros((self.spec.bits, self.spec.order), np.float32)
@@ -280,10 +282,10 @@ class GapTiming(_Timing):
             if burst.first < self._search.chip:
                 continue  # no gap before it: the rest of a frame that began before the cursor
             line = Line(shifted)
-            fit = self._search.fit(line, burst, self._chip)
+            fit = self._search.fit(line, burst, self._chip, self._expected(burst))
             if fit is None or fit.end(self.spec) > volts.size + 0.5 * fit.chip:
                 continue
-            chips, believable = self._chips(line, fit, MAX_SPREAD)
+            chips, believable = self._chips(line, fit, MAX_SPREAD, burst.noise / fit.chip)
             if believable:
                 self._quiet = quiet
                 return self._emit(volts, fit, chips, quiet)
@@ -307,6 +309,13 @@ class GapTiming(_Timing):
                 break
             volts = volts[:before]
         return found
+
+    def _expected(self, burst: Burst) -> float | None:
+        """Where a frame that keeps to the raster starts, in samples after the cursor."""
+        if self._chip is None:
+            return None
+        period, first = self._search.period, self._raster - self._cursor
+        return first + round((burst.first - first) / period) * period
 
     def _incomplete(self, burst: Burst, size: int) -> bool:
         """Whether chips of this burst's frame may still come after the samples in view."""

@@ -26,7 +26,15 @@ from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
 from ..driver import Driver
 from ..errors import ParameterError, TactileError
-from ..parameters import BY_NAME, PARAMETERS, Parameter, SkinConfig, Value, unknown
+from ..parameters import (
+    BY_NAME,
+    PARAMETERS,
+    Parameter,
+    SkinConfig,
+    Value,
+    check_values,
+    unknown,
+)
 from ..pipeline import TactileFrame
 from ..source import Port
 from . import convert
@@ -116,6 +124,7 @@ class SkinNode(LifecycleNode):
         """Refuse what cannot work, saying why; let live parameters take effect at once."""
         new = {change.name: change.value for change in changes if change.name in BY_NAME}
         try:
+            check_values(new)
             if self._config is not None:
                 fixed = [name for name in new if not BY_NAME[name].live]
                 if fixed:
@@ -124,11 +133,16 @@ class SkinNode(LifecycleNode):
                         f"up first (ros2 lifecycle set {self.get_fully_qualified_name()} "
                         "deactivate, then cleanup)"
                     )
-            others = {name: fault for name, fault in self._faults.items() if name not in new}
-            if not others:
-                SkinConfig.of({**self._values(), **new})
         except TactileError as error:
             return SetParametersResult(successful=False, reason=str(error))
+        others = {name: fault for name, fault in self._faults.items() if name not in new}
+        if self._config is None and not others:
+            # Several parameters may have to change one by one: what they make together is
+            # refused by configure, and only announced here.
+            try:
+                SkinConfig.of({**self._values(), **new})
+            except TactileError as error:
+                self.get_logger().warning(f"not configurable as it is now: {error}")
         self._faults = others
         if self._driver is not None:
             pipeline = self._driver.pipeline

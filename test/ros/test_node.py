@@ -252,12 +252,16 @@ def test_an_unknown_parameter_is_named_and_nothing_is_published() -> None:
         assert client.arrays == []
 
 
-def test_impossible_combinations_are_refused_before_configuring() -> None:
+def test_configure_refuses_impossible_combinations_until_they_are_resolved() -> None:
     with running(autostart=False) as (_, client):
-        taken, why = client.set(nodes=64)
-        assert not taken
-        assert "longer than its period of 12.8 ms" in why
-        assert client.set(rows=2) == (True, "")  # 2 rows of 8
+        assert client.set(nodes=36) == (True, "")
+        assert not client.change(Transition.TRANSITION_CONFIGURE)
+        wait_for(lambda: any("longer than its period" in s.message for s in client.diagnostics))
+        assert client.set(chip_us=20.0) == (True, "")
+        assert client.change(Transition.TRANSITION_CONFIGURE)
+        assert client.change(Transition.TRANSITION_ACTIVATE)
+        wait_for(lambda: client.arrays)
+    assert len(client.arrays[-1].pressure) == 36
 
 
 def test_every_transition_works_again_and_again_without_leaking() -> None:

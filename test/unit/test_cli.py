@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -39,7 +40,7 @@ def test_a_recording_decodes_without_being_told_anything(
     frames = frames_of(out)
     assert len(frames) > 60
     assert all(len(frame["nodes"]) == 16 for frame in frames)
-    steps = [b["t"] - a["t"] for a, b in zip(frames, frames[1:], strict=False)]
+    steps = [b["t"] - a["t"] for a, b in pairwise(frames)]
     assert steps == pytest.approx([12.8e-3] * len(steps), abs=2e-6)
     assert "crc_errors=0" in err
     node = frames[0]["nodes"][0]
