@@ -14,9 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from tactile_cdma._protocol import PacketType, Result, SyncMode
+from tactile_cdma.cobs import cobs_decode, cobs_encode
 from tactile_cdma.codes import code_book, row_signs
 from tactile_cdma.frame import UNIPOLAR, FrameSpec
-from tactile_cdma.protocol import (
+from tactile_cdma.messages import (
     Ack,
     Configure,
     FrameLayout,
@@ -24,17 +26,12 @@ from tactile_cdma.protocol import (
     Info,
     Message,
     Packet,
-    PacketType,
-    PacketWriter,
-    Result,
     Samples,
     Start,
     Status,
     Stop,
-    SyncMode,
-    cobs_decode,
-    cobs_encode,
 )
+from tactile_cdma.protocol import PacketWriter
 
 PAPER = FrameLayout.of(
     FrameSpec(order=16, first_row=0, sign_seed=None, polarity=-1), samples_per_chip=8

@@ -17,10 +17,11 @@ from . import __version__
 from .capture import is_text, read_scope_csv
 from .driver import Session
 from .errors import CaptureError, PortError, SpecError, TactileError
+from .messages import Info
 from .offline import decode_raw, decode_scope, describe_frame, described_parameters
 from .parameters import BY_NAME, GAP, NATURAL_SIGNS, SkinConfig, Value, read_file
 from .pipeline import Pipeline
-from .protocol import Info, PacketParser, diagnose
+from .protocol import PacketParser, diagnose
 from .sim.options import SimOptions
 from .sim.pty import serve
 from .source import Port

@@ -7,20 +7,19 @@ import threading
 from collections.abc import Callable
 from types import TracebackType
 
+from ._protocol import SyncMode
 from .errors import PortError
-from .parameters import GAP, SkinConfig
-from .pipeline import Pipeline, TactileFrame
-from .protocol import (
+from .messages import (
     Configure,
     FrameLayout,
     GetInfo,
     Packet,
-    PacketWriter,
     Start,
     Stop,
-    SyncMode,
-    diagnose,
 )
+from .parameters import GAP, SkinConfig
+from .pipeline import Pipeline, TactileFrame
+from .protocol import PacketWriter, diagnose
 from .source import Port
 
 PATIENCE_S = 1.0

@@ -9,13 +9,15 @@ from typing import Any
 
 import numpy as np
 
+from ._protocol import SyncMode
 from .capture import ScopeCapture
 from .decode import Words, decode
 from .encode import word_bits
 from .errors import CaptureError
+from .messages import Info
 from .parameters import GAP, LINE, NATURAL_SIGNS, SkinConfig, Value
 from .pipeline import Pipeline
-from .protocol import Info, PacketParser, SyncMode, diagnose
+from .protocol import PacketParser, diagnose
 from .timing import GapTiming, SampleBlock
 
 _CHUNK_BYTES = 1 << 16

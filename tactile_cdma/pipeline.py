@@ -7,21 +7,19 @@ from dataclasses import asdict, dataclass, fields
 
 import numpy as np
 
+from ._protocol import VERSION, Result, SyncMode
 from .clock import DeviceClock
 from .decode import Words, decode, silent
-from .parameters import GAP, SkinConfig
-from .protocol import (
-    VERSION,
+from .messages import (
     Ack,
     FrameLayout,
     Info,
     OtherVersion,
-    PacketParser,
-    Result,
     Samples,
     Status,
-    SyncMode,
 )
+from .parameters import GAP, SkinConfig
+from .protocol import PacketParser
 from .taxels import Readings, Taxels
 from .timing import FrameChips, GapTiming, LineTiming, SampleBlock
 

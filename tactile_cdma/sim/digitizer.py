@@ -14,25 +14,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .._protocol import MAX_SAMPLES, Result, SyncMode
 from ..errors import SpecError
-from ..protocol import (
-    MAX_SAMPLES,
+from ..messages import (
     Command,
     Configure,
     FrameLayout,
     GetInfo,
     Info,
     Packet,
-    PacketParser,
-    PacketWriter,
     Rejected,
-    Result,
     Samples,
     Start,
     Status,
     Stop,
-    SyncMode,
 )
+from ..protocol import PacketParser, PacketWriter
 from .channel import chip_means, first_sample, frame_levels, point_samples
 from .nodes import NodeFrame, frame_start_s, node_frames
 from .options import Setup, SimOptions

@@ -14,9 +14,10 @@ import serial
 
 from tactile_cdma.driver import Driver
 from tactile_cdma.errors import PortError
+from tactile_cdma.messages import Start
 from tactile_cdma.parameters import SkinConfig
 from tactile_cdma.pipeline import TactileFrame
-from tactile_cdma.protocol import PacketParser, PacketWriter, Start
+from tactile_cdma.protocol import PacketParser, PacketWriter
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import serve

@@ -9,19 +9,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactile_cdma.parameters import GAP, SkinConfig
-from tactile_cdma.pipeline import Pipeline, TactileFrame
-from tactile_cdma.protocol import (
+from tactile_cdma._protocol import SyncMode
+from tactile_cdma.messages import (
     Configure,
     FrameLayout,
     GetInfo,
     Info,
-    PacketParser,
-    PacketWriter,
     Samples,
     Start,
-    SyncMode,
 )
+from tactile_cdma.parameters import GAP, SkinConfig
+from tactile_cdma.pipeline import Pipeline, TactileFrame
+from tactile_cdma.protocol import PacketParser, PacketWriter
 from tactile_cdma.sim.digitizer import VirtualDigitizer, truth
 from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.taxels import Status

@@ -15,36 +15,41 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactile_cdma import protocol
-from tactile_cdma._protocol import FIELDS, MAX_GAP, Field
+from tactile_cdma import messages
+from tactile_cdma._protocol import (
+    FIELDS,
+    MAX_GAP,
+    MAX_SAMPLES,
+    Drive,
+    Field,
+    PacketType,
+    Result,
+    SyncMode,
+)
+from tactile_cdma.cobs import cobs_decode, cobs_encode
 from tactile_cdma.codes import code_book, row_signs
 from tactile_cdma.errors import SpecError
 from tactile_cdma.frame import FrameSpec
-from tactile_cdma.protocol import (
-    MAX_PACKET,
-    MAX_SAMPLES,
+from tactile_cdma.messages import (
     Ack,
     Configure,
-    Counters,
-    Drive,
     FrameLayout,
     GetInfo,
     Info,
     OtherVersion,
     Packet,
-    PacketParser,
-    PacketType,
-    PacketWriter,
     Received,
     Rejected,
-    Result,
     Samples,
     Start,
     Status,
     Stop,
-    SyncMode,
-    cobs_decode,
-    cobs_encode,
+)
+from tactile_cdma.protocol import (
+    MAX_PACKET,
+    Counters,
+    PacketParser,
+    PacketWriter,
     diagnose,
     wrap,
 )
@@ -72,7 +77,7 @@ def values(wire: Field) -> st.SearchStrategy[Any]:
 def messages(kind: type) -> st.SearchStrategy[Any]:
     given_fields = {wire.name: values(wire) for wire in FIELDS[kind.__name__]}
     if kind is Info:
-        given_fields["version"] = st.just(protocol.VERSION)
+        given_fields["version"] = st.just(VERSION)
     return st.builds(kind, **given_fields)
 
 
@@ -441,7 +446,7 @@ def test_a_body_without_a_whole_header_is_malformed(short: bytes) -> None:
     assert (counters.packets, counters.malformed) == (1, 1)
 
 
-@given(st.integers(0, 255).filter(lambda v: v != protocol.VERSION), st.binary(max_size=200))
+@given(st.integers(0, 255).filter(lambda v: v != VERSION), st.binary(max_size=200))
 def test_an_info_of_another_version_tells_its_version(version: int, rest: bytes) -> None:
     received, counters = parse(body(PacketType.INFO, bytes([version]) + rest))
     assert received == [OtherVersion(version)]
@@ -521,7 +526,7 @@ def from_json(kind: type[Any], members: dict[str, Any]) -> Any:
 
 @pytest.mark.parametrize("vector", PROTOCOL["packets"], ids=lambda vector: vector["name"])
 def test_packet_vectors(vector: dict[str, Any]) -> None:
-    packet = from_json(getattr(protocol, vector["packet"]), vector["fields"])
+    packet = from_json(getattr(messages, vector["packet"]), vector["fields"])
     wire, content = bytes.fromhex(vector["wire"]), bytes.fromhex(vector["body"])
     assert PacketWriter(vector["sequence"]).encode(packet) == wire
     assert parse(wire)[0] == [packet]

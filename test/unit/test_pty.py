@@ -12,7 +12,8 @@ import pytest
 import serial
 
 from tactile_cdma.errors import PortError
-from tactile_cdma.protocol import Info, PacketParser, PacketWriter, Samples, Start, Status
+from tactile_cdma.messages import Info, Samples, Start, Status
+from tactile_cdma.protocol import PacketParser, PacketWriter
 from tactile_cdma.sim.digitizer import stream
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import serve

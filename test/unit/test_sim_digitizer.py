@@ -5,28 +5,23 @@ from itertools import islice
 import numpy as np
 import pytest
 
+from tactile_cdma._protocol import MAX_PACKET_US, MAX_SAMPLES, Result, SyncMode
 from tactile_cdma.encode import line_chips
 from tactile_cdma.frame import FrameSpec
-from tactile_cdma.protocol import (
-    MAX_PACKET_US,
-    MAX_SAMPLES,
+from tactile_cdma.messages import (
     Ack,
     Command,
     Configure,
     FrameLayout,
     GetInfo,
     Info,
-    PacketParser,
-    PacketWriter,
     Received,
-    Result,
     Samples,
     Start,
     Status,
     Stop,
-    SyncMode,
-    wrap,
 )
+from tactile_cdma.protocol import PacketParser, PacketWriter, wrap
 from tactile_cdma.sim.digitizer import Block, VirtualDigitizer, stream
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.transform import correlate

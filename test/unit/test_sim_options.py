@@ -2,9 +2,10 @@
 
 import pytest
 
+from tactile_cdma._protocol import SyncMode
 from tactile_cdma.errors import SpecError
 from tactile_cdma.frame import FrameSpec
-from tactile_cdma.protocol import FrameLayout, SyncMode
+from tactile_cdma.messages import FrameLayout
 from tactile_cdma.sim.options import OPTIONS, Setup, SimOptions
 
 

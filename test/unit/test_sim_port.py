@@ -10,7 +10,8 @@ import serial
 
 from tactile_cdma import source
 from tactile_cdma.errors import SpecError
-from tactile_cdma.protocol import Info, PacketParser, PacketWriter, Samples, Start
+from tactile_cdma.messages import Info, Samples, Start
+from tactile_cdma.protocol import PacketParser, PacketWriter
 from tactile_cdma.sim.digitizer import stream
 from tactile_cdma.sim.options import SimOptions
 
