@@ -15,11 +15,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactile_cdma import messages
+from tactile_cdma import messages as message_types
 from tactile_cdma._protocol import (
     FIELDS,
     MAX_GAP,
     MAX_SAMPLES,
+    VERSION,
     Drive,
     Field,
     PacketType,
@@ -526,7 +527,7 @@ def from_json(kind: type[Any], members: dict[str, Any]) -> Any:
 
 @pytest.mark.parametrize("vector", PROTOCOL["packets"], ids=lambda vector: vector["name"])
 def test_packet_vectors(vector: dict[str, Any]) -> None:
-    packet = from_json(getattr(messages, vector["packet"]), vector["fields"])
+    packet = from_json(getattr(message_types, vector["packet"]), vector["fields"])
     wire, content = bytes.fromhex(vector["wire"]), bytes.fromhex(vector["body"])
     assert PacketWriter(vector["sequence"]).encode(packet) == wire
     assert parse(wire)[0] == [packet]
