@@ -119,13 +119,15 @@ class Words:
         that (and its scatter, s is an estimate from few bits) and some distortion there is a
         signal not understood.
         """
+        active = np.count_nonzero(self.amplitude, axis=1)
+        most = np.full(len(active), limit)
         if noise is None:
-            active = np.count_nonzero(self.amplitude, axis=1)
             left = 3 * spec.order / np.maximum(active, 1) * self.spread
         else:
-            left = 2 * np.float32(noise) / np.maximum(self.power, np.float32(1e-30))
+            left = 3 * np.float32(noise) / np.maximum(self.power, np.float32(1e-30))
+            most = np.minimum(limit, limit / 2 + 1.5 * left * active / spec.order)
         good: NDArray[np.bool_] = (
-            (self.power > 0) & (self.spread < limit) & (self.misfit < left + MAX_DISTORTION)
+            (self.power > 0) & (self.spread < most) & (self.misfit < left + MAX_DISTORTION)
         )
         return good
 
@@ -224,17 +226,37 @@ class Quiet:
 
 @dataclass(frozen=True, slots=True)
 class Burst:
-    """The loud part of a line: samples first…last, and how far (samples) they may be wrong.
+    """The loud part of a line: samples first…last, and how far (slack, samples) they may be wrong.
 
-    snr: its mean power over the variance of half-chip means in the gap. noise: variance of a
-    sample, V².
+    power: its mean power, V². snr: that over the variance of half-chip means in the gap.
+    noise: variance of a sample there, V².
+    pause: where it first keeps quiet for longer than a frame would; `last` if it never does.
     """
 
     first: float
     last: float
     slack: float
+    power: float
     snr: float
     noise: float
+    pause: float
+
+    def is_quiet(self, around: Floats) -> bool:
+        """Whether samples next to this burst, gap level removed, are gap: noise and some hum."""
+        if not around.size:
+            return True
+        drift = abs(float(around.mean())) - 3 * math.sqrt(self.noise / around.size)
+        power = float(np.square(around).mean())
+        return power < 3 * self.noise + 0.1 * self.power and drift < 0.2 * math.sqrt(self.power)
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """A frame as the one before lets expect it: start, its scatter, chip duration; samples."""
+
+    start: float
+    scatter: float
+    chip: float
 
 
 class GapSearch:
@@ -339,17 +361,27 @@ class GapSearch:
         snr = power / variance
         slack = self.chip * (1.5 + 14.0 / snr) + (size - self.half)
         noise = variance * self.half
-        return Burst(first * self.half - 0.5, last * self.half - 0.5, slack, snr, noise)
+        # One and a half bits of a frame never have less than a third of its power.
+        pause, width = last, 3 * bit * group // 2
+        if snr > 8 and last - first > width:
+            powers = _window_sums(energy[first:last], width) / width - variance
+            quiet = np.flatnonzero(powers < 0.2 * power)
+            if quiet.size:
+                pause = first + int(quiet[0])
+                rest = np.flatnonzero(loud[pause : pause + width])
+                pause += int(rest[-1]) + 1 if rest.size else 0
+        edges = np.array([first, last, pause]) * self.half - 0.5
+        return Burst(float(edges[0]), float(edges[1]), slack, power, snr, noise, float(edges[2]))
 
-    def fit(
-        self, line: Line, burst: Burst, last_chip: float | None, expected: float | None
-    ) -> Fit | None:
+    def fit(self, line: Line, burst: Burst, last: Expected | None) -> Fit | None:
         """The most likely frame around a burst, or None where no frame can have this length.
 
-        last_chip: chip duration of the frame before, tried too: words with few level changes
-        show little of their own. expected: start of a frame that keeps to the period; it decides
-        where energies can't. (Paley's rows are shifts of each other: two nodes that cancel in
-        their first and last chips may look exactly like two others, a few chips later.)
+        last: what the frame before makes likely. Its chip duration is tried too: words with few
+        level changes show little of their own. Its raster decides where energies can't: with
+        natural signs and the same word everywhere only one chip per bit is loud, and Paley's
+        rows are shifts of each other, so that two nodes which cancel in their first and last
+        chips may look exactly like two others, a few chips later. Without a raster, and after
+        long silence, a loud first chip is the better guess.
         """
         spec, loud = self.spec, burst.last - burst.first
         if not self.shortest - 1.5 * spec.order * self.chip <= loud + 2 * burst.slack:
@@ -357,9 +389,8 @@ class GapSearch:
         if loud - 2 * burst.slack > self.longest:
             return None
         clocks = self._chip_lines(line.volts, burst)
-        for chip in (loud / spec.chips, last_chip):
-            if chip is not None:
-                clocks += [(chip, burst.first), (chip, burst.last)]
+        for chip in (loud / spec.chips, *((last.chip,) if last else ())):
+            clocks += [(chip, burst.first), (chip, burst.last)]
         starts, chips = self._shifts(clocks, burst)
         if not starts.size:
             return None
@@ -367,8 +398,9 @@ class GapSearch:
         energy = spec.chips * chips * words.power
         # Log-likelihood in white noise, no sharper than the waveform keeps to the model.
         score = energy / max(2 * burst.noise, TIE * float(energy.max()), 1e-30)
-        if expected is not None:
-            score -= np.log1p(np.square((starts - expected) / (0.5 * chips)))
+        score -= np.log1p(np.square((starts - burst.first) / (0.5 * self.chip)))
+        if last is not None:
+            score -= 2 * np.log1p(np.square((starts - last.start) / last.scatter))
         best = int(np.argmax(score))
         fit = refine(line, Fit(float(starts[best]), float(chips[best])), spec)
         if not 0.99 * self.chip <= fit.chip <= 1.01 * (1 + MAX_STRETCH) * self.chip:
@@ -423,10 +455,12 @@ class GapSearch:
     def _halves(self, volts: Floats) -> Floats:
         """Means of consecutive half chips, (m // half,)."""
         count = volts.size // self.half
-        return volts[: count * self.half].reshape(count, self.half).mean(axis=1)
+        means: Floats = volts[: count * self.half].reshape(count, self.half).mean(axis=1)
+        return means
 
 
 def _window_sums(values: Floats, width: int) -> Floats:
     """Sums of all windows of this many values, (m − width + 1,)."""
-    sums: Floats = np.concatenate(([0.0], np.cumsum(values)))
-    return np.asarray(sums[width:] - sums[:-width])
+    sums = np.concatenate((np.zeros(1), np.cumsum(values)))
+    windows: Floats = np.subtract(sums[width:], sums[:-width])
+    return windows

@@ -18,6 +18,7 @@ from .frame import MAX_STRETCH, FrameSpec
 from .gap import (
     MAX_SPREAD,
     Burst,
+    Expected,
     Fit,
     Floats,
     GapSearch,
@@ -32,6 +33,8 @@ CLEAN_SPREAD = 0.08
 """Spread of words at which a frame marked by its sync is taken as timed right: ρ > 3.5."""
 MAX_LINE_SPREAD = 0.25
 """Spread beyond which a frame marked by its sync is rejected after all stretches were tried."""
+CLOCK_ERROR = 1e-4
+"""What the frame period may be off from the digitizer's clock."""
 ABSURD_V = 1e6
 """No digitizer reports more; such samples are treated like NaN."""
 
@@ -210,8 +213,10 @@ class GapTiming(_Timing):
         # From a frame's first loud sample to the instant at which it must be over.
         self._reach = math.ceil(search.longest + 3 * search.chip)
         self._bit = math.ceil(1.11 * spec.order * search.chip)
+        gap = max(search.period - search.longest, 5 * search.chip)
+        self._side = min(self._bit, math.ceil(0.4 * gap))
         self._quiet: Quiet | None = None
-        self._chip: float | None = None
+        self._last: Fit | None = None  # the last frame, in stream indices
         self._cursor = 0
         self._due = 0
         self._raster = 0.0  # start of the next slot
@@ -241,8 +246,8 @@ class GapTiming(_Timing):
 
     def _begin_at(self, index: int) -> None:
         """Start looking at this sample; slots stay on their raster across a hole."""
-        if self._chip is None or index < self._raster - self._search.period:
-            self._raster = float(index)
+        if self._last is None or index < self._raster - self._search.period:
+            self._raster, self._last = float(index), None
         self._skip_to(index)
 
     def _skip_to(self, index: int) -> None:
@@ -282,13 +287,15 @@ class GapTiming(_Timing):
             if burst.first < self._search.chip:
                 continue  # no gap before it: the rest of a frame that began before the cursor
             line = Line(shifted)
-            fit = self._search.fit(line, burst, self._chip, self._expected(burst))
+            fit = self._search.fit(line, burst, self._expected(burst))
             if fit is None or fit.end(self.spec) > volts.size + 0.5 * fit.chip:
                 continue
             chips, believable = self._chips(line, fit, MAX_SPREAD, burst.noise / fit.chip)
-            if believable:
+            around = self._around(volts, fit) - quiet.level
+            if believable and burst.is_quiet(around):
                 self._quiet = quiet
-                return self._emit(volts, fit, chips, quiet)
+                level = quiet.level + (float(around.mean()) if around.size else 0.0)
+                return self._emit(volts, fit, chips, level)
         if seen is None or seen.snr < 2 * self._search.snr_floor:
             self._quiet = candidates[0] if candidates and not final else self._quiet
             return [] if final else self._pass_idle(end)
@@ -296,7 +303,7 @@ class GapTiming(_Timing):
         self._failures += 1
         if self._failures == 3:  # perhaps it is the level that is wrong
             self._quiet, self._failures = None, 0
-        self._skip_to(self._cursor + max(1, math.ceil(seen.last)))
+        self._skip_to(self._cursor + max(self._bit, math.ceil(seen.pause)))
         return []
 
     def _first_burst(self, volts: Floats, quiet: Quiet) -> Burst | None:
@@ -304,18 +311,25 @@ class GapTiming(_Timing):
         found = None
         while burst := self._search.burst(volts, quiet.variance):
             found = burst
-            before = int(burst.first - self._search.chip)
-            if before < self._search.shortest:
+            if burst.pause < burst.last:
+                before = int(burst.pause) + self._bit
+            else:
+                before = int(burst.first - self._search.chip)
+            if not self._search.shortest < before < volts.size:
                 break
             volts = volts[:before]
         return found
 
-    def _expected(self, burst: Burst) -> float | None:
-        """Where a frame that keeps to the raster starts, in samples after the cursor."""
-        if self._chip is None:
+    def _expected(self, burst: Burst) -> Expected | None:
+        """A frame near the burst that keeps to the raster of the last one."""
+        if self._last is None:
             return None
-        period, first = self._search.period, self._raster - self._cursor
-        return first + round((burst.first - first) / period) * period
+        period = self._search.period
+        slots = round((self._cursor + burst.first - self._last.start) / period)
+        start = self._last.start + slots * period - self._cursor
+        return Expected(
+            start, 0.5 * self._last.chip + CLOCK_ERROR * slots * period, self._last.chip
+        )
 
     def _incomplete(self, burst: Burst, size: int) -> bool:
         """Whether chips of this burst's frame may still come after the samples in view."""
@@ -323,21 +337,23 @@ class GapTiming(_Timing):
             return False
         return size < min(burst.first + self._reach, burst.last + self._bit)
 
+    def _around(self, volts: Floats, fit: Fit) -> Floats:
+        """Samples of the gap on both sides of a frame; a chip next to it is left out."""
+        first, end = int(fit.start - fit.chip), math.ceil(fit.end(self.spec) + fit.chip)
+        before = volts[max(0, first - self._side) : max(0, first)]
+        return np.concatenate((before, volts[end : end + self._side]))
+
     def _emit(
-        self, volts: Floats, fit: Fit, chips: NDArray[np.float32], quiet: Quiet
+        self, volts: Floats, fit: Fit, chips: NDArray[np.float32], offset: float
     ) -> list[FrameChips]:
-        """The frame, after the silent slots before it."""
-        first, end = fit.start - fit.chip, fit.end(self.spec) + fit.chip
-        before = volts[max(0, int(first) - self._bit) : max(0, int(first))]
-        after = volts[math.ceil(end) : math.ceil(end) + self._bit]
-        gap = np.concatenate((before, after))
-        offset = float(gap.mean()) if gap.size else quiet.level
+        """The frame, after the silent slots before it. offset: the gap's level around it, V."""
         clipped = self._clipped(volts[max(0, round(fit.start)) : round(fit.end(self.spec))])
         start = self._cursor + fit.start
         frames = list(self._idle_slots(start - self._search.period / 2))
-        levelled = chips + np.float32(quiet.level - offset)
-        frames.append(FrameChips(start, fit.chip, levelled, offset, clipped, False))
-        self._chip, self._failures = fit.chip, 0
+        assert self._quiet is not None
+        chips = chips + np.float32(self._quiet.level - offset)
+        frames.append(FrameChips(start, fit.chip, chips, offset, clipped, False))
+        self._last, self._failures = Fit(start, fit.chip), 0
         self._raster = start + self._search.period
         self._cursor += math.ceil(fit.end(self.spec) + 0.5 * fit.chip)
         self._schedule()
@@ -463,7 +479,7 @@ class LineTiming(_Timing):
             return self._emit(start, nominal, chips, volts, True)
         for chip in (self._nominal, self._chip):
             fit = self._refined(line, chip)
-            chips, clean = self._chips(line, fit, CLEAN_SPREAD)
+            chips, clean = self._chips(line, fit, CLEAN_SPREAD, self._noise or None)
             if clean and not self._silent(chips):
                 missing = fit.end(spec) - volts.size
                 if missing < 0.5 * chip or final:
