@@ -25,6 +25,7 @@ class DeviceClock:
         self._interval = -1
         self._rate = 1.0
         self._origin = (0.0, 0.0)
+        self._fitted = True
 
     def observe(self, t_device: float, t_host: float) -> None:
         """A packet that left the device at t_device was read at t_host."""
@@ -38,10 +39,12 @@ class DeviceClock:
             self._observed[-1] = (t_device, t_host)
         else:
             return
-        self._fit()
+        self._fitted = False
 
     def to_host(self, t_device: float) -> float:
         """Host time of a moment of device time."""
+        if not self._fitted:
+            self._fit()
         return self._origin[1] + (t_device - self._origin[0]) * self._rate
 
     def _fit(self) -> None:
@@ -53,4 +56,5 @@ class DeviceClock:
             rate = float(np.polyfit(x, y, 1)[0])
             rate = min(max(rate, 1 - MAX_RATE_ERROR), 1 + MAX_RATE_ERROR)
         lowest = float(np.min(y - rate * x))
+        self._fitted = True
         self._rate, self._origin = rate, (float(device[0]), float(host[0]) + lowest)

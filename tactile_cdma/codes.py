@@ -12,6 +12,7 @@ Sylvester's matrix in natural order, which is also what MATLAB's and scipy's `ha
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache, reduce
 from itertools import product
@@ -34,10 +35,10 @@ class CodeBook:
 
     factors: tuple[NDArray[np.int8], ...]
 
-    @property
+    @cached_property
     def order(self) -> int:
         """Number of rows, and of chips per bit."""
-        return int(np.prod([len(factor) for factor in self.factors]))
+        return math.prod(len(factor) for factor in self.factors)
 
     @cached_property
     def matrix(self) -> NDArray[np.int8]:

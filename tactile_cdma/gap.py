@@ -1,7 +1,6 @@
-"""Where in a stretch of samples a frame lies: burst search, chip clock recovery, fit quality.
+"""Where in a stretch of samples a frame lies: burst search and chip clock recovery.
 
-Functions of samples only, no stream state: `timing` feeds them. Times are in samples relative to
-the stretch, and sample i is the line's level at instant i: it stands for [i − ½, i + ½).
+No stream state: `gap_timing` feeds it. Times are as in `fit`.
 
 How a frame is found between two gaps. A frame has no preamble, its chip period is stretched by an
 unknown 0…11 %, and where two nodes cancel its first or last chips look like the gap. But every
@@ -24,21 +23,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .frame import MAX_STRETCH, UNIPOLAR, FrameSpec
-from .transform import correlate
+from .fit import Fit, Floats, Line, integrate, read_words, refine
+from .frame import MAX_STRETCH, FrameSpec
 
-Floats = NDArray[np.float64]
-
-MAX_SPREAD = 0.12
-"""Relative variance of |r| within the words beyond which a fit is not believed. White noise alone
-gives 1/ρ²; chips that have nothing to do with the code book give π/2 − 1 = 0.57."""
-MAX_DISTORTION = 0.15
-"""Power left over by the words, relative to theirs, that edges and clipping may account for."""
 TIE = 1e-4
 """Relative difference of explained energies that counts as one unit of log-likelihood at least."""
 _CELLS = 320
@@ -49,171 +40,6 @@ _LEAST_POWER = 1e-14
 """Power of what is not even rounding, V²."""
 _MAX_LINES = 12
 """Spectral lines that are tried at most."""
-
-
-class Line:
-    """Samples and their running integral, evaluated at fractional instants.
-
-    volts: (m,) float64, V, gap level removed; the line is taken as 0 V outside.
-    """
-
-    def __init__(self, volts: Floats) -> None:
-        """Integrate once; float64 sums keep 1e-16·m relative, far below any ADC count."""
-        self.volts = volts
-        self._padded = np.append(volts, 0.0)
-        self._sums = np.concatenate(([0.0], np.cumsum(volts)))
-
-    def integral(self, times: Floats) -> Floats:
-        """∫ line dt up to each instant, V·samples."""
-        shifted = np.clip(times + 0.5, 0.0, float(self.volts.size))
-        whole = shifted.astype(np.intp)
-        area: Floats = self._sums[whole] + (shifted - whole) * self._padded[whole]
-        return area
-
-
-def integrate(
-    line: Line, start: Floats, chip: Floats, spec: FrameSpec, share: float = 1.0
-) -> NDArray[np.float32]:
-    """Mean level of every chip for each hypothesis of start and chip duration.
-
-    start, chip: (c,) float64, samples. share: middle part of each chip that is integrated.
-    Returns (c, k, N) float32, V.
-    """
-    steps = np.arange(spec.chips + 1)
-    if share == 1.0:
-        area = np.diff(line.integral(start[:, None] + chip[:, None] * steps))
-    else:
-        middle = start[:, None] + chip[:, None] * (steps[:-1] + 0.5)
-        reach = chip[:, None] * (0.5 * share)
-        area = line.integral(middle + reach) - line.integral(middle - reach)
-    levels = (area / (chip[:, None] * share)).astype(np.float32)
-    return levels.reshape(-1, spec.bits, spec.order)
-
-
-@dataclass(frozen=True, slots=True)
-class Words:
-    """What chips say when every node is held to one amplitude per word.
-
-    signed: (c, k, n) float32, V: correlations of the nodes' rows.
-    amplitude: (c, n) float32, V: mean of |signed| over the bits; 0 where the node is silent.
-    pedestal: (c,) float32, V: the level that unipolar nodes add; 0 for bipolar drive.
-    power: (c,) float32, V²: mean power of the chips that these words account for.
-    spread: (c,) float32: variance of |signed| within active words over their power.
-    misfit: (c,) float32: power of the chips that the words leave over, relative to `power`.
-    """
-
-    signed: NDArray[np.float32]
-    amplitude: NDArray[np.float32]
-    pedestal: NDArray[np.float32]
-    power: NDArray[np.float32]
-    spread: NDArray[np.float32]
-    misfit: NDArray[np.float32]
-
-    def believable(
-        self, limit: float, spec: FrameSpec, noise: float | None = None
-    ) -> NDArray[np.bool_]:
-        """Whether the words are even within a spread, and what is left over is white noise, (c,).
-
-        noise: variance of a chip's level in the gap, V². Where it is not known, it follows from
-        the words: noise that makes them spread by s leaves s/active in each of the N rows. Beyond
-        that (and its scatter, s is an estimate from few bits) and some distortion there is a
-        signal not understood.
-        """
-        active = np.count_nonzero(self.amplitude, axis=1)
-        most = np.full(len(active), limit)
-        if noise is None:
-            left = 3 * spec.order / np.maximum(active, 1) * self.spread
-        else:
-            left = 3 * np.float32(noise) / np.maximum(self.power, np.float32(1e-30))
-            most = np.minimum(limit, limit / 2 + 1.5 * left * active / spec.order)
-        good: NDArray[np.bool_] = (
-            (self.power > 0) & (self.spread < most) & (self.misfit < left + MAX_DISTORTION)
-        )
-        return good
-
-
-def read_words(chips: NDArray[np.float32], spec: FrameSpec) -> Words:
-    """Words of each hypothesis: chips (c, k, N) float32, V. A node under half the max is silent."""
-    rows = correlate(chips, spec.book)
-    signed = rows[..., spec.first_row : spec.first_row + spec.nodes]
-    mean = np.abs(signed).sum(axis=1) / np.float32(spec.bits)
-    active = mean > 0.5 * mean.max(axis=1, keepdims=True)
-    amplitude = mean * active
-    word_power = np.einsum("cn,cn->c", amplitude, amplitude)
-    signed_power = np.einsum("ckn,ckn,cn->c", signed, signed, active.astype(np.float32))
-    total = np.einsum("ckr,ckr->c", rows, rows)
-    if spec.drive == UNIPOLAR:
-        pedestal = rows[..., 0].sum(axis=1) / np.float32(spec.bits)
-    else:
-        pedestal = np.zeros(len(chips), np.float32)
-        if spec.first_row > 0:  # a free row 0 holds nothing but what is left of the offset
-            total -= np.einsum("ck,ck->c", rows[..., 0], rows[..., 0])
-    floor = np.float32(1e-30)
-    power = word_power + np.square(pedestal)
-    return Words(
-        signed,
-        amplitude,
-        pedestal,
-        power,
-        signed_power / np.maximum(spec.bits * word_power, floor) - 1,
-        total / np.maximum(spec.bits * power, floor) - 1,
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class Fit:
-    """A frame in a line: first chip's begin and duration of a chip, samples."""
-
-    start: float
-    chip: float
-
-    def end(self, spec: FrameSpec) -> float:
-        """Instant at which the last chip ends."""
-        return self.start + spec.chips * self.chip
-
-
-def refine(
-    line: Line, fit: Fit, spec: FrameSpec, earliest: float = -np.inf, latest: float = np.inf
-) -> Fit:
-    """Move start and chip duration to where the level changes of the decided words are.
-
-    Around edge j the area between line and model is (v[j−1] − v[j])·τ[j] for an edge that comes
-    τ[j] late; τ = δstart + j·δchip is fitted by least squares, in which big steps count most.
-    earliest, latest: bounds of the start. Edges out of view are left out.
-    """
-    start, chip = fit.start, fit.chip
-    steps = np.arange(spec.chips + 1.0)
-    levels = np.zeros(spec.chips + 2)  # the gap on either side
-    for _ in range(2):
-        words = read_words(integrate(line, np.array([start]), np.array([chip]), spec), spec)
-        symbols = np.sign(words.signed[0]) * words.amplitude[0]
-        levels[1:-1] = (symbols @ _code_rows(spec) + words.pedestal[0]).ravel()
-        before, after = levels[:-1], levels[1:]
-        edges, reach = start + chip * steps, 0.5 * chip
-        area = (
-            line.integral(edges + reach) - line.integral(edges - reach) - reach * (before + after)
-        )
-        seen = (edges >= reach - 0.5) & (edges + reach <= line.volts.size - 0.5)
-        step = (before - after) * seen
-        weight, moment = np.square(step), step * area
-        w0, w1, w2 = weight.sum(), weight @ steps, weight @ np.square(steps)
-        m0, m1 = moment.sum(), moment @ steps
-        determinant = w0 * w2 - w1 * w1
-        if determinant > 1e-9 * w0 * w2:
-            moved = start + (w2 * m0 - w1 * m1) / determinant
-        else:
-            moved = start
-        moved = min(max(moved, earliest), latest)
-        if w2 > 0:
-            chip += (m1 - w1 * (moved - start)) / w2
-        start = moved
-    return Fit(float(start), float(chip))
-
-
-@lru_cache(maxsize=8)
-def _code_rows(spec: FrameSpec) -> NDArray[np.float32]:
-    """The nodes' rows, (n, N)."""
-    return spec.book.rows(spec.rows).astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True)

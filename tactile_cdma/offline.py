@@ -14,11 +14,12 @@ from .capture import ScopeCapture
 from .decode import Words, decode
 from .encode import word_bits
 from .errors import CaptureError
+from .gap_timing import GapTiming
 from .messages import Info
 from .parameters import GAP, LINE, NATURAL_SIGNS, SkinConfig, Value
 from .pipeline import Pipeline
 from .protocol import PacketParser, diagnose
-from .timing import GapTiming, SampleBlock
+from .timing import SampleBlock
 
 _CHUNK_BYTES = 1 << 16
 _MIN_SAMPLES_PER_CHIP = 3

@@ -10,6 +10,8 @@ import numpy as np
 from ._protocol import VERSION, Result, SyncMode
 from .clock import DeviceClock
 from .decode import Words, decode, silent
+from .gap_timing import GapTiming
+from .line_timing import LineTiming
 from .messages import (
     Ack,
     FrameLayout,
@@ -21,7 +23,7 @@ from .messages import (
 from .parameters import GAP, SkinConfig
 from .protocol import PacketParser
 from .taxels import Readings, Taxels
-from .timing import FrameChips, GapTiming, LineTiming, SampleBlock
+from .timing import FrameChips, SampleBlock
 
 
 @dataclass(frozen=True, slots=True)

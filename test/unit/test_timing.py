@@ -14,7 +14,9 @@ from hypothesis import strategies as st
 from tactile_cdma.encode import line_chips
 from tactile_cdma.errors import SpecError
 from tactile_cdma.frame import UNIPOLAR, FrameSpec
-from tactile_cdma.timing import FrameChips, GapTiming, LineTiming, SampleBlock
+from tactile_cdma.gap_timing import GapTiming
+from tactile_cdma.line_timing import LineTiming
+from tactile_cdma.timing import FrameChips, SampleBlock
 from tactile_cdma.transform import correlate
 
 PAPER = FrameSpec(first_row=0, sign_seed=None, polarity=-1, order=16)

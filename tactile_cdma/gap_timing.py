@@ -1,0 +1,210 @@
+"""Timing from nothing but the waveform: frames between gaps, stretched at random."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import SpecError
+from .fit import Fit, Floats, Line
+from .frame import FrameSpec
+from .gap import Burst, Expected, GapSearch, Quiet
+from .timing import FrameChips, SampleBlock, Timing
+
+MAX_SPREAD = 0.12
+"""Relative variance of |r| within the words beyond which a fit is not believed. White noise alone
+gives 1/ρ²; chips that have nothing to do with the code book give π/2 − 1 = 0.57."""
+CLOCK_ERROR = 1e-4
+"""What the frame period may be off from the digitizer's clock."""
+
+
+class GapTiming(Timing):
+    """Frames from nothing but the waveform: they stand between gaps, stretched by 0…11 %.
+
+    Samples from `_cursor` on are undecided. At `_due`, when they hold the frame expected next,
+    the search decides: nothing, a frame, or something else. Decisions depend on sample positions
+    only, so any cutting into blocks gives the same frames.
+    """
+
+    def __init__(
+        self, spec: FrameSpec, rate_hz: float, rails_v: tuple[float, float] | None = None
+    ) -> None:
+        """See Timing. Raises SpecError where frames leave no gap to find, or at too low a rate."""
+        super().__init__(spec, rate_hz, rails_v)
+        search = self._search = GapSearch(spec, rate_hz)
+        if search.chip < 2.5:
+            raise SpecError(
+                f"{search.chip:.2g} samples per chip are too few to find frames by their gaps: "
+                f"sample at {3 / spec.chip_s:.3g} Hz or more, or use line timing"
+            )
+        gap_chips = (search.period - search.shortest) / search.chip
+        if gap_chips < spec.order / 2:
+            raise SpecError(
+                f"a gap of {gap_chips:.1f} chips is too short to find frames of order "
+                f"{spec.order} by; lengthen frame_period_s or use line timing"
+            )
+        # From a frame's first loud sample to the instant at which it must be over.
+        self._reach = math.ceil(search.longest + 3 * search.chip)
+        self._bit = math.ceil(1.11 * spec.order * search.chip)
+        gap = max(search.period - search.longest, 5 * search.chip)
+        self._side = min(self._bit, math.ceil(0.4 * gap))
+        self._quiet: Quiet | None = None
+        self._last: Fit | None = None  # the last frame, in stream indices
+        self._cursor = 0
+        self._due = 0
+        self._raster = 0.0  # start of the next slot
+        self._failures = 0
+
+    def feed(self, block: SampleBlock) -> list[FrameChips]:
+        """Take samples in; return the frames and silent slots that they complete."""
+        if not self._continue(block):
+            self._begin_at(block.first_index)
+        frames: list[FrameChips] = []
+        volts, slice_size = np.asarray(block.volts), math.ceil(self._search.period)
+        for begin in range(0, volts.size, slice_size):  # keeps the buffer bounded
+            self._samples.append(volts[begin : begin + slice_size])
+            while self._samples.end >= self._due:
+                frames += self._decide(self._due)
+        return frames
+
+    def flush(self) -> list[FrameChips]:
+        """The recording ends here: decode a last frame that is complete."""
+        frames: list[FrameChips] = []
+        cursor = -1
+        while self._samples.end - self._cursor > self._search.shortest and cursor != self._cursor:
+            cursor = self._cursor
+            frames += self._decide(self._samples.end, final=True)
+        self.reset()
+        return frames
+
+    def _begin_at(self, index: int) -> None:
+        """Start looking at this sample; slots stay on their raster across a hole."""
+        if self._last is None or index < self._raster - self._search.period:
+            self._raster, self._last = float(index), None
+        self._skip_to(index)
+
+    def _skip_to(self, index: int) -> None:
+        """Decide on samples from here on, and leave out slots that have gone by."""
+        self._cursor = index
+        late = math.ceil((index - self._raster) / self._search.period - 0.5)
+        self._raster += max(0, late) * self._search.period
+        self._schedule()
+
+    def _schedule(self) -> None:
+        """Forget what is decided; set when the next decision is due."""
+        if self._quiet is None:  # a whole gap must be in view
+            self._due = self._cursor + math.ceil(self._search.period) + self._reach
+        else:
+            self._due = max(math.ceil(self._raster), self._cursor) + self._reach
+        self._samples.drop(self._cursor)
+
+    def _decide(self, end: int, final: bool = False) -> list[FrameChips]:
+        """Look at the samples from the cursor to `end`, and move on. final: none will follow."""
+        volts = self._samples.take(self._cursor, end)
+        bad = np.flatnonzero(np.isnan(volts))
+        if bad.size:
+            self.rejected += 1
+            self._skip_to(self._cursor + int(bad[-1]) + 1)
+            return []
+        candidates = self._search.quiet(volts, self._quiet)
+        seen: Burst | None = None
+        for quiet in candidates:
+            shifted = volts - quiet.level
+            burst = self._first_burst(shifted, quiet)
+            if burst is None:
+                continue
+            seen = burst
+            if not final and self._incomplete(burst, volts.size):
+                self._due = max(end + 1, self._cursor + math.ceil(burst.first) + self._reach)
+                return []
+            if burst.first < self._search.chip:
+                continue  # no gap before it: the rest of a frame that began before the cursor
+            line = Line(shifted)
+            fit = self._search.fit(line, burst, self._expected(burst))
+            if fit is None or fit.end(self.spec) > volts.size + 0.5 * fit.chip:
+                continue
+            chips, believable = self._chips(line, fit, MAX_SPREAD, burst.noise / fit.chip)
+            around = self._around(volts, fit) - quiet.level
+            if believable and burst.is_quiet(around):
+                self._quiet = quiet
+                level = quiet.level + (float(around.mean()) if around.size else 0.0)
+                return self._emit(volts, fit, chips, level)
+        if seen is None or seen.snr < 2 * self._search.snr_floor:
+            self._quiet = candidates[0] if candidates and not final else self._quiet
+            return [] if final else self._pass_idle(end)
+        self.rejected += 1
+        self._failures += 1
+        if self._failures == 3:  # perhaps it is the level that is wrong
+            self._quiet, self._failures = None, 0
+        self._skip_to(self._cursor + max(self._bit, math.ceil(seen.pause)))
+        return []
+
+    def _first_burst(self, volts: Floats, quiet: Quiet) -> Burst | None:
+        """The earliest burst: the strongest one may have a weaker one before it."""
+        found = None
+        while burst := self._search.burst(volts, quiet.variance):
+            found = burst
+            if burst.pause < burst.last:
+                before = int(burst.pause) + self._bit
+            else:
+                before = int(burst.first - self._search.chip)
+            if not self._search.shortest < before < volts.size:
+                break
+            volts = volts[:before]
+        return found
+
+    def _expected(self, burst: Burst) -> Expected | None:
+        """A frame near the burst that keeps to the raster of the last one."""
+        if self._last is None:
+            return None
+        period = self._search.period
+        slots = round((self._cursor + burst.first - self._last.start) / period)
+        start = self._last.start + slots * period - self._cursor
+        return Expected(
+            start, 0.5 * self._last.chip + CLOCK_ERROR * slots * period, self._last.chip
+        )
+
+    def _incomplete(self, burst: Burst, size: int) -> bool:
+        """Whether chips of this burst's frame may still come after the samples in view."""
+        if size > self._search.period + 2 * self._reach:
+            return False
+        return size < min(burst.first + self._reach, burst.last + self._bit)
+
+    def _around(self, volts: Floats, fit: Fit) -> Floats:
+        """Samples of the gap on both sides of a frame; a chip next to it is left out."""
+        first, end = int(fit.start - fit.chip), math.ceil(fit.end(self.spec) + fit.chip)
+        before = volts[max(0, first - self._side) : max(0, first)]
+        return np.concatenate((before, volts[end : end + self._side]))
+
+    def _emit(
+        self, volts: Floats, fit: Fit, chips: NDArray[np.float32], offset: float
+    ) -> list[FrameChips]:
+        """The frame, after the silent slots before it. offset: the gap's level around it, V."""
+        clipped = self._clipped(volts[max(0, round(fit.start)) : round(fit.end(self.spec))])
+        start = self._cursor + fit.start
+        frames = list(self._idle_slots(start - self._search.period / 2))
+        assert self._quiet is not None
+        chips = chips + np.float32(self._quiet.level - offset)
+        frames.append(FrameChips(start, fit.chip, chips, offset, clipped, False))
+        self._last, self._failures = Fit(start, fit.chip), 0
+        self._raster = start + self._search.period
+        self._cursor += math.ceil(fit.end(self.spec) + 0.5 * fit.chip)
+        self._schedule()
+        return frames
+
+    def _pass_idle(self, end: int) -> list[FrameChips]:
+        """Nothing up to `end`, but a frame may begin within the last frame's length before it."""
+        frames = list(self._idle_slots(end - self._reach))
+        self._cursor = max(self._cursor, end - self._reach)
+        self._schedule()
+        return frames
+
+    def _idle_slots(self, until: float) -> Iterator[FrameChips]:
+        """The silent slots that begin up to an index."""
+        level = self._quiet.level if self._quiet else 0.0
+        while self._raster <= until:
+            yield self._idle(self._raster, self._search.chip, level)
+            self._raster += self._search.period
