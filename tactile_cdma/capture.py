@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from .errors import CaptureError
 
 _HEADER_LINES = 64
+_LEAST_SAMPLES = 16
 _INVALID_V = 1e30
 """Keysight writes 9.9E+37 for a sample that it does not have."""
 _SLACK = 0.75
@@ -49,53 +49,52 @@ def is_text(path: Path) -> bool:
 def read_scope_csv(path: Path) -> ScopeCapture:
     """Read time in s and voltage in V from the first two columns, after any header lines.
 
-    Missing samples and non-numbers split the recording into pieces and are noted.
+    Missing samples and non-numbers split the recording into pieces and are noted. Decimal commas
+    are understood where columns are not separated by commas.
     Raises CaptureError, naming the line, where this is not such a file.
     """
-    header, delimiter = _header(path)
     try:
-        table = np.loadtxt(
-            path,
-            delimiter=delimiter,
-            skiprows=header,
-            usecols=(0, 1),
-            ndmin=2,
-            encoding="utf-8-sig",
-            comments=None,
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise CaptureError(f"{path}: {error}") from None
+    header, delimiter = _header(path, lines)
+    body = lines[header:]
+    if delimiter != ",":
+        body = [line.replace(",", ".") for line in body]
+    try:
+        table = np.loadtxt(body, delimiter=delimiter, usecols=(0, 1), ndmin=2, comments=None)
+    except ValueError:
+        bad = next(
+            i for i, line in enumerate(body) if line.strip() and not _numbers(line, delimiter)
         )
-    except (ValueError, UnicodeDecodeError) as error:
         raise CaptureError(
-            f"{path}: not two columns of numbers after {header} header lines: {error}"
+            f"{path}: line {header + 1 + bad} is not two numbers, time in s and voltage in V: "
+            f"{body[bad][:60]!r}"
         ) from None
-    if len(table) < 16:
+    if len(table) < _LEAST_SAMPLES:
         raise CaptureError(f"{path}: only {len(table)} samples; is the file cut short?")
     return _pieces(path, table[:, 0], table[:, 1], header)
 
 
-def _header(path: Path) -> tuple[int, str | None]:
+def _header(path: Path, lines: list[str]) -> tuple[int, str | None]:
     """Number of lines before the first two numbers, and the delimiter (None: white space)."""
-    try:
-        with path.open(encoding="utf-8-sig") as file:
-            lines = [line.strip() for line in islice(file, _HEADER_LINES)]
-    except (OSError, UnicodeDecodeError) as error:
-        raise CaptureError(f"{path}: {error}") from None
-    for number, line in enumerate(lines):
+    for number, line in enumerate(lines[:_HEADER_LINES]):
         for delimiter in (",", ";", "\t", None):
-            fields = line.split(delimiter)
-            if len(fields) >= 2 and all(_is_number(field) for field in fields[:2]):
+            if _numbers(line if delimiter == "," else line.replace(",", "."), delimiter):
                 return number, delimiter
     raise CaptureError(
         f"{path}: no line with two numbers (time in s, voltage in V) among the first "
-        f"{len(lines)} lines"
+        f"{min(len(lines), _HEADER_LINES)} lines"
     )
 
 
-def _is_number(text: str) -> bool:
+def _numbers(line: str, delimiter: str | None) -> bool:
+    """Whether a line begins with two numbers."""
+    fields = line.split(delimiter)[:2]
     try:
-        float(text)
+        return len([float(field) for field in fields]) == 2
     except ValueError:
         return False
-    return True
 
 
 def _pieces(
@@ -103,32 +102,37 @@ def _pieces(
 ) -> ScopeCapture:
     notes = []
     good = np.isfinite(time_s) & np.isfinite(volts) & (np.abs(volts) < _INVALID_V)
-    lines = np.arange(header + 1, header + 1 + len(good))
+    lines = np.flatnonzero(good) + header + 1
     if not good.all():
+        count, first = np.count_nonzero(~good), header + 1 + int(np.argmin(good))
         notes.append(
-            f"{np.count_nonzero(~good)} samples are no numbers (first in line {lines[~good][0]}); "
-            "decoding what lies between them"
+            f"{count} of {good.size} samples are no numbers (first in line {first}); decoding "
+            "what lies between them"
         )
-        time_s, volts, lines = time_s[good], volts[good], lines[good]
+        time_s, volts = time_s[good], volts[good]
     steps = np.diff(time_s)
-    if len(steps) < 16 or not (step := float(np.median(steps))) > 0:
+    if len(steps) < _LEAST_SAMPLES or time_s[-1] <= time_s[0]:
         raise CaptureError(f"{path}: the first column is no rising time in s")
-    if (steps < -step / 2).any():
-        line = lines[1:][steps < -step / 2][0]
+    # Scopes print time with few digits: steps wobble by the last digit, or are 0 in between.
+    step = float(np.median(steps)) or float(steps.mean())
+    digit = 0.0 if np.median(steps) else float(steps[steps > 0].min())
+    if (steps < -0.5 * step - digit).any():
+        line = lines[1:][steps < -0.5 * step - digit][0]
         raise CaptureError(f"{path}: time runs backwards in line {line}")
-    # Scopes print time with few digits: single steps wobble by the last digit, gaps stay.
-    breaks = np.flatnonzero(steps > (1 + _SLACK) * step) + 1
+    jumps = steps > (1 + _SLACK) * step + digit
+    missing = jumps & (np.diff(lines) == 1)
+    if missing.any():
+        notes.append(
+            f"samples are missing in {np.count_nonzero(missing)} places (first before line "
+            f"{lines[1:][missing][0]}); decoding what lies between them"
+        )
+    breaks = np.flatnonzero(jumps) + 1
     starts, ends = [0, *breaks], [*breaks, len(volts)]
     longest = max(range(len(starts)), key=lambda i: ends[i] - starts[i])
     first, last = starts[longest], ends[longest] - 1
-    if last == first:
+    if time_s[last] <= time_s[first]:
         raise CaptureError(f"{path}: no two samples follow one another evenly in time")
     rate_hz = (last - first) / float(time_s[last] - time_s[first])
-    if len(breaks):
-        notes.append(
-            f"samples are missing in {len(breaks)} places (first before line {lines[breaks[0]]}); "
-            "decoding what lies between them"
-        )
     pieces = tuple(
         (float(time_s[start]), volts[start:end].astype(np.float32))
         for start, end in zip(starts, ends, strict=True)

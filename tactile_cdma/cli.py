@@ -71,7 +71,7 @@ def _parser() -> argparse.ArgumentParser:
     record = commands.add_parser("record", help="write the bytes of a port to a file")
     record.add_argument("port", help="pyserial URL: /dev/ttyACM0, sim://?scene=press, …")
     record.add_argument("file", type=Path)
-    record.add_argument("--seconds", type=float, help="end after so long; else on Ctrl-C")
+    record.add_argument("--seconds", type=_positive, help="end after so long; else on Ctrl-C")
     record.add_argument("--baud", type=int, default=BY_NAME["baud"].default)
     record.add_argument("--force", action="store_true", help="overwrite the file")
     _add_skin_options(record)
@@ -80,7 +80,7 @@ def _parser() -> argparse.ArgumentParser:
     simulate = commands.add_parser("simulate", help="a virtual digitizer behind a real tty")
     simulate.add_argument("--pty", action="store_true", required=True, help="serve on a pty")
     simulate.add_argument("--link", type=Path, help="also make a symbolic link to the tty")
-    simulate.add_argument("--seconds", type=float, help="end after so long; else on Ctrl-C")
+    simulate.add_argument("--seconds", type=_positive, help="end after so long; else on Ctrl-C")
     simulate.add_argument(
         "url", nargs="?", default="sim://", help="options as in a port: 'sim://?scene=press&seed=1'"
     )
@@ -90,7 +90,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _add_skin_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group(
-        "the skin (default: what a raw capture says, else the driver's)"
+        "the skin (default: what a raw capture says, else the driver's; amplitude: learnt)"
     )
     group.add_argument("--params", type=Path, metavar="FILE", help="ROS 2 parameter file")
     for option, name in _SKIN_OPTIONS.items():
@@ -105,6 +105,13 @@ def _add_skin_options(parser: argparse.ArgumentParser) -> None:
         dest="sign_seed",
         help="no row signs, as in the paper",
     )
+
+
+def _positive(text: str) -> float:
+    seconds = float(text)
+    if not 0 < seconds <= threading.TIMEOUT_MAX:
+        raise argparse.ArgumentTypeError(f"{text} is no positive time in s")
+    return seconds
 
 
 def _given(arguments: argparse.Namespace) -> dict[str, Value]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+import traceback
 from collections.abc import Callable
 from types import TracebackType
 
@@ -26,6 +27,8 @@ PATIENCE_S = 1.0
 """A digitizer that says nothing useful for so long is asked again."""
 RETRY_S = (0.2, 0.5, 1.0, 2.0)
 """Pauses between attempts to open a port; the last one repeats."""
+WAITING = "waiting for the first frame"
+"""What keeps frames from coming right after a port was opened."""
 
 
 class Driver:
@@ -45,7 +48,8 @@ class Driver:
     ) -> None:
         self.pipeline = Pipeline(config)
         self.problem: str | None = None
-        self.reconnects = 0
+        self.connections = 0
+        self._first_port: Port | None = None
         self._url, self._baud = url, baud
         self._on_frame, self._on_problem = on_frame, on_problem
         self._stop = threading.Event()
@@ -82,17 +86,23 @@ class Driver:
                 self._first_port = None
                 with port:
                     attempt = 0
+                    self.connections += 1
                     self._stream(port)
             except PortError as error:
                 self._report(str(error))
-                self.reconnects += 1
-                self._stop.wait(RETRY_S[min(attempt, len(RETRY_S) - 1)])
-                attempt += 1
+            except Exception:  # a defect of ours must neither go unseen nor end the skin for good
+                self._report(f"internal error, starting again: {traceback.format_exc()}")
+            else:
+                continue
+            self._stop.wait(RETRY_S[min(attempt, len(RETRY_S) - 1)])
+            attempt += 1
 
     def _stream(self, port: Port) -> None:
         """Handshake, then decode until stopped; raises PortError when the port is lost."""
         pipeline, session = self.pipeline, Session(self.pipeline.config)
         pipeline.reconnected()
+        if not self.problem:
+            self._report(WAITING)
         port.write(session.open())
         try:
             while not self._stop.is_set():

@@ -35,7 +35,7 @@ def decode_scope(capture: ScopeCapture, config: SkinConfig) -> Iterator[tuple[fl
         raise CaptureError(
             f"{capture.rate_hz:g} samples/s are {samples_per_chip:.2g} per chip of "
             f"{spec.chip_s * 1e6:g} µs; {_MIN_SAMPLES_PER_CHIP} or more are needed: "
-            "record faster, or correct the chip duration"
+            "record faster, or correct the chip duration (is the first column in s?)"
         )
     for start_s, volts in capture.pieces:
         timing = GapTiming(spec, capture.rate_hz)

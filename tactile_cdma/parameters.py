@@ -72,7 +72,7 @@ PARAMETERS: tuple[Parameter, ...] = (
         "port", "sim://", "pyserial URL of the digitizer: /dev/ttyACM0, sim://?scene=hand, …"
     ),
     Parameter("baud", 2_000_000, "baud rate; USB ports ignore it", "baud", (1_200, 20_000_000)),
-    Parameter("nodes", 16, "sensing nodes on the wire", "", (1, 65_536)),
+    Parameter("nodes", 16, "sensing nodes on the wire", "", (1, 65_535)),
     Parameter("bits", 10, "word length of a node's ADC", "bit", (8, 16)),
     Parameter("chip_us", 50.0, "pulse length: duration of one chip", "µs", (0.01, 1e6)),
     Parameter("frame_period_ms", 12.8, "from one frame's start to the next", "ms", (0.01, 1e5)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from dataclasses import asdict, dataclass, fields
 
@@ -24,6 +25,8 @@ from .parameters import GAP, SkinConfig
 from .protocol import PacketParser
 from .taxels import Readings, Taxels
 from .timing import FrameChips, SampleBlock
+
+_TICK_S = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +88,7 @@ class Pipeline:
         self._next_index: int | None = None
         self._sequence = -1
         self._last_start_s: float | None = None
+        self._last_t_host = -math.inf
 
     @property
     def packet_counts(self) -> Counter[str]:
@@ -186,13 +190,15 @@ class Pipeline:
             step = max(1, round((t_start - self._last_start_s) / spec.frame_period_s))
         self._last_start_s = t_start
         self._sequence += step
+        # A better estimate of the clocks may move time back: stamps still rise.
+        self._last_t_host = max(self._clock.to_host(t_middle), self._last_t_host + _TICK_S)
         self.counters.frames += 1
         self.counters.lost_frames += step - 1
         return TactileFrame(
             sequence=self._sequence,
             t_start=t_start,
             t_middle=t_middle,
-            t_host=self._clock.to_host(t_middle),
+            t_host=self._last_t_host,
             chip_s=chip_s,
             clipped=chips.clipped,
             words=words,
@@ -218,11 +224,11 @@ def _contradiction(info: Info, config: SkinConfig) -> str | None:
         return "the digitizer sends one mean per chip, timing 'gap' needs raw samples"
     theirs, ours = info.frame, FrameLayout.of(config.spec, config.samples_per_chip)
     # A digitizer may sample faster or slower than asked: its rate is in INFO and is what counts.
+    aside = {"samples_per_chip"} | ({"sign_seed"} if ours.natural_signs else set())
     different = [
         f"{field.name} {getattr(theirs, field.name)} (parameters: {getattr(ours, field.name)})"
         for field in fields(FrameLayout)
-        if field.name != "samples_per_chip"
-        and getattr(theirs, field.name) != getattr(ours, field.name)
+        if field.name not in aside and getattr(theirs, field.name) != getattr(ours, field.name)
     ]
     if different:
         return f"the digitizer is set to {', '.join(different)}; make the two agree"

@@ -194,7 +194,7 @@ def diagnose(counters: Counters) -> str | None:
         return "no bytes: is the digitizer powered and started?"
     if counters.text_bytes > 0.9 * counters.bytes:  # random bytes: 0.38
         return "text received instead of packets; is another program's firmware on this board?"
-    return f"{counters.bytes} bytes but no valid packet: wrong baud rate?"
+    return "bytes arrive but no valid packet: wrong baud rate?"
 
 
 def wrap(body: bytes) -> bytes:

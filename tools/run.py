@@ -27,7 +27,7 @@ def main() -> int:
     # The Makefile passes variables that were not set as empty texts.
     parser.add_argument("--port", default="", help="default: the simulated skin")
     parser.add_argument("--params", default="", help=f"default: {PARAMS.relative_to(CHECKOUT)}")
-    parser.add_argument("--seconds", type=lambda text: float(text or 0), default=0.0)
+    parser.add_argument("--seconds", type=_seconds, default=0.0)
     arguments = parser.parse_args()
     params = Path(arguments.params or PARAMS)
     if not params.is_file():
@@ -40,6 +40,14 @@ def main() -> int:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("PYTHONUNBUFFERED", "1")
     return run(driver_command(params, port), viewer_command(seconds), quiet=seconds == 0.0)
+
+
+def _seconds(text: str) -> float:
+    """A time span; nothing means none."""
+    seconds = float(text or 0)
+    if seconds < 0:
+        raise ValueError
+    return seconds
 
 
 def driver_command(params: Path, port: str) -> list[str]:

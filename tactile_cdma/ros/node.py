@@ -2,29 +2,36 @@
 
 from __future__ import annotations
 
+import signal
 import sys
+import threading
 import time
+from collections.abc import Callable
 from dataclasses import fields
+from functools import partial
 from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
     ParameterDescriptor,
     SetParametersResult,
 )
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy._rclpy_pybind11 import RCLError
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
 from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
-from ..driver import Driver
+from ..driver import WAITING, Driver
 from ..errors import ParameterError, TactileError
 from ..parameters import (
     BY_NAME,
@@ -73,6 +80,10 @@ class SkinNode(LifecycleNode):
         self._drawn: TactileFrame | None = None
         self._last_failure = ""
         self._counted = (time.monotonic(), 0)
+        # rclpy lets a transition that is impossible in the present state end the executor.
+        self._service_change_state.callback = partial(
+            _refuse_impossible, self, self._service_change_state.callback
+        )
         self._array_publisher = self.create_lifecycle_publisher(
             TactileArray, "~/tactile", qos_profile_sensor_data
         )
@@ -126,7 +137,11 @@ class SkinNode(LifecycleNode):
         try:
             check_values(new)
             if self._config is not None:
-                fixed = [name for name in new if not BY_NAME[name].live]
+                fixed = [
+                    name
+                    for name, value in new.items()
+                    if not BY_NAME[name].live and value != self._value(name)
+                ]
                 if fixed:
                     raise ParameterError(
                         f"{', '.join(fixed)} cannot change while configured: deactivate and clean "
@@ -189,7 +204,7 @@ class SkinNode(LifecycleNode):
         self._heatmap_timer.reset()
         spec = self._config.spec
         self.get_logger().info(
-            f"streaming {spec.nodes} nodes from {self._value('port')}: order {spec.order}, "
+            f"opened {self._value('port')} for {spec.nodes} nodes: order {spec.order}, "
             f"{spec.bits} bits, a frame every {spec.frame_period_s * 1e3:g} ms"
         )
         return result
@@ -285,18 +300,21 @@ class SkinNode(LifecycleNode):
             self._counted = (now, frames)
             level, text = DiagnosticStatus.OK, "receiving"
             if driver.problem:
-                level, text = DiagnosticStatus.ERROR, driver.problem
+                waiting = driver.problem == WAITING
+                level = DiagnosticStatus.WARN if waiting else DiagnosticStatus.ERROR
+                text = driver.problem
             values = {
                 "port": self._value("port"),
                 "rate (Hz)": f"{rate_hz:.2f}",
                 "expected rate (Hz)": f"{1 / pipeline.config.spec.frame_period_s:.2f}",
-                "reconnects": driver.reconnects,
+                "connections": driver.connections,
                 "rejected bursts": pipeline.rejected,
             }
             for count in fields(pipeline.counters):
                 values[_words(count.name)] = getattr(pipeline.counters, count.name)
             for count in fields(pipeline.parser.counters):
-                values[_words(count.name)] = pipeline.packet_counts[count.name]
+                if count.name != "text_bytes":  # about half of all bytes on a healthy link
+                    values[_words(count.name)] = pipeline.packet_counts[count.name]
             for count in fields(pipeline.status) if pipeline.status else ():
                 values["digitizer " + _words(count.name)] = getattr(pipeline.status, count.name)
         message = DiagnosticArray(status=[convert.diagnostic(name, level, text, values)])
@@ -306,6 +324,8 @@ class SkinNode(LifecycleNode):
     def _log_problem(self, problem: str | None) -> None:
         if problem is None:
             self.get_logger().info("receiving frames")
+        elif problem == WAITING:
+            self.get_logger().info(problem)
         else:
             self.get_logger().error(problem)
 
@@ -340,19 +360,42 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     return descriptor
 
 
+def _refuse_impossible(
+    node: LifecycleNode,
+    change_state: Callable[[ChangeState.Request, ChangeState.Response], ChangeState.Response],
+    request: ChangeState.Request,
+    response: ChangeState.Response,
+) -> ChangeState.Response:
+    """Answer a change_state request, also one that the present state does not allow."""
+    try:
+        return change_state(request, response)
+    except RCLError:
+        node.get_logger().error(
+            f"transition {request.transition.label or request.transition.id} is not possible now"
+        )
+        response.success = False
+        return response
+
+
 def main() -> None:
     """Run the node until interrupted."""
-    rclpy.init(args=sys.argv)
+    # Signals only wake the main thread, so that everything ends in order: the executor, the
+    # reader thread with its port, the node, and the ROS context last.
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     node = SkinNode()
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    try:
-        executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
+    spinning = threading.Thread(target=executor.spin, name="executor")
+    spinning.start()
+    while not stop.wait(0.5) and spinning.is_alive():
         pass
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
+    executor.shutdown()
+    spinning.join()
+    node.destroy_node()
+    rclpy.try_shutdown()
 
 
 if __name__ == "__main__":

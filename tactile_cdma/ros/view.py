@@ -15,6 +15,7 @@ from collections import deque
 
 import numpy as np
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from numpy.typing import NDArray
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
@@ -76,13 +77,22 @@ class Tally:
 
 
 class Viewer(Node):
-    """Keeps the latest frame and the tally."""
+    """Keeps the latest frame, the tally, and what the driver last said of itself."""
 
     def __init__(self, topic: str) -> None:
         super().__init__("skin_view")
         self.tally = Tally()
         self.latest: TactileArray | None = None
+        self.complaint = ""
+        self._driver = topic.strip("/").rpartition("/")[0]
         self.create_subscription(TactileArray, topic, self._receive, QUEUE)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._diagnose, 10)
+
+    def _diagnose(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name.startswith(f"{self._driver}:"):
+                good = status.level == DiagnosticStatus.OK
+                self.complaint = "" if good else status.message
 
     def _receive(self, message: TactileArray) -> None:
         now = self.get_clock().now().nanoseconds
@@ -97,8 +107,10 @@ class Viewer(Node):
             rclpy.spin_once(self, timeout_sec=left)
 
 
-def draw(message: TactileArray, tally: Tally, max_pa: float, size: os.terminal_size) -> str:
-    """One screen: a coloured cell per taxel, its pressure in kPa, and a line of state."""
+def draw(
+    message: TactileArray, tally: Tally, complaint: str, max_pa: float, size: os.terminal_size
+) -> str:
+    """One screen: a coloured cell per taxel, its pressure in kPa, and lines of state."""
     rows, columns = message.height, message.width
     pressure = np.array(message.pressure, dtype=np.float32)
     status = np.array(message.status, dtype=np.uint8)
@@ -126,8 +138,11 @@ def draw(message: TactileArray, tally: Tally, max_pa: float, size: os.terminal_s
         f"speaking {status.size - silent}   silent {silent}   stale {stale}   "
         f"low SNR {doubtful}   saturated {saturated}   noise {message.noise_rms * 1e3:.2f} mV"
         "   Ctrl-C ends",
+        f"DRIVER: {complaint}" if complaint else "",
     ]
-    return _HOME + "".join(line + _CLEAR_LINE + "\n" for line in lines) + _CLEAR_BELOW
+    # Only lines of cells hold escape sequences, and those are not longer than the terminal.
+    fitted = [line if "\x1b" in line else line[: size.columns] for line in lines]
+    return _HOME + "".join(line + _CLEAR_LINE + "\n" for line in fitted) + _CLEAR_BELOW
 
 
 def _label(pressure_pa: float, status: int) -> str:
@@ -151,9 +166,11 @@ def live(viewer: Viewer, max_pa: float) -> None:
         while rclpy.ok():
             viewer.spin_for(DRAW_PERIOD_S)
             if viewer.latest is None:
-                screen = _HOME + "waiting for the first frame …" + _CLEAR_BELOW
+                reason = f"\n{viewer.complaint}" if viewer.complaint else ""
+                screen = f"{_HOME}waiting for the first frame …{_CLEAR_LINE}{reason}{_CLEAR_BELOW}"
             else:
-                screen = draw(viewer.latest, viewer.tally, max_pa, shutil.get_terminal_size())
+                size = shutil.get_terminal_size()
+                screen = draw(viewer.latest, viewer.tally, viewer.complaint, max_pa, size)
             sys.stdout.write(screen)
             sys.stdout.flush()
     finally:
@@ -212,7 +229,8 @@ def main() -> int:
         viewer.destroy_node()
         rclpy.try_shutdown()
     if not viewer.tally.received:
-        print(f"no frame on {arguments.topic}; is the driver running and active?", file=sys.stderr)
+        reason = viewer.complaint or "is the driver running and active?"
+        print(f"no frame on {arguments.topic}: {reason}", file=sys.stderr)
     print(summary(viewer.tally))
     return 0 if viewer.tally.received else 1
 

@@ -23,13 +23,13 @@ from rcl_interfaces.srv import DescribeParameters, SetParameters  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
-from rclpy.qos import qos_profile_sensor_data  # noqa: E402
 from sensor_msgs.msg import Image  # noqa: E402
 
 from tactile_cdma.calibration import AdcScale, PressureCurve  # noqa: E402
 from tactile_cdma.msg import TactileArray, TactileSkinInfo  # noqa: E402
 from tactile_cdma.parameters import PARAMETERS  # noqa: E402
 from tactile_cdma.ros.node import LATCHED, PICTURE, SkinNode  # noqa: E402
+from tactile_cdma.ros.view import QUEUE  # noqa: E402
 from tactile_cdma.sim.digitizer import truth  # noqa: E402
 from tactile_cdma.sim.options import Setup, SimOptions  # noqa: E402
 from tactile_cdma.sim.pty import serve  # noqa: E402
@@ -47,9 +47,7 @@ class Client(Node):
         self.images: list[Image] = []
         self.infos: list[TactileSkinInfo] = []
         self.diagnostics: list[DiagnosticStatus] = []
-        self.create_subscription(
-            TactileArray, "/skin/tactile", self.arrays.append, qos_profile_sensor_data
-        )
+        self.create_subscription(TactileArray, "/skin/tactile", self.arrays.append, QUEUE)
         self.create_subscription(TactileSkinInfo, "/skin/info", self.infos.append, LATCHED)
         self.create_subscription(
             DiagnosticArray, "/diagnostics", lambda m: self.diagnostics.extend(m.status), 10
@@ -238,6 +236,7 @@ def test_live_parameters_take_effect_at_once() -> None:
     with running() as (node, client):
         wait_for(lambda: client.arrays)
         assert client.set(publish_voltage=True) == (True, "")
+        assert client.set(chip_us=50.0) == (True, "")  # as it is: no change
         assert client.set(threshold=0.6) == (True, "")
         assert client.set(stale_after_s=9.0) == (True, "")
         wait_for(lambda: len(client.arrays[-1].voltage) == 16)
@@ -300,6 +299,17 @@ def test_every_transition_works_again_and_again_without_leaking() -> None:
         assert client.set(heatmap_pixels=4) == (True, "")
         assert client.change(Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
         assert client.state() == State.PRIMARY_STATE_FINALIZED
+
+
+def test_impossible_transitions_are_refused_and_the_node_lives() -> None:
+    with running() as (_, client):
+        wait_for(lambda: client.arrays)
+        assert client.state() == State.PRIMARY_STATE_ACTIVE
+        assert not client.change(Transition.TRANSITION_CONFIGURE)
+        assert not client.change(Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
+        assert not client.change(222)
+        before = len(client.arrays)
+        wait_for(lambda: len(client.arrays) > before + 10)
 
 
 def test_unplugging_stops_publishing_says_so_and_replugging_resumes(tmp_path: Path) -> None:

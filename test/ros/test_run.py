@@ -30,6 +30,7 @@ def test_make_run_counts_and_times_frames_and_loses_none() -> None:
         timeout=60,
     )
     assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
     *lines, last = done.stdout.splitlines()
     values = {key: float(value) for key, value in (pair.split("=") for pair in last.split())}
     assert set(values) == {"published", "received", "lost", "rate_hz", "p50_ms", "p99_ms"}
@@ -61,6 +62,33 @@ def test_a_terminal_shows_a_coloured_heatmap_until_ctrl_c() -> None:
     assert re.search(r"\x1b\[\d+;48;2;\d+;\d+;\d+m +\d+\.\d", text)
     assert "\x1b[?1049l" in text  # the screen is given back
     assert "received=" in text
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_end_the_driver_in_order(number: signal.Signals) -> None:
+    command = [sys.executable, "-m", "tactile_cdma.ros.node", "--ros-args", "-p", "port:=sim://"]
+    node = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    assert node.stderr is not None
+    for line in node.stderr:
+        if "receiving frames" in line:
+            break
+    time.sleep(0.3)
+    node.send_signal(number)
+    assert node.wait(10) == 0
+    assert node.stderr.read() == ""
+    node.stderr.close()
+
+
+def test_the_viewer_tells_why_nothing_comes(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [*RUN, "--seconds", "1", "--port", str(tmp_path / "nothing")],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 1
+    assert f"no frame on /skin/tactile: {tmp_path / 'nothing'}: no such port" in done.stderr
 
 
 def test_a_parameter_file_with_a_wrong_key_is_reported_and_the_node_lives(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import serial
 
-from tactile_cdma.driver import Driver
+from tactile_cdma.driver import WAITING, Driver
 from tactile_cdma.errors import PortError
 from tactile_cdma.messages import Start
 from tactile_cdma.parameters import SkinConfig
@@ -34,7 +34,11 @@ class Watch:
         self.problems: list[str | None] = []
 
     def driver(self, url: str, config: SkinConfig = CONFIG) -> Driver:
-        return Driver(config, url, 2_000_000, self.frames.append, self.problems.append)
+        return Driver(config, url, 2_000_000, self.frames.append, self.note)
+
+    def note(self, problem: str | None) -> None:
+        if problem != WAITING:
+            self.problems.append(problem)
 
 
 def wait_for(condition: Callable[[], object], timeout_s: float = 10.0) -> None:
