@@ -43,6 +43,10 @@ def is_text(path: Path) -> bool:
         raise CaptureError(f"{path}: {error.strerror}") from None
     if not head:
         raise CaptureError(f"{path}: the file is empty")
+    if not path.is_file():
+        raise CaptureError(f"{path}: not a file; a capture is read more than once")
+    if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise CaptureError(f"{path}: UTF-16 text; save it as plain CSV")
     return b"\0" not in head
 
 

@@ -203,6 +203,8 @@ def _record(arguments: argparse.Namespace) -> int:
                 port.write(session.close())
             except PortError as error:
                 print(f"tactile-cdma: {error}; keeping what was recorded", file=sys.stderr)
+            except OSError as error:  # PortError is one, too
+                raise CaptureError(f"{path}: {error.strerror}") from None
     counters = parser.counters
     print(
         f"seconds={time.monotonic() - start:.1f} bytes={counters.bytes} "

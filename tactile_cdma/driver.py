@@ -140,8 +140,8 @@ class Session:
             layout = FrameLayout.of(config.spec, config.samples_per_chip)
             sync_mode = SyncMode.NONE if config.timing == GAP else SyncMode.DRIVE
             self._setting = (Configure(layout, sync_mode, config.samples_per_chip == 1),)
-        self._progress: tuple[int, int] | None = None
-        self._bytes = 0
+        self._frames = -1
+        self._restarts = self._bytes = 0
         self._deadline = -math.inf
 
     def open(self) -> bytes:
@@ -154,13 +154,13 @@ class Session:
 
     def watch(self, pipeline: Pipeline, now_s: float) -> bytes:
         """Requests to repeat because nothing came of the last ones; empty while all is well."""
-        progress = (pipeline.counters.frames, pipeline.counters.restarts)
-        stuck = progress == self._progress
+        stuck = pipeline.counters.frames == self._frames
         if stuck and now_s < self._deadline:
             return b""
         if stuck:
             self.problem = self._why(pipeline)
-        self._progress, self._bytes = progress, pipeline.parser.counters.bytes
+        self._frames, self._restarts = pipeline.counters.frames, pipeline.counters.restarts
+        self._bytes = pipeline.parser.counters.bytes
         self._deadline = now_s + max(PATIENCE_S, 3 * pipeline.config.spec.frame_period_s)
         return self.open() if stuck else b""
 
@@ -176,11 +176,10 @@ class Session:
             return f"the digitizer refused command 0x{command:02x}: {reason.replace('_', ' ')}"
         if pipeline.info is None:
             return diagnose(counters) or "packets arrive, but no description (INFO)"
+        if pipeline.counters.restarts > self._restarts + 1:
+            return "the digitizer's clock and its count of samples contradict each other"
         if pipeline.rejected:
-            return (
-                f"samples arrive, but no frame fits ({pipeline.rejected} bursts rejected): "
-                "check chip_us, order, bits and polarity"
-            )
+            return "samples arrive, but no frame fits: check chip_us, order and bits"
         return "the digitizer answers but sends no frames; is the skin connected and powered?"
 
     def _requests(self, *packets: Packet) -> bytes:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +17,7 @@ _STOPS = (
 )
 """A dark-to-light scale whose brightness rises evenly, so it also reads in grey."""
 NO_READING_RGB = (70, 78, 86)
+MAX_PIXELS = 1 << 20
 
 
 def _scale() -> NDArray[np.uint8]:
@@ -38,6 +41,10 @@ def colours(pressure_pa: NDArray[np.float32], max_pa: float) -> NDArray[np.uint8
 def heatmap(
     pressure_pa: NDArray[np.float32], rows: int, columns: int, max_pa: float, pixels: int
 ) -> NDArray[np.uint8]:
-    """The skin as a picture, (rows·pixels, columns·pixels, 3) uint8 RGB, row 0 on top."""
+    """The skin as a picture, (rows·pixels, columns·pixels, 3) uint8 RGB, row 0 on top.
+
+    Taxels are drawn smaller than asked for where the picture would pass MAX_PIXELS.
+    """
+    pixels = max(1, min(pixels, math.isqrt(MAX_PIXELS // (rows * columns))))
     picture = colours(pressure_pa, max_pa).reshape(rows, columns, 3)
     return picture.repeat(pixels, axis=0).repeat(pixels, axis=1)

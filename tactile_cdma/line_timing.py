@@ -178,11 +178,13 @@ class LineTiming(Timing):
     def _emit(
         self, start: int, fit: Fit, chips: NDArray[np.float32], volts: Floats, idle: bool
     ) -> list[FrameChips]:
-        """The frame that begins at this sample."""
+        """The frame whose first sample this is."""
+        # An integrated word's index is the begin of its chip, a raw sample's is its instant.
+        begin = float(start) if self._integrated else start + fit.start
         self._start = None
         self._gap_begin = start + math.ceil(fit.end(self.spec) + 0.5 * fit.chip)
         if idle:
-            return [self._idle(float(start), fit.chip, self._level_v)]
+            return [self._idle(begin, fit.chip, self._level_v)]
         self._chip = fit.chip
         clipped = self._clipped(volts[: round(fit.end(self.spec) + 0.5)] + self._level_v)
-        return [FrameChips(float(start), fit.chip, chips, self._level_v, clipped, False)]
+        return [FrameChips(begin, fit.chip, chips, self._level_v, clipped, False)]

@@ -23,6 +23,8 @@ from .layout import GridLayout
 Value = bool | int | float | str
 NATURAL_SIGNS = -1
 LINE, GAP = "line", "gap"
+STANDARD_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+"""Beginnings of the names of parameters that every ROS 2 node has."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,10 +239,13 @@ def read_file(path: Path) -> dict[str, Value]:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ParameterError(f"{path}: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
         raise ParameterError(f"{path}: not a YAML file: {' '.join(str(error).split())}") from None
     values: dict[str, object] = {}
-    sections = list(_sections(content))
+    try:
+        sections = list(_sections(content))
+    except RecursionError:
+        raise ParameterError(f"{path}: sections that contain themselves") from None
     if not sections:
         raise ParameterError(
             f"{path}: no 'ros__parameters' section; is this a ROS 2 parameter file?"
@@ -257,7 +262,11 @@ def _sections(content: object) -> Iterable[Mapping[str, object]]:
     if isinstance(content, Mapping):
         for name, below in content.items():
             if name == "ros__parameters" and isinstance(below, Mapping):
-                yield below
+                yield {
+                    str(key): value
+                    for key, value in below.items()
+                    if not str(key).startswith(STANDARD_PARAMETERS)
+                }
             else:
                 yield from _sections(below)
 

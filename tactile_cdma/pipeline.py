@@ -11,6 +11,7 @@ import numpy as np
 from ._protocol import VERSION, Result, SyncMode
 from .clock import DeviceClock
 from .decode import Words, decode, silent
+from .errors import SpecError
 from .gap_timing import GapTiming
 from .line_timing import LineTiming
 from .messages import (
@@ -27,6 +28,11 @@ from .taxels import Readings, Taxels
 from .timing import FrameChips, SampleBlock
 
 _TICK_S = 1e-6
+_CLOCK_SLACK_S = 0.05
+"""Difference of device time and sample count beyond which one of them was restarted."""
+_MAX_DEVICE_TIME_US = 1 << 53
+"""285 years, and what a float holds without rounding."""
+_MAX_SAMPLES_PER_CHIP = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +67,7 @@ class PipelineCounters:
     lost_samples: int = 0
     unannounced_samples: int = 0
     restarts: int = 0
+    implausible_packets: int = 0
 
 
 class Pipeline:
@@ -110,6 +117,7 @@ class Pipeline:
                 case Info():
                     self._describe(packet)
                 case OtherVersion():
+                    self.info = self._timing = None
                     self.problem = (
                         f"the digitizer speaks protocol version {packet.version}, this driver "
                         f"speaks {VERSION}: update whichever is older"
@@ -130,8 +138,7 @@ class Pipeline:
         self.parser = PacketParser()
         self.info = self.refusal = self._timing = self._next_index = None
         self.problem = None
-        self._anchors.clear()
-        self._clock = DeviceClock()
+        self._forget()
 
     def _acknowledged(self, ack: Ack) -> None:
         if ack.result != Result.OK:
@@ -143,40 +150,72 @@ class Pipeline:
         if info == self.info:
             return
         self.info = info
+        self._timing = None
         self.problem = _contradiction(info, self.config)
         if self.problem:
-            self._timing = None
             return
         low_v, high_v = info.volts(np.array([info.min_count, info.max_count], dtype=np.int16))
         timing = GapTiming if self.config.timing == GAP else LineTiming
-        self._timing = timing(self.config.spec, info.sample_rate_hz, (float(low_v), float(high_v)))
+        try:
+            self._timing = timing(
+                self.config.spec, info.sample_rate_hz, (float(low_v), float(high_v))
+            )
+        except SpecError as error:
+            self.problem = f"the digitizer's sampling does not fit: {error}"
 
     def _samples(self, packet: Samples, t_host: float) -> list[TactileFrame]:
         count = len(packet.counts)
         if self.info is None or self._timing is None:
             self.counters.unannounced_samples += count
             return []
+        if packet.device_time_us > _MAX_DEVICE_TIME_US:
+            self.counters.implausible_packets += 1
+            return []
         self.counters.samples += count
         t_device = packet.device_time_us * 1e-6
-        if self._next_index is not None and packet.first_index != self._next_index:
-            self._hole(packet.first_index - self._next_index)
+        if self._next_index is not None:
+            missing = packet.first_index - self._next_index
+            if missing < 0 or not self._continues(packet.first_index, t_device):
+                self._restart()
+            elif missing:
+                self.counters.lost_samples += missing
+                self._timing.reset()
         self._next_index = packet.first_index + count
         self._anchors.append((packet.first_index, t_device))
         self._clock.observe(t_device + count / self.info.sample_rate_hz, t_host)
         block = SampleBlock(packet.first_index, self.info.volts(packet.counts), packet.sync)
         return [self._frame(chips) for chips in self._timing.feed(block)]
 
-    def _hole(self, missing: int) -> None:
-        """The sample stream jumped: forwards by a loss, backwards by a restarted digitizer."""
+    def _continues(self, index: int, t_device: float) -> bool:
+        """Whether the device's time has advanced as its count of samples says.
+
+        Where chips are integrated the gaps between frames are not counted, so time may run ahead
+        by one gap for every frame.
+        """
+        assert self.info is not None
+        spec, (last_index, last_s) = self.config.spec, self._anchors[-1]
+        counted_s = (index - last_index) / self.info.sample_rate_hz
+        slack_s = _CLOCK_SLACK_S
+        if self.info.integrated:
+            slack_s += spec.frame_period_s + counted_s * (spec.frame_period_s / spec.frame_s - 1)
+        return -_CLOCK_SLACK_S <= t_device - last_s - counted_s <= slack_s + 0.01 * counted_s
+
+    def _restart(self) -> None:
+        """The digitizer began anew: its count went back, or its clock and count part ways."""
         assert self._timing is not None
-        if missing > 0:
-            self.counters.lost_samples += missing
-        else:
-            self.counters.restarts += 1
-            self._anchors.clear()
-            self._last_start_s = None
-            self._clock = DeviceClock()
+        self.counters.restarts += 1
+        self._forget()
         self._timing.reset()
+
+    def _forget(self) -> None:
+        """The device's clock starts anew, and who was heard on the old one was heard too long ago.
+
+        The sequence goes on.
+        """
+        self._anchors.clear()
+        self._clock = DeviceClock()
+        self._last_start_s = None
+        self.taxels.forget()
 
     def _frame(self, chips: FrameChips) -> TactileFrame:
         assert self.info is not None
@@ -215,6 +254,22 @@ class Pipeline:
 
 def _contradiction(info: Info, config: SkinConfig) -> str | None:
     """Why this digitizer's stream cannot be decoded with these parameters, or None."""
+    if not (info.volts_per_count > 0 and info.min_count < info.max_count):
+        return (
+            f"the digitizer describes no voltages: {info.volts_per_count:g} V per count, counts "
+            f"{info.min_count} to {info.max_count}"
+        )
+    samples_per_chip = info.sample_rate_hz * config.spec.chip_s
+    if samples_per_chip > _MAX_SAMPLES_PER_CHIP:
+        return (
+            f"the digitizer sends {samples_per_chip:.3g} samples per chip; "
+            f"{_MAX_SAMPLES_PER_CHIP} at most are taken"
+        )
+    if info.integrated != (abs(samples_per_chip - 1) < 0.01):
+        return (
+            f"the digitizer says it sends {'chip means' if info.integrated else 'raw samples'}, "
+            f"but {samples_per_chip:.3g} per chip"
+        )
     if config.timing != GAP and info.sync_mode == SyncMode.NONE:
         return (
             "the digitizer marks no frame starts but timing is 'line': set timing to 'gap', "

@@ -12,7 +12,17 @@ from serial.tools import list_ports
 
 from .errors import PortError, SpecError
 
+try:
+    import termios
+
+    TerminalError = termios.error  # not an OSError, and pyserial lets it through
+except ImportError:  # not a POSIX system
+    TerminalError = OSError  # type: ignore[misc, assignment]
+
 READ_TIMEOUT_S = 0.1
+SOCKET_READ = 4096
+SOCKET_TIMEOUT_S = 2e-3
+"""pyserial cannot tell how much a socket holds: so much is read, waiting at most so long."""
 SIM_HANDLERS = "tactile_cdma.sim"
 
 if SIM_HANDLERS not in serial.protocol_handler_packages:
@@ -30,16 +40,17 @@ class Port:
         try:
             self._serial = serial.serial_for_url(url, do_not_open=True)
             self._serial.baudrate = baud
-            self._serial.timeout = READ_TIMEOUT_S
+            self._is_socket = url.startswith("socket://")
+            self._serial.timeout = SOCKET_TIMEOUT_S if self._is_socket else READ_TIMEOUT_S
             self._serial.write_timeout = 1.0
-            if url.startswith("/"):
+            if "://" not in url:
                 self._serial.exclusive = True
             self._serial.open()
             self._serial.reset_input_buffer()  # of what came for whoever had it open before
         except SpecError as error:  # an option of a sim:// URL
             raise PortError(f"{url}: {error}") from None
-        except (OSError, ValueError) as error:
-            raise PortError(f"{url}: {_open_failure(error, url)}") from None
+        except (OSError, ValueError, KeyError, TerminalError) as error:
+            raise PortError(f"{url}: {_open_failure(error)}") from None
 
     def read(self) -> tuple[bytes, float]:
         """What has arrived, waiting at most READ_TIMEOUT_S for the first byte.
@@ -48,10 +59,14 @@ class Port:
         after they were read.
         """
         try:
-            data = self._serial.read(1)
-            if data:
+            data: bytes = self._serial.read(SOCKET_READ if self._is_socket else 1)
+            if data and not self._is_socket:
                 data += self._serial.read(self._serial.in_waiting)
-        except (OSError, TypeError) as error:  # TypeError: pyserial reading a port closed under it
+        except (
+            OSError,
+            TypeError,
+            TerminalError,
+        ) as error:  # TypeError: pyserial reading a port closed under it
             raise PortError(f"{self.url}: lost while reading; unplugged? ({error})") from None
         return data, time.monotonic()
 
@@ -59,12 +74,12 @@ class Port:
         """Send bytes."""
         try:
             self._serial.write(data)
-        except OSError as error:
+        except (OSError, TerminalError) as error:
             raise PortError(f"{self.url}: lost while writing; unplugged? ({error})") from None
 
     def close(self) -> None:
         """Close the port; closing twice is harmless."""
-        with suppress(OSError):  # the device is gone: there is nothing left to close
+        with suppress(OSError, TerminalError):  # the device is gone: there is nothing left to close
             self._serial.close()
 
     def __enter__(self) -> Port:
@@ -79,9 +94,9 @@ class Port:
         self.close()
 
 
-def _open_failure(error: OSError | ValueError, url: str) -> str:
+def _open_failure(error: Exception) -> str:
     """Why a port did not open, and what to do about it."""
-    code = getattr(error, "errno", None)
+    code = error.args[0] if isinstance(error, TerminalError) else getattr(error, "errno", None)
     if code == errno.ENOENT:
         names = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"
         return f"no such port; is the digitizer plugged in? Serial ports on this machine: {names}"

@@ -54,6 +54,10 @@ class Taxels:
         self._flags = np.zeros(nodes, dtype=np.uint8)
         self._heard_s = np.full(nodes, -np.inf)
 
+    def forget(self) -> None:
+        """The device's clock starts anew: nobody was heard on it."""
+        self._heard_s[:] = -np.inf
+
     def update(self, words: Words, t_device: float) -> Readings:
         """Take one frame's words, spoken at t_device (s)."""
         spoke = words.active
@@ -65,8 +69,7 @@ class Taxels:
             flags = np.where(self._curve.saturated(voltage_v), Status.SATURATED, Status.OK)
             flags |= np.where(words.doubtful[spoke], Status.LOW_SNR, Status.OK)
             self._flags[spoke] = flags
-        # A device that restarted counts its time from zero again: what was heard "later" is old.
-        stale = ~(np.abs(t_device - self._heard_s) <= self.stale_after_s)
+        stale = t_device - self._heard_s > self.stale_after_s
         status = self._flags | np.where(spoke, Status.OK, Status.SILENT).astype(np.uint8)
         status[stale] = Status.SILENT | Status.STALE
         nan = np.float32(np.nan)

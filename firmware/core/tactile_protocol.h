@@ -84,7 +84,7 @@ struct __attribute__((packed)) tp_frame_layout {
     uint8_t natural_signs; /* 1: all rows have sign +1, the seed is ignored */
     uint8_t drive; /* levels of a chip */
     int8_t polarity; /* sense of the amplifier */
-    uint16_t samples_per_chip; /* samples taken per chip (in integrated mode averaged into one) */
+    uint16_t samples_per_chip; /* samples per chip; if integrated, the least number averaged into one word */
 };
 #define TP_NODES_MIN 1u
 #define TP_NODES_MAX 65535u
@@ -144,7 +144,7 @@ _Static_assert(sizeof(struct tp_info) == 57, "size of tp_info");
 
 /* Consecutive samples of the line. */
 struct __attribute__((packed)) tp_samples {
-    uint64_t device_time_us; /* µs: when its first sample began */
+    uint64_t device_time_us; /* µs: when its first sample was taken; if integrated, when its chip began */
     uint64_t first_index; /* index of its first sample in the stream */
     uint8_t flags; /* bit 0 SYNC, bit 1 OVERRUN */
     uint16_t words[]; /* int16 counts, each XORed with TP_SAMPLE_XOR */

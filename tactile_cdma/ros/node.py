@@ -21,6 +21,7 @@ from rcl_interfaces.msg import (
     SetParametersResult,
 )
 from rclpy._rclpy_pybind11 import RCLError
+from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter as RosParameter
@@ -31,11 +32,12 @@ from std_msgs.msg import Header
 
 from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
-from ..driver import WAITING, Driver
+from ..driver import WAITING, Driver, Session
 from ..errors import ParameterError, TactileError
 from ..parameters import (
     BY_NAME,
     PARAMETERS,
+    STANDARD_PARAMETERS,
     Parameter,
     SkinConfig,
     Value,
@@ -54,7 +56,6 @@ LATCHED = QoSProfile(
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 PICTURE = QoSProfile(depth=2, reliability=ReliabilityPolicy.RELIABLE)
-_STANDARD_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 
 class SkinNode(LifecycleNode):
@@ -90,11 +91,15 @@ class SkinNode(LifecycleNode):
         self._info_publisher = self.create_lifecycle_publisher(TactileSkinInfo, "~/info", LATCHED)
         self._image_publisher = self.create_lifecycle_publisher(Image, "~/heatmap", PICTURE)
         self._diagnostics_publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._diagnostics_timer = self.create_timer(1.0, self._publish_diagnostics)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on where simulated time stands
+        self._diagnostics_timer = self.create_timer(1.0, self._publish_diagnostics, clock=steady)
         self._heatmap_timer = self.create_timer(
-            1.0 / float(self._value("heatmap_rate_hz")), self._publish_heatmap, autostart=False
+            1.0 / float(self._value("heatmap_rate_hz")),
+            self._publish_heatmap,
+            clock=steady,
+            autostart=False,
         )
-        self._start_timer = self.create_timer(RETRY_S, self._start)
+        self._start_timer = self.create_timer(RETRY_S, self._start, clock=steady)
         if self._value("autostart"):
             self._start()
         else:
@@ -106,8 +111,8 @@ class SkinNode(LifecycleNode):
         """Declare the table; a wrong override is kept as a fault that forbids configuring."""
         given = {name: p.value for name, p in self.get_parameters_by_prefix("").items()}
         for name in given:
-            if name not in BY_NAME and not name.startswith(_STANDARD_PARAMETERS):
-                self._fault(name, unknown(name, BY_NAME))
+            if name not in BY_NAME and not name.startswith(STANDARD_PARAMETERS):
+                self._fault(name, f"{unknown(name, BY_NAME)} (correct it and start the node again)")
         for parameter in PARAMETERS:
             if parameter.name in given:
                 self.undeclare_parameter(parameter.name)
@@ -122,7 +127,7 @@ class SkinNode(LifecycleNode):
 
     def _fault(self, name: str, text: str) -> None:
         self._faults[name] = text
-        self.get_logger().error(f"{text} (not starting until this is corrected)")
+        self.get_logger().error(f"not starting: {text}")
 
     def _value(self, name: str) -> Value:
         value: Value = self.get_parameter(name).value
@@ -173,6 +178,7 @@ class SkinNode(LifecycleNode):
             if self._faults:
                 raise ParameterError("; ".join(self._faults.values()))
             config = SkinConfig.of(self._values())
+            Session(config)  # refuses what a digitizer cannot be told
             self._port = Port(str(self._value("port")), int(self._value("baud")))
         except TactileError as error:
             if str(error) != self._last_failure:
@@ -181,12 +187,12 @@ class SkinNode(LifecycleNode):
             return TransitionCallbackReturn.FAILURE
         self._last_failure = ""
         self._config = config
-        self._info_id += 1
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stream."""
         assert self._config is not None
+        self._info_id += 1  # the sequence begins anew
         result = super().on_activate(state)
         self._info_publisher.publish(
             convert.skin_info(self._config, self._header_now(), self._info_id)
@@ -309,6 +315,7 @@ class SkinNode(LifecycleNode):
                 "expected rate (Hz)": f"{1 / pipeline.config.spec.frame_period_s:.2f}",
                 "connections": driver.connections,
                 "rejected bursts": pipeline.rejected,
+                "clipped samples (%)": f"{100 * self._latest.clipped:.1f}" if self._latest else "",
             }
             for count in fields(pipeline.counters):
                 values[_words(count.name)] = getattr(pipeline.counters, count.name)

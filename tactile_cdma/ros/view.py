@@ -42,7 +42,7 @@ class Tally:
 
     def __init__(self) -> None:
         self.received = 0
-        self.latency_ms: list[float] = []
+        self.latency_ms: deque[float] = deque(maxlen=100_000)
         self._first = self._last = 0
         self._seconds: deque[float] = deque(maxlen=256)
 
@@ -72,7 +72,7 @@ class Tally:
 
     def percentile_ms(self, percent: float, last: int | None = None) -> float:
         """A percentile of the latency, over all or the last few messages."""
-        values = self.latency_ms[-last:] if last else self.latency_ms
+        values = list(self.latency_ms)[-last:] if last else self.latency_ms
         return float(np.percentile(values, percent)) if values else float("nan")
 
 

@@ -52,7 +52,8 @@ class Block:
 
     first_index: of the first sample, counted from START. counts: (m,) int16.
     sync: the first sample is the first of a frame.
-    begin_s, end_s: when the first sample's period begins and the last one's ends, s since START.
+    begin_s: when the first sample is taken; if integrated, when its chip begins. end_s: when the
+        last sample's period ends. Both in s since START.
     """
 
     first_index: int
@@ -81,6 +82,7 @@ def stream(options: SimOptions, setup: Setup) -> Iterator[Block]:
     """
     rate_hz = setup.rate_hz
     size = min(MAX_SAMPLES, max(1, int(PACKET_S * rate_hz)))
+    instant = 0.0 if setup.integrated else 0.5  # at which a sample is taken, within its period
     waiting = np.empty(0, dtype=np.int16)
     index = 0
     for frame in truth(options, setup):
@@ -101,7 +103,7 @@ def stream(options: SimOptions, setup: Setup) -> Iterator[Block]:
                 first_index=index,
                 counts=part,
                 sync=setup.sync != SyncMode.NONE and whole and start == 0,
-                begin_s=epoch_s + index / rate_hz,
+                begin_s=epoch_s + (index + instant) / rate_hz,
                 end_s=epoch_s + (index + len(part)) / rate_hz,
             )
             index += len(part)

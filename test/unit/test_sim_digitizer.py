@@ -107,7 +107,7 @@ def test_packets_come_when_their_last_sample_was_taken() -> None:
         assert bench.digitizer.advance() == pytest.approx(1e-6, abs=1e-9)
         bench.now_s = start_s + number * 1.6e-3 + 1e-6
         (packet,) = samples(bench.read())
-        assert packet.device_time_us == (number - 1) * 1600
+        assert packet.device_time_us == (number - 1) * 1600 + 6  # µs: the middle of a sample
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,8 @@ def test_raw_packets_are_gapless_short_and_marked(query: str) -> None:
         assert packet.first_index == index
         assert len(packet.counts) <= MAX_SAMPLES
         assert len(packet.counts) / info.sample_rate_hz <= MAX_PACKET_US * 1e-6
-        assert packet.device_time_us == pytest.approx(index / info.sample_rate_hz * 1e6, abs=1)
+        middle_us = (index + 0.5) / info.sample_rate_hz * 1e6
+        assert packet.device_time_us == pytest.approx(middle_us, abs=1)
         index += len(packet.counts)
     marks = [packet.first_index for packet in packets if packet.sync]
     if setup.sync == SyncMode.NONE:

@@ -49,6 +49,7 @@ def test_a_silent_taxel_holds_its_value_until_it_is_stale() -> None:
 def test_a_device_clock_that_starts_again_makes_old_values_stale() -> None:
     skin = taxels()
     skin.update(words({0: 800}), 5000.0)
+    skin.forget()
     assert np.isnan(skin.update(words({1: 800}), 0.0).pressure_pa[0])
 
 
@@ -105,3 +106,4 @@ def test_heatmap_puts_taxel_row_zero_on_top() -> None:
     assert picture.shape == (16, 24, 3)
     assert picture[15, 23].sum() > picture[0, 0].sum()
     assert (picture[8:, 16:] == picture[15, 23]).all()
+    assert heatmap(np.zeros(4096, np.float32), 64, 64, 1e5, pixels=256).size <= 3 << 20
