@@ -113,8 +113,9 @@ class GapSearch:
     def quiet(self, volts: Floats, known: Quiet | None) -> list[Quiet]:
         """The gap's level: of the quietest window, judged from the known level if there is one.
 
-        volts: (m,) float64, V. Returns candidates, most likely first; there is a second one only
-        where a lone node on row 0 may hold the line at a constant level for a whole frame.
+        volts: (m,) float64, V. Returns candidates, most likely first; there are others only where
+        a lone node on row 0 may hold the line at a constant level: equal bits on end are as quiet
+        as the gap, at −a or +a or, in turns, both. The gap lies between.
         """
         means = self._halves(volts)
         width = min(self.quiet_halves, means.size)
@@ -128,16 +129,16 @@ class GapSearch:
             best = int(np.argmin(power))
             fresh = 1.2 * float(variance[best])  # a minimum over windows is biased low
             return [Quiet(centre + float(sums[best]), 0.7 * known.variance + 0.3 * fresh)]
-        best = int(np.argmin(variance))
-        floor = float(variance[best])
-        found = [Quiet(centre + float(sums[best]), 1.2 * floor)]
-        if self.spec.first_row == 0:
-            tiny = 1e-6 * float(power.max())
-            other = variance <= 4 * floor + tiny
-            other &= np.abs(sums - sums[best]) > 4 * np.sqrt(floor + tiny)
-            if other.any():
-                second = int(np.argmin(np.where(other, variance, np.inf)))
-                found.append(Quiet(centre + float(sums[second]), 1.2 * float(variance[second])))
+        floor = float(variance.min()) + 1e-6 * float(power.max())
+        found: list[Quiet] = []
+        levels = 3 if self.spec.first_row == 0 else 1
+        while len(found) < levels and (lowest := float(variance.min())) <= 4 * floor:
+            level = float(sums[int(np.argmin(variance))])
+            found.append(Quiet(centre + level, 1.2 * lowest))
+            variance[np.abs(sums - level) <= 4 * math.sqrt(floor)] = np.inf
+        if len(found) == 3:
+            found.sort(key=lambda quiet: quiet.level)
+            found.insert(0, found.pop(1))
         return found
 
     def burst(self, volts: Floats, variance: float) -> Burst | None:

@@ -110,13 +110,13 @@ class GapTiming(Timing):
             self._skip_to(self._cursor + int(bad[-1]) + 1)
             return []
         candidates = self._search.quiet(volts, self._quiet)
-        seen: Burst | None = None
+        seen: list[Burst] = []
         for quiet in candidates:
             shifted = volts - quiet.level
             burst = self._first_burst(shifted, quiet)
             if burst is None:
                 continue
-            seen = burst
+            seen.append(burst)
             if not final and self._incomplete(burst, volts.size):
                 self._due = max(end + 1, self._cursor + math.ceil(burst.first) + self._reach)
                 return []
@@ -132,20 +132,24 @@ class GapTiming(Timing):
                 self._quiet = quiet
                 level = quiet.level + (float(around.mean()) if around.size else 0.0)
                 return self._emit(volts, fit, chips, level)
-        if seen is None or seen.snr < 2 * self._search.snr_floor:
+        if all(self._may_be_noise(burst) for burst in seen):
             self._quiet = candidates[0] if candidates and not final else self._quiet
             return [] if final else self._pass_idle(end)
         self.rejected += 1
         self._failures += 1
         if self._failures == 3:  # perhaps it is the level that is wrong
             self._quiet, self._failures = None, 0
-        self._skip_to(self._cursor + max(self._bit, math.ceil(seen.pause)))
+        # A wrong level's burst may reach far into the next frame.
+        pause = min(burst.pause for burst in seen)
+        self._skip_to(self._cursor + max(self._bit, math.ceil(pause)))
         return []
 
     def _first_burst(self, volts: Floats, quiet: Quiet) -> Burst | None:
         """The earliest burst: the strongest one may have a weaker one before it."""
         found = None
         while burst := self._search.burst(volts, quiet.variance):
+            if found and self._may_be_noise(burst):
+                break  # the frame after it is in view
             found = burst
             if burst.pause < burst.last:
                 before = int(burst.pause) + self._bit
@@ -155,6 +159,9 @@ class GapTiming(Timing):
                 break
             volts = volts[:before]
         return found
+
+    def _may_be_noise(self, burst: Burst) -> bool:
+        return burst.snr < 2 * self._search.snr_floor
 
     def _expected(self, burst: Burst) -> Expected | None:
         """A frame near the burst that keeps to the raster of the last one."""

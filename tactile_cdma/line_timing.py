@@ -9,11 +9,15 @@ from numpy.typing import NDArray
 
 from .errors import SpecError
 from .fit import Fit, Floats, Line, integrate, read_words, refine
-from .frame import MAX_STRETCH, FrameSpec
+from .frame import BIPOLAR, MAX_STRETCH, FrameSpec
 from .timing import FrameChips, SampleBlock, Timing
 
-MAX_LINE_SPREAD = 0.25
-"""Spread beyond which a frame marked by its sync is rejected after all stretches were tried."""
+MAX_SPREAD = 0.12
+"""Spread beyond which a marked frame is rejected after all stretches were tried."""
+CLOCK_ERROR = 2e-3
+"""What chips may be shorter than nominal, or longer than the longest stretch."""
+TAIL_CHIPS = 3
+"""So many chips after its end must be silent for a frame to be taken."""
 CLEAN_SPREAD = 0.08
 """Spread of words at which a frame marked by its sync is taken as timed right: ρ > 3.5."""
 
@@ -47,7 +51,8 @@ class LineTiming(Timing):
         self._start: int | None = None
         self._due = 0
         self._gap_begin: int | None = None  # end of the last frame, if no hole followed
-        self._level_v = 0.0
+        self._level_v = 0.0  # until a gap was seen; a free row 0 then shows the offset
+        self._level_known = False
         self._noise = 0.0  # variance of a chip's level in the gap, V²; 0 where unknown
         self._chip = self._nominal
 
@@ -86,8 +91,7 @@ class LineTiming(Timing):
         gap = self._samples.take(begin, index)
         if gap.size and not np.isnan(gap.sum()):
             self._level_v, self._noise = float(gap.mean()), float(gap.var()) / self._nominal
-        elif self.spec.first_row > 0:
-            self._level_v = 0.0  # row 0 is free and will show the offset
+            self._level_known = True
         self._samples.drop(index)
         self._start, self._due = index, index + self._nominal_size
 
@@ -113,8 +117,7 @@ class LineTiming(Timing):
             return []
         volts = volts - self._level_v
         if self._integrated:
-            chips = volts[: spec.chips].astype(np.float32).reshape(spec.bits, spec.order)
-            return self._emit(start, Fit(-0.5, 1.0), chips, volts, self._silent(chips))
+            return self._integrated_frame(start, volts)
         line = Line(volts)
         nominal = Fit(-0.5, self._nominal)  # the first sample stands for half a sample before it
         chips, _ = self._chips(line, nominal, CLEAN_SPREAD)
@@ -125,11 +128,12 @@ class LineTiming(Timing):
             fit = self._refined(line, chip)
             chips, clean = self._chips(line, fit, CLEAN_SPREAD, self._noise or None)
             if clean and not self._silent(chips):
-                missing = fit.end(spec) - volts.size
-                if missing < 0.5 * chip or final:
+                missing = fit.end(spec) + TAIL_CHIPS * fit.chip - volts.size
+                if missing > 0.5 and not final:
+                    self._due = end + math.ceil(missing)
+                    return []
+                if fit.end(spec) - volts.size < 0.5 * chip and self._ends(volts, fit, chips):
                     return self._emit(start, fit, chips, volts, False)
-                self._due = end + math.ceil(missing)
-                return []
         if power <= 1.6 * self._noise:  # too weak to look for at other stretches
             return self._emit(start, nominal, chips, volts, True)
         longest = start + math.ceil((1 + MAX_STRETCH) * spec.chips * self._nominal)
@@ -137,17 +141,46 @@ class LineTiming(Timing):
             self._due = longest
             return []
         fit = self._refined(line, self._stretched(line))
-        chips, believable = self._chips(line, fit, MAX_LINE_SPREAD)
+        chips, believable = self._chips(line, fit, MAX_SPREAD)
         silent = self._silent(chips)
-        if believable or silent:
+        if silent or (believable and self._ends(volts, fit, chips)):
             return self._emit(start, fit, chips, volts, silent)
         self._reject()
         return []
 
+    def _integrated_frame(self, start: int, volts: Floats) -> list[FrameChips]:
+        """The frame of words that are chips already: taken as it is, or not at all."""
+        spec = self.spec
+        chips = volts[: spec.chips].astype(np.float32).reshape(spec.bits, spec.order)
+        silent = self._silent(chips)
+        if silent or read_words(chips[None], spec).believable(MAX_SPREAD, spec)[0]:
+            return self._emit(start, Fit(-0.5, 1.0), chips, volts, silent)
+        self._reject()
+        return []
+
+    def _ends(self, volts: Floats, fit: Fit, chips: NDArray[np.float32]) -> bool:
+        """Whether the line is at rest after the fitted end: the frame is neither longer nor other.
+
+        This tells a stretched frame from a shorter fit of its words, and words of more bits than
+        specified. volts: from the frame's start on, gap level removed. True where that level is
+        not to be known, or nothing was received after the end.
+        """
+        end = fit.end(self.spec) + 0.5
+        tail = volts[math.ceil(end + 0.25 * fit.chip) : math.floor(end + TAIL_CHIPS * fit.chip)]
+        free = self.spec.first_row > 0 and self.spec.drive == BIPOLAR
+        if tail.size < 0.5 * fit.chip or not (self._level_known or free):
+            return True
+        level = 0.0 if self._level_known else float(chips.mean())
+        spoken = read_words(chips[None], self.spec).amplitude[0]
+        least = float(spoken[spoken > 0].min(initial=np.inf))
+        power = float(np.square(tail - level).mean())
+        return power < (0.4 * least) ** 2 + 4 * self._noise * fit.chip
+
     def _refined(self, line: Line, chip: float) -> Fit:
         """The frame refined around the first sample; as it was if that leads nowhere."""
         fit = refine(line, Fit(-0.5, chip), self.spec, earliest=-1.0, latest=0.5)
-        possible = 0.99 <= fit.chip / self._nominal <= 1.01 * (1 + MAX_STRETCH)
+        stretch = fit.chip / self._nominal
+        possible = 1 - CLOCK_ERROR <= stretch <= (1 + CLOCK_ERROR) * (1 + MAX_STRETCH)
         return fit if possible else Fit(-0.5, chip)
 
     def _stretched(self, line: Line) -> float:
