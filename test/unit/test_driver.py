@@ -1,6 +1,7 @@
 """The driver thread on real pyserial ports: sim://, a pty, and what can go wrong there."""
 
 import os
+import socket
 import threading
 import time
 import tty
@@ -12,8 +13,8 @@ import numpy as np
 import pytest
 import serial
 
-from tactile_cdma.driver import WAITING, Driver
-from tactile_cdma.errors import PortError
+from tactile_cdma.driver import WAITING, Driver, Session
+from tactile_cdma.errors import PortError, SpecError
 from tactile_cdma.messages import Start
 from tactile_cdma.parameters import SkinConfig
 from tactile_cdma.pipeline import TactileFrame
@@ -218,6 +219,53 @@ def test_stopping_stops_the_digitizer_and_frees_the_port() -> None:
         assert sent[-1] == "Stop"
         with Port(name, 115_200):
             pass
+
+
+def test_a_fault_in_a_consumer_is_reported_and_the_skin_comes_back() -> None:
+    watch, faults = Watch(), iter([True])
+
+    def consume(frame: TactileFrame) -> None:
+        if len(watch.frames) == 5 and next(faults, False):
+            raise ZeroDivisionError("of the test")
+        watch.frames.append(frame)
+
+    with Driver(CONFIG, "sim://", 2_000_000, consume, watch.note) as driver:
+        wait_for(lambda: len(watch.frames) > 20)
+        assert driver.connections == 2
+    assert any("ZeroDivisionError: of the test" in problem for problem in watch.problems if problem)
+
+
+def test_a_network_port_keeps_up() -> None:
+    server = socket.create_server(("127.0.0.1", 0))
+    stop = threading.Event()
+
+    def serve_digitizer() -> None:
+        connection, _ = server.accept()
+        digitizer = VirtualDigitizer(SimOptions())
+        with connection:
+            connection.settimeout(0.001)
+            while not stop.is_set():
+                with suppress(TimeoutError):
+                    digitizer.receive(connection.recv(4096))
+                digitizer.advance()
+                with suppress(OSError):
+                    connection.sendall(digitizer.take(65_536))
+
+    thread = threading.Thread(target=serve_digitizer)
+    thread.start()
+    watch = Watch()
+    with watch.driver(f"socket://127.0.0.1:{server.getsockname()[1]}"):
+        start = time.monotonic()
+        wait_for(lambda: len(watch.frames) >= 100)
+        assert time.monotonic() - start < 3  # 1.3 s of frames
+    stop.set()
+    thread.join()
+    server.close()
+
+
+def test_what_the_wire_cannot_say_is_refused() -> None:
+    with pytest.raises(SpecError, match="whole nanoseconds"):
+        Session(SkinConfig.of({"chip_us": 33.33333}))
 
 
 def test_simulated_port_is_found_by_pyserial_itself() -> None:

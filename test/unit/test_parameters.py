@@ -1,5 +1,8 @@
 """The parameter table, parameter files and the configuration made of them."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -91,3 +94,8 @@ def test_sections_of_namespaced_files_are_found(tmp_path: Path) -> None:
     path = tmp_path / "names.yaml"
     path.write_text(yaml.safe_dump({"/left/skin": {"ros__parameters": {"bits": 12}}}))
     assert read_file(path) == {"bits": 12}
+
+
+def test_the_table_in_the_readme_is_fresh() -> None:
+    command = [sys.executable, str(ROOT / "tools" / "parameter_table.py"), "--check"]
+    assert subprocess.run(command, env={**os.environ, "PYTHONPATH": str(ROOT)}).returncode == 0

@@ -207,12 +207,70 @@ def test_a_digitizer_set_otherwise_is_reported_and_not_decoded(
     assert re.search(message, pipeline.problem or "")
 
 
-def test_another_protocol_version_is_reported() -> None:
+def info_of(config: SkinConfig) -> Info:
+    packets = PacketParser().feed(stream(config, "sim://?", 1))
+    return next(packet for packet in packets if isinstance(packet, Info))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"volts_per_count": 0.0}, "describes no voltages"),
+        ({"volts_per_count": -1.0}, "describes no voltages"),
+        ({"min_count": 5, "max_count": 5}, "describes no voltages"),
+        ({"sample_rate_uhz": 1}, "says it sends raw samples, but|less than one sample per"),
+        ({"sample_rate_uhz": 2**62}, "1000 at most"),
+        ({"sample_rate_uhz": 24_000 * 10**6}, "does not fit.*1.2 samples per chip"),
+        ({"integrated": True}, "says it sends chip means, but 4 per chip"),
+    ],
+)
+def test_impossible_descriptions_are_reported(changes: dict, message: str) -> None:
+    pipeline = Pipeline(SkinConfig.of({}))
+    info = replace(info_of(pipeline.config), **changes)
+    samples = Samples(0, 0, np.zeros(100, np.int16), sync=True)
+    writer = PacketWriter()
+    assert pipeline.feed(writer.encode(info) + writer.encode(samples), 0.0) == []
+    assert re.search(message, pipeline.problem or "")
+
+
+@pytest.mark.parametrize("jump_us", [-5_000_000, 5_000_000, 2**40, 2**63])
+def test_a_clock_that_parts_from_the_count_of_samples_starts_anew(jump_us: int) -> None:
+    """Stamps go on rising, the sequence goes on, and nothing old passes for new."""
     config = SkinConfig.of({})
-    info = next(p for p in PacketParser().feed(stream(config, "sim://?", 1)) if isinstance(p, Info))
+    packets = PacketParser().feed(stream(config, "sim://?scene=all&seed=1", 40))
+    writer, pipeline, frames = PacketWriter(), Pipeline(config), []
+    for number, packet in enumerate(packets):
+        if isinstance(packet, Samples) and number > len(packets) // 2:
+            later = max(0, packet.device_time_us + jump_us)
+            packet = replace(packet, device_time_us=later)
+        frames += pipeline.feed(writer.encode(packet), 10.0 + number * 1.6e-3)
+    assert (np.diff([f.t_host for f in frames]) > 0).all()
+    assert (np.diff([f.sequence for f in frames]) >= 1).all()
+    assert frames[-1].sequence < 50
+    assert frames[-1].t_host < 10.0 + len(packets) * 1.6e-3
+    assert pipeline.counters.restarts + pipeline.counters.implausible_packets
+
+
+def test_values_from_before_a_reconnection_are_not_shown_as_current() -> None:
+    config = SkinConfig.of({})
     pipeline = Pipeline(config)
-    pipeline.feed(PacketWriter().encode(replace(info, version=9)), 0.0)
+    pipeline.feed(stream(config, "sim://?scene=all&threshold=0", 5), 0.0)
+    pipeline.reconnected()
+    [frame, *_] = pipeline.feed(stream(config, "sim://?scene=idle&heartbeat=0", 5), 1e4)
+    assert np.isnan(frame.readings.pressure_pa).all()
+    assert (frame.readings.status & Status.STALE).all()
+
+
+def test_another_protocol_version_is_reported_and_ends_decoding() -> None:
+    config = SkinConfig.of({})
+    writer, pipeline = PacketWriter(), Pipeline(config)
+    packets = PacketParser().feed(stream(config, "sim://?scene=all", 10))
+    pipeline.feed(writer.encode(replace(info_of(config), version=9)), 0.0)
+    samples = [packet for packet in packets if isinstance(packet, Samples)]
+    assert pipeline.feed(b"".join(map(writer.encode, samples)), 0.0) == []
     assert "protocol version 9, this driver speaks 1" in (pipeline.problem or "")
+    assert len(pipeline.feed(b"".join(map(writer.encode, packets)), 0.0)) >= 9
+    assert pipeline.problem is None
 
 
 @given(st.binary(max_size=3000))

@@ -138,6 +138,35 @@ def test_every_single_node(spec: FrameSpec, node: int) -> None:
     check(wire, run(GapTiming(spec, wire.rate_hz), wire.volts(offset_v=0.7)))
 
 
+@pytest.mark.parametrize("rate", [5.0, 8.13, 25.0])
+@pytest.mark.parametrize("amplitude_v", [0.3, None])
+@pytest.mark.parametrize("word", [0b1110000111, 0b1111100000, 0b0000111100, 0b1111111111])
+def test_a_first_word_as_quiet_as_the_gap(
+    word: int, amplitude_v: float | None, rate: float
+) -> None:
+    """A lone node on row 0 holds the line at −a and at +a as evenly as the gap at 0."""
+    wire = Wire(replace(PAPER, amplitude_v=amplitude_v), rate, seed=word)
+    wire.amplitude_v = 0.3
+    for i in range(3):
+        wire.send((i + 0.25) * wire.period, {0: word ^ i})
+    timing = GapTiming(wire.spec, wire.rate_hz)
+    volts = wire.volts(rho=60, offset_v=0.7)
+    check(wire, run(timing, volts), start_chips=0.05 + 0.5 / rate)
+    assert timing.rejected == 0
+    inside = int(wire.sent[0].start + wire.rng.uniform(0.1, 0.9) * PAPER.chips * wire.chip)
+    frames = [f for f in run(GapTiming(wire.spec, wire.rate_hz), volts[inside:]) if not f.idle]
+    assert [words_of(f, PAPER) for f in frames] == [s.words for s in wire.sent[1:]]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_noise_before_a_frame_does_not_hide_it(seed: int) -> None:
+    spec = FrameSpec(nodes=4, order=4, first_row=0, frame_period_s=3.2e-3, amplitude_v=None)
+    wire = Wire(spec, 8.13, seed)
+    for slot in (0, 1, 3, 6, 8, 11):
+        wire.send((slot + 0.5) * wire.period, {2: 400 + slot, 3: 77})
+    check(wire, run(GapTiming(spec, wire.rate_hz), wire.volts(rho=30)), start_chips=0.2)
+
+
 @pytest.mark.parametrize("rate", [3.3, 5.0, 8.13, 40.0])
 @pytest.mark.parametrize("name", SPECS)
 def test_random_words_and_subsets(name: str, rate: float) -> None:
