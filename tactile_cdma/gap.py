@@ -115,7 +115,7 @@ class GapSearch:
 
         volts: (m,) float64, V. Returns candidates, most likely first; there are others only where
         a lone node on row 0 may hold the line at a constant level: equal bits on end are as quiet
-        as the gap, at −a or +a or, in turns, both. The gap lies between.
+        as the gap, at −a or +a or, in turns, both, and then the gap is midway.
         """
         means = self._halves(volts)
         width = min(self.quiet_halves, means.size)
@@ -137,8 +137,9 @@ class GapSearch:
             found.append(Quiet(centre + level, 1.2 * lowest))
             variance[np.abs(sums - level) <= 4 * math.sqrt(floor)] = np.inf
         if len(found) == 3:
-            found.sort(key=lambda quiet: quiet.level)
-            found.insert(0, found.pop(1))
+            low, middle, high = sorted(found, key=lambda quiet: quiet.level)
+            uneven = abs(high.level + low.level - 2 * middle.level)
+            return [middle] if uneven < 0.2 * (high.level - low.level) else found[:2]
         return found
 
     def burst(self, volts: Floats, variance: float) -> Burst | None:

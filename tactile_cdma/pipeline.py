@@ -133,7 +133,7 @@ class Pipeline:
         return [self._frame(chips) for chips in self._timing.flush()] if self._timing else []
 
     def reconnected(self) -> None:
-        """The port was opened anew: whatever was under way is void, held values stay."""
+        """The port was opened anew: whatever was under way, or held, is void."""
         self._earlier_packets = self.packet_counts
         self.parser = PacketParser()
         self.info = self.refusal = self._timing = self._next_index = None
@@ -224,13 +224,18 @@ class Pipeline:
         t_start = self._device_time(chips.start)
         t_middle = t_start + chip_s * spec.chips / 2
         words = silent(spec) if chips.idle else decode(chips.volts, spec, self.threshold)
-        step = 1
+        t_host = self._clock.to_host(t_middle)
         if self._last_start_s is not None:
-            step = max(1, round((t_start - self._last_start_s) / spec.frame_period_s))
-        self._last_start_s = t_start
+            passed_s = t_start - self._last_start_s
+        elif self._sequence >= 0:  # after a restart only the host knows how long it took
+            passed_s = t_host - self._last_t_host
+        else:
+            passed_s = 0.0
+        step = max(1, round(passed_s / spec.frame_period_s))
         self._sequence += step
+        self._last_start_s = t_start
         # A better estimate of the clocks may move time back: stamps still rise.
-        self._last_t_host = max(self._clock.to_host(t_middle), self._last_t_host + _TICK_S)
+        self._last_t_host = max(t_host, self._last_t_host + _TICK_S)
         self.counters.frames += 1
         self.counters.lost_frames += step - 1
         return TactileFrame(

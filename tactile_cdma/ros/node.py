@@ -204,15 +204,15 @@ class SkinNode(LifecycleNode):
             self._publish_frame,
             self._log_problem,
         )
-        port, self._port = self._port, None
-        self._driver.start(port)
-        self._counted = (time.monotonic(), 0)
-        self._heatmap_timer.reset()
         spec = self._config.spec
         self.get_logger().info(
             f"opened {self._value('port')} for {spec.nodes} nodes: order {spec.order}, "
             f"{spec.bits} bits, a frame every {spec.frame_period_s * 1e3:g} ms"
         )
+        port, self._port = self._port, None
+        self._driver.start(port)
+        self._counted = (time.monotonic(), 0)
+        self._heatmap_timer.reset()
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
