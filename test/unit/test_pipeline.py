@@ -37,7 +37,7 @@ def configuration(config: SkinConfig) -> Configure:
 
 def stream(config: SkinConfig, url: str, frames: int) -> bytes:
     """What a digitizer sends for so many frames after being configured and started."""
-    digitizer = VirtualDigitizer(SimOptions.from_url(f"{url}&speed=0"))
+    digitizer = VirtualDigitizer(SimOptions.from_url(f"{url}&speed=0"), clock=lambda: 0.0)
     writer = PacketWriter()
     for command in (configuration(config), GetInfo(), Start()):
         digitizer.receive(writer.encode(command))
