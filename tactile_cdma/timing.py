@@ -117,8 +117,6 @@ class Timing:
         self.rails_v = rails_v
         self.rejected = 0
         """Stretches of the line that were no frame: cut off, too short, too long, poor fit."""
-        self.holes = 0
-        """Blocks that did not continue the one before."""
         self._samples = SampleBuffer()
         self._fresh = True
 
@@ -131,7 +129,6 @@ class Timing:
         if not self._fresh and block.first_index == self._samples.end:
             return True
         if not self._fresh:
-            self.holes += 1
             self.reset()
         self._samples.restart(block.first_index)
         self._fresh = False
