@@ -21,6 +21,10 @@ MAX_DISTORTION = 0.15
 """Power left over by the words, relative to theirs, that edges and clipping may account for."""
 
 
+SETTLED = 0.02
+"""Change of a frame's edges, in chips, that is not worth another look."""
+
+
 class Line:
     """Samples and their running integral, evaluated at fractional instants.
 
@@ -174,9 +178,11 @@ def refine(
         else:
             moved = start
         moved = min(max(moved, earliest), latest)
-        if w2 > 0:
-            chip += (m1 - w1 * (moved - start)) / w2
-        start = moved
+        longer = (m1 - w1 * (moved - start)) / w2 if w2 > 0 else 0.0
+        change = abs(moved - start) + abs(longer) * spec.chips
+        start, chip = moved, chip + longer
+        if change < SETTLED * chip:
+            break
     return Fit(float(start), float(chip))
 
 

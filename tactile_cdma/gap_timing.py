@@ -126,12 +126,12 @@ class GapTiming(Timing):
             fit = self._search.fit(line, burst, self._expected(burst))
             if fit is None or fit.end(self.spec) > volts.size + 0.5 * fit.chip:
                 continue
-            chips, believable = self._chips(line, fit, MAX_SPREAD, burst.noise / fit.chip)
+            chips = self._chips(line, fit, MAX_SPREAD, burst.noise / fit.chip)
             around = self._around(volts, fit) - quiet.level
-            if believable and burst.is_quiet(around):
+            if chips.believable and burst.is_quiet(around):
                 self._quiet = quiet
                 level = quiet.level + (float(around.mean()) if around.size else 0.0)
-                return self._emit(volts, fit, chips, level)
+                return self._emit(volts, fit, chips.volts, level)
         if all(self._may_be_noise(burst) for burst in seen):
             self._quiet = candidates[0] if candidates and not final else self._quiet
             return [] if final else self._pass_idle(end)

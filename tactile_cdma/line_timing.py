@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from .errors import SpecError
 from .fit import Fit, Floats, Line, integrate, read_words, refine
 from .frame import BIPOLAR, MAX_STRETCH, FrameSpec
-from .timing import FrameChips, SampleBlock, Timing
+from .timing import Chips, FrameChips, SampleBlock, Timing
 
 MAX_SPREAD = 0.12
 """Spread beyond which a marked frame is rejected after all stretches were tried."""
@@ -93,7 +93,8 @@ class LineTiming(Timing):
             self._level_v, self._noise = float(gap.mean()), float(gap.var()) / self._nominal
             self._level_known = True
         self._samples.drop(index)
-        self._start, self._due = index, index + self._nominal_size
+        tail = 0 if self._integrated else math.ceil(TAIL_CHIPS * self._nominal)
+        self._start, self._due = index, index + self._nominal_size + tail
 
     def _close(self) -> list[FrameChips]:
         """No more samples for the frame in progress: take what there is, or reject it."""
@@ -120,45 +121,47 @@ class LineTiming(Timing):
             return self._integrated_frame(start, volts)
         line = Line(volts)
         nominal = Fit(-0.5, self._nominal)  # the first sample stands for half a sample before it
-        chips, _ = self._chips(line, nominal, CLEAN_SPREAD)
-        power = self._power(chips)
+        power = self._power(line, nominal)
         if power <= self._least_power:
-            return self._emit(start, nominal, chips, volts, True)
+            return self._idle_frame(start, nominal)
         for chip in (self._nominal, self._chip):
             fit = self._refined(line, chip)
-            chips, clean = self._chips(line, fit, CLEAN_SPREAD, self._noise or None)
-            if clean and not self._silent(chips):
+            chips = self._chips(line, fit, CLEAN_SPREAD, self._noise or None)
+            if chips.believable and not self._silent(chips.amplitude):
                 missing = fit.end(spec) + TAIL_CHIPS * fit.chip - volts.size
                 if missing > 0.5 and not final:
                     self._due = end + math.ceil(missing)
                     return []
                 if fit.end(spec) - volts.size < 0.5 * chip and self._ends(volts, fit, chips):
-                    return self._emit(start, fit, chips, volts, False)
+                    return self._emit(start, fit, chips.volts, volts)
         if power <= 1.6 * self._noise:  # too weak to look for at other stretches
-            return self._emit(start, nominal, chips, volts, True)
+            return self._idle_frame(start, nominal)
         longest = start + math.ceil((1 + MAX_STRETCH) * spec.chips * self._nominal)
         if end < longest and not final:
             self._due = longest
             return []
         fit = self._refined(line, self._stretched(line))
-        chips, believable = self._chips(line, fit, MAX_SPREAD)
-        silent = self._silent(chips)
-        if silent or (believable and self._ends(volts, fit, chips)):
-            return self._emit(start, fit, chips, volts, silent)
+        chips = self._chips(line, fit, MAX_SPREAD)
+        if self._silent(chips.amplitude):
+            return self._idle_frame(start, fit)
+        if chips.believable and self._ends(volts, fit, chips):
+            return self._emit(start, fit, chips.volts, volts)
         self._reject()
         return []
 
     def _integrated_frame(self, start: int, volts: Floats) -> list[FrameChips]:
         """The frame of words that are chips already: taken as it is, or not at all."""
-        spec = self.spec
+        spec, fit = self.spec, Fit(-0.5, 1.0)
         chips = volts[: spec.chips].astype(np.float32).reshape(spec.bits, spec.order)
-        silent = self._silent(chips)
-        if silent or read_words(chips[None], spec).believable(MAX_SPREAD, spec)[0]:
-            return self._emit(start, Fit(-0.5, 1.0), chips, volts, silent)
+        words = read_words(chips[None], spec)
+        if self._silent(words.amplitude[0]):
+            return self._idle_frame(start, fit)
+        if words.believable(MAX_SPREAD, spec)[0]:
+            return self._emit(start, fit, chips, volts)
         self._reject()
         return []
 
-    def _ends(self, volts: Floats, fit: Fit, chips: NDArray[np.float32]) -> bool:
+    def _ends(self, volts: Floats, fit: Fit, chips: Chips) -> bool:
         """Whether the line is at rest after the fitted end: the frame is neither longer nor other.
 
         This tells a stretched frame from a shorter fit of its words, and words of more bits than
@@ -170,9 +173,8 @@ class LineTiming(Timing):
         free = self.spec.first_row > 0 and self.spec.drive == BIPOLAR
         if tail.size < 0.5 * fit.chip or not (self._level_known or free):
             return True
-        level = 0.0 if self._level_known else float(chips.mean())
-        spoken = read_words(chips[None], self.spec).amplitude[0]
-        least = float(spoken[spoken > 0].min(initial=np.inf))
+        level = 0.0 if self._level_known else float(chips.volts.mean())
+        least = float(chips.amplitude[chips.amplitude > 0].min(initial=np.inf))
         power = float(np.square(tail - level).mean())
         return power < (0.4 * least) ** 2 + 4 * self._noise * fit.chip
 
@@ -195,29 +197,35 @@ class LineTiming(Timing):
         ]
         return float(chip[np.argmax(np.concatenate(gains))])
 
-    def _power(self, chips: NDArray[np.float32]) -> float:
-        """Mean power of chips, V², without an unknown offset."""
-        level = chips - chips.mean() if self.spec.first_row > 0 else chips
-        return float(np.square(level).mean())
+    def _power(self, line: Line, fit: Fit) -> float:
+        """Mean power of a fit's chips, V², without an unknown offset."""
+        chips = integrate(line, np.array([fit.start]), np.array([fit.chip]), self.spec)
+        return float(chips.var() if self.spec.first_row > 0 else np.square(chips).mean())
 
-    def _silent(self, chips: NDArray[np.float32]) -> bool:
+    def _silent(self, amplitude: NDArray[np.float32]) -> bool:
         """Whether no word rises above the gap's noise, or above what any node would send.
 
         Noise gives words of 0.8 ± 0.6/√k deviations of a correlation.
         """
-        strongest = float(read_words(chips[None], self.spec).amplitude.max())
+        strongest = float(amplitude.max())
         return strongest**2 <= max(self._least_power, 4 * self._noise / self.spec.order)
 
     def _emit(
-        self, start: int, fit: Fit, chips: NDArray[np.float32], volts: Floats, idle: bool
+        self, start: int, fit: Fit, chips: NDArray[np.float32], volts: Floats
     ) -> list[FrameChips]:
         """The frame whose first sample this is."""
-        # An integrated word's index is the begin of its chip, a raw sample's is its instant.
-        begin = float(start) if self._integrated else start + fit.start
-        self._start = None
-        self._gap_begin = start + math.ceil(fit.end(self.spec) + 0.5 * fit.chip)
-        if idle:
-            return [self._idle(begin, fit.chip, self._level_v)]
         self._chip = fit.chip
         clipped = self._clipped(volts[: round(fit.end(self.spec) + 0.5)] + self._level_v)
+        begin = self._close_at(start, fit)
         return [FrameChips(begin, fit.chip, chips, self._level_v, clipped, False)]
+
+    def _idle_frame(self, start: int, fit: Fit) -> list[FrameChips]:
+        """A frame in which nobody spoke."""
+        return [self._idle(self._close_at(start, fit), fit.chip, self._level_v)]
+
+    def _close_at(self, start: int, fit: Fit) -> float:
+        """The frame in progress is done: its begin, and the gap from its end on."""
+        self._start = None
+        self._gap_begin = start + math.ceil(fit.end(self.spec) + 0.5 * fit.chip)
+        # An integrated word's index is the begin of its chip, a raw sample's is its instant.
+        return float(start) if self._integrated else start + fit.start

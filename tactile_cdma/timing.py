@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +57,18 @@ class FrameChips:
     offset_v: float
     clipped: float
     idle: bool
+
+
+class Chips(NamedTuple):
+    """What a fit makes of the samples.
+
+    volts: (k, N) float32, V. amplitude: (n,) float32, V, of every node's word, 0 where silent.
+    believable: whether the words account for the chips.
+    """
+
+    volts: NDArray[np.float32]
+    amplitude: NDArray[np.float32]
+    believable: bool
 
 
 class SampleBuffer:
@@ -134,10 +147,8 @@ class Timing:
         self._fresh = False
         return False
 
-    def _chips(
-        self, line: Line, fit: Fit, limit: float, noise: float | None = None
-    ) -> tuple[NDArray[np.float32], bool]:
-        """Chips (k, N), V, and whether their words are believable within a limit of spread.
+    def _chips(self, line: Line, fit: Fit, limit: float, noise: float | None = None) -> Chips:
+        """Chips of a fit, to be believed within a limit of spread.
 
         Whole chips are the matched filter; their middle is blind to edges a tenth of a chip off.
         Taken is what gives the more even words.
@@ -148,7 +159,8 @@ class Timing:
         )
         words = read_words(both, self.spec)
         best = int(np.argmin(words.spread))
-        return both[best], bool(words.believable(limit, self.spec, noise)[best])
+        believable = bool(words.believable(limit, self.spec, noise)[best])
+        return Chips(both[best], words.amplitude[best], believable)
 
     def _idle(self, start: float, chip: float, offset_v: float) -> FrameChips:
         zeros = np.zeros((self.spec.bits, self.spec.order), np.float32)
