@@ -212,7 +212,7 @@ def _record(arguments: argparse.Namespace) -> int:
         f"crc_errors={counters.crc_errors}"
     )
     if not described:
-        reason = diagnose(counters) or "packets, but no description of the digitizer (INFO)"
+        reason = diagnose(counters)
         raise CaptureError(f"{path}: this capture cannot be decoded: {reason}")
     return 0
 

@@ -29,8 +29,6 @@ class DeviceClock:
 
     def observe(self, t_device: float, t_host: float) -> None:
         """A packet that left the device at t_device was read at t_host."""
-        if self._observed and t_device < self._observed[-1][0] - self._interval_s:
-            self._observed.clear()  # the device was restarted
         interval = int(t_device // self._interval_s)
         if not self._observed or interval != self._interval:
             self._interval = interval

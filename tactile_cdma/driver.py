@@ -175,7 +175,7 @@ class Session:
             command, reason = pipeline.refusal.command, pipeline.refusal.result.name.lower()
             return f"the digitizer refused command 0x{command:02x}: {reason.replace('_', ' ')}"
         if pipeline.info is None:
-            return diagnose(counters) or "packets arrive, but no description (INFO)"
+            return diagnose(counters)
         if pipeline.counters.restarts > self._restarts + 1:
             return "the digitizer's clock and its count of samples contradict each other"
         if pipeline.rejected:

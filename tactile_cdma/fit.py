@@ -65,7 +65,7 @@ def integrate(
 
 
 @dataclass(frozen=True, slots=True)
-class Words:
+class WordFit:
     """What chips say when every node is held to one amplitude per word.
 
     signed: (c, k, n) float32, V: correlations of the nodes' rows.
@@ -106,7 +106,7 @@ class Words:
         return good
 
 
-def read_words(chips: NDArray[np.float32], spec: FrameSpec) -> Words:
+def read_words(chips: NDArray[np.float32], spec: FrameSpec) -> WordFit:
     """Words of each hypothesis: chips (c, k, N) float32, V. A node under half the max is silent."""
     rows = correlate(chips, spec.book)
     signed = rows[..., spec.first_row : spec.first_row + spec.nodes]
@@ -124,7 +124,7 @@ def read_words(chips: NDArray[np.float32], spec: FrameSpec) -> Words:
             total -= np.einsum("ck,ck->c", rows[..., 0], rows[..., 0])
     floor = np.float32(1e-30)
     power = word_power + np.square(pedestal)
-    return Words(
+    return WordFit(
         signed,
         amplitude,
         pedestal,

@@ -14,7 +14,7 @@ from .timing import Chips, FrameChips, SampleBlock, Timing
 
 MAX_SPREAD = 0.12
 """Spread beyond which a marked frame is rejected after all stretches were tried."""
-CLOCK_ERROR = 2e-3
+CHIP_ERROR = 2e-3
 """What chips may be shorter than nominal, or longer than the longest stretch."""
 TAIL_CHIPS = 3
 """So many chips after its end must be silent for a frame to be taken."""
@@ -124,7 +124,7 @@ class LineTiming(Timing):
         power = self._power(line, nominal)
         if power <= self._least_power:
             return self._idle_frame(start, nominal)
-        for chip in (self._nominal, self._chip):
+        for chip in dict.fromkeys((self._nominal, self._chip)):
             fit = self._refined(line, chip)
             chips = self._chips(line, fit, CLEAN_SPREAD, self._noise or None)
             if chips.believable and not self._silent(chips.amplitude):
@@ -182,7 +182,7 @@ class LineTiming(Timing):
         """The frame refined around the first sample; as it was if that leads nowhere."""
         fit = refine(line, Fit(-0.5, chip), self.spec, earliest=-1.0, latest=0.5)
         stretch = fit.chip / self._nominal
-        possible = 1 - CLOCK_ERROR <= stretch <= (1 + CLOCK_ERROR) * (1 + MAX_STRETCH)
+        possible = 1 - CHIP_ERROR <= stretch <= (1 + CHIP_ERROR) * (1 + MAX_STRETCH)
         return fit if possible else Fit(-0.5, chip)
 
     def _stretched(self, line: Line) -> float:

@@ -69,7 +69,7 @@ def described_parameters(path: Path) -> dict[str, Value]:
                         "timing": GAP if packet.sync_mode == SyncMode.NONE else LINE,
                         "samples_per_chip": packet.frame.samples_per_chip,
                     }
-    reason = diagnose(parser.counters) or "packets, but no description of the digitizer (INFO)"
+    reason = diagnose(parser.counters)
     raise CaptureError(f"{path}: {reason}")
 
 

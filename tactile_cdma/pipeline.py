@@ -134,8 +134,9 @@ class Pipeline:
 
     def reconnected(self) -> None:
         """The port was opened anew: whatever was under way, or held, is void."""
-        self._earlier_packets = self.packet_counts
-        self.parser = PacketParser()
+        # At once, for whoever reads the counts meanwhile.
+        self._earlier_packets, self.parser = self.packet_counts, PacketParser()
+        self.status = None
         self.info = self.refusal = self._timing = self._next_index = None
         self.problem = None
         self._forget()

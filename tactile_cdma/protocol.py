@@ -186,10 +186,10 @@ class PacketWriter:
         return wrap(header + packet.payload())
 
 
-def diagnose(counters: Counters) -> str | None:
-    """What the person at the bench should look at where no packet came; None if one did."""
+def diagnose(counters: Counters) -> str:
+    """What the person at the bench should look at where no INFO came."""
     if counters.packets:
-        return None
+        return "packets arrive, but no description of the digitizer (INFO)"
     if not counters.bytes:
         return "no bytes: is the digitizer powered and started?"
     if counters.text_bytes > 0.9 * counters.bytes:  # random bytes: 0.38

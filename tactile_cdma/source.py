@@ -1,4 +1,4 @@
-"""The serial port: the only module that uses pyserial."""
+"""The serial port: the only user of pyserial, but for the handler that makes sim:// one."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Port:
             raise PortError(f"{url}: {_open_failure(error)}") from None
 
     def read(self) -> tuple[bytes, float]:
-        """What has arrived, waiting at most READ_TIMEOUT_S for the first byte.
+        """What has arrived, waiting at most READ_TIMEOUT_S (a socket: SOCKET_TIMEOUT_S) for it.
 
         Returns the bytes (none after a quiet time-out) and the host's monotonic time, s, just
         after they were read.

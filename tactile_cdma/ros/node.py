@@ -20,7 +20,7 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
-from rclpy._rclpy_pybind11 import RCLError
+from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -45,6 +45,7 @@ from ..parameters import (
     unknown,
 )
 from ..pipeline import TactileFrame
+from ..protocol import Counters
 from ..source import Port
 from . import convert
 
@@ -212,6 +213,7 @@ class SkinNode(LifecycleNode):
         port, self._port = self._port, None
         self._driver.start(port)
         self._counted = (time.monotonic(), 0)
+        self._heatmap_timer.timer_period_ns = round(1e9 / float(self._value("heatmap_rate_hz")))
         self._heatmap_timer.reset()
         return result
 
@@ -319,11 +321,12 @@ class SkinNode(LifecycleNode):
             }
             for count in fields(pipeline.counters):
                 values[_words(count.name)] = getattr(pipeline.counters, count.name)
-            for count in fields(pipeline.parser.counters):
+            packets, status = pipeline.packet_counts, pipeline.status
+            for count in fields(Counters):
                 if count.name != "text_bytes":  # about half of all bytes on a healthy link
-                    values[_words(count.name)] = pipeline.packet_counts[count.name]
-            for count in fields(pipeline.status) if pipeline.status else ():
-                values["digitizer " + _words(count.name)] = getattr(pipeline.status, count.name)
+                    values[_words(count.name)] = packets[count.name]
+            for count in fields(status) if status else ():
+                values["digitizer " + _words(count.name)] = getattr(status, count.name)
         message = DiagnosticArray(status=[convert.diagnostic(name, level, text, values)])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_publisher.publish(message)
@@ -384,14 +387,18 @@ def _refuse_impossible(
         return response
 
 
-def main() -> None:
-    """Run the node until interrupted."""
+def main() -> int:
+    """Run the node until interrupted; returns the exit code."""
     # Signals only wake the main thread, so that everything ends in order: the executor, the
     # reader thread with its port, the node, and the ROS context last.
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+    except (RCLError, UnknownROSArgsError) as error:  # a parameter file that is no YAML
+        print(f"skin_driver: {error}", file=sys.stderr)
+        return 1
     node = SkinNode()
     executor = SingleThreadedExecutor()
     executor.add_node(node)
@@ -403,7 +410,8 @@ def main() -> None:
     spinning.join()
     node.destroy_node()
     rclpy.try_shutdown()
+    return 0 if stop.is_set() else 1
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

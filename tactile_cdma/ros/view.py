@@ -27,6 +27,7 @@ from tactile_cdma.msg import TactileArray
 from ..heatmap import colours
 
 DRAW_PERIOD_S = 0.1
+RATE_SPAN_S = 3.0
 PATIENCE_S = 10.0
 QUEUE = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=256, reliability=ReliabilityPolicy.BEST_EFFORT
@@ -38,37 +39,50 @@ _CELL = 7
 
 
 class Tally:
-    """Counts what arrived. Latency is a message's age: from the middle of its frame to here."""
+    """Counts what arrived. Latency is a message's age: from the middle of its frame to here.
+
+    published: frames that the driver counted between the first and the last one received; where it
+        was started again, over all its runs.
+    lost: those of them that did not arrive.
+    """
 
     def __init__(self) -> None:
         self.received = 0
+        self.published = 0
         self.latency_ms: deque[float] = deque(maxlen=100_000)
-        self._first = self._last = 0
-        self._seconds: deque[float] = deque(maxlen=256)
+        self._run: tuple[int, int] | None = None  # info_id and sequence of the last message
+        self._arrivals_s: deque[float] = deque(maxlen=512)
+        self._begin_s = self._end_s = 0.0
 
-    def add(self, sequence: int, age_s: float, now_s: float) -> None:
+    def add(self, info_id: int, sequence: int, age_s: float, now_s: float) -> None:
         """One message arrived."""
-        self._first = self._first if self.received else sequence
-        self._last = max(self._last, sequence)
+        continues = self._run is not None and self._run[0] == info_id and sequence > self._run[1]
+        self.published += sequence - self._run[1] if continues and self._run else 1
+        self._run = (info_id, sequence)
         self.received += 1
         self.latency_ms.append(age_s * 1e3)
-        self._seconds.append(now_s)
-
-    @property
-    def published(self) -> int:
-        """Frames that the driver counted between the first and the last one received."""
-        return self._last - self._first + 1 if self.received else 0
+        self._arrivals_s.append(now_s)
+        self._begin_s = self._begin_s or now_s
 
     @property
     def lost(self) -> int:
         """Frames that did not arrive."""
         return self.published - self.received
 
+    def end(self, now_s: float) -> None:
+        """Nothing more is counted."""
+        self._end_s = now_s
+
     @property
-    def rate_hz(self) -> float:
+    def mean_rate_hz(self) -> float:
+        """Messages per second from the first one to the end."""
+        return (self.received - 1) / (self._end_s - self._begin_s) if self.received > 1 else 0.0
+
+    def rate_hz(self, now_s: float) -> float:
         """Messages per second over the last few seconds."""
-        span = self._seconds[-1] - self._seconds[0] if len(self._seconds) > 1 else 0.0
-        return (len(self._seconds) - 1) / span if span > 0 else 0.0
+        recent = [t for t in self._arrivals_s if now_s - t < RATE_SPAN_S]
+        span = now_s - recent[0] if len(recent) > 1 else 0.0
+        return (len(recent) - 1) / span if span > 0 else 0.0
 
     def percentile_ms(self, percent: float, last: int | None = None) -> float:
         """A percentile of the latency, over all or the last few messages."""
@@ -97,7 +111,7 @@ class Viewer(Node):
     def _receive(self, message: TactileArray) -> None:
         now = self.get_clock().now().nanoseconds
         sent = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
-        self.tally.add(message.sequence, (now - sent) * 1e-9, time.monotonic())
+        self.tally.add(message.info_id, message.sequence, (now - sent) * 1e-9, time.monotonic())
         self.latest = message
 
     def spin_for(self, seconds: float) -> None:
@@ -132,8 +146,8 @@ def draw(
     saturated = int(np.count_nonzero(status & TactileArray.STATUS_SATURATED))
     lines += [
         "",
-        f"{tally.rate_hz:6.1f} frames/s   age {tally.percentile_ms(50, 256):5.2f} ms "
-        f"(p99 {tally.percentile_ms(99, 256):5.2f})   "
+        f"{tally.rate_hz(time.monotonic()):6.1f} frames/s   "
+        f"age {tally.percentile_ms(50, 256):5.2f} ms (p99 {tally.percentile_ms(99, 256):5.2f})   "
         f"received {tally.received}   lost {tally.lost}",
         f"speaking {status.size - silent}   silent {silent}   stale {stale}   "
         f"low SNR {doubtful}   saturated {saturated}   noise {message.noise_rms * 1e3:.2f} mV"
@@ -191,9 +205,10 @@ def report(viewer: Viewer, seconds: float) -> None:
         pressure = np.array(viewer.latest.pressure, dtype=np.float32)
         known = pressure[~np.isnan(pressure)]
         peak = f"{known.max() / 1e3:6.1f}" if known.size else "   --"
+        age = f"{viewer.tally.percentile_ms(50, new):.2f}" if new else "--"
         print(
             f"{time.monotonic() - start:5.1f} s  {new:4d} frames  lost {viewer.tally.lost}  "
-            f"age p50 {viewer.tally.percentile_ms(50, new or None):.2f} ms  peak {peak} kPa  "
+            f"age p50 {age} ms  peak {peak} kPa  "
             f"{known.size}/{pressure.size} taxels valid",
             flush=True,
         )
@@ -203,7 +218,7 @@ def summary(tally: Tally) -> str:
     """The last line: key=value pairs."""
     return (
         f"published={tally.published} received={tally.received} lost={tally.lost} "
-        f"rate_hz={tally.rate_hz:.2f} p50_ms={tally.percentile_ms(50):.2f} "
+        f"rate_hz={tally.mean_rate_hz:.2f} p50_ms={tally.percentile_ms(50):.2f} "
         f"p99_ms={tally.percentile_ms(99):.2f}"
     )
 
@@ -226,6 +241,7 @@ def main() -> int:
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
+        viewer.tally.end(time.monotonic())
         viewer.destroy_node()
         rclpy.try_shutdown()
     if not viewer.tally.received:

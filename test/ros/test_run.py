@@ -9,7 +9,10 @@ import select
 import signal
 import subprocess
 import sys
+import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -19,6 +22,29 @@ pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 pytestmark = pytest.mark.ros
 ROOT = Path(__file__).resolve().parents[2]
 RUN = [sys.executable, str(ROOT / "tools" / "run.py")]
+
+
+@contextmanager
+def ended(process: subprocess.Popen[str]) -> Iterator[None]:
+    """Whatever happens, the process does not outlive the test."""
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait()
+        if process.stderr is not None:
+            process.stderr.close()
+
+
+def read_until(process: subprocess.Popen[str], text: str, timeout_s: float = 30.0) -> None:
+    """Read the process's errors up to a line with this text."""
+    watchdog = threading.Timer(timeout_s, process.kill)
+    watchdog.start()
+    try:
+        assert process.stderr is not None
+        assert any(text in line for line in process.stderr), f"never said {text!r}"
+    finally:
+        watchdog.cancel()
 
 
 def test_make_run_counts_and_times_frames_and_loses_none() -> None:
@@ -68,15 +94,13 @@ def test_a_terminal_shows_a_coloured_heatmap_until_ctrl_c() -> None:
 def test_signals_end_the_driver_in_order(number: signal.Signals) -> None:
     command = [sys.executable, "-m", "tactile_cdma.ros.node", "--ros-args", "-p", "port:=sim://"]
     node = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    assert node.stderr is not None
-    for line in node.stderr:
-        if "receiving frames" in line:
-            break
-    time.sleep(0.3)
-    node.send_signal(number)
-    assert node.wait(10) == 0
-    assert node.stderr.read() == ""
-    node.stderr.close()
+    with ended(node):
+        read_until(node, "receiving frames")
+        time.sleep(0.3)
+        node.send_signal(number)
+        assert node.wait(10) == 0
+        assert node.stderr is not None
+        assert node.stderr.read() == ""
 
 
 def test_the_viewer_tells_why_nothing_comes(tmp_path: Path) -> None:
@@ -97,13 +121,33 @@ def test_a_parameter_file_with_a_wrong_key_is_reported_and_the_node_lives(tmp_pa
     command = [sys.executable, "-m", "tactile_cdma.ros.node", "--ros-args"]
     command += ["--params-file", str(path)]
     node = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    try:
-        assert node.stderr is not None
-        for line in node.stderr:
-            if "did you mean 'chip_us'" in line:
-                break
+    with ended(node):
+        read_until(node, "did you mean 'chip_us'")
         time.sleep(1.0)
         assert node.poll() is None
-    finally:
         node.send_signal(signal.SIGINT)
-        assert node.wait(10) in (0, 130)
+        assert node.wait(10) == 0
+
+
+def test_a_parameter_file_that_is_no_yaml_is_one_error(tmp_path: Path) -> None:
+    path = tmp_path / "broken.yaml"
+    path.write_text("/**: [")
+    command = [sys.executable, "-m", "tactile_cdma.ros.node", "--ros-args"]
+    done = subprocess.run(
+        [*command, "--params-file", str(path)], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
+    assert str(path) in done.stderr
+
+
+def test_the_viewer_counts_over_restarts_of_the_driver() -> None:
+    from tactile_cdma.ros.view import Tally
+
+    tally = Tally()
+    for info_id, sequences in ((1, [0, 1, 2, 5]), (2, [0, 1, 3]), (2, [0, 1])):
+        for sequence in sequences:
+            tally.add(info_id, sequence, 0.01, 100.0 + tally.received)
+    assert (tally.received, tally.published, tally.lost) == (9, 12, 3)
+    assert tally.rate_hz(108.5) == pytest.approx(2 / 2.5)
+    assert tally.rate_hz(200.0) == 0

@@ -26,7 +26,7 @@ def frames_of(text: str) -> list[dict]:
 def capture(tmp_path: Path) -> Path:
     """A raw capture of about a second of the simulated skin with every node speaking."""
     path = tmp_path / "skin.raw"
-    url = "sim://?scene=all&seed=3&threshold=0"
+    url = "sim://?scene=all&seed=3&threshold=0&speed=2"
     assert main(["record", url, str(path), "--seconds", "1"]) == 0
     return path
 

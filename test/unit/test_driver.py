@@ -1,6 +1,7 @@
 """The driver thread on real pyserial ports: sim://, a pty, and what can go wrong there."""
 
 import os
+import select
 import socket
 import threading
 import time
@@ -90,8 +91,11 @@ def test_frames_arrive_at_the_frame_rate_with_host_times() -> None:
 
 
 def test_a_real_tty_gives_the_same_frames_and_values_as_sim(tmp_path: Path) -> None:
-    """The same seed on sim:// and behind a pty: same words, pressures and status."""
-    options = "?seed=7&scene=moving&noise=0.02"
+    """The same seed on sim:// and behind a pty: same words, pressures and status.
+
+    At the pace at which they are read, so that a busy machine does not make the digitizer drop.
+    """
+    options = "?seed=7&scene=moving&noise=0.02&speed=0"
     by_sim, by_tty = Watch(), Watch()
     with (
         virtual_tty(tmp_path / "skin", f"sim://{options}") as path,
@@ -213,7 +217,7 @@ def test_stopping_stops_the_digitizer_and_frees_the_port() -> None:
     with raw_pty() as (host, name):
         watch, parser = Watch(), PacketParser()
         with watch.driver(name):
-            time.sleep(0.3)
+            assert select.select([host], [], [], 10)[0]
         sent = [type(packet).__name__ for packet in parser.feed(os.read(host, 4096))]
         assert sent[:3] == ["Configure", "GetInfo", "Start"]
         assert sent[-1] == "Stop"
@@ -255,9 +259,7 @@ def test_a_network_port_keeps_up() -> None:
     thread.start()
     watch = Watch()
     with watch.driver(f"socket://127.0.0.1:{server.getsockname()[1]}"):
-        start = time.monotonic()
-        wait_for(lambda: len(watch.frames) >= 100)
-        assert time.monotonic() - start < 3  # 1.3 s of frames
+        wait_for(lambda: len(watch.frames) >= 300)  # 3.8 s of frames
     stop.set()
     thread.join()
     server.close()

@@ -505,8 +505,9 @@ def test_diagnosis_names_the_likely_cause() -> None:
     assert "text" in str(diagnose(parse(b"Hello from the bootloader\r\n> ")[1]))
     assert "baud" in str(diagnose(parse(bytes(range(128, 256)) * 3)[1]))
     assert "baud" in str(diagnose(parse(bytes(100))[1]))
-    assert diagnose(parse(PacketWriter().encode(samples()))[1]) is None
-    assert diagnose(parse(b"boot ok\r\n\0" + PacketWriter().encode(samples()))[1]) is None
+    assert "no description" in diagnose(parse(PacketWriter().encode(samples()))[1])
+    booted = parse(b"boot ok\r\n\0" + PacketWriter().encode(samples()))[1]
+    assert "no description" in diagnose(booted)
 
 
 # Vectors, shared with the firmware
