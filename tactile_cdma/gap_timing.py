@@ -87,9 +87,9 @@ class GapTiming(Timing):
         self._skip_to(index)
 
     def _skip_to(self, index: int) -> None:
-        """Decide on samples from here on, and leave out slots that have gone by."""
+        """Decide on samples from here on; nothing is known of slots that began before."""
         self._cursor = index
-        late = math.ceil((index - self._raster) / self._search.period - 0.5)
+        late = math.ceil((index - self._raster) / self._search.period)
         self._raster += max(0, late) * self._search.period
         self._schedule()
 
@@ -192,7 +192,8 @@ class GapTiming(Timing):
         """The frame, after the silent slots before it. offset: the gap's level around it, V."""
         clipped = self._clipped(volts[max(0, round(fit.start)) : round(fit.end(self.spec))])
         start = self._cursor + fit.start
-        frames = list(self._idle_slots(start - self._search.period / 2))
+        # Without an earlier frame, what lies before this one may be the rest of another.
+        frames = list(self._idle_slots(start - self._search.period / 2)) if self._last else []
         assert self._quiet is not None
         chips = chips + np.float32(self._quiet.level - offset)
         frames.append(FrameChips(start, fit.chip, chips, offset, clipped, False))
