@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .errors import SpecError
-from .frame import UNIPOLAR, FrameSpec
+from .frame import DEFAULT_AMPLITUDE_V, UNIPOLAR, FrameSpec
 
 
 def word_bits(codes: ArrayLike, bits: int) -> NDArray[np.uint8]:
@@ -30,10 +30,10 @@ def line_chips(
     """Level of the digitized line in every chip of one frame.
 
     codes: (n,) ADC words. active: (n,) bool, all by default; a silent node adds nothing.
-    amplitude_v: (n,) or scalar, V; the specification's by default.
+    amplitude_v: (n,) or scalar, V; the specification's, else the paper's by default.
     Returns (k, N) float32, V, amplifier polarity applied, offset and noise not.
     """
-    default_v = 1.0 if spec.amplitude_v is None else spec.amplitude_v
+    default_v = DEFAULT_AMPLITUDE_V if spec.amplitude_v is None else spec.amplitude_v
     level_v = np.broadcast_to(default_v if amplitude_v is None else amplitude_v, spec.nodes)
     talking = np.ones(spec.nodes, bool) if active is None else np.asarray(active, bool)
     level_v = np.where(talking, level_v, 0.0)

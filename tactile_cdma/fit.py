@@ -106,6 +106,14 @@ class WordFit:
         return good
 
 
+def least_power(spec: FrameSpec) -> float:
+    """Power below which there is no node, V²; 0 where the amplitude is unknown.
+
+    A node may be half as strong as specified; less than half of that is none.
+    """
+    return 0.0 if spec.node_swing_v is None else (spec.node_swing_v / 4) ** 2
+
+
 def read_words(chips: NDArray[np.float32], spec: FrameSpec) -> WordFit:
     """Words of each hypothesis: chips (c, k, N) float32, V. A node under half the max is silent."""
     rows = correlate(chips, spec.book)

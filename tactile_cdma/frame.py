@@ -13,6 +13,8 @@ from .codes import CodeBook, code_book, is_feasible, row_signs, smallest_order
 from .errors import SpecError
 
 BIPOLAR, UNIPOLAR = "bipolar", "unipolar"
+DEFAULT_AMPLITUDE_V = 0.3
+"""Level of one node on the line in the paper."""
 MAX_STRETCH = 0.11
 """Longest recoverable stretch of a frame; the paper's hardware reaches 0.10 (8.0 to 8.8 ms)."""
 
@@ -45,7 +47,7 @@ class FrameSpec:
     sign_seed: int | None = 1
     drive: str = BIPOLAR
     polarity: int = 1
-    amplitude_v: float | None = 0.3
+    amplitude_v: float | None = DEFAULT_AMPLITUDE_V
 
     def __post_init__(self) -> None:
         _check_range("nodes", self.nodes, 1, 65_536)

@@ -27,7 +27,7 @@ from functools import cached_property
 
 import numpy as np
 
-from .fit import Fit, Floats, Line, integrate, read_words, refine
+from .fit import Fit, Floats, Line, integrate, least_power, read_words, refine
 from .frame import MAX_STRETCH, FrameSpec
 
 TIE = 1e-4
@@ -101,9 +101,7 @@ class GapSearch:
         self.half = max(1, round(self.chip / 2))
         gap = max(self.period - self.longest, 0.3 * (self.period - self.shortest))
         self.quiet_halves = max(8, int(0.6 * gap / self.half))
-        swing = spec.node_swing_v
-        # A node may be half as strong as specified; less than half of that is no node.
-        self.least_power = 0.0 if swing is None else (swing / 4) ** 2
+        self.least_power = least_power(spec)
 
     @cached_property
     def snr_floor(self) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import SpecError
-from .fit import Fit, Floats, Line, integrate, read_words, refine
+from .fit import Fit, Floats, Line, integrate, least_power, read_words, refine
 from .frame import BIPOLAR, MAX_STRETCH, FrameSpec
 from .timing import Chips, FrameChips, SampleBlock, Timing
 
@@ -45,9 +45,7 @@ class LineTiming(Timing):
             )
         self._gap_size = math.ceil(spec.order * self._nominal)
         self._nominal_size = math.ceil(spec.chips * self._nominal - 0.5)
-        swing = spec.node_swing_v
-        # A node may be half as strong as specified; less than half of that is no node.
-        self._least_power = 0.0 if swing is None else (swing / 4) ** 2
+        self._least_power = least_power(spec)
         self._start: int | None = None
         self._due = 0
         self._gap_begin: int | None = None  # end of the last frame, if no hole followed

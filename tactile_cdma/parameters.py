@@ -17,7 +17,7 @@ import yaml
 
 from .calibration import AdcScale, PressureCurve
 from .errors import ParameterError, SpecError
-from .frame import BIPOLAR, MAX_STRETCH, UNIPOLAR, FrameSpec
+from .frame import BIPOLAR, DEFAULT_AMPLITUDE_V, MAX_STRETCH, UNIPOLAR, FrameSpec
 from .layout import GridLayout
 
 Value = bool | int | float | str
@@ -91,7 +91,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("polarity", 1, "-1 where the amplifier inverts", choices=(1, -1)),
     Parameter(
         "amplitude_mv",
-        300.0,
+        DEFAULT_AMPLITUDE_V * 1e3,
         "level A of one node on the digitized line; 0: learnt from every frame",
         "mV",
         (0.0, 1e5),

@@ -15,10 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..codes import code_book
 from ..encode import word_bits
-from ..frame import UNIPOLAR, FrameSpec
+from ..frame import DEFAULT_AMPLITUDE_V, UNIPOLAR, FrameSpec
 
-DEFAULT_AMPLITUDE_V = 0.3
-"""Level of one node where the specification leaves it open; the paper's."""
 MAX_JITTER = 0.25
 
 

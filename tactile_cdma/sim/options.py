@@ -11,10 +11,10 @@ from urllib.parse import parse_qsl, urlsplit
 from .._protocol import SyncMode
 from ..codes import smallest_order
 from ..errors import ParameterError, SpecError
-from ..frame import MAX_STRETCH, FrameSpec
+from ..frame import DEFAULT_AMPLITUDE_V, MAX_STRETCH, FrameSpec
 from ..layout import GridLayout
 from ..parameters import BY_NAME, GAP, NATURAL_SIGNS, Parameter, Value
-from .channel import DEFAULT_AMPLITUDE_V, MAX_JITTER, Channel
+from .channel import MAX_JITTER, Channel
 from .nodes import NodeRules
 from .scene import SCENES, Skin
 

@@ -49,7 +49,7 @@ def test_colcon_build(tmp_path: Path, options: tuple[str, ...]) -> None:
 
     prefix = tmp_path / "install" / "tactile_cdma"
     share = prefix / "share" / "tactile_cdma"
-    for name in ("skin_driver", "skin_view"):
+    for name in ("skin_driver", "skin_view", "tactile-cdma"):
         assert os.access(prefix / "lib" / "tactile_cdma" / name, os.X_OK)
     for path in [*ROOT.glob("launch/*.py"), *ROOT.glob("config/*.*"), ROOT / "package.xml"]:
         assert (share / path.relative_to(ROOT)).is_file()

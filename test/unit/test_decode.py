@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tactile_cdma.codes import code_book
 from tactile_cdma.decode import decode, silent
 from tactile_cdma.encode import line_chips
-from tactile_cdma.frame import FrameSpec
+from tactile_cdma.frame import DEFAULT_AMPLITUDE_V, FrameSpec
 from tactile_cdma.transform import correlate
 
 SPECS = {
@@ -49,7 +49,7 @@ def test_decoding_undoes_encoding_for_every_word_and_activity(
     assert np.array_equal(words.active, active)
     assert np.array_equal(words.codes[active], codes[active])
     assert not words.doubtful.any()
-    level = (spec.amplitude_v or 1.0) / (2 if spec.drive == "unipolar" else 1)
+    level = (spec.amplitude_v or DEFAULT_AMPLITUDE_V) / (2 if spec.drive == "unipolar" else 1)
     assert np.allclose(words.amplitude_v[active], level, rtol=1e-3)
 
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from tactile_cdma.encode import line_chips
 from tactile_cdma.errors import SpecError
-from tactile_cdma.frame import UNIPOLAR, FrameSpec
+from tactile_cdma.frame import DEFAULT_AMPLITUDE_V, UNIPOLAR, FrameSpec
 from tactile_cdma.gap_timing import GapTiming
 from tactile_cdma.line_timing import LineTiming
 from tactile_cdma.timing import FrameChips, SampleBlock
@@ -81,7 +81,9 @@ class Wire:
             edges += frame.chip * self.rng.uniform(-self.jitter, self.jitter, edges.size)
             at = np.arange(max(0, math.ceil(edges[0])), min(math.ceil(edges[-1]), line.size))
             line[at] += levels[np.searchsorted(edges, at, side="right") - 1]
-        swing = (self.amplitude_v or spec.amplitude_v or 1.0) / (1 + (spec.drive == UNIPOLAR))
+        swing = (self.amplitude_v or spec.amplitude_v or DEFAULT_AMPLITUDE_V) / (
+            1 + (spec.drive == UNIPOLAR)
+        )
         sigma = 0.01 * swing
         if rho is not None:
             sigma = math.sqrt(spec.order * self.chip) * swing / rho
