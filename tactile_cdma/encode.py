@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .errors import SpecError
 from .frame import DEFAULT_AMPLITUDE_V, UNIPOLAR, FrameSpec
+from .transform import spread
 
 
 def word_bits(codes: ArrayLike, bits: int) -> NDArray[np.uint8]:
@@ -37,8 +38,9 @@ def line_chips(
     level_v = np.broadcast_to(default_v if amplitude_v is None else amplitude_v, spec.nodes)
     talking = np.ones(spec.nodes, bool) if active is None else np.asarray(active, bool)
     level_v = np.where(talking, level_v, 0.0)
-    symbols = (2.0 * word_bits(codes, spec.bits).T - 1.0) * (spec.signs * level_v)  # (k, n)
-    chips = symbols @ spec.book.rows(spec.rows)
+    symbols = np.zeros((spec.bits, spec.order), dtype=np.float32)
+    symbols[:, spec.rows] = (2.0 * word_bits(codes, spec.bits).T - 1.0) * (spec.signs * level_v)
+    chips = spread(symbols, spec.book)
     if spec.drive == UNIPOLAR:
         chips = (chips + level_v.sum()) / 2
     return np.asarray(spec.polarity * chips, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Correlation with all rows of a code book at once."""
+"""Correlation with all rows of a code book at once, and its inverse, spreading."""
 
 from __future__ import annotations
 
@@ -20,17 +20,31 @@ def correlate(chips: NDArray[np.float32], book: CodeBook) -> NDArray[np.float32]
     row r, 0 for silence. Liu et al. eq. 3, scaled by 1/N. The Kronecker factors of the book are
     applied one after the other, O(N·Σ factor) instead of O(N²).
     """
-    shape = chips.shape
-    values: NDArray[np.float32] = np.ascontiguousarray(chips, dtype=np.float32).reshape(
-        -1, book.order
-    )
-    count = len(values)
-    for factor in reversed(_blocks(book.order)):
-        # Transform the fastest axis and rotate it to the front; after all factors the axes are
+    blocks = tuple(block.T for block in _blocks(book.order))
+    return _multiply(chips, blocks) * np.float32(1.0 / book.order)
+
+
+def spread(symbols: NDArray[np.float32], book: CodeBook) -> NDArray[np.float32]:
+    """The sum of all code rows, each times its symbol: (…, N) float32 to chips (…, N) float32.
+
+    What correlate takes apart: correlate(spread(x)) == x.
+    """
+    return _multiply(symbols, _blocks(book.order))
+
+
+def _multiply(
+    vectors: NDArray[np.float32], blocks: tuple[NDArray[np.float32], ...]
+) -> NDArray[np.float32]:
+    """Row vectors (…, N) times the Kronecker product of the blocks."""
+    shape = vectors.shape
+    values: NDArray[np.float32] = np.ascontiguousarray(vectors, dtype=np.float32)
+    count = values.size // shape[-1]
+    for block in reversed(blocks):
+        # Transform the fastest axis and rotate it to the front; after all blocks the axes are
         # back in order.
-        transformed = values.reshape(-1, len(factor)) @ factor.T
-        values = transformed.reshape(count, -1, len(factor)).swapaxes(1, 2)
-    return values.reshape(shape) * np.float32(1.0 / book.order)
+        transformed = values.reshape(-1, len(block)) @ block
+        values = transformed.reshape(count, -1, len(block)).swapaxes(1, 2)
+    return values.reshape(shape)
 
 
 @lru_cache(maxsize=32)

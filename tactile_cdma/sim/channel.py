@@ -8,13 +8,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..codes import code_book
-from ..encode import word_bits
+from ..encode import line_chips
 from ..frame import DEFAULT_AMPLITUDE_V, UNIPOLAR, FrameSpec
 
 MAX_JITTER = 0.25
@@ -107,30 +105,6 @@ class Channel:
         return volts.astype(np.float32)
 
 
-def frame_levels(
-    spec: FrameSpec, codes: NDArray[np.int64], active: NDArray[np.bool_]
-) -> NDArray[np.float32]:
-    """Line level of every chip of a frame, (k·N,) float32, V.
-
-    The same as encode.line_chips, by the book's Kronecker factors: O(N·Σ factor) instead of O(N²)
-    per bit, which lets thousands of nodes run in real time.
-    """
-    amplitude_v = _amplitude_v(spec)
-    bits = word_bits(codes[active], spec.bits).T
-    symbols = np.zeros((spec.bits, spec.order), dtype=np.float32)
-    symbols[:, spec.rows[active]] = (2.0 * bits - 1.0) * (spec.signs[active] * amplitude_v)
-    levels: NDArray[np.float32] = symbols
-    for factor in _factors(spec.order):
-        # Combine the rows of the fastest axis and rotate it to the front; after all factors the
-        # axes are back in order. (transform.correlate does the transpose of this.)
-        levels = levels.reshape(-1, len(factor)) @ factor
-        levels = levels.reshape(spec.bits, -1, len(factor)).swapaxes(1, 2)
-    levels = levels.reshape(-1)
-    if spec.drive == UNIPOLAR:
-        levels = (levels + np.float32(active.sum() * amplitude_v)) / np.float32(2)
-    return levels * np.float32(spec.polarity)
-
-
 def point_samples(
     levels: NDArray[np.float32],
     edges_s: NDArray[np.float64],
@@ -193,7 +167,7 @@ def scope_capture(
         stop = int(first_sample(start_s + spec.frame_period_s, rate_hz))
         rng = np.random.default_rng([seed, number])
         edges_s = start_s + channel.edges(spec, rng)
-        levels = frame_levels(spec, np.asarray(codes), np.asarray(active, dtype=bool))
+        levels = line_chips(spec, codes, active).ravel()
         line_v = point_samples(levels, edges_s, rate_hz, first, stop)
         volts.append(channel.volts(channel.digitize(line_v, spec, rng), spec))
         first = stop
@@ -202,9 +176,3 @@ def scope_capture(
 
 def _amplitude_v(spec: FrameSpec) -> float:
     return DEFAULT_AMPLITUDE_V if spec.amplitude_v is None else spec.amplitude_v
-
-
-@lru_cache(maxsize=8)
-def _factors(order: int) -> tuple[NDArray[np.float32], ...]:
-    """The book's factors, the one that varies fastest first."""
-    return tuple(factor.astype(np.float32) for factor in reversed(code_book(order).factors))

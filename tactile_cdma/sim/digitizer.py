@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._protocol import MAX_SAMPLES, Result, SyncMode
+from ..encode import line_chips
 from ..errors import SpecError
 from ..messages import (
     Command,
@@ -30,7 +31,7 @@ from ..messages import (
     Stop,
 )
 from ..protocol import PacketParser, PacketWriter
-from .channel import chip_means, first_sample, frame_levels, point_samples
+from .channel import chip_means, first_sample, point_samples
 from .nodes import NodeFrame, frame_start_s, node_frames
 from .options import Setup, SimOptions
 from .scene import SCENES
@@ -300,7 +301,7 @@ def _samples(options: SimOptions, setup: Setup, frame: NodeFrame) -> NDArray[np.
     next_s = frame_start_s(spec, frame.number + 1, options.start_phase)
     first, stop = np.maximum(first_sample([frame.start_s, next_s], setup.rate_hz), 0).tolist()
     edges_s = frame.start_s + channel.edges(spec, rng)
-    levels = frame_levels(spec, frame.codes, frame.active)
+    levels = line_chips(spec, frame.codes, frame.active).ravel()
     return channel.digitize(point_samples(levels, edges_s, setup.rate_hz, first, stop), spec, rng)
 
 
@@ -309,6 +310,6 @@ def _chips(options: SimOptions, setup: Setup, frame: NodeFrame) -> NDArray[np.in
     spec, channel = setup.spec, options.channel
     rng = np.random.default_rng([options.seed, frame.number])
     edges_s = channel.edges(spec, rng)
-    levels = frame_levels(spec, frame.codes, frame.active)
+    levels = line_chips(spec, frame.codes, frame.active).ravel()
     means = chip_means(levels, edges_s, spec.chip_s)
     return channel.digitize(means, spec, rng, averaged=setup.samples_per_chip)

@@ -11,7 +11,7 @@ from tactile_cdma.codes import code_book
 from tactile_cdma.decode import decode, silent
 from tactile_cdma.encode import line_chips
 from tactile_cdma.frame import DEFAULT_AMPLITUDE_V, FrameSpec
-from tactile_cdma.transform import correlate
+from tactile_cdma.transform import correlate, spread
 
 SPECS = {
     "default": FrameSpec(),
@@ -28,6 +28,14 @@ def test_fast_correlation_equals_the_matrix_product(order: int) -> None:
     chips = np.random.default_rng(order).normal(size=(3, order)).astype(np.float32)
     exact = chips.astype(np.float64) @ code_book(order).matrix.T.astype(np.float64) / order
     assert np.allclose(correlate(chips, code_book(order)), exact, atol=1e-6)
+
+
+@pytest.mark.parametrize("order", [1, 2, 12, 64, 240, 1040, 4096])
+def test_correlation_takes_apart_what_spreading_adds_up(order: int) -> None:
+    symbols = np.random.default_rng(order).normal(size=(2, 3, order)).astype(np.float32)
+    assert np.allclose(
+        correlate(spread(symbols, code_book(order)), code_book(order)), symbols, atol=1e-4
+    )
 
 
 @pytest.mark.parametrize("order", [16, 20, 1040])

@@ -84,3 +84,22 @@ def test_the_line_is_the_sum_of_its_nodes() -> None:
     codes = np.random.default_rng(0).integers(0, 1024, 16)
     alone = [line_chips(spec, codes, np.arange(16) == node) for node in range(16)]
     assert np.allclose(line_chips(spec, codes), np.sum(alone, axis=0), atol=1e-5)
+
+
+@given(
+    st.integers(1, 300),
+    st.sampled_from(["bipolar", "unipolar"]),
+    st.sampled_from([1, -1]),
+    st.integers(0, 1000),
+)
+def test_chips_follow_the_definition_for_any_number_of_nodes(
+    nodes: int, drive: str, polarity: int, seed: int
+) -> None:
+    spec = FrameSpec(nodes=nodes, chip_s=1e-6, drive=drive, polarity=polarity, sign_seed=seed)
+    rng = np.random.default_rng(seed)
+    codes, active = rng.integers(0, 1024, nodes), rng.random(nodes) < 0.7
+    own = spec.signs[:, None] * spec.book.rows(spec.rows)  # (n, N), of ±1
+    sent = (2 * word_bits(codes, 10).astype(int) - 1)[:, :, None] * own[:, None, :]  # (n, k, N)
+    level = 0.3 * (sent if drive == "bipolar" else (sent + 1) / 2)
+    expected = polarity * level[active].sum(axis=0)
+    assert np.allclose(line_chips(spec, codes, active), expected, atol=1e-5 * nodes)

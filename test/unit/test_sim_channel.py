@@ -11,7 +11,6 @@ from tactile_cdma.sim.channel import (
     Channel,
     chip_means,
     first_sample,
-    frame_levels,
     point_samples,
     scope_capture,
 )
@@ -23,19 +22,6 @@ QUIET = Channel(noise_rms_v=0.0)
 def words(spec: FrameSpec, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     return rng.integers(0, 1 << spec.bits, spec.nodes), rng.random(spec.nodes) < 0.7
-
-
-@given(
-    nodes=st.integers(1, 300),
-    drive=st.sampled_from(["bipolar", "unipolar"]),
-    polarity=st.sampled_from([1, -1]),
-    seed=st.integers(0, 1000),
-)
-def test_levels_equal_the_encoders(nodes: int, drive: str, polarity: int, seed: int) -> None:
-    spec = FrameSpec(nodes=nodes, chip_s=1e-6, drive=drive, polarity=polarity, sign_seed=seed)
-    codes, active = words(spec, seed)
-    expected = line_chips(spec, codes, active).reshape(-1)
-    assert np.allclose(frame_levels(spec, codes, active), expected, atol=1e-5 * nodes)
 
 
 @given(start=st.integers(0, 10**9), samples_per_chip=st.integers(1, 9))
@@ -61,7 +47,7 @@ def test_a_sample_shows_the_chip_in_the_middle_of_its_period() -> None:
 
 
 def test_integrating_nominal_chips_is_exact_and_smears_stretched_ones() -> None:
-    levels = frame_levels(SPEC, *words(SPEC))
+    levels = line_chips(SPEC, *words(SPEC)).ravel()
     rng = np.random.default_rng(0)
     means = chip_means(levels, QUIET.edges(SPEC, rng), SPEC.chip_s)
     assert np.allclose(means, levels, atol=1e-6)
@@ -123,10 +109,7 @@ def test_rails_clip() -> None:
 @pytest.mark.parametrize("nodes", [1, 16, 256, 1024])
 def test_default_rails_are_out_of_reach(nodes: int) -> None:
     spec = FrameSpec(nodes=nodes, chip_s=1e-7)
-    worst = [
-        np.abs(frame_levels(spec, np.full(nodes, code), np.ones(nodes, dtype=bool))).max()
-        for code in (0, 341, 1023)
-    ]
+    worst = [np.abs(line_chips(spec, np.full(nodes, code))).max() for code in (0, 341, 1023)]
     assert max(worst) < QUIET.rail_of(spec)
 
 
