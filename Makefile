@@ -1,6 +1,7 @@
 # make run     simulated skin and viewer; PORT=/dev/ttyACM0 for a real one, SECONDS=n to end by itself
 # make test    lint and tests
 # make setup   the environment in .venv only; everything else does this first
+# make bench-error, -speed, -skip, -timing, -scale, -ros, -crest    QUICK=1: within 40 s each
 # make lint    ruff and mypy;  make clean: remove .venv and what tests leave
 
 PYTHON ?= python3
@@ -13,7 +14,7 @@ export LC_ALL ?= C.UTF-8
 
 BIN = $(VENV)/bin
 .DEFAULT_GOAL := help
-.PHONY: help run test lint setup clean
+.PHONY: help run test lint setup bench-setup clean
 
 help:
 	@sed -n 's/^# //p' Makefile
@@ -32,6 +33,13 @@ lint: setup
 	@"$(BIN)/ruff" check .
 	@"$(BIN)/ruff" format --check --quiet .
 	@"$(BIN)/mypy"
+
+bench-setup:
+	@command -v $(PYTHON) >/dev/null || { echo "setup: error: no $(PYTHON); apt install python3-venv"; exit 1; }
+	@$(PYTHON) tools/setup_env.py --venv "$(VENV)" --bench
+
+bench-%: bench-setup
+	@"$(BIN)/python" -m benchmarks.$*
 
 clean:
 	rm -rf "$(VENV)" build install log dist *.egg-info .pytest_cache .mypy_cache .ruff_cache

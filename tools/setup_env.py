@@ -30,6 +30,7 @@ LAYOUT = "1"  # raise when this script changes so that older venvs will not do
 
 CORE_REQUIREMENTS = ("requirements.txt", "requirements-dev.txt")
 ROS_REQUIREMENTS = ("requirements-ros.txt",)
+BENCH_REQUIREMENTS = "requirements-bench.txt"
 
 
 class SetupError(Exception):
@@ -40,12 +41,16 @@ def main() -> int:
     """Bring .venv up to date; say what is being done only if something is."""
     parser = argparse.ArgumentParser(description="Make or update the environment in .venv.")
     parser.add_argument("--venv", type=Path, default=CHECKOUT / ".venv")
-    venv = Path(os.path.abspath(parser.parse_args().venv))
+    parser.add_argument("--bench", action="store_true", help="with what the benchmarks need")
+    arguments = parser.parse_args()
+    venv = Path(os.path.abspath(arguments.venv))
     try:
         # Two makes at once would delete each other's work.
         with open(__file__) as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             set_up(venv)
+            if arguments.bench:
+                add_bench(venv)
     except SetupError as error:
         print(f"setup: error: {error}", file=sys.stderr)
         return 1
@@ -100,6 +105,17 @@ def set_up(venv: Path) -> None:
     print(f"      ready after {time.monotonic() - started:.0f} s", flush=True)
 
 
+def add_bench(venv: Path) -> None:
+    """Install what only the benchmarks need, unless it is there."""
+    requirements = CHECKOUT / BENCH_REQUIREMENTS
+    state = State(venv / "setup.json")
+    key = digest([state.get("base") or ""], [requirements])
+    if state.get("bench") != key:
+        print("setup: installing what the benchmarks need", flush=True)
+        run([*pip_install(venv), "-r", str(requirements)], venv / "setup.log", explain=explain_pip)
+        state.put("bench", key)
+
+
 # ---- the four steps -----------------------------------------------------------------------------
 
 
@@ -128,9 +144,13 @@ def install_packages(venv: Path, use_installation: bool) -> None:
         wanted.append("cmake>=3.22,<4")
     if not (shutil.which("colcon") or not use_installation):
         wanted.append("colcon-common-extensions~=0.3.0")
+    run([*pip_install(venv), *wanted], venv / "setup.log", explain=explain_pip)
+
+
+def pip_install(venv: Path) -> list[str]:
+    """Return the beginning of a pip command."""
     pip = [str(venv / "bin" / "python"), "-m", "pip", "install", "--no-input", "--retries", "2"]
-    pip += ["--disable-pip-version-check", "--progress-bar", "off"]
-    run([*pip, *wanted], venv / "setup.log", explain=explain_pip)
+    return [*pip, "--disable-pip-version-check", "--progress-bar", "off"]
 
 
 def adapt_venv(venv: Path) -> None:

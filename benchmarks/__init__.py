@@ -1,0 +1,1 @@
+"""Benchmarks of run time against error; each module is one command: `make bench-<module>`."""
