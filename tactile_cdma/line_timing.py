@@ -255,10 +255,12 @@ class LineTiming(Timing):
         free = self.spec.first_row > 0 and self.spec.drive == BIPOLAR
         if tail.size < 0.5 * fit.chip or not (self._level_known or free):
             return True
+        noise = self._noise
         if not self._level_known:
             tail = tail - self._row_zero(line, fit)
+            noise = levels.noise_v**2 * self.spec.order
         least = float(amplitude[amplitude > 0].min(initial=np.inf))
-        return float(tail @ tail) / tail.size < (0.4 * least) ** 2 + 4 * self._noise * fit.chip
+        return float(tail @ tail) / tail.size < (0.4 * least) ** 2 + 4 * noise * fit.chip
 
     def _row_zero(self, line: Line, fit: Fit) -> float:
         """Mean level of a fit's frame, which is the offset where row 0 is free, V."""
