@@ -148,6 +148,14 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("taxel_mm", 5.5, "edge length of a taxel's sensing area", "mm", (0.01, 1_000.0)),
     Parameter("frame_id", "skin", "tf frame of the skin"),
     Parameter("publish_voltage", False, "also fill TactileArray.voltage", live=True),
+    Parameter(
+        "idle_rate_hz",
+        0.0,
+        "frames in which no node spoke are published at most so often; 0: all are",
+        "Hz",
+        (0.0, 1e5),
+        live=True,
+    ),
     Parameter("heatmap_rate_hz", 30.0, "most heatmaps per second", "Hz", (0.1, 30.0)),
     Parameter(
         "heatmap_max_kpa",
