@@ -80,6 +80,11 @@ class Decorrelator:
         """
         if clocks.nodes != spec.nodes:
             raise SpecError(f"clocks of {clocks.nodes} nodes for a skin of {spec.nodes}")
+        if spec.resync_chips:
+            raise SpecError(
+                "nodes that start anew within a frame don't drift apart: set resync_chips to 0 to "
+                "decorrelate them instead"
+            )
         self.spec, self.clocks, self.sampling = spec, clocks, sampling
         most = spec.frame_period_s / spec.chip_s * sampling.per_chip
         if samples is None and abs(most - round(most)) > 0.05:
@@ -92,7 +97,7 @@ class Decorrelator:
                 f"the slowest node needs {clocks.end_s(spec) * 1e3:g} ms for its frame, longer "
                 f"than the period of {spec.frame_period_s * 1e3:g} ms; lengthen frame_period_s"
             )
-        self._bits = spec.chips // spec.order
+        self._bits = spec.line_bits
         windows = self._windows(round(most) if samples is None else samples)
         self.samples = windows[-1][1]
         self.ridge = spec.order * sampling.per_chip / (4 * max_gain**2)

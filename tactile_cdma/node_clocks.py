@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 
 MAX_DELAY = 4.0
 """Largest believable delay of a node, chips."""
-MAX_RATE_ERROR = 0.02
+MAX_RATE_ERROR = 0.03
 """Largest believable error of a node's clock."""
 HARMLESS = 0.06
 """Crosstalk of plain correlation, relative to a node's amplitude, that costs next to nothing: to
@@ -128,9 +128,12 @@ def crosstalk(spec: FrameSpec, clocks: NodeClocks) -> float:
 
     Plain: one start and one chip duration for all, fitted to them. A row that is δ ≤ 1 chips late
     is (1 − δ) of itself and δ of itself one chip on, and the rows take up all of the latter's
-    power: n rows leave δ²·n/N in each on average. The worst bit counts.
+    power: n rows leave δ²·n/N in each on average. The worst bit counts, or the worst slot where
+    nodes start anew within a frame.
     """
-    edges = np.arange(spec.chips // spec.order + 1) * spec.order
+    edges = np.arange(spec.line_bits + 1) * spec.order
+    if spec.resync_chips:
+        edges = np.array([0, min(spec.resync_chips, spec.chips)])
     late = clocks.displacement(edges)
     apart = np.minimum(np.abs(late - late.mean(axis=0)), 1.0)  # beyond a chip nothing is in common
     power = np.square(apart).mean(axis=0)

@@ -65,11 +65,16 @@ class HeardClock:
     refusal: str
 
 
-class RollCall:
+class RollCallListener:
     """Collects the clocks of all nodes while they are called one after the other."""
 
     def __init__(self, spec: FrameSpec, sampling: Sampling) -> None:
-        """Raises SpecError below two samples per chip."""
+        """Raises SpecError below two samples per chip, and for frames with restarts in them."""
+        if spec.resync_chips:
+            raise SpecError(
+                "nodes that start anew within a frame show too little of their clocks: a roll call "
+                "takes resync_chips 0"
+            )
         if sampling.per_chip < 1.9:
             raise SpecError(
                 f"{sampling.per_chip:g} samples per chip: a roll call takes raw samples, 2 per "
@@ -151,7 +156,7 @@ class _Search:
     def __init__(
         self, line: Floats, row: NDArray[np.int8], spec: FrameSpec, sampling: Sampling
     ) -> None:
-        self.chips, self.bits = spec.chips, spec.chips // spec.order
+        self.chips, self.bits = spec.chips, spec.line_bits
         self.row, self.sums = row, RunningSum(line, sampling)
 
     def explained(self, begin: Floats, end: Floats) -> tuple[Floats, Floats]:

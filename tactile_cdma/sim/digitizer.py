@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._protocol import MAX_SAMPLES, Result, SyncMode
-from ..encode import frame_levels, line_chips
 from ..errors import SpecError
 from ..messages import (
     Command,
@@ -31,7 +30,7 @@ from ..messages import (
     Stop,
 )
 from ..protocol import PacketParser, PacketWriter
-from .channel import chip_means, first_sample, point_samples
+from .channel import chip_means, first_sample, point_samples, waveforms
 from .nodes import NodeFrame, frame_start_s, node_frames
 from .options import Setup, SimOptions
 from .scene import SCENES
@@ -301,8 +300,11 @@ def _samples(options: SimOptions, setup: Setup, frame: NodeFrame) -> NDArray[np.
     next_s = frame_start_s(spec, frame.number + 1, options.start_phase)
     first, stop = np.maximum(first_sample([frame.start_s, next_s], setup.rate_hz), 0).tolist()
     edges_s = frame.start_s + channel.edges(spec, rng)
-    levels = frame_levels(line_chips(spec, frame.codes, frame.active), spec)
-    return channel.digitize(point_samples(levels, edges_s, setup.rate_hz, first, stop), spec, rng)
+    clocks = options.clocks.at(spec.nodes, frame.start_s)
+    line_v = np.zeros(stop - first, np.float32)
+    for levels, own_s in waveforms(spec, frame.codes, frame.active, edges_s, clocks):
+        line_v += point_samples(levels, own_s, setup.rate_hz, first, stop)
+    return channel.digitize(line_v, spec, rng)
 
 
 def _chips(options: SimOptions, setup: Setup, frame: NodeFrame) -> NDArray[np.int16]:
@@ -310,6 +312,8 @@ def _chips(options: SimOptions, setup: Setup, frame: NodeFrame) -> NDArray[np.in
     spec, channel = setup.spec, options.channel
     rng = np.random.default_rng([options.seed, frame.number])
     edges_s = channel.edges(spec, rng)
-    levels = frame_levels(line_chips(spec, frame.codes, frame.active), spec)
-    means = chip_means(levels, edges_s, spec.chip_s)[spec.places]
+    clocks = options.clocks.at(spec.nodes, frame.start_s)
+    means = np.zeros(spec.chips, np.float32)
+    for levels, own_s in waveforms(spec, frame.codes, frame.active, edges_s, clocks):
+        means += chip_means(levels, own_s, spec.chip_s)[spec.places]
     return channel.digitize(means, spec, rng, averaged=setup.samples_per_chip)
