@@ -26,6 +26,7 @@ from tactile_cdma.messages import (
     Info,
     Message,
     Packet,
+    RollCall,
     Samples,
     Start,
     Status,
@@ -85,6 +86,11 @@ PACKETS: dict[str, tuple[int, Packet]] = {
     "get info": (0, GetInfo()),
     "start": (1, Start()),
     "stop": (65_535, Stop()),
+    "samples, of a roll call": (
+        261,
+        Samples(3, 4, np.array([7, -7], dtype=np.int16), sync=True, called=True),
+    ),
+    "roll call": (3, RollCall()),
     "configure": (2, Configure(PAPER, SyncMode.HEAR, integrated=True)),
 }
 

@@ -12,6 +12,7 @@ MAX_PACKET_US = 2000
 MAX_GAP = 4096
 FLAG_SYNC = 0x01
 FLAG_OVERRUN = 0x02
+FLAG_CALLED = 0x04
 
 
 class PacketType(IntEnum):
@@ -25,6 +26,7 @@ class PacketType(IntEnum):
     START = 0x82
     STOP = 0x83
     CONFIGURE = 0x84
+    ROLL_CALL = 0x85
 
 
 class SyncMode(IntEnum):
@@ -128,4 +130,5 @@ FIELDS: dict[str, tuple[Field, ...]] = {
         Field("sync_mode", "B", SyncMode),
         Field("integrated", "B", bool),
     ),
+    "RollCall": (),
 }

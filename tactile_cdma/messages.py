@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ._protocol import (
     FIELDS,
+    FLAG_CALLED,
     FLAG_OVERRUN,
     FLAG_SYNC,
     MAX_SAMPLES,
@@ -172,6 +173,7 @@ class Samples(Packet):
     counts: (m,) int16, m = 1…MAX_SAMPLES.
     sync: the first sample is the first of a frame.
     overrun: samples were lost just before these.
+    called: the frame that begins with the first sample belongs to a roll call.
     """
 
     TYPE = PacketType.SAMPLES
@@ -181,6 +183,7 @@ class Samples(Packet):
     counts: NDArray[np.int16]
     sync: bool = False
     overrun: bool = False
+    called: bool = False
 
     def __post_init__(self) -> None:
         counts = self.counts
@@ -203,13 +206,14 @@ class Samples(Packet):
             and self.first_index == other.first_index
             and self.sync == other.sync
             and self.overrun == other.overrun
+            and self.called == other.called
             and np.array_equal(self.counts, other.counts)
         )
 
     __hash__ = None  # type: ignore[assignment]
 
     def payload(self) -> bytes:
-        flags = FLAG_SYNC * self.sync | FLAG_OVERRUN * self.overrun
+        flags = FLAG_SYNC * self.sync | FLAG_OVERRUN * self.overrun | FLAG_CALLED * self.called
         head = WIRE["Samples"].pack(self.device_time_us, self.first_index, flags)
         return head + (self.counts ^ SAMPLE_MASK).astype("<i2", copy=False).tobytes()
 
@@ -281,6 +285,13 @@ class Configure(Command):
     frame: FrameLayout
     sync_mode: SyncMode = SyncMode.DRIVE
     integrated: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class RollCall(Command):
+    """Asks every node to speak alone once."""
+
+    TYPE = PacketType.ROLL_CALL
 
 
 @dataclass(frozen=True, slots=True)
@@ -368,7 +379,8 @@ WIRE = {name: struct.Struct("<" + _codes(name)) for name in FIELDS}
 SAMPLE_MASK = np.int16(SAMPLE_XOR)
 """Sample words travel XORed with this."""
 PACKETS: dict[int, type[Packet]] = {
-    kind.TYPE: kind for kind in (Info, Samples, Status, Ack, GetInfo, Start, Stop, Configure)
+    kind.TYPE: kind
+    for kind in (Info, Samples, Status, Ack, GetInfo, Start, Stop, Configure, RollCall)
 }
 """Packets by the first byte of their body."""
 _INT16 = np.dtype(np.int16)

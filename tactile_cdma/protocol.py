@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ._protocol import FLAG_OVERRUN, FLAG_SYNC, MAX_GAP, MAX_SAMPLES, VERSION, Result
+from ._protocol import FLAG_CALLED, FLAG_OVERRUN, FLAG_SYNC, MAX_GAP, MAX_SAMPLES, VERSION, Result
 from .cobs import cobs_decode, cobs_encode
 from .errors import SpecError
 from .messages import (
@@ -165,6 +165,7 @@ class PacketParser:
             words ^ SAMPLE_MASK,
             bool(flags & FLAG_SYNC),
             bool(flags & FLAG_OVERRUN),
+            bool(flags & FLAG_CALLED),
             sequence=sequence,
         )
 

@@ -24,6 +24,7 @@ from ..messages import (
     Info,
     Packet,
     Rejected,
+    RollCall,
     Samples,
     Start,
     Status,
@@ -31,7 +32,7 @@ from ..messages import (
 )
 from ..protocol import PacketParser, PacketWriter
 from .channel import chip_means, first_sample, point_samples, waveforms
-from .nodes import NodeFrame, frame_start_s, node_frames
+from .nodes import NodeFrame, RollCalls, frame_start_s, node_frames
 from .options import Setup, SimOptions
 from .scene import SCENES
 
@@ -51,7 +52,7 @@ class Block:
     """The samples of one packet.
 
     first_index: of the first sample, counted from START. counts: (m,) int16.
-    sync: the first sample is the first of a frame.
+    sync: the first sample is the first of a frame. called: of one of a roll call.
     begin_s: when the first sample is taken; if integrated, when its chip begins. end_s: when the
         last sample's period ends. Both in s since START.
     """
@@ -59,11 +60,14 @@ class Block:
     first_index: int
     counts: NDArray[np.int16]
     sync: bool
+    called: bool
     begin_s: float
     end_s: float
 
 
-def truth(options: SimOptions, setup: Setup) -> Iterator[NodeFrame]:
+def truth(
+    options: SimOptions, setup: Setup, roll_calls: RollCalls | None = None
+) -> Iterator[NodeFrame]:
     """What the nodes measure and say in every frame since START, endlessly."""
     spec = setup.spec
     return node_frames(
@@ -72,12 +76,16 @@ def truth(options: SimOptions, setup: Setup) -> Iterator[NodeFrame]:
         options.skin(spec.nodes),
         options.rules,
         start_phase=options.start_phase,
+        roll_calls=roll_calls,
     )
 
 
-def stream(options: SimOptions, setup: Setup) -> Iterator[Block]:
+def stream(
+    options: SimOptions, setup: Setup, roll_calls: RollCalls | None = None
+) -> Iterator[Block]:
     """The digitized line since START, endlessly; a pure function of its arguments.
 
+    roll_calls: may be asked for meanwhile.
     Where frames are marked, each begins a new block; else blocks are of equal size.
     """
     rate_hz = setup.rate_hz
@@ -85,7 +93,7 @@ def stream(options: SimOptions, setup: Setup) -> Iterator[Block]:
     instant = 0.0 if setup.integrated else 0.5  # at which a sample is taken, within its period
     waiting = np.empty(0, dtype=np.int16)
     index = 0
-    for frame in truth(options, setup):
+    for frame in truth(options, setup, roll_calls):
         whole = frame.start_s >= 0
         if setup.integrated:
             if not whole:
@@ -103,6 +111,7 @@ def stream(options: SimOptions, setup: Setup) -> Iterator[Block]:
                 first_index=index,
                 counts=part,
                 sync=setup.sync != SyncMode.NONE and whole and start == 0,
+                called=frame.called and start == 0,
                 begin_s=epoch_s + (index + instant) / rate_hz,
                 end_s=epoch_s + (index + len(part)) / rate_hz,
             )
@@ -126,6 +135,7 @@ class VirtualDigitizer:
         self.options = options or SimOptions()
         self.setup = self.options.setup()
         self.packets_dropped = 0
+        self._roll_calls = RollCalls()
         self.commands_refused = 0
         self._clock, self._host_s = clock, clock()
         self._now_s = self._due_s = self._report_s = 0.0
@@ -183,10 +193,14 @@ class VirtualDigitizer:
         Recomputed, so that any frame may be asked for; in rising order that costs least.
         """
         if self._truth is None or (self._true_frame and self._true_frame.number > frame_number):
-            self._truth, self._true_frame = truth(self.options, self.setup), None
+            self._truth, self._true_frame = self._new_truth(), None
         while self._true_frame is None or self._true_frame.number < frame_number:
             self._true_frame = next(self._truth)
         return self._true_frame
+
+    def _new_truth(self) -> Iterator[NodeFrame]:
+        called = RollCalls(self._roll_calls.starts)  # what is asked for is the stream's to begin
+        return truth(self.options, self.setup, called)
 
     def info(self) -> Info:
         """The description that it gives of itself."""
@@ -226,6 +240,7 @@ class VirtualDigitizer:
                     first_index=block.first_index,
                     counts=block.counts,
                     sync=block.sync,
+                    called=block.called,
                 )
             )
         self._schedule()
@@ -265,9 +280,17 @@ class VirtualDigitizer:
         match command:
             case Start():
                 self._stop()
-                self._stream, self._started_s = stream(self.options, self.setup), self._now_s
+                self._roll_calls = RollCalls()
+                self._stream = stream(self.options, self.setup, self._roll_calls)
+                self._started_s, self._truth = self._now_s, None
             case Stop():
                 self._stop()
+            case RollCall():
+                marked = self.setup.sync != SyncMode.NONE and not self.setup.integrated
+                if self.streaming and marked:
+                    self._roll_calls.asked = True
+                else:
+                    result = Result.UNSUPPORTED
             case Configure():
                 result = self._configure(command)
         self._schedule()

@@ -70,7 +70,7 @@ class ClockModel:
 class RollCalls:
     """The roll calls of a stream: in each, every node speaks alone once, in n frames.
 
-    starts: frames at which they began. asked: one begins with the next frame.
+    starts: numbers of the frames at which they began. asked: one begins with the next frame.
     """
 
     starts: list[int] = field(default_factory=list)
