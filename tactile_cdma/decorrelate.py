@@ -24,10 +24,10 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .errors import SpecError
-from .frame import FrameSpec
+from .frame import UNIPOLAR, FrameSpec
 from .node_clocks import NodeClocks
 from .sampling import Sampling, row_samples
 
@@ -153,11 +153,19 @@ class Decorrelator:
                 values[m] -= bit.inverse[:, later.first - bit.first :] @ left
         return values[:, : self.spec.nodes]
 
-    def line(self, amplitudes: Floats32) -> Floats32:
-        """The samples that these amplitudes, (k, n) V, would give: (self.samples,) float32, V."""
+    def line(self, amplitudes: Floats32, nodes: ArrayLike | None = None) -> Floats32:
+        """The samples that these amplitudes would give: (self.samples,) float32, V.
+
+        amplitudes: (k, n) float32, V; or (k, c) of only these c nodes, counted from 0.
+        """
         total = np.zeros(self.samples, np.float32)
+        pedestal = self.spec.nodes
+        chosen = slice(pedestal) if nodes is None else np.asarray(nodes)
         for bit, values in zip(self._blocks, amplitudes, strict=True):
-            total[bit.first : bit.stop] += values @ bit.rows[: self.spec.nodes]
+            window = total[bit.first : bit.stop]
+            window += values @ bit.rows[chosen]
+            if self.spec.drive == UNIPOLAR:
+                window += np.abs(values).sum() * bit.rows[pedestal]
         return total
 
     def _windows(self, available: int) -> list[tuple[int, int]]:

@@ -122,18 +122,18 @@ def hear_node(
     line: (m,) float64, V, from the sync edge on, gap level removed. row: (N,) of ±1, the node's.
     noise_rms_v: of one sample in the gap.
     """
-    search = _Search(line, row, spec, sampling)
+    search = RowSearch(line, row, spec, sampling)
     unit = 2 * noise_rms_v**2
     late, step, reach = search.coarse(), _WIDEST, 6  # as far as the coarse raster's neighbours
     while step > _FINEST:
-        begins, ends = _raster(late, step, reach)
+        begins, ends = raster(late, step, reach)
         energy = search.energy(begins, ends)
         tops = np.flatnonzero(energy >= (1 - _TIE) * energy.max())
         middle = np.argmin(np.hypot(*(x[tops] - x[tops].mean() for x in (begins, ends))))
         late = np.array([begins[tops[middle]], ends[tops[middle]]])
         step, reach = step / 2, 2
     while True:
-        begins, ends = _raster(late, step, 2)
+        begins, ends = raster(late, step, 2)
         energy = search.energy(begins, ends)
         weight = np.exp((energy - energy.max()) / max(unit, _TIE * energy.max(), 1e-30))
         weight /= weight.sum()
@@ -144,13 +144,13 @@ def hear_node(
         step *= 1.5
 
 
-def _raster(late: Floats, step: float, reach: int) -> tuple[Floats, Floats]:
+def raster(late: Floats, step: float, reach: int) -> tuple[Floats, Floats]:
     """Hypotheses around one, (2·reach + 1)² of begin and end."""
     shifts = step * np.arange(-reach, reach + 1)
     return np.repeat(late[0] + shifts, shifts.size), np.tile(late[1] + shifts, shifts.size)
 
 
-class _Search:
+class RowSearch:
     """Amplitudes that displacements of a frame's begin and end let a row have in the samples."""
 
     def __init__(
@@ -203,7 +203,7 @@ class _Search:
 
 
 def _judged(
-    search: _Search, line: Floats, late: Floats, std: Floats, noise_rms_v: float
+    search: RowSearch, line: Floats, late: Floats, std: Floats, noise_rms_v: float
 ) -> HeardClock:
     """The result of a search, and whether the samples are those of a lone node.
 
