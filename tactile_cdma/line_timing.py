@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .errors import SpecError
 from .fit import Fit, Floats, Line, WordFit, integrate, least_power, read_words, refine
-from .frame import BIPOLAR, MAX_STRETCH, FrameSpec
+from .frame import MAX_STRETCH, UNIPOLAR, FrameSpec
 from .separate import NodeLevels, node_levels
 from .timing import FrameLevels, SampleBlock, Timing
 
@@ -130,9 +130,11 @@ class LineTiming(Timing):
                 self._reject()
         return frames
 
-    def _reject(self) -> None:
+    def _reject(self, over: int | None = None) -> None:
+        """No frame came of the present one. over: index at which it is over, if that is known."""
         self.rejected += 1
-        self._start = self._gap_begin = self._carried = None
+        self._start = self._carried = None
+        self._gap_begin = over
 
     def _decide(self, start: int, end: int, final: bool) -> list[FrameLevels]:
         """Decode the frame from samples up to `end`, or ask for more. final: none will follow."""
@@ -181,7 +183,8 @@ class LineTiming(Timing):
                     return self._emit(start, fit, found.levels, volts + self._level_v)
         if power <= 1.6 * self._noise:  # too weak to look for at other stretches
             return self._idle_frame(start, self._nominal_fit, power * self._nominal)
-        longest = start + math.ceil((1 + MAX_STRETCH) * spec.chips * self._nominal)
+        tail = 0 if self._level_known else TAIL_CHIPS  # which then shows the level
+        longest = start + math.ceil((1 + MAX_STRETCH) * (spec.chips + tail) * self._nominal)
         if end < longest and not final:
             self._due = longest
             return []
@@ -191,7 +194,7 @@ class LineTiming(Timing):
             return self._idle_frame(start, fit, power * self._nominal)
         if found.believable and self._ends(line, fit, found.levels, found.amplitude):
             return self._emit(start, fit, found.levels, volts + self._level_v)
-        self._reject()
+        self._reject(longest + math.ceil(self._nominal))
         return []
 
     def _integrated_frame(self, start: int, volts: Floats) -> list[FrameLevels]:
@@ -246,18 +249,21 @@ class LineTiming(Timing):
         """Whether the line is at rest after the fitted end: the frame is neither longer nor other.
 
         This tells a stretched frame from a shorter fit of its words, and words of more bits than
-        specified. True where the level of rest is not to be known, or nothing was received after
-        the end.
+        specified. True where nothing was received after the end. A level of rest that is not known
+        yet is that of row 0 where this is free, else it has to be 0, and seen: row 0 would take
+        any other for a node.
         """
         end = fit.end(self.spec) + 0.5
         begin, stop = math.ceil(end + 0.25 * fit.chip), math.floor(end + TAIL_CHIPS * fit.chip)
         tail = line.volts[begin:stop]
-        free = self.spec.first_row > 0 and self.spec.drive == BIPOLAR
-        if tail.size < 0.5 * fit.chip or not (self._level_known or free):
-            return True
+        if tail.size < 0.5 * fit.chip:
+            return self._level_known or self.spec.first_row > 0
         noise = self._noise
         if not self._level_known:
-            tail = tail - self._row_zero(line, fit)
+            if self.spec.drive == UNIPOLAR:
+                return True
+            if self.spec.first_row > 0:
+                tail = tail - self._row_zero(line, fit)
             noise = levels.noise_v**2 * self.spec.order
         least = float(amplitude[amplitude > 0].min(initial=np.inf))
         return float(tail @ tail) / tail.size < (0.4 * least) ** 2 + 4 * noise * fit.chip
