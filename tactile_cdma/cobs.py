@@ -10,7 +10,7 @@ def cobs_encode(data: bytes) -> bytes:
     becomes a block: its length, counting the zero, and the run. A block of 255 is 254 bytes
     without a zero.
     """
-    out = []
+    out: list[bytes] = []
     for run in data.split(b"\0"):
         full = len(run) // 254 * 254
         for start in range(0, full, 254):
