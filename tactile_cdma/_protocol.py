@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import NamedTuple
 
-VERSION = 2
+VERSION = 1
 SAMPLE_XOR = 0x5555
 MAX_SAMPLES = 8192
 MAX_PACKET_US = 3000
@@ -87,6 +87,9 @@ FIELDS: dict[str, tuple[Field, ...]] = {
         Field("drive", "B", Drive),
         Field("polarity", "b", Polarity),
         Field("samples_per_chip", "H", range(1, 65536)),
+        Field("parity", "B", bool),
+        Field("resync_chips", "H", range(0, 65536)),
+        Field("guard_chips", "B", range(0, 256)),
     ),
     "Info": (
         Field("version", "B", range(0, 256)),

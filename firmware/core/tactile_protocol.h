@@ -15,7 +15,7 @@
 #define TP_ASSERT_AT(type, field, offset) \
     _Static_assert(offsetof(struct type, field) == offset, #type "." #field)
 
-#define TP_VERSION 2
+#define TP_VERSION 1
 #define TP_SAMPLE_XOR 0x5555u
 #define TP_MAX_SAMPLES 8192
 #define TP_MAX_PACKET_US 3000
@@ -87,6 +87,9 @@ struct __attribute__((packed)) tp_frame_layout {
     uint8_t drive; /* levels of a chip */
     int8_t polarity; /* sense of the amplifier */
     uint16_t samples_per_chip; /* samples per chip; if integrated, the least number averaged into one word */
+    uint8_t parity; /* 1: every word is followed by a bit that makes its ones even */
+    uint16_t resync_chips; /* nodes start anew, at a sync edge, every so many chips; 0: at the frame's first chip only */
+    uint8_t guard_chips; /* pause before each such restart, in chips */
 };
 #define TP_NODES_MIN 1u
 #define TP_NODES_MAX 65535u
@@ -111,7 +114,10 @@ TP_ASSERT_AT(tp_frame_layout, natural_signs, 21);
 TP_ASSERT_AT(tp_frame_layout, drive, 22);
 TP_ASSERT_AT(tp_frame_layout, polarity, 23);
 TP_ASSERT_AT(tp_frame_layout, samples_per_chip, 24);
-_Static_assert(sizeof(struct tp_frame_layout) == 26, "size of tp_frame_layout");
+TP_ASSERT_AT(tp_frame_layout, parity, 26);
+TP_ASSERT_AT(tp_frame_layout, resync_chips, 27);
+TP_ASSERT_AT(tp_frame_layout, guard_chips, 29);
+_Static_assert(sizeof(struct tp_frame_layout) == 30, "size of tp_frame_layout");
 
 /* What the digitizer is and how it is set. */
 struct __attribute__((packed)) tp_info {
@@ -143,8 +149,8 @@ TP_ASSERT_AT(tp_info, max_count, 27);
 TP_ASSERT_AT(tp_info, sync_mode, 29);
 TP_ASSERT_AT(tp_info, integrated, 30);
 TP_ASSERT_AT(tp_info, frame, 31);
-TP_ASSERT_AT(tp_info, quiet_uv, 57);
-_Static_assert(sizeof(struct tp_info) == 61, "size of tp_info");
+TP_ASSERT_AT(tp_info, quiet_uv, 61);
+_Static_assert(sizeof(struct tp_info) == 65, "size of tp_info");
 
 /* Consecutive samples of the line. */
 struct __attribute__((packed)) tp_samples {
@@ -211,10 +217,10 @@ struct __attribute__((packed)) tp_configure {
     uint32_t quiet_uv; /* µV: largest difference of two samples within what is sent as QUIET; 0: never send it */
 };
 TP_ASSERT_AT(tp_configure, frame, 0);
-TP_ASSERT_AT(tp_configure, sync_mode, 26);
-TP_ASSERT_AT(tp_configure, integrated, 27);
-TP_ASSERT_AT(tp_configure, quiet_uv, 28);
-_Static_assert(sizeof(struct tp_configure) == 32, "size of tp_configure");
+TP_ASSERT_AT(tp_configure, sync_mode, 30);
+TP_ASSERT_AT(tp_configure, integrated, 31);
+TP_ASSERT_AT(tp_configure, quiet_uv, 32);
+_Static_assert(sizeof(struct tp_configure) == 36, "size of tp_configure");
 
 /* longest packet: payload; with type and sequence; with CRC; with COBS and delimiter */
 #define TP_MAX_PAYLOAD 16401

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._protocol import MAX_PACKET_US, MAX_SAMPLES, TAIL_CHIPS, Result, SyncMode
-from ..encode import line_chips
+from ..encode import frame_levels, line_chips
 from ..errors import SpecError
 from ..messages import (
     Command,
@@ -115,9 +115,10 @@ def stream(options: SimOptions, setup: Setup) -> Iterator[Block]:
 
 
 def _frame_size(setup: Setup) -> int:
-    """Samples of a frame: its chips, and if raw the tail that the host waits for."""
-    chips = setup.spec.chips
-    return chips if setup.integrated else (chips + TAIL_CHIPS) * setup.samples_per_chip
+    """Samples of a frame: its coded chips, or if raw all of it and the tail that the host awaits."""
+    if setup.integrated:
+        return setup.spec.chips
+    return (setup.spec.span_chips + TAIL_CHIPS) * setup.samples_per_chip
 
 
 def _cuts(
@@ -336,16 +337,17 @@ def _samples(options: SimOptions, setup: Setup, frame: NodeFrame) -> NDArray[np.
     next_s = frame_start_s(spec, frame.number + 1, options.start_phase)
     first, stop = np.maximum(first_sample([frame.start_s, next_s], setup.rate_hz), 0).tolist()
     edges_s = frame.start_s + channel.edges(spec, rng)
-    levels = line_chips(spec, frame.codes, frame.active).ravel()
+    levels = frame_levels(line_chips(spec, frame.codes, frame.active), spec)
     return channel.digitize(point_samples(levels, edges_s, setup.rate_hz, first, stop), spec, rng)
 
 
 def _chips(options: SimOptions, setup: Setup, frame: NodeFrame) -> NDArray[np.int16]:
-    """Mean values of the chips of a frame."""
+    """Mean values of the coded chips of a frame."""
     spec, channel = setup.spec, options.channel
     rng = np.random.default_rng([options.seed, frame.number])
     edges_s = channel.edges(spec, rng)
-    means = line_chips(spec, frame.codes, frame.active).ravel()
+    means = frame_levels(line_chips(spec, frame.codes, frame.active), spec)
     if channel.stretch or channel.jitter:
         means = chip_means(means, edges_s, spec.chip_s)
+    means = means[spec.places]
     return channel.digitize(means, spec, rng, averaged=setup.samples_per_chip)

@@ -149,12 +149,12 @@ def test_no_packet_is_longer_than_promised_nor_holds_a_delimiter(packet: Samples
 @pytest.mark.parametrize(
     ("size", "kind"),
     [
-        (70, INFO),
+        (74, INFO),
         (30, Status(0)),
         (13, Ack(0, 0)),
         (46, Quiet(0, 0, 1, 0, 0)),
         (9, Stop()),
-        (41, None),
+        (45, None),
     ],
 )
 def test_sizes_are_those_of_the_document(size: int, kind: Packet | None) -> None:
