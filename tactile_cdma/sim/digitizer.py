@@ -115,7 +115,7 @@ def stream(options: SimOptions, setup: Setup) -> Iterator[Block]:
 
 
 def _frame_size(setup: Setup) -> int:
-    """Samples of a frame: its coded chips, or if raw all of it and the tail that the host awaits."""
+    """Samples of a frame: its coded chips, or if raw its whole span and the tail."""
     if setup.integrated:
         return setup.spec.chips
     return (setup.spec.span_chips + TAIL_CHIPS) * setup.samples_per_chip
