@@ -8,18 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ._protocol import TAIL_CHIPS
 from .errors import SpecError
 from .fit import Fit, Floats, Line, WordFit, integrate, least_power, read_words, refine
 from .frame import MAX_STRETCH, UNIPOLAR, FrameSpec
 from .separate import NodeLevels, node_levels
-from .timing import FrameLevels, SampleBlock, Timing
+from .timing import FrameLevels, QuietBlock, SampleBlock, Timing
 
 MAX_SPREAD = 0.12
 """Spread beyond which a marked frame is rejected after all stretches were tried."""
 CHIP_ERROR = 2e-3
 """What chips may be shorter than nominal, or longer than the longest stretch."""
-TAIL_CHIPS = 3
-"""So many chips after its end must be silent for a frame to be taken."""
 CLEAN_SPREAD = 0.08
 """Spread of words at which a frame marked by its sync is taken as timed right: ρ > 3.5."""
 CARRIED_FRAMES = 15
@@ -93,6 +92,26 @@ class LineTiming(Timing):
                 self._samples.drop(self._samples.end - self._gap_size)
         return frames
 
+    def quiet(self, block: QuietBlock) -> list[FrameLevels]:
+        """Take in what nobody spoke in: a marked frame and its tail, or samples of the gap.
+
+        As `feed` does with such samples, at next to no cost.
+        """
+        if block.count < self._nominal_size if block.sync else self._start is not None:
+            return self.feed(block.samples())  # the frame in progress goes on in them
+        self._continue(block)
+        frames: list[FrameLevels] = []
+        if block.sync:
+            frames += self._close()
+            self._open(block.first_index)
+            frames += self._idle_frame(block.first_index, self._nominal_fit, block.variance_v2)
+        elif self._gap_begin is not None:
+            self._at_rest(block.mean_v, block.variance_v2)
+        end = block.first_index + block.count
+        self._samples.restart(end)
+        self._gap_begin = None if self._gap_begin is None else end
+        return frames
+
     def flush(self) -> list[FrameLevels]:
         """The recording ends here: decode the frame in progress if it is complete."""
         frames = self._close()
@@ -111,14 +130,18 @@ class LineTiming(Timing):
         begin = index if self._gap_begin is None else max(self._gap_begin, index - self._gap_size)
         gap = self._samples.take(begin, index)
         if gap.size and not np.isnan(total := float(gap.sum())):
-            self._level_v = total / gap.size
-            variance = max(0.0, float(gap @ gap) / gap.size - self._level_v**2)
-            newest = variance / self._nominal
-            self._noise += (GAP_WEIGHT if self._level_known else 1.0) * (newest - self._noise)
-            self._level_known = True
+            mean = total / gap.size
+            self._at_rest(mean, max(0.0, float(gap @ gap) / gap.size - mean**2))
         self._samples.drop(index)
         tail = 0 if self._integrated else math.ceil(TAIL_CHIPS * self._nominal)
         self._start, self._due = index, index + self._nominal_size + tail
+
+    def _at_rest(self, mean_v: float, variance: float) -> None:
+        """Samples of a gap have this mean, V, and variance, V²."""
+        self._level_v = mean_v
+        newest = variance / self._nominal
+        self._noise += (GAP_WEIGHT if self._level_known else 1.0) * (newest - self._noise)
+        self._level_known = True
 
     def _close(self) -> list[FrameLevels]:
         """No more samples for the frame in progress: take what there is, or reject it."""
