@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import threading
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,10 +42,7 @@ def correlate(
     out: takes the result instead of a new array; contiguous, and no part of chips.
     Raises SpecError where chips or out do not fit the book.
     """
-    result = _multiply(chips, _transform(book.plan), out)
-    if not _is_power_of_two(book.order):  # else the first block holds the scale, unrounded
-        result *= np.float32(1.0 / book.order)
-    return result
+    return _multiply(chips, _transform(book.plan), out)
 
 
 def spread(
@@ -58,53 +55,46 @@ def spread(
     return _multiply(symbols, _transform(book.plan, spreading=True), out)
 
 
-@dataclass(frozen=True)
 class _Dense:
-    """A stage for BLAS: matrix (order, order), to be applied from the right."""
+    """A stage for BLAS: matrix (order, order) applied from the right.
 
-    matrix: NDArray[np.float32]
+    Where other stages follow or precede, the product is split into many of a few rows each; see
+    _BLAS_PRODUCTS.
+    """
 
-    @property
-    def order(self) -> int:
-        return len(self.matrix)
+    def __init__(self, matrix: NDArray[np.float32], rest: int) -> None:
+        """rest: product of the other blocks' orders."""
+        order = len(matrix)
+        self.matrix = matrix
+        self.alone = rest == 1
+        most = _BLAS_PRODUCTS // order**2
+        rows = max(d for d in range(1, min(rest, most) + 1) if rest % d == 0)
+        self._from = (-1, order, rest // rows, rows)
+        self._to = (-1, rest // rows, rows, order)
 
     def apply(self, values: NDArray[np.float32], result: NDArray[np.float32]) -> None:
-        """(c, order, rest) to (c, rest, order), in products of at most _BLAS_PRODUCTS."""
-        count, order, rest = values.shape
-        if rest == 1:
-            np.matmul(values[:, :, 0], self.matrix, out=result[:, 0, :])
-            return
-        rows = _largest_divisor(rest, _BLAS_PRODUCTS // order**2)
-        np.matmul(
-            values.reshape(count, order, rest // rows, rows).transpose(0, 2, 3, 1),
-            self.matrix,
-            out=result.reshape(count, rest // rows, rows, order),
-        )
+        """(c, order·rest) to (c, rest·order)."""
+        if self.alone:
+            np.matmul(values, self.matrix, out=result)
+        else:
+            columns = values.reshape(self._from).transpose(0, 2, 3, 1)
+            np.matmul(columns, self.matrix, out=result.reshape(self._to))
 
 
-@dataclass(frozen=True)
 class _Fourier:
-    """A stage that is a large Paley factor."""
+    """A stage that is a large Paley factor, times a scale."""
 
-    factor: Paley
-    transposed: bool
-
-    @property
-    def order(self) -> int:
-        return self.factor.order
+    def __init__(self, factor: Paley, rest: int, transposed: bool, scale: float) -> None:
+        """rest: product of the other blocks' orders."""
+        self.factor, self.rest = factor, rest
+        self.transposed, self.scale = transposed, scale
 
     def apply(self, values: NDArray[np.float32], result: NDArray[np.float32]) -> None:
-        """(c, order, rest) to (c, rest, order)."""
-        result[...] = self.factor.multiply(values.swapaxes(1, 2), self.transposed)
-
-
-@dataclass(frozen=True)
-class _Transform:
-    """Product with a code book, as stages. most: vectors that go through them together."""
-
-    order: int
-    stages: tuple[_Dense | _Fourier, ...]
-    most: int
+        """(c, order·rest) to (c, rest·order)."""
+        order = self.factor.order
+        columns = values.reshape(-1, order, self.rest).swapaxes(1, 2)
+        product = self.factor.multiply(columns, self.transposed)
+        np.multiply(product, self.scale, out=result.reshape(product.shape), casting="same_kind")
 
 
 class _Scratch(threading.local):
@@ -117,22 +107,32 @@ class _Scratch(threading.local):
 _scratch = _Scratch()
 
 
+@dataclass(frozen=True)
+class _Transform:
+    """Product with a code book, as stages. most: vectors that go through them together."""
+
+    order: int
+    stages: tuple[_Dense | _Fourier, ...]
+    most: int
+
+
 def _multiply(
     vectors: NDArray[np.float32], transform: _Transform, out: NDArray[np.float32] | None
 ) -> NDArray[np.float32]:
-    """All stages, one after the other, on vectors (…, N)."""
+    """Vectors (…, N) times the code book."""
     order = transform.order
     values = np.ascontiguousarray(vectors, dtype=np.float32)
     if values.shape[-1] != order:
         raise SpecError(f"{values.shape[-1]} chips per bit do not fit a code book of order {order}")
     if out is None:
-        out = np.empty_like(values)
+        out = np.empty(values.shape, np.float32)
     elif out.shape != values.shape or out.dtype != np.float32 or not out.flags.c_contiguous:
         raise SpecError(f"out must be contiguous float32 of shape {values.shape}")
     source, result = values.reshape(-1, order), out.reshape(-1, order)
-    parts = -(-len(source) // transform.most)
+    count = len(source)
+    parts = -(-count // transform.most)
     for part in range(parts):  # of about equal size
-        chosen = slice(part * len(source) // parts, (part + 1) * len(source) // parts)
+        chosen = slice(part * count // parts, (part + 1) * count // parts)
         _pass(source[chosen], result[chosen], transform.stages)
     return out
 
@@ -142,39 +142,31 @@ def _pass(
     result: NDArray[np.float32],
     stages: tuple[_Dense | _Fourier, ...],
 ) -> None:
-    """Multiply every axis of vectors (c, N), the slowest first."""
-    count, order = values.shape
-    for following, stage in zip(range(len(stages) - 1, -1, -1), stages, strict=True):
-        # By turns, so that the last stage writes the result.
-        goal = _scratch.values[: values.size] if following % 2 else result
-        rest = order // stage.order
-        stage.apply(
-            values.reshape(count, stage.order, rest), goal.reshape(count, rest, stage.order)
-        )
-        values = goal
+    """All stages on vectors (c, N), few enough for the scratch buffer."""
+    to_scratch = len(stages) % 2 == 0  # by turns, so that the last stage writes the result
+    for stage in stages:
+        goal = _scratch.values[: values.size] if to_scratch else result
+        stage.apply(values, goal)
+        values, to_scratch = goal, not to_scratch
 
 
 @lru_cache(maxsize=64)
 def _transform(plan: tuple[int, ...], spreading: bool = False) -> _Transform:
-    """The stages of a code book of this plan."""
+    """The stages of a code book of this plan; the first of those that correlate scales by 1/N."""
     order = math.prod(plan)
-    stages = [_stage(group, spreading) for group in _groups(plan)]
-    if not spreading and _is_power_of_two(order):
-        assert isinstance(stages[0], _Dense), "a power of two has no large factor"
-        stages[0] = _Dense(stages[0].matrix * np.float32(1.0 / order))
-    most = _BLAS_PRODUCTS // order**2 if stages[0].order == order else _CHUNK // order
+    stages: list[_Dense | _Fourier] = []
+    for group in _groups(plan):
+        block = math.prod(group)
+        scale = 1.0 if spreading or stages else 1.0 / order
+        if block > LARGE_FACTOR:
+            factor = paley(block)
+            assert factor is not None, "all other factors are small"
+            stages.append(_Fourier(factor, order // block, spreading, scale))
+        else:
+            matrix = CodeBook(group).matrix if spreading else CodeBook(group).matrix.T
+            stages.append(_Dense((matrix * scale).astype(np.float32, order="C"), order // block))
+    most = _BLAS_PRODUCTS // order**2 if len(stages) == 1 else _CHUNK // order
     return _Transform(order, tuple(stages), max(most, 1))
-
-
-def _stage(group: tuple[int, ...], spreading: bool) -> _Dense | _Fourier:
-    """The stage for the product of some factors."""
-    order = math.prod(group)
-    if order > LARGE_FACTOR:
-        factor = paley(order)
-        assert factor is not None, "all other factors are small"
-        return _Fourier(factor, transposed=spreading)
-    matrix = CodeBook(group).matrix.astype(np.float32)
-    return _Dense(matrix if spreading else np.ascontiguousarray(matrix.T))
 
 
 def _groups(plan: tuple[int, ...]) -> tuple[tuple[int, ...], ...]:
@@ -191,12 +183,3 @@ def _groups(plan: tuple[int, ...]) -> tuple[tuple[int, ...], ...]:
                 ways.append((cost + order + per_stage, (*groups, group)))
         best.append(min(ways))
     return best[-1][1]
-
-
-@cache
-def _largest_divisor(number: int, limit: int) -> int:
-    return max(d for d in range(1, limit + 1) if number % d == 0)
-
-
-def _is_power_of_two(order: int) -> bool:
-    return order & (order - 1) == 0
