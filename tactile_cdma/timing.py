@@ -49,6 +49,7 @@ class FrameChips:
     offset_v: that offset, V.
     clipped: share of the frame's samples at a rail, 0…1.
     idle: nothing but offset and noise in this slot; volts are zeros.
+    tied: other words, some chips away, explain the samples as well: these are a guess.
     """
 
     start: float
@@ -57,6 +58,7 @@ class FrameChips:
     offset_v: float
     clipped: float
     idle: bool
+    tied: bool = False
 
 
 class Chips(NamedTuple):
@@ -151,14 +153,14 @@ class Timing:
         """Chips of a fit, to be believed within a limit of spread.
 
         Whole chips are the matched filter; their middle is blind to edges a tenth of a chip off.
-        Taken is what gives the more even words.
+        It is taken where it gives words more even than noise would by chance.
         """
         start, chip = np.array([fit.start]), np.array([fit.chip])
         both = np.concatenate(
             [integrate(line, start, chip, self.spec, share) for share in (1.0, MIDDLE)]
         )
         words = read_words(both, self.spec)
-        best = int(np.argmin(words.spread))
+        best = int(words.spread[1] < 0.6 * words.spread[0])
         believable = bool(words.believable(limit, self.spec, noise)[best])
         return Chips(both[best], words.amplitude[best], believable)
 
