@@ -130,11 +130,13 @@ class WordFit:
 
 
 def least_power(spec: FrameSpec) -> float:
-    """Power below which there is no node, V²; 0 where the amplitude is unknown.
+    """Power below which there is no node, V²; 0 where the amplitude is unknown."""
+    return lowest_power(spec.node_swing_v or 0.0)
 
-    A node may be half as strong as specified; less than half of that is none.
-    """
-    return 0.0 if spec.node_swing_v is None else (spec.node_swing_v / 4) ** 2
+
+def lowest_power(swing_v: float) -> float:
+    """The same for nodes of this amplitude, V: half as strong is one, less than half of that none."""
+    return (swing_v / 4) ** 2
 
 
 def read_words(chips: NDArray[np.float32], spec: FrameSpec) -> WordFit:

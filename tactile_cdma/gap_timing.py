@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import SpecError
-from .fit import Fit, Floats, Line
+from .fit import Fit, Floats, Line, lowest_power
 from .frame import FrameSpec
 from .gap import Burst, Expected, Found, GapSearch, Quiet
 from .timing import FrameChips, SampleBlock, Timing
@@ -19,6 +19,8 @@ MAX_SPREAD = 0.12
 gives 1/ρ²; chips that have nothing to do with the code book give π/2 − 1 = 0.57."""
 SCATTER = 0.15
 """What frames may be off their raster, in chips."""
+FORGET = 0.999
+"""What is left of a learnt amplitude's power after each silent slot."""
 CLOCK_ERROR = 1e-4
 """What the frame period may be off from the digitizer's clock."""
 
@@ -134,6 +136,8 @@ class GapTiming(Timing):
             chips = self._chips(line, found.fit, MAX_SPREAD, noise)
             if chips.believable and beside.is_quiet(self._side_halves, variance, burst.power):
                 self._quiet = quiet
+                if self.spec.node_swing_v is None:
+                    self._search.least_power = lowest_power(float(chips.amplitude.max()))
                 return self._emit(volts, found, chips.volts, quiet.level + beside.level)
         if all(self._may_be_noise(burst) for burst in seen):
             self._quiet = candidates[0] if candidates and not final else self._quiet
@@ -203,6 +207,8 @@ class GapTiming(Timing):
     def _pass_idle(self, end: int) -> list[FrameChips]:
         """Nothing up to `end`, but a frame may begin within the last frame's length before it."""
         frames = list(self._idle_slots(end - self._reach))
+        if self.spec.node_swing_v is None:
+            self._search.least_power *= FORGET ** len(frames)
         self._cursor = max(self._cursor, end - self._reach)
         self._schedule()
         return frames
