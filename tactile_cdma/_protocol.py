@@ -85,6 +85,9 @@ FIELDS: dict[str, tuple[Field, ...]] = {
         Field("drive", "B", Drive),
         Field("polarity", "b", Polarity),
         Field("samples_per_chip", "H", range(1, 65536)),
+        Field("parity", "B", bool),
+        Field("resync_chips", "H", range(0, 65536)),
+        Field("guard_chips", "B", range(0, 256)),
     ),
     "Info": (
         Field("version", "B", range(0, 256)),

@@ -51,8 +51,9 @@ class DeviceClock:
         x, y = device - device[0], host - host[0]
         rate = 1.0
         if len(x) >= 8:
-            rate = float(np.polyfit(x, y, 1)[0])
+            spread = x - x.mean()
+            rate = float(spread @ y / (spread @ spread))
             rate = min(max(rate, 1 - MAX_RATE_ERROR), 1 + MAX_RATE_ERROR)
-        lowest = float(np.min(y - rate * x))
+        lowest = float((y - rate * x).min())
         self._fitted = True
         self._rate, self._origin = rate, (float(device[0]), float(host[0]) + lowest)

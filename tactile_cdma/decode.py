@@ -1,14 +1,14 @@
-"""Chips to words: who spoke in this frame, what was said, and how sure that is."""
+"""Node levels to words: who spoke in this frame, what was said, and how sure that is."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .frame import FrameSpec
-from .transform import correlate
+from .separate import NodeLevels
 
 ACTIVE_SHARE = 0.5
 """A node spoke where the mean of |r| over its word exceeds this share of its amplitude."""
@@ -19,6 +19,9 @@ LOW_RHO = 5.0
 LOW_MARGIN = 0.4
 """Words are flagged where one bit has less than this share of the word's mean amplitude."""
 
+DOUBLE_SHARE = 1.6
+"""A level above this share of a node's amplitude is that of two nodes."""
+
 
 @dataclass(frozen=True, slots=True)
 class Words:
@@ -28,69 +31,107 @@ class Words:
     codes: (n,) int32 ADC words.
     amplitude_v: (n,) float32, V, mean |r| over the word's bits.
     rho: (n,) float32, amplitude over the noise of one correlation (√N·a/σ in the signal model).
-    doubtful: (n,) bool, active words whose decision was close in at least one bit.
-    noise_rms_v: σ, noise of one chip sample, V.
+    margin: (n,) float32, |r| of the word's weakest bit over its amplitude.
+    doubtful: (n,) bool, active words whose decision was close in at least one bit, or whose parity
+        had to be mended.
+    doubled: (n,) bool, words in which some bits cancel and others have twice the amplitude: two
+        nodes speak on one row.
+    noise_rms_v: σ, noise of one chip sample, V; NaN if unknown.
     """
 
     active: NDArray[np.bool_]
     codes: NDArray[np.int32]
     amplitude_v: NDArray[np.float32]
     rho: NDArray[np.float32]
+    margin: NDArray[np.float32]
     doubtful: NDArray[np.bool_]
+    doubled: NDArray[np.bool_]
     noise_rms_v: float
 
+    @property
+    def confidence(self) -> NDArray[np.float32]:
+        """Probability that each word's weakest bit is right, (n,) float32, 0.5…1.
 
-def silent(spec: FrameSpec, noise_rms_v: float = 0.0) -> Words:
+        In white noise the log-likelihood ratio of a bit is 2·a·|r|/σᵣ² = 2·ρ²·margin.
+        """
+        ratio = np.minimum(np.float32(2) * np.square(self.rho) * self.margin, np.float32(80))
+        confidence: NDArray[np.float32] = np.float32(1) / (np.float32(1) + np.exp(-ratio))
+        return confidence
+
+    def doubted(self) -> Words:
+        """The same words, none of them certain."""
+        return replace(self, doubtful=self.active)
+
+
+def silent(nodes: int, noise_rms_v: float) -> Words:
     """The words of a frame in which nobody spoke."""
-    nothing = np.zeros(spec.nodes, dtype=np.float32)
-    no = np.zeros(spec.nodes, dtype=bool)
-    return Words(no, np.zeros(spec.nodes, dtype=np.int32), nothing, nothing, no, noise_rms_v)
+    nothing = np.zeros(nodes, dtype=np.float32)
+    no = np.zeros(nodes, dtype=bool)
+    codes = np.zeros(nodes, dtype=np.int32)
+    return Words(no, codes, nothing, nothing, nothing, no, no, noise_rms_v)
 
 
-def decode(chips: NDArray[np.float32], spec: FrameSpec, threshold: float = ACTIVE_SHARE) -> Words:
-    """Separate the nodes of one frame.
+def decode(
+    levels: NodeLevels,
+    spec: FrameSpec,
+    threshold: float = ACTIVE_SHARE,
+    swing_v: ArrayLike | None = None,
+) -> Words:
+    """Read the words of one frame.
 
-    chips: (k, N) float32, V, free of DC if row 0 is assigned. threshold: share of the expected
-    amplitude above which a word counts as spoken. Activity is decided per word and not per bit:
-    k correlations average out the noise, which takes lost words from 0.32 to 1e-4 at ρ = 4.
+    threshold: share of the expected amplitude above which a word counts as spoken. swing_v: that
+    amplitude, scalar or (n,), V; the specification's by default, and where that has none, the
+    largest of the frame. Activity is decided per word and not per bit: k levels average out the
+    noise, which takes lost words from 0.32 to 1e-4 at ρ = 4.
+
+    With parity, a word whose parity is odd has its weakest bit turned (Wagner 1954, the most
+    likely even word) and is doubtful.
     """
-    everything = correlate(chips, spec.book)
-    values = everything[:, spec.rows] * (spec.signs * spec.polarity)
+    values, noise = levels.values, levels.noise_v
     level = np.abs(values)
-    amplitude = level.mean(axis=0)
-    noise = _noise(everything, level, amplitude, spec)
-    swing = spec.node_swing_v
-    if swing is None:
-        swing = max(float(amplitude.max()), AUTO_FLOOR * noise / threshold)
-    active = amplitude > threshold * swing
-    weights = 1 << np.arange(spec.bits - 1, -1, -1, dtype=np.int32)
-    codes = weights @ (values > 0)
-    rho = amplitude / max(noise, 1e-12)
-    doubtful = active & ((rho < LOW_RHO) | (level.min(axis=0) < LOW_MARGIN * amplitude))
+    amplitude = level.sum(axis=0) * np.float32(1 / spec.line_bits)
+    if swing_v is None:
+        swing_v = spec.node_swing_v
+    if swing_v is None:
+        swing_v = max(float(amplitude.max()), AUTO_FLOOR * noise / threshold)
+    expected = np.asarray(swing_v, dtype=np.float32)
+    active = amplitude > np.float32(threshold) * expected
+    weakest = level.min(axis=0)
+    # Sums of powers of two below 2¹⁷ are exact in float32, whose products are the fast ones.
+    words = (_weights(spec.line_bits) @ (values > 0)).astype(np.int32)
+    words ^= spec.sign_mask
+    if spec.parity:
+        odd = _is_odd(words)
+        turn = np.int32(1) << (spec.bits - level.argmin(axis=0)).astype(np.int32)
+        words = (words ^ turn * odd) >> 1
+    rho = amplitude * np.float32(1 / max(noise, 1e-12))
+    doubtful = active & ((rho < LOW_RHO) | (weakest < np.float32(LOW_MARGIN) * amplitude))
+    if spec.parity:
+        doubtful |= active & odd
+    doubled = np.zeros_like(active)
+    if doubtful.any():
+        cancelling = doubtful & (weakest < np.float32(LOW_MARGIN) * expected)
+        doubled = cancelling & (level.max(axis=0) > np.float32(DOUBLE_SHARE) * expected)
     return Words(
         active,
-        np.where(active, codes, 0).astype(np.int32),
+        words * active,
         amplitude,
-        rho.astype(np.float32),
+        rho,
+        weakest / np.maximum(amplitude, np.float32(1e-30)),
         doubtful,
+        doubled,
         float(noise * np.sqrt(spec.order)),
     )
 
 
-def _noise(
-    everything: NDArray[np.float32],
-    level: NDArray[np.float32],
-    amplitude: NDArray[np.float32],
-    spec: FrameSpec,
-) -> float:
-    """RMS noise of one correlation, V: from the spare rows, else from the scatter of the words.
+def _weights(bits: int) -> NDArray[np.float32]:
+    """Value of each bit of a word, most significant first, (bits,)."""
+    return np.exp2(np.arange(bits - 1, -1, -1, dtype=np.float32))
 
-    A spoken word's k levels scatter about their mean with the noise. The levels of a silent node
-    are the noise itself (folded, so mean and deviation differ by a factor of 1.3 only).
-    """
-    if len(spec.spare_rows) >= 2:
-        return float(np.sqrt(np.mean(np.square(everything[:, spec.spare_rows]))))
-    scatter = np.sum(np.square(level - amplitude), axis=0) / (spec.bits - 1)
-    spoken = amplitude > 2.2 * np.sqrt(scatter)
-    power = np.where(spoken, scatter, np.mean(np.square(level), axis=0))
-    return float(np.sqrt(power.mean()))
+
+def _is_odd(words: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Whether words of up to 17 bits have an odd number of ones."""
+    for shift in (16, 8, 4, 2, 1):
+        words = words ^ (words >> shift)
+    odd: NDArray[np.bool_] = (words & 1).astype(bool)
+    return odd

@@ -22,6 +22,11 @@ def word_bits(codes: ArrayLike, bits: int) -> NDArray[np.uint8]:
     return ((words[:, None] >> np.arange(bits - 1, -1, -1)) & 1).astype(np.uint8)
 
 
+def with_parity(bits: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Words (n, b) of bits followed by the bit that makes their ones even: (n, b + 1)."""
+    return np.column_stack((bits, bits.sum(axis=1, dtype=np.uint8) & 1))
+
+
 def line_chips(
     spec: FrameSpec,
     codes: ArrayLike,
@@ -38,9 +43,19 @@ def line_chips(
     level_v = np.broadcast_to(default_v if amplitude_v is None else amplitude_v, spec.nodes)
     talking = np.ones(spec.nodes, bool) if active is None else np.asarray(active, bool)
     level_v = np.where(talking, level_v, 0.0)
-    symbols = np.zeros((spec.bits, spec.order), dtype=np.float32)
-    symbols[:, spec.rows] = (2.0 * word_bits(codes, spec.bits).T - 1.0) * (spec.signs * level_v)
+    bits = word_bits(codes, spec.bits)
+    if spec.parity:
+        bits = with_parity(bits)
+    symbols = np.zeros((spec.line_bits, spec.order), dtype=np.float32)
+    symbols[:, spec.rows] = (2.0 * bits.T - 1.0) * (spec.signs * level_v)
     chips = spread(symbols, spec.book)
     if spec.drive == UNIPOLAR:
         chips = (chips + level_v.sum()) / 2
     return np.asarray(spec.polarity * chips, dtype=np.float32)
+
+
+def frame_levels(chips: NDArray[np.float32], spec: FrameSpec) -> NDArray[np.float32]:
+    """Coded chips (k, N) in the order of the line, (span_chips,); guards are silent."""
+    levels = np.zeros(spec.span_chips, dtype=np.float32)
+    levels[spec.places] = chips.ravel()
+    return levels

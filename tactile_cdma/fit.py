@@ -69,23 +69,23 @@ def integrate(
     start, chip: (c,) float64, samples. share: middle part of each chip that is integrated.
     Returns (c, k, N) float32, V.
     """
-    steps = np.arange(spec.chips + 1)
-    if share == 1.0:
-        total, number = map(np.diff, line.before(start[:, None] + chip[:, None] * steps))
+    start, chip = start[:, None], chip[:, None]
+    if share == 1.0 and spec.span_chips == spec.chips:
+        total, number = map(np.diff, line.before(start + chip * np.arange(spec.chips + 1)))
     else:
-        middle = start[:, None] + chip[:, None] * (steps[:-1] + 0.5)
-        reach = chip[:, None] * (0.5 * share)
+        middle, reach = start + chip * (spec.places + 0.5), chip * (0.5 * share)
         (left, less), (right, more) = line.before(middle - reach), line.before(middle + reach)
         total, number = right - left, more - less
     levels: Floats = total / np.maximum(number, 0.5)
-    return levels.astype(np.float32).reshape(-1, spec.bits, spec.order)
+    return levels.astype(np.float32).reshape(-1, spec.line_bits, spec.order)
 
 
 @dataclass(frozen=True, slots=True)
 class WordFit:
     """What chips say when every node is held to one amplitude per word.
 
-    signed: (c, k, n) float32, V: correlations of the nodes' rows.
+    rows: (c, k, N) float32, V: correlations of all rows.
+    signed: (c, k, n) float32, V: those of the nodes' rows.
     amplitude: (c, n) float32, V: mean of |signed| over the bits; 0 where the node is silent.
     pedestal: (c,) float32, V: the level that unipolar nodes add; 0 for bipolar drive.
     power: (c,) float32, V²: mean power of the chips that these words account for.
@@ -93,6 +93,7 @@ class WordFit:
     misfit: (c,) float32: power of the chips that the words leave over, relative to `power`.
     """
 
+    rows: NDArray[np.float32]
     signed: NDArray[np.float32]
     amplitude: NDArray[np.float32]
     pedestal: NDArray[np.float32]
@@ -108,9 +109,10 @@ class WordFit:
         limit: of one word's spread; many words that spread by much more than its half must be
             explained by noise.
         noise: variance of a chip's level in the gap, V². It makes words spread by 1/ρ², estimated
-        from active·(k − 1) squares. Where it is not known, it follows from the words: noise that
-        makes them spread by s leaves s/active in each of the N rows. Beyond that (and its scatter,
-        s is an estimate from few bits) and some distortion there is a signal not understood.
+        with active·(k − 1) degrees of freedom. Where it is not known, it follows from the words:
+        noise that makes them spread by s leaves s/active in each of the N rows. Beyond that (and
+        its scatter, s is an estimate from few bits) and some distortion there is a signal not
+        understood.
         """
         active = np.maximum(np.count_nonzero(self.amplitude, axis=1), 1)
         most = np.full(len(active), limit)
@@ -119,7 +121,7 @@ class WordFit:
         else:
             left = 3 * np.float32(noise) / np.maximum(self.power, np.float32(1e-30))
             expected = left / 3 * active / spec.order
-            scatter = np.sqrt(2 / (active * (spec.bits - 1)))
+            scatter = np.sqrt(2 / (active * (spec.line_bits - 1)))
             most = np.minimum(
                 limit * (1.7 - 0.7 / active), limit / 2 + expected * (1.2 + 4 * scatter)
             )
@@ -135,36 +137,38 @@ def least_power(spec: FrameSpec) -> float:
 
 
 def lowest_power(swing_v: float) -> float:
-    """The same for nodes of this amplitude, V: half as strong is one, less than half of that none."""
+    """The same for nodes of this amplitude, V: half of it may be one, a quarter is none."""
     return (swing_v / 4) ** 2
 
 
 def read_words(chips: NDArray[np.float32], spec: FrameSpec) -> WordFit:
     """Words of each hypothesis: chips (c, k, N) float32, V. A node under half the max is silent."""
-    rows = correlate(chips, spec.book)
+    rows, bits = correlate(chips, spec.book), np.float32(spec.line_bits)
     signed = rows[..., spec.first_row : spec.first_row + spec.nodes]
-    mean = np.abs(signed).sum(axis=1) / np.float32(spec.bits)
+    mean = np.abs(signed).sum(axis=1) / bits
     active = mean > 0.5 * mean.max(axis=1, keepdims=True)
     amplitude = mean * active
     word_power = np.einsum("cn,cn->c", amplitude, amplitude)
-    signed_power = np.einsum("ckn,ckn,cn->c", signed, signed, active.astype(np.float32))
+    signed_power = np.einsum("cn,cn->c", np.einsum("ckn,ckn->cn", signed, signed), active)
     total = np.einsum("ckr,ckr->c", rows, rows)
+    pedestal = np.zeros(len(chips), np.float32)
     if spec.drive == UNIPOLAR:
-        pedestal = rows[..., 0].sum(axis=1) / np.float32(spec.bits)
-    else:
-        pedestal = np.zeros(len(chips), np.float32)
-        if spec.first_row > 0:  # a free row 0 holds nothing but what is left of the offset
-            total -= np.einsum("ck,ck->c", rows[..., 0], rows[..., 0])
-    floor = np.float32(1e-30)
+        pedestal = rows[..., 0].sum(axis=1) / bits
+    elif spec.first_row > 0:  # a free row 0 holds nothing but what is left of the offset
+        total -= np.einsum("ck,ck->c", rows[..., 0], rows[..., 0])
     power = word_power + np.square(pedestal)
     return WordFit(
+        rows,
         signed,
         amplitude,
         pedestal,
         power,
-        signed_power / np.maximum(spec.bits * word_power, floor) - 1,
-        total / np.maximum(spec.bits * power, floor) - 1,
+        signed_power / np.maximum(bits * word_power, _TINY) - 1,
+        total / np.maximum(bits * power, _TINY) - 1,
     )
+
+
+_TINY = np.float32(1e-30)
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,7 +180,7 @@ class Fit:
 
     def end(self, spec: FrameSpec) -> float:
         """Instant at which the last chip ends."""
-        return self.start + spec.chips * self.chip
+        return self.start + spec.span_chips * self.chip
 
 
 def refine(

@@ -24,7 +24,7 @@ class FrameSpec:
     """How n nodes share the line. Immutable; every derived quantity follows from these fields.
 
     nodes: number of sensing nodes, n.
-    bits: word length k, sent most significant bit first.
+    bits: length of a node's ADC word, sent most significant bit first.
     order: chips per bit, N; 0 picks the smallest feasible order.
     chip_s: nominal chip duration, s.
     frame_period_s: from one frame's first chip to the next one's, s.
@@ -34,6 +34,10 @@ class FrameSpec:
     drive: "bipolar" (a chip is ±A) or "unipolar" (0 or A).
     polarity: −1 where the amplifier inverts.
     amplitude_v: A, the level of one node on the digitized line, V; None learns it from each frame.
+    parity: every word is followed by a bit that makes its number of ones even.
+    resync_chips: nodes with clocks of their own start anew, at a sync edge, every so many chips;
+        0: at the frame's first chip only.
+    guard_chips: pause before each such restart, in chips, in which slow nodes finish.
 
     Raises SpecError for a field out of range or a combination that cannot work.
     """
@@ -48,12 +52,17 @@ class FrameSpec:
     drive: str = BIPOLAR
     polarity: int = 1
     amplitude_v: float | None = DEFAULT_AMPLITUDE_V
+    parity: bool = False
+    resync_chips: int = 0
+    guard_chips: int = 0
 
     def __post_init__(self) -> None:
         _check_range("nodes", self.nodes, 1, 65_536)
         _check_range("bits", self.bits, 8, 16)
         _check_range("chip_s", self.chip_s, 1e-8, 1.0)
         _check_range("first_row", self.first_row, 0, 65_535)
+        _check_range("resync_chips", self.resync_chips, 0, 65_535)
+        _check_range("guard_chips", self.guard_chips, 0, 255)
         if self.sign_seed is not None:
             _check_range("sign_seed", self.sign_seed, 0, 2**32 - 1)
         if self.amplitude_v is not None:
@@ -77,22 +86,47 @@ class FrameSpec:
                 "unipolar drive cannot use code row 0: a 0 bit on the all-ones row looks like "
                 "silence; set first_row to 1 or drive to bipolar"
             )
+        if bool(self.resync_chips) != bool(self.guard_chips):
+            raise SpecError(
+                f"resync_chips is {self.resync_chips} and guard_chips {self.guard_chips}: "
+                "restarts within a frame take both"
+            )
         if not self.frame_s <= self.frame_period_s:
             raise SpecError(
-                f"a frame of {self.bits} bits × {self.order} chips × {self.chip_s * 1e6:g} µs "
-                f"lasts {self.frame_s * 1e3:g} ms, longer than its period of "
+                f"a frame of {self.line_bits} bits × {self.order} chips × {self.chip_s * 1e6:g} µs "
+                f"{self._guard_text}lasts {self.frame_s * 1e3:g} ms, longer than its period of "
                 f"{self.frame_period_s * 1e3:g} ms"
             )
 
     @property
+    def line_bits(self) -> int:
+        """Bits of a word on the line, k: with its parity bit."""
+        return self.bits + self.parity
+
+    @property
     def chips(self) -> int:
-        """Chips per frame, k·N."""
-        return self.bits * self.order
+        """Coded chips per frame, k·N."""
+        return self.line_bits * self.order
+
+    @property
+    def span_chips(self) -> int:
+        """Length of a frame in chips, with the guards between its sub-slots."""
+        if not self.resync_chips:
+            return self.chips
+        return self.chips + (self.chips - 1) // self.resync_chips * self.guard_chips
+
+    @cached_property
+    def places(self) -> NDArray[np.intp]:
+        """When each coded chip begins, in chips after the frame's start, (k·N,)."""
+        chip = np.arange(self.chips)
+        if self.resync_chips:
+            chip += chip // self.resync_chips * self.guard_chips
+        return chip
 
     @property
     def frame_s(self) -> float:
-        """Nominal duration of the chips of a frame, s."""
-        return self.chips * self.chip_s
+        """Nominal duration of a frame, s."""
+        return self.span_chips * self.chip_s
 
     @property
     def node_swing_v(self) -> float | None:
@@ -117,9 +151,22 @@ class FrameSpec:
         return row_signs(self.rows, self.sign_seed)
 
     @cached_property
-    def spare_rows(self) -> NDArray[np.intp]:
+    def sign_mask(self) -> NDArray[np.int32]:
+        """What turns the signs of a node's levels into its word, (n,) int32: all ones or none."""
+        inverted = self.signs * self.polarity < 0
+        return np.where(inverted, np.int32((1 << self.line_bits) - 1), np.int32(0))
+
+    @property
+    def spare_rows(self) -> slice:
         """Rows that no node uses and that carry no DC level: they show the noise floor."""
-        return np.setdiff1d(np.arange(1, self.order), self.rows)
+        after = slice(self.first_row + self.nodes, self.order)
+        before = slice(1, max(1, self.first_row))
+        return max(after, before, key=lambda rows: rows.stop - rows.start)
+
+    @property
+    def _guard_text(self) -> str:
+        guards = self.span_chips - self.chips
+        return f"and {guards} guard chips " if guards else ""
 
 
 def _check_range(name: str, value: float, low: float, high: float) -> None:

@@ -6,13 +6,13 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .errors import SpecError
 from .fit import Fit, Floats, Line, lowest_power
 from .frame import FrameSpec
 from .gap import Burst, Expected, Found, GapSearch, Quiet
-from .timing import FrameChips, SampleBlock, Timing
+from .separate import NodeLevels
+from .timing import FrameLevels, SampleBlock, Timing
 
 MAX_SPREAD = 0.12
 """Relative variance of |r| within a word beyond which a fit is not believed. White noise alone
@@ -62,11 +62,11 @@ class GapTiming(Timing):
         self._raster = 0.0  # start of the next slot
         self._failures = 0
 
-    def feed(self, block: SampleBlock) -> list[FrameChips]:
+    def feed(self, block: SampleBlock) -> list[FrameLevels]:
         """Take samples in; return the frames and silent slots that they complete."""
         if not self._continue(block):
             self._begin_at(block.first_index)
-        frames: list[FrameChips] = []
+        frames: list[FrameLevels] = []
         volts, slice_size = np.asarray(block.volts), math.ceil(self._search.period)
         for begin in range(0, volts.size, slice_size):  # keeps the buffer bounded
             self._samples.append(volts[begin : begin + slice_size])
@@ -74,9 +74,9 @@ class GapTiming(Timing):
                 frames += self._decide(self._due)
         return frames
 
-    def flush(self) -> list[FrameChips]:
+    def flush(self) -> list[FrameLevels]:
         """The recording ends here: decode a last frame that is complete."""
-        frames: list[FrameChips] = []
+        frames: list[FrameLevels] = []
         cursor = -1
         while self._samples.end - self._cursor > self._search.shortest and cursor != self._cursor:
             cursor = self._cursor
@@ -105,7 +105,7 @@ class GapTiming(Timing):
             self._due = max(math.ceil(self._raster), self._cursor) + self._reach
         self._samples.drop(self._cursor)
 
-    def _decide(self, end: int, final: bool = False) -> list[FrameChips]:
+    def _decide(self, end: int, final: bool = False) -> list[FrameLevels]:
         """Look at the samples from the cursor to `end`, and move on. final: none will follow."""
         volts = self._samples.take(self._cursor, end)
         bad = np.flatnonzero(np.isnan(volts))
@@ -133,12 +133,12 @@ class GapTiming(Timing):
             beside = self._search.beside(shifted, found.fit)
             variance = beside.variance(burst.variance)
             noise = variance * self._search.half / found.fit.chip
-            chips = self._chips(line, found.fit, MAX_SPREAD, noise)
-            if chips.believable and beside.is_quiet(self._side_halves, variance, burst.power):
+            attempt = self._attempt(line, found.fit, MAX_SPREAD, noise)
+            if attempt.believable and beside.is_quiet(self._side_halves, variance, burst.power):
                 self._quiet = quiet
                 if self.spec.node_swing_v is None:
-                    self._search.least_power = lowest_power(float(chips.amplitude.max()))
-                return self._emit(volts, found, chips.volts, quiet.level + beside.level)
+                    self._search.least_power = lowest_power(float(attempt.amplitude.max()))
+                return self._emit(volts, found, attempt.levels, quiet.level + beside.level)
         if all(self._may_be_noise(burst) for burst in seen):
             self._quiet = candidates[0] if candidates and not final else self._quiet
             return [] if final else self._pass_idle(end)
@@ -186,8 +186,8 @@ class GapTiming(Timing):
         return size < min(burst.first + self._reach, burst.last + self._bit)
 
     def _emit(
-        self, volts: Floats, found: Found, chips: NDArray[np.float32], offset: float
-    ) -> list[FrameChips]:
+        self, volts: Floats, found: Found, levels: NodeLevels, offset: float
+    ) -> list[FrameLevels]:
         """The frame, after the silent slots before it. offset: the gap's level around it, V."""
         assert self._quiet is not None
         fit = found.fit
@@ -195,8 +195,9 @@ class GapTiming(Timing):
         start = self._cursor + fit.start
         # Without an earlier frame, what lies before this one may be the rest of another.
         frames = list(self._idle_slots(start - self._search.period / 2)) if self._last else []
-        chips = chips + np.float32(self._quiet.level - offset)
-        frames.append(FrameChips(start, fit.chip, chips, offset, clipped, False, found.tied))
+        if self.spec.first_row == 0:  # the only row that an offset shows in
+            levels.values[:, 0] += np.float32(self._quiet.level - offset)
+        frames.append(self._heard(start, fit.chip, levels, offset, clipped, found.tied))
         self._last, self._failures = Fit(start, fit.chip), 0
         self._anchor = self._anchor if found.tied else self._last
         self._raster = start + self._search.period
@@ -204,7 +205,7 @@ class GapTiming(Timing):
         self._schedule()
         return frames
 
-    def _pass_idle(self, end: int) -> list[FrameChips]:
+    def _pass_idle(self, end: int) -> list[FrameLevels]:
         """Nothing up to `end`, but a frame may begin within the last frame's length before it."""
         frames = list(self._idle_slots(end - self._reach))
         if self.spec.node_swing_v is None:
@@ -213,9 +214,11 @@ class GapTiming(Timing):
         self._schedule()
         return frames
 
-    def _idle_slots(self, until: float) -> Iterator[FrameChips]:
+    def _idle_slots(self, until: float) -> Iterator[FrameLevels]:
         """The silent slots that begin up to an index."""
-        level = self._quiet.level if self._quiet else 0.0
+        level, noise = 0.0, math.nan
+        if self._quiet:  # whose variance is that of half chips
+            level, noise = self._quiet.level, math.sqrt(self._quiet.variance / 2)
         while self._raster <= until:
-            yield self._idle(self._raster, self._search.chip, level)
+            yield FrameLevels(self._raster, self._search.chip, None, noise, level, 0.0)
             self._raster += self._search.period

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .errors import SpecError
-from .fit import Fit, Floats, Line, integrate, least_power, read_words, refine
+from .fit import Fit, Floats, Line, WordFit, integrate, least_power, read_words, refine
 from .frame import BIPOLAR, MAX_STRETCH, FrameSpec
-from .timing import Chips, FrameChips, SampleBlock, Timing
+from .separate import NodeLevels, node_levels
+from .timing import FrameLevels, SampleBlock, Timing
 
 MAX_SPREAD = 0.12
 """Spread beyond which a marked frame is rejected after all stretches were tried."""
@@ -20,15 +22,32 @@ TAIL_CHIPS = 3
 """So many chips after its end must be silent for a frame to be taken."""
 CLEAN_SPREAD = 0.08
 """Spread of words at which a frame marked by its sync is taken as timed right: ρ > 3.5."""
+CARRIED_FRAMES = 15
+"""A frame's timing serves so many frames after it, as long as it explains them."""
+CARRIED_MISFIT = 3e-3
+"""Power, relative to the words', that timing carried over may leave unexplained beside the noise:
+an edge error of about a thousandth of a chip's power, 0.01 dB."""
+GAP_WEIGHT = 0.25
+"""Of the newest gap in the noise that is expected of the next frame."""
+
+
+@dataclass(slots=True)
+class _Carried:
+    """Timing of a frame that was refined on its own edges, and how often it was used since."""
+
+    fit: Fit
+    uses: int = 0
 
 
 class LineTiming(Timing):
     """Frames that the digitizer marks: each starts at the first sample of a block with sync.
 
     At one sample per chip the digitizer integrates whole chips, and these are the frame. Raw
-    samples are integrated with the nominal chip duration, refined on the frame's own edges; only
+    samples are integrated with the timing of the frame before, as long as that leaves no more
+    than noise; else with the nominal chip duration, refined on the frame's own edges; and only
     where words do not come out clean, all stretches up to 11 % are searched, which takes the
-    samples that such a frame would have.
+    samples that such a frame would have. Frames with restarts in them need none of this: their
+    chips are where the digitizer's sync edges put them.
     """
 
     def __init__(
@@ -43,8 +62,11 @@ class LineTiming(Timing):
                 f"{self._nominal:.2g} samples per chip: line timing takes one integrated value per "
                 f"chip ({1 / spec.chip_s:.6g} Hz) or at least two samples"
             )
+        self._nominal_fit = Fit(-0.5, self._nominal)  # the first sample is half a sample's instant
         self._gap_size = math.ceil(spec.order * self._nominal)
-        self._nominal_size = math.ceil(spec.chips * self._nominal - 0.5)
+        # Where chips are integrated, guards have no samples.
+        length = spec.chips if self._integrated else spec.span_chips
+        self._nominal_size = math.ceil(length * self._nominal - 0.5)
         self._least_power = least_power(spec)
         self._start: int | None = None
         self._due = 0
@@ -52,12 +74,13 @@ class LineTiming(Timing):
         self._level_v = 0.0  # until a gap was seen; a free row 0 then shows the offset
         self._level_known = False
         self._noise = 0.0  # variance of a chip's level in the gap, V²; 0 where unknown
+        self._carried: _Carried | None = None
         self._chip = self._nominal
 
-    def feed(self, block: SampleBlock) -> list[FrameChips]:
+    def feed(self, block: SampleBlock) -> list[FrameLevels]:
         """Take samples in; return the frames that they complete."""
         self._continue(block)
-        frames: list[FrameChips] = []
+        frames: list[FrameLevels] = []
         if block.sync:
             frames += self._close()
             self._open(block.first_index)
@@ -70,7 +93,7 @@ class LineTiming(Timing):
                 self._samples.drop(self._samples.end - self._gap_size)
         return frames
 
-    def flush(self) -> list[FrameChips]:
+    def flush(self) -> list[FrameLevels]:
         """The recording ends here: decode the frame in progress if it is complete."""
         frames = self._close()
         self.reset()
@@ -87,16 +110,19 @@ class LineTiming(Timing):
         """A frame begins at this sample; what came since the last frame's end is gap."""
         begin = index if self._gap_begin is None else max(self._gap_begin, index - self._gap_size)
         gap = self._samples.take(begin, index)
-        if gap.size and not np.isnan(gap.sum()):
-            self._level_v, self._noise = float(gap.mean()), float(gap.var()) / self._nominal
+        if gap.size and not np.isnan(total := float(gap.sum())):
+            self._level_v = total / gap.size
+            variance = max(0.0, float(gap @ gap) / gap.size - self._level_v**2)
+            newest = variance / self._nominal
+            self._noise += (GAP_WEIGHT if self._level_known else 1.0) * (newest - self._noise)
             self._level_known = True
         self._samples.drop(index)
         tail = 0 if self._integrated else math.ceil(TAIL_CHIPS * self._nominal)
         self._start, self._due = index, index + self._nominal_size + tail
 
-    def _close(self) -> list[FrameChips]:
+    def _close(self) -> list[FrameLevels]:
         """No more samples for the frame in progress: take what there is, or reject it."""
-        frames: list[FrameChips] = []
+        frames: list[FrameLevels] = []
         if self._start is not None:
             if self._samples.end - self._start >= self._nominal_size:
                 frames = self._decide(self._start, self._samples.end, final=True)
@@ -106,75 +132,140 @@ class LineTiming(Timing):
 
     def _reject(self) -> None:
         self.rejected += 1
-        self._start = self._gap_begin = None
+        self._start = self._gap_begin = self._carried = None
 
-    def _decide(self, start: int, end: int, final: bool) -> list[FrameChips]:
+    def _decide(self, start: int, end: int, final: bool) -> list[FrameLevels]:
         """Decode the frame from samples up to `end`, or ask for more. final: none will follow."""
-        spec, volts = self.spec, self._samples.take(start, end)
-        if np.isnan(volts.sum()):
+        volts = self._samples.take(start, end)
+        power = self._sample_power(volts[: self._nominal_size])
+        if math.isnan(power):
             self._reject()
             return []
-        volts = volts - self._level_v
+        # The energy gate: means of samples have no more power than the samples themselves.
+        if power <= self._least_power:
+            return self._idle_frame(start, self._nominal_fit, power)
         if self._integrated:
             return self._integrated_frame(start, volts)
-        line = Line(volts)
-        nominal = Fit(-0.5, self._nominal)  # the first sample stands for half a sample before it
-        power = self._power(line, nominal)
+        line = Line(volts - self._level_v)
+        if self.spec.resync_chips:
+            return self._resynced_frame(start, line, final)
+        carried = self._carried
+        if carried is not None and carried.uses < CARRIED_FRAMES:
+            words = self._words(line, carried.fit)
+            if self._explained(words):
+                fit, amplitude = carried.fit, words.amplitude[0]
+                if self._more_needed(fit, end, volts.size, final):
+                    return []
+                levels = node_levels(words.rows[0], self.spec)
+                if self._ends(line, fit, levels, amplitude):
+                    carried.uses += 1
+                    return self._emit(start, fit, levels, volts)
+        return self._refined_frame(start, end, line, final)
+
+    def _refined_frame(self, start: int, end: int, line: Line, final: bool) -> list[FrameLevels]:
+        """The frame whose timing follows from its own edges."""
+        spec, volts = self.spec, line.volts
+        power = self._chip_power(line)
         if power <= self._least_power:
-            return self._idle_frame(start, nominal)
+            return self._idle_frame(start, self._nominal_fit, power * self._nominal)
         for chip in dict.fromkeys((self._nominal, self._chip)):
             fit = self._refined(line, chip)
-            chips = self._chips(line, fit, CLEAN_SPREAD, self._noise or None)
-            if chips.believable and not self._silent(chips.amplitude):
-                missing = fit.end(spec) + TAIL_CHIPS * fit.chip - volts.size
-                if missing > 0.5 and not final:
-                    self._due = end + math.ceil(missing)
+            found = self._attempt(line, fit, CLEAN_SPREAD, self._noise or None)
+            if found.believable and not self._silent(found.amplitude):
+                if self._more_needed(fit, end, volts.size, final):
                     return []
-                if fit.end(spec) - volts.size < 0.5 * chip and self._ends(volts, fit, chips):
-                    return self._emit(start, fit, chips.volts, volts)
+                if fit.end(spec) - volts.size < 0.5 * chip and self._ends(
+                    line, fit, found.levels, found.amplitude
+                ):
+                    self._carried = _Carried(fit)
+                    return self._emit(start, fit, found.levels, volts + self._level_v)
         if power <= 1.6 * self._noise:  # too weak to look for at other stretches
-            return self._idle_frame(start, nominal)
+            return self._idle_frame(start, self._nominal_fit, power * self._nominal)
         longest = start + math.ceil((1 + MAX_STRETCH) * spec.chips * self._nominal)
         if end < longest and not final:
             self._due = longest
             return []
         fit = self._refined(line, self._stretched(line))
-        chips = self._chips(line, fit, MAX_SPREAD)
-        if self._silent(chips.amplitude):
-            return self._idle_frame(start, fit)
-        if chips.believable and self._ends(volts, fit, chips):
-            return self._emit(start, fit, chips.volts, volts)
+        found = self._attempt(line, fit, MAX_SPREAD)
+        if self._silent(found.amplitude):
+            return self._idle_frame(start, fit, power * self._nominal)
+        if found.believable and self._ends(line, fit, found.levels, found.amplitude):
+            return self._emit(start, fit, found.levels, volts + self._level_v)
         self._reject()
         return []
 
-    def _integrated_frame(self, start: int, volts: Floats) -> list[FrameChips]:
+    def _integrated_frame(self, start: int, volts: Floats) -> list[FrameLevels]:
         """The frame of words that are chips already: taken as it is, or not at all."""
-        spec, fit = self.spec, Fit(-0.5, 1.0)
-        chips = volts[: spec.chips].astype(np.float32).reshape(spec.bits, spec.order)
-        words = read_words(chips[None], spec)
+        spec, fit = self.spec, self._nominal_fit
+        chips = (volts[: spec.chips] - self._level_v).astype(np.float32)
+        words = read_words(chips.reshape(1, spec.line_bits, spec.order), spec)
         if self._silent(words.amplitude[0]):
-            return self._idle_frame(start, fit)
+            return self._idle_frame(start, fit, self._sample_power(volts[: spec.chips]))
         if words.believable(MAX_SPREAD, spec)[0]:
-            return self._emit(start, fit, chips, volts)
+            return self._emit(start, fit, node_levels(words.rows[0], spec), volts)
         self._reject()
         return []
 
-    def _ends(self, volts: Floats, fit: Fit, chips: Chips) -> bool:
+    def _resynced_frame(self, start: int, line: Line, final: bool) -> list[FrameLevels]:
+        """The frame with restarts in it: its chips are at their nominal places."""
+        fit = self._nominal_fit
+        found = self._attempt(line, fit, MAX_SPREAD, self._noise or None)
+        if self._silent(found.amplitude):
+            return self._idle_frame(start, fit, self._chip_power(line) * self._nominal)
+        if found.believable and self._ends(line, fit, found.levels, found.amplitude):
+            return self._emit(start, fit, found.levels, line.volts + self._level_v)
+        self._reject()
+        return []
+
+    def _words(self, line: Line, fit: Fit) -> WordFit:
+        return read_words(
+            integrate(line, np.array([fit.start]), np.array([fit.chip]), self.spec), self.spec
+        )
+
+    def _explained(self, words: WordFit) -> bool:
+        """Whether these words leave no more than the noise that the gap has shown."""
+        power = float(words.power[0])
+        if power <= max(self._least_power, 4 * self._noise / self.spec.order):
+            return False
+        noise = 1.5 * self._noise / power
+        return bool(
+            words.spread[0] < CLEAN_SPREAD and words.misfit[0] < noise + CARRIED_MISFIT
+        ) and not self._silent(words.amplitude[0])
+
+    def _more_needed(self, fit: Fit, end: int, size: int, final: bool) -> bool:
+        """Whether the silence after this fit's end is still to come; sets when to look again."""
+        missing = fit.end(self.spec) + TAIL_CHIPS * fit.chip - size
+        if missing > 0.5 and not final:
+            self._due = end + math.ceil(missing)
+            return True
+        return False
+
+    def _ends(
+        self, line: Line, fit: Fit, levels: NodeLevels, amplitude: NDArray[np.float32]
+    ) -> bool:
         """Whether the line is at rest after the fitted end: the frame is neither longer nor other.
 
         This tells a stretched frame from a shorter fit of its words, and words of more bits than
-        specified. volts: from the frame's start on, gap level removed. True where that level is
-        not to be known, or nothing was received after the end.
+        specified. True where the level of rest is not to be known, or nothing was received after
+        the end.
         """
         end = fit.end(self.spec) + 0.5
-        tail = volts[math.ceil(end + 0.25 * fit.chip) : math.floor(end + TAIL_CHIPS * fit.chip)]
+        begin, stop = math.ceil(end + 0.25 * fit.chip), math.floor(end + TAIL_CHIPS * fit.chip)
+        tail = line.volts[begin:stop]
         free = self.spec.first_row > 0 and self.spec.drive == BIPOLAR
         if tail.size < 0.5 * fit.chip or not (self._level_known or free):
             return True
-        level = 0.0 if self._level_known else float(chips.volts.mean())
-        least = float(chips.amplitude[chips.amplitude > 0].min(initial=np.inf))
-        power = float(np.square(tail - level).mean())
-        return power < (0.4 * least) ** 2 + 4 * self._noise * fit.chip
+        noise = self._noise
+        if not self._level_known:
+            tail = tail - self._row_zero(line, fit)
+            noise = levels.noise_v**2 * self.spec.order
+        least = float(amplitude[amplitude > 0].min(initial=np.inf))
+        return float(tail @ tail) / tail.size < (0.4 * least) ** 2 + 4 * noise * fit.chip
+
+    def _row_zero(self, line: Line, fit: Fit) -> float:
+        """Mean level of a fit's frame, which is the offset where row 0 is free, V."""
+        ends = line.integral(np.array([fit.start, fit.end(self.spec)]))
+        return float(ends[1] - ends[0]) / (self.spec.chips * fit.chip)
 
     def _refined(self, line: Line, chip: float) -> Fit:
         """The frame refined around the first sample; as it was if that leads nowhere."""
@@ -195,8 +286,17 @@ class LineTiming(Timing):
         ]
         return float(chip[np.argmax(np.concatenate(gains))])
 
-    def _power(self, line: Line, fit: Fit) -> float:
-        """Mean power of a fit's chips, V², without an unknown offset."""
+    def _sample_power(self, volts: Floats) -> float:
+        """Mean power of samples, V², without an unknown offset; NaN where one is absurd."""
+        mean = float(volts.sum()) / volts.size
+        power = float(volts @ volts) / volts.size
+        if self.spec.first_row > 0:
+            return max(power - mean**2, 0.0)  # NaN stays NaN
+        return max(power - 2 * mean * self._level_v + self._level_v**2, 0.0)
+
+    def _chip_power(self, line: Line) -> float:
+        """Mean power of the chips at nominal timing, V², without an unknown offset."""
+        fit = self._nominal_fit
         chips = integrate(line, np.array([fit.start]), np.array([fit.chip]), self.spec)
         return float(chips.var() if self.spec.first_row > 0 else np.square(chips).mean())
 
@@ -208,18 +308,18 @@ class LineTiming(Timing):
         strongest = float(amplitude.max())
         return strongest**2 <= max(self._least_power, 4 * self._noise / self.spec.order)
 
-    def _emit(
-        self, start: int, fit: Fit, chips: NDArray[np.float32], volts: Floats
-    ) -> list[FrameChips]:
-        """The frame whose first sample this is."""
+    def _emit(self, start: int, fit: Fit, levels: NodeLevels, volts: Floats) -> list[FrameLevels]:
+        """The frame whose first sample this is. volts: as received."""
         self._chip = fit.chip
-        clipped = self._clipped(volts[: round(fit.end(self.spec) + 0.5)] + self._level_v)
+        clipped = self._clipped(volts[: round(fit.end(self.spec) + 0.5)])
         begin = self._close_at(start, fit)
-        return [FrameChips(begin, fit.chip, chips, self._level_v, clipped, False)]
+        return [self._heard(begin, fit.chip, levels, self._level_v, clipped)]
 
-    def _idle_frame(self, start: int, fit: Fit) -> list[FrameChips]:
-        """A frame in which nobody spoke."""
-        return [self._idle(self._close_at(start, fit), fit.chip, self._level_v)]
+    def _idle_frame(self, start: int, fit: Fit, sample_power: float) -> list[FrameLevels]:
+        """A frame in which nobody spoke: what power it has is the noise of its samples."""
+        noise_rms_v = math.sqrt(sample_power / self._nominal)
+        begin = self._close_at(start, fit)
+        return [FrameLevels(begin, fit.chip, None, noise_rms_v, self._level_v, 0.0)]
 
     def _close_at(self, start: int, fit: Fit) -> float:
         """The frame in progress is done: its begin, and the gap from its end on."""

@@ -66,6 +66,9 @@ class FrameLayout(Message):
     drive: Drive
     polarity: Polarity
     samples_per_chip: int
+    parity: bool = False
+    resync_chips: int = 0
+    guard_chips: int = 0
 
     @classmethod
     def of(cls, spec: FrameSpec, samples_per_chip: int) -> FrameLayout:
@@ -82,6 +85,9 @@ class FrameLayout(Message):
             drive=Drive.UNIPOLAR if spec.drive == UNIPOLAR else Drive.BIPOLAR,
             polarity=Polarity(spec.polarity),
             samples_per_chip=samples_per_chip,
+            parity=spec.parity,
+            resync_chips=spec.resync_chips,
+            guard_chips=spec.guard_chips,
         )
 
     def spec(self, amplitude_v: float | None = None) -> FrameSpec:
@@ -97,6 +103,9 @@ class FrameLayout(Message):
             drive=UNIPOLAR if self.drive == Drive.UNIPOLAR else BIPOLAR,
             polarity=int(self.polarity),
             amplitude_v=amplitude_v,
+            parity=self.parity,
+            resync_chips=self.resync_chips,
+            guard_chips=self.guard_chips,
         )
 
 

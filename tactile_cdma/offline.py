@@ -39,10 +39,12 @@ def decode_scope(capture: ScopeCapture, config: SkinConfig) -> Iterator[tuple[fl
         )
     for start_s, volts in capture.pieces:
         timing = GapTiming(spec, capture.rate_hz)
-        for chips in timing.feed(SampleBlock(0, volts)) + timing.flush():
-            if not chips.idle:
-                words = decode(chips.volts, spec, config.threshold)
-                yield start_s + chips.start / capture.rate_hz, words
+        for frame in timing.feed(SampleBlock(0, volts)) + timing.flush():
+            if frame.levels is not None:
+                words = decode(frame.levels, spec, config.threshold)
+                if frame.tied:
+                    words = words.doubted()
+                yield start_s + frame.start / capture.rate_hz, words
 
 
 def described_parameters(path: Path) -> dict[str, Value]:
@@ -68,6 +70,9 @@ def described_parameters(path: Path) -> dict[str, Value]:
                         "polarity": spec.polarity,
                         "timing": GAP if packet.sync_mode == SyncMode.NONE else LINE,
                         "samples_per_chip": packet.frame.samples_per_chip,
+                        "parity": spec.parity,
+                        "resync_chips": spec.resync_chips,
+                        "guard_chips": spec.guard_chips,
                     }
     reason = diagnose(parser.counters)
     raise CaptureError(f"{path}: {reason}")

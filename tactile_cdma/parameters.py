@@ -76,6 +76,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("baud", 2_000_000, "baud rate; USB ports ignore it", "baud", (1_200, 20_000_000)),
     Parameter("nodes", 16, "sensing nodes on the wire", "", (1, 65_535)),
     Parameter("bits", 10, "word length of a node's ADC", "bit", (8, 16)),
+    Parameter("parity", False, "every word is followed by a bit that makes its ones even"),
     Parameter("chip_us", 50.0, "pulse length: duration of one chip", "µs", (0.01, 1e6)),
     Parameter("frame_period_ms", 12.8, "from one frame's start to the next", "ms", (0.01, 1e5)),
     Parameter("order", 0, "code order (chips per bit); 0: the smallest that fits", "", (0, 65_536)),
@@ -87,6 +88,14 @@ PARAMETERS: tuple[Parameter, ...] = (
         "",
         (-1, 2**32 - 1),
     ),
+    Parameter(
+        "resync_chips",
+        0,
+        "nodes start anew at a sync edge every so many chips; 0: at the frame's start only",
+        "",
+        (0, 65_535),
+    ),
+    Parameter("guard_chips", 0, "pause before each such restart, in chips", "", (0, 255)),
     Parameter("drive", BIPOLAR, "a node's chip is ±A or 0/A", choices=(BIPOLAR, UNIPOLAR)),
     Parameter("polarity", 1, "-1 where the amplifier inverts", choices=(1, -1)),
     Parameter(
@@ -139,6 +148,14 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("taxel_mm", 5.5, "edge length of a taxel's sensing area", "mm", (0.01, 1_000.0)),
     Parameter("frame_id", "skin", "tf frame of the skin"),
     Parameter("publish_voltage", False, "also fill TactileArray.voltage", live=True),
+    Parameter(
+        "idle_rate_hz",
+        0.0,
+        "frames in which no node spoke are published at most so often; 0: all are",
+        "Hz",
+        (0.0, 1e5),
+        live=True,
+    ),
     Parameter("heatmap_rate_hz", 30.0, "most heatmaps per second", "Hz", (0.1, 30.0)),
     Parameter(
         "heatmap_max_kpa",
@@ -188,6 +205,9 @@ class SkinConfig:
             drive=get["drive"],
             polarity=get["polarity"],
             amplitude_v=get["amplitude_mv"] * 1e-3 or None,
+            parity=get["parity"],
+            resync_chips=get["resync_chips"],
+            guard_chips=get["guard_chips"],
         )
         if get["timing"] == GAP:
             _check_gap(spec, get["samples_per_chip"])
@@ -272,6 +292,11 @@ def _sections(content: object) -> Iterable[Mapping[str, object]]:
 
 
 def _check_gap(spec: FrameSpec, samples_per_chip: int) -> None:
+    if spec.resync_chips:
+        raise SpecError(
+            f"resync_chips is {spec.resync_chips}: nodes that start anew within a frame take a "
+            "sync line, use timing 'line'"
+        )
     if samples_per_chip < 3:
         raise SpecError(
             f"timing 'gap' needs raw samples to find the chips in: samples_per_chip is "

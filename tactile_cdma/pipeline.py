@@ -13,6 +13,7 @@ from .clock import DeviceClock
 from .decode import Words, decode, silent
 from .errors import SpecError
 from .gap_timing import GapTiming
+from .health import NodeHealth
 from .line_timing import LineTiming
 from .messages import (
     Ack,
@@ -25,7 +26,7 @@ from .messages import (
 from .parameters import GAP, SkinConfig
 from .protocol import PacketParser
 from .taxels import Readings, Taxels
-from .timing import FrameChips, SampleBlock
+from .timing import FrameLevels, SampleBlock
 
 _TICK_S = 1e-6
 _CLOCK_SLACK_S = 0.05
@@ -83,6 +84,7 @@ class Pipeline:
         self.counters = PipelineCounters()
         self.parser = PacketParser()
         self.taxels = Taxels(config.spec.nodes, config.adc, config.curve, config.stale_after_s)
+        self.health = NodeHealth(config.spec)
         self.threshold = config.threshold
         self.info: Info | None = None
         self.status: Status | None = None
@@ -218,13 +220,20 @@ class Pipeline:
         self._last_start_s = None
         self.taxels.forget()
 
-    def _frame(self, chips: FrameChips) -> TactileFrame:
+    def _frame(self, heard: FrameLevels) -> TactileFrame:
         assert self.info is not None
         spec = self.config.spec
-        chip_s = chips.chip_samples / self.info.sample_rate_hz
-        t_start = self._device_time(chips.start)
-        t_middle = t_start + chip_s * spec.chips / 2
-        words = silent(spec) if chips.idle else decode(chips.volts, spec, self.threshold)
+        chip_s = heard.chip_samples / self.info.sample_rate_hz
+        t_start = self._device_time(heard.start)
+        t_middle = t_start + chip_s * spec.span_chips / 2
+        if heard.levels is None:
+            words = silent(spec.nodes, heard.noise_rms_v)
+        else:
+            words = decode(heard.levels, spec, self.threshold, self.health.swing_v)
+            if heard.tied:
+                words = words.doubted()
+            else:
+                self.health.update(words)
         t_host = self._clock.to_host(t_middle)
         if self._last_start_s is not None:
             passed_s = t_start - self._last_start_s
@@ -245,9 +254,9 @@ class Pipeline:
             t_middle=t_middle,
             t_host=self._last_t_host,
             chip_s=chip_s,
-            clipped=chips.clipped,
+            clipped=heard.clipped,
             words=words,
-            readings=self.taxels.update(words, t_middle),
+            readings=self.taxels.update(words, t_middle, self.health),
         )
 
     def _device_time(self, index: float) -> float:

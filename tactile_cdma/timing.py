@@ -1,4 +1,4 @@
-"""What the two sources of timing share: samples of the line in, the chips of every frame out.
+"""What the two sources of timing share: samples of the line in, the nodes' levels out.
 
 `line_timing` is told where frames start, `gap_timing` has nothing but the waveform. Both keep
 their own samples, and how the stream is cut into blocks changes nothing.
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from .errors import SpecError
 from .fit import Fit, Floats, Line, integrate, read_words
 from .frame import FrameSpec
+from .separate import NodeLevels, node_levels
 
 ABSURD_V = 1e6
 """No digitizer reports more; such samples are treated like NaN."""
@@ -40,35 +41,35 @@ class SampleBlock:
 
 
 @dataclass(frozen=True, slots=True)
-class FrameChips:
-    """One frame, or one silent slot, as levels of its chips.
+class FrameLevels:
+    """One frame, or one silent slot.
 
     start: stream index, fractional, at which the first chip begins; sample i is instant i.
     chip_samples: recovered chip duration, samples.
-    volts: (k, N) float32, V: mean level of every chip, line offset removed.
-    offset_v: that offset, V.
+    levels: of the nodes; None where there is nothing but offset and noise in this slot.
+    noise_rms_v: noise of one chip's level, V; NaN where unknown.
+    offset_v: the line's level in silence, V.
     clipped: share of the frame's samples at a rail, 0…1.
-    idle: nothing but offset and noise in this slot; volts are zeros.
     tied: other words, some chips away, explain the samples as well: these are a guess.
     """
 
     start: float
     chip_samples: float
-    volts: NDArray[np.float32]
+    levels: NodeLevels | None
+    noise_rms_v: float
     offset_v: float
     clipped: float
-    idle: bool
     tied: bool = False
 
 
-class Chips(NamedTuple):
+class Attempt(NamedTuple):
     """What a fit makes of the samples.
 
-    volts: (k, N) float32, V. amplitude: (n,) float32, V, of every node's word, 0 where silent.
+    levels: of the nodes. amplitude: (n,) float32, V, of every node's word, 0 where silent.
     believable: whether the words account for the chips.
     """
 
-    volts: NDArray[np.float32]
+    levels: NodeLevels
     amplitude: NDArray[np.float32]
     believable: bool
 
@@ -88,7 +89,8 @@ class SampleBuffer:
 
     def append(self, volts: NDArray[np.float32]) -> None:
         part = np.array(volts, dtype=np.float64)
-        part[~(np.abs(part) < ABSURD_V)] = np.nan
+        if not max(part.max(initial=0.0), -part.min(initial=0.0)) < ABSURD_V:
+            part[~(np.abs(part) < ABSURD_V)] = np.nan
         self._parts.append(part)
         self.end += part.size
 
@@ -149,8 +151,8 @@ class Timing:
         self._fresh = False
         return False
 
-    def _chips(self, line: Line, fit: Fit, limit: float, noise: float | None = None) -> Chips:
-        """Chips of a fit, to be believed within a limit of spread.
+    def _attempt(self, line: Line, fit: Fit, limit: float, noise: float | None = None) -> Attempt:
+        """What a fit makes of the samples, to be believed within a limit of spread.
 
         Whole chips are the matched filter; their middle is blind to edges a tenth of a chip off.
         It is taken where it gives words more even than noise would by chance.
@@ -162,11 +164,20 @@ class Timing:
         words = read_words(both, self.spec)
         best = int(words.spread[1] < 0.6 * words.spread[0])
         believable = bool(words.believable(limit, self.spec, noise)[best])
-        return Chips(both[best], words.amplitude[best], believable)
+        return Attempt(node_levels(words.rows[best], self.spec), words.amplitude[best], believable)
 
-    def _idle(self, start: float, chip: float, offset_v: float) -> FrameChips:
-        zeros = np.zeros((self.spec.bits, self.spec.order), np.float32)
-        return FrameChips(start, chip, zeros, offset_v, 0.0, True)
+    def _heard(
+        self,
+        start: float,
+        chip: float,
+        levels: NodeLevels,
+        offset_v: float,
+        clipped: float,
+        tied: bool = False,
+    ) -> FrameLevels:
+        """A frame in which somebody spoke."""
+        noise_rms_v = levels.noise_v * math.sqrt(self.spec.order)
+        return FrameLevels(start, chip, levels, noise_rms_v, offset_v, clipped, tied)
 
     def _clipped(self, volts: Floats) -> float:
         """Share of samples within a thousandth of the range of a rail."""
@@ -174,4 +185,6 @@ class Timing:
             return 0.0
         low, high = self.rails_v
         margin = 1e-3 * (high - low)
+        if volts.min() > low + margin and volts.max() < high - margin:
+            return 0.0
         return float(np.mean((volts <= low + margin) | (volts >= high - margin)))

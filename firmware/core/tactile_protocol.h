@@ -85,6 +85,9 @@ struct __attribute__((packed)) tp_frame_layout {
     uint8_t drive; /* levels of a chip */
     int8_t polarity; /* sense of the amplifier */
     uint16_t samples_per_chip; /* samples per chip; if integrated, the least number averaged into one word */
+    uint8_t parity; /* 1: every word is followed by a bit that makes its ones even */
+    uint16_t resync_chips; /* nodes start anew, at a sync edge, every so many chips; 0: at the frame's first chip only */
+    uint8_t guard_chips; /* pause before each such restart, in chips */
 };
 #define TP_NODES_MIN 1u
 #define TP_NODES_MAX 65535u
@@ -109,7 +112,10 @@ TP_ASSERT_AT(tp_frame_layout, natural_signs, 21);
 TP_ASSERT_AT(tp_frame_layout, drive, 22);
 TP_ASSERT_AT(tp_frame_layout, polarity, 23);
 TP_ASSERT_AT(tp_frame_layout, samples_per_chip, 24);
-_Static_assert(sizeof(struct tp_frame_layout) == 26, "size of tp_frame_layout");
+TP_ASSERT_AT(tp_frame_layout, parity, 26);
+TP_ASSERT_AT(tp_frame_layout, resync_chips, 27);
+TP_ASSERT_AT(tp_frame_layout, guard_chips, 29);
+_Static_assert(sizeof(struct tp_frame_layout) == 30, "size of tp_frame_layout");
 
 /* What the digitizer is and how it is set. */
 struct __attribute__((packed)) tp_info {
@@ -140,7 +146,7 @@ TP_ASSERT_AT(tp_info, max_count, 27);
 TP_ASSERT_AT(tp_info, sync_mode, 29);
 TP_ASSERT_AT(tp_info, integrated, 30);
 TP_ASSERT_AT(tp_info, frame, 31);
-_Static_assert(sizeof(struct tp_info) == 57, "size of tp_info");
+_Static_assert(sizeof(struct tp_info) == 61, "size of tp_info");
 
 /* Consecutive samples of the line. */
 struct __attribute__((packed)) tp_samples {
@@ -187,9 +193,9 @@ struct __attribute__((packed)) tp_configure {
     uint8_t integrated; /* 0: raw samples, 1: one mean value per chip */
 };
 TP_ASSERT_AT(tp_configure, frame, 0);
-TP_ASSERT_AT(tp_configure, sync_mode, 26);
-TP_ASSERT_AT(tp_configure, integrated, 27);
-_Static_assert(sizeof(struct tp_configure) == 28, "size of tp_configure");
+TP_ASSERT_AT(tp_configure, sync_mode, 30);
+TP_ASSERT_AT(tp_configure, integrated, 31);
+_Static_assert(sizeof(struct tp_configure) == 32, "size of tp_configure");
 
 /* longest packet: payload; with type and sequence; with CRC; with COBS and delimiter */
 #define TP_MAX_PAYLOAD 1041

@@ -34,6 +34,7 @@ from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
 from ..driver import WAITING, Driver, Session
 from ..errors import ParameterError, TactileError
+from ..health import NodeState
 from ..parameters import (
     BY_NAME,
     PARAMETERS,
@@ -74,6 +75,7 @@ class SkinNode(LifecycleNode):
         self._faults: dict[str, str] = {}
         self._declare_parameters()
         self.add_on_set_parameters_callback(self._on_set)
+        self._live = self._values()  # get_parameter takes longer than building a message
         self._config: SkinConfig | None = None
         self._port: Port | None = None
         self._driver: Driver | None = None
@@ -82,6 +84,7 @@ class SkinNode(LifecycleNode):
         self._drawn: TactileFrame | None = None
         self._last_failure = ""
         self._counted = (time.monotonic(), 0)
+        self._silence_due_s = 0.0  # device time from which a frame without words is published again
         # rclpy lets a transition that is impossible in the present state end the executor.
         self._service_change_state.callback = partial(
             _refuse_impossible, self, self._service_change_state.callback
@@ -165,6 +168,7 @@ class SkinNode(LifecycleNode):
             except TactileError as error:
                 self.get_logger().warning(f"not configurable as it is now: {error}")
         self._faults = others
+        self._live.update(new)
         if self._driver is not None:
             pipeline = self._driver.pipeline
             pipeline.threshold = new.get("threshold", pipeline.threshold)
@@ -269,13 +273,27 @@ class SkinNode(LifecycleNode):
     def _publish_frame(self, frame: TactileFrame) -> None:
         """In the driver's thread: the way from a decoded frame to the wire is one publish long."""
         assert self._config is not None
+        self._latest = frame
+        if not self._is_news(frame) or not self._array_publisher.get_subscription_count():
+            return
         header = self._header_at(frame.t_host)
         self._array_publisher.publish(
             convert.tactile_array(
-                frame, self._config, header, self._info_id, bool(self._value("publish_voltage"))
+                frame, self._config, header, self._info_id, bool(self._live["publish_voltage"])
             )
         )
-        self._latest = frame
+
+    def _is_news(self, frame: TactileFrame) -> bool:
+        """Whether a node spoke, or the last frame without words is long enough ago."""
+        rate_hz = float(self._live["idle_rate_hz"])
+        if not rate_hz or frame.words.active.any():
+            self._silence_due_s = 0.0  # the first silent frame tells who fell silent
+            return True
+        # Device time may start again, from nearly zero.
+        if 0.0 <= self._silence_due_s - frame.t_middle <= 1 / rate_hz:
+            return False
+        self._silence_due_s = frame.t_middle + 1 / rate_hz
+        return True
 
     def _publish_heatmap(self) -> None:
         frame = self._latest
@@ -319,6 +337,11 @@ class SkinNode(LifecycleNode):
                 "rejected bursts": pipeline.rejected,
                 "clipped samples (%)": f"{100 * self._latest.clipped:.1f}" if self._latest else "",
             }
+            for state in (NodeState.MISSING, NodeState.WEAK, NodeState.FAULTY, NodeState.DOUBLED):
+                nodes = pipeline.health.nodes(state)
+                values[f"{state.name.lower()} nodes"] = _numbers(nodes)
+                if nodes and state > NodeState.WEAK and level == DiagnosticStatus.OK:
+                    level, text = DiagnosticStatus.WARN, _COMPLAINTS[state]
             for count in fields(pipeline.counters):
                 values[_words(count.name)] = getattr(pipeline.counters, count.name)
             packets, status = pipeline.packet_counts, pipeline.status
@@ -346,7 +369,19 @@ class SkinNode(LifecycleNode):
         """A header stamped with a moment of the host's monotonic clock."""
         age_ns = time.monotonic_ns() - round(t_host * 1e9)
         stamp = convert.stamp(self.get_clock().now().nanoseconds - age_ns)
-        return Header(stamp=stamp, frame_id=str(self._value("frame_id")))
+        return Header(stamp=stamp, frame_id=str(self._live["frame_id"]))
+
+
+_COMPLAINTS = {
+    NodeState.FAULTY: "words of some nodes contradict the code: check their supply and clock",
+    NodeState.DOUBLED: "two nodes speak on one code row: check the numbers given to the nodes",
+}
+
+
+def _numbers(nodes: list[int], most: int = 20) -> str:
+    """Node numbers for people: not thousands of them."""
+    text = ", ".join(map(str, nodes[:most]))
+    return f"{text}, … {len(nodes)} in all" if len(nodes) > most else text
 
 
 def _words(name: str) -> str:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..encode import line_chips
+from ..encode import frame_levels, line_chips
 from ..frame import DEFAULT_AMPLITUDE_V, UNIPOLAR, FrameSpec
 
 MAX_JITTER = 0.25
@@ -69,11 +69,11 @@ class Channel:
         return (1 << (self.adc_bits - 1)) - 1
 
     def edges(self, spec: FrameSpec, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Start of every chip, and the end of the last: (k·N + 1,) s after the frame's start."""
+        """Start of every chip, and the last one's end: (span_chips + 1,), s from the start."""
         chip_s = spec.chip_s * (1.0 + self.stretch * rng.random())
-        edges = np.arange(spec.chips + 1, dtype=np.float64)
+        edges = np.arange(spec.span_chips + 1, dtype=np.float64)
         if self.jitter:
-            edges[1:] += rng.uniform(-self.jitter, self.jitter, spec.chips)
+            edges[1:] += rng.uniform(-self.jitter, self.jitter, spec.span_chips)
         return edges * chip_s
 
     def digitize(
@@ -167,7 +167,7 @@ def scope_capture(
         stop = int(first_sample(start_s + spec.frame_period_s, rate_hz))
         rng = np.random.default_rng([seed, number])
         edges_s = start_s + channel.edges(spec, rng)
-        levels = line_chips(spec, codes, active).ravel()
+        levels = frame_levels(line_chips(spec, codes, active), spec)
         line_v = point_samples(levels, edges_s, rate_hz, first, stop)
         volts.append(channel.volts(channel.digitize(line_v, spec, rng), spec))
         first = stop

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._protocol import MAX_SAMPLES, Result, SyncMode
-from ..encode import line_chips
+from ..encode import frame_levels, line_chips
 from ..errors import SpecError
 from ..messages import (
     Command,
@@ -301,15 +301,15 @@ def _samples(options: SimOptions, setup: Setup, frame: NodeFrame) -> NDArray[np.
     next_s = frame_start_s(spec, frame.number + 1, options.start_phase)
     first, stop = np.maximum(first_sample([frame.start_s, next_s], setup.rate_hz), 0).tolist()
     edges_s = frame.start_s + channel.edges(spec, rng)
-    levels = line_chips(spec, frame.codes, frame.active).ravel()
+    levels = frame_levels(line_chips(spec, frame.codes, frame.active), spec)
     return channel.digitize(point_samples(levels, edges_s, setup.rate_hz, first, stop), spec, rng)
 
 
 def _chips(options: SimOptions, setup: Setup, frame: NodeFrame) -> NDArray[np.int16]:
-    """Mean values of the chips of a frame."""
+    """Mean values of the coded chips of a frame."""
     spec, channel = setup.spec, options.channel
     rng = np.random.default_rng([options.seed, frame.number])
     edges_s = channel.edges(spec, rng)
-    levels = line_chips(spec, frame.codes, frame.active).ravel()
-    means = chip_means(levels, edges_s, spec.chip_s)
+    levels = frame_levels(line_chips(spec, frame.codes, frame.active), spec)
+    means = chip_means(levels, edges_s, spec.chip_s)[spec.places]
     return channel.digitize(means, spec, rng, averaged=setup.samples_per_chip)

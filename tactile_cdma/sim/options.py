@@ -34,6 +34,11 @@ class Setup:
     integrated: bool = False
 
     def __post_init__(self) -> None:
+        if self.spec.resync_chips and self.sync == SyncMode.NONE:
+            raise SpecError(
+                "nodes that start anew within a frame hear a sync line, which timing 'gap' does "
+                "without: set timing to 'line' or resync_chips to 0"
+            )
         if self.integrated and self.sync == SyncMode.NONE:
             raise SpecError(
                 "integrated chips need frame marks, which timing 'gap' does not give: "
@@ -74,11 +79,14 @@ class SimOptions:
     scene: str = _option("scene", "moving", "what touches the skin", choices=tuple(SCENES))
     nodes: int | None = _pin("nodes")
     bits: int | None = _pin("bits")
+    parity: bool | None = _pin("parity")
     order: int | None = _pin("order")
     chip_us: float | None = _pin("chip_us")
     frame_period_ms: float | None = _pin("frame_period_ms")
     first_row: int | None = _pin("first_row")
     sign_seed: int | None = _pin("sign_seed")
+    resync_chips: int | None = _pin("resync_chips")
+    guard_chips: int | None = _pin("guard_chips")
     drive: str | None = _pin("drive")
     polarity: int | None = _pin("polarity")
     samples_per_chip: int | None = _pin("samples_per_chip")
@@ -198,8 +206,8 @@ class SimOptions:
 
     def _pinned_fields(self) -> dict[str, Any]:
         """The fields of FrameSpec that these options pin."""
-        names = ("nodes", "bits", "order", "first_row", "drive", "polarity")
-        pins: dict[str, Any] = {name: getattr(self, name) for name in names}
+        names = "nodes bits parity order first_row drive polarity resync_chips guard_chips"
+        pins: dict[str, Any] = {name: getattr(self, name) for name in names.split()}
         # The wire carries whole ns and µs.
         if self.chip_us is not None:
             pins["chip_s"] = round(self.chip_us * 1e3) / 10**9
@@ -220,7 +228,7 @@ class SimOptions:
         order = wanted("order") or smallest_order(rows)
         if "order" not in pins and order < rows:
             order = smallest_order(rows)
-        frame_s = wanted("bits") * order * wanted("chip_s")
+        frame_s = replace(spec, **{**pins, "order": order, "frame_period_s": math.inf}).frame_s
         period_s = spec.frame_period_s
         if frame_s * (1 + self.stretch) > period_s:
             period_s = math.ceil(1.6e6 * frame_s) / 10**6  # the paper's ratio of period to frame

@@ -48,7 +48,7 @@ def test_header_compiles_by_itself_and_its_assertions_hold(
     source.write_text(
         '#include "tactile_protocol.h"\n'
         f'_Static_assert(TP_MAX_PACKET == {MAX_PACKET}, "as in Python");\n'
-        '_Static_assert(sizeof(struct tp_info) == 57, "as in docs/protocol.md");\n'
+        '_Static_assert(sizeof(struct tp_info) == 61, "as in docs/protocol.md");\n'
         "int unit;\n"
     )
     run(compiler(name), f"-std={standard}", *STRICT, "-fsyntax-only", str(source))

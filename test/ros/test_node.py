@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -358,3 +358,31 @@ def test_diagnostics_report_rate_and_counts() -> None:
     assert float(values["expected rate (Hz)"]) == pytest.approx(78.125, abs=0.01)
     lossless = ("crc errors", "lost packets", "lost frames", "digitizer packets dropped")
     assert [values[name] for name in lossless] == ["0"] * 4
+
+
+def test_silence_can_be_published_less_often_and_touch_always_is() -> None:
+    def silent(message: TactileArray) -> bool:
+        return bool((np.asarray(message.status) & Status.SILENT).all())
+
+    with running(port="sim://?scene=press&heartbeat=0", idle_rate_hz=5.0) as (_, client):
+        wait_for(lambda: sum(map(silent, client.arrays)) > 8)
+        wait_for(lambda: sum(not silent(m) for m in client.arrays) > 60)
+        assert client.set(idle_rate_hz=0.0) == (True, "")
+    gaps = {"silence": set[int](), "touch": set[int]()}
+    for one, other in pairwise(client.arrays):
+        both_silent = silent(one) and silent(other)
+        gaps["silence" if both_silent else "touch"].add(other.sequence - one.sequence)
+    assert 15 in gaps["silence"] or 16 in gaps["silence"]  # 0.2 s are 15.6 frames
+    assert max(gaps["silence"]) <= 17
+    assert max(gaps["touch"]) <= 17
+    talking = [m.sequence for m in client.arrays if not silent(m)]
+    runs = np.diff(talking)
+    assert np.count_nonzero(runs == 1) > 50  # no frame of a touch is left out
+
+
+def test_diagnostics_name_the_nodes_that_are_not_heard() -> None:
+    with running(port="sim://?scene=idle&heartbeat=0&nodes=16") as (_, client):
+        wait_for(lambda: [s.level for s in client.diagnostics].count(DiagnosticStatus.OK) >= 1)
+    values = {pair.key: pair.value for pair in client.diagnostics[-1].values}
+    assert values["missing nodes"] == ", ".join(map(str, range(1, 17)))
+    assert values["doubled nodes"] == values["faulty nodes"] == values["weak nodes"] == ""

@@ -140,7 +140,7 @@ def test_no_packet_is_longer_than_promised_nor_holds_a_delimiter(packet: Samples
 
 
 @pytest.mark.parametrize(
-    ("size", "kind"), [(66, INFO), (30, Status(0)), (13, Ack(0, 0)), (9, Stop()), (37, None)]
+    ("size", "kind"), [(70, INFO), (30, Status(0)), (13, Ack(0, 0)), (9, Stop()), (41, None)]
 )
 def test_sizes_are_those_of_the_document(size: int, kind: Packet | None) -> None:
     assert len(PacketWriter().encode(kind or Configure(LAYOUT))) == size

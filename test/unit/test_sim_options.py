@@ -19,8 +19,9 @@ def test_every_option_can_be_given() -> None:
     url = (
         "sim://?nodes=12&scene=press&noise=0.01&seed=7&stretch=0.1&drive=unipolar&bits=12&order=16"
         "&chip_us=20&frame_period_ms=10&first_row=2&sign_seed=natural&polarity=-1&amplitude_mv=100"
-        "&samples_per_chip=8&timing=gap&integrated=0&offset=-0.2&jitter=0.05&threshold=3"
+        "&samples_per_chip=8&timing=line&integrated=0&offset=-0.2&jitter=0.05&threshold=3"
         "&heartbeat=10&speed=0&adc_bits=10&rail=2.5&rows=3&columns=4&pitch_mm=5&start_phase=0.5"
+        "&parity=1&resync_chips=32&guard_chips=1"
     )
     options = SimOptions.from_url(url)
     setup = options.setup()
@@ -35,8 +36,11 @@ def test_every_option_can_be_given() -> None:
         drive="unipolar",
         polarity=-1,
         amplitude_v=0.1,
+        parity=True,
+        resync_chips=32,
+        guard_chips=1,
     )
-    assert (setup.samples_per_chip, setup.sync, setup.integrated) == (8, SyncMode.NONE, False)
+    assert (setup.samples_per_chip, setup.sync, setup.integrated) == (8, SyncMode.DRIVE, False)
     assert (options.rules.threshold, options.rules.heartbeat) == (3, 10)
     assert url.count("=") == len(OPTIONS)
 

@@ -1,5 +1,7 @@
 """Layout, taxel state, heatmap colours."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,20 +9,22 @@ from tactile_cdma.calibration import AdcScale, PressureCurve
 from tactile_cdma.decode import Words, silent
 from tactile_cdma.errors import SpecError
 from tactile_cdma.frame import FrameSpec
+from tactile_cdma.health import NodeHealth
 from tactile_cdma.heatmap import NO_READING_RGB, colours, heatmap
 from tactile_cdma.layout import GridLayout
 from tactile_cdma.taxels import Status, Taxels
 
 SPEC = FrameSpec(nodes=4)
+HEALTH = NodeHealth(SPEC)
 
 
 def words(codes: dict[int, int], doubtful: tuple[int, ...] = ()) -> Words:
-    quiet = silent(SPEC)
+    quiet = silent(SPEC.nodes, 0.0)
     active, values, doubt = quiet.active.copy(), quiet.codes.copy(), quiet.doubtful.copy()
     for node, code in codes.items():
         active[node], values[node] = True, code
     doubt[list(doubtful)] = True
-    return Words(active, values, quiet.amplitude_v, quiet.rho, doubt, 0.0)
+    return replace(quiet, active=active, codes=values, doubtful=doubt)
 
 
 def taxels() -> Taxels:
@@ -28,16 +32,16 @@ def taxels() -> Taxels:
 
 
 def test_taxels_never_heard_have_no_reading() -> None:
-    readings = taxels().update(silent(SPEC), 0.0)
+    readings = taxels().update(silent(SPEC.nodes, 0.0), 0.0, HEALTH)
     assert np.isnan(readings.pressure_pa).all()
     assert (readings.status == Status.SILENT | Status.STALE).all()
 
 
 def test_a_silent_taxel_holds_its_value_until_it_is_stale() -> None:
     skin = taxels()
-    first = skin.update(words({1: 800}), 10.0)
-    held = skin.update(words({2: 900}), 10.9)
-    stale = skin.update(words({2: 900}), 11.1)
+    first = skin.update(words({1: 800}), 10.0, HEALTH)
+    held = skin.update(words({2: 900}), 10.9, HEALTH)
+    stale = skin.update(words({2: 900}), 11.1, HEALTH)
     assert first.status[1] == Status.OK
     assert held.status[1] == Status.SILENT
     assert held.pressure_pa[1] == first.pressure_pa[1] > 0
@@ -48,25 +52,28 @@ def test_a_silent_taxel_holds_its_value_until_it_is_stale() -> None:
 
 def test_a_device_clock_that_starts_again_makes_old_values_stale() -> None:
     skin = taxels()
-    skin.update(words({0: 800}), 5000.0)
+    skin.update(words({0: 800}), 5000.0, HEALTH)
     skin.forget()
-    assert np.isnan(skin.update(words({1: 800}), 0.0).pressure_pa[0])
+    assert np.isnan(skin.update(words({1: 800}), 0.0, HEALTH).pressure_pa[0])
 
 
 def test_saturation_and_doubt_are_flagged_and_stay_with_the_held_value() -> None:
     skin = taxels()
-    readings = skin.update(words({0: 100, 1: 600}, doubtful=(1,)), 0.0)
+    readings = skin.update(words({0: 100, 1: 600}, doubtful=(1,)), 0.0, HEALTH)
     assert readings.status[0] == Status.SATURATED
     assert readings.pressure_pa[0] == 140e3
     assert readings.status[1] == Status.LOW_SNR
-    assert skin.update(silent(SPEC), 0.1).status[0] == Status.SATURATED | Status.SILENT
+    assert (
+        skin.update(silent(SPEC.nodes, 0.0), 0.1, HEALTH).status[0]
+        == Status.SATURATED | Status.SILENT
+    )
 
 
 def test_earlier_readings_are_not_changed_by_later_frames() -> None:
     skin = taxels()
-    first = skin.update(words({0: 800}), 0.0)
+    first = skin.update(words({0: 800}), 0.0, HEALTH)
     before = first.pressure_pa.copy()
-    skin.update(words({0: 500}), 0.1)
+    skin.update(words({0: 500}), 0.1, HEALTH)
     assert np.array_equal(first.pressure_pa, before, equal_nan=True)
 
 

@@ -17,7 +17,7 @@ from tactile_cdma.errors import SpecError
 from tactile_cdma.frame import DEFAULT_AMPLITUDE_V, UNIPOLAR, FrameSpec
 from tactile_cdma.gap_timing import GapTiming
 from tactile_cdma.line_timing import LineTiming
-from tactile_cdma.timing import FrameChips, SampleBlock
+from tactile_cdma.timing import FrameLevels, SampleBlock
 from tactile_cdma.transform import correlate
 
 PAPER = FrameSpec(first_row=0, sign_seed=None, polarity=-1, order=16)
@@ -90,8 +90,9 @@ class Wire:
         return (line + offset_v + self.rng.normal(0, sigma, line.size)).astype(np.float32)
 
 
-def words_of(frame: FrameChips, spec: FrameSpec) -> dict[int, int]:
-    signed = correlate(frame.volts, spec.book)[:, spec.rows] * spec.signs * spec.polarity
+def words_of(frame: FrameLevels, spec: FrameSpec) -> dict[int, int]:
+    assert frame.levels is not None
+    signed = frame.levels.values * spec.signs * spec.polarity
     mean = np.abs(signed).mean(axis=0)
     weights = 1 << np.arange(spec.bits - 1, -1, -1)
     codes = (signed > 0).T @ weights
@@ -105,16 +106,16 @@ def run(timing: GapTiming | LineTiming, volts: np.ndarray, cuts: list[int] | Non
     return frames + timing.flush()
 
 
-def check(wire: Wire, frames: list[FrameChips], start_chips: float = 0.1) -> None:
+def check(wire: Wire, frames: list[FrameLevels], start_chips: float = 0.1) -> None:
     """Every frame sent was recovered, and nothing else. Point samples blur edges by ±½ sample."""
-    talking = [frame for frame in frames if not frame.idle]
+    talking = [frame for frame in frames if frame.levels is not None]
     assert [words_of(f, wire.spec) for f in talking] == [s.words for s in wire.sent]
     for frame, sent in zip(talking, wire.sent, strict=True):
         assert frame.start == pytest.approx(sent.start, abs=start_chips * sent.chip)
         end_error = frame.start - sent.start + wire.spec.chips * (frame.chip_samples - sent.chip)
         assert abs(end_error) < start_chips * sent.chip
-        assert frame.volts.shape == (wire.spec.bits, wire.spec.order)
-        assert frame.volts.dtype == np.float32
+        assert frame.levels.values.shape == (wire.spec.line_bits, wire.spec.nodes)
+        assert frame.levels.values.dtype == np.float32
 
 
 @pytest.mark.parametrize("rate", [4.0, 8.13, 10.0, 20.0])
@@ -156,7 +157,9 @@ def test_a_first_word_as_quiet_as_the_gap(
     check(wire, run(timing, volts), start_chips=0.25)  # its edges are few
     assert timing.rejected == 0
     inside = int(wire.sent[0].start + wire.rng.uniform(0.1, 0.9) * PAPER.chips * wire.chip)
-    frames = [f for f in run(GapTiming(wire.spec, wire.rate_hz), volts[inside:]) if not f.idle]
+    frames = [
+        f for f in run(GapTiming(wire.spec, wire.rate_hz), volts[inside:]) if f.levels is not None
+    ]
     assert [words_of(f, PAPER) for f in frames] == [s.words for s in wire.sent[1:]]
 
 
@@ -247,7 +250,7 @@ def test_chunking_is_invisible(data: st.DataObject) -> None:
     cuts = sorted(data.draw(st.lists(st.integers(0, volts.size), max_size=30)))
     whole = run(GapTiming(PAPER, wire.rate_hz), volts)
     _same(run(GapTiming(PAPER, wire.rate_hz), volts, cuts), whole)
-    assert sum(frame.idle for frame in whole) >= 2
+    assert sum(frame.levels is None for frame in whole) >= 2
 
 
 def test_sample_by_sample() -> None:
@@ -258,17 +261,21 @@ def test_sample_by_sample() -> None:
     _same(run(GapTiming(DEFAULT, wire.rate_hz), volts, list(range(1, volts.size))), whole)
 
 
-def _same(some: list[FrameChips], others: list[FrameChips]) -> None:
+def _same(some: list[FrameLevels], others: list[FrameLevels]) -> None:
     assert len(some) == len(others)
     for one, other in zip(some, others, strict=True):
-        assert (one.start, one.chip_samples, one.offset_v, one.clipped, one.idle) == (
+        assert (one.start, one.chip_samples, one.offset_v, one.clipped) == (
             other.start,
             other.chip_samples,
             other.offset_v,
             other.clipped,
-            other.idle,
         )
-        assert np.array_equal(one.volts, other.volts)
+        assert np.array_equal(one.noise_rms_v, other.noise_rms_v, equal_nan=True)
+        if one.levels is None or other.levels is None:
+            assert one.levels is other.levels
+        else:
+            assert np.array_equal(one.levels.values, other.levels.values)
+            assert one.levels.noise_v == other.levels.noise_v
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.99])
@@ -277,7 +284,7 @@ def test_a_recording_that_begins_within_a_frame(share: float) -> None:
     wire.send_random(4)
     cut = int(wire.sent[0].start + share * PAPER.chips * wire.sent[0].chip)
     volts = wire.volts()[cut:]
-    frames = [f for f in run(GapTiming(PAPER, wire.rate_hz), volts) if not f.idle]
+    frames = [f for f in run(GapTiming(PAPER, wire.rate_hz), volts) if f.levels is not None]
     assert [words_of(f, PAPER) for f in frames] == [s.words for s in wire.sent[1:]]
 
 
@@ -294,7 +301,7 @@ def test_a_frame_cut_short_is_no_frame() -> None:
     wire.send(350.0, {1: 300, 5: 700, 9: 1}, stretch=0.05)
     end = wire.sent[0].start + 0.95 * PAPER.chips * wire.sent[0].chip
     frames = run(GapTiming(PAPER, wire.rate_hz), wire.volts(length=end))
-    assert all(frame.idle for frame in frames)
+    assert all(frame.levels is None for frame in frames)
 
 
 def test_a_hole_costs_one_frame() -> None:
@@ -317,7 +324,9 @@ def test_silent_slots_keep_the_raster() -> None:
     check(wire, frames)
     slots = [frame.start / wire.period for frame in frames]
     assert slots == pytest.approx([0, 1, 2, *np.arange(3.25, 12)], abs=0.05)
-    assert [f.idle for f in frames] == [True] * 3 + [False] + [True] * 3 + [False] + [True] * 4
+    assert [f.levels is None for f in frames] == [True] * 3 + [False] + [True] * 3 + [False] + [
+        True
+    ] * 4
 
 
 @pytest.mark.parametrize("amplitude_v", [0.3, None])
@@ -328,7 +337,7 @@ def test_noise_alone_is_silence(noise_v: float, amplitude_v: float | None) -> No
     timing = GapTiming(spec, 8.13 / spec.chip_s)
     frames = run(timing, volts)
     assert len(frames) == pytest.approx(60_000 / (256 * 8.13), abs=2)
-    assert all(frame.idle for frame in frames)
+    assert all(frame.levels is None for frame in frames)
 
 
 def _garbage(kind: str) -> np.ndarray:
@@ -359,14 +368,14 @@ ROW_0_FREE = replace(DEFAULT, amplitude_v=None)
 )
 def test_garbage_gives_no_words(kind: str, spec: FrameSpec) -> None:
     frames = run(GapTiming(spec, 8.13 / spec.chip_s), _garbage(kind))
-    assert all(frame.idle for frame in frames)
+    assert all(frame.levels is None for frame in frames)
 
 
 def test_frames_after_garbage() -> None:
     wire = Wire(PAPER, 8.13, seed=14)
     wire.send_random(10)
     volts = np.concatenate((_garbage("telegraph"), _garbage("nan"), wire.volts(offset_v=2.0)))
-    frames = [f for f in run(GapTiming(PAPER, wire.rate_hz), volts) if not f.idle]
+    frames = [f for f in run(GapTiming(PAPER, wire.rate_hz), volts) if f.levels is not None]
     found = [words_of(f, PAPER) for f in frames]
     assert len(found) >= 6
     assert found == [s.words for s in wire.sent][-len(found) :]
@@ -386,7 +395,7 @@ def test_what_cannot_work_is_refused() -> None:
 
 def feed_marked(
     timing: LineTiming, volts: np.ndarray, starts: list[int], cuts: list[int]
-) -> list[FrameChips]:
+) -> list[FrameLevels]:
     frames = []
     bounds = sorted({0, *starts, *cuts, volts.size})
     for begin, end in pairwise(bounds):
@@ -483,7 +492,8 @@ def test_integrated_chips(spec: FrameSpec) -> None:
     frames = feed_marked(timing, line.astype(np.float32), starts, [7, 100, 333])
     assert [f.offset_v for f in frames] == pytest.approx([0.0, 0.25, 0.25], abs=1e-6)
     for frame, sent in zip(frames[1:], chips[1:], strict=True):
-        np.testing.assert_allclose(frame.volts, sent, atol=1e-5)
+        expected = correlate(sent, spec.book)[:, spec.rows]
+        np.testing.assert_allclose(frame.levels.values, expected, atol=1e-5)
     assert words_of(frames[2], spec) == dict(enumerate(codes[2].tolist()))
 
 
@@ -512,11 +522,11 @@ def test_marked_silence_and_garbage() -> None:
     quiet = rng.normal(0, 0.01, 20_000).astype(np.float32)
     frames = feed_marked(LineTiming(PAPER, 8 / PAPER.chip_s), quiet, starts, [])
     assert len(frames) == len(starts)
-    assert all(frame.idle for frame in frames)
+    assert all(frame.levels is None for frame in frames)
     for kind in ("nan", "huge", "walk"):
         timing = LineTiming(DEFAULT, 8 / PAPER.chip_s)  # a drifting line is a word on row 0
         frames = feed_marked(timing, _garbage(kind)[:20_000], starts, [])
-        assert all(frame.idle for frame in frames)
+        assert all(frame.levels is None for frame in frames)
         assert timing.rejected >= len(starts) - 1
 
 

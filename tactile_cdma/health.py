@@ -1,0 +1,102 @@
+"""What the words of many frames say of each node: sound, weak, doubled, faulty or missing."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .decode import DOUBLE_SHARE, LOW_MARGIN, LOW_RHO, Words
+from .frame import FrameSpec
+
+JUDGE_FRAMES = 32
+"""Nodes are judged once in so many frames, and what was counted before then counts half."""
+LEAST_WORDS = 1.5
+"""Counted words that a verdict takes; each counts less as it gets older."""
+WEAK_SHARE = 0.6
+"""A node below this share of the expected amplitude is weak."""
+LEAST_SHARE = 0.25
+"""Below this share of the expected amplitude nothing is taken for a node (fit.least_power)."""
+WEAK_RHO = 8.0
+"""Words of a node not known to be weak must stand so far out of the noise to be noticed."""
+
+
+class NodeState(IntEnum):
+    """The verdict on a node; the later ones outrank the earlier ones."""
+
+    MISSING = 0
+    OK = 1
+    WEAK = 2
+    FAULTY = 3
+    DOUBLED = 4
+
+
+class NodeHealth:
+    """Follows every node's amplitude and how even its words are.
+
+    swing_v: (n,) float32, V, the amplitude to expect of each node; None while the specification
+        leaves it to be learnt from each frame.
+    state: (n,) uint8 of NodeState.
+    invalid: (n,) bool, nodes whose words cannot be trusted: doubled or faulty.
+    """
+
+    def __init__(self, spec: FrameSpec) -> None:
+        self._nominal_v = spec.node_swing_v
+        self.swing_v: NDArray[np.float32] | None = None
+        if self._nominal_v is not None:
+            self.swing_v = np.full(spec.nodes, self._nominal_v, dtype=np.float32)
+        self.state = np.full(spec.nodes, NodeState.MISSING, dtype=np.uint8)
+        self.invalid = np.zeros(spec.nodes, dtype=bool)
+        # Per node: words, their amplitudes, uneven ones and doubled ones, fading sums.
+        self._words = np.zeros(spec.nodes, dtype=np.float32)
+        self._amplitude_v = np.zeros(spec.nodes, dtype=np.float32)
+        self._uneven = np.zeros(spec.nodes, dtype=np.float32)
+        self._doubled = np.zeros(spec.nodes, dtype=np.float32)
+        self._frames = 0
+
+    def update(self, words: Words) -> None:
+        """Count one frame's words."""
+        heard = words.active
+        if self._nominal_v is not None:
+            heard = heard | self._faint(words, self._nominal_v)
+        self._words += heard
+        self._amplitude_v += words.amplitude_v * heard
+        if words.doubtful.any():
+            self._uneven += words.doubtful & (words.rho > LOW_RHO) & (words.margin < LOW_MARGIN)
+            self._doubled += words.doubled
+        self._frames += 1
+        if self._frames % JUDGE_FRAMES == 0:
+            self._judge()
+
+    def nodes(self, state: NodeState) -> list[int]:
+        """Numbers, from 1 on, of the nodes in a state."""
+        numbers: list[int] = (np.flatnonzero(self.state == state) + 1).tolist()
+        return numbers
+
+    def _faint(self, words: Words, nominal_v: float) -> NDArray[np.bool_]:
+        """Words too weak to count as spoken, but too even and too strong to be noise."""
+        faint: NDArray[np.bool_] = (
+            ~words.active
+            & (words.amplitude_v > LEAST_SHARE * nominal_v)
+            & (words.rho > WEAK_RHO)
+            & (words.margin > LOW_MARGIN)
+        )
+        return faint
+
+    def _judge(self) -> None:
+        known = self._words > LEAST_WORDS
+        amplitude_v = self._amplitude_v / np.maximum(self._words, 1e-6)
+        expected_v = self._nominal_v or (float(np.median(amplitude_v[known])) if known.any() else 0)
+        state = np.full(known.shape, NodeState.OK, dtype=np.uint8)
+        state[amplitude_v < WEAK_SHARE * expected_v] = NodeState.WEAK
+        state[self._uneven > 0.5 * self._words] = NodeState.FAULTY
+        twice = amplitude_v > DOUBLE_SHARE * expected_v
+        state[twice | (self._doubled > 0.25 * self._words)] = NodeState.DOUBLED
+        self.state = np.where(known, state, self.state)
+        self.invalid = self.state >= NodeState.FAULTY
+        if self._nominal_v is not None:
+            weak = known & (state == NodeState.WEAK)
+            self.swing_v = np.where(weak, amplitude_v, self._nominal_v).astype(np.float32)
+        for total in (self._words, self._amplitude_v, self._uneven, self._doubled):
+            total *= 0.5

@@ -1,0 +1,165 @@
+"""Line timing does only what a frame needs, and it makes no difference to the words."""
+
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tactile_cdma._protocol import SyncMode
+from tactile_cdma.decode import decode
+from tactile_cdma.errors import SpecError
+from tactile_cdma.fit import Line, refine
+from tactile_cdma.frame import FrameSpec
+from tactile_cdma.line_timing import CARRIED_FRAMES, LineTiming
+from tactile_cdma.sim.digitizer import stream, truth
+from tactile_cdma.sim.options import Setup, SimOptions
+from tactile_cdma.timing import FrameLevels, SampleBlock
+
+SPEC = FrameSpec()
+
+
+def blocks(options: SimOptions, setup: Setup, frames: int) -> list[SampleBlock]:
+    """The digitized line of some frames, in V."""
+    result: list[SampleBlock] = []
+    for block in stream(options, setup):
+        if (
+            block.sync
+            and len(result)
+            and block.begin_s > (frames - 0.5) * setup.spec.frame_period_s
+        ):
+            return result
+        volts = options.channel.volts(block.counts, setup.spec)
+        result.append(SampleBlock(block.first_index, volts, block.sync))
+    raise AssertionError("the stream has no end")
+
+
+def run(timing: LineTiming, given: list[SampleBlock]) -> list[FrameLevels]:
+    return [frame for block in given for frame in timing.feed(block)] + timing.flush()
+
+
+class Ungated(LineTiming):
+    """Takes every frame for a loud one until its chips were looked at."""
+
+    def _sample_power(self, volts: np.ndarray) -> float:
+        power = super()._sample_power(volts)
+        return power if np.isnan(power) else max(power, 1.0)
+
+
+class Refining(LineTiming):
+    """Carries no timing over."""
+
+    def _explained(self, words: object) -> bool:
+        return False
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.sampled_from(["idle", "press", "moving", "all"]),
+    st.sampled_from([1, 4]),
+    st.sampled_from([0.0, 0.02, 0.1]),
+    st.integers(0, 1000),
+)
+def test_the_energy_gate_changes_nothing(scene: str, rate: int, noise: float, seed: int) -> None:
+    options = SimOptions(scene=scene, noise=noise, seed=seed, heartbeat=0)
+    setup = Setup(SPEC, rate, SyncMode.DRIVE, integrated=rate == 1)
+    given = blocks(options, setup, 8)
+    gated = run(LineTiming(SPEC, setup.rate_hz), given)
+    full = run(Ungated(SPEC, setup.rate_hz), given)
+    assert len(gated) == len(full) == 8
+    for one, other in zip(gated, full, strict=True):
+        assert (one.start, one.chip_samples, one.offset_v) == (
+            other.start,
+            other.chip_samples,
+            other.offset_v,
+        )
+        assert (one.levels is None) == (other.levels is None)
+        if one.levels is not None and other.levels is not None:
+            assert np.array_equal(one.levels.values, other.levels.values)
+
+
+@pytest.mark.parametrize("noise", [0.005, 0.1, 0.4])
+def test_timing_carried_over_is_as_good_as_timing_refined(
+    noise: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """… and saves nearly every refinement."""
+    calls = []
+
+    def counted(line: Line, *args: object, **options: object) -> object:
+        calls.append(line)
+        return refine(line, *args, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("tactile_cdma.line_timing.refine", counted)
+    options = SimOptions(scene="all", threshold=0, noise=noise, seed=3)
+    setup = Setup(SPEC, 4, SyncMode.DRIVE, False)
+    sent = blocks(options, setup, 60)
+    carried = run(LineTiming(SPEC, setup.rate_hz), sent)
+    assert len(calls) <= 2 * (1 + 60 // CARRIED_FRAMES)
+    refined = run(Refining(SPEC, setup.rate_hz), sent)
+    errors = []
+    for frames in (carried, refined):
+        assert len(frames) == 60
+        worst = 0.0
+        for frame, node in zip(frames, islice(truth(options, setup), 60), strict=False):
+            assert frame.levels is not None
+            bits = np.where((node.codes[:, None] >> np.arange(9, -1, -1)) & 1, 1.0, -1.0).T
+            error = frame.levels.values * SPEC.signs - 0.3 * bits
+            worst += float(np.square(error).mean())
+        errors.append(worst)
+    assert errors[0] < 1.05 * errors[1]
+
+
+def test_timing_that_changes_is_noticed_at_once() -> None:
+    """A stretch of half a percent after thirty steady frames."""
+    setup = Setup(SPEC, 8, SyncMode.DRIVE, False)
+    steady = SimOptions(scene="all", threshold=0, seed=4)
+    given = blocks(steady, setup, 30)
+    at = given[-1].first_index + given[-1].volts.size
+    for block in blocks(replace(steady, stretch=0.01, seed=5), setup, 10):
+        given.append(SampleBlock(block.first_index + at, block.volts, block.sync))
+    frames = run(LineTiming(SPEC, setup.rate_hz), given)
+    assert len(frames) == 40
+    codes = [node.codes for node in islice(truth(steady, setup), 30)]
+    codes += [node.codes for node in islice(truth(steady, setup), 10)]
+    for frame, sent in zip(frames, codes, strict=True):
+        assert frame.levels is not None
+        words = decode(frame.levels, SPEC)
+        assert np.array_equal(words.codes, sent) and not words.doubtful.any()
+
+
+@pytest.mark.parametrize("rate", [1, 4])
+@pytest.mark.parametrize("parity", [False, True])
+def test_frames_with_restarts_in_them(rate: int, parity: bool) -> None:
+    spec = FrameSpec(resync_chips=32, guard_chips=1, parity=parity)
+    assert spec.span_chips == spec.chips + (spec.chips - 1) // 32
+    assert np.array_equal(np.diff(spec.places) == 2, np.arange(1, spec.chips) % 32 == 0)
+    options = SimOptions(scene="moving", threshold=0, noise=0.05)
+    setup = Setup(spec, rate, SyncMode.DRIVE, integrated=rate == 1)
+    frames = run(LineTiming(spec, setup.rate_hz), blocks(options, setup, 20))
+    assert len(frames) == 20
+    for frame, sent in zip(frames, islice(truth(options, setup), 20), strict=True):
+        assert frame.levels is not None
+        words = decode(frame.levels, spec)
+        assert words.active.all() and np.array_equal(words.codes, sent.codes)
+
+
+@pytest.mark.parametrize(("resync", "guard"), [(32, 0), (0, 1)])
+def test_restarts_need_both_numbers(resync: int, guard: int) -> None:
+    with pytest.raises(SpecError, match="resync_chips"):
+        FrameSpec(resync_chips=resync, guard_chips=guard)
+
+
+def test_an_absurd_sample_loses_its_frame_only() -> None:
+    setup = Setup(SPEC, 4, SyncMode.DRIVE, False)
+    given = blocks(SimOptions(scene="all", threshold=0), setup, 6)
+    for bad in (np.nan, np.inf, -1e30):
+        sent = [replace(block, volts=block.volts.copy()) for block in given]
+        third = [block.first_index for block in sent if block.sync][2]
+        next(block for block in sent if block.first_index == third).volts[7] = bad
+        timing = LineTiming(SPEC, setup.rate_hz)
+        frames = run(timing, sent)
+        assert len(frames) == 5 and timing.rejected == 1
+        for frame in frames:
+            assert frame.levels is not None and np.isfinite(frame.levels.values).all()
