@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -57,6 +57,10 @@ class Words:
         ratio = np.minimum(np.float32(2) * np.square(self.rho) * self.margin, np.float32(80))
         confidence: NDArray[np.float32] = np.float32(1) / (np.float32(1) + np.exp(-ratio))
         return confidence
+
+    def doubted(self) -> Words:
+        """The same words, none of them certain."""
+        return replace(self, doubtful=self.active)
 
 
 def silent(nodes: int, noise_rms_v: float) -> Words:

@@ -262,7 +262,10 @@ class Pipeline:
             words = silent(spec.nodes, heard.noise_rms_v)
         else:
             words = decode(heard.levels, spec, self.threshold, self.health.swing_v)
-            self.health.update(words)
+            if heard.tied:
+                words = words.doubted()
+            else:
+                self.health.update(words)
         t_host = self._clock.to_host(t_middle)
         if self._last_start_s is not None:
             passed_s = t_start - self._last_start_s

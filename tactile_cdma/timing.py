@@ -73,6 +73,7 @@ class FrameLevels:
     noise_rms_v: noise of one chip's level, V; NaN where unknown.
     offset_v: the line's level in silence, V.
     clipped: share of the frame's samples at a rail, 0…1.
+    tied: other words, some chips away, explain the samples as well: these are a guess.
     """
 
     start: float
@@ -81,6 +82,7 @@ class FrameLevels:
     noise_rms_v: float
     offset_v: float
     clipped: float
+    tied: bool = False
 
 
 class Attempt(NamedTuple):
@@ -176,23 +178,29 @@ class Timing:
         """What a fit makes of the samples, to be believed within a limit of spread.
 
         Whole chips are the matched filter; their middle is blind to edges a tenth of a chip off.
-        Taken is what gives the more even words.
+        It is taken where it gives words more even than noise would by chance.
         """
         start, chip = np.array([fit.start]), np.array([fit.chip])
         both = np.concatenate(
             [integrate(line, start, chip, self.spec, share) for share in (1.0, MIDDLE)]
         )
         words = read_words(both, self.spec)
-        best = int(np.argmin(words.spread))
+        best = int(words.spread[1] < 0.6 * words.spread[0])
         believable = bool(words.believable(limit, self.spec, noise)[best])
         return Attempt(node_levels(words.rows[best], self.spec), words.amplitude[best], believable)
 
     def _heard(
-        self, start: float, chip: float, levels: NodeLevels, offset_v: float, clipped: float
+        self,
+        start: float,
+        chip: float,
+        levels: NodeLevels,
+        offset_v: float,
+        clipped: float,
+        tied: bool = False,
     ) -> FrameLevels:
         """A frame in which somebody spoke."""
         noise_rms_v = levels.noise_v * math.sqrt(self.spec.order)
-        return FrameLevels(start, chip, levels, noise_rms_v, offset_v, clipped)
+        return FrameLevels(start, chip, levels, noise_rms_v, offset_v, clipped, tied)
 
     def _clipped(self, volts: Floats) -> float:
         """Share of samples within a thousandth of the range of a rail."""
