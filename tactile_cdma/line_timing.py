@@ -164,6 +164,8 @@ class LineTiming(Timing):
     def _decide(self, start: int, end: int, final: bool) -> list[FrameLevels]:
         """Decode the frame from samples up to `end`, or ask for more. final: none will follow."""
         volts = self._samples.take(start, end)
+        if self._centred and not self._level_known:
+            self._level_v = float(volts[: self._nominal_size].mean())
         power = self._sample_power(volts[: self._nominal_size])
         if math.isnan(power):
             self._reject()
@@ -171,8 +173,6 @@ class LineTiming(Timing):
         # The energy gate: means of samples have no more power than the samples themselves.
         if power <= self._least_power:
             return self._idle_frame(start, self._nominal_fit, power)
-        if not self._level_known and self._centred:
-            self._level_v = float(volts[: self._nominal_size].mean())
         if self._integrated:
             return self._integrated_frame(start, volts)
         line = Line(volts - self._level_v)
