@@ -150,12 +150,12 @@ def read_words(chips: NDArray[np.float32], spec: FrameSpec) -> WordFit:
     amplitude = mean * active
     word_power = np.einsum("cn,cn->c", amplitude, amplitude)
     signed_power = np.einsum("cn,cn->c", np.einsum("ckn,ckn->cn", signed, signed), active)
-    total = np.einsum("ckr,ckr->c", rows, rows)
-    pedestal = np.zeros(len(chips), np.float32)
+    pedestal, meant = np.zeros(len(chips), np.float32), rows
     if spec.drive == UNIPOLAR:
         pedestal = rows[..., 0].sum(axis=1) / bits
     elif spec.first_row > 0:  # a free row 0 holds nothing but what is left of the offset
-        total -= np.einsum("ck,ck->c", rows[..., 0], rows[..., 0])
+        meant = rows[..., 1:]
+    total = np.einsum("ckr,ckr->c", meant, meant)
     power = word_power + np.square(pedestal)
     return WordFit(
         rows,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ._protocol import TAIL_CHIPS
 from .errors import SpecError
 from .fit import Fit, Floats, Line, WordFit, integrate, least_power, read_words, refine
-from .frame import MAX_STRETCH, UNIPOLAR, FrameSpec
+from .frame import BIPOLAR, MAX_STRETCH, UNIPOLAR, FrameSpec
 from .separate import NodeLevels, node_levels
 from .timing import FrameLevels, QuietBlock, SampleBlock, Timing
 
@@ -70,7 +70,9 @@ class LineTiming(Timing):
         self._start: int | None = None
         self._due = 0
         self._gap_begin: int | None = None  # end of the last frame, if no hole followed
-        self._level_v = 0.0  # until a gap was seen; a free row 0 then shows the offset
+        self._level_v = 0.0
+        # All rows but the first have as many +1 as −1: without it a frame's mean is the offset.
+        self._centred = spec.first_row > 0 and spec.drive == BIPOLAR
         self._level_known = False
         self._noise = 0.0  # variance of a chip's level in the gap, V²; 0 where unknown
         self._carried: _Carried | None = None
@@ -162,6 +164,8 @@ class LineTiming(Timing):
     def _decide(self, start: int, end: int, final: bool) -> list[FrameLevels]:
         """Decode the frame from samples up to `end`, or ask for more. final: none will follow."""
         volts = self._samples.take(start, end)
+        if self._centred and not self._level_known:
+            self._level_v = float(volts[: self._nominal_size].mean())
         power = self._sample_power(volts[: self._nominal_size])
         if math.isnan(power):
             self._reject()
@@ -273,8 +277,8 @@ class LineTiming(Timing):
 
         This tells a stretched frame from a shorter fit of its words, and words of more bits than
         specified. True where nothing was received after the end. A level of rest that is not known
-        yet is that of row 0 where this is free, else it has to be 0, and seen: row 0 would take
-        any other for a node.
+        yet is the frame's mean where row 0 is free, else it has to be 0, and seen: row 0 would
+        take any other for a node.
         """
         end = fit.end(self.spec) + 0.5
         begin, stop = math.ceil(end + 0.25 * fit.chip), math.floor(end + TAIL_CHIPS * fit.chip)
@@ -285,16 +289,9 @@ class LineTiming(Timing):
         if not self._level_known:
             if self.spec.drive == UNIPOLAR:
                 return True
-            if self.spec.first_row > 0:
-                tail = tail - self._row_zero(line, fit)
             noise = levels.noise_v**2 * self.spec.order
         least = float(amplitude[amplitude > 0].min(initial=np.inf))
         return float(tail @ tail) / tail.size < (0.4 * least) ** 2 + 4 * noise * fit.chip
-
-    def _row_zero(self, line: Line, fit: Fit) -> float:
-        """Mean level of a fit's frame, which is the offset where row 0 is free, V."""
-        ends = line.integral(np.array([fit.start, fit.end(self.spec)]))
-        return float(ends[1] - ends[0]) / (self.spec.chips * fit.chip)
 
     def _refined(self, line: Line, chip: float) -> Fit:
         """The frame refined around the first sample; as it was if that leads nowhere."""
