@@ -237,8 +237,8 @@ class Quiet(Packet):
             and self.sum**2 <= self.count * self.sum_of_squares
         ):
             raise SpecError(
-                f"no samples, or more than the wire can carry, are {self.count} with sum {self.sum} "
-                f"and sum of squares {self.sum_of_squares}"
+                f"no samples that the wire can carry are {self.count} with sum {self.sum} and "
+                f"sum of squares {self.sum_of_squares}"
             )
 
     @classmethod
