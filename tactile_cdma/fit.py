@@ -7,13 +7,12 @@ sample i is the line's level at instant i: it stands for [i − ½, i + ½).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .frame import UNIPOLAR, FrameSpec
-from .transform import correlate
+from .transform import correlate, spread
 
 Floats = NDArray[np.float64]
 
@@ -198,8 +197,10 @@ def refine(
     levels = np.zeros(spec.chips + 2)  # the gap on either side
     for share in REACHES:
         words = read_words(integrate(line, np.array([start]), np.array([chip]), spec), spec)
-        symbols = np.sign(words.signed[0]) * words.amplitude[0]
-        levels[1:-1] = (symbols @ _code_rows(spec) + words.pedestal[0]).ravel()
+        nodes = slice(spec.first_row, spec.first_row + spec.nodes)
+        symbols = np.zeros((spec.line_bits, spec.order), dtype=np.float32)
+        symbols[:, nodes] = np.sign(words.signed[0]) * words.amplitude[0]
+        levels[1:-1] = spread(symbols, spec.book).ravel() + words.pedestal[0]
         before, after = levels[:-1], levels[1:]
         edges, reach = start + chip * steps, share * chip
         area = (
@@ -208,8 +209,8 @@ def refine(
         seen = (edges >= reach - 0.5) & (edges + reach <= line.volts.size - 0.5)
         step = (before - after) * seen
         weight, moment = np.square(step), step * area
-        w0, w1, w2 = weight.sum(), weight @ steps, weight @ np.square(steps)
-        m0, m1 = moment.sum(), moment @ steps
+        w0, w1, w2 = weight.sum(), dot(weight, steps), dot(weight, np.square(steps))
+        m0, m1 = moment.sum(), dot(moment, steps)
         determinant = w0 * w2 - w1 * w1
         if determinant > 1e-9 * w0 * w2:
             moved = start + (w2 * m0 - w1 * m1) / determinant
@@ -224,7 +225,6 @@ def refine(
     return Fit(float(start), float(chip))
 
 
-@lru_cache(maxsize=8)
-def _code_rows(spec: FrameSpec) -> NDArray[np.float32]:
-    """The nodes' rows, (n, N)."""
-    return spec.book.rows(spec.rows).astype(np.float32)
+def dot(some: Floats, others: Floats) -> float:
+    """Sum of products, but not by BLAS: long ones wake its threads, which wait for each other."""
+    return float(np.einsum("i,i->", some, others))

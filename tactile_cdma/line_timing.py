@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ._protocol import TAIL_CHIPS
 from .errors import SpecError
-from .fit import Fit, Floats, Line, WordFit, integrate, least_power, read_words, refine
+from .fit import Fit, Floats, Line, WordFit, dot, integrate, least_power, read_words, refine
 from .frame import BIPOLAR, MAX_STRETCH, UNIPOLAR, FrameSpec
 from .separate import NodeLevels, node_levels
 from .timing import FrameLevels, QuietBlock, SampleBlock, Timing
@@ -133,7 +133,7 @@ class LineTiming(Timing):
         gap = self._samples.take(begin, index)
         if gap.size and not np.isnan(total := float(gap.sum())):
             mean = total / gap.size
-            self._at_rest(mean, max(0.0, float(gap @ gap) / gap.size - mean**2))
+            self._at_rest(mean, max(0.0, dot(gap, gap) / gap.size - mean**2))
         self._samples.drop(index)
         tail = 0 if self._integrated else math.ceil(TAIL_CHIPS * self._nominal)
         self._start, self._due = index, index + self._nominal_size + tail
@@ -291,7 +291,7 @@ class LineTiming(Timing):
                 return True
             noise = levels.noise_v**2 * self.spec.order
         least = float(amplitude[amplitude > 0].min(initial=np.inf))
-        return float(tail @ tail) / tail.size < (0.4 * least) ** 2 + 4 * noise * fit.chip
+        return dot(tail, tail) / tail.size < (0.4 * least) ** 2 + 4 * noise * fit.chip
 
     def _refined(self, line: Line, chip: float) -> Fit:
         """The frame refined around the first sample; as it was if that leads nowhere."""
@@ -315,7 +315,7 @@ class LineTiming(Timing):
     def _sample_power(self, volts: Floats) -> float:
         """Mean power of samples, V², without an unknown offset; NaN where one is absurd."""
         mean = float(volts.sum()) / volts.size
-        power = float(volts @ volts) / volts.size
+        power = dot(volts, volts) / volts.size
         if self.spec.first_row > 0:
             return max(power - mean**2, 0.0)  # NaN stays NaN
         return max(power - 2 * mean * self._level_v + self._level_v**2, 0.0)

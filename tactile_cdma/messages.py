@@ -252,7 +252,7 @@ class Quiet(Packet):
     ) -> Quiet:
         """What stands for these samples, (m,) int16."""
         wide = counts.astype(np.int64)  # sums stay below 2⁶³ for 2³² samples of 16 bits
-        total, squares = int(wide.sum()), int(wide @ wide)
+        total, squares = int(wide.sum()), int(np.einsum("i,i->", wide, wide))
         return cls(device_time_us, first_index, counts.size, total, squares, sync, overrun)
 
     @property
