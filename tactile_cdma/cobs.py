@@ -23,20 +23,24 @@ def cobs_encode(data: bytes) -> bytes:
 
 def cobs_decode(data: bytes) -> bytes:
     """The inverse of cobs_encode. Raises ValueError for what is no COBS."""
-    out, start, size = [], 0, len(data)
+    if 0 in data:
+        raise ValueError(f"no COBS: a zero at byte {data.index(0)} of {len(data)}")
+    decoded, unended = bytearray(data), []
+    start, size = 0, len(data)
     while start < size:
         length = data[start]
-        if not length:
-            raise ValueError(f"no COBS: a zero at byte {start} of {size}")
-        out.append(data[start + 1 : start + length])
-        if length != 255:
-            out.append(b"\0")
+        decoded[start] = 0  # a block's first byte lies where the zero of the block before it was
         start += length
+        if length == 255:
+            unended.append(start)  # where no zero was
     if start != size:
         raise ValueError(f"no COBS: the last block ends at byte {start} of {size}")
-    if data and length != 255:
-        del out[-1]  # the zero that was imagined after the data
-    return b"".join(out)
+    parts, begin = [], 1
+    for end in unended:
+        parts.append(decoded[begin:end])
+        begin = end + 1
+    parts.append(decoded[begin:])
+    return b"".join(parts)
 
 
 _LENGTHS = [bytes([size + 1]) for size in range(254)]

@@ -191,11 +191,7 @@ class Samples(Packet):
                 f"counts are {counts.dtype} of shape {counts.shape}; "
                 f"a packet takes int16 of shape (1…{MAX_SAMPLES},)"
             )
-        if not (0 <= self.device_time_us < 2**64 and 0 <= self.first_index < 2**64):
-            raise SpecError(
-                f"device_time_us {self.device_time_us} and first_index {self.first_index} "
-                "must lie within 0…2⁶⁴−1"
-            )
+        _check_place(self)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Samples):
@@ -234,13 +230,15 @@ class Quiet(Packet):
     overrun: bool = False
 
     def __post_init__(self) -> None:
-        for wire in FIELDS["Quiet"]:
-            if wire.name != "flags":
-                _checked(wire, getattr(self, wire.name))
-        if self.sum**2 > self.count * self.sum_of_squares:
+        _check_place(self)
+        if not (
+            1 <= self.count < 2**32
+            and self.sum_of_squares < 2**64
+            and self.sum**2 <= self.count * self.sum_of_squares
+        ):
             raise SpecError(
-                f"{self.count} samples with sum {self.sum} have squares of at least "
-                f"{self.sum**2 // self.count}, not {self.sum_of_squares}"
+                f"no samples that the wire can carry are {self.count} with sum {self.sum} and "
+                f"sum of squares {self.sum_of_squares}"
             )
 
     @classmethod
@@ -374,6 +372,14 @@ class Rejected:
 
 
 Received: TypeAlias = Packet | OtherVersion | Rejected
+
+
+def _check_place(packet: Samples | Quiet) -> None:
+    if not (0 <= packet.device_time_us < 2**64 and 0 <= packet.first_index < 2**64):
+        raise SpecError(
+            f"device_time_us {packet.device_time_us} and first_index {packet.first_index} "
+            "must lie within 0…2⁶⁴−1"
+        )
 
 
 def _flags(packet: Samples | Quiet) -> int:

@@ -10,6 +10,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,8 +53,9 @@ class Block:
 
     first_index: of the first sample, counted from START. counts: (m,) int16.
     sync: the first sample is the first of a frame. quiet: sent as Quiet.
-    begin_s: when the first sample is taken; if integrated, when its chip begins. end_s: when the
-        last sample's period ends. Both in s since START.
+    begin_s: when the first sample is taken; if integrated, when its chip begins. due_s: when it is
+        sent: as the last sample's period ends, or, a quiet gap, with the packet after it. Both in
+        s since START.
     """
 
     first_index: int
@@ -61,7 +63,7 @@ class Block:
     sync: bool
     quiet: bool
     begin_s: float
-    end_s: float
+    due_s: float
 
 
 def truth(options: SimOptions, setup: Setup) -> Iterator[NodeFrame]:
@@ -101,17 +103,28 @@ def stream(options: SimOptions, setup: Setup) -> Iterator[Block]:
             waiting = counts[len(counts) // size * size :]
             counts = counts[: len(counts) - len(waiting)]
         frame_size = _frame_size(setup) if marked and whole else 0
-        for start, stop, quiet in _cuts(counts, frame_size, size, quiet_counts if marked else 0):
-            part = counts[start:stop]
+        tail_size = TAIL_CHIPS * setup.samples_per_chip if frame_size else 0
+        for cut in _cuts(counts, frame_size, tail_size, size, quiet_counts if marked else 0):
+            stop = index + cut.stop - cut.start
+            due = stop + min(frame_size, MAX_SAMPLES) if cut.waits else stop
             yield Block(
                 first_index=index,
-                counts=part,
-                sync=start < frame_size and start == 0,
-                quiet=quiet,
+                counts=counts[cut.start : cut.stop],
+                sync=cut.start == 0 and frame_size > 0,
+                quiet=cut.quiet,
                 begin_s=epoch_s + (index + instant) / rate_hz,
-                end_s=epoch_s + (index + len(part)) / rate_hz,
+                due_s=epoch_s + due / rate_hz,
             )
-            index += len(part)
+            index = stop
+
+
+class _Cut(NamedTuple):
+    """Samples of a frame period that make one packet; quiet: sent as Quiet; waits: for the next."""
+
+    start: int
+    stop: int
+    quiet: bool = False
+    waits: bool = False
 
 
 def _frame_size(setup: Setup) -> int:
@@ -122,26 +135,30 @@ def _frame_size(setup: Setup) -> int:
 
 
 def _cuts(
-    counts: NDArray[np.int16], frame_size: int, gap_size: int, quiet_counts: int
-) -> Iterator[tuple[int, int, bool]]:
-    """Where the packets of a frame period begin and end, and whether they are sent as Quiet.
+    counts: NDArray[np.int16], frame_size: int, tail_size: int, gap_size: int, quiet_counts: int
+) -> Iterator[_Cut]:
+    """How the samples of a frame period are divided among packets.
 
-    frame_size: samples of the frame, which come first. gap_size: the most in a packet of the rest.
+    frame_size: samples of the frame, which come first, with its tail. gap_size: the most in a
+    packet of the rest. quiet_counts: largest difference of samples in a Quiet; 0: none.
     """
 
     def quiet(start: int, stop: int) -> bool:
         part = counts[start:stop]
         return 0 < quiet_counts >= int(part.max()) - int(part.min())
 
-    frame_size = min(frame_size, len(counts))
+    end, frame_size = len(counts), min(frame_size, len(counts))
     if frame_size and quiet(0, frame_size):
-        yield 0, frame_size, True
+        yield _Cut(0, frame_size, quiet=True)
     else:
         for start in range(0, frame_size, MAX_SAMPLES):
-            yield start, min(start + MAX_SAMPLES, frame_size), False
-    for start in range(frame_size, len(counts), gap_size):
-        stop = min(start + gap_size, len(counts))
-        yield start, stop, quiet(start, stop)
+            yield _Cut(start, min(start + MAX_SAMPLES, frame_size))
+    if frame_size < end and tail_size and quiet(frame_size - tail_size, end):
+        yield _Cut(frame_size, end, quiet=True, waits=True)
+    else:
+        for start in range(frame_size, end, gap_size):
+            stop = min(start + gap_size, end)
+            yield _Cut(start, stop, quiet(start, stop))
 
 
 class VirtualDigitizer:
@@ -266,7 +283,7 @@ class VirtualDigitizer:
         self._due_s = self._report_s
         if self._stream is not None:
             self._block = self._block or next(self._stream)
-            self._due_s = min(self._due_s, self._started_s + self._block.end_s)
+            self._due_s = min(self._due_s, self._started_s + self._block.due_s)
 
     def _report(self) -> None:
         self._send(self.info())
