@@ -22,9 +22,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from benchmarks.report import QUICK, Report, medians_s
 from tactile_cdma.codes import code_book
 from tactile_cdma.transform import correlate, spread
+
+from .report import QUICK, Report, medians_s
 
 BITS = 10
 POWERS = [1 << m for m in range(4, 17)]
