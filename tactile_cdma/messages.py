@@ -134,6 +134,7 @@ class Info(Packet):
     volts_per_count: V, rounded to float32; counts are relative to zero_count.
     min_count, max_count: rails of the ADC.
     integrated: Samples carry one mean value per chip, and none in the gap between frames.
+    quiet_uv: see Configure; 0 where the digitizer never sends Quiet.
     """
 
     TYPE = PacketType.INFO
@@ -146,6 +147,7 @@ class Info(Packet):
     max_count: int = 2**15 - 1
     sync_mode: SyncMode = SyncMode.NONE
     integrated: bool = False
+    quiet_uv: int = 0
     digitizer_id: bytes = bytes(8)
     firmware_major: int = 0
     firmware_minor: int = 0
@@ -209,9 +211,71 @@ class Samples(Packet):
     __hash__ = None  # type: ignore[assignment]
 
     def payload(self) -> bytes:
-        flags = FLAG_SYNC * self.sync | FLAG_OVERRUN * self.overrun
-        head = WIRE["Samples"].pack(self.device_time_us, self.first_index, flags)
+        head = WIRE["Samples"].pack(self.device_time_us, self.first_index, _flags(self))
         return head + (self.counts ^ SAMPLE_MASK).astype("<i2", copy=False).tobytes()
+
+
+@dataclass(frozen=True, slots=True)
+class Quiet(Packet):
+    """Consecutive samples, all within quiet_uv of each other: a whole frame's, or some of a gap.
+
+    Other fields as in Samples. count: number of samples, at least 1.
+    sum, sum_of_squares: of the counts, exact. Raises SpecError where no samples have such sums.
+    """
+
+    TYPE = PacketType.QUIET
+
+    device_time_us: int
+    first_index: int
+    count: int
+    sum: int
+    sum_of_squares: int
+    sync: bool = False
+    overrun: bool = False
+
+    def __post_init__(self) -> None:
+        for wire in FIELDS["Quiet"]:
+            if wire.name != "flags":
+                _checked(wire, getattr(self, wire.name))
+        if self.sum**2 > self.count * self.sum_of_squares:
+            raise SpecError(
+                f"{self.count} samples with sum {self.sum} have squares of at least "
+                f"{self.sum**2 // self.count}, not {self.sum_of_squares}"
+            )
+
+    @classmethod
+    def of(
+        cls,
+        device_time_us: int,
+        first_index: int,
+        counts: NDArray[np.int16],
+        sync: bool = False,
+        overrun: bool = False,
+    ) -> Quiet:
+        """What stands for these samples, (m,) int16."""
+        wide = counts.astype(np.int64)  # sums stay below 2⁶³ for 2³² samples of 16 bits
+        total, squares = int(wide.sum()), int(np.einsum("i,i->", wide, wide))
+        return cls(device_time_us, first_index, counts.size, total, squares, sync, overrun)
+
+    @property
+    def mean(self) -> float:
+        """Mean of the counts."""
+        return self.sum / self.count
+
+    @property
+    def variance(self) -> float:
+        """Variance of the counts."""
+        return (self.count * self.sum_of_squares - self.sum**2) / self.count**2
+
+    def payload(self) -> bytes:
+        return WIRE["Quiet"].pack(
+            self.device_time_us,
+            self.first_index,
+            _flags(self),
+            self.count,
+            self.sum,
+            self.sum_of_squares,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,13 +338,18 @@ class Stop(Command):
 
 @dataclass(frozen=True, slots=True)
 class Configure(Command):
-    """Sets the frame layout and the way of sampling."""
+    """Sets the frame layout and the way of sampling.
+
+    quiet_uv: µV; a frame, or a part of the gap, in which no two samples differ by more is sent as
+        Quiet. 0: never. See silence.py for how much is safe.
+    """
 
     TYPE = PacketType.CONFIGURE
 
     frame: FrameLayout
     sync_mode: SyncMode = SyncMode.DRIVE
     integrated: bool = False
+    quiet_uv: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -305,6 +374,10 @@ class Rejected:
 
 
 Received: TypeAlias = Packet | OtherVersion | Rejected
+
+
+def _flags(packet: Samples | Quiet) -> int:
+    return FLAG_SYNC * packet.sync | FLAG_OVERRUN * packet.overrun
 
 
 def _codes(name: str) -> str:
@@ -368,7 +441,7 @@ WIRE = {name: struct.Struct("<" + _codes(name)) for name in FIELDS}
 SAMPLE_MASK = np.int16(SAMPLE_XOR)
 """Sample words travel XORed with this."""
 PACKETS: dict[int, type[Packet]] = {
-    kind.TYPE: kind for kind in (Info, Samples, Status, Ack, GetInfo, Start, Stop, Configure)
+    kind.TYPE: kind for kind in (Info, Samples, Quiet, Status, Ack, GetInfo, Start, Stop, Configure)
 }
 """Packets by the first byte of their body."""
 _INT16 = np.dtype(np.int16)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .._protocol import MAX_SAMPLES, Result, SyncMode
+from .._protocol import MAX_PACKET_US, MAX_SAMPLES, TAIL_CHIPS, Result, SyncMode
 from ..encode import frame_levels, line_chips
 from ..errors import SpecError
 from ..messages import (
@@ -24,6 +24,7 @@ from ..messages import (
     GetInfo,
     Info,
     Packet,
+    Quiet,
     Rejected,
     Samples,
     Start,
@@ -36,8 +37,6 @@ from .nodes import NodeFrame, frame_start_s, node_frames
 from .options import Setup, SimOptions
 from .scene import SCENES
 
-PACKET_S = 1.6e-3
-"""Signal in one SAMPLES packet; the protocol allows MAX_PACKET_US."""
 REPORT_S = 1.0
 """INFO and STATUS are repeated at this interval."""
 BUFFER_S = 0.5
@@ -52,7 +51,7 @@ class Block:
     """The samples of one packet.
 
     first_index: of the first sample, counted from START. counts: (m,) int16.
-    sync: the first sample is the first of a frame.
+    sync: the first sample is the first of a frame. quiet: sent as Quiet.
     begin_s: when the first sample is taken; if integrated, when its chip begins. end_s: when the
         last sample's period ends. Both in s since START.
     """
@@ -60,6 +59,7 @@ class Block:
     first_index: int
     counts: NDArray[np.int16]
     sync: bool
+    quiet: bool
     begin_s: float
     end_s: float
 
@@ -79,10 +79,11 @@ def truth(options: SimOptions, setup: Setup) -> Iterator[NodeFrame]:
 def stream(options: SimOptions, setup: Setup) -> Iterator[Block]:
     """The digitized line since START, endlessly; a pure function of its arguments.
 
-    Where frames are marked, each begins a new block; else blocks are of equal size.
+    Where frames are marked, each begins a new block and ends one; else blocks are of equal size.
     """
     rate_hz = setup.rate_hz
-    size = min(MAX_SAMPLES, max(1, int(PACKET_S * rate_hz)))
+    size = min(MAX_SAMPLES, max(1, MAX_PACKET_US * round(rate_hz) // 10**6))
+    quiet_counts = int(setup.quiet_uv * 1e-6 / options.channel.volts_per_count(setup.spec))
     instant = 0.0 if setup.integrated else 0.5  # at which a sample is taken, within its period
     waiting = np.empty(0, dtype=np.int16)
     index = 0
@@ -94,20 +95,53 @@ def stream(options: SimOptions, setup: Setup) -> Iterator[Block]:
             counts, epoch_s = _chips(options, setup, frame), frame.start_s - index / rate_hz
         else:
             counts, epoch_s = _samples(options, setup, frame), 0.0
-        if setup.sync == SyncMode.NONE:
+        marked = setup.sync != SyncMode.NONE
+        if not marked:
             counts = np.concatenate((waiting, counts))
             waiting = counts[len(counts) // size * size :]
             counts = counts[: len(counts) - len(waiting)]
-        for start in range(0, len(counts), size):
-            part = counts[start : start + size]
+        frame_size = _frame_size(setup) if marked and whole else 0
+        for start, stop, quiet in _cuts(counts, frame_size, size, quiet_counts if marked else 0):
+            part = counts[start:stop]
             yield Block(
                 first_index=index,
                 counts=part,
-                sync=setup.sync != SyncMode.NONE and whole and start == 0,
+                sync=start < frame_size and start == 0,
+                quiet=quiet,
                 begin_s=epoch_s + (index + instant) / rate_hz,
                 end_s=epoch_s + (index + len(part)) / rate_hz,
             )
             index += len(part)
+
+
+def _frame_size(setup: Setup) -> int:
+    """Samples of a frame: its coded chips, or if raw its whole span and the tail."""
+    if setup.integrated:
+        return setup.spec.chips
+    return (setup.spec.span_chips + TAIL_CHIPS) * setup.samples_per_chip
+
+
+def _cuts(
+    counts: NDArray[np.int16], frame_size: int, gap_size: int, quiet_counts: int
+) -> Iterator[tuple[int, int, bool]]:
+    """Where the packets of a frame period begin and end, and whether they are sent as Quiet.
+
+    frame_size: samples of the frame, which come first. gap_size: the most in a packet of the rest.
+    """
+
+    def quiet(start: int, stop: int) -> bool:
+        part = counts[start:stop]
+        return 0 < quiet_counts >= int(part.max()) - int(part.min())
+
+    frame_size = min(frame_size, len(counts))
+    if frame_size and quiet(0, frame_size):
+        yield 0, frame_size, True
+    else:
+        for start in range(0, frame_size, MAX_SAMPLES):
+            yield start, min(start + MAX_SAMPLES, frame_size), False
+    for start in range(frame_size, len(counts), gap_size):
+        stop = min(start + gap_size, len(counts))
+        yield start, stop, quiet(start, stop)
 
 
 class VirtualDigitizer:
@@ -201,6 +235,7 @@ class VirtualDigitizer:
             max_count=channel.max_count,
             sync_mode=setup.sync,
             integrated=setup.integrated,
+            quiet_uv=setup.quiet_uv,
             digitizer_id=b"sim\0" + self.options.seed.to_bytes(4, "little"),
         )
 
@@ -221,14 +256,9 @@ class VirtualDigitizer:
         else:
             block, self._block = self._block, None
             assert block is not None, "something is due: it must be a block"
-            self._send(
-                Samples(
-                    device_time_us=round((self._started_s + block.begin_s) * 1e6),
-                    first_index=block.first_index,
-                    counts=block.counts,
-                    sync=block.sync,
-                )
-            )
+            make = Quiet.of if block.quiet else Samples
+            device_time_us = round((self._started_s + block.begin_s) * 1e6)
+            self._send(make(device_time_us, block.first_index, block.counts, block.sync))
         self._schedule()
 
     def _schedule(self) -> None:
@@ -254,7 +284,7 @@ class VirtualDigitizer:
         data = self._writer.encode(packet)
         bytes_per_s = 2 * self.setup.rate_hz * max(1.0, self.options.speed)
         room = max(MIN_BUFFER, int(BUFFER_S * bytes_per_s)) - self.pending
-        if not isinstance(packet, Samples):
+        if not isinstance(packet, Samples | Quiet):
             room += _REPORT_RESERVE
         if len(data) <= room or self._hurried:
             self._output += data
@@ -282,7 +312,13 @@ class VirtualDigitizer:
         layout = command.frame
         try:
             self.setup = self.options.setup(
-                Setup(layout.spec(), layout.samples_per_chip, command.sync_mode, command.integrated)
+                Setup(
+                    layout.spec(),
+                    layout.samples_per_chip,
+                    command.sync_mode,
+                    command.integrated,
+                    command.quiet_uv,
+                )
             )
         except SpecError:
             return Result.UNSUPPORTED
@@ -310,6 +346,8 @@ def _chips(options: SimOptions, setup: Setup, frame: NodeFrame) -> NDArray[np.in
     spec, channel = setup.spec, options.channel
     rng = np.random.default_rng([options.seed, frame.number])
     edges_s = channel.edges(spec, rng)
-    levels = frame_levels(line_chips(spec, frame.codes, frame.active), spec)
-    means = chip_means(levels, edges_s, spec.chip_s)[spec.places]
+    means = frame_levels(line_chips(spec, frame.codes, frame.active), spec)
+    if channel.stretch or channel.jitter:
+        means = chip_means(means, edges_s, spec.chip_s)
+    means = means[spec.places]
     return channel.digitize(means, spec, rng, averaged=setup.samples_per_chip)
