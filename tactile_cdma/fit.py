@@ -7,13 +7,12 @@ sample i is the line's level at instant i: it stands for [i − ½, i + ½).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .frame import UNIPOLAR, FrameSpec
-from .transform import correlate
+from .transform import correlate, spread
 
 Floats = NDArray[np.float64]
 
@@ -21,6 +20,11 @@ MAX_DISTORTION = 0.15
 """Power left over by the words, relative to theirs, that edges and clipping may account for."""
 
 
+REACHES = (0.5, 0.25, 0.12)
+"""How far to either side of an edge, in chips, samples tell how late it comes: as little noise as
+the knowledge of its place and edges a tenth of a chip off ideal allow."""
+BLUR = 0.3
+"""Samples around an edge of which it is uncertain on which side of it they were taken."""
 SETTLED = 0.02
 """Change of a frame's edges, in chips, that is not worth another look."""
 
@@ -44,6 +48,17 @@ class Line:
         area: Floats = self._sums[whole] + (shifted - whole) * self._padded[whole]
         return area
 
+    def before(self, times: Floats) -> tuple[Floats, Floats]:
+        """Samples taken before each instant: their sum, V, and their number.
+
+        A sample tells the level at its own instant, so it counts on one side of an edge only: to
+        share it by areas would blur every chip with its neighbours.
+        """
+        shifted = np.clip(times + 0.5, 0.0, float(self.volts.size))
+        whole = shifted.astype(np.intp)
+        share = np.clip((shifted - whole - 0.5) / BLUR + 0.5, 0.0, 1.0)
+        return self._sums[whole] + share * self._padded[whole], whole + share
+
 
 def integrate(
     line: Line, start: Floats, chip: Floats, spec: FrameSpec, share: float = 1.0
@@ -55,12 +70,13 @@ def integrate(
     """
     start, chip = start[:, None], chip[:, None]
     if share == 1.0 and spec.span_chips == spec.chips:
-        area = np.diff(line.integral(start + chip * np.arange(spec.chips + 1)))
+        total, number = map(np.diff, line.before(start + chip * np.arange(spec.chips + 1)))
     else:
         middle, reach = start + chip * (spec.places + 0.5), chip * (0.5 * share)
-        area = line.integral(middle + reach) - line.integral(middle - reach)
-    levels = (area / (chip * share)).astype(np.float32)
-    return levels.reshape(-1, spec.line_bits, spec.order)
+        (left, less), (right, more) = line.before(middle - reach), line.before(middle + reach)
+        total, number = right - left, more - less
+    levels: Floats = total / np.maximum(number, 0.5)
+    return levels.astype(np.float32).reshape(-1, spec.line_bits, spec.order)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,18 +105,25 @@ class WordFit:
     ) -> NDArray[np.bool_]:
         """Whether the words are even within a spread, and what is left over is white noise, (c,).
 
-        noise: variance of a chip's level in the gap, V². Where it is not known, it follows from
-        the words: noise that makes them spread by s leaves s/active in each of the N rows. Beyond
-        that (and its scatter, s is an estimate from few bits) and some distortion there is a
-        signal not understood.
+        limit: of one word's spread; many words that spread by much more than its half must be
+            explained by noise.
+        noise: variance of a chip's level in the gap, V². It makes words spread by 1/ρ², estimated
+        with active·(k − 1) degrees of freedom. Where it is not known, it follows from the words:
+        noise that makes them spread by s leaves s/active in each of the N rows. Beyond that (and
+        its scatter, s is an estimate from few bits) and some distortion there is a signal not
+        understood.
         """
-        active = np.count_nonzero(self.amplitude, axis=1)
+        active = np.maximum(np.count_nonzero(self.amplitude, axis=1), 1)
         most = np.full(len(active), limit)
         if noise is None:
-            left = 3 * spec.order / np.maximum(active, 1) * self.spread
+            left = 3 * spec.order / active * self.spread
         else:
             left = 3 * np.float32(noise) / np.maximum(self.power, np.float32(1e-30))
-            most = np.minimum(limit, limit / 2 + 1.5 * left * active / spec.order)
+            expected = left / 3 * active / spec.order
+            scatter = np.sqrt(2 / (active * (spec.line_bits - 1)))
+            most = np.minimum(
+                limit * (1.7 - 0.7 / active), limit / 2 + expected * (1.2 + 4 * scatter)
+            )
         good: NDArray[np.bool_] = (
             (self.power > 0) & (self.spread < most) & (self.misfit < left + MAX_DISTORTION)
         )
@@ -108,11 +131,13 @@ class WordFit:
 
 
 def least_power(spec: FrameSpec) -> float:
-    """Power below which there is no node, V²; 0 where the amplitude is unknown.
+    """Power below which there is no node, V²; 0 where the amplitude is unknown."""
+    return lowest_power(spec.node_swing_v or 0.0)
 
-    A node may be half as strong as specified; less than half of that is none.
-    """
-    return 0.0 if spec.node_swing_v is None else (spec.node_swing_v / 4) ** 2
+
+def lowest_power(swing_v: float) -> float:
+    """The same for nodes of this amplitude, V: half of it may be one, a quarter is none."""
+    return (swing_v / 4) ** 2
 
 
 def read_words(chips: NDArray[np.float32], spec: FrameSpec) -> WordFit:
@@ -124,12 +149,12 @@ def read_words(chips: NDArray[np.float32], spec: FrameSpec) -> WordFit:
     amplitude = mean * active
     word_power = np.einsum("cn,cn->c", amplitude, amplitude)
     signed_power = np.einsum("cn,cn->c", np.einsum("ckn,ckn->cn", signed, signed), active)
-    total = np.einsum("ckr,ckr->c", rows, rows)
-    pedestal = np.zeros(len(chips), np.float32)
+    pedestal, meant = np.zeros(len(chips), np.float32), rows
     if spec.drive == UNIPOLAR:
         pedestal = rows[..., 0].sum(axis=1) / bits
     elif spec.first_row > 0:  # a free row 0 holds nothing but what is left of the offset
-        total -= np.einsum("ck,ck->c", rows[..., 0], rows[..., 0])
+        meant = rows[..., 1:]
+    total = np.einsum("ckr,ckr->c", meant, meant)
     power = word_power + np.square(pedestal)
     return WordFit(
         rows,
@@ -163,26 +188,29 @@ def refine(
     """Move start and chip duration to where the level changes of the decided words are.
 
     Around edge j the area between line and model is (v[j−1] − v[j])·τ[j] for an edge that comes
-    τ[j] late; τ = δstart + j·δchip is fitted by least squares, in which big steps count most.
+    τ[j] late; τ = δstart + j·δchip is fitted by least squares, in which big steps count most. It
+    is done anew in ever closer reach of the edges, until nothing moves.
     earliest, latest: bounds of the start. Edges out of view are left out.
     """
     start, chip = fit.start, fit.chip
     steps = np.arange(spec.chips + 1.0)
     levels = np.zeros(spec.chips + 2)  # the gap on either side
-    for _ in range(2):
+    for share in REACHES:
         words = read_words(integrate(line, np.array([start]), np.array([chip]), spec), spec)
-        symbols = np.sign(words.signed[0]) * words.amplitude[0]
-        levels[1:-1] = (symbols @ _code_rows(spec) + words.pedestal[0]).ravel()
+        nodes = slice(spec.first_row, spec.first_row + spec.nodes)
+        symbols = np.zeros((spec.line_bits, spec.order), dtype=np.float32)
+        symbols[:, nodes] = np.sign(words.signed[0]) * words.amplitude[0]
+        levels[1:-1] = spread(symbols, spec.book).ravel() + words.pedestal[0]
         before, after = levels[:-1], levels[1:]
-        edges, reach = start + chip * steps, 0.5 * chip
+        edges, reach = start + chip * steps, share * chip
         area = (
             line.integral(edges + reach) - line.integral(edges - reach) - reach * (before + after)
         )
         seen = (edges >= reach - 0.5) & (edges + reach <= line.volts.size - 0.5)
         step = (before - after) * seen
         weight, moment = np.square(step), step * area
-        w0, w1, w2 = weight.sum(), weight @ steps, weight @ np.square(steps)
-        m0, m1 = moment.sum(), moment @ steps
+        w0, w1, w2 = weight.sum(), dot(weight, steps), dot(weight, np.square(steps))
+        m0, m1 = moment.sum(), dot(moment, steps)
         determinant = w0 * w2 - w1 * w1
         if determinant > 1e-9 * w0 * w2:
             moved = start + (w2 * m0 - w1 * m1) / determinant
@@ -197,7 +225,6 @@ def refine(
     return Fit(float(start), float(chip))
 
 
-@lru_cache(maxsize=8)
-def _code_rows(spec: FrameSpec) -> NDArray[np.float32]:
-    """The nodes' rows, (n, N)."""
-    return spec.book.rows(spec.rows).astype(np.float32)
+def dot(some: Floats, others: Floats) -> float:
+    """Sum of products, but not by BLAS: long ones wake its threads, which wait for each other."""
+    return float(np.einsum("i,i->", some, others))

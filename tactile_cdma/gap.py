@@ -30,14 +30,20 @@ import numpy as np
 from .fit import Fit, Floats, Line, integrate, least_power, read_words, refine
 from .frame import MAX_STRETCH, FrameSpec
 
-TIE = 1e-4
-"""Relative difference of explained energies that counts as one unit of log-likelihood at least."""
+_CLEAR = 10.0
+"""A frame is certain if its log-likelihood exceeds that of any other by so much."""
+_ASTRAY = 25.0
+"""Most that log-likelihood falls off the raster."""
+_DISTORTION = 0.02
+"""Share of a chip's energy that counts as one unit of log-likelihood at least: jitter, rounding."""
 _CELLS = 320
 """Burst search divides a frame into at most about this many cells, whatever its order."""
 _LOUD = 6.0
 """A half-chip mean this many noise deviations off the gap level belongs to a frame."""
 _LEAST_POWER = 1e-14
 """Power of what is not even rounding, V²."""
+_MEDIAN = 0.455
+"""Median of the square of a normal variable."""
 _MAX_LINES = 12
 """Spectral lines that are tried at most."""
 
@@ -54,8 +60,7 @@ class Quiet:
 class Burst:
     """The loud part of a line: samples first…last, and how far (slack, samples) they may be wrong.
 
-    power: its mean power, V². snr: that over the variance of half-chip means in the gap.
-    noise: variance of a sample there, V².
+    power: its mean power, V². variance: of half-chip means in the gap, V².
     pause: where it first keeps quiet for longer than a frame would; `last` if it never does.
     """
 
@@ -63,17 +68,52 @@ class Burst:
     last: float
     slack: float
     power: float
-    snr: float
-    noise: float
+    variance: float
     pause: float
 
-    def is_quiet(self, around: Floats) -> bool:
-        """Whether samples next to this burst, gap level removed, are gap: noise and some hum."""
-        if not around.size:
-            return True
-        drift = abs(float(around.mean())) - 3 * math.sqrt(self.noise / around.size)
-        power = float(np.square(around).mean())
-        return power < 3 * self.noise + 0.1 * self.power and drift < 0.2 * math.sqrt(self.power)
+    @property
+    def snr(self) -> float:
+        """Power over the variance of half-chip means in the gap."""
+        return self.power / self.variance
+
+
+@dataclass(frozen=True, slots=True)
+class Beside:
+    """Half-chip means of the gap on either side of a frame, nearest first, V, gap level removed."""
+
+    before: Floats
+    after: Floats
+
+    @property
+    def level(self) -> float:
+        """Their mean, V."""
+        both = np.concatenate((self.before, self.after))
+        return float(both.mean()) if both.size else 0.0
+
+    def variance(self, guess: float) -> float:
+        """Their variance, V², by the median, which a piece of a frame does not sway."""
+        both = np.concatenate((self.before, self.after))
+        if both.size < 8:
+            return guess
+        return max(float(np.median(np.square(both - both.mean()))) / _MEDIAN, 1e-3 * guess)
+
+    def is_quiet(self, size: int, variance: float, power: float) -> bool:
+        """Whether so many on each side are gap: noise, and some hum against a frame's power."""
+        for side in (self.before[:size], self.after[:size]):
+            if side.size:
+                noise = variance * (1.2 + 5 * math.sqrt(2 / side.size))
+                drift = abs(float(side.mean())) - 3 * math.sqrt(variance / side.size)
+                if drift > 0.2 * math.sqrt(power) or np.square(side).mean() > noise + 0.1 * power:
+                    return False
+        return True
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """The most likely frame; tied: another one, some chips away, is about as likely."""
+
+    fit: Fit
+    tied: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +141,7 @@ class GapSearch:
         self.half = max(1, round(self.chip / 2))
         gap = max(self.period - self.longest, 0.3 * (self.period - self.shortest))
         self.quiet_halves = max(8, int(0.6 * gap / self.half))
+        self.gap_size = math.ceil(max(self.period - self.longest, 5 * self.chip))
         self.least_power = least_power(spec)
 
     @cached_property
@@ -185,8 +226,7 @@ class GapSearch:
         if after.size:
             last += int(after[-1]) + 1
         snr = power / variance
-        slack = self.chip * (1.5 + 14.0 / snr) + (size - self.half)
-        noise = variance * self.half
+        slack = self.chip * (1.5 + 28.0 / snr) + (size - self.half)
         # One and a half bits of a frame never have less than a third of its power.
         pause, width = last, 3 * bit * group // 2
         if snr > 8 and last - first > width:
@@ -197,17 +237,17 @@ class GapSearch:
                 rest = np.flatnonzero(loud[pause : pause + width])
                 pause += int(rest[-1]) + 1 if rest.size else 0
         edges = np.array([first, last, pause]) * self.half - 0.5
-        return Burst(float(edges[0]), float(edges[1]), slack, power, snr, noise, float(edges[2]))
+        return Burst(float(edges[0]), float(edges[1]), slack, power, variance, float(edges[2]))
 
-    def fit(self, line: Line, burst: Burst, last: Expected | None) -> Fit | None:
+    def fit(self, line: Line, burst: Burst, last: Expected | None) -> Found | None:
         """The most likely frame around a burst, or None where no frame can have this length.
 
         last: what the frame before makes likely. Its chip duration is tried too: words with few
         level changes show little of their own. Its raster decides where energies can't: with
-        natural signs and the same word everywhere only one chip per bit is loud, and Paley's
-        rows are shifts of each other, so that two nodes which cancel in their first and last
-        chips may look exactly like two others, a few chips later. Without a raster, and after
-        long silence, a loud first chip is the better guess.
+        natural signs and the same word everywhere only one chip per bit is loud, and rows are
+        shifts of each other, so that two nodes which cancel in their first and last chips may look
+        exactly like two others, a few chips later. Without a raster, and after long silence, such
+        frames are tied, and a loud first chip is the better guess.
         """
         spec, loud = self.spec, burst.last - burst.first
         if not self.shortest - 1.5 * spec.order * self.chip <= loud + 2 * burst.slack:
@@ -223,15 +263,19 @@ class GapSearch:
         words = read_words(integrate(line, starts, chips, spec), spec)
         energy = spec.chips * chips * words.power
         # Log-likelihood in white noise, no sharper than the waveform keeps to the model.
-        score = energy / max(2 * burst.noise, TIE * float(energy.max()), 1e-30)
-        score -= np.log1p(np.square((starts - burst.first) / (0.5 * self.chip)))
+        unit = _DISTORTION / spec.chips * float(energy.max())
+        score = energy / max(2 * self.half * burst.variance, unit, 1e-30)
         if last is not None:
-            score -= 2 * np.log1p(np.square((starts - last.start) / last.scatter))
-        best = int(np.argmax(score))
+            off = np.square((starts - last.start) / last.scatter)
+            score -= np.minimum(0.5 * off, _ASTRAY)
+        guess = score - np.log1p(np.square((starts - burst.first) / (0.5 * self.chip)))
+        best = int(np.argmax(guess))
+        rivals = score[np.abs(starts - starts[best]) > 0.5 * self.chip]
+        tied = bool(rivals.max(initial=-np.inf) > score[best] - _CLEAR)
         fit = refine(line, Fit(float(starts[best]), float(chips[best])), spec)
         if not 0.99 * self.chip <= fit.chip <= 1.01 * (1 + MAX_STRETCH) * self.chip:
             return None
-        return fit
+        return Found(fit, tied)
 
     def _chip_lines(self, volts: Floats, burst: Burst) -> list[tuple[float, float]]:
         """(chip duration, instant of some chip edge) for each strong line of squared differences.
@@ -277,6 +321,12 @@ class GapSearch:
             starts.append(edge + at * chip)
             chips.append(np.full(at.size, chip))
         return np.concatenate(starts), np.concatenate(chips)
+
+    def beside(self, volts: Floats, fit: Fit) -> Beside:
+        """What lies up to a gap's length beside a frame; a chip next to it is left out."""
+        first, end = int(fit.start - fit.chip), math.ceil(fit.end(self.spec) + fit.chip)
+        before = volts[max(0, first - self.gap_size) : max(0, first)]
+        return Beside(self._halves(before[::-1]), self._halves(volts[end : end + self.gap_size]))
 
     def _halves(self, volts: Floats) -> Floats:
         """Means of consecutive half chips, (m // half,)."""

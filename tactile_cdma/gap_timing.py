@@ -8,15 +8,19 @@ from collections.abc import Iterator
 import numpy as np
 
 from .errors import SpecError
-from .fit import Fit, Floats, Line
+from .fit import Fit, Floats, Line, lowest_power
 from .frame import FrameSpec
-from .gap import Burst, Expected, GapSearch, Quiet
+from .gap import Burst, Expected, Found, GapSearch, Quiet
 from .separate import NodeLevels
 from .timing import FrameLevels, SampleBlock, Timing
 
 MAX_SPREAD = 0.12
-"""Relative variance of |r| within the words beyond which a fit is not believed. White noise alone
+"""Relative variance of |r| within a word beyond which a fit is not believed. White noise alone
 gives 1/ρ²; chips that have nothing to do with the code book give π/2 − 1 = 0.57."""
+SCATTER = 0.15
+"""What frames may be off their raster, in chips."""
+FORGET = 0.999
+"""What is left of a learnt amplitude's power after each silent slot."""
 CLOCK_ERROR = 1e-4
 """What the frame period may be off from the digitizer's clock."""
 
@@ -49,10 +53,10 @@ class GapTiming(Timing):
         # From a frame's first loud sample to the instant at which it must be over.
         self._reach = math.ceil(search.longest + 3 * search.chip)
         self._bit = math.ceil(1.11 * spec.order * search.chip)
-        gap = max(search.period - search.longest, 5 * search.chip)
-        self._side = min(self._bit, math.ceil(0.4 * gap))
+        self._side_halves = math.ceil(min(self._bit, 0.4 * search.gap_size) / search.half)
         self._quiet: Quiet | None = None
         self._last: Fit | None = None  # the last frame, in stream indices
+        self._anchor: Fit | None = None  # the last one whose place was certain
         self._cursor = 0
         self._due = 0
         self._raster = 0.0  # start of the next slot
@@ -83,7 +87,7 @@ class GapTiming(Timing):
     def _begin_at(self, index: int) -> None:
         """Start looking at this sample; slots stay on their raster across a hole."""
         if self._last is None or index < self._raster - self._search.period:
-            self._raster, self._last = float(index), None
+            self._raster, self._last, self._anchor = float(index), None, None
         self._skip_to(index)
 
     def _skip_to(self, index: int) -> None:
@@ -123,15 +127,18 @@ class GapTiming(Timing):
             if burst.first < self._search.chip:
                 continue  # no gap before it: the rest of a frame that began before the cursor
             line = Line(shifted)
-            fit = self._search.fit(line, burst, self._expected(burst))
-            if fit is None or fit.end(self.spec) > volts.size + 0.5 * fit.chip:
+            found = self._search.fit(line, burst, self._expected(burst))
+            if found is None or found.fit.end(self.spec) > volts.size + 0.5 * found.fit.chip:
                 continue
-            found = self._attempt(line, fit, MAX_SPREAD, burst.noise / fit.chip)
-            around = self._around(volts, fit) - quiet.level
-            if found.believable and burst.is_quiet(around):
+            beside = self._search.beside(shifted, found.fit)
+            variance = beside.variance(burst.variance)
+            noise = variance * self._search.half / found.fit.chip
+            attempt = self._attempt(line, found.fit, MAX_SPREAD, noise)
+            if attempt.believable and beside.is_quiet(self._side_halves, variance, burst.power):
                 self._quiet = quiet
-                level = quiet.level + (float(around.mean()) if around.size else 0.0)
-                return self._emit(volts, fit, found.levels, level)
+                if self.spec.node_swing_v is None:
+                    self._search.least_power = lowest_power(float(attempt.amplitude.max()))
+                return self._emit(volts, found, attempt.levels, quiet.level + beside.level)
         if all(self._may_be_noise(burst) for burst in seen):
             self._quiet = candidates[0] if candidates and not final else self._quiet
             return [] if final else self._pass_idle(end)
@@ -165,14 +172,12 @@ class GapTiming(Timing):
 
     def _expected(self, burst: Burst) -> Expected | None:
         """A frame near the burst that keeps to the raster of the last one."""
-        if self._last is None:
+        if self._anchor is None:
             return None
-        period = self._search.period
-        slots = round((self._cursor + burst.first - self._last.start) / period)
-        start = self._last.start + slots * period - self._cursor
-        return Expected(
-            start, 0.5 * self._last.chip + CLOCK_ERROR * slots * period, self._last.chip
-        )
+        period, chip = self._search.period, self._anchor.chip
+        slots = round((self._cursor + burst.first - self._anchor.start) / period)
+        start = self._anchor.start + slots * period - self._cursor
+        return Expected(start, SCATTER * chip + CLOCK_ERROR * slots * period, chip)
 
     def _incomplete(self, burst: Burst, size: int) -> bool:
         """Whether chips of this burst's frame may still come after the samples in view."""
@@ -180,25 +185,21 @@ class GapTiming(Timing):
             return False
         return size < min(burst.first + self._reach, burst.last + self._bit)
 
-    def _around(self, volts: Floats, fit: Fit) -> Floats:
-        """Samples of the gap on both sides of a frame; a chip next to it is left out."""
-        first, end = int(fit.start - fit.chip), math.ceil(fit.end(self.spec) + fit.chip)
-        before = volts[max(0, first - self._side) : max(0, first)]
-        return np.concatenate((before, volts[end : end + self._side]))
-
     def _emit(
-        self, volts: Floats, fit: Fit, levels: NodeLevels, offset: float
+        self, volts: Floats, found: Found, levels: NodeLevels, offset: float
     ) -> list[FrameLevels]:
         """The frame, after the silent slots before it. offset: the gap's level around it, V."""
+        assert self._quiet is not None
+        fit = found.fit
         clipped = self._clipped(volts[max(0, round(fit.start)) : round(fit.end(self.spec))])
         start = self._cursor + fit.start
         # Without an earlier frame, what lies before this one may be the rest of another.
         frames = list(self._idle_slots(start - self._search.period / 2)) if self._last else []
-        assert self._quiet is not None
         if self.spec.first_row == 0:  # the only row that an offset shows in
             levels.values[:, 0] += np.float32(self._quiet.level - offset)
-        frames.append(self._heard(start, fit.chip, levels, offset, clipped))
+        frames.append(self._heard(start, fit.chip, levels, offset, clipped, found.tied))
         self._last, self._failures = Fit(start, fit.chip), 0
+        self._anchor = self._anchor if found.tied else self._last
         self._raster = start + self._search.period
         self._cursor += math.ceil(fit.end(self.spec) + 0.5 * fit.chip)
         self._schedule()
@@ -207,6 +208,8 @@ class GapTiming(Timing):
     def _pass_idle(self, end: int) -> list[FrameLevels]:
         """Nothing up to `end`, but a frame may begin within the last frame's length before it."""
         frames = list(self._idle_slots(end - self._reach))
+        if self.spec.node_swing_v is None:
+            self._search.least_power *= FORGET ** len(frames)
         self._cursor = max(self._cursor, end - self._reach)
         self._schedule()
         return frames

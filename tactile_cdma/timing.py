@@ -41,6 +41,29 @@ class SampleBlock:
 
 
 @dataclass(frozen=True, slots=True)
+class QuietBlock:
+    """Consecutive samples that nobody spoke in, of which the digitizer sent no more than this.
+
+    first_index, sync: as in SampleBlock. count: number of samples.
+    mean_v, variance_v2: of the samples, V and V².
+    """
+
+    first_index: int
+    count: int
+    mean_v: float
+    variance_v2: float
+    sync: bool = False
+
+    def samples(self) -> SampleBlock:
+        """Samples that might have been: of this mean, and of this variance where even in number."""
+        volts = np.full(self.count, self.mean_v, dtype=np.float32)
+        deviation_v = math.sqrt(self.variance_v2)
+        volts[::2] += deviation_v
+        volts[1::2] -= deviation_v
+        return SampleBlock(self.first_index, volts, self.sync)
+
+
+@dataclass(frozen=True, slots=True)
 class FrameLevels:
     """One frame, or one silent slot.
 
@@ -50,6 +73,7 @@ class FrameLevels:
     noise_rms_v: noise of one chip's level, V; NaN where unknown.
     offset_v: the line's level in silence, V.
     clipped: share of the frame's samples at a rail, 0…1.
+    tied: other words, some chips away, explain the samples as well: these are a guess.
     """
 
     start: float
@@ -58,6 +82,7 @@ class FrameLevels:
     noise_rms_v: float
     offset_v: float
     clipped: float
+    tied: bool = False
 
 
 class Attempt(NamedTuple):
@@ -139,7 +164,7 @@ class Timing:
         """The stream has a hole: forget the frame in progress."""
         self._fresh = True
 
-    def _continue(self, block: SampleBlock) -> bool:
+    def _continue(self, block: SampleBlock | QuietBlock) -> bool:
         """Whether a block follows the one before; restarts the samples there if not."""
         if not self._fresh and block.first_index == self._samples.end:
             return True
@@ -153,23 +178,29 @@ class Timing:
         """What a fit makes of the samples, to be believed within a limit of spread.
 
         Whole chips are the matched filter; their middle is blind to edges a tenth of a chip off.
-        Taken is what gives the more even words.
+        It is taken where it gives words more even than noise would by chance.
         """
         start, chip = np.array([fit.start]), np.array([fit.chip])
         both = np.concatenate(
             [integrate(line, start, chip, self.spec, share) for share in (1.0, MIDDLE)]
         )
         words = read_words(both, self.spec)
-        best = int(np.argmin(words.spread))
+        best = int(words.spread[1] < 0.6 * words.spread[0])
         believable = bool(words.believable(limit, self.spec, noise)[best])
         return Attempt(node_levels(words.rows[best], self.spec), words.amplitude[best], believable)
 
     def _heard(
-        self, start: float, chip: float, levels: NodeLevels, offset_v: float, clipped: float
+        self,
+        start: float,
+        chip: float,
+        levels: NodeLevels,
+        offset_v: float,
+        clipped: float,
+        tied: bool = False,
     ) -> FrameLevels:
         """A frame in which somebody spoke."""
         noise_rms_v = levels.noise_v * math.sqrt(self.spec.order)
-        return FrameLevels(start, chip, levels, noise_rms_v, offset_v, clipped)
+        return FrameLevels(start, chip, levels, noise_rms_v, offset_v, clipped, tied)
 
     def _clipped(self, volts: Floats) -> float:
         """Share of samples within a thousandth of the range of a rail."""

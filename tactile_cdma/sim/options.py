@@ -27,12 +27,14 @@ class Setup:
     """How a digitizer is set: what CONFIGURE asks for and INFO reports.
 
     sync: source of the frame marks. integrated: it sends one mean value per chip.
+    quiet_uv: largest difference of samples within what it sends as Quiet, µV; 0: never.
     """
 
     spec: FrameSpec = field(default_factory=FrameSpec)
     samples_per_chip: int = 4
     sync: SyncMode = SyncMode.DRIVE
     integrated: bool = False
+    quiet_uv: int = 0
 
     def __post_init__(self) -> None:
         if self.spec.resync_chips and self.sync == SyncMode.NONE:
@@ -217,7 +219,8 @@ class SimOptions:
             integrated = self.integrated
             if integrated and self.timing is None:
                 sync = SyncMode.DRIVE
-        return Setup(spec, self.samples_per_chip or asked.samples_per_chip, sync, integrated)
+        samples_per_chip = self.samples_per_chip or asked.samples_per_chip
+        return Setup(spec, samples_per_chip, sync, integrated, asked.quiet_uv)
 
     def _longest_s(self, spec: FrameSpec) -> float:
         """The longest that a frame of the slowest node takes, s."""

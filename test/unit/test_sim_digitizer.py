@@ -5,7 +5,7 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from tactile_cdma._protocol import MAX_PACKET_US, MAX_SAMPLES, Result, SyncMode
+from tactile_cdma._protocol import MAX_PACKET_US, MAX_SAMPLES, TAIL_CHIPS, Result, SyncMode
 from tactile_cdma.encode import line_chips
 from tactile_cdma.frame import FrameSpec
 from tactile_cdma.messages import (
@@ -90,7 +90,7 @@ def test_samples_are_the_same_at_any_pace() -> None:
     hurried.send(Start())
     runs.append(samples(hurried.read(100_000)))
     shortest = min(len(run) for run in runs)
-    assert shortest > 250
+    assert shortest > 70
     for run in runs[1:]:
         for a, b in zip(runs[0], run, strict=False):
             assert (a.first_index, a.sync) == (b.first_index, b.sync)
@@ -98,17 +98,21 @@ def test_samples_are_the_same_at_any_pace() -> None:
 
 
 def test_packets_come_when_their_last_sample_was_taken() -> None:
+    """That is: when frame and tail are over, and right before the next mark."""
     bench = Bench()
     bench.send(Start())
     bench.read()
-    start_s = bench.now_s
-    for number in range(1, 30):
-        bench.now_s = start_s + number * 1.6e-3 - 1e-6
-        assert not samples(bench.read())
-        assert bench.digitizer.advance() == pytest.approx(1e-6, abs=1e-9)
-        bench.now_s = start_s + number * 1.6e-3 + 1e-6
-        (packet,) = samples(bench.read())
-        assert packet.device_time_us == (number - 1) * 1600 + 6  # µs: the middle of a sample
+    start_s, begin_s = bench.now_s, 0.0
+    for number in range(10):
+        for end_s in (number * 12.8e-3 + 203 * 50e-6, (number + 1) * 12.8e-3):
+            bench.now_s = start_s + end_s - 1e-6
+            assert not samples(bench.read())
+            assert bench.digitizer.advance() == pytest.approx(1e-6, abs=1e-9)
+            bench.now_s = start_s + end_s + 1e-6
+            (packet,) = samples(bench.read())
+            # µs: the middle of a sample
+            assert packet.device_time_us == pytest.approx(begin_s * 1e6 + 6.25, abs=0.5)
+            begin_s = end_s
 
 
 @pytest.mark.parametrize(
@@ -123,11 +127,16 @@ def test_raw_packets_are_gapless_short_and_marked(query: str) -> None:
     info = of_kind(received, Info)[0]
     assert isinstance(info, Info)
     setup = bench.digitizer.setup
+    period_samples = round(setup.spec.frame_period_s * setup.rate_hz)
     index = 0
     for packet in packets:
         assert packet.first_index == index
         assert len(packet.counts) <= MAX_SAMPLES
-        assert len(packet.counts) / info.sample_rate_hz <= MAX_PACKET_US * 1e-6
+        frame = (setup.spec.chips + TAIL_CHIPS) * setup.samples_per_chip
+        if packet.sync:
+            assert len(packet.counts) == min(frame, MAX_SAMPLES)
+        elif setup.sync == SyncMode.NONE or index % period_samples >= frame:
+            assert len(packet.counts) / info.sample_rate_hz <= MAX_PACKET_US * 1e-6
         middle_us = (index + 0.5) / info.sample_rate_hz * 1e6
         assert packet.device_time_us == pytest.approx(middle_us, abs=1)
         index += len(packet.counts)
@@ -146,7 +155,7 @@ def test_integrated_packets_end_with_the_last_chip_of_a_frame() -> None:
     bench.send(Start())
     packets = samples(bench.run(1.0, 0.05))
     spec = bench.digitizer.setup.spec
-    assert [p.first_index for p in packets if p.sync] == [i * spec.chips for i in range(79)]
+    assert [p.first_index for p in packets if p.sync] == [i * spec.chips for i in range(78)]
     for packet in packets:
         frame, chip = divmod(packet.first_index, spec.chips)
         assert chip + len(packet.counts) <= spec.chips
@@ -283,11 +292,11 @@ def test_a_slow_host_loses_whole_packets_and_is_told() -> None:
     after = bench.run(1.2, 0.01)
     counters = bench.parser.counters
     dropped = of_kind(after, Status)[-1].packets_dropped
-    assert dropped == bench.digitizer.packets_dropped == counters.lost_packets > 1000
+    assert dropped == bench.digitizer.packets_dropped == counters.lost_packets > 500
     assert counters.crc_errors == counters.framing_errors == 0
     received = sum(len(packet.counts) for packet in before + samples(after))
     last = samples(after)[-1]
-    assert last.first_index + len(last.counts) - received == pytest.approx(128 * dropped, abs=128)
+    assert last.first_index + len(last.counts) - received == pytest.approx(512 * dropped, abs=600)
 
 
 def test_at_speed_0_nothing_is_dropped_and_only_what_is_read_is_made() -> None:
@@ -297,7 +306,7 @@ def test_at_speed_0_nothing_is_dropped_and_only_what_is_read_is_made() -> None:
     bench.now_s += 3600.0
     bench.digitizer.advance(1)
     assert bench.digitizer.pending < 2000
-    assert len(samples(bench.read(1_000_000))) > 3000
+    assert len(samples(bench.read(1_000_000))) > 900
     assert bench.parser.counters.lost_packets == 0
     bench.send(Stop())
     bench.read()
