@@ -24,6 +24,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from benchmarks.report import QUICK, Report, medians_s
+from tactile_cdma.clock_tracking import ClockTracker
 from tactile_cdma.decorrelate import Decorrelator
 from tactile_cdma.fit import Line, integrate
 from tactile_cdma.frame import FrameSpec
@@ -229,7 +230,7 @@ def sampling_rows() -> list[list[object]]:
 
 
 def costs(report: Report) -> float:
-    """Time of a frame, decorrelated and plain, ms; returns the former at 256 nodes."""
+    """Times of a frame and of what is done beside, ms; returns a decorrelation's at 256 nodes."""
     rows, last = [], 0.0
     for nodes in NODES:
         spec, rng = frame_spec(nodes), np.random.default_rng(4)
@@ -238,8 +239,10 @@ def costs(report: Report) -> float:
         )
         sampling = Sampling(2.0)
         decorrelator = Decorrelator(spec, clocks, sampling)
-        wide = rng.normal(size=decorrelator.samples)
-        line = wide.astype(np.float32)
+        bits = rng.choice([-1.0, 1.0], (spec.bits, nodes)).astype(np.float32)
+        line = decorrelator.line(bits)
+        line += np.float32(0.1) * rng.normal(size=line.size).astype(np.float32)
+        tracker, wide = ClockTracker(clocks), line.astype(float)
         listener, lone = RollCallListener(spec, sampling), np.arange(nodes) == nodes // 2
         alone = own_line(spec, clocks, np.ones((10, 1)) * lone, 2, listener.samples)
         alone = alone.astype(np.float32)
@@ -249,6 +252,9 @@ def costs(report: Report) -> float:
                     integrate(Line(line), np.array([-0.5]), np.array([2.0]), spec)[0], spec
                 ),
                 "decorrelated": lambda d=decorrelator, line=line: d.estimate(line),
+                "track": lambda t=tracker, d=decorrelator, line=line, bits=bits: t.update(
+                    d, line, bits, 0.1
+                ),
                 "build": lambda spec=spec, clocks=clocks: Decorrelator(spec, clocks, Sampling(2.0)),
                 "hear": lambda r=listener, y=alone, n=nodes: r.hear(n // 2, y, 0.1),
             },
@@ -256,8 +262,9 @@ def costs(report: Report) -> float:
         )
         last = 1e3 * times["decorrelated"]
         rows.append([nodes, spec.order, *(1e3 * times[name] for name in times)])
+    headers = "nodes,order,plain,decorrelated,tracked,build,roll call of a node"
     report.table(
-        ["nodes", "order", "plain ms", "decorrelated ms", "build ms", "roll call ms/node"], rows
+        [f"{name} ms" if i > 1 else name for i, name in enumerate(headers.split(","))], rows
     )
     return last
 
