@@ -342,6 +342,15 @@ class SkinNode(LifecycleNode):
                 values[f"{state.name.lower()} nodes"] = _numbers(nodes)
                 if nodes and state > NodeState.WEAK and level == DiagnosticStatus.OK:
                     level, text = DiagnosticStatus.WARN, _COMPLAINTS[state]
+            if (clocks := pipeline.clocks) is not None and clocks.heard:
+                values["node clocks heard"] = clocks.heard
+                values["node clocks apart (chips)"] = f"{clocks.spread_chips:.2f}"
+                values["nodes taken apart by"] = (
+                    "least squares" if clocks.decorrelated else "correlation"
+                )
+                values["nodes not told apart"] = _numbers(list(clocks.unresolved))
+                if clocks.problem and level == DiagnosticStatus.OK:
+                    level, text = DiagnosticStatus.WARN, clocks.problem
             for count in fields(pipeline.counters):
                 values[_words(count.name)] = getattr(pipeline.counters, count.name)
             packets, status = pipeline.packet_counts, pipeline.status
