@@ -49,6 +49,12 @@ class Line:
         area: Floats = self._sums[whole] + (shifted - whole) * self._padded[whole]
         return area
 
+    def means(self, edges: Floats) -> NDArray[np.float32]:
+        """Mean level between consecutive edges, V: (…, e) samples to (…, e − 1) float32."""
+        total, number = map(np.diff, self.before(edges))
+        levels: Floats = total / np.maximum(number, 0.5)
+        return levels.astype(np.float32)
+
     def before(self, times: Floats) -> tuple[Floats, Floats]:
         """Samples taken before each instant: their sum, V, and their number.
 
@@ -70,14 +76,13 @@ def integrate(
     Returns (c, k, N) float32, V.
     """
     start, chip = start[:, None], chip[:, None]
-    if share == 1.0 and spec.span_chips == spec.chips:
-        total, number = map(np.diff, line.before(start + chip * np.arange(spec.chips + 1)))
+    if share == 1.0:
+        levels = line.means(start + chip * np.arange(spec.span_chips + 1))[:, spec.places]
     else:
         middle, reach = start + chip * (spec.places + 0.5), chip * (0.5 * share)
-        (left, less), (right, more) = line.before(middle - reach), line.before(middle + reach)
-        total, number = right - left, more - less
-    levels: Floats = total / np.maximum(number, 0.5)
-    return levels.astype(np.float32).reshape(-1, spec.line_bits, spec.order)
+        sides = np.stack((middle - reach, middle + reach), axis=-1)
+        levels = line.means(sides)
+    return levels.reshape(-1, spec.line_bits, spec.order)
 
 
 @dataclass(frozen=True, slots=True)

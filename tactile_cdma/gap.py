@@ -22,10 +22,12 @@ does not accumulate).
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .fit import Fit, Floats, Line, integrate, least_power, read_words, refine
 from .frame import MAX_STRETCH, FrameSpec
@@ -44,6 +46,8 @@ _LEAST_POWER = 1e-14
 """Power of what is not even rounding, V²."""
 _MEDIAN = 0.455
 """Median of the square of a normal variable."""
+_MOST_SHIFTS = 64
+"""Starts in chips that are tried for each chip clock at most, back from the first loud sample."""
 _MAX_LINES = 12
 """Spectral lines that are tried at most."""
 
@@ -203,17 +207,12 @@ class GapSearch:
         # Of all windows of a possible length, the one with the greatest excess over half of the
         # frame's power; then cut quiet cells from its ends.
         gain = np.concatenate(([0.0], np.cumsum(cells - (variance + 0.5 * power))))
-        lengths = np.arange(low, min(high, cells.size) + 1)
-        ends = np.arange(cells.size + 1 - low)[:, None] + lengths
-        totals = np.where(
-            ends <= cells.size,
-            gain[np.minimum(ends, cells.size)] - gain[: len(ends), None],
-            -np.inf,
-        )
-        begin, choice = np.unravel_index(int(np.argmax(totals)), totals.shape)
-        end = int(begin) + int(lengths[choice])
+        ends = np.concatenate((gain[low:], np.full(high - low, -np.inf)))
+        gains = np.lib.stride_tricks.sliding_window_view(ends, high - low + 1)
+        begin = int(np.argmax(gains.max(axis=1) - gain[: len(gains)]))
+        end = begin + low + int(np.argmax(gains[begin]))
         bit = int(np.ceil(self.spec.order * self.chip / size)) + 1
-        first = int(begin) + int(np.argmin(gain[begin : begin + bit + 1]))
+        first = begin + int(np.argmin(gain[begin : begin + bit + 1]))
         last = end - bit + int(np.argmax(gain[end - bit : end + 1])) if end > bit else end
         # Loud half chips are sharper than that, and reach beyond where chips are small.
         first, last = first * group, last * group
@@ -239,43 +238,66 @@ class GapSearch:
         edges = np.array([first, last, pause]) * self.half - 0.5
         return Burst(float(edges[0]), float(edges[1]), slack, power, variance, float(edges[2]))
 
-    def fit(self, line: Line, burst: Burst, last: Expected | None) -> Found | None:
-        """The most likely frame around a burst, or None where no frame can have this length.
+    def fits(self, line: Line, burst: Burst, last: Expected | None) -> Iterator[Found]:
+        """Frames around a burst, the first one that the samples bear out is it.
 
-        last: what the frame before makes likely. Its chip duration is tried too: words with few
-        level changes show little of their own. Its raster decides where energies can't: with
-        natural signs and the same word everywhere only one chip per bit is loud, and rows are
-        shifts of each other, so that two nodes which cancel in their first and last chips may look
-        exactly like two others, a few chips later. Without a raster, and after long silence, such
-        frames are tied, and a loud first chip is the better guess.
+        last: what the frame before makes likely. If that is sharp, a frame on its raster that is
+        loud from end to end comes first, which saves work; then the most likely one of all. The
+        last chip duration is
+        tried too: words with few level changes show little of their own. The raster decides where
+        energies can't: with natural signs and the same word everywhere only one chip per bit is
+        loud, and rows are shifts of each other, so that two nodes which cancel in their first and
+        last chips may look exactly like two others, a few chips later. Without a raster, and after
+        long silence, such frames are tied, and a loud first chip is the better guess.
         """
         spec, loud = self.spec, burst.last - burst.first
         if not self.shortest - 1.5 * spec.order * self.chip <= loud + 2 * burst.slack:
-            return None
+            return
         if loud - 2 * burst.slack > self.longest:
-            return None
+            return
         clocks = self._chip_lines(line.volts, burst)
-        for chip in (loud / spec.chips, *((last.chip,) if last else ())):
+        for chip in (loud / spec.span_chips, *((last.chip,) if last else ())):
             clocks += [(chip, burst.first), (chip, burst.last)]
-        starts, chips = self._shifts(clocks, burst)
+        chip, edge = np.array(clocks).T
+        if last and last.scatter < 0.3 * self.chip:
+            start = edge + np.rint((last.start - edge) / chip) * chip
+            words = read_words(integrate(line, start, chip, spec), spec)
+            best = int(np.argmax(self._score(start, chip, words.power, burst, last)))
+            fit = Fit(start[best], chip[best])
+            if abs(fit.start - burst.first) + abs(fit.end(spec) - burst.last) < fit.chip:
+                yield from self._refined(line, fit, tied=False)
+        starts, chips, power = self._shifts(line, burst, edge, chip)
         if not starts.size:
-            return None
-        words = read_words(integrate(line, starts, chips, spec), spec)
-        energy = spec.chips * chips * words.power
-        # Log-likelihood in white noise, no sharper than the waveform keeps to the model.
-        unit = _DISTORTION / spec.chips * float(energy.max())
-        score = energy / max(2 * self.half * burst.variance, unit, 1e-30)
-        if last is not None:
-            off = np.square((starts - last.start) / last.scatter)
-            score -= np.minimum(0.5 * off, _ASTRAY)
+            return
+        score = self._score(starts, chips, power, burst, last)
         guess = score - np.log1p(np.square((starts - burst.first) / (0.5 * self.chip)))
         best = int(np.argmax(guess))
         rivals = score[np.abs(starts - starts[best]) > 0.5 * self.chip]
         tied = bool(rivals.max(initial=-np.inf) > score[best] - _CLEAR)
-        fit = refine(line, Fit(float(starts[best]), float(chips[best])), spec)
-        if not 0.99 * self.chip <= fit.chip <= 1.01 * (1 + MAX_STRETCH) * self.chip:
-            return None
-        return Found(fit, tied)
+        yield from self._refined(line, Fit(starts[best], chips[best]), tied)
+
+    def _score(
+        self,
+        starts: Floats,
+        chips: Floats,
+        power: NDArray[np.floating],
+        burst: Burst,
+        last: Expected | None,
+    ) -> Floats:
+        """Log-likelihood in white noise, no sharper than waveforms keep to the model, (c,)."""
+        energy = self.spec.chips * chips * power
+        unit = _DISTORTION / self.spec.chips * float(energy.max())
+        score: Floats = energy / max(2 * self.half * burst.variance, unit, 1e-30)
+        if last is not None:
+            off = np.square((starts - last.start) / last.scatter)
+            score -= np.minimum(0.5 * off, _ASTRAY)
+        return score
+
+    def _refined(self, line: Line, fit: Fit, tied: bool) -> Iterator[Found]:
+        """The frame with its exact timing, if that is possible."""
+        fit = refine(line, fit, self.spec)
+        if 0.99 * self.chip <= fit.chip <= 1.01 * (1 + MAX_STRETCH) * self.chip:
+            yield Found(fit, tied)
 
     def _chip_lines(self, volts: Floats, burst: Burst) -> list[tuple[float, float]]:
         """(chip duration, instant of some chip edge) for each strong line of squared differences.
@@ -307,20 +329,38 @@ class GapSearch:
             lines.append((1 / frequency, begin + h - 0.5 + edge))
         return lines
 
-    def _shifts(self, clocks: list[tuple[float, float]], burst: Burst) -> tuple[Floats, Floats]:
-        """Every whole-chip start that lets a frame cover the burst: starts and chips, (c,) each.
+    def _shifts(
+        self, line: Line, burst: Burst, edge: Floats, chip: Floats
+    ) -> tuple[Floats, Floats, NDArray[np.float32]]:
+        """Every whole-chip start that lets a frame cover the burst.
 
-        Quiet chips at either end of a frame are fewer than a bit's.
+        edge, chip: (q,) an instant of some chip edge and the duration, for each clock. Returns
+        starts, chip durations and powers of the words, (c,) each. Quiet chips at either end of a
+        frame are fewer than a bit's.
         """
-        starts, chips = [np.empty(0)], [np.empty(0)]
-        for chip, edge in clocks:
-            length, bit = self.spec.chips * chip, self.spec.order * chip
-            low = max(burst.last - length, burst.first - bit) - burst.slack
-            high = min(burst.first, burst.last + bit - length) + burst.slack
-            at = np.arange(np.ceil((low - edge) / chip), np.floor((high - edge) / chip) + 1)
-            starts.append(edge + at * chip)
-            chips.append(np.full(at.size, chip))
-        return np.concatenate(starts), np.concatenate(chips)
+        spec, span = self.spec, self.spec.span_chips
+        length, bit = span * chip, spec.order * chip
+        low = np.maximum(burst.last - length, burst.first - bit) - burst.slack
+        high = np.minimum(burst.first, burst.last + bit - length) + burst.slack
+        low = np.maximum(low, high - _MOST_SHIFTS * chip)
+        low = edge + np.ceil((low - edge) / chip) * chip
+        shifts = np.arange(max(0, int(np.max((high - low) / chip)) + 1))
+        starts = low[:, None] + shifts * chip[:, None]
+        possible = starts <= high[:, None]
+        powers = np.empty(starts.shape, np.float32)
+        for clock in range(chip.size):  # all starts of a clock share their chips
+            count = int(np.count_nonzero(possible[clock]))
+            if not count:
+                continue
+            levels = line.means(low[clock] + chip[clock] * np.arange(span + count))
+            windows = np.lib.stride_tricks.sliding_window_view(levels, span)[:count, spec.places]
+            words = read_words(windows.reshape(-1, spec.line_bits, spec.order), spec)
+            powers[clock, :count] = words.power
+        return (
+            starts[possible],
+            np.broadcast_to(chip[:, None], starts.shape)[possible],
+            powers[possible],
+        )
 
     def beside(self, volts: Floats, fit: Fit) -> Beside:
         """What lies up to a gap's length beside a frame; a chip next to it is left out."""
