@@ -48,6 +48,8 @@ _MEDIAN = 0.455
 """Median of the square of a normal variable."""
 _MOST_SHIFTS = 64
 """Starts in chips that are tried for each chip clock at most, back from the first loud sample."""
+_TURNS = 4
+"""Chips that are looked at together in the search for the chip clock."""
 _MAX_LINES = 12
 """Spectral lines that are tried at most."""
 
@@ -95,11 +97,12 @@ class Beside:
         return float(both.mean()) if both.size else 0.0
 
     def variance(self, guess: float) -> float:
-        """Their variance, V², by the median, which a piece of a frame does not sway."""
-        both = np.concatenate((self.before, self.after))
-        if both.size < 8:
+        """Variance of their noise, V²: of differences, which hum leaves alone, and by the median,
+        which a piece of a frame does not sway."""
+        steps = np.concatenate((np.diff(self.before), np.diff(self.after)))
+        if steps.size < 8:
             return guess
-        return max(float(np.median(np.square(both - both.mean()))) / _MEDIAN, 1e-3 * guess)
+        return max(float(np.median(np.square(steps))) / (2 * _MEDIAN), 1e-3 * guess)
 
     def is_quiet(self, size: int, variance: float, power: float) -> bool:
         """Whether so many on each side are gap: noise, and some hum against a frame's power."""
@@ -152,6 +155,14 @@ class GapSearch:
     def snr_floor(self) -> float:
         """Mean excess power of a frame, in gap variances, that noise practically never reaches."""
         return 0.1 + 6.0 * math.sqrt(self.half / self.shortest)
+
+    @cached_property
+    def _tones(self) -> tuple[int, Floats]:
+        """A block of about four chips of middling stretch: its length, and cosine and −sine of four
+        whole turns in it, (block, 2)."""
+        block = round(_TURNS * self.chip * (1 + MAX_STRETCH / 2))
+        angle = 2 * np.pi * _TURNS * np.arange(block) / block
+        return block, np.stack((np.cos(angle), -np.sin(angle)), axis=1)
 
     def quiet(self, volts: Floats, known: Quiet | None) -> list[Quiet]:
         """The gap's level: of the quietest window, judged from the known level if there is one.
@@ -264,7 +275,7 @@ class GapSearch:
             words = read_words(integrate(line, start, chip, spec), spec)
             best = int(np.argmax(self._score(start, chip, words.power, burst, last)))
             fit = Fit(start[best], chip[best])
-            if abs(fit.start - burst.first) + abs(fit.end(spec) - burst.last) < fit.chip:
+            if abs(fit.start - burst.first) + abs(fit.end(spec) - burst.last) < 1.25 * fit.chip:
                 yield from self._refined(line, fit, tied=False)
         starts, chips, power = self._shifts(line, burst, edge, chip)
         if not starts.size:
@@ -302,32 +313,40 @@ class GapSearch:
     def _chip_lines(self, volts: Floats, burst: Burst) -> list[tuple[float, float]]:
         """(chip duration, instant of some chip edge) for each strong line of squared differences.
 
-        Levels are averaged over half a chip on either side of a difference against noise.
+        Levels are averaged over half a chip on either side of a difference against noise. Only
+        frequencies near 1/chip matter: blocks of four chips are mixed down by a frequency of
+        whole turns per block, and what is left varies slowly.
         """
         begin = max(0, int(burst.first - burst.slack))
         sums = np.concatenate(([0.0], np.cumsum(volts[begin : int(burst.last + burst.slack) + 2])))
         h = self.half if self.chip >= 5 else 1
         steps = np.square(sums[2 * h :] - 2 * sums[h:-h] + sums[: -2 * h])
-        steps -= steps.mean()
-        size = 1 << int(4 * steps.size - 1).bit_length()
-        low = int(size / (self.chip * (1 + MAX_STRETCH) * 1.004))
-        high = int(size / (self.chip * 0.996)) + 2
-        band = np.fft.rfft(steps, size)[low - 1 : high + 1]
+        steps -= steps.sum() / steps.size
+        block, tones = self._tones
+        count = steps.size // block
+        mixed = steps[: count * block].reshape(count, block) @ tones
+        size = 1 << int(4 * count - 1).bit_length()
+        spectrum = np.fft.fft(mixed[:, 0] + 1j * mixed[:, 1], size)
+        low = math.floor((block / (self.chip * (1 + MAX_STRETCH) * 1.004) - _TURNS) * size)
+        high = math.ceil((block / (self.chip * 0.996) - _TURNS) * size)
+        bins = np.arange(low - 1, high + 2)
+        band = spectrum[bins]  # negative ones are at its end
         power = np.abs(band)
         inner = power[1:-1]
         peaks = np.flatnonzero((inner >= power[:-2]) & (inner > power[2:]))
         peaks = peaks[inner[peaks] > 0.5 * inner.max()]
         peaks = peaks[np.argsort(-inner[peaks])][:_MAX_LINES]
-        lines = []
-        for peak in peaks:
-            left, mid, right = power[peak : peak + 3]
-            shift = 0.5 * (left - right) / (left - 2 * mid + right)
-            frequency = (low + peak + shift) / size
-            # The phase turns by about π·(length/size) per bin off the peak.
-            phase = np.angle(band[peak + 1]) - np.pi * shift * steps.size / size
-            edge = -phase / (2 * np.pi * frequency)
-            lines.append((1 / frequency, begin + h - 0.5 + edge))
-        return lines
+        left, mid, right = power[peaks], power[peaks + 1], power[peaks + 2]
+        shift = 0.5 * (left - right) / (left - 2 * mid + right)
+        offset = (bins[peaks + 1] + shift) / size  # turns per block off the mixing frequency
+        frequency = (_TURNS + offset) / block
+        # The phase turns by about π·(count/size) per bin off the peak, and by the offset within
+        # half a block.
+        phase = np.angle(band[peaks + 1]) - np.pi * (
+            shift * count / size + offset * (1 - 1 / block)
+        )
+        edge = begin + h - 0.5 - phase / (2 * np.pi * frequency)
+        return list(zip((1 / frequency).tolist(), edge.tolist(), strict=True))
 
     def _shifts(
         self, line: Line, burst: Burst, edge: Floats, chip: Floats
