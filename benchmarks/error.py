@@ -110,29 +110,14 @@ def run(job: Job) -> Tally:
     """Send frames, each on a line of its own, and count."""
     spec, condition = SPECS[job.spec], job.condition
     rng = np.random.default_rng([job.seed, round(1000 * job.rho_db)])
-    rate_hz, swing_v = condition.samples_per_chip / spec.chip_s, spec.node_swing_v
-    assert swing_v is not None
-    rho = 10 ** (job.rho_db / 20)
-    gap_s = spec.frame_period_s - spec.frame_s * (1 + MAX_STRETCH)
+    rate_hz = condition.samples_per_chip / spec.chip_s
     lost = bit_errors = word_errors = 0
     for _ in range(job.frames):
-        channel = Channel(
-            offset_v=0.2,
-            stretch=MAX_STRETCH if condition.blind else 0.0,
-            rail_v=condition.rail * math.sqrt(spec.nodes) * swing_v,
-            adc_bits=condition.adc_bits,
-        )
-        codes = rng.integers(0, 1 << spec.bits, spec.nodes)
-        edges_s = gap_s * rng.uniform(1, 2) + channel.edges(spec, rng)
-        chip = (edges_s[-1] - edges_s[0]) / spec.chips * rate_hz
-        channel = replace(channel, noise_rms_v=swing_v * math.sqrt(spec.order * chip) / rho)
-        size = int((edges_s[-1] + gap_s * rng.uniform(1, 2)) * rate_hz)
-        line = point_samples(line_chips(spec, codes).ravel(), edges_s, rate_hz, 0, size)
-        volts = channel.volts(channel.digitize(line, spec, rng), spec)
+        codes, start_s, volts = lone_frame(spec, condition, job.rho_db, rng)
         if condition.blind:
             words = blind_words(volts, spec, rate_hz)
         else:
-            words = marked_words(volts, spec, rate_hz, int(first_sample(edges_s[0], rate_hz)))
+            words = marked_words(volts, spec, rate_hz, int(first_sample(start_s, rate_hz)))
         if words is None:
             lost += 1
             bit_errors += spec.bits * spec.nodes
@@ -144,6 +129,32 @@ def run(job: Job) -> Tally:
         word_errors += int(np.count_nonzero(wrong))
     words_sent = job.frames * spec.nodes
     return Tally(job.frames, lost, words_sent * spec.bits, bit_errors, words_sent, word_errors)
+
+
+def lone_frame(
+    spec: FrameSpec, condition: Condition, rho_db: float, rng: np.random.Generator
+) -> tuple[np.ndarray, float, np.ndarray]:
+    """A frame of random words from all nodes, with a gap on either side.
+
+    Returns codes (n,), the frame's start in s after the first sample, and volts (m,) float32.
+    """
+    rate_hz, swing_v = condition.samples_per_chip / spec.chip_s, spec.node_swing_v
+    assert swing_v is not None
+    channel = Channel(
+        offset_v=0.2,
+        stretch=MAX_STRETCH if condition.blind else 0.0,
+        rail_v=condition.rail * math.sqrt(spec.nodes) * swing_v,
+        adc_bits=condition.adc_bits,
+    )
+    gap_s = spec.frame_period_s - spec.frame_s * (1 + MAX_STRETCH)
+    codes = rng.integers(0, 1 << spec.bits, spec.nodes)
+    edges_s = gap_s * rng.uniform(1, 2) + channel.edges(spec, rng)
+    chip = (edges_s[-1] - edges_s[0]) / spec.chips * rate_hz  # samples
+    noise_v = swing_v * math.sqrt(spec.order * chip) / 10 ** (rho_db / 20)
+    channel = replace(channel, noise_rms_v=noise_v)
+    size = int((edges_s[-1] + gap_s * rng.uniform(1, 2)) * rate_hz)
+    line_v = point_samples(line_chips(spec, codes).ravel(), edges_s, rate_hz, 0, size)
+    return codes, edges_s[0], channel.volts(channel.digitize(line_v, spec, rng), spec)
 
 
 def blind_words(volts: np.ndarray, spec: FrameSpec, rate_hz: float) -> Words | None:

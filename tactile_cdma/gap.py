@@ -48,6 +48,8 @@ _MEDIAN = 0.455
 """Median of the square of a normal variable."""
 _MOST_SHIFTS = 64
 """Starts in chips that are tried for each chip clock at most, back from the first loud sample."""
+_BATCH = 1 << 18
+"""Chips that are looked at at once."""
 _TURNS = 4
 """Chips that are looked at together in the search for the chip clock."""
 _MAX_LINES = 12
@@ -108,8 +110,8 @@ class Beside:
         """Whether so many on each side are gap: noise, and some hum against a frame's power."""
         for side in (self.before[:size], self.after[:size]):
             if side.size:
-                noise = variance * (1.2 + 5 * math.sqrt(2 / side.size))
-                drift = abs(float(side.mean())) - 3 * math.sqrt(variance / side.size)
+                noise = variance * (1.5 + 5 * math.sqrt(2 / side.size))
+                drift = abs(float(side.mean())) - 6 * math.sqrt(variance / side.size)
                 if drift > 0.2 * math.sqrt(power) or np.square(side).mean() > noise + 0.1 * power:
                     return False
         return True
@@ -236,7 +238,7 @@ class GapSearch:
         if after.size:
             last += int(after[-1]) + 1
         snr = power / variance
-        slack = self.chip * (1.5 + 28.0 / snr) + (size - self.half)
+        slack = self.chip * (1.5 + 60.0 / snr) + (size - self.half)
         # One and a half bits of a frame never have less than a third of its power.
         pause, width = last, 3 * bit * group // 2
         if snr > 8 and last - first > width:
@@ -363,23 +365,24 @@ class GapSearch:
         high = np.minimum(burst.first, burst.last + bit - length) + burst.slack
         low = np.maximum(low, high - _MOST_SHIFTS * chip)
         low = edge + np.ceil((low - edge) / chip) * chip
-        shifts = np.arange(max(0, int(np.max((high - low) / chip)) + 1))
+        shifts = np.arange(max(1, int(np.max((high - low) / chip)) + 1))
         starts = low[:, None] + shifts * chip[:, None]
         possible = starts <= high[:, None]
-        powers = np.empty(starts.shape, np.float32)
-        for clock in range(chip.size):  # all starts of a clock share their chips
-            count = int(np.count_nonzero(possible[clock]))
-            if not count:
-                continue
-            levels = line.means(low[clock] + chip[clock] * np.arange(span + count))
-            windows = np.lib.stride_tricks.sliding_window_view(levels, span)[:count, spec.places]
-            words = read_words(windows.reshape(-1, spec.line_bits, spec.order), spec)
-            powers[clock, :count] = words.power
-        return (
-            starts[possible],
-            np.broadcast_to(chip[:, None], starts.shape)[possible],
-            powers[possible],
-        )
+        batches = 1 + starts.size * spec.chips // _BATCH
+        powers = [
+            self._powers(line, low[some], chip[some], shifts.size)
+            for some in np.array_split(np.arange(chip.size), batches)
+        ]
+        power = np.concatenate(powers)[possible]
+        return starts[possible], np.broadcast_to(chip[:, None], starts.shape)[possible], power
+
+    def _powers(self, line: Line, low: Floats, chip: Floats, count: int) -> NDArray[np.float32]:
+        """Power of the words for so many starts, a chip apart, of each clock, (q, count)."""
+        spec, span = self.spec, self.spec.span_chips
+        levels = line.means(low[:, None] + chip[:, None] * np.arange(span + count))
+        windows = np.lib.stride_tricks.sliding_window_view(levels, span, axis=1)
+        chips = windows[..., spec.places].reshape(-1, spec.line_bits, spec.order)
+        return read_words(chips, spec).power.reshape(-1, count)
 
     def beside(self, volts: Floats, fit: Fit) -> Beside:
         """What lies up to a gap's length beside a frame; a chip next to it is left out."""
