@@ -111,8 +111,7 @@ class WordFit:
     ) -> NDArray[np.bool_]:
         """Whether the words are even within a spread, and what is left over is white noise, (c,).
 
-        limit: of one word's spread; many words that spread by much more than its half must be
-            explained by noise.
+        limit: of one word's spread; beyond half of that it must be explained by noise.
         noise: variance of a chip's level in the gap, V². It makes words spread by 1/ρ², estimated
         with active·(k − 1) degrees of freedom. Where it is not known, it follows from the words:
         noise that makes them spread by s leaves s/active in each of the N rows. Beyond that (and
@@ -128,7 +127,8 @@ class WordFit:
             expected = left / 3 * active / spec.order
             scatter = np.sqrt(2 / (active * (spec.line_bits - 1)))
             most = np.minimum(
-                limit * (1.7 - 0.7 / active), limit / 2 + expected * (1.2 + 4 * scatter)
+                limit * (1.7 - 0.7 / active),
+                limit / 2 + expected * (1.3 + 4 * scatter),
             )
         good: NDArray[np.bool_] = (
             (self.power > 0) & (self.spread < most) & (self.misfit < left + MAX_DISTORTION)

@@ -47,7 +47,7 @@ _LEAST_POWER = 1e-14
 _MEDIAN = 0.455
 """Median of the square of a normal variable."""
 _MOST_SHIFTS = 64
-"""Starts in chips that are tried for each chip clock at most, back from the first loud sample."""
+"""Quiet chips that a frame may begin with, so that the search stays bounded."""
 _BATCH = 1 << 18
 """Chips that are looked at at once."""
 _TURNS = 4
@@ -100,11 +100,13 @@ class Beside:
 
     def variance(self, guess: float) -> float:
         """Variance of their noise, V²: of differences, which hum leaves alone, and by the median,
-        which a piece of a frame does not sway."""
+        which a piece of a frame does not sway. guess: of the quietest window, which is too low.
+        """
         steps = np.concatenate((np.diff(self.before), np.diff(self.after)))
         if steps.size < 8:
             return guess
-        return max(float(np.median(np.square(steps))) / (2 * _MEDIAN), 1e-3 * guess)
+        median = float(np.sort(np.square(steps))[steps.size // 2])
+        return max(median / (2 * _MEDIAN), guess)
 
     def is_quiet(self, size: int, variance: float, power: float) -> bool:
         """Whether so many on each side are gap: noise, and some hum against a frame's power."""
@@ -231,12 +233,12 @@ class GapSearch:
         first, last = first * group, last * group
         node_power = max(self.least_power, power / (16 * self.spec.nodes))  # hum stays below
         loud = energy > max(_LOUD**2 * variance, node_power)
-        before = np.flatnonzero(loud[max(0, first - bit * group) : first])
-        after = np.flatnonzero(loud[last : last + bit * group])
+        before = np.flatnonzero(loud[max(0, first - bit * group) : first + group])
+        after = np.flatnonzero(loud[last - group : last + bit * group])
         if before.size:
             first += int(before[0]) - min(first, bit * group)
         if after.size:
-            last += int(after[-1]) + 1
+            last += int(after[-1]) + 1 - group
         snr = power / variance
         slack = self.chip * (1.5 + 60.0 / snr) + (size - self.half)
         # One and a half bits of a frame never have less than a third of its power.
@@ -272,7 +274,7 @@ class GapSearch:
         for chip in (loud / spec.span_chips, *((last.chip,) if last else ())):
             clocks += [(chip, burst.first), (chip, burst.last)]
         chip, edge = np.array(clocks).T
-        if last and last.scatter < 0.3 * self.chip:
+        if last and last.scatter < self.chip:
             start = edge + np.rint((last.start - edge) / chip) * chip
             words = read_words(integrate(line, start, chip, spec), spec)
             best = int(np.argmax(self._score(start, chip, words.power, burst, last)))
@@ -363,7 +365,7 @@ class GapSearch:
         length, bit = span * chip, spec.order * chip
         low = np.maximum(burst.last - length, burst.first - bit) - burst.slack
         high = np.minimum(burst.first, burst.last + bit - length) + burst.slack
-        low = np.maximum(low, high - _MOST_SHIFTS * chip)
+        low = np.maximum(low, burst.first - burst.slack - _MOST_SHIFTS * chip)
         low = edge + np.ceil((low - edge) / chip) * chip
         shifts = np.arange(max(1, int(np.max((high - low) / chip)) + 1))
         starts = low[:, None] + shifts * chip[:, None]
