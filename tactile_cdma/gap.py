@@ -370,7 +370,7 @@ class GapSearch:
         shifts = np.arange(max(1, int(np.max((high - low) / chip)) + 1))
         starts = low[:, None] + shifts * chip[:, None]
         possible = starts <= high[:, None]
-        batches = 1 + starts.size * spec.chips // _BATCH
+        batches = min(chip.size, 1 + starts.size * spec.chips // _BATCH)
         powers = [
             self._powers(line, low[some], chip[some], shifts.size)
             for some in np.array_split(np.arange(chip.size), batches)
