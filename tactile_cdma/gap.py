@@ -241,8 +241,8 @@ class GapSearch:
             last += int(after[-1]) + 1 - group
         snr = power / variance
         slack = self.chip * (1.5 + 60.0 / snr) + (size - self.half)
-        # One and a half bits of a frame never have less than a third of its power.
-        pause, width = last, 3 * bit * group // 2
+        # Every bit has the same energy, and any two bits' time holds a whole one.
+        pause, width = last, math.ceil(2 * (1 + MAX_STRETCH) * bit) * group
         if snr > 8 and last - first > width:
             powers = _window_sums(energy[first:last], width) / width - variance
             quiet = np.flatnonzero(powers < 0.2 * power)
