@@ -240,7 +240,9 @@ class GapSearch:
         if after.size:
             last += int(after[-1]) + 1 - group
         snr = power / variance
-        slack = self.chip * (1.5 + 60.0 / snr) + (size - self.half)
+        slack = self.chip * (1.5 + 60.0 / snr)
+        if not (before.size and after.size):
+            slack += size - self.half
         # Every bit has the same energy, and any two bits' time holds a whole one.
         pause, width = last, math.ceil(2 * (1 + MAX_STRETCH) * bit) * group
         if snr > 8 and last - first > width:
