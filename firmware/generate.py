@@ -45,6 +45,7 @@ SCALARS = {
     "u64": Scalar("uint64_t", "Q", 8, (0, 2**64 - 1)),
     "i8": Scalar("int8_t", "b", 1, (-(2**7), 2**7 - 1)),
     "i16": Scalar("int16_t", "h", 2, (-(2**15), 2**15 - 1)),
+    "i64": Scalar("int64_t", "q", 8, (-(2**63), 2**63 - 1)),
     "f32": Scalar("float", "f", 4),
     "bool": Scalar("uint8_t", "B", 1, (0, 1)),
     "bytes8": Scalar("uint8_t", "8s", 8),
@@ -123,6 +124,7 @@ def python_tables(definition: Definition) -> str:
         f"SAMPLE_XOR = 0x{definition['sample_xor']:04X}",
         f"MAX_SAMPLES = {definition['max_samples']}",
         f"MAX_PACKET_US = {definition['max_packet_us']}",
+        f"TAIL_CHIPS = {definition['tail_chips']}",
         f"MAX_GAP = {definition['max_gap']}",
     ]
     lines += [f"FLAG_{name} = 0x{1 << f['bit']:02X}" for name, f in definition["flags"].items()]
@@ -195,12 +197,13 @@ def c_header(definition: Definition) -> str:
         f"#define TP_SAMPLE_XOR 0x{definition['sample_xor']:04X}u",
         f"#define TP_MAX_SAMPLES {definition['max_samples']}",
         f"#define TP_MAX_PACKET_US {definition['max_packet_us']}",
+        f"#define TP_TAIL_CHIPS {definition['tail_chips']}",
         "",
         "/* packet types */",
     ]
     packets = definition["packets"]
     lines += [f"#define TP_{upper(name)} 0x{p['type']:02X}" for name, p in packets.items()]
-    lines += ["", "/* struct tp_samples.flags */"]
+    lines += ["", "/* flags of struct tp_samples and struct tp_quiet */"]
     lines += [
         f"#define TP_FLAG_{name} 0x{1 << flag['bit']:02X} /* {flag['doc']} */"
         for name, flag in definition["flags"].items()

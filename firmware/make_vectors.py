@@ -26,6 +26,8 @@ from tactile_cdma.messages import (
     Info,
     Message,
     Packet,
+    Quiet,
+    RollCall,
     Samples,
     Start,
     Status,
@@ -42,6 +44,7 @@ LARGE = FrameLayout.of(
 )
 EXAMPLE = Samples(1_000_000, 4096, np.array([0, 1, -1, 300], dtype=np.int16), sync=True)
 
+MOST = 2**32 - 1
 PACKETS: dict[str, tuple[int, Packet]] = {
     "info of the paper's skin": (
         0,
@@ -67,6 +70,7 @@ PACKETS: dict[str, tuple[int, Packet]] = {
             volts_per_count=1e-3,
             sync_mode=SyncMode.DRIVE,
             integrated=True,
+            quiet_uv=2**32 - 1,
             frame=LARGE,
         ),
     ),
@@ -75,17 +79,27 @@ PACKETS: dict[str, tuple[int, Packet]] = {
         256,
         Samples(2**64 - 1, 2**64 - 1, np.array([-32_768], dtype=np.int16), overrun=True),
     ),
-    "samples, most, blocks longer than 254 bytes": (
+    "samples, many, blocks longer than 254 bytes": (
         257,
         Samples(1, 2, np.arange(512, dtype=np.int16) * 97 + 1000, sync=True, overrun=True),
     ),
+    "quiet frame": (
+        261,
+        Quiet.of(2**40, 2**33, np.array([-3, 0, 2, 2], dtype=np.int16), sync=True),
+    ),
+    "quiet, extremes": (262, Quiet(0, 0, MOST, -MOST << 15, MOST << 30, overrun=True)),
     "samples, all zero on the wire": (258, Samples(0, 0, np.full(40, 0x5555, dtype=np.int16))),
     "status": (259, Status(2**40 + 3, 1, 2, 3, streaming=True)),
     "ack": (260, Ack(PacketType.CONFIGURE, 513, Result.UNSUPPORTED)),
     "get info": (0, GetInfo()),
     "start": (1, Start()),
     "stop": (65_535, Stop()),
-    "configure": (2, Configure(PAPER, SyncMode.HEAR, integrated=True)),
+    "samples, of a roll call": (
+        261,
+        Samples(3, 4, np.array([7, -7], dtype=np.int16), sync=True, called=True),
+    ),
+    "roll call": (3, RollCall()),
+    "configure": (2, Configure(PAPER, SyncMode.HEAR, integrated=True, quiet_uv=135_000)),
 }
 
 COBS = (  # those of the literature, then the ends of long blocks

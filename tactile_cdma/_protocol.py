@@ -7,11 +7,13 @@ from typing import NamedTuple
 
 VERSION = 1
 SAMPLE_XOR = 0x5555
-MAX_SAMPLES = 512
-MAX_PACKET_US = 2000
+MAX_SAMPLES = 8192
+MAX_PACKET_US = 3000
+TAIL_CHIPS = 3
 MAX_GAP = 4096
 FLAG_SYNC = 0x01
 FLAG_OVERRUN = 0x02
+FLAG_CALLED = 0x04
 
 
 class PacketType(IntEnum):
@@ -19,12 +21,14 @@ class PacketType(IntEnum):
 
     INFO = 0x01
     SAMPLES = 0x02
+    QUIET = 0x05
     STATUS = 0x03
     ACK = 0x04
     GET_INFO = 0x81
     START = 0x82
     STOP = 0x83
     CONFIGURE = 0x84
+    ROLL_CALL = 0x85
 
 
 class SyncMode(IntEnum):
@@ -102,11 +106,20 @@ FIELDS: dict[str, tuple[Field, ...]] = {
         Field("sync_mode", "B", SyncMode),
         Field("integrated", "B", bool),
         Field("frame", "FrameLayout"),
+        Field("quiet_uv", "I", range(0, 4294967296)),
     ),
     "Samples": (
         Field("device_time_us", "Q", range(0, 18446744073709551616)),
         Field("first_index", "Q", range(0, 18446744073709551616)),
         Field("flags", "B", range(0, 256)),
+    ),
+    "Quiet": (
+        Field("device_time_us", "Q", range(0, 18446744073709551616)),
+        Field("first_index", "Q", range(0, 18446744073709551616)),
+        Field("flags", "B", range(0, 256)),
+        Field("count", "I", range(1, 4294967296)),
+        Field("sum", "q", range(-9223372036854775808, 9223372036854775808)),
+        Field("sum_of_squares", "Q", range(0, 18446744073709551616)),
     ),
     "Status": (
         Field("uptime_us", "Q", range(0, 18446744073709551616)),
@@ -127,5 +140,7 @@ FIELDS: dict[str, tuple[Field, ...]] = {
         Field("frame", "FrameLayout"),
         Field("sync_mode", "B", SyncMode),
         Field("integrated", "B", bool),
+        Field("quiet_uv", "I", range(0, 4294967296)),
     ),
+    "RollCall": (),
 }

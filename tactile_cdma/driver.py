@@ -21,6 +21,7 @@ from .messages import (
 from .parameters import GAP, SkinConfig
 from .pipeline import Pipeline, TactileFrame
 from .protocol import PacketWriter, diagnose
+from .silence import quiet_uv
 from .source import Port
 
 PATIENCE_S = 1.0
@@ -138,8 +139,12 @@ class Session:
         self._setting: tuple[Configure, ...] = ()
         if config is not None:
             layout = FrameLayout.of(config.spec, config.samples_per_chip)
-            sync_mode = SyncMode.NONE if config.timing == GAP else SyncMode.DRIVE
-            self._setting = (Configure(layout, sync_mode, config.samples_per_chip == 1),)
+            integrated = config.samples_per_chip == 1
+            if config.timing == GAP:
+                self._setting = (Configure(layout, SyncMode.NONE, integrated),)
+            else:
+                quiet = quiet_uv(config.spec)
+                self._setting = (Configure(layout, SyncMode.DRIVE, integrated, quiet),)
         self._frames = -1
         self._restarts = self._bytes = 0
         self._deadline = -math.inf

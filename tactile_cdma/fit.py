@@ -7,13 +7,12 @@ sample i is the line's level at instant i: it stands for [i − ½, i + ½).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .frame import UNIPOLAR, FrameSpec
-from .transform import correlate
+from .transform import correlate, spread
 
 Floats = NDArray[np.float64]
 
@@ -56,15 +55,42 @@ class Line:
         return levels.astype(np.float32)
 
     def before(self, times: Floats) -> tuple[Floats, Floats]:
-        """Samples taken before each instant: their sum, V, and their number.
+        """Samples taken before each instant: their sum, V, and their number."""
+        whole, share = _split(times, self.volts.size)
+        return self.sum_before(whole, share), whole + share
 
-        A sample tells the level at its own instant, so it counts on one side of an edge only: to
-        share it by areas would blur every chip with its neighbours.
-        """
-        shifted = np.clip(times + 0.5, 0.0, float(self.volts.size))
-        whole = shifted.astype(np.intp)
-        share = np.clip((shifted - whole - 0.5) / BLUR + 0.5, 0.0, 1.0)
-        return self._sums[whole] + share * self._padded[whole], whole + share
+    def sum_before(self, whole: NDArray[np.intp], share: Floats) -> Floats:
+        """Sum of so many samples and a share of the next one, V."""
+        total: Floats = self._sums[whole] + share * self._padded[whole]
+        return total
+
+
+class ChipEdges:
+    """The edges of one fit's chips, worked out once for many lines of the same length."""
+
+    def __init__(self, fit: Fit, spec: FrameSpec, size: int) -> None:
+        """size: samples of a line."""
+        self.size = size
+        self._spec = spec
+        edges: Floats = fit.start + fit.chip * np.arange(spec.chips + 1.0)
+        self._whole, self._share = _split(edges, size)
+        self._number = np.maximum(np.diff(self._whole + self._share), 0.5)
+
+    def chips(self, line: Line) -> NDArray[np.float32]:
+        """As integrate gives them: (1, k, N) float32, V."""
+        levels = np.diff(line.sum_before(self._whole, self._share)) / self._number
+        return levels.astype(np.float32).reshape(1, self._spec.line_bits, self._spec.order)
+
+
+def _split(times: Floats, size: int) -> tuple[NDArray[np.intp], Floats]:
+    """Samples taken before each instant: how many whole ones, and the share of the next one.
+
+    A sample tells the level at its own instant, so it counts on one side of an edge only: to
+    share it by areas would blur every chip with its neighbours.
+    """
+    shifted = np.clip(times + 0.5, 0.0, float(size))
+    whole = shifted.astype(np.intp)
+    return whole, np.clip((shifted - whole - 0.5) / BLUR + 0.5, 0.0, 1.0)
 
 
 def integrate(
@@ -155,12 +181,12 @@ def read_words(chips: NDArray[np.float32], spec: FrameSpec) -> WordFit:
     amplitude = mean * active
     word_power = np.einsum("cn,cn->c", amplitude, amplitude)
     signed_power = np.einsum("cn,cn->c", np.einsum("ckn,ckn->cn", signed, signed), active)
-    total = np.einsum("ckr,ckr->c", rows, rows)
-    pedestal = np.zeros(len(chips), np.float32)
+    pedestal, meant = np.zeros(len(chips), np.float32), rows
     if spec.drive == UNIPOLAR:
         pedestal = rows[..., 0].sum(axis=1) / bits
     elif spec.first_row > 0:  # a free row 0 holds nothing but what is left of the offset
-        total -= np.einsum("ck,ck->c", rows[..., 0], rows[..., 0])
+        meant = rows[..., 1:]
+    total = np.einsum("ckr,ckr->c", meant, meant)
     power = word_power + np.square(pedestal)
     return WordFit(
         rows,
@@ -203,8 +229,10 @@ def refine(
     levels = np.zeros(spec.chips + 2)  # the gap on either side
     for share in REACHES:
         words = read_words(integrate(line, np.array([start]), np.array([chip]), spec), spec)
-        symbols = np.sign(words.signed[0]) * words.amplitude[0]
-        levels[1:-1] = (symbols @ _code_rows(spec) + words.pedestal[0]).ravel()
+        nodes = slice(spec.first_row, spec.first_row + spec.nodes)
+        symbols = np.zeros((spec.line_bits, spec.order), dtype=np.float32)
+        symbols[:, nodes] = np.sign(words.signed[0]) * words.amplitude[0]
+        levels[1:-1] = spread(symbols, spec.book).ravel() + words.pedestal[0]
         before, after = levels[:-1], levels[1:]
         edges, reach = start + chip * steps, share * chip
         area = (
@@ -213,8 +241,8 @@ def refine(
         seen = (edges >= reach - 0.5) & (edges + reach <= line.volts.size - 0.5)
         step = (before - after) * seen
         weight, moment = np.square(step), step * area
-        w0, w1, w2 = weight.sum(), weight @ steps, weight @ np.square(steps)
-        m0, m1 = moment.sum(), moment @ steps
+        w0, w1, w2 = weight.sum(), dot(weight, steps), dot(weight, np.square(steps))
+        m0, m1 = moment.sum(), dot(moment, steps)
         determinant = w0 * w2 - w1 * w1
         if determinant > 1e-9 * w0 * w2:
             moved = start + (w2 * m0 - w1 * m1) / determinant
@@ -229,7 +257,6 @@ def refine(
     return Fit(float(start), float(chip))
 
 
-@lru_cache(maxsize=8)
-def _code_rows(spec: FrameSpec) -> NDArray[np.float32]:
-    """The nodes' rows, (n, N)."""
-    return spec.book.rows(spec.rows).astype(np.float32)
+def dot(some: Floats, others: Floats) -> float:
+    """Sum of products, but not by BLAS: long ones wake its threads, which wait for each other."""
+    return float(np.einsum("i,i->", some, others))

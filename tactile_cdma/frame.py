@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from .codes import CodeBook, code_book, is_feasible, row_signs, smallest_order
+from .codes import CodeBook, code_book, default_order, is_feasible, row_signs, smallest_order
 from .errors import SpecError
 
 BIPOLAR, UNIPOLAR = "bipolar", "unipolar"
@@ -25,7 +25,7 @@ class FrameSpec:
 
     nodes: number of sensing nodes, n.
     bits: length of a node's ADC word, sent most significant bit first.
-    order: chips per bit, N; 0 picks the smallest feasible order.
+    order: chips per bit, N; 0 picks the default order for so many rows (codes.default_order).
     chip_s: nominal chip duration, s.
     frame_period_s: from one frame's first chip to the next one's, s.
     first_row: code row of the first node; node i uses row first_row + i. 1 keeps the all-ones
@@ -73,7 +73,7 @@ class FrameSpec:
             raise SpecError(f"polarity is {self.polarity}; it must be 1 or -1")
         needed = self.nodes + self.first_row
         if self.order == 0:
-            object.__setattr__(self, "order", smallest_order(needed))
+            object.__setattr__(self, "order", default_order(needed))
         elif not is_feasible(self.order):
             code_book(self.order)  # raises, naming the nearest feasible orders
         if self.order < needed:

@@ -8,18 +8,28 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ._protocol import TAIL_CHIPS
 from .errors import SpecError
-from .fit import Fit, Floats, Line, WordFit, integrate, least_power, read_words, refine
-from .frame import BIPOLAR, MAX_STRETCH, FrameSpec
+from .fit import (
+    ChipEdges,
+    Fit,
+    Floats,
+    Line,
+    WordFit,
+    dot,
+    integrate,
+    least_power,
+    read_words,
+    refine,
+)
+from .frame import BIPOLAR, MAX_STRETCH, UNIPOLAR, FrameSpec
 from .separate import NodeLevels, node_levels
-from .timing import FrameLevels, SampleBlock, Timing
+from .timing import FrameLevels, QuietBlock, SampleBlock, Timing
 
 MAX_SPREAD = 0.12
 """Spread beyond which a marked frame is rejected after all stretches were tried."""
 CHIP_ERROR = 2e-3
 """What chips may be shorter than nominal, or longer than the longest stretch."""
-TAIL_CHIPS = 3
-"""So many chips after its end must be silent for a frame to be taken."""
 CLEAN_SPREAD = 0.08
 """Spread of words at which a frame marked by its sync is taken as timed right: ρ > 3.5."""
 CARRIED_FRAMES = 15
@@ -36,6 +46,7 @@ class _Carried:
     """Timing of a frame that was refined on its own edges, and how often it was used since."""
 
     fit: Fit
+    edges: ChipEdges
     uses: int = 0
 
 
@@ -71,7 +82,9 @@ class LineTiming(Timing):
         self._start: int | None = None
         self._due = 0
         self._gap_begin: int | None = None  # end of the last frame, if no hole followed
-        self._level_v = 0.0  # until a gap was seen; a free row 0 then shows the offset
+        self._level_v = 0.0
+        # All rows but the first have as many +1 as −1: without it a frame's mean is the offset.
+        self._centred = spec.first_row > 0 and spec.drive == BIPOLAR
         self._level_known = False
         self._noise = 0.0  # variance of a chip's level in the gap, V²; 0 where unknown
         self._carried: _Carried | None = None
@@ -93,6 +106,26 @@ class LineTiming(Timing):
                 self._samples.drop(self._samples.end - self._gap_size)
         return frames
 
+    def quiet(self, block: QuietBlock) -> list[FrameLevels]:
+        """Take in what nobody spoke in: a marked frame and its tail, or samples of the gap.
+
+        As `feed` does with such samples, at next to no cost.
+        """
+        if block.count < self._nominal_size if block.sync else self._start is not None:
+            return self.feed(block.samples())  # the frame in progress goes on in them
+        self._continue(block)
+        frames: list[FrameLevels] = []
+        if block.sync:
+            frames += self._close()
+            self._open(block.first_index)
+            frames += self._idle_frame(block.first_index, self._nominal_fit, block.variance_v2)
+        elif self._gap_begin is not None:
+            self._at_rest(block.mean_v, block.variance_v2)
+        end = block.first_index + block.count
+        self._samples.restart(end)
+        self._gap_begin = None if self._gap_begin is None else end
+        return frames
+
     def flush(self) -> list[FrameLevels]:
         """The recording ends here: decode the frame in progress if it is complete."""
         frames = self._close()
@@ -111,14 +144,18 @@ class LineTiming(Timing):
         begin = index if self._gap_begin is None else max(self._gap_begin, index - self._gap_size)
         gap = self._samples.take(begin, index)
         if gap.size and not np.isnan(total := float(gap.sum())):
-            self._level_v = total / gap.size
-            variance = max(0.0, float(gap @ gap) / gap.size - self._level_v**2)
-            newest = variance / self._nominal
-            self._noise += (GAP_WEIGHT if self._level_known else 1.0) * (newest - self._noise)
-            self._level_known = True
+            mean = total / gap.size
+            self._at_rest(mean, max(0.0, dot(gap, gap) / gap.size - mean**2))
         self._samples.drop(index)
         tail = 0 if self._integrated else math.ceil(TAIL_CHIPS * self._nominal)
         self._start, self._due = index, index + self._nominal_size + tail
+
+    def _at_rest(self, mean_v: float, variance: float) -> None:
+        """Samples of a gap have this mean, V, and variance, V²."""
+        self._level_v = mean_v
+        newest = variance / self._nominal
+        self._noise += (GAP_WEIGHT if self._level_known else 1.0) * (newest - self._noise)
+        self._level_known = True
 
     def _close(self) -> list[FrameLevels]:
         """No more samples for the frame in progress: take what there is, or reject it."""
@@ -130,13 +167,17 @@ class LineTiming(Timing):
                 self._reject()
         return frames
 
-    def _reject(self) -> None:
+    def _reject(self, over: int | None = None) -> None:
+        """No frame came of the present one. over: index at which it is over, if that is known."""
         self.rejected += 1
-        self._start = self._gap_begin = self._carried = None
+        self._start = self._carried = None
+        self._gap_begin = over
 
     def _decide(self, start: int, end: int, final: bool) -> list[FrameLevels]:
         """Decode the frame from samples up to `end`, or ask for more. final: none will follow."""
         volts = self._samples.take(start, end)
+        if self._centred and not self._level_known:
+            self._level_v = float(volts[: self._nominal_size].mean())
         power = self._sample_power(volts[: self._nominal_size])
         if math.isnan(power):
             self._reject()
@@ -151,7 +192,9 @@ class LineTiming(Timing):
             return self._resynced_frame(start, line, final)
         carried = self._carried
         if carried is not None and carried.uses < CARRIED_FRAMES:
-            words = self._words(line, carried.fit)
+            if carried.edges.size != volts.size:
+                carried.edges = ChipEdges(carried.fit, self.spec, volts.size)
+            words = read_words(carried.edges.chips(line), self.spec)
             if self._explained(words):
                 fit, amplitude = carried.fit, words.amplitude[0]
                 if self._more_needed(fit, end, volts.size, final):
@@ -177,11 +220,12 @@ class LineTiming(Timing):
                 if fit.end(spec) - volts.size < 0.5 * chip and self._ends(
                     line, fit, found.levels, found.amplitude
                 ):
-                    self._carried = _Carried(fit)
+                    self._carried = _Carried(fit, ChipEdges(fit, spec, volts.size))
                     return self._emit(start, fit, found.levels, volts + self._level_v)
         if power <= 1.6 * self._noise:  # too weak to look for at other stretches
             return self._idle_frame(start, self._nominal_fit, power * self._nominal)
-        longest = start + math.ceil((1 + MAX_STRETCH) * spec.chips * self._nominal)
+        tail = 0 if self._level_known else TAIL_CHIPS  # which then shows the level
+        longest = start + math.ceil((1 + MAX_STRETCH) * (spec.chips + tail) * self._nominal)
         if end < longest and not final:
             self._due = longest
             return []
@@ -191,7 +235,7 @@ class LineTiming(Timing):
             return self._idle_frame(start, fit, power * self._nominal)
         if found.believable and self._ends(line, fit, found.levels, found.amplitude):
             return self._emit(start, fit, found.levels, volts + self._level_v)
-        self._reject()
+        self._reject(longest + math.ceil(self._nominal))
         return []
 
     def _integrated_frame(self, start: int, volts: Floats) -> list[FrameLevels]:
@@ -217,11 +261,6 @@ class LineTiming(Timing):
         self._reject()
         return []
 
-    def _words(self, line: Line, fit: Fit) -> WordFit:
-        return read_words(
-            integrate(line, np.array([fit.start]), np.array([fit.chip]), self.spec), self.spec
-        )
-
     def _explained(self, words: WordFit) -> bool:
         """Whether these words leave no more than the noise that the gap has shown."""
         power = float(words.power[0])
@@ -246,26 +285,22 @@ class LineTiming(Timing):
         """Whether the line is at rest after the fitted end: the frame is neither longer nor other.
 
         This tells a stretched frame from a shorter fit of its words, and words of more bits than
-        specified. True where the level of rest is not to be known, or nothing was received after
-        the end.
+        specified. True where nothing was received after the end. A level of rest that is not known
+        yet is the frame's mean where row 0 is free, else it has to be 0, and seen: row 0 would
+        take any other for a node.
         """
         end = fit.end(self.spec) + 0.5
         begin, stop = math.ceil(end + 0.25 * fit.chip), math.floor(end + TAIL_CHIPS * fit.chip)
         tail = line.volts[begin:stop]
-        free = self.spec.first_row > 0 and self.spec.drive == BIPOLAR
-        if tail.size < 0.5 * fit.chip or not (self._level_known or free):
-            return True
+        if tail.size < 0.5 * fit.chip:
+            return self._level_known or self.spec.first_row > 0
         noise = self._noise
         if not self._level_known:
-            tail = tail - self._row_zero(line, fit)
+            if self.spec.drive == UNIPOLAR:
+                return True
             noise = levels.noise_v**2 * self.spec.order
         least = float(amplitude[amplitude > 0].min(initial=np.inf))
-        return float(tail @ tail) / tail.size < (0.4 * least) ** 2 + 4 * noise * fit.chip
-
-    def _row_zero(self, line: Line, fit: Fit) -> float:
-        """Mean level of a fit's frame, which is the offset where row 0 is free, V."""
-        ends = line.integral(np.array([fit.start, fit.end(self.spec)]))
-        return float(ends[1] - ends[0]) / (self.spec.chips * fit.chip)
+        return dot(tail, tail) / tail.size < (0.4 * least) ** 2 + 4 * noise * fit.chip
 
     def _refined(self, line: Line, chip: float) -> Fit:
         """The frame refined around the first sample; as it was if that leads nowhere."""
@@ -289,7 +324,7 @@ class LineTiming(Timing):
     def _sample_power(self, volts: Floats) -> float:
         """Mean power of samples, V², without an unknown offset; NaN where one is absurd."""
         mean = float(volts.sum()) / volts.size
-        power = float(volts @ volts) / volts.size
+        power = dot(volts, volts) / volts.size
         if self.spec.first_row > 0:
             return max(power - mean**2, 0.0)  # NaN stays NaN
         return max(power - 2 * mean * self._level_v + self._level_v**2, 0.0)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ._protocol import (
     FIELDS,
+    FLAG_CALLED,
     FLAG_OVERRUN,
     FLAG_SYNC,
     MAX_SAMPLES,
@@ -134,6 +135,7 @@ class Info(Packet):
     volts_per_count: V, rounded to float32; counts are relative to zero_count.
     min_count, max_count: rails of the ADC.
     integrated: Samples carry one mean value per chip, and none in the gap between frames.
+    quiet_uv: see Configure; 0 where the digitizer never sends Quiet.
     """
 
     TYPE = PacketType.INFO
@@ -146,6 +148,7 @@ class Info(Packet):
     max_count: int = 2**15 - 1
     sync_mode: SyncMode = SyncMode.NONE
     integrated: bool = False
+    quiet_uv: int = 0
     digitizer_id: bytes = bytes(8)
     firmware_major: int = 0
     firmware_minor: int = 0
@@ -172,6 +175,7 @@ class Samples(Packet):
     counts: (m,) int16, m = 1…MAX_SAMPLES.
     sync: the first sample is the first of a frame.
     overrun: samples were lost just before these.
+    called: the frame that begins with the first sample belongs to a roll call.
     """
 
     TYPE = PacketType.SAMPLES
@@ -181,6 +185,7 @@ class Samples(Packet):
     counts: NDArray[np.int16]
     sync: bool = False
     overrun: bool = False
+    called: bool = False
 
     def __post_init__(self) -> None:
         counts = self.counts
@@ -189,11 +194,7 @@ class Samples(Packet):
                 f"counts are {counts.dtype} of shape {counts.shape}; "
                 f"a packet takes int16 of shape (1…{MAX_SAMPLES},)"
             )
-        if not (0 <= self.device_time_us < 2**64 and 0 <= self.first_index < 2**64):
-            raise SpecError(
-                f"device_time_us {self.device_time_us} and first_index {self.first_index} "
-                "must lie within 0…2⁶⁴−1"
-            )
+        _check_place(self)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Samples):
@@ -203,15 +204,82 @@ class Samples(Packet):
             and self.first_index == other.first_index
             and self.sync == other.sync
             and self.overrun == other.overrun
+            and self.called == other.called
             and np.array_equal(self.counts, other.counts)
         )
 
     __hash__ = None  # type: ignore[assignment]
 
     def payload(self) -> bytes:
-        flags = FLAG_SYNC * self.sync | FLAG_OVERRUN * self.overrun
-        head = WIRE["Samples"].pack(self.device_time_us, self.first_index, flags)
+        head = WIRE["Samples"].pack(self.device_time_us, self.first_index, _flags(self))
         return head + (self.counts ^ SAMPLE_MASK).astype("<i2", copy=False).tobytes()
+
+
+@dataclass(frozen=True, slots=True)
+class Quiet(Packet):
+    """Consecutive samples, all within quiet_uv of each other: a whole frame's, or some of a gap.
+
+    Other fields as in Samples. count: number of samples, at least 1.
+    sum, sum_of_squares: of the counts, exact. Raises SpecError where no samples have such sums.
+    """
+
+    TYPE = PacketType.QUIET
+
+    device_time_us: int
+    first_index: int
+    count: int
+    sum: int
+    sum_of_squares: int
+    sync: bool = False
+    overrun: bool = False
+    called: bool = False
+
+    def __post_init__(self) -> None:
+        _check_place(self)
+        if not (
+            1 <= self.count < 2**32
+            and self.sum_of_squares < 2**64
+            and self.sum**2 <= self.count * self.sum_of_squares
+        ):
+            raise SpecError(
+                f"no samples that the wire can carry are {self.count} with sum {self.sum} and "
+                f"sum of squares {self.sum_of_squares}"
+            )
+
+    @classmethod
+    def of(
+        cls,
+        device_time_us: int,
+        first_index: int,
+        counts: NDArray[np.int16],
+        sync: bool = False,
+        overrun: bool = False,
+        called: bool = False,
+    ) -> Quiet:
+        """What stands for these samples, (m,) int16."""
+        wide = counts.astype(np.int64)  # sums stay below 2⁶³ for 2³² samples of 16 bits
+        total, squares = int(wide.sum()), int(np.einsum("i,i->", wide, wide))
+        return cls(device_time_us, first_index, counts.size, total, squares, sync, overrun, called)
+
+    @property
+    def mean(self) -> float:
+        """Mean of the counts."""
+        return self.sum / self.count
+
+    @property
+    def variance(self) -> float:
+        """Variance of the counts."""
+        return (self.count * self.sum_of_squares - self.sum**2) / self.count**2
+
+    def payload(self) -> bytes:
+        return WIRE["Quiet"].pack(
+            self.device_time_us,
+            self.first_index,
+            _flags(self),
+            self.count,
+            self.sum,
+            self.sum_of_squares,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,13 +342,25 @@ class Stop(Command):
 
 @dataclass(frozen=True, slots=True)
 class Configure(Command):
-    """Sets the frame layout and the way of sampling."""
+    """Sets the frame layout and the way of sampling.
+
+    quiet_uv: µV; a frame, or a part of the gap, in which no two samples differ by more is sent as
+        Quiet. 0: never. See silence.py for how much is safe.
+    """
 
     TYPE = PacketType.CONFIGURE
 
     frame: FrameLayout
     sync_mode: SyncMode = SyncMode.DRIVE
     integrated: bool = False
+    quiet_uv: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class RollCall(Command):
+    """Asks every node to speak alone once."""
+
+    TYPE = PacketType.ROLL_CALL
 
 
 @dataclass(frozen=True, slots=True)
@@ -305,6 +385,18 @@ class Rejected:
 
 
 Received: TypeAlias = Packet | OtherVersion | Rejected
+
+
+def _check_place(packet: Samples | Quiet) -> None:
+    if not (0 <= packet.device_time_us < 2**64 and 0 <= packet.first_index < 2**64):
+        raise SpecError(
+            f"device_time_us {packet.device_time_us} and first_index {packet.first_index} "
+            "must lie within 0…2⁶⁴−1"
+        )
+
+
+def _flags(packet: Samples | Quiet) -> int:
+    return FLAG_SYNC * packet.sync | FLAG_OVERRUN * packet.overrun | FLAG_CALLED * packet.called
 
 
 def _codes(name: str) -> str:
@@ -368,7 +460,19 @@ WIRE = {name: struct.Struct("<" + _codes(name)) for name in FIELDS}
 SAMPLE_MASK = np.int16(SAMPLE_XOR)
 """Sample words travel XORed with this."""
 PACKETS: dict[int, type[Packet]] = {
-    kind.TYPE: kind for kind in (Info, Samples, Status, Ack, GetInfo, Start, Stop, Configure)
+    kind.TYPE: kind
+    for kind in (
+        Info,
+        Samples,
+        Quiet,
+        Status,
+        Ack,
+        GetInfo,
+        Start,
+        Stop,
+        Configure,
+        RollCall,
+    )
 }
 """Packets by the first byte of their body."""
 _INT16 = np.dtype(np.int16)

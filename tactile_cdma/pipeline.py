@@ -20,13 +20,15 @@ from .messages import (
     FrameLayout,
     Info,
     OtherVersion,
+    Quiet,
     Samples,
     Status,
 )
 from .parameters import GAP, SkinConfig
 from .protocol import PacketParser
+from .silence import quiet_uv
 from .taxels import Readings, Taxels
-from .timing import FrameLevels, SampleBlock
+from .timing import FrameLevels, QuietBlock, SampleBlock
 
 _TICK_S = 1e-6
 _CLOCK_SLACK_S = 0.05
@@ -116,6 +118,8 @@ class Pipeline:
             match packet:
                 case Samples():
                     frames += self._samples(packet, t_host)
+                case Quiet():
+                    frames += self._quiet(packet, t_host)
                 case Info():
                     self._describe(packet)
                 case OtherVersion():
@@ -167,13 +171,42 @@ class Pipeline:
             self.problem = f"the digitizer's sampling does not fit: {error}"
 
     def _samples(self, packet: Samples, t_host: float) -> list[TactileFrame]:
-        count = len(packet.counts)
-        if self.info is None or self._timing is None:
-            self.counters.unannounced_samples += count
+        if not self._arrived(packet, len(packet.counts), t_host):
             return []
-        if packet.device_time_us > _MAX_DEVICE_TIME_US:
+        assert self.info is not None and self._timing is not None
+        block = SampleBlock(packet.first_index, self.info.volts(packet.counts), packet.sync)
+        return [self._frame(chips) for chips in self._timing.feed(block)]
+
+    def _quiet(self, packet: Quiet, t_host: float) -> list[TactileFrame]:
+        """Samples that nobody spoke in."""
+        info, timing = self.info, self._timing
+        if info and packet.count > 2 * info.sample_rate_hz * self.config.spec.frame_period_s:
             self.counters.implausible_packets += 1
             return []
+        if not self._arrived(packet, packet.count, t_host):
+            return []
+        assert info is not None and timing is not None
+        block = QuietBlock(
+            packet.first_index,
+            packet.count,
+            (packet.mean - info.zero_count) * info.volts_per_count,
+            packet.variance * info.volts_per_count**2,
+            packet.sync,
+        )
+        if isinstance(timing, LineTiming):
+            levels = timing.quiet(block)
+        else:
+            levels = timing.feed(block.samples())
+        return [self._frame(frame) for frame in levels]
+
+    def _arrived(self, packet: Samples | Quiet, count: int, t_host: float) -> bool:
+        """Keep account of samples in index and time; whether they are of use."""
+        if self.info is None or self._timing is None:
+            self.counters.unannounced_samples += count
+            return False
+        if packet.device_time_us > _MAX_DEVICE_TIME_US:
+            self.counters.implausible_packets += 1
+            return False
         self.counters.samples += count
         t_device = packet.device_time_us * 1e-6
         if self._next_index is not None:
@@ -186,8 +219,7 @@ class Pipeline:
         self._next_index = packet.first_index + count
         self._anchors.append((packet.first_index, t_device))
         self._clock.observe(t_device + count / self.info.sample_rate_hz, t_host)
-        block = SampleBlock(packet.first_index, self.info.volts(packet.counts), packet.sync)
-        return [self._frame(chips) for chips in self._timing.feed(block)]
+        return True
 
     def _continues(self, index: int, t_device: float) -> bool:
         """Whether the device's time has advanced as its count of samples says.
@@ -292,6 +324,11 @@ def _contradiction(info: Info, config: SkinConfig) -> str | None:
         )
     if config.timing == GAP and info.integrated:
         return "the digitizer sends one mean per chip, timing 'gap' needs raw samples"
+    if config.spec.amplitude_v is not None and info.quiet_uv > (most_uv := quiet_uv(config.spec)):
+        return (
+            f"the digitizer leaves out frames whose samples differ by up to {info.quiet_uv} µV, in "
+            f"which nodes may have spoken: {most_uv} µV at most"
+        )
     theirs, ours = info.frame, FrameLayout.of(config.spec, config.samples_per_chip)
     # A digitizer may sample faster or slower than asked: its rate is in INFO and is what counts.
     aside = {"samples_per_chip"} | ({"sign_seed"} if ours.natural_signs else set())

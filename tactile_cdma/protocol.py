@@ -11,12 +11,20 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ._protocol import FLAG_OVERRUN, FLAG_SYNC, MAX_GAP, MAX_SAMPLES, VERSION, Result
+from ._protocol import (
+    FLAG_CALLED,
+    FLAG_OVERRUN,
+    FLAG_SYNC,
+    MAX_GAP,
+    MAX_SAMPLES,
+    VERSION,
+    PacketType,
+    Result,
+)
 from .cobs import cobs_decode, cobs_encode
 from .errors import SpecError
 from .messages import (
@@ -26,6 +34,7 @@ from .messages import (
     Info,
     OtherVersion,
     Packet,
+    Quiet,
     Received,
     Rejected,
     Samples,
@@ -33,7 +42,7 @@ from .messages import (
 )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Counters:
     """What a parser has seen since it was made."""
 
@@ -54,7 +63,7 @@ class Counters:
     resyncs: int = 0
     """Runs longer than any packet without a delimiter."""
     text_bytes: int = 0
-    """Printable ASCII, of all bytes."""
+    """Printable ASCII before the first packet."""
 
 
 class PacketParser:
@@ -73,100 +82,123 @@ class PacketParser:
     """
 
     def __init__(self) -> None:
-        self._partial = b""  # begins after the last delimiter
+        self._partial = bytearray()  # begins after the last delimiter
         self._skipping = False  # within a run that is too long for a packet
         self._expected: int | None = None
-        self._count: Counter[str] = Counter()
+        self._seen = Counters()
 
     @property
     def counters(self) -> Counters:
         """A snapshot of what was seen so far."""
-        return Counters(**self._count)
+        seen = replace(self._seen)
+        if not seen.packets:
+            seen.text_bytes += _text(self._partial)
+        return seen
 
     def feed(self, data: bytes) -> list[Received]:
         """The packets that these bytes complete."""
-        self._count["bytes"] += len(data)
-        self._count["text_bytes"] += len(data) - len(data.translate(None, _TEXT))
-        *runs, partial = (self._partial + data).split(b"\0")
-        if self._skipping and runs:
-            del runs[0]
-            self._skipping = False
-        if not self._skipping and len(partial) > _MAX_RUN:
-            self._count["resyncs"] += 1
-            self._skipping = True
-        self._partial = b"" if self._skipping else partial
-        packets = (self._parse(run) for run in runs if run)
-        return [packet for packet in packets if packet is not None]
+        self._seen.bytes += len(data)
+        *runs, rest = data.split(b"\0")
+        if runs and self._partial:
+            runs[0] = b"".join((self._partial, runs[0]))
+            self._partial.clear()
+        packets: list[Received] = []
+        for run in runs:
+            if self._skipping:  # this ends it
+                self._skipping = False
+                self._no_packet(run)
+            elif run and (packet := self._parse(run)) is not None:
+                packets.append(packet)
+        if self._skipping:
+            self._no_packet(rest)
+        else:
+            self._partial += rest
+            if len(self._partial) > _MAX_RUN:
+                self._seen.resyncs += 1
+                self._skipping = True
+                self._no_packet(self._partial)
+                self._partial.clear()
+        return packets
 
     def _parse(self, run: bytes) -> Received | None:
         """The packet between two delimiters, if it is one."""
         if len(run) > _MAX_RUN:
-            self._count["resyncs"] += 1
+            self._seen.resyncs += 1
+            self._no_packet(run)
             return None
         try:
             raw = cobs_decode(run)
         except ValueError:
-            self._count["framing_errors"] += 1
+            self._seen.framing_errors += 1
+            self._no_packet(run)
             return None
-        body = raw[: -_CRC.size]
-        if len(raw) < _CRC.size or zlib.crc32(body) != _CRC.unpack_from(raw, len(body))[0]:
-            self._count["crc_errors"] += 1
+        if zlib.crc32(raw) != _RESIDUE or len(raw) < _CRC.size:
+            self._seen.crc_errors += 1
+            self._no_packet(run)
             return None
-        self._count["packets"] += 1
-        if len(body) < _HEADER.size:
-            self._count["malformed"] += 1
+        self._seen.packets += 1
+        if len(raw) < _HEADER.size + _CRC.size:
+            self._seen.malformed += 1
             return None
-        type_byte, sequence = _HEADER.unpack_from(body)
-        self._follow(sequence)
-        return self._interpret(type_byte, sequence, body[_HEADER.size :])
+        type_byte, sequence = _HEADER.unpack_from(raw)
+        if sequence != self._expected:
+            self._missed(sequence)
+        self._expected = (sequence + 1) % _SEQUENCES
+        if type_byte == PacketType.SAMPLES:
+            return self._samples(sequence, raw)
+        return self._interpret(type_byte, sequence, raw[_HEADER.size : -_CRC.size])
 
-    def _follow(self, sequence: int) -> None:
-        """Keep account of the sequence, by the rule that the class describes."""
-        if self._expected is not None and sequence != self._expected:
+    def _no_packet(self, run: bytes | bytearray) -> None:
+        if not self._seen.packets:
+            self._seen.text_bytes += _text(run)
+
+    def _missed(self, sequence: int) -> None:
+        """Keep account of a step in the sequence, by the rule that the class describes."""
+        if self._expected is not None:
             gap = (sequence - self._expected) % _SEQUENCES
             if gap <= MAX_GAP:
-                self._count["lost_packets"] += gap
+                self._seen.lost_packets += gap
             else:
-                self._count["jumps"] += 1
-        self._expected = (sequence + 1) % _SEQUENCES
+                self._seen.jumps += 1
 
-    def _interpret(self, type_byte: int, sequence: int, payload: bytes) -> Received | None:
-        """The packet of an intact body; of the unusable ones only commands need an answer."""
-        kind = PACKETS.get(type_byte)
-        if kind is Samples:
-            return self._samples(sequence, payload)
-        if kind is Info and payload and payload[0] != VERSION:
-            return OtherVersion(payload[0], sequence)
-        if kind is None:
-            self._count["unknown"] += 1
-            reason = Result.UNKNOWN_COMMAND
-        elif len(payload) != (wire := WIRE[kind.__name__]).size:
-            self._count["malformed"] += 1
-            reason = Result.BAD_LENGTH
-        else:
-            try:
-                return build(kind, iter(wire.unpack(payload)), sequence=sequence)
-            except SpecError:
-                self._count["malformed"] += 1
-                reason = Result.OUT_OF_RANGE
-        return Rejected(type_byte, reason, sequence) if type_byte & _COMMAND_BIT else None
-
-    def _samples(self, sequence: int, payload: bytes) -> Samples | None:
-        """Samples, which are nearly all of the traffic."""
-        head = WIRE["Samples"]
-        if len(payload) <= head.size or (len(payload) - head.size) % 2:
-            self._count["malformed"] += 1
+    def _samples(self, sequence: int, raw: bytes) -> Samples | None:
+        """Samples, which are nearly all of the traffic: taken from the bytes without copying."""
+        size = len(raw) - _SAMPLES_END
+        if size <= 0 or size % 2:
+            self._seen.malformed += 1
             return None
-        device_time_us, first_index, flags = head.unpack_from(payload)
-        words = np.frombuffer(payload, "<i2", offset=head.size)
+        device_time_us, first_index, flags = WIRE["Samples"].unpack_from(raw, _HEADER.size)
+        words = np.frombuffer(raw, "<i2", size // 2, _SAMPLES_END - _CRC.size)
         return Samples(
             device_time_us,
             first_index,
             words ^ SAMPLE_MASK,
             bool(flags & FLAG_SYNC),
             bool(flags & FLAG_OVERRUN),
+            bool(flags & FLAG_CALLED),
             sequence=sequence,
         )
+
+    def _interpret(self, type_byte: int, sequence: int, payload: bytes) -> Received | None:
+        """The packet of an intact body; of the unusable ones only commands need an answer."""
+        kind = PACKETS.get(type_byte)
+        if kind is Info and payload and payload[0] != VERSION:
+            return OtherVersion(payload[0], sequence)
+        if kind is None:
+            self._seen.unknown += 1
+            reason = Result.UNKNOWN_COMMAND
+        elif len(payload) != (wire := WIRE[kind.__name__]).size:
+            self._seen.malformed += 1
+            reason = Result.BAD_LENGTH
+        else:
+            try:
+                if kind is Quiet:
+                    return _quiet(sequence, payload)
+                return build(kind, iter(wire.unpack(payload)), sequence=sequence)
+            except SpecError:
+                self._seen.malformed += 1
+                reason = Result.OUT_OF_RANGE
+        return Rejected(type_byte, reason, sequence) if type_byte & _COMMAND_BIT else None
 
 
 class PacketWriter:
@@ -202,8 +234,32 @@ def wrap(body: bytes) -> bytes:
     return cobs_encode(body + _CRC.pack(zlib.crc32(body))) + b"\0"
 
 
+def _quiet(sequence: int, payload: bytes) -> Quiet:
+    device_time_us, first_index, flags, count, total, squares = WIRE["Quiet"].unpack(payload)
+    return Quiet(
+        device_time_us,
+        first_index,
+        count,
+        total,
+        squares,
+        bool(flags & FLAG_SYNC),
+        bool(flags & FLAG_OVERRUN),
+        bool(flags & FLAG_CALLED),
+        sequence=sequence,
+    )
+
+
+def _text(run: bytes | bytearray) -> int:
+    """Number of printable ASCII bytes."""
+    return len(run) - len(run.translate(None, _TEXT))
+
+
 _HEADER = WIRE["Header"]
 _CRC = struct.Struct("<I")
+_RESIDUE = 0x2144DF1C
+"""The CRC-32 of any bytes that are followed by their own CRC-32."""
+_SAMPLES_END = _HEADER.size + WIRE["Samples"].size + _CRC.size
+"""Bytes in a packet of samples beside these."""
 _COMMAND_BIT = 0x80
 _SEQUENCES = 2**16
 _MAX_RAW = (

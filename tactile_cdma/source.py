@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import os
+import select
 import time
 from contextlib import suppress
 from types import TracebackType
@@ -20,9 +22,10 @@ except ImportError:  # not a POSIX system
     TerminalError = OSError  # type: ignore[misc, assignment]
 
 READ_TIMEOUT_S = 0.1
-SOCKET_READ = 4096
-SOCKET_TIMEOUT_S = 2e-3
-"""pyserial cannot tell how much a socket holds: so much is read, waiting at most so long."""
+READ_SIZE = 65_536
+"""Bytes that one read takes at most, so that a flood cannot hold its reader."""
+TTY_READ = 4095
+"""A tty hands out little more at once: where it gave so much, more is likely to be waiting."""
 SIM_HANDLERS = "tactile_cdma.sim"
 
 if SIM_HANDLERS not in serial.protocol_handler_packages:
@@ -40,28 +43,26 @@ class Port:
         try:
             self._serial = serial.serial_for_url(url, do_not_open=True)
             self._serial.baudrate = baud
-            self._is_socket = url.startswith("socket://")
-            self._serial.timeout = SOCKET_TIMEOUT_S if self._is_socket else READ_TIMEOUT_S
+            self._serial.timeout = READ_TIMEOUT_S
             self._serial.write_timeout = 1.0
             if "://" not in url:
                 self._serial.exclusive = True
             self._serial.open()
             self._serial.reset_input_buffer()  # of what came for whoever had it open before
+            self._poll = _poll(self._serial, url)
         except SpecError as error:  # an option of a sim:// URL
             raise PortError(f"{url}: {error}") from None
         except (OSError, ValueError, KeyError, TerminalError) as error:
             raise PortError(f"{url}: {_open_failure(error)}") from None
 
     def read(self) -> tuple[bytes, float]:
-        """What has arrived, waiting at most READ_TIMEOUT_S (a socket: SOCKET_TIMEOUT_S) for it.
+        """What has arrived, waiting at most READ_TIMEOUT_S for the first byte of it.
 
         Returns the bytes (none after a quiet time-out) and the host's monotonic time, s, just
         after they were read.
         """
         try:
-            data: bytes = self._serial.read(SOCKET_READ if self._is_socket else 1)
-            if data and not self._is_socket:
-                data += self._serial.read(self._serial.in_waiting)
+            data = self._wait() if self._poll is None else self._wait_in_kernel(self._poll)
         except (
             OSError,
             TypeError,
@@ -69,6 +70,28 @@ class Port:
         ) as error:  # TypeError: pyserial reading a port closed under it
             raise PortError(f"{self.url}: lost while reading; unplugged? ({error})") from None
         return data, time.monotonic()
+
+    def _wait(self) -> bytes:
+        """By pyserial's means: waits for one byte, then takes the others."""
+        data: bytes = self._serial.read(1)
+        return data + self._serial.read(self._serial.in_waiting) if data else data
+
+    def _wait_in_kernel(self, poll: select.poll) -> bytes:
+        """The same from a file descriptor, with the fewest system calls."""
+        if not poll.poll(READ_TIMEOUT_S * 1e3):
+            return b""
+        descriptor = self._serial.fileno()
+        data = os.read(descriptor, READ_SIZE)
+        if not data:
+            raise OSError("end of file")
+        last = data
+        while len(last) >= TTY_READ and len(data) < READ_SIZE:
+            try:
+                last = os.read(descriptor, READ_SIZE)
+            except BlockingIOError:
+                break
+            data += last
+        return data
 
     def write(self, data: bytes) -> None:
         """Send bytes."""
@@ -92,6 +115,15 @@ class Port:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+def _poll(port: serial.SerialBase, url: str) -> select.poll | None:
+    """What waits for a port that has a file descriptor; None where pyserial alone can read it."""
+    if not hasattr(select, "poll") or ("://" in url and not url.startswith("socket://")):
+        return None
+    poll = select.poll()
+    poll.register(port.fileno(), select.POLLIN)
+    return poll
 
 
 def _open_failure(error: Exception) -> str:

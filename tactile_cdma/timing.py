@@ -43,6 +43,29 @@ class SampleBlock:
 
 
 @dataclass(frozen=True, slots=True)
+class QuietBlock:
+    """Consecutive samples that nobody spoke in, of which the digitizer sent no more than this.
+
+    first_index, sync: as in SampleBlock. count: number of samples.
+    mean_v, variance_v2: of the samples, V and V².
+    """
+
+    first_index: int
+    count: int
+    mean_v: float
+    variance_v2: float
+    sync: bool = False
+
+    def samples(self) -> SampleBlock:
+        """Samples that might have been: of this mean, and of this variance where even in number."""
+        volts = np.full(self.count, self.mean_v, dtype=np.float32)
+        deviation_v = math.sqrt(self.variance_v2)
+        volts[::2] += deviation_v
+        volts[1::2] -= deviation_v
+        return SampleBlock(self.first_index, volts, self.sync)
+
+
+@dataclass(frozen=True, slots=True)
 class FrameLevels:
     """One frame, or one silent slot.
 
@@ -143,7 +166,7 @@ class Timing:
         """The stream has a hole: forget the frame in progress."""
         self._fresh = True
 
-    def _continue(self, block: SampleBlock) -> bool:
+    def _continue(self, block: SampleBlock | QuietBlock) -> bool:
         """Whether a block follows the one before; restarts the samples there if not."""
         if not self._fresh and block.first_index == self._samples.end:
             return True

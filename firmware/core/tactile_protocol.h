@@ -17,22 +17,26 @@
 
 #define TP_VERSION 1
 #define TP_SAMPLE_XOR 0x5555u
-#define TP_MAX_SAMPLES 512
-#define TP_MAX_PACKET_US 2000
+#define TP_MAX_SAMPLES 8192
+#define TP_MAX_PACKET_US 3000
+#define TP_TAIL_CHIPS 3
 
 /* packet types */
 #define TP_INFO 0x01
 #define TP_SAMPLES 0x02
+#define TP_QUIET 0x05
 #define TP_STATUS 0x03
 #define TP_ACK 0x04
 #define TP_GET_INFO 0x81
 #define TP_START 0x82
 #define TP_STOP 0x83
 #define TP_CONFIGURE 0x84
+#define TP_ROLL_CALL 0x85
 
-/* struct tp_samples.flags */
+/* flags of struct tp_samples and struct tp_quiet */
 #define TP_FLAG_SYNC 0x01 /* the first sample is the first of a frame */
 #define TP_FLAG_OVERRUN 0x02 /* samples were lost just before this packet */
+#define TP_FLAG_CALLED 0x04 /* the frame belongs to a roll call; one node speaks in it */
 
 /* Where the mark of a frame's first sample comes from. */
 enum tp_sync_mode {
@@ -131,6 +135,7 @@ struct __attribute__((packed)) tp_info {
     uint8_t sync_mode; /* source of the frame marks */
     uint8_t integrated; /* 0: raw samples, 1: one mean value per chip */
     struct tp_frame_layout frame; /* layout of the frame */
+    uint32_t quiet_uv; /* µV: what CONFIGURE has set; 0: QUIET is never sent */
 };
 #define TP_SAMPLE_RATE_UHZ_MIN 1u
 #define TP_SAMPLE_RATE_UHZ_MAX 18446744073709551615ull
@@ -146,19 +151,39 @@ TP_ASSERT_AT(tp_info, max_count, 27);
 TP_ASSERT_AT(tp_info, sync_mode, 29);
 TP_ASSERT_AT(tp_info, integrated, 30);
 TP_ASSERT_AT(tp_info, frame, 31);
-_Static_assert(sizeof(struct tp_info) == 61, "size of tp_info");
+TP_ASSERT_AT(tp_info, quiet_uv, 61);
+_Static_assert(sizeof(struct tp_info) == 65, "size of tp_info");
 
 /* Consecutive samples of the line. */
 struct __attribute__((packed)) tp_samples {
     uint64_t device_time_us; /* µs: when its first sample was taken; if integrated, when its chip began */
     uint64_t first_index; /* index of its first sample in the stream */
-    uint8_t flags; /* bit 0 SYNC, bit 1 OVERRUN */
+    uint8_t flags; /* bit 0 SYNC, bit 1 OVERRUN, bit 2 CALLED */
     uint16_t words[]; /* int16 counts, each XORed with TP_SAMPLE_XOR */
 };
 TP_ASSERT_AT(tp_samples, device_time_us, 0);
 TP_ASSERT_AT(tp_samples, first_index, 8);
 TP_ASSERT_AT(tp_samples, flags, 16);
 _Static_assert(sizeof(struct tp_samples) == 17, "size of tp_samples");
+
+/* Consecutive samples that nobody spoke in, not sent one by one. */
+struct __attribute__((packed)) tp_quiet {
+    uint64_t device_time_us; /* µs: as in SAMPLES */
+    uint64_t first_index; /* as in SAMPLES */
+    uint8_t flags; /* as in SAMPLES */
+    uint32_t count; /* number of samples */
+    int64_t sum; /* count: of the samples */
+    uint64_t sum_of_squares; /* count²: of the samples */
+};
+#define TP_COUNT_MIN 1u
+#define TP_COUNT_MAX 4294967295u
+TP_ASSERT_AT(tp_quiet, device_time_us, 0);
+TP_ASSERT_AT(tp_quiet, first_index, 8);
+TP_ASSERT_AT(tp_quiet, flags, 16);
+TP_ASSERT_AT(tp_quiet, count, 17);
+TP_ASSERT_AT(tp_quiet, sum, 21);
+TP_ASSERT_AT(tp_quiet, sum_of_squares, 29);
+_Static_assert(sizeof(struct tp_quiet) == 37, "size of tp_quiet");
 
 /* The digitizer's health. */
 struct __attribute__((packed)) tp_status {
@@ -191,14 +216,16 @@ struct __attribute__((packed)) tp_configure {
     struct tp_frame_layout frame; /* layout of the frame */
     uint8_t sync_mode; /* source of the frame marks */
     uint8_t integrated; /* 0: raw samples, 1: one mean value per chip */
+    uint32_t quiet_uv; /* µV: largest difference of two samples within what is sent as QUIET; 0: never send it */
 };
 TP_ASSERT_AT(tp_configure, frame, 0);
 TP_ASSERT_AT(tp_configure, sync_mode, 30);
 TP_ASSERT_AT(tp_configure, integrated, 31);
-_Static_assert(sizeof(struct tp_configure) == 32, "size of tp_configure");
+TP_ASSERT_AT(tp_configure, quiet_uv, 32);
+_Static_assert(sizeof(struct tp_configure) == 36, "size of tp_configure");
 
 /* longest packet: payload; with type and sequence; with CRC; with COBS and delimiter */
-#define TP_MAX_PAYLOAD 1041
+#define TP_MAX_PAYLOAD 16401
 #define TP_MAX_BODY (sizeof(struct tp_header) + TP_MAX_PAYLOAD)
 #define TP_MAX_RAW (TP_MAX_BODY + 4)
 #define TP_MAX_PACKET (TP_MAX_RAW + (TP_MAX_RAW + 253) / 254 + 1)

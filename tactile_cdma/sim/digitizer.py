@@ -10,12 +10,12 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .._protocol import MAX_SAMPLES, Result, SyncMode
-from ..encode import frame_levels, line_chips
+from .._protocol import MAX_PACKET_US, MAX_SAMPLES, TAIL_CHIPS, Result, SyncMode
 from ..errors import SpecError
 from ..messages import (
     Command,
@@ -24,20 +24,20 @@ from ..messages import (
     GetInfo,
     Info,
     Packet,
+    Quiet,
     Rejected,
+    RollCall,
     Samples,
     Start,
     Status,
     Stop,
 )
 from ..protocol import PacketParser, PacketWriter
-from .channel import chip_means, first_sample, point_samples
-from .nodes import NodeFrame, frame_start_s, node_frames
+from .channel import chip_means, first_sample, point_samples, waveforms
+from .nodes import NodeFrame, RollCalls, frame_start_s, node_frames
 from .options import Setup, SimOptions
 from .scene import SCENES
 
-PACKET_S = 1.6e-3
-"""Signal in one SAMPLES packet; the protocol allows MAX_PACKET_US."""
 REPORT_S = 1.0
 """INFO and STATUS are repeated at this interval."""
 BUFFER_S = 0.5
@@ -52,19 +52,25 @@ class Block:
     """The samples of one packet.
 
     first_index: of the first sample, counted from START. counts: (m,) int16.
-    sync: the first sample is the first of a frame.
-    begin_s: when the first sample is taken; if integrated, when its chip begins. end_s: when the
-        last sample's period ends. Both in s since START.
+    sync: the first sample is the first of a frame. called: of one of a roll call.
+    quiet: sent as Quiet.
+    begin_s: when the first sample is taken; if integrated, when its chip begins. due_s: when it is
+        sent: as the last sample's period ends, or, a quiet gap, with the packet after it. Both in
+        s since START.
     """
 
     first_index: int
     counts: NDArray[np.int16]
     sync: bool
+    called: bool
+    quiet: bool
     begin_s: float
-    end_s: float
+    due_s: float
 
 
-def truth(options: SimOptions, setup: Setup) -> Iterator[NodeFrame]:
+def truth(
+    options: SimOptions, setup: Setup, roll_calls: RollCalls | None = None
+) -> Iterator[NodeFrame]:
     """What the nodes measure and say in every frame since START, endlessly."""
     spec = setup.spec
     return node_frames(
@@ -73,20 +79,25 @@ def truth(options: SimOptions, setup: Setup) -> Iterator[NodeFrame]:
         options.skin(spec.nodes),
         options.rules,
         start_phase=options.start_phase,
+        roll_calls=roll_calls,
     )
 
 
-def stream(options: SimOptions, setup: Setup) -> Iterator[Block]:
+def stream(
+    options: SimOptions, setup: Setup, roll_calls: RollCalls | None = None
+) -> Iterator[Block]:
     """The digitized line since START, endlessly; a pure function of its arguments.
 
-    Where frames are marked, each begins a new block; else blocks are of equal size.
+    Where frames are marked, each begins a new block and ends one; else blocks are of equal size.
+    roll_calls: may be asked for meanwhile.
     """
     rate_hz = setup.rate_hz
-    size = min(MAX_SAMPLES, max(1, int(PACKET_S * rate_hz)))
+    size = min(MAX_SAMPLES, max(1, MAX_PACKET_US * round(rate_hz) // 10**6))
+    quiet_counts = int(setup.quiet_uv * 1e-6 / options.channel.volts_per_count(setup.spec))
     instant = 0.0 if setup.integrated else 0.5  # at which a sample is taken, within its period
     waiting = np.empty(0, dtype=np.int16)
     index = 0
-    for frame in truth(options, setup):
+    for frame in truth(options, setup, roll_calls):
         whole = frame.start_s >= 0
         if setup.integrated:
             if not whole:
@@ -94,20 +105,69 @@ def stream(options: SimOptions, setup: Setup) -> Iterator[Block]:
             counts, epoch_s = _chips(options, setup, frame), frame.start_s - index / rate_hz
         else:
             counts, epoch_s = _samples(options, setup, frame), 0.0
-        if setup.sync == SyncMode.NONE:
+        marked = setup.sync != SyncMode.NONE
+        if not marked:
             counts = np.concatenate((waiting, counts))
             waiting = counts[len(counts) // size * size :]
             counts = counts[: len(counts) - len(waiting)]
-        for start in range(0, len(counts), size):
-            part = counts[start : start + size]
+        frame_size = _frame_size(setup) if marked and whole else 0
+        tail_size = TAIL_CHIPS * setup.samples_per_chip if frame_size else 0
+        for cut in _cuts(counts, frame_size, tail_size, size, quiet_counts if marked else 0):
+            stop = index + cut.stop - cut.start
+            due = stop + min(frame_size, MAX_SAMPLES) if cut.waits else stop
             yield Block(
                 first_index=index,
-                counts=part,
-                sync=setup.sync != SyncMode.NONE and whole and start == 0,
+                counts=counts[cut.start : cut.stop],
+                sync=cut.start == 0 and frame_size > 0,
+                called=cut.start == 0 and frame.called,
+                quiet=cut.quiet,
                 begin_s=epoch_s + (index + instant) / rate_hz,
-                end_s=epoch_s + (index + len(part)) / rate_hz,
+                due_s=epoch_s + due / rate_hz,
             )
-            index += len(part)
+            index = stop
+
+
+class _Cut(NamedTuple):
+    """Samples of a frame period that make one packet; quiet: sent as Quiet; waits: for the next."""
+
+    start: int
+    stop: int
+    quiet: bool = False
+    waits: bool = False
+
+
+def _frame_size(setup: Setup) -> int:
+    """Samples of a frame: its coded chips, or if raw its whole span and the tail."""
+    if setup.integrated:
+        return setup.spec.chips
+    return (setup.spec.span_chips + TAIL_CHIPS) * setup.samples_per_chip
+
+
+def _cuts(
+    counts: NDArray[np.int16], frame_size: int, tail_size: int, gap_size: int, quiet_counts: int
+) -> Iterator[_Cut]:
+    """How the samples of a frame period are divided among packets.
+
+    frame_size: samples of the frame, which come first, with its tail. gap_size: the most in a
+    packet of the rest. quiet_counts: largest difference of samples in a Quiet; 0: none.
+    """
+
+    def quiet(start: int, stop: int) -> bool:
+        part = counts[start:stop]
+        return 0 < quiet_counts >= int(part.max()) - int(part.min())
+
+    end, frame_size = len(counts), min(frame_size, len(counts))
+    if frame_size and quiet(0, frame_size):
+        yield _Cut(0, frame_size, quiet=True)
+    else:
+        for start in range(0, frame_size, MAX_SAMPLES):
+            yield _Cut(start, min(start + MAX_SAMPLES, frame_size))
+    if frame_size < end and tail_size and quiet(frame_size - tail_size, end):
+        yield _Cut(frame_size, end, quiet=True, waits=True)
+    else:
+        for start in range(frame_size, end, gap_size):
+            stop = min(start + gap_size, end)
+            yield _Cut(start, stop, quiet(start, stop))
 
 
 class VirtualDigitizer:
@@ -127,6 +187,7 @@ class VirtualDigitizer:
         self.options = options or SimOptions()
         self.setup = self.options.setup()
         self.packets_dropped = 0
+        self._roll_calls = RollCalls()
         self.commands_refused = 0
         self._clock, self._host_s = clock, clock()
         self._now_s = self._due_s = self._report_s = 0.0
@@ -184,10 +245,14 @@ class VirtualDigitizer:
         Recomputed, so that any frame may be asked for; in rising order that costs least.
         """
         if self._truth is None or (self._true_frame and self._true_frame.number > frame_number):
-            self._truth, self._true_frame = truth(self.options, self.setup), None
+            self._truth, self._true_frame = self._new_truth(), None
         while self._true_frame is None or self._true_frame.number < frame_number:
             self._true_frame = next(self._truth)
         return self._true_frame
+
+    def _new_truth(self) -> Iterator[NodeFrame]:
+        called = RollCalls(self._roll_calls.starts)  # what is asked for is the stream's to begin
+        return truth(self.options, self.setup, called)
 
     def info(self) -> Info:
         """The description that it gives of itself."""
@@ -201,6 +266,7 @@ class VirtualDigitizer:
             max_count=channel.max_count,
             sync_mode=setup.sync,
             integrated=setup.integrated,
+            quiet_uv=setup.quiet_uv,
             digitizer_id=b"sim\0" + self.options.seed.to_bytes(4, "little"),
         )
 
@@ -221,12 +287,15 @@ class VirtualDigitizer:
         else:
             block, self._block = self._block, None
             assert block is not None, "something is due: it must be a block"
+            make = Quiet.of if block.quiet else Samples
+            device_time_us = round((self._started_s + block.begin_s) * 1e6)
             self._send(
-                Samples(
-                    device_time_us=round((self._started_s + block.begin_s) * 1e6),
-                    first_index=block.first_index,
-                    counts=block.counts,
-                    sync=block.sync,
+                make(
+                    device_time_us,
+                    block.first_index,
+                    block.counts,
+                    block.sync,
+                    called=block.called,
                 )
             )
         self._schedule()
@@ -236,7 +305,7 @@ class VirtualDigitizer:
         self._due_s = self._report_s
         if self._stream is not None:
             self._block = self._block or next(self._stream)
-            self._due_s = min(self._due_s, self._started_s + self._block.end_s)
+            self._due_s = min(self._due_s, self._started_s + self._block.due_s)
 
     def _report(self) -> None:
         self._send(self.info())
@@ -254,7 +323,7 @@ class VirtualDigitizer:
         data = self._writer.encode(packet)
         bytes_per_s = 2 * self.setup.rate_hz * max(1.0, self.options.speed)
         room = max(MIN_BUFFER, int(BUFFER_S * bytes_per_s)) - self.pending
-        if not isinstance(packet, Samples):
+        if not isinstance(packet, Samples | Quiet):
             room += _REPORT_RESERVE
         if len(data) <= room or self._hurried:
             self._output += data
@@ -266,9 +335,17 @@ class VirtualDigitizer:
         match command:
             case Start():
                 self._stop()
-                self._stream, self._started_s = stream(self.options, self.setup), self._now_s
+                self._roll_calls = RollCalls()
+                self._stream = stream(self.options, self.setup, self._roll_calls)
+                self._started_s, self._truth = self._now_s, None
             case Stop():
                 self._stop()
+            case RollCall():
+                marked = self.setup.sync != SyncMode.NONE and not self.setup.integrated
+                if self.streaming and marked:
+                    self._roll_calls.asked = True
+                else:
+                    result = Result.UNSUPPORTED
             case Configure():
                 result = self._configure(command)
         self._schedule()
@@ -282,7 +359,13 @@ class VirtualDigitizer:
         layout = command.frame
         try:
             self.setup = self.options.setup(
-                Setup(layout.spec(), layout.samples_per_chip, command.sync_mode, command.integrated)
+                Setup(
+                    layout.spec(),
+                    layout.samples_per_chip,
+                    command.sync_mode,
+                    command.integrated,
+                    command.quiet_uv,
+                )
             )
         except SpecError:
             return Result.UNSUPPORTED
@@ -301,8 +384,11 @@ def _samples(options: SimOptions, setup: Setup, frame: NodeFrame) -> NDArray[np.
     next_s = frame_start_s(spec, frame.number + 1, options.start_phase)
     first, stop = np.maximum(first_sample([frame.start_s, next_s], setup.rate_hz), 0).tolist()
     edges_s = frame.start_s + channel.edges(spec, rng)
-    levels = frame_levels(line_chips(spec, frame.codes, frame.active), spec)
-    return channel.digitize(point_samples(levels, edges_s, setup.rate_hz, first, stop), spec, rng)
+    clocks = options.clocks.at(spec.nodes, frame.start_s)
+    line_v = np.zeros(stop - first, np.float32)
+    for levels, own_s in waveforms(spec, frame.codes, frame.active, edges_s, clocks):
+        line_v += point_samples(levels, own_s, setup.rate_hz, first, stop)
+    return channel.digitize(line_v, spec, rng)
 
 
 def _chips(options: SimOptions, setup: Setup, frame: NodeFrame) -> NDArray[np.int16]:
@@ -310,6 +396,10 @@ def _chips(options: SimOptions, setup: Setup, frame: NodeFrame) -> NDArray[np.in
     spec, channel = setup.spec, options.channel
     rng = np.random.default_rng([options.seed, frame.number])
     edges_s = channel.edges(spec, rng)
-    levels = frame_levels(line_chips(spec, frame.codes, frame.active), spec)
-    means = chip_means(levels, edges_s, spec.chip_s)[spec.places]
+    clocks = options.clocks.at(spec.nodes, frame.start_s)
+    nominal = clocks is None and not (channel.stretch or channel.jitter)
+    means = np.zeros(spec.chips, np.float32)
+    for levels, own_s in waveforms(spec, frame.codes, frame.active, edges_s, clocks):
+        seen = levels if nominal else chip_means(levels, own_s, spec.chip_s)
+        means += seen[spec.places]
     return channel.digitize(means, spec, rng, averaged=setup.samples_per_chip)

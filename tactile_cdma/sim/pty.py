@@ -14,7 +14,8 @@ from ..errors import PortError
 from .digitizer import VirtualDigitizer
 from .options import SimOptions
 
-_CHUNK = 4096
+_CHUNK = 65_536
+"""Bytes offered to the terminal at once: it takes what it has room for."""
 _STOP_POLL_S = 0.1
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tactile_cdma._protocol import FLAG_OVERRUN, FLAG_SYNC, PacketType
+from tactile_cdma._protocol import FLAG_CALLED, FLAG_OVERRUN, FLAG_SYNC, PacketType
 from tactile_cdma.protocol import MAX_PACKET
 
 HERE = Path(__file__).parent
@@ -48,7 +48,7 @@ def test_header_compiles_by_itself_and_its_assertions_hold(
     source.write_text(
         '#include "tactile_protocol.h"\n'
         f'_Static_assert(TP_MAX_PACKET == {MAX_PACKET}, "as in Python");\n'
-        '_Static_assert(sizeof(struct tp_info) == 61, "as in docs/protocol.md");\n'
+        '_Static_assert(sizeof(struct tp_info) == 65, "as in docs/protocol.md");\n'
         "int unit;\n"
     )
     run(compiler(name), f"-std={standard}", *STRICT, "-fsyntax-only", str(source))
@@ -77,9 +77,11 @@ def c_check(vector: dict[str, Any]) -> str:
     fields = dict(vector["fields"])
     counts, payload, counts_given = fields.pop("counts", []), "NULL, 0", "NULL, 0"
     declarations = []
-    if vector["packet"] == "Samples":
+    if vector["packet"] in ("Samples", "Quiet"):
         flags = FLAG_SYNC * fields.pop("sync") | FLAG_OVERRUN * fields.pop("overrun")
+        flags |= FLAG_CALLED * fields.pop("called")
         fields["flags"] = flags
+    if vector["packet"] == "Samples":
         declarations.append(f"static const int16_t counts[] = {c_value(counts)};")
         counts_given = f"counts, {len(counts)}"
     type_name = PacketType(vector["type"]).name
@@ -108,4 +110,4 @@ def c_value(value: Any) -> str:
             return str(int(value))
         case float():
             return f"{value!r}f"
-    return f"{value}ull" if value >= 2**31 else str(value)
+    return f"{value}ull" if value >= 2**31 else f"{value}ll" if value < -(2**31) else str(value)

@@ -5,14 +5,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_cdma.codes import code_book, is_feasible, row_signs, smallest_order
+from tactile_cdma.codes import (
+    MAX_ORDER,
+    SMALL_FACTOR,
+    code_book,
+    default_order,
+    is_feasible,
+    row_signs,
+    smallest_order,
+)
 from tactile_cdma.errors import SpecError
 
 MULTIPLES = range(4, 1001, 4)
 FEASIBLE = [order for order in MULTIPLES if is_feasible(order)]
 
 
-@pytest.mark.parametrize("order", [1, 2, *[n for n in FEASIBLE if n <= 260], 336, 500, 676, 972])
+@pytest.mark.parametrize(
+    "order", [1, 2, *[n for n in FEASIBLE if n <= 260], 336, 340, 344, 500, 676, 972]
+)
 def test_rows_are_orthogonal_and_row_zero_is_all_ones(order: int) -> None:
     matrix = code_book(order).matrix.astype(np.float32)
     assert np.array_equal(np.abs(matrix), np.ones((order, order)))
@@ -37,6 +47,34 @@ def test_powers_of_two_are_sylvester_in_natural_order() -> None:
 def test_single_rows_equal_rows_of_the_matrix(order: int, data: st.DataObject) -> None:
     rows = data.draw(st.lists(st.integers(0, order - 1), max_size=5))
     assert np.array_equal(code_book(order).rows(rows), code_book(order).matrix[rows])
+
+
+@pytest.mark.parametrize("order", [4100, 5044, 16_416, 65_524, 65_536])
+def test_rows_of_long_codes_are_orthogonal(order: int) -> None:
+    """Paley I over 4099, II over 2521 and 181², and products; whole, up to 4 GB."""
+    chosen = np.unique([0, 1, order - 1, *np.random.default_rng(order).integers(0, order, 20)])
+    rows = code_book(order).rows(chosen).astype(np.float64)
+    assert np.array_equal(rows @ rows.T, order * np.eye(len(chosen)))
+
+
+ROWS = st.one_of(st.integers(1, 700), st.integers(1, MAX_ORDER))
+
+
+@given(ROWS)
+def test_the_default_order_is_short_and_cheap(rows: int) -> None:
+    smallest, order = smallest_order(rows), default_order(rows)
+    assert smallest <= order <= 1.02 * smallest
+    assert is_feasible(order)
+    if order != smallest:
+        assert max(code_book(smallest).plan) > SMALL_FACTOR >= max(code_book(order).plan)
+
+
+def test_default_orders_that_are_known() -> None:
+    assert all(default_order(rows) == smallest_order(rows) for rows in range(1, 161))
+    assert default_order(16 + 1) == 20
+    assert smallest_order(1025) == 1032 and default_order(1025) == 1040  # 2·516, 20·52
+    assert smallest_order(4097) == 4100 and default_order(4097) == 4160  # one factor, 2²·20·52
+    assert default_order(MAX_ORDER) == MAX_ORDER
 
 
 NEIGHBOURS = [(92, ("88", "96")), (3, ("2", "4")), (668, ("664", "672"))]

@@ -11,7 +11,17 @@ import pytest
 
 pytest.importorskip("yaml", reason="pyyaml, which the generator needs, is not installed")
 ROOT = Path(__file__).parents[2]
-PACKAGE = ("__init__", "_protocol", "codes", "errors", "frame", "protocol")
+PACKAGE = (
+    "__init__",
+    "_protocol",
+    "cobs",
+    "codes",
+    "errors",
+    "frame",
+    "messages",
+    "paley",
+    "protocol",
+)
 """What the generator needs of the package."""
 
 

@@ -39,6 +39,7 @@ from tactile_cdma.messages import (
     Info,
     OtherVersion,
     Packet,
+    Quiet,
     Received,
     Rejected,
     Samples,
@@ -82,7 +83,7 @@ def messages(kind: type) -> st.SearchStrategy[Any]:
     return st.builds(kind, **given_fields)
 
 
-COUNTS = st.lists(st.integers(-(2**15), 2**15 - 1), min_size=1, max_size=MAX_SAMPLES)
+COUNTS = st.lists(st.integers(-(2**15), 2**15 - 1), min_size=1, max_size=600)
 SAMPLES = st.builds(
     Samples,
     st.integers(0, 2**64 - 1),
@@ -91,8 +92,16 @@ SAMPLES = st.builds(
     st.booleans(),
     st.booleans(),
 )
+QUIET = st.builds(
+    Quiet.of,
+    st.integers(0, 2**64 - 1),
+    st.integers(0, 2**64 - 1),
+    COUNTS.map(lambda counts: np.array(counts, dtype=np.int16)),
+    st.booleans(),
+    st.booleans(),
+)
 FIXED = (Info, Status, Ack, GetInfo, Start, Stop, Configure)
-PACKETS = st.one_of(SAMPLES, *(messages(kind) for kind in FIXED))
+PACKETS = st.one_of(SAMPLES, QUIET, *(messages(kind) for kind in FIXED))
 
 
 def parse(data: bytes) -> tuple[list[Received], Counters]:
@@ -116,9 +125,7 @@ def test_what_is_encoded_is_parsed(first: int, packets: list[Packet]) -> None:
         (first + i) % 2**16 for i in range(len(packets))
     ]
     assert [repr(a) for a in map(plain, received)] == [repr(a) for a in map(plain, packets)]
-    assert counters == Counters(
-        bytes=counters.bytes, packets=len(packets), text_bytes=counters.text_bytes
-    )
+    assert counters == Counters(bytes=counters.bytes, packets=len(packets))
 
 
 def plain(packet: Received) -> dict[str, Any]:
@@ -140,7 +147,15 @@ def test_no_packet_is_longer_than_promised_nor_holds_a_delimiter(packet: Samples
 
 
 @pytest.mark.parametrize(
-    ("size", "kind"), [(70, INFO), (30, Status(0)), (13, Ack(0, 0)), (9, Stop()), (41, None)]
+    ("size", "kind"),
+    [
+        (74, INFO),
+        (30, Status(0)),
+        (13, Ack(0, 0)),
+        (46, Quiet(0, 0, 1, 0, 0)),
+        (9, Stop()),
+        (45, None),
+    ],
 )
 def test_sizes_are_those_of_the_document(size: int, kind: Packet | None) -> None:
     assert len(PacketWriter().encode(kind or Configure(LAYOUT))) == size
@@ -163,6 +178,10 @@ def test_values_that_the_wire_cannot_carry_are_refused() -> None:
         lambda: Samples(0, 0, np.zeros(3)),
         lambda: Samples(-1, 0, int16),
         lambda: Samples(0, 2**64, int16),
+        lambda: Quiet(-1, 0, 1, 0, 0),
+        lambda: Quiet(0, 0, 0, 0, 0),
+        lambda: Quiet(0, 0, 2**32, 0, 0),
+        lambda: Quiet(0, 0, 2, 3, 4),  # 1 and 2 have squares of 5
     ):
         with pytest.raises(SpecError):
             make()
@@ -173,6 +192,14 @@ def test_volts_are_relative_to_the_zero_count() -> None:
     volts = info.volts(np.array([-30_000, -29_999, 32_767], dtype=np.int16))
     assert volts.tolist() == [0, 0.5, 31_383.5]
     assert volts.dtype == np.float32
+
+
+@given(COUNTS)
+def test_quiet_has_mean_and_variance_of_its_samples(values: list[int]) -> None:
+    quiet = Quiet.of(0, 0, np.array(values, dtype=np.int16))
+    assert quiet.count == len(values)
+    assert quiet.mean == pytest.approx(np.mean(values))
+    assert quiet.variance == pytest.approx(np.var(values), rel=1e-9)
 
 
 # Layouts
@@ -402,7 +429,7 @@ def test_commands_that_cannot_be_obeyed_can_be_answered() -> None:
         body(0xC0, b"", 7)
         + body(PacketType.STOP, b"\0", 8)
         + body(PacketType.CONFIGURE, configure[:-1], 9)
-        + body(PacketType.CONFIGURE, configure[:-1] + b"\2", 10)
+        + body(PacketType.CONFIGURE, configure[:-5] + b"\2" + configure[-4:], 10)
         + body(PacketType.CONFIGURE, b"\0\0" + configure[2:], 11)
     )
     assert [packet.ack() for packet in received if isinstance(packet, Rejected)] == [
@@ -432,6 +459,9 @@ def test_an_ack_names_the_command_that_arrived() -> None:
         (PacketType.SAMPLES, b""),
         (PacketType.SAMPLES, bytes(17)),
         (PacketType.SAMPLES, bytes(20)),
+        (PacketType.QUIET, bytes(37)),
+        (PacketType.QUIET, bytes(17) + b"\1\0\0\0\2" + bytes(15)),
+        (PacketType.QUIET, bytes(36)),
     ],
 )
 def test_packets_of_wrong_length_or_value_are_malformed(type_byte: int, payload: bytes) -> None:

@@ -85,7 +85,7 @@ def test_clients_come_and_go() -> None:
         with serial.Serial(str(path), timeout=2) as port:
             parser = PacketParser()
             packets = collect(port, parser, 20)
-            assert packets[-1].first_index > 20 * 128
+            assert packets[-1].first_index > 20 * 512
             port.write(PacketWriter().encode(Start()))
             deadline = time.monotonic() + 3
             statuses: list[Status] = []

@@ -5,7 +5,7 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from tactile_cdma._protocol import MAX_PACKET_US, MAX_SAMPLES, Result, SyncMode
+from tactile_cdma._protocol import MAX_PACKET_US, MAX_SAMPLES, TAIL_CHIPS, Result, SyncMode
 from tactile_cdma.encode import line_chips
 from tactile_cdma.frame import FrameSpec
 from tactile_cdma.messages import (
@@ -16,6 +16,7 @@ from tactile_cdma.messages import (
     GetInfo,
     Info,
     Received,
+    RollCall,
     Samples,
     Start,
     Status,
@@ -89,7 +90,7 @@ def test_samples_are_the_same_at_any_pace() -> None:
     hurried.send(Start())
     runs.append(samples(hurried.read(100_000)))
     shortest = min(len(run) for run in runs)
-    assert shortest > 250
+    assert shortest > 70
     for run in runs[1:]:
         for a, b in zip(runs[0], run, strict=False):
             assert (a.first_index, a.sync) == (b.first_index, b.sync)
@@ -97,17 +98,21 @@ def test_samples_are_the_same_at_any_pace() -> None:
 
 
 def test_packets_come_when_their_last_sample_was_taken() -> None:
+    """That is: when frame and tail are over, and right before the next mark."""
     bench = Bench()
     bench.send(Start())
     bench.read()
-    start_s = bench.now_s
-    for number in range(1, 30):
-        bench.now_s = start_s + number * 1.6e-3 - 1e-6
-        assert not samples(bench.read())
-        assert bench.digitizer.advance() == pytest.approx(1e-6, abs=1e-9)
-        bench.now_s = start_s + number * 1.6e-3 + 1e-6
-        (packet,) = samples(bench.read())
-        assert packet.device_time_us == (number - 1) * 1600 + 6  # µs: the middle of a sample
+    start_s, begin_s = bench.now_s, 0.0
+    for number in range(10):
+        for end_s in (number * 12.8e-3 + 203 * 50e-6, (number + 1) * 12.8e-3):
+            bench.now_s = start_s + end_s - 1e-6
+            assert not samples(bench.read())
+            assert bench.digitizer.advance() == pytest.approx(1e-6, abs=1e-9)
+            bench.now_s = start_s + end_s + 1e-6
+            (packet,) = samples(bench.read())
+            # µs: the middle of a sample
+            assert packet.device_time_us == pytest.approx(begin_s * 1e6 + 6.25, abs=0.5)
+            begin_s = end_s
 
 
 @pytest.mark.parametrize(
@@ -122,11 +127,16 @@ def test_raw_packets_are_gapless_short_and_marked(query: str) -> None:
     info = of_kind(received, Info)[0]
     assert isinstance(info, Info)
     setup = bench.digitizer.setup
+    period_samples = round(setup.spec.frame_period_s * setup.rate_hz)
     index = 0
     for packet in packets:
         assert packet.first_index == index
         assert len(packet.counts) <= MAX_SAMPLES
-        assert len(packet.counts) / info.sample_rate_hz <= MAX_PACKET_US * 1e-6
+        frame = (setup.spec.chips + TAIL_CHIPS) * setup.samples_per_chip
+        if packet.sync:
+            assert len(packet.counts) == min(frame, MAX_SAMPLES)
+        elif setup.sync == SyncMode.NONE or index % period_samples >= frame:
+            assert len(packet.counts) / info.sample_rate_hz <= MAX_PACKET_US * 1e-6
         middle_us = (index + 0.5) / info.sample_rate_hz * 1e6
         assert packet.device_time_us == pytest.approx(middle_us, abs=1)
         index += len(packet.counts)
@@ -145,7 +155,7 @@ def test_integrated_packets_end_with_the_last_chip_of_a_frame() -> None:
     bench.send(Start())
     packets = samples(bench.run(1.0, 0.05))
     spec = bench.digitizer.setup.spec
-    assert [p.first_index for p in packets if p.sync] == [i * spec.chips for i in range(79)]
+    assert [p.first_index for p in packets if p.sync] == [i * spec.chips for i in range(78)]
     for packet in packets:
         frame, chip = divmod(packet.first_index, spec.chips)
         assert chip + len(packet.counts) <= spec.chips
@@ -282,11 +292,11 @@ def test_a_slow_host_loses_whole_packets_and_is_told() -> None:
     after = bench.run(1.2, 0.01)
     counters = bench.parser.counters
     dropped = of_kind(after, Status)[-1].packets_dropped
-    assert dropped == bench.digitizer.packets_dropped == counters.lost_packets > 1000
+    assert dropped == bench.digitizer.packets_dropped == counters.lost_packets > 500
     assert counters.crc_errors == counters.framing_errors == 0
     received = sum(len(packet.counts) for packet in before + samples(after))
     last = samples(after)[-1]
-    assert last.first_index + len(last.counts) - received == pytest.approx(128 * dropped, abs=128)
+    assert last.first_index + len(last.counts) - received == pytest.approx(512 * dropped, abs=600)
 
 
 def test_at_speed_0_nothing_is_dropped_and_only_what_is_read_is_made() -> None:
@@ -296,7 +306,7 @@ def test_at_speed_0_nothing_is_dropped_and_only_what_is_read_is_made() -> None:
     bench.now_s += 3600.0
     bench.digitizer.advance(1)
     assert bench.digitizer.pending < 2000
-    assert len(samples(bench.read(1_000_000))) > 3000
+    assert len(samples(bench.read(1_000_000))) > 900
     assert bench.parser.counters.lost_packets == 0
     bench.send(Stop())
     bench.read()
@@ -310,3 +320,86 @@ def test_noise_between_commands_is_harmless() -> None:
     bench.digitizer.receive(np.random.default_rng(0).bytes(5000) + b"\0")
     bench.send(GetInfo())
     assert Ack(GetInfo.TYPE, 0) in bench.read()
+
+
+def test_a_roll_call_lets_every_node_speak_alone() -> None:
+    bench = Bench("nodes=9&threshold=0&noise=0&samples_per_chip=2")
+    bench.send(RollCall())
+    assert of_kind(bench.read(), Ack)[0].result == Result.UNSUPPORTED  # nothing streams
+    bench.send(Start())
+    packets = bench.run(0.1, 0.004)
+    bench.send(RollCall())
+    assert bench.digitizer.truth(1).active.all()
+    packets += bench.run(0.3, 0.004)
+    assert of_kind(packets, Ack)[-1].result == Result.OK
+    marks = [packet for packet in samples(packets) if packet.sync]
+    called = [number for number, packet in enumerate(marks) if packet.called]
+    assert called == list(range(called[0], called[0] + 9))
+    assert not any(packet.called for packet in samples(packets) if not packet.sync)
+    line = np.concatenate([packet.counts for packet in samples(packets)])
+    spec = bench.digitizer.setup.spec
+    for number in (called[0] - 1, *called, called[-1] + 1):
+        truth, first = bench.digitizer.truth(number), marks[number].first_index
+        turn = np.arange(9) == number - called[0]
+        assert np.array_equal(truth.active, turn if number in called else np.ones(9, bool))
+        chips = line[first : first + 2 * spec.chips : 2].reshape(spec.bits, -1)
+        rows = correlate(chips.astype(np.float32), spec.book)[:, spec.rows]
+        assert np.array_equal(np.abs(rows).mean(axis=0) > 0.5 * np.abs(rows).max(), truth.active)
+
+
+def test_integrated_frames_know_no_roll_call() -> None:
+    bench = Bench("integrated=1")
+    bench.send(Start(), RollCall())
+    assert [ack.result for ack in of_kind(bench.read(), Ack)] == [Result.OK, Result.UNSUPPORTED]
+
+
+@pytest.mark.parametrize("query", ["samples_per_chip=8", "integrated=1&samples_per_chip=8"])
+def test_nodes_with_clocks_of_their_own_are_late_as_told(query: str) -> None:
+    """Against each node's levels, read where its own clock says that its chips are."""
+    bench = Bench(
+        f"{query}&nodes=3&order=20&clock_spread=0.02&delay_spread=0.5&drift=1e-5&noise=0"
+        "&threshold=0&seed=4"
+    )
+    bench.send(Start())
+    packets = samples(bench.run(0.1, 0.01))
+    digitizer, spec = bench.digitizer, bench.digitizer.setup.spec
+    info = digitizer.info()
+    volts, marks = info.volts(np.concatenate([p.counts for p in packets])), []
+    marks = [p.first_index for p in packets if p.sync]
+    per_chip = 1 if info.integrated else 8
+    clocks = digitizer.options.clocks.at(3, 3 * spec.frame_period_s)
+    assert clocks is not None
+    assert clocks.spread_chips(spec) > 1
+    truth, fine = digitizer.truth(3), 64
+    instants = (np.arange(spec.chips * fine) + 0.5) / fine
+    line = np.zeros(instants.size)
+    for node in range(3):
+        alone = np.arange(3) == node
+        levels = line_chips(spec, truth.codes, alone).ravel()
+        late = (instants - clocks.delay_chips[node]) / (1 + clocks.rate_error[node])
+        inside = (late >= 0) & (late < spec.chips)
+        line[inside] += levels[late[inside].astype(int)]
+    if info.integrated:
+        expected = line.reshape(-1, fine).mean(axis=1)
+    else:
+        expected = line[np.arange(spec.chips * 8) * 8 + 4]  # instant s + ½
+    seen = volts[marks[3] : marks[3] + per_chip * spec.chips]
+    wrong = np.abs(seen - expected) > 2 * info.volts_per_count + 0.3 * 4 / fine * info.integrated
+    assert np.mean(wrong) < 0.03  # instants within 1/128 chip of an edge
+
+
+def test_restarts_keep_clocks_together() -> None:
+    """With a restart every 10 chips no node is later than 10 chips of drift make it."""
+    query = "noise=0&threshold=0&nodes=15&samples_per_chip=4&clock_spread=0.01"
+    errors = []
+    for more in ("", "&resync_chips=10&guard_chips=1"):
+        bench = Bench(query + more)
+        bench.send(Start())
+        packets = samples(bench.run(0.05, 0.01))
+        spec, info = bench.digitizer.setup.spec, bench.digitizer.info()
+        first = next(p.first_index for p in packets if p.sync and p.first_index)
+        volts = info.volts(np.concatenate([p.counts for p in packets]))[first:]
+        chips = volts[(4 * spec.places[:, None] + np.arange(4))].mean(axis=1).reshape(spec.bits, -1)
+        sent = line_chips(spec, bench.digitizer.truth(1).codes)
+        errors.append(np.abs(chips - sent).mean())
+    assert errors[1] < 0.25 * errors[0]

@@ -40,9 +40,9 @@ def collect(port: serial.SerialBase, count: int) -> list[Samples]:
 def test_packets_flow_in_real_time(port: serial.SerialBase) -> None:
     start(port)
     began, busy = time.monotonic(), time.thread_time()
-    packets = collect(port, 200)
+    packets = collect(port, 50)
     elapsed = time.monotonic() - began
-    assert 200 * 1.6e-3 - 0.01 < elapsed < 200 * 1.6e-3 + 0.5
+    assert 25 * 12.8e-3 - 0.01 < elapsed < 25 * 12.8e-3 + 0.5
     assert time.thread_time() - busy < 0.5 * elapsed, "it sleeps in between"
     options = SimOptions.from_url(port.port)
     for packet, block in zip(packets, stream(options, options.setup()), strict=False):
@@ -52,7 +52,7 @@ def test_packets_flow_in_real_time(port: serial.SerialBase) -> None:
 
 def test_speed_0_gives_the_same_samples_faster(port: serial.SerialBase) -> None:
     start(port)
-    real = collect(port, 100)
+    real = collect(port, 40)
     with serial.serial_for_url(f"{port.port}&speed=0", timeout=1) as fast:
         start(fast)
         hurried = collect(fast, 1000)
@@ -68,7 +68,8 @@ def test_a_packet_wakes_the_reader_at_once(port: serial.SerialBase) -> None:
         read_s = time.monotonic()
         for packet in parser.feed(data + port.read(port.in_waiting)):
             if isinstance(packet, Samples):
-                delays.append(read_s - (packet.device_time_us * 1e-6 + 1.6e-3))
+                end_s = packet.device_time_us * 1e-6 + len(packet.counts) / 80e3
+                delays.append(read_s - end_s)
     assert np.median(delays) - min(delays) < 1e-3
 
 
@@ -85,7 +86,7 @@ def test_read_waits_no_longer_than_the_timeout(port: serial.SerialBase) -> None:
     time.sleep(0.01)
     assert len(port.read(10)) == 10
     port.timeout = 0.1
-    assert len(port.read(8192)) == 8192  # half a dozen packets' worth of waiting
+    assert len(port.read(8192)) == 8192  # several packets' worth of waiting
 
 
 def test_more_than_the_buffer_holds_can_be_read_at_once() -> None:

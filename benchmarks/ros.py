@@ -1,0 +1,250 @@
+"""From the last byte of a frame in to the subscriber's callback: `make bench-ros`.
+
+Three processes, as in use: this one is the digitizer behind a pseudo-terminal, the second is the
+driver node, the third subscribes to ~/tactile. All read one monotonic clock. A frame's time begins
+when the last byte of the packet with its last sample was written (raw frames: with the last sample
+that line timing waits for), and ends in the subscriber's callback. So it holds reading, decoding,
+publishing, DDS and the subscriber's deserialisation, and no code time.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pty
+import select
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import tty
+from dataclasses import dataclass
+from multiprocessing.synchronize import Event as EventType
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from tactile_cdma.line_timing import TAIL_CHIPS
+from tactile_cdma.messages import Samples
+from tactile_cdma.parameters import SkinConfig, Value
+from tactile_cdma.protocol import PacketParser
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
+
+from .report import QUICK, Report
+
+CASES: dict[int, dict[str, Value]] = {
+    16: {},  # the paper's timing, 4 raw samples per chip
+    256: {"nodes": 255, "chip_us": 5.0, "samples_per_chip": 1, "frame_period_ms": 20.0},
+    1024: {"nodes": 1023, "chip_us": 1.5, "samples_per_chip": 1, "frame_period_ms": 20.0},
+    4096: {
+        "nodes": 4096,
+        "order": 4160,
+        "chip_us": 0.4,
+        "samples_per_chip": 1,
+        "frame_period_ms": 20.0,
+    },
+}
+"""Parameters of the driver for each number of nodes; all nodes talk in every frame."""
+SECONDS = 4.0 if QUICK else 30.0
+WARM_UP_S = 1.0
+DOMAIN = 77
+CHUNK = 65_536
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """latency_ms: of every frame received, in order. sent, lost: frames."""
+
+    latency_ms: np.ndarray
+    sent: int
+    lost: int
+
+
+def main() -> None:
+    report = Report("ros", "Last byte of a frame in → subscriber's callback in another process")
+    os.environ["ROS_DOMAIN_ID"] = str(DOMAIN)
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    results = {nodes: measure(values) for nodes, values in CASES.items()}
+    rows = [
+        (
+            nodes,
+            r.sent,
+            r.lost,
+            *np.percentile(r.latency_ms, [5, 50, 90, 99, 100]).round(3).tolist(),
+        )
+        for nodes, r in results.items()
+    ]
+    report.table(["nodes", "frames", "lost", "p5 ms", "p50", "p90", "p99", "max"], rows)
+    report.finish(
+        picture(results),
+        p50_ms_16=float(np.median(results[16].latency_ms)),
+        p99_ms_16=float(np.percentile(results[16].latency_ms, 99)),
+        p50_ms_4096=float(np.median(results[4096].latency_ms)),
+        p99_ms_4096=float(np.percentile(results[4096].latency_ms, 99)),
+        lost=sum(r.lost for r in results.values()),
+    )
+
+
+def measure(values: dict[str, Value]) -> Result:
+    """One skin, live for some seconds."""
+    config = SkinConfig.of(values)
+    context = multiprocessing.get_context("spawn")
+    stop, receiving = context.Event(), context.Event()
+    queue = context.Queue()
+    subscriber = context.Process(target=subscribe, args=(stop, receiving, queue), daemon=True)
+    subscriber.start()
+    with tempfile.TemporaryDirectory() as folder:
+        digitizer = Digitizer(config, Path(folder) / "skin")
+        with digitizer, driver(values, digitizer.path, Path(folder)):
+            assert receiving.wait(30), "no frame arrived"
+            time.sleep(SECONDS + WARM_UP_S)
+    time.sleep(0.3)
+    stop.set()
+    received = sorted(queue.get(timeout=20))
+    subscriber.join(10)
+    return match(digitizer.sent, received, config.spec.frame_period_s * 1e6)
+
+
+def match(sent: dict[int, float], received: list[tuple[int, float]], period_us: float) -> Result:
+    """Both sides' times of the same frames; device times agree to a fraction of a chip.
+
+    From the first frame on that was received, a second of warm-up aside, to the last one.
+    """
+    middles_us = np.array([us for us, _ in received])
+    first_us, last_us = middles_us[0] + WARM_UP_S * 1e6, middles_us[-1] + period_us / 2
+    latency_ms, count = [], 0
+    for us, t_sent in sorted(sent.items()):
+        if first_us <= us <= last_us:
+            count += 1
+            nearest = int(np.argmin(np.abs(middles_us - us)))
+            if abs(middles_us[nearest] - us) < period_us / 4:
+                latency_ms.append(1e3 * (received[nearest][1] - t_sent))
+    assert latency_ms, "no frame of those sent was received"
+    return Result(np.array(latency_ms), count, count - len(latency_ms))
+
+
+class Digitizer:
+    """The virtual digitizer on a pty, which notes when the last byte of each frame was written.
+
+    sent: monotonic time, s, for each frame's middle in device time, µs.
+    """
+
+    def __init__(self, config: SkinConfig, path: Path) -> None:
+        self.path = path
+        self.sent: dict[int, float] = {}
+        self._config = config
+        self._digitizer = VirtualDigitizer(SimOptions.from_url("sim://?scene=all&threshold=0"))
+        self._parser = PacketParser()
+        self._end: int | None = None  # index of the frame's last sample that is waited for
+        self._middle_us = 0
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+
+    def __enter__(self) -> Digitizer:
+        self._host, self._device = pty.openpty()
+        tty.setraw(self._device)
+        os.set_blocking(self._host, False)
+        self.path.symlink_to(os.ttyname(self._device))
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+        os.close(self._host)
+        os.close(self._device)
+
+    def _run(self) -> None:
+        outgoing = b""
+        while not self._stop.is_set():
+            wait_s = self._digitizer.advance(CHUNK)
+            outgoing = outgoing or self._digitizer.take(CHUNK)
+            readable, writable, _ = select.select(
+                [self._host], [self._host] if outgoing else [], [], min(wait_s, 0.1)
+            )
+            if readable:
+                self._digitizer.receive(os.read(self._host, CHUNK))
+            if writable:
+                count = os.write(self._host, outgoing)
+                now = time.monotonic()
+                for packet in self._parser.feed(outgoing[:count]):
+                    if isinstance(packet, Samples):
+                        self._note(packet, now)
+                outgoing = outgoing[count:]
+
+    def _note(self, packet: Samples, now: float) -> None:
+        spec, per_chip = self._config.spec, self._config.samples_per_chip
+        if packet.sync:
+            tail = TAIL_CHIPS if per_chip > 1 else 0
+            self._end = packet.first_index + (spec.span_chips + tail) * per_chip - 1
+            self._middle_us = packet.device_time_us + round(spec.frame_s / 2 * 1e6)
+        if self._end is not None and packet.first_index + len(packet.counts) > self._end:
+            self.sent[self._middle_us] = now
+            self._end = None
+
+
+class driver:  # noqa: N801  # used like a function
+    """The driver node in a process of its own."""
+
+    def __init__(self, values: dict[str, Value], port: Path, folder: Path) -> None:
+        command = [sys.executable, "-m", "tactile_cdma.ros.node", "--ros-args"]
+        for name, value in {**values, "port": str(port)}.items():
+            command += ["-p", f"{name}:={value}"]
+        self._log = (folder / "driver.log").open("w+")
+        self._command = command
+
+    def __enter__(self) -> None:
+        self._process = subprocess.Popen(self._command, stdout=self._log, stderr=self._log)
+
+    def __exit__(self, *_: object) -> None:
+        alive = self._process.poll() is None
+        self._process.terminate()
+        self._process.wait(10)
+        self._log.seek(0)
+        log = self._log.read()
+        self._log.close()
+        assert alive, f"the driver ended by itself:\n{log}"
+
+
+def subscribe(stop: EventType, receiving: EventType, queue: multiprocessing.Queue[object]) -> None:
+    """Note when every array comes: (device time of the frame's middle in µs, monotonic s)."""
+    import rclpy
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+    from tactile_cdma.msg import TactileArray
+
+    rclpy.init()
+    node = rclpy.create_node("subscriber")
+    received: list[tuple[int, float]] = []
+    node.create_subscription(
+        TactileArray,
+        "/skin/tactile",
+        lambda message: received.append((message.device_time_us, time.monotonic())),
+        QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT),
+    )
+    while not stop.is_set():
+        rclpy.spin_once(node, timeout_sec=0.1)
+        if received:
+            receiving.set()
+    queue.put(received)
+
+
+def picture(results: dict[int, Result]) -> Figure:
+    figure = Figure(figsize=(7, 4))
+    axes = figure.add_subplot()
+    for nodes, result in results.items():
+        share = np.arange(1, result.latency_ms.size + 1) / result.latency_ms.size
+        axes.plot(np.sort(result.latency_ms), 100 * share, label=f"{nodes} nodes")
+    axes.set_xscale("log")
+    axes.set_xlabel("last byte in → callback, ms")
+    axes.set_ylabel("share of frames, %")
+    axes.grid(True, which="both", alpha=0.3)
+    axes.legend()
+    return figure
+
+
+if __name__ == "__main__":
+    main()

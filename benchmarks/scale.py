@@ -1,0 +1,262 @@
+"""The whole byte path in real time: how many nodes one core's share can serve, and how fast.
+
+A virtual digitizer in a process of its own samples a skin on which every node speaks in every
+frame, and writes to a pty; a second process runs the driver on that pty. Measured is all that this
+second process costs, and what it delivers is compared with what the simulated nodes said.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import statistics
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from multiprocessing.synchronize import Event
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from benchmarks.report import QUICK, Report
+from tactile_cdma._protocol import SyncMode
+from tactile_cdma.driver import Driver
+from tactile_cdma.frame import FrameSpec
+from tactile_cdma.parameters import SkinConfig
+from tactile_cdma.pipeline import Pipeline, TactileFrame
+from tactile_cdma.protocol import PacketParser
+from tactile_cdma.sim.digitizer import truth
+from tactile_cdma.sim.options import Setup, SimOptions
+from tactile_cdma.sim.pty import serve
+from tactile_cdma.source import Port
+
+ALL = "scene=all&threshold=0&seed=1"
+SILENT = "scene=idle&heartbeat=0&seed=1"
+PAPER_NODES = 16
+FRAME_S, PERIOD_S = 18.4e-3, 20e-3
+"""Of skins larger than the paper's: their chips are as long as this allows."""
+WARM_UP_S = 1.0 if QUICK else 2.0
+MEASURED_S = 2.0 if QUICK else 10.0
+SKINS = [(16, ALL), (256, ALL), (4096, ALL), (16, SILENT), (4096, SILENT)]
+if not QUICK:
+    SKINS = [(n, ALL) for n in (16, 64, 256, 1024, 4096, 8192)] + SKINS[-2:]
+BAUD = 2_000_000
+
+
+@dataclass(frozen=True)
+class Delivered:
+    """One frame as the driver's callback saw it; t_call, s, on the machine's monotonic clock.
+
+    processing_s: since the read that brought the frame's last byte.
+    """
+
+    t_call: float
+    processing_s: float
+    sequence: int
+    t_start: float
+    codes: np.ndarray
+    active: np.ndarray
+
+
+@dataclass(frozen=True)
+class Run:
+    """What the measured process found out about itself while it was warm.
+
+    cpu_s: CPU time by "process", all of it, and by "read", "parse" and "feed" (parse included).
+    """
+
+    wall_s: float
+    cpu_s: dict[str, float]
+    received: int
+    frames: list[Delivered]
+
+
+def main() -> None:
+    report = Report("scale", "Driver on a pty, virtual digitizer in another process, in real time")
+    rows, runs = [], {}
+    for nodes, scene in SKINS:
+        row = measure(nodes, scene)
+        rows.append(row)
+        runs[nodes, scene] = row
+    report.table(list(rows[0]), [list(row.values()) for row in rows])
+    report.finish(
+        figure([row for row in rows if row["scene"] == "all"]),
+        cpu_16=runs[16, ALL]["CPU %"],
+        cpu_4096=runs[4096, ALL]["CPU %"],
+        latency_ms_4096=runs[4096, ALL]["latency ms"],
+        wrong_words=sum(row["wrong words"] for row in rows),
+        lost_frames=sum(row["lost frames"] for row in rows),
+    )
+
+
+def parameters(nodes: int) -> dict[str, Any]:
+    """The paper's timing for its own size; one value per chip for larger skins."""
+    if nodes == PAPER_NODES:
+        return {"nodes": nodes}
+    shape = FrameSpec(nodes, chip_s=1e-8, frame_period_s=1.0)
+    chip_ns = int(FRAME_S * 1e9 / shape.chips)
+    period_ms = PERIOD_S * 1e3
+    return {
+        "nodes": nodes,
+        "chip_us": chip_ns / 1e3,
+        "frame_period_ms": period_ms,
+        "samples_per_chip": 1,
+    }
+
+
+def measure(nodes: int, scene: str) -> dict[str, Any]:
+    """One row of the table."""
+    config = SkinConfig.of(parameters(nodes))
+    query = f"sim://?{scene}"
+    context = multiprocessing.get_context("spawn")
+    stop = context.Event()
+    here, there = context.Pipe()
+    digitizer = context.Process(target=digitize, args=(query, stop, there))
+    digitizer.start()
+    try:
+        path, powered_up = here.recv()
+        driver = context.Process(target=drive, args=(nodes, path, there))
+        driver.start()
+        run: Run = here.recv()
+        driver.join()
+    finally:
+        stop.set()
+        digitizer.join()
+    spec = config.spec
+    latencies = [f.t_call - powered_up - f.t_start for f in run.frames]
+    share = {name: 100 * cpu_s / run.wall_s for name, cpu_s in run.cpu_s.items()}
+    expected = round(run.wall_s / spec.frame_period_s)
+    sequences = [f.sequence for f in run.frames]
+    lost = sequences[-1] - sequences[0] + 1 - len(sequences) if sequences else expected
+    return {
+        "nodes": nodes,
+        "scene": "all" if scene == ALL else "silent",
+        "chips": spec.chips,
+        "chip µs": spec.chip_s * 1e6,
+        "kB/s": run.received / run.wall_s / 1e3,
+        "frames": len(run.frames),
+        "CPU %": share["process"],
+        "read %": share["read"],
+        "parse %": share["parse"],
+        "decode %": share["feed"] - share["parse"],
+        "latency ms": _median_ms(latencies),
+        "of it code": spec.frame_s * 1e3,
+        "processing ms": _median_ms([f.processing_s for f in run.frames]),
+        "wrong words": wrong_words(run.frames, config, query),
+        "lost frames": lost,
+    }
+
+
+def digitize(query: str, stop: Event, ready: Connection) -> None:
+    """The digitizer's process. Tells the tty and when the device's time was 0."""
+
+    def on_ready(path: object) -> None:
+        ready.send((str(path), time.monotonic()))
+
+    serve(SimOptions.from_url(query), None, stop, on_ready)  # type: ignore[arg-type]
+
+
+def drive(nodes: int, path: str, results: Connection) -> None:
+    """The driver's process."""
+    spent: Counter[str] = Counter()
+    read = [0, 0.0]  # bytes so far, when the last ones came
+    time_stage(Port, "read", "read", spent)
+    time_stage(PacketParser, "feed", "parse", spent)
+    time_stage(Pipeline, "feed", "feed", spent)
+    timed_feed = Pipeline.feed
+
+    def feed(self: Pipeline, data: bytes, t_host: float) -> list[TactileFrame]:
+        read[:] = read[0] + len(data), t_host
+        return timed_feed(self, data, t_host)
+
+    Pipeline.feed = feed  # type: ignore[method-assign]
+    frames: list[Delivered] = []
+
+    def on_frame(frame: TactileFrame) -> None:
+        now = time.monotonic()
+        words = frame.words
+        frames.append(
+            Delivered(now, now - read[1], frame.sequence, frame.t_start, words.codes, words.active)
+        )
+
+    with Driver(SkinConfig.of(parameters(nodes)), path, BAUD, on_frame, lambda problem: None):
+        time.sleep(WARM_UP_S)
+        begin_s, before, bytes_before = time.monotonic(), Counter(spent), read[0]
+        first, cpu_s = len(frames), time.process_time()
+        time.sleep(MEASURED_S)
+        spent["process"] = time.process_time() - cpu_s
+        after, wall_s = Counter(spent), time.monotonic() - begin_s
+        measured = frames[first:]
+        received = read[0] - bytes_before
+    after.subtract(before)
+    results.send(Run(wall_s, dict(after), int(received), measured))
+
+
+def time_stage(owner: type, method: str, stage: str, spent: Counter[str]) -> None:
+    """Add the CPU time that a method's calls take to a stage's."""
+    original: Callable[..., Any] = getattr(owner, method)
+
+    def timed(*args: Any) -> Any:
+        begin_s = time.thread_time()
+        result = original(*args)
+        spent[stage] += time.thread_time() - begin_s  # type: ignore[assignment]
+        return result
+
+    setattr(owner, method, timed)
+
+
+def wrong_words(frames: list[Delivered], config: SkinConfig, query: str) -> int:
+    """Words that differ from what the simulated nodes said, silence where they spoke included."""
+    if not frames:
+        return 0
+    options = SimOptions.from_url(query)
+    integrated = config.samples_per_chip == 1
+    setup = options.setup(Setup(config.spec, config.samples_per_chip, SyncMode.DRIVE, integrated))
+    period_s = config.spec.frame_period_s
+    numbers = [round((f.t_start - frames[0].t_start) / period_s) for f in frames]
+    sent = []
+    said = truth(options, setup)
+    most = numbers[-1] + round((WARM_UP_S + 10) / period_s)
+    for _ in range(most):
+        frame = next(said)
+        sent.append((frame.active, frame.codes))
+
+    def wrong(frame: Delivered, number: int) -> int:
+        active, codes = sent[number]
+        differs = (frame.codes != codes) & active
+        return int(np.count_nonzero((frame.active != active) | differs))
+
+    # The stream began at a START that the host did not time: its frame 0 is where words agree.
+    first = min(range(most - numbers[-1]), key=lambda number: wrong(frames[0], number))
+    return sum(wrong(f, first + n) for f, n in zip(frames, numbers, strict=True))
+
+
+def figure(rows: list[dict[str, Any]]) -> Figure:
+    """CPU by stage, and latency beyond the code itself, against the number of nodes."""
+    picture = Figure(figsize=(9, 3.6))
+    cpu, latency = picture.subplots(1, 2)
+    nodes = [str(row["nodes"]) for row in rows]
+    bottom = np.zeros(len(rows))
+    for stage in ("read", "parse", "decode"):
+        height = np.array([row[f"{stage} %"] for row in rows])
+        cpu.bar(nodes, height, bottom=bottom, label=stage)
+        bottom += height
+    cpu.bar(nodes, [row["CPU %"] for row in rows] - bottom, bottom=bottom, label="rest")
+    cpu.set(xlabel="nodes, all speaking in every frame", ylabel="CPU, % of a core")
+    cpu.legend()
+    beyond = [row["latency ms"] - row["of it code"] for row in rows]
+    latency.bar(nodes, beyond, label="last chip ends → TactileFrame")
+    latency.bar(nodes, [row["processing ms"] for row in rows], label="of it processing")
+    latency.set(xlabel="nodes", ylabel="median, ms")
+    latency.legend()
+    return picture
+
+
+def _median_ms(seconds: list[float]) -> float:
+    return statistics.median(seconds) * 1e3 if seconds else float("nan")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,164 @@
+"""Time per frame against the share of nodes that speak: `make bench-skip`.
+
+The whole pipeline, from the digitizer's bytes to readings, on recorded bytes. A digitizer with
+QUIET sends one short packet for a frame in which nobody spoke; one without sends every sample. Both
+must give the same readings. "heartbeat": nothing touches the skin, but every node speaks once in 78
+frames, as nodes do so that one that died is noticed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from tactile_cdma._protocol import SyncMode
+from tactile_cdma.messages import Configure, FrameLayout, Start
+from tactile_cdma.parameters import SkinConfig, Value
+from tactile_cdma.pipeline import Pipeline, TactileFrame
+from tactile_cdma.protocol import PacketWriter
+from tactile_cdma.silence import quiet_uv
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.sim.scene import SCENES, Skin
+
+from .report import QUICK, Report, medians_s
+
+SKINS: dict[int, dict[str, Value]] = {
+    16: {},  # the paper's timing, 4 raw samples per chip
+    1024: {"nodes": 1023, "chip_us": 1.5, "samples_per_chip": 1, "frame_period_ms": 20.0},
+    4096: {"nodes": 4096, "chip_us": 0.4, "samples_per_chip": 1, "frame_period_ms": 20.0},
+}
+SHARES = (0.0, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
+HEARTBEAT = "heartbeat"
+FRAMES = {16: 200, 1024: 40, 4096: 20}
+ROUNDS = 5 if QUICK else 25
+READ = 4095
+"""Bytes that a tty hands out at most in one read."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """What a digitizer sent for one scene."""
+
+    config: SkinConfig
+    data: bytes
+    frames: int
+
+    def play(self) -> list[TactileFrame]:
+        """Decode it as it would arrive."""
+        pipeline, frames = Pipeline(self.config), []
+        seconds_per_byte = self.frames * self.config.spec.frame_period_s / len(self.data)
+        for start in range(0, len(self.data), READ):
+            stop = start + READ
+            frames += pipeline.feed(self.data[start:stop], stop * seconds_per_byte)
+        return frames
+
+
+def main() -> None:
+    report = Report("skip", "Time per frame against the share of nodes that speak, whole pipeline")
+    rows, times, different = [], {}, 0
+    for nodes, values in SKINS.items():
+        config = SkinConfig.of(values)
+        recordings = {}
+        for share in (*SHARES, HEARTBEAT):
+            for quiet in (True, False):
+                recordings[share, quiet] = record(config, share, quiet, FRAMES[nodes])
+            different += compare(recordings[share, True], recordings[share, False])
+        calls: dict[str, Callable[[], object]] = {
+            f"{share} {quiet}": recording.play for (share, quiet), recording in recordings.items()
+        }
+        seconds = medians_s(calls, ROUNDS)
+        for (share, quiet), recording in recordings.items():
+            times[nodes, share, quiet] = 1e3 * seconds[f"{share} {quiet}"] / recording.frames
+        for share in (*SHARES, HEARTBEAT):
+            with_quiet, without = times[nodes, share, True], times[nodes, share, False]
+            full = times[nodes, 1.0, True]
+            kilobytes = len(recordings[share, True].data) / recordings[share, True].frames / 1e3
+            rows.append((nodes, share, with_quiet, with_quiet / full, without, kilobytes))
+    report.table(["nodes", "share", "ms/frame", "of full", "without QUIET, ms", "kB/frame"], rows)
+    report.finish(
+        picture(times),
+        idle_ratio_16=times[16, 0.0, True] / times[16, 1.0, True],
+        idle_ratio_1024=times[1024, 0.0, True] / times[1024, 1.0, True],
+        idle_ratio_4096=times[4096, 0.0, True] / times[4096, 1.0, True],
+        different_readings=different,
+    )
+
+
+def record(config: SkinConfig, share: float | str, quiet: bool, frames: int) -> Recording:
+    """So many frames of a skin of which a share of the taxels is pressed."""
+    heartbeat = 78 if share == HEARTBEAT else 0
+    SCENES["press"] = pressed(0.0 if share == HEARTBEAT else float(share))
+    # The clock stands still: no report but the first, whatever the recording takes.
+    digitizer = VirtualDigitizer(
+        SimOptions.from_url(f"sim://?scene=press&speed=0&heartbeat={heartbeat}"), lambda: 0.0
+    )
+    layout = FrameLayout.of(config.spec, config.samples_per_chip)
+    threshold_uv = quiet_uv(config.spec) if quiet else 0
+    integrated = config.samples_per_chip == 1
+    writer = PacketWriter()
+    for command in (Configure(layout, SyncMode.DRIVE, integrated, threshold_uv), Start()):
+        digitizer.receive(writer.encode(command))
+    data, count = b"", 0
+    pipeline = Pipeline(config)
+    while count < frames:
+        digitizer.advance(1)
+        chunk = digitizer.take(digitizer.pending)
+        count += len(pipeline.feed(chunk, 0.0))
+        data += chunk
+    return Recording(config, data, count)
+
+
+def pressed(share: float) -> Callable[[float, Skin], NDArray[np.float64]]:
+    """A scene: this share of the taxels, here and there, under pressures that change."""
+
+    def scene(t_s: float, skin: Skin) -> NDArray[np.float64]:
+        count = len(skin.positions_m)
+        chosen = np.random.default_rng(1).permutation(count)[: round(share * count)]
+        pressure_pa = np.zeros(count)
+        pressure_pa[chosen] = 60e3 + 40e3 * np.sin(7 * t_s + chosen)
+        return pressure_pa
+
+    return scene
+
+
+def compare(some: Recording, others: Recording) -> int:
+    """How many frames of two recordings of one scene read differently."""
+    pairs = zip(some.play(), others.play(), strict=False)
+    return sum(not same(one, other) for one, other in pairs)
+
+
+def same(one: TactileFrame, other: TactileFrame) -> bool:
+    """Whether two frames read alike, bit by bit."""
+    return (
+        one.sequence == other.sequence
+        and np.array_equal(one.words.active, other.words.active)
+        and np.array_equal(one.words.codes, other.words.codes)
+        and np.array_equal(one.readings.status, other.readings.status)
+        and np.array_equal(one.readings.pressure_pa, other.readings.pressure_pa, equal_nan=True)
+    )
+
+
+def picture(times: dict[tuple[int, float | str, bool], float]) -> Figure:
+    figure = Figure(figsize=(7, 4))
+    axes = figure.add_subplot()
+    for nodes in SKINS:
+        for quiet, style in ((True, "o-"), (False, "x:")):
+            ms = [times[nodes, share, quiet] for share in SHARES]
+            label = f"{nodes} nodes" + ("" if quiet else ", without QUIET")
+            axes.plot(SHARES, ms, style, label=label, color=f"C{list(SKINS).index(nodes)}")
+    axes.set_xscale("symlog", linthresh=0.003)
+    axes.set_yscale("log")
+    axes.set_xlabel("share of nodes that speak")
+    axes.set_ylabel("ms per frame")
+    axes.grid(True, which="both", alpha=0.3)
+    axes.legend()
+    return figure
+
+
+if __name__ == "__main__":
+    main()
