@@ -127,18 +127,18 @@ class GapTiming(Timing):
             if burst.first < self._search.chip:
                 continue  # no gap before it: the rest of a frame that began before the cursor
             line = Line(shifted)
-            found = self._search.fit(line, burst, self._expected(burst))
-            if found is None or found.fit.end(self.spec) > volts.size + 0.5 * found.fit.chip:
-                continue
-            beside = self._search.beside(shifted, found.fit)
-            variance = beside.variance(burst.variance)
-            noise = variance * self._search.half / found.fit.chip
-            attempt = self._attempt(line, found.fit, MAX_SPREAD, noise)
-            if attempt.believable and beside.is_quiet(self._side_halves, variance, burst.power):
-                self._quiet = quiet
-                if self.spec.node_swing_v is None:
-                    self._search.least_power = lowest_power(float(attempt.amplitude.max()))
-                return self._emit(volts, found, attempt.levels, quiet.level + beside.level)
+            for found in self._search.fits(line, burst, self._expected(burst)):
+                if found.fit.end(self.spec) > volts.size + 0.5 * found.fit.chip:
+                    continue
+                beside = self._search.beside(shifted, found.fit)
+                variance = beside.variance(burst.variance)
+                noise = variance * self._search.half / found.fit.chip
+                attempt = self._attempt(line, found.fit, MAX_SPREAD, noise)
+                if attempt.believable and beside.is_quiet(self._side_halves, variance, burst.power):
+                    self._quiet = quiet
+                    if self.spec.node_swing_v is None:
+                        self._search.least_power = lowest_power(float(attempt.amplitude.max()))
+                    return self._emit(volts, found, attempt.levels, quiet.level + beside.level)
         if all(self._may_be_noise(burst) for burst in seen):
             self._quiet = candidates[0] if candidates and not final else self._quiet
             return [] if final else self._pass_idle(end)

@@ -22,6 +22,8 @@ ABSURD_V = 1e6
 """No digitizer reports more; such samples are treated like NaN."""
 
 
+UNEVEN = 0.02
+"""Spread of words in which another look at the chips is worth its while: ρ < 7."""
 MIDDLE = 0.78
 """Share of a chip that is clear of edges up to 10 % of a chip off their ideal position."""
 
@@ -181,16 +183,16 @@ class Timing:
         """What a fit makes of the samples, to be believed within a limit of spread.
 
         Whole chips are the matched filter; their middle is blind to edges a tenth of a chip off.
-        It is taken where it gives words more even than noise would by chance.
+        It is taken where words are uneven and it makes them more even than noise would by chance.
         """
         start, chip = np.array([fit.start]), np.array([fit.chip])
-        both = np.concatenate(
-            [integrate(line, start, chip, self.spec, share) for share in (1.0, MIDDLE)]
-        )
-        words = read_words(both, self.spec)
-        best = int(words.spread[1] < 0.6 * words.spread[0])
-        believable = bool(words.believable(limit, self.spec, noise)[best])
-        return Attempt(node_levels(words.rows[best], self.spec), words.amplitude[best], believable)
+        words = read_words(integrate(line, start, chip, self.spec), self.spec)
+        if words.spread[0] > UNEVEN:
+            middle = read_words(integrate(line, start, chip, self.spec, MIDDLE), self.spec)
+            if middle.spread[0] < 0.6 * words.spread[0]:
+                words = middle
+        believable = bool(words.believable(limit, self.spec, noise)[0])
+        return Attempt(node_levels(words.rows[0], self.spec), words.amplitude[0], believable)
 
     def _heard(
         self,
