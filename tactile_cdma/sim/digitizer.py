@@ -43,6 +43,8 @@ REPORT_S = 1.0
 BUFFER_S = 0.5
 """Output that waits for a slow host, in seconds of host time; older packets are kept."""
 MIN_BUFFER = 65_536
+_PREPARE_S = 1e-3
+"""So long after a packet the next one is made up, which takes time, so that the first gets away."""
 _REPORT_RESERVE = 4096
 """Bytes of the output buffer that only other packets than SAMPLES may use."""
 
@@ -185,7 +187,7 @@ class VirtualDigitizer:
         self._output = bytearray(1)  # a delimiter ends whatever was on the line before
         self._stream: Iterator[Block] | None = None
         self._block: Block | None = None
-        self._started_s = 0.0
+        self._started_s = self._prepare_s = 0.0
         self._truth: Iterator[NodeFrame] | None = None
         self._true_frame: NodeFrame | None = None
 
@@ -221,7 +223,8 @@ class VirtualDigitizer:
             self._emit()
         if self._hurried:
             return math.inf
-        return (self._due_s - self._now_s) / (self.options.speed or 1.0)
+        self._pass_time()  # making packets has taken some
+        return max(0.0, self._due_s - self._now_s) / (self.options.speed or 1.0)
 
     def take(self, size: int) -> bytes:
         """Remove at most `size` bytes from the output buffer."""
@@ -270,9 +273,12 @@ class VirtualDigitizer:
         """Send what is due next."""
         if self._due_s == self._report_s:
             self._report()
+        elif self._block is None:
+            assert self._stream is not None, "something is due: it must be a block"
+            self._block = next(self._stream)
         else:
             block, self._block = self._block, None
-            assert block is not None, "something is due: it must be a block"
+            self._prepare_s = self._due_s + (0.0 if self._hurried else _PREPARE_S)
             make = Quiet.of if block.quiet else Samples
             device_time_us = round((self._started_s + block.begin_s) * 1e6)
             self._send(make(device_time_us, block.first_index, block.counts, block.sync))
@@ -281,9 +287,10 @@ class VirtualDigitizer:
     def _schedule(self) -> None:
         """Find out when something is due next."""
         self._due_s = self._report_s
-        if self._stream is not None:
-            self._block = self._block or next(self._stream)
+        if self._block is not None:
             self._due_s = min(self._due_s, self._started_s + self._block.due_s)
+        elif self._stream is not None:
+            self._due_s = min(self._due_s, self._prepare_s)
 
     def _report(self) -> None:
         self._send(self.info())
@@ -314,6 +321,7 @@ class VirtualDigitizer:
             case Start():
                 self._stop()
                 self._stream, self._started_s = stream(self.options, self.setup), self._now_s
+                self._prepare_s = self._started_s
             case Stop():
                 self._stop()
             case Configure():
