@@ -51,8 +51,10 @@ class Recording:
     def play(self) -> list[TactileFrame]:
         """Decode it as it would arrive."""
         pipeline, frames = Pipeline(self.config), []
+        seconds_per_byte = self.frames * self.config.spec.frame_period_s / len(self.data)
         for start in range(0, len(self.data), READ):
-            frames += pipeline.feed(self.data[start : start + READ], start * 1e-6)
+            stop = start + READ
+            frames += pipeline.feed(self.data[start:stop], stop * seconds_per_byte)
         return frames
 
 

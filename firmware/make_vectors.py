@@ -27,6 +27,7 @@ from tactile_cdma.messages import (
     Message,
     Packet,
     Quiet,
+    RollCall,
     Samples,
     Start,
     Status,
@@ -93,6 +94,11 @@ PACKETS: dict[str, tuple[int, Packet]] = {
     "get info": (0, GetInfo()),
     "start": (1, Start()),
     "stop": (65_535, Stop()),
+    "samples, of a roll call": (
+        261,
+        Samples(3, 4, np.array([7, -7], dtype=np.int16), sync=True, called=True),
+    ),
+    "roll call": (3, RollCall()),
     "configure": (2, Configure(PAPER, SyncMode.HEAR, integrated=True, quiet_uv=135_000)),
 }
 

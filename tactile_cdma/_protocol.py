@@ -13,6 +13,7 @@ TAIL_CHIPS = 3
 MAX_GAP = 4096
 FLAG_SYNC = 0x01
 FLAG_OVERRUN = 0x02
+FLAG_CALLED = 0x04
 
 
 class PacketType(IntEnum):
@@ -27,6 +28,7 @@ class PacketType(IntEnum):
     START = 0x82
     STOP = 0x83
     CONFIGURE = 0x84
+    ROLL_CALL = 0x85
 
 
 class SyncMode(IntEnum):
@@ -140,4 +142,5 @@ FIELDS: dict[str, tuple[Field, ...]] = {
         Field("integrated", "B", bool),
         Field("quiet_uv", "I", range(0, 4294967296)),
     ),
+    "RollCall": (),
 }

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
-
 import numpy as np
 
 MAX_RATE_ERROR = 1e-3
@@ -21,8 +19,11 @@ class DeviceClock:
     def __init__(self, interval_s: float = 0.25, intervals: int = 120) -> None:
         """interval_s: device time covered by one kept observation; `intervals` of them are kept."""
         self._interval_s = interval_s
-        self._observed: deque[tuple[float, float]] = deque(maxlen=intervals)
         self._interval = -1
+        # Kept observations, in any order: the newest takes the place of the oldest.
+        self._device, self._host = np.zeros(intervals), np.zeros(intervals)
+        self._count = 0
+        self._lead_s = 0.0  # host minus device time of the newest
         self._rate = 1.0
         self._origin = (0.0, 0.0)
         self._fitted = True
@@ -30,13 +31,14 @@ class DeviceClock:
     def observe(self, t_device: float, t_host: float) -> None:
         """A packet that left the device at t_device was read at t_host."""
         interval = int(t_device // self._interval_s)
-        if not self._observed or interval != self._interval:
+        if not self._count or interval != self._interval:
             self._interval = interval
-            self._observed.append((t_device, t_host))
-        elif t_host - t_device < self._observed[-1][1] - self._observed[-1][0]:
-            self._observed[-1] = (t_device, t_host)
-        else:
+            self._count += 1
+        elif t_host - t_device >= self._lead_s:
             return
+        newest = (self._count - 1) % self._device.size
+        self._device[newest], self._host[newest] = t_device, t_host
+        self._lead_s = t_host - t_device
         self._fitted = False
 
     def to_host(self, t_device: float) -> float:
@@ -46,14 +48,14 @@ class DeviceClock:
         return self._origin[1] + (t_device - self._origin[0]) * self._rate
 
     def _fit(self) -> None:
-        device, host = np.array(self._observed).T
-        # Differences to the first observation keep the precision over weeks of device time.
-        x, y = device - device[0], host - host[0]
+        kept = min(self._count, self._device.size)
+        device, host = float(self._device[0]), float(self._host[0])
+        # Differences to one observation keep the precision over weeks of device time.
+        x, y = self._device[:kept] - device, self._host[:kept] - host
         rate = 1.0
-        if len(x) >= 8:
-            spread = x - x.mean()
+        if kept >= 8:
+            spread = x - x.sum() / kept
             rate = float(spread @ y / (spread @ spread))
             rate = min(max(rate, 1 - MAX_RATE_ERROR), 1 + MAX_RATE_ERROR)
-        lowest = float((y - rate * x).min())
         self._fitted = True
-        self._rate, self._origin = rate, (float(device[0]), float(host[0]) + lowest)
+        self._rate, self._origin = rate, (device, host + float((y - rate * x).min()))

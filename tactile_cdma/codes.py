@@ -23,10 +23,10 @@ from .errors import SpecError
 from .paley import paley
 
 MAX_ORDER = 65_536
-LARGE_FACTOR = 160
-"""Factors above this order are correlated by FFT, at several times the cost of small ones."""
+SMALL_FACTOR = 100
+"""Books whose factors are all this small are several times cheaper to correlate than others."""
 MOST_EXTRA = 0.02
-"""Share by which a default order may exceed the smallest one."""
+"""Share by which a default order may exceed the smallest one to have small factors."""
 
 
 @dataclass(frozen=True)
@@ -99,13 +99,13 @@ def default_order(rows: int) -> int:
     """The order to use where nothing else speaks for one: short, and cheap to correlate.
 
     The smallest order with at least this many rows, or, where that one has a large factor, the
-    next within MOST_EXTRA that has none: for 4097 rows 4160 = 52·80 instead of 4100, a single
+    next within MOST_EXTRA that has none: for 4097 rows 4160 = 2²·20·52 instead of 4100, a single
     Paley matrix. Raises SpecError above MAX_ORDER rows.
     """
     smallest = smallest_order(rows)
     limit = min(int(smallest * (1 + MOST_EXTRA)), MAX_ORDER)
     close = (order for order in range(smallest, limit + 1) if is_feasible(order))
-    return next((n for n in close if max(code_book(n).plan) <= LARGE_FACTOR), smallest)
+    return next((n for n in close if max(code_book(n).plan) <= SMALL_FACTOR), smallest)
 
 
 def row_signs(rows: NDArray[np.intp], seed: int | None) -> NDArray[np.int8]:

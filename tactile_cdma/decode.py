@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -105,7 +106,8 @@ def decode(
         turn = np.int32(1) << (spec.bits - level.argmin(axis=0)).astype(np.int32)
         words = (words ^ turn * odd) >> 1
     rho = amplitude * np.float32(1 / max(noise, 1e-12))
-    doubtful = active & ((rho < LOW_RHO) | (weakest < np.float32(LOW_MARGIN) * amplitude))
+    margin = weakest / np.maximum(amplitude, np.float32(1e-30))
+    doubtful = active & ((rho < LOW_RHO) | (margin < LOW_MARGIN))
     if spec.parity:
         doubtful |= active & odd
     doubled = np.zeros_like(active)
@@ -117,13 +119,14 @@ def decode(
         words * active,
         amplitude,
         rho,
-        weakest / np.maximum(amplitude, np.float32(1e-30)),
+        margin,
         doubtful,
         doubled,
         float(noise * np.sqrt(spec.order)),
     )
 
 
+@cache
 def _weights(bits: int) -> NDArray[np.float32]:
     """Value of each bit of a word, most significant first, (bits,)."""
     return np.exp2(np.arange(bits - 1, -1, -1, dtype=np.float32))

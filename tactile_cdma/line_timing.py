@@ -10,7 +10,18 @@ from numpy.typing import NDArray
 
 from ._protocol import TAIL_CHIPS
 from .errors import SpecError
-from .fit import Fit, Floats, Line, WordFit, dot, integrate, least_power, read_words, refine
+from .fit import (
+    ChipEdges,
+    Fit,
+    Floats,
+    Line,
+    WordFit,
+    dot,
+    integrate,
+    least_power,
+    read_words,
+    refine,
+)
 from .frame import BIPOLAR, MAX_STRETCH, UNIPOLAR, FrameSpec
 from .separate import NodeLevels, node_levels
 from .timing import FrameLevels, QuietBlock, SampleBlock, Timing
@@ -35,6 +46,7 @@ class _Carried:
     """Timing of a frame that was refined on its own edges, and how often it was used since."""
 
     fit: Fit
+    edges: ChipEdges
     uses: int = 0
 
 
@@ -180,7 +192,9 @@ class LineTiming(Timing):
             return self._resynced_frame(start, line, final)
         carried = self._carried
         if carried is not None and carried.uses < CARRIED_FRAMES:
-            words = self._words(line, carried.fit)
+            if carried.edges.size != volts.size:
+                carried.edges = ChipEdges(carried.fit, self.spec, volts.size)
+            words = read_words(carried.edges.chips(line), self.spec)
             if self._explained(words):
                 fit, amplitude = carried.fit, words.amplitude[0]
                 if self._more_needed(fit, end, volts.size, final):
@@ -206,7 +220,7 @@ class LineTiming(Timing):
                 if fit.end(spec) - volts.size < 0.5 * chip and self._ends(
                     line, fit, found.levels, found.amplitude
                 ):
-                    self._carried = _Carried(fit)
+                    self._carried = _Carried(fit, ChipEdges(fit, spec, volts.size))
                     return self._emit(start, fit, found.levels, volts + self._level_v)
         if power <= 1.6 * self._noise:  # too weak to look for at other stretches
             return self._idle_frame(start, self._nominal_fit, power * self._nominal)
@@ -246,11 +260,6 @@ class LineTiming(Timing):
             return self._emit(start, fit, found.levels, line.volts + self._level_v)
         self._reject()
         return []
-
-    def _words(self, line: Line, fit: Fit) -> WordFit:
-        return read_words(
-            integrate(line, np.array([fit.start]), np.array([fit.chip]), self.spec), self.spec
-        )
 
     def _explained(self, words: WordFit) -> bool:
         """Whether these words leave no more than the noise that the gap has shown."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ._protocol import (
     FIELDS,
+    FLAG_CALLED,
     FLAG_OVERRUN,
     FLAG_SYNC,
     MAX_SAMPLES,
@@ -174,6 +175,7 @@ class Samples(Packet):
     counts: (m,) int16, m = 1…MAX_SAMPLES.
     sync: the first sample is the first of a frame.
     overrun: samples were lost just before these.
+    called: the frame that begins with the first sample belongs to a roll call.
     """
 
     TYPE = PacketType.SAMPLES
@@ -183,6 +185,7 @@ class Samples(Packet):
     counts: NDArray[np.int16]
     sync: bool = False
     overrun: bool = False
+    called: bool = False
 
     def __post_init__(self) -> None:
         counts = self.counts
@@ -201,6 +204,7 @@ class Samples(Packet):
             and self.first_index == other.first_index
             and self.sync == other.sync
             and self.overrun == other.overrun
+            and self.called == other.called
             and np.array_equal(self.counts, other.counts)
         )
 
@@ -228,6 +232,7 @@ class Quiet(Packet):
     sum_of_squares: int
     sync: bool = False
     overrun: bool = False
+    called: bool = False
 
     def __post_init__(self) -> None:
         _check_place(self)
@@ -249,11 +254,12 @@ class Quiet(Packet):
         counts: NDArray[np.int16],
         sync: bool = False,
         overrun: bool = False,
+        called: bool = False,
     ) -> Quiet:
         """What stands for these samples, (m,) int16."""
         wide = counts.astype(np.int64)  # sums stay below 2⁶³ for 2³² samples of 16 bits
         total, squares = int(wide.sum()), int(np.einsum("i,i->", wide, wide))
-        return cls(device_time_us, first_index, counts.size, total, squares, sync, overrun)
+        return cls(device_time_us, first_index, counts.size, total, squares, sync, overrun, called)
 
     @property
     def mean(self) -> float:
@@ -351,6 +357,13 @@ class Configure(Command):
 
 
 @dataclass(frozen=True, slots=True)
+class RollCall(Command):
+    """Asks every node to speak alone once."""
+
+    TYPE = PacketType.ROLL_CALL
+
+
+@dataclass(frozen=True, slots=True)
 class OtherVersion:
     """An Info of a protocol version that this parser doesn't speak."""
 
@@ -383,7 +396,7 @@ def _check_place(packet: Samples | Quiet) -> None:
 
 
 def _flags(packet: Samples | Quiet) -> int:
-    return FLAG_SYNC * packet.sync | FLAG_OVERRUN * packet.overrun
+    return FLAG_SYNC * packet.sync | FLAG_OVERRUN * packet.overrun | FLAG_CALLED * packet.called
 
 
 def _codes(name: str) -> str:
@@ -447,7 +460,19 @@ WIRE = {name: struct.Struct("<" + _codes(name)) for name in FIELDS}
 SAMPLE_MASK = np.int16(SAMPLE_XOR)
 """Sample words travel XORed with this."""
 PACKETS: dict[int, type[Packet]] = {
-    kind.TYPE: kind for kind in (Info, Samples, Quiet, Status, Ack, GetInfo, Start, Stop, Configure)
+    kind.TYPE: kind
+    for kind in (
+        Info,
+        Samples,
+        Quiet,
+        Status,
+        Ack,
+        GetInfo,
+        Start,
+        Stop,
+        Configure,
+        RollCall,
+    )
 }
 """Packets by the first byte of their body."""
 _INT16 = np.dtype(np.int16)

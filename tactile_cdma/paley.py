@@ -63,8 +63,7 @@ class Paley:
     ) -> NDArray[np.float64]:
         """The matrix, or its transpose, times vectors (…, order), which may be strided.
 
-        Returns (…, order) float64, within 1e-14·√(order·Σx²) of exact: rounding to float32
-        is what limits. O(order·log order), and memory for a few copies of the vectors.
+        Returns (…, order) float64, exact to the rounding of that; O(order·log order).
         """
         x = vectors.astype(np.float64)
         if not self.doubled:

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ._protocol import (
+    FLAG_CALLED,
     FLAG_OVERRUN,
     FLAG_SYNC,
     MAX_GAP,
@@ -174,6 +175,7 @@ class PacketParser:
             words ^ SAMPLE_MASK,
             bool(flags & FLAG_SYNC),
             bool(flags & FLAG_OVERRUN),
+            bool(flags & FLAG_CALLED),
             sequence=sequence,
         )
 
@@ -234,9 +236,16 @@ def wrap(body: bytes) -> bytes:
 
 def _quiet(sequence: int, payload: bytes) -> Quiet:
     device_time_us, first_index, flags, count, total, squares = WIRE["Quiet"].unpack(payload)
-    sync, overrun = bool(flags & FLAG_SYNC), bool(flags & FLAG_OVERRUN)
     return Quiet(
-        device_time_us, first_index, count, total, squares, sync, overrun, sequence=sequence
+        device_time_us,
+        first_index,
+        count,
+        total,
+        squares,
+        bool(flags & FLAG_SYNC),
+        bool(flags & FLAG_OVERRUN),
+        bool(flags & FLAG_CALLED),
+        sequence=sequence,
     )
 
 

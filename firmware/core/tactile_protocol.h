@@ -31,10 +31,12 @@
 #define TP_START 0x82
 #define TP_STOP 0x83
 #define TP_CONFIGURE 0x84
+#define TP_ROLL_CALL 0x85
 
 /* flags of struct tp_samples and struct tp_quiet */
 #define TP_FLAG_SYNC 0x01 /* the first sample is the first of a frame */
 #define TP_FLAG_OVERRUN 0x02 /* samples were lost just before this packet */
+#define TP_FLAG_CALLED 0x04 /* the frame belongs to a roll call; one node speaks in it */
 
 /* Where the mark of a frame's first sample comes from. */
 enum tp_sync_mode {
@@ -156,7 +158,7 @@ _Static_assert(sizeof(struct tp_info) == 65, "size of tp_info");
 struct __attribute__((packed)) tp_samples {
     uint64_t device_time_us; /* µs: when its first sample was taken; if integrated, when its chip began */
     uint64_t first_index; /* index of its first sample in the stream */
-    uint8_t flags; /* bit 0 SYNC, bit 1 OVERRUN */
+    uint8_t flags; /* bit 0 SYNC, bit 1 OVERRUN, bit 2 CALLED */
     uint16_t words[]; /* int16 counts, each XORed with TP_SAMPLE_XOR */
 };
 TP_ASSERT_AT(tp_samples, device_time_us, 0);

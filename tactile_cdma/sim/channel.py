@@ -6,7 +6,7 @@ y(t) = offset + polarity · Σ aᵢ·xᵢ(t) + noise, clipped at the amplifier's
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..encode import frame_levels, line_chips
 from ..frame import DEFAULT_AMPLITUDE_V, UNIPOLAR, FrameSpec
+from ..node_clocks import NodeClocks
 
 MAX_JITTER = 0.25
 
@@ -103,6 +104,33 @@ class Channel:
         # int16 minus int16 needs 17 bits: widen before subtracting.
         volts = (counts.astype(np.int32) - self.zero_count(spec)) * self.volts_per_count(spec)
         return volts.astype(np.float32)
+
+
+def waveforms(
+    spec: FrameSpec,
+    codes: NDArray[np.int64],
+    active: NDArray[np.bool_],
+    edges_s: NDArray[np.float64],
+    clocks: NodeClocks | None = None,
+) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float64]]]:
+    """What adds up to the line in one frame, as levels (c,) V between edges (c + 1,) s.
+
+    codes, active: (n,). edges_s: (span_chips + 1,) where a nominal clock puts them. Without
+    clocks of their own all nodes share these edges; else each active node has its own.
+    """
+    if clocks is None:
+        yield frame_levels(line_chips(spec, codes, active), spec), edges_s
+        return
+    since = np.arange(edges_s.size)  # chips counted since the last sync edge
+    if spec.resync_chips:
+        since %= spec.resync_chips + spec.guard_chips
+    late_s = clocks.displacement(since) * spec.chip_s
+    for node in np.flatnonzero(active):
+        alone = np.arange(spec.nodes) == node
+        own_s = edges_s + late_s[node]
+        # A sync edge cuts off what a slow node has not finished.
+        own_s = np.minimum.accumulate(own_s[::-1])[::-1]
+        yield frame_levels(line_chips(spec, codes, alone), spec), own_s
 
 
 def point_samples(

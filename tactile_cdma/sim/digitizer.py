@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._protocol import MAX_SAMPLES, Result, SyncMode
-from ..encode import frame_levels, line_chips
 from ..errors import SpecError
 from ..messages import (
     Command,
@@ -27,14 +26,15 @@ from ..messages import (
     Packet,
     Quiet,
     Rejected,
+    RollCall,
     Samples,
     Start,
     Status,
     Stop,
 )
 from ..protocol import PacketParser, PacketWriter
-from .channel import chip_means, first_sample, point_samples
-from .nodes import NodeFrame, frame_start_s, node_frames
+from .channel import chip_means, first_sample, point_samples, waveforms
+from .nodes import NodeFrame, RollCalls, frame_start_s, node_frames
 from .options import Setup, SimOptions
 from .packets import Cutter
 from .scene import SCENES
@@ -55,7 +55,8 @@ class Block:
     """The samples of one packet.
 
     first_index: of the first sample, counted from START. counts: (m,) int16.
-    sync: the first sample is the first of a frame. quiet: sent as Quiet.
+    sync: the first sample is the first of a frame. called: of one of a roll call.
+    quiet: sent as Quiet.
     begin_s: when the first sample is taken; if integrated, when its chip begins. due_s: when it is
         sent: as the last sample's period ends, or where it waits, with the block after it. Both in
         s since START. waits: a gap at rest.
@@ -64,13 +65,16 @@ class Block:
     first_index: int
     counts: NDArray[np.int16]
     sync: bool
+    called: bool
     quiet: bool
     begin_s: float
     due_s: float
     waits: bool
 
 
-def truth(options: SimOptions, setup: Setup) -> Iterator[NodeFrame]:
+def truth(
+    options: SimOptions, setup: Setup, roll_calls: RollCalls | None = None
+) -> Iterator[NodeFrame]:
     """What the nodes measure and say in every frame since START, endlessly."""
     spec = setup.spec
     return node_frames(
@@ -79,13 +83,17 @@ def truth(options: SimOptions, setup: Setup) -> Iterator[NodeFrame]:
         options.skin(spec.nodes),
         options.rules,
         start_phase=options.start_phase,
+        roll_calls=roll_calls,
     )
 
 
-def stream(options: SimOptions, setup: Setup) -> Iterator[Block]:
+def stream(
+    options: SimOptions, setup: Setup, roll_calls: RollCalls | None = None
+) -> Iterator[Block]:
     """The digitized line since START, endlessly; a pure function of its arguments.
 
     Where frames are marked, each begins a new block and ends one; else blocks are of equal size.
+    roll_calls: may be asked for meanwhile.
     """
     rate_hz = setup.rate_hz
     volts_per_count = options.channel.volts_per_count(setup.spec)
@@ -93,7 +101,7 @@ def stream(options: SimOptions, setup: Setup) -> Iterator[Block]:
     instant = 0.0 if setup.integrated else 0.5  # at which a sample is taken, within its period
     waiting = np.empty(0, dtype=np.int16)
     index = 0
-    for frame in truth(options, setup):
+    for frame in truth(options, setup, roll_calls):
         whole = frame.start_s >= 0
         if setup.integrated:
             if not whole:
@@ -113,6 +121,7 @@ def stream(options: SimOptions, setup: Setup) -> Iterator[Block]:
                 first_index=index,
                 counts=counts[cut.start : cut.stop],
                 sync=marked and cut.start == 0,
+                called=cut.start == 0 and frame.called,
                 quiet=cut.quiet,
                 begin_s=epoch_s + (index + instant) / rate_hz,
                 due_s=epoch_s + due / rate_hz,
@@ -138,6 +147,7 @@ class VirtualDigitizer:
         self.options = options or SimOptions()
         self.setup = self.options.setup()
         self.packets_dropped = 0
+        self._roll_calls = RollCalls()
         self.commands_refused = 0
         self._clock, self._host_s = clock, clock()
         self._now_s = self._due_s = self._report_s = 0.0
@@ -196,10 +206,14 @@ class VirtualDigitizer:
         Recomputed, so that any frame may be asked for; in rising order that costs least.
         """
         if self._truth is None or (self._true_frame and self._true_frame.number > frame_number):
-            self._truth, self._true_frame = truth(self.options, self.setup), None
+            self._truth, self._true_frame = self._new_truth(), None
         while self._true_frame is None or self._true_frame.number < frame_number:
             self._true_frame = next(self._truth)
         return self._true_frame
+
+    def _new_truth(self) -> Iterator[NodeFrame]:
+        called = RollCalls(self._roll_calls.starts)  # what is asked for is the stream's to begin
+        return truth(self.options, self.setup, called)
 
     def info(self) -> Info:
         """The description that it gives of itself."""
@@ -240,7 +254,15 @@ class VirtualDigitizer:
             self._prepare_s = self._due_s + (0.0 if self._hurried else _PREPARE_S)
             make = Quiet.of if block.quiet else Samples
             device_time_us = round((self._started_s + block.begin_s) * 1e6)
-            self._send(make(device_time_us, block.first_index, block.counts, block.sync))
+            self._send(
+                make(
+                    device_time_us,
+                    block.first_index,
+                    block.counts,
+                    block.sync,
+                    called=block.called,
+                )
+            )
         self._schedule()
 
     def _schedule(self) -> None:
@@ -279,10 +301,18 @@ class VirtualDigitizer:
         match command:
             case Start():
                 self._stop()
-                self._stream, self._started_s = stream(self.options, self.setup), self._now_s
-                self._prepare_s = self._started_s
+                self._roll_calls = RollCalls()
+                self._stream = stream(self.options, self.setup, self._roll_calls)
+                self._started_s = self._prepare_s = self._now_s
+                self._truth = None
             case Stop():
                 self._stop()
+            case RollCall():
+                marked = self.setup.sync != SyncMode.NONE and not self.setup.integrated
+                if self.streaming and marked:
+                    self._roll_calls.asked = True
+                else:
+                    result = Result.UNSUPPORTED
             case Configure():
                 result = self._configure(command)
         self._schedule()
@@ -322,8 +352,11 @@ def _samples(options: SimOptions, setup: Setup, frame: NodeFrame) -> NDArray[np.
     next_s = frame_start_s(spec, frame.number + 1, options.start_phase)
     first, stop = np.maximum(first_sample([frame.start_s, next_s], setup.rate_hz), 0).tolist()
     edges_s = frame.start_s + channel.edges(spec, rng)
-    levels = frame_levels(line_chips(spec, frame.codes, frame.active), spec)
-    return channel.digitize(point_samples(levels, edges_s, setup.rate_hz, first, stop), spec, rng)
+    clocks = options.clocks.at(spec.nodes, frame.start_s)
+    line_v = np.zeros(stop - first, np.float32)
+    for levels, own_s in waveforms(spec, frame.codes, frame.active, edges_s, clocks):
+        line_v += point_samples(levels, own_s, setup.rate_hz, first, stop)
+    return channel.digitize(line_v, spec, rng)
 
 
 def _chips(options: SimOptions, setup: Setup, frame: NodeFrame) -> NDArray[np.int16]:
@@ -331,8 +364,10 @@ def _chips(options: SimOptions, setup: Setup, frame: NodeFrame) -> NDArray[np.in
     spec, channel = setup.spec, options.channel
     rng = np.random.default_rng([options.seed, frame.number])
     edges_s = channel.edges(spec, rng)
-    means = frame_levels(line_chips(spec, frame.codes, frame.active), spec)
-    if channel.stretch or channel.jitter:
-        means = chip_means(means, edges_s, spec.chip_s)
-    means = means[spec.places]
+    clocks = options.clocks.at(spec.nodes, frame.start_s)
+    nominal = clocks is None and not (channel.stretch or channel.jitter)
+    means = np.zeros(spec.chips, np.float32)
+    for levels, own_s in waveforms(spec, frame.codes, frame.active, edges_s, clocks):
+        seen = levels if nominal else chip_means(levels, own_s, spec.chip_s)
+        means += seen[spec.places]
     return channel.digitize(means, spec, rng, averaged=setup.samples_per_chip)

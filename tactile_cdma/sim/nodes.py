@@ -1,9 +1,9 @@
-"""What the sensing nodes do: measure, decide whether to talk, and say a word."""
+"""What the sensing nodes do: measure, keep time, decide whether to talk, and say a word."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import count
 
 import numpy as np
@@ -11,7 +11,11 @@ from numpy.typing import NDArray
 
 from ..calibration import AdcScale, PressureCurve
 from ..frame import FrameSpec
+from ..node_clocks import NodeClocks
 from .scene import Scene, Skin
+
+WANDER_S = 600.0
+"""Period of the slow wandering of clocks, like that of a room's temperature."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,6 +24,7 @@ class NodeFrame:
 
     number: frames since START. start_s: when its first chip begins, s since START.
     pressure_pa, voltage_v: float64, at start_s. codes: int64 ADC words. active: bool, who talks.
+    called: the frame belongs to a roll call, in which one node speaks.
     """
 
     number: int
@@ -28,6 +33,56 @@ class NodeFrame:
     voltage_v: NDArray[np.float64]
     codes: NDArray[np.int64]
     active: NDArray[np.bool_]
+    called: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class ClockModel:
+    """Clocks of the nodes' own: drawn once, then wandering slowly.
+
+    rate: largest clock error at rest, either way. delay: largest delay after the sync edge,
+    chips. drift: fastest change of a clock error, 1/s. All 0: one clock for all.
+    """
+
+    rate: float = 0.0
+    delay: float = 0.0
+    drift: float = 0.0
+    seed: int = 0
+
+    @property
+    def largest_rate(self) -> float:
+        """Largest clock error that is ever reached."""
+        return self.rate + 2 * self.drift * WANDER_S / (2 * np.pi)
+
+    def at(self, nodes: int, t_s: float) -> NodeClocks | None:
+        """The clocks at a time, s since START; None where all share one."""
+        if not (self.rate or self.delay or self.drift):
+            return None
+        rng = np.random.default_rng([self.seed, nodes])
+        delay, rate = rng.uniform(0, self.delay, nodes), rng.uniform(-self.rate, self.rate, nodes)
+        phase = rng.uniform(0, 2 * np.pi, nodes)
+        wander = np.sin(2 * np.pi * t_s / WANDER_S + phase) - np.sin(phase)
+        rate += self.drift * WANDER_S / (2 * np.pi) * wander
+        return NodeClocks(delay, rate, np.ones(nodes, bool))
+
+
+@dataclass
+class RollCalls:
+    """The roll calls of a stream: in each, every node speaks alone once, in n frames.
+
+    starts: numbers of the frames at which they began. asked: one begins with the next frame.
+    """
+
+    starts: list[int] = field(default_factory=list)
+    asked: bool = False
+
+    def speaker(self, number: int, nodes: int) -> int | None:
+        """The node whose turn it is in a frame, or None; frames come in rising order."""
+        if self.asked:
+            self.starts.append(number)
+            self.asked = False
+        turns = [number - start for start in self.starts if 0 <= number - start < nodes]
+        return turns[-1] if turns else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,10 +106,12 @@ def node_frames(
     rules: NodeRules,
     curve: PressureCurve | None = None,
     start_phase: float = 0.0,
+    roll_calls: RollCalls | None = None,
 ) -> Iterator[NodeFrame]:
     """All frames since START, endlessly; the same arguments give the same frames.
 
-    start_phase: share of frame 0's period that has passed at START.
+    start_phase: share of frame 0's period that has passed at START. roll_calls: may be asked for
+    meanwhile; nodes then say what they measure when it is their turn, and nothing else.
     """
     curve = curve or PressureCurve.two_stage()
     adc = AdcScale(spec.bits)
@@ -72,8 +129,12 @@ def node_frames(
             active |= turn == number % rules.heartbeat
         if rules.threshold == 0:
             active[:] = True
+        speaker = roll_calls.speaker(number, spec.nodes) if roll_calls else None
+        if speaker is not None:
+            active = np.arange(spec.nodes) == speaker
         last_sent[active] = codes[active]
-        yield NodeFrame(number, start_s, pressure_pa, voltage_v, codes, active)
+        called = speaker is not None
+        yield NodeFrame(number, start_s, pressure_pa, voltage_v, codes, active, called)
 
 
 def frame_start_s(spec: FrameSpec, number: int, start_phase: float = 0.0) -> float:

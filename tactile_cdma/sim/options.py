@@ -14,8 +14,9 @@ from ..errors import ParameterError, SpecError
 from ..frame import DEFAULT_AMPLITUDE_V, MAX_STRETCH, FrameSpec
 from ..layout import GridLayout
 from ..parameters import BY_NAME, GAP, NATURAL_SIGNS, Parameter, Value
+from ..roll_call import LARGEST_RATE_ERROR, LATEST
 from .channel import MAX_JITTER, Channel
-from .nodes import NodeRules
+from .nodes import ClockModel, NodeRules
 from .scene import SCENES, Skin
 
 SCHEME = "sim"
@@ -112,6 +113,15 @@ class SimOptions:
     jitter: float = _option(
         "jitter", 0.0, "largest displacement of a chip's edge, in chips", "", (0.0, MAX_JITTER)
     )
+    clock_spread: float = _option(
+        "clock_spread", 0.0, "largest error of a node's own clock", "", (0.0, LARGEST_RATE_ERROR)
+    )
+    delay_spread: float = _option(
+        "delay_spread", 0.0, "largest delay of a node after the sync edge", "chips", (0.0, LATEST)
+    )
+    drift: float = _option(
+        "drift", 0.0, "fastest change of a node's clock error", "1/s", (0.0, 5e-5)
+    )
     rail: float = _option(
         "rail", 0.0, "amplifier's rails about the offset; 0: out of reach", "V", (0.0, 1e4)
     )
@@ -168,6 +178,11 @@ class SimOptions:
         )
 
     @property
+    def clocks(self) -> ClockModel:
+        """The nodes' clocks."""
+        return ClockModel(self.clock_spread, self.delay_spread, self.drift, self.seed)
+
+    @property
     def rules(self) -> NodeRules:
         """When nodes talk."""
         return NodeRules(self.threshold, self.heartbeat)
@@ -190,10 +205,10 @@ class SimOptions:
         spec = replace(asked.spec, amplitude_v=self.amplitude_mv * 1e-3)
         if pins:
             spec = replace(spec, **self._room(spec, pins), **pins)
-        if spec.frame_s * (1 + self.stretch) > spec.frame_period_s:
+        if self._longest_s(spec) > spec.frame_period_s:
             raise SpecError(
-                f"a frame of {spec.frame_s * 1e3:g} ms stretched by {self.stretch:g} is longer "
-                f"than its period of {spec.frame_period_s * 1e3:g} ms"
+                f"a frame of {spec.frame_s * 1e3:g} ms stretched by {self.stretch:g} and by slow "
+                f"clocks of nodes is longer than its period of {spec.frame_period_s * 1e3:g} ms"
             )
         self.skin(spec.nodes)
         sync, integrated = asked.sync, asked.integrated
@@ -206,6 +221,11 @@ class SimOptions:
                 sync = SyncMode.DRIVE
         samples_per_chip = self.samples_per_chip or asked.samples_per_chip
         return Setup(spec, samples_per_chip, sync, integrated, asked.quiet_uv)
+
+    def _longest_s(self, spec: FrameSpec) -> float:
+        """The longest that a frame of the slowest node takes, s."""
+        slow = 1 + self.stretch + self.clocks.largest_rate
+        return spec.frame_s * slow + self.delay_spread * spec.chip_s
 
     def _pinned_fields(self) -> dict[str, Any]:
         """The fields of FrameSpec that these options pin."""
@@ -231,10 +251,10 @@ class SimOptions:
         order = wanted("order") or smallest_order(rows)
         if "order" not in pins and order < rows:
             order = smallest_order(rows)
-        frame_s = replace(spec, **{**pins, "order": order, "frame_period_s": math.inf}).frame_s
+        free = replace(spec, **{**pins, "order": order, "frame_period_s": math.inf})
         period_s = spec.frame_period_s
-        if frame_s * (1 + self.stretch) > period_s:
-            period_s = math.ceil(1.6e6 * frame_s) / 10**6  # the paper's ratio of period to frame
+        if self._longest_s(free) > period_s:  # then the paper's ratio of period to frame
+            period_s = math.ceil(1.6e6 * free.frame_s) / 10**6
         room = {"order": order, "frame_period_s": period_s}
         return {name: value for name, value in room.items() if name not in pins}
 

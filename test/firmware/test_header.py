@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tactile_cdma._protocol import FLAG_OVERRUN, FLAG_SYNC, PacketType
+from tactile_cdma._protocol import FLAG_CALLED, FLAG_OVERRUN, FLAG_SYNC, PacketType
 from tactile_cdma.protocol import MAX_PACKET
 
 HERE = Path(__file__).parent
@@ -79,6 +79,7 @@ def c_check(vector: dict[str, Any]) -> str:
     declarations = []
     if vector["packet"] in ("Samples", "Quiet"):
         flags = FLAG_SYNC * fields.pop("sync") | FLAG_OVERRUN * fields.pop("overrun")
+        flags |= FLAG_CALLED * fields.pop("called")
         fields["flags"] = flags
     if vector["packet"] == "Samples":
         declarations.append(f"static const int16_t counts[] = {c_value(counts)};")

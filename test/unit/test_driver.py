@@ -218,7 +218,9 @@ def test_stopping_stops_the_digitizer_and_frees_the_port() -> None:
         watch, parser = Watch(), PacketParser()
         with watch.driver(name):
             assert select.select([host], [], [], 10)[0]
-        sent = [type(packet).__name__ for packet in parser.feed(os.read(host, 4096))]
+        sent: list[str] = []
+        while "Stop" not in sent and select.select([host], [], [], 5)[0]:
+            sent += [type(packet).__name__ for packet in parser.feed(os.read(host, 4096))]
         assert sent[:3] == ["Configure", "GetInfo", "Start"]
         assert sent[-1] == "Stop"
         with Port(name, 115_200):

@@ -23,6 +23,7 @@ from tactile_cdma.messages import (
     Info,
     Quiet,
     Received,
+    RollCall,
     Samples,
     Start,
     Status,
@@ -372,3 +373,86 @@ def test_noise_between_commands_is_harmless() -> None:
     bench.digitizer.receive(np.random.default_rng(0).bytes(5000) + b"\0")
     bench.send(GetInfo())
     assert Ack(GetInfo.TYPE, 0) in bench.read()
+
+
+def test_a_roll_call_lets_every_node_speak_alone() -> None:
+    bench = Bench("nodes=9&threshold=0&noise=0&samples_per_chip=2")
+    bench.send(RollCall())
+    assert of_kind(bench.read(), Ack)[0].result == Result.UNSUPPORTED  # nothing streams
+    bench.send(Start())
+    packets = bench.run(0.1, 0.004)
+    bench.send(RollCall())
+    assert bench.digitizer.truth(1).active.all()
+    packets += bench.run(0.3, 0.004)
+    assert of_kind(packets, Ack)[-1].result == Result.OK
+    marks = [packet for packet in samples(packets) if packet.sync]
+    called = [number for number, packet in enumerate(marks) if packet.called]
+    assert called == list(range(called[0], called[0] + 9))
+    assert not any(packet.called for packet in samples(packets) if not packet.sync)
+    line = np.concatenate([packet.counts for packet in samples(packets)])
+    spec = bench.digitizer.setup.spec
+    for number in (called[0] - 1, *called, called[-1] + 1):
+        truth, first = bench.digitizer.truth(number), marks[number].first_index
+        turn = np.arange(9) == number - called[0]
+        assert np.array_equal(truth.active, turn if number in called else np.ones(9, bool))
+        chips = line[first : first + 2 * spec.chips : 2].reshape(spec.bits, -1)
+        rows = correlate(chips.astype(np.float32), spec.book)[:, spec.rows]
+        assert np.array_equal(np.abs(rows).mean(axis=0) > 0.5 * np.abs(rows).max(), truth.active)
+
+
+def test_integrated_frames_know_no_roll_call() -> None:
+    bench = Bench("integrated=1")
+    bench.send(Start(), RollCall())
+    assert [ack.result for ack in of_kind(bench.read(), Ack)] == [Result.OK, Result.UNSUPPORTED]
+
+
+@pytest.mark.parametrize("query", ["samples_per_chip=8", "integrated=1&samples_per_chip=8"])
+def test_nodes_with_clocks_of_their_own_are_late_as_told(query: str) -> None:
+    """Against each node's levels, read where its own clock says that its chips are."""
+    bench = Bench(
+        f"{query}&nodes=3&order=20&clock_spread=0.02&delay_spread=0.5&drift=1e-5&noise=0"
+        "&threshold=0&seed=4"
+    )
+    bench.send(Start())
+    packets = samples(bench.run(0.1, 0.01))
+    digitizer, spec = bench.digitizer, bench.digitizer.setup.spec
+    info = digitizer.info()
+    volts, marks = info.volts(np.concatenate([p.counts for p in packets])), []
+    marks = [p.first_index for p in packets if p.sync]
+    per_chip = 1 if info.integrated else 8
+    clocks = digitizer.options.clocks.at(3, 3 * spec.frame_period_s)
+    assert clocks is not None
+    assert clocks.spread_chips(spec) > 1
+    truth, fine = digitizer.truth(3), 64
+    instants = (np.arange(spec.chips * fine) + 0.5) / fine
+    line = np.zeros(instants.size)
+    for node in range(3):
+        alone = np.arange(3) == node
+        levels = line_chips(spec, truth.codes, alone).ravel()
+        late = (instants - clocks.delay_chips[node]) / (1 + clocks.rate_error[node])
+        inside = (late >= 0) & (late < spec.chips)
+        line[inside] += levels[late[inside].astype(int)]
+    if info.integrated:
+        expected = line.reshape(-1, fine).mean(axis=1)
+    else:
+        expected = line[np.arange(spec.chips * 8) * 8 + 4]  # instant s + ½
+    seen = volts[marks[3] : marks[3] + per_chip * spec.chips]
+    wrong = np.abs(seen - expected) > 2 * info.volts_per_count + 0.3 * 4 / fine * info.integrated
+    assert np.mean(wrong) < 0.03  # instants within 1/128 chip of an edge
+
+
+def test_restarts_keep_clocks_together() -> None:
+    """With a restart every 10 chips no node is later than 10 chips of drift make it."""
+    query = "noise=0&threshold=0&nodes=15&samples_per_chip=4&clock_spread=0.01"
+    errors = []
+    for more in ("", "&resync_chips=10&guard_chips=1"):
+        bench = Bench(query + more)
+        bench.send(Start())
+        packets = samples(bench.run(0.05, 0.01))
+        spec, info = bench.digitizer.setup.spec, bench.digitizer.info()
+        first = next(p.first_index for p in packets if p.sync and p.first_index)
+        volts = info.volts(np.concatenate([p.counts for p in packets]))[first:]
+        chips = volts[(4 * spec.places[:, None] + np.arange(4))].mean(axis=1).reshape(spec.bits, -1)
+        sent = line_chips(spec, bench.digitizer.truth(1).codes)
+        errors.append(np.abs(chips - sent).mean())
+    assert errors[1] < 0.25 * errors[0]
