@@ -7,7 +7,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import fields
 from functools import partial
 from typing import Any
 
@@ -34,7 +33,6 @@ from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
 from ..driver import WAITING, Driver, Session
 from ..errors import ParameterError, TactileError
-from ..health import NodeState
 from ..parameters import (
     BY_NAME,
     PARAMETERS,
@@ -46,9 +44,9 @@ from ..parameters import (
     unknown,
 )
 from ..pipeline import TactileFrame
-from ..protocol import Counters
 from ..source import Port
 from . import convert
+from .diagnostics import StreamReport
 
 NODE_NAME = "skin"
 RETRY_S = 2.0
@@ -83,7 +81,7 @@ class SkinNode(LifecycleNode):
         self._latest: TactileFrame | None = None
         self._drawn: TactileFrame | None = None
         self._last_failure = ""
-        self._counted = (time.monotonic(), 0)
+        self._stream_report = StreamReport()
         self._silence_due_s = 0.0  # device time from which a frame without words is published again
         # rclpy lets a transition that is impossible in the present state end the executor.
         self._service_change_state.callback = partial(
@@ -216,7 +214,7 @@ class SkinNode(LifecycleNode):
         )
         port, self._port = self._port, None
         self._driver.start(port)
-        self._counted = (time.monotonic(), 0)
+        self._stream_report = StreamReport()
         self._heatmap_timer.timer_period_ns = round(1e9 / float(self._value("heatmap_rate_hz")))
         self._heatmap_timer.reset()
         return result
@@ -320,45 +318,8 @@ class SkinNode(LifecycleNode):
             level = DiagnosticStatus.ERROR if self._last_failure else DiagnosticStatus.STALE
             values: dict[str, object] = {}
         else:
-            pipeline = driver.pipeline
-            now, frames = time.monotonic(), pipeline.counters.frames
-            rate_hz = (frames - self._counted[1]) / max(now - self._counted[0], 1e-3)
-            self._counted = (now, frames)
-            level, text = DiagnosticStatus.OK, "receiving"
-            if driver.problem:
-                waiting = driver.problem == WAITING
-                level = DiagnosticStatus.WARN if waiting else DiagnosticStatus.ERROR
-                text = driver.problem
-            values = {
-                "port": self._value("port"),
-                "rate (Hz)": f"{rate_hz:.2f}",
-                "expected rate (Hz)": f"{1 / pipeline.config.spec.frame_period_s:.2f}",
-                "connections": driver.connections,
-                "rejected bursts": pipeline.rejected,
-                "clipped samples (%)": f"{100 * self._latest.clipped:.1f}" if self._latest else "",
-            }
-            for state in (NodeState.MISSING, NodeState.WEAK, NodeState.FAULTY, NodeState.DOUBLED):
-                nodes = pipeline.health.nodes(state)
-                values[f"{state.name.lower()} nodes"] = _numbers(nodes)
-                if nodes and state > NodeState.WEAK and level == DiagnosticStatus.OK:
-                    level, text = DiagnosticStatus.WARN, _COMPLAINTS[state]
-            if (clocks := pipeline.clocks) is not None and clocks.heard:
-                values["node clocks heard"] = clocks.heard
-                values["node clocks apart (chips)"] = f"{clocks.spread_chips:.2f}"
-                values["nodes taken apart by"] = (
-                    "least squares" if clocks.decorrelated else "correlation"
-                )
-                values["nodes not told apart"] = _numbers(list(clocks.unresolved))
-                if clocks.problem and level == DiagnosticStatus.OK:
-                    level, text = DiagnosticStatus.WARN, clocks.problem
-            for count in fields(pipeline.counters):
-                values[_words(count.name)] = getattr(pipeline.counters, count.name)
-            packets, status = pipeline.packet_counts, pipeline.status
-            for count in fields(Counters):
-                if count.name != "text_bytes":  # about half of all bytes on a healthy link
-                    values[_words(count.name)] = packets[count.name]
-            for count in fields(status) if status else ():
-                values["digitizer " + _words(count.name)] = getattr(status, count.name)
+            level, text, values = self._stream_report.of(driver, self._latest)
+            values["port"] = self._value("port")
         message = DiagnosticArray(status=[convert.diagnostic(name, level, text, values)])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_publisher.publish(message)
@@ -379,22 +340,6 @@ class SkinNode(LifecycleNode):
         age_ns = time.monotonic_ns() - round(t_host * 1e9)
         stamp = convert.stamp(self.get_clock().now().nanoseconds - age_ns)
         return Header(stamp=stamp, frame_id=str(self._live["frame_id"]))
-
-
-_COMPLAINTS = {
-    NodeState.FAULTY: "words of some nodes contradict the code: check their supply and clock",
-    NodeState.DOUBLED: "two nodes speak on one code row: check the numbers given to the nodes",
-}
-
-
-def _numbers(nodes: list[int], most: int = 20) -> str:
-    """Node numbers for people: not thousands of them."""
-    text = ", ".join(map(str, nodes[:most]))
-    return f"{text}, … {len(nodes)} in all" if len(nodes) > most else text
-
-
-def _words(name: str) -> str:
-    return name.replace("_", " ")
 
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:
