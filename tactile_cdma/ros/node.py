@@ -50,6 +50,7 @@ from .diagnostics import StreamReport
 
 NODE_NAME = "skin"
 RETRY_S = 2.0
+STAMP_JITTER_NS = 1_000_000
 LATCHED = QoSProfile(
     depth=1,
     reliability=ReliabilityPolicy.RELIABLE,
@@ -82,6 +83,7 @@ class SkinNode(LifecycleNode):
         self._drawn: TactileFrame | None = None
         self._last_failure = ""
         self._stream_report = StreamReport()
+        self._last_stamp_ns = 0
         self._silence_due_s = 0.0  # device time from which a frame without words is published again
         # rclpy lets a transition that is impossible in the present state end the executor.
         self._service_change_state.callback = partial(
@@ -274,7 +276,12 @@ class SkinNode(LifecycleNode):
         self._latest = frame
         if not self._is_news(frame) or not self._array_publisher.get_subscription_count():
             return
-        header = self._header_at(frame.t_host)
+        stamp_ns = self._stamp_ns(frame.t_host)
+        # Two clocks are read for that, some µs apart: stamps rise all the same.
+        if 0 <= self._last_stamp_ns - stamp_ns < STAMP_JITTER_NS:
+            stamp_ns = self._last_stamp_ns + 1
+        self._last_stamp_ns = stamp_ns
+        header = self._header(stamp_ns)
         self._array_publisher.publish(
             convert.tactile_array(
                 frame, self._config, header, self._info_id, bool(self._live["publish_voltage"])
@@ -337,9 +344,15 @@ class SkinNode(LifecycleNode):
 
     def _header_at(self, t_host: float) -> Header:
         """A header stamped with a moment of the host's monotonic clock."""
+        return self._header(self._stamp_ns(t_host))
+
+    def _stamp_ns(self, t_host: float) -> int:
+        """A moment of the host's monotonic clock in ROS time, ns."""
         age_ns = time.monotonic_ns() - round(t_host * 1e9)
-        stamp = convert.stamp(self.get_clock().now().nanoseconds - age_ns)
-        return Header(stamp=stamp, frame_id=str(self._live["frame_id"]))
+        return int(self.get_clock().now().nanoseconds) - age_ns
+
+    def _header(self, stamp_ns: int) -> Header:
+        return Header(stamp=convert.stamp(stamp_ns), frame_id=str(self._live["frame_id"]))
 
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:
