@@ -153,6 +153,7 @@ class GapSearch:
         gap = max(self.period - self.longest, 0.3 * (self.period - self.shortest))
         self.quiet_halves = max(8, int(0.6 * gap / self.half))
         self.gap_size = math.ceil(max(self.period - self.longest, 5 * self.chip))
+        self._mean = np.full(self.half, 1 / self.half)
         self.least_power = least_power(spec)
 
     @cached_property
@@ -397,7 +398,7 @@ class GapSearch:
     def _halves(self, volts: Floats) -> Floats:
         """Means of consecutive half chips, (m // half,)."""
         count = volts.size // self.half
-        means: Floats = volts[: count * self.half].reshape(count, self.half).mean(axis=1)
+        means: Floats = volts[: count * self.half].reshape(count, self.half) @ self._mean
         return means
 
 
