@@ -43,15 +43,16 @@ class Line:
 
     def integral(self, times: Floats) -> Floats:
         """∫ line dt up to each instant, V·samples."""
-        shifted = np.clip(times + 0.5, 0.0, float(self.volts.size))
+        shifted = np.minimum(np.maximum(times + 0.5, 0.0), float(self.volts.size))
         whole = shifted.astype(np.intp)
         area: Floats = self._sums[whole] + (shifted - whole) * self._padded[whole]
         return area
 
     def means(self, edges: Floats) -> NDArray[np.float32]:
         """Mean level between consecutive edges, V: (…, e) samples to (…, e − 1) float32."""
-        total, number = map(np.diff, self.before(edges))
-        levels: Floats = total / np.maximum(number, 0.5)
+        total, number = self.before(edges)
+        number = np.maximum(number[..., 1:] - number[..., :-1], 0.5)
+        levels: Floats = (total[..., 1:] - total[..., :-1]) / number
         return levels.astype(np.float32)
 
     def before(self, times: Floats) -> tuple[Floats, Floats]:
@@ -88,9 +89,10 @@ def _split(times: Floats, size: int) -> tuple[NDArray[np.intp], Floats]:
     A sample tells the level at its own instant, so it counts on one side of an edge only: to
     share it by areas would blur every chip with its neighbours.
     """
-    shifted = np.clip(times + 0.5, 0.0, float(size))
+    shifted = np.minimum(np.maximum(times + 0.5, 0.0), float(size))
     whole = shifted.astype(np.intp)
-    return whole, np.clip((shifted - whole - 0.5) / BLUR + 0.5, 0.0, 1.0)
+    share = (shifted - whole - 0.5) / BLUR + 0.5
+    return whole, np.minimum(np.maximum(share, 0.0), 1.0)
 
 
 def integrate(
@@ -235,9 +237,8 @@ def refine(
         levels[1:-1] = spread(symbols, spec.book).ravel() + words.pedestal[0]
         before, after = levels[:-1], levels[1:]
         edges, reach = start + chip * steps, share * chip
-        area = (
-            line.integral(edges + reach) - line.integral(edges - reach) - reach * (before + after)
-        )
+        left, right = line.integral(np.stack((edges - reach, edges + reach)))
+        area = right - left - reach * (before + after)
         seen = (edges >= reach - 0.5) & (edges + reach <= line.volts.size - 0.5)
         step = (before - after) * seen
         weight, moment = np.square(step), step * area

@@ -153,6 +153,7 @@ class GapSearch:
         gap = max(self.period - self.longest, 0.3 * (self.period - self.shortest))
         self.quiet_halves = max(8, int(0.6 * gap / self.half))
         self.gap_size = math.ceil(max(self.period - self.longest, 5 * self.chip))
+        self._mean = np.full(self.half, 1 / self.half)
         self.least_power = least_power(spec)
 
     @cached_property
@@ -260,12 +261,12 @@ class GapSearch:
 
         last: what the frame before makes likely. If that is sharp, a frame on its raster that is
         loud from end to end comes first, which saves work; then the most likely one of all. The
-        last chip duration is
-        tried too: words with few level changes show little of their own. The raster decides where
-        energies can't: with natural signs and the same word everywhere only one chip per bit is
-        loud, and rows are shifts of each other, so that two nodes which cancel in their first and
-        last chips may look exactly like two others, a few chips later. Without a raster, and after
-        long silence, such frames are tied, and a loud first chip is the better guess.
+        last chip duration is tried too: words with few level changes show little of their own.
+        The raster decides where energies can't: with natural signs and the same word everywhere
+        only one chip per bit is loud, and rows are shifts of each other, so that two nodes which
+        cancel in their first and last chips may look exactly like two others, a few chips later.
+        Without a raster, and after long silence, such frames are tied, and a loud first chip is
+        the better guess.
         """
         spec, loud = self.spec, burst.last - burst.first
         if not self.shortest - 1.5 * spec.order * self.chip <= loud + 2 * burst.slack:
@@ -276,7 +277,7 @@ class GapSearch:
         for chip in (loud / spec.span_chips, *((last.chip,) if last else ())):
             clocks += [(chip, burst.first), (chip, burst.last)]
         chip, edge = np.array(clocks).T
-        if last and last.scatter < self.chip:
+        if last and last.scatter < 0.5 * self.chip:
             start = edge + np.rint((last.start - edge) / chip) * chip
             words = read_words(integrate(line, start, chip, spec), spec)
             best = int(np.argmax(self._score(start, chip, words.power, burst, last)))
@@ -397,7 +398,7 @@ class GapSearch:
     def _halves(self, volts: Floats) -> Floats:
         """Means of consecutive half chips, (m // half,)."""
         count = volts.size // self.half
-        means: Floats = volts[: count * self.half].reshape(count, self.half).mean(axis=1)
+        means: Floats = volts[: count * self.half].reshape(count, self.half) @ self._mean
         return means
 
 
