@@ -31,7 +31,6 @@ from .errors import SpecError
 from .frame import UNIPOLAR, FrameSpec
 from .node_clocks import NodeClocks
 from .sampling import Sampling, row_samples
-from .separate import NodeLevels
 
 Floats32 = NDArray[np.float32]
 
@@ -155,11 +154,6 @@ class Decorrelator:
                 left = values[m + 1] @ later.rows[:, :shared_size]
                 values[m] -= bit.inverse[:, later.first - bit.first :] @ left
         return values[:, : self.spec.nodes]
-
-    def levels(self, samples: Floats32, noise_rms_v: float) -> NodeLevels:
-        """What `estimate` finds, as correlation would hand it on. noise_rms_v: of one sample."""
-        gain = math.sqrt(float(np.square(self.noise_gain).mean()))
-        return NodeLevels(self.estimate(samples), noise_rms_v * gain)
 
     def line(self, amplitudes: Floats32, nodes: ArrayLike | None = None) -> Floats32:
         """The samples that these amplitudes would give: (self.samples,) float32, V.

@@ -48,9 +48,9 @@ def test_wrong_clocks_are_corrected_and_drift_is_followed(same_words: bool) -> N
     start = moved(true, *scatter)
     tracker = ClockTracker(start)
     decorrelator = Decorrelator(SPEC, tracker.clocks, SAMPLING)
-    drift = rng.uniform(-0.003, 0.003, 15)  # chips per frame, at the frame's end
+    drift = rng.uniform(-0.004, 0.004, 15)  # chips per frame, at the frame's end
     words = 0.3 * rng.choice([-1, 1], (10, 15))
-    for frame in range(60):
+    for frame in range(40):
         true = moved(true, 0 * drift, drift)
         if not same_words:
             words = 0.3 * rng.choice([-1, 1], (10, 15))

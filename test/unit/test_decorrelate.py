@@ -46,7 +46,7 @@ def line_of(spec: FrameSpec, clocks: NodeClocks, words: np.ndarray, per_chip: fl
     return line.astype(np.float32)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(
     st.sampled_from([Sampling(2.0), Sampling(3.0, 0.4), Sampling(2.0, 1.0)]),
     st.floats(0, 1),

@@ -9,7 +9,7 @@ from tactile_cdma.node_clocks import needs_decorrelation
 from tactile_cdma.protocol import PacketParser, PacketWriter
 from tactile_cdma.roll_call import RollCallListener
 from tactile_cdma.sampling import Sampling
-from tactile_cdma.separate import separate
+from tactile_cdma.separate import NodeLevels, separate
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 
@@ -62,7 +62,8 @@ def test_a_roll_call_is_all_it_takes() -> None:
                 decorrelator = Decorrelator(spec, clocks, sampling)
                 assert not decorrelator.unresolved.size
             truth = digitizer.truth(number)
-            words = decode(decorrelator.levels(volts, float(gap.std())), spec)
+            noise_v = float(gap.std()) * float(np.sqrt(np.square(decorrelator.noise_gain).mean()))
+            words = decode(NodeLevels(decorrelator.estimate(volts), noise_v), spec)
             assert np.array_equal(words.active, truth.active)
             assert np.array_equal(words.codes, truth.codes)
             assert words.noise_rms_v > 0
