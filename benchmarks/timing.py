@@ -11,6 +11,8 @@ as guessed: half of their bits are wrong.
 - resync: the nodes start anew every 32 chips, after 1 guard chip.
 - decorrelated: least squares with clocks estimated from one simulated roll call.
 - scrambled: the same, where all nodes flip their chips by one common pseudo-random sequence.
+
+Times are those of one thread.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from functools import cached_property
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from threadpoolctl import threadpool_limits
 
 from benchmarks.report import QUICK, Report, medians_s
 from tactile_cdma.clock_tracking import ClockTracker
@@ -359,4 +362,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with threadpool_limits(1):  # several threads are no faster here, and wait for each other
+        main()
