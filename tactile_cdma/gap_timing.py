@@ -7,10 +7,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from .burst import Burst, Quiet
 from .errors import SpecError
 from .fit import Fit, Floats, Line, lowest_power
 from .frame import FrameSpec
-from .gap import Burst, Expected, Found, GapSearch, Quiet
+from .gap import Expected, Found, GapSearch
 from .separate import NodeLevels
 from .timing import FrameLevels, SampleBlock, Timing
 
