@@ -110,6 +110,8 @@ def decode(
     doubtful = active & ((rho < LOW_RHO) | (margin < LOW_MARGIN))
     if spec.parity:
         doubtful |= active & odd
+    for node in levels.unresolved:
+        doubtful[node] = active[node]
     doubled = np.zeros_like(active)
     if doubtful.any():
         cancelling = doubtful & (weakest < np.float32(LOW_MARGIN) * expected)

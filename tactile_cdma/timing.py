@@ -35,18 +35,20 @@ class SampleBlock:
     first_index: index of volts[0] in the digitizer's sample stream.
     volts: (m,) float32, V.
     sync: volts[0] is the first sample of a frame (line timing).
+    called: of a frame that belongs to a roll call.
     """
 
     first_index: int
     volts: NDArray[np.float32]
     sync: bool = False
+    called: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class QuietBlock:
     """Consecutive samples that nobody spoke in, of which the digitizer sent no more than this.
 
-    first_index, sync: as in SampleBlock. count: number of samples.
+    first_index, sync, called: as in SampleBlock. count: number of samples.
     mean_v, variance_v2: of the samples, V and V².
     """
 
@@ -55,6 +57,7 @@ class QuietBlock:
     mean_v: float
     variance_v2: float
     sync: bool = False
+    called: bool = False
 
     def samples(self) -> SampleBlock:
         """Samples that might have been: of this mean, and of this variance where even in number."""
@@ -62,7 +65,7 @@ class QuietBlock:
         deviation_v = math.sqrt(self.variance_v2)
         volts[::2] += deviation_v
         volts[1::2] -= deviation_v
-        return SampleBlock(self.first_index, volts, self.sync)
+        return SampleBlock(self.first_index, volts, self.sync, self.called)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .._protocol import MAX_PACKET_US, MAX_SAMPLES, TAIL_CHIPS, Result, SyncMode
+from .._protocol import MAX_SAMPLES, Result, SyncMode
 from ..errors import SpecError
 from ..messages import (
     Command,
@@ -36,6 +36,7 @@ from ..protocol import PacketParser, PacketWriter
 from .channel import chip_means, first_sample, point_samples, waveforms
 from .nodes import NodeFrame, RollCalls, frame_start_s, node_frames
 from .options import Setup, SimOptions
+from .packets import Cutter
 from .scene import SCENES
 
 REPORT_S = 1.0
@@ -43,6 +44,8 @@ REPORT_S = 1.0
 BUFFER_S = 0.5
 """Output that waits for a slow host, in seconds of host time; older packets are kept."""
 MIN_BUFFER = 65_536
+_PREPARE_S = 1e-3
+"""So long after a packet the next one is made up, which takes time, so that the first gets away."""
 _REPORT_RESERVE = 4096
 """Bytes of the output buffer that only other packets than SAMPLES may use."""
 
@@ -55,8 +58,8 @@ class Block:
     sync: the first sample is the first of a frame. called: of one of a roll call.
     quiet: sent as Quiet.
     begin_s: when the first sample is taken; if integrated, when its chip begins. due_s: when it is
-        sent: as the last sample's period ends, or, a quiet gap, with the packet after it. Both in
-        s since START.
+        sent: as the last sample's period ends, or where it waits, with the block after it. Both in
+        s since START. waits: a gap at rest.
     """
 
     first_index: int
@@ -66,6 +69,7 @@ class Block:
     quiet: bool
     begin_s: float
     due_s: float
+    waits: bool
 
 
 def truth(
@@ -92,8 +96,8 @@ def stream(
     roll_calls: may be asked for meanwhile.
     """
     rate_hz = setup.rate_hz
-    size = min(MAX_SAMPLES, max(1, MAX_PACKET_US * round(rate_hz) // 10**6))
-    quiet_counts = int(setup.quiet_uv * 1e-6 / options.channel.volts_per_count(setup.spec))
+    volts_per_count = options.channel.volts_per_count(setup.spec)
+    cutter = Cutter(setup, int(setup.quiet_uv * 1e-6 / volts_per_count))
     instant = 0.0 if setup.integrated else 0.5  # at which a sample is taken, within its period
     waiting = np.empty(0, dtype=np.int16)
     index = 0
@@ -105,69 +109,25 @@ def stream(
             counts, epoch_s = _chips(options, setup, frame), frame.start_s - index / rate_hz
         else:
             counts, epoch_s = _samples(options, setup, frame), 0.0
-        marked = setup.sync != SyncMode.NONE
-        if not marked:
+        marked = whole and setup.sync != SyncMode.NONE
+        if setup.sync == SyncMode.NONE:
             counts = np.concatenate((waiting, counts))
-            waiting = counts[len(counts) // size * size :]
+            waiting = counts[len(counts) // cutter.gap_size * cutter.gap_size :]
             counts = counts[: len(counts) - len(waiting)]
-        frame_size = _frame_size(setup) if marked and whole else 0
-        tail_size = TAIL_CHIPS * setup.samples_per_chip if frame_size else 0
-        for cut in _cuts(counts, frame_size, tail_size, size, quiet_counts if marked else 0):
+        for cut in cutter.cuts(counts, marked):
             stop = index + cut.stop - cut.start
-            due = stop + min(frame_size, MAX_SAMPLES) if cut.waits else stop
+            due = stop + min(cutter.frame_size, MAX_SAMPLES) if cut.waits else stop
             yield Block(
                 first_index=index,
                 counts=counts[cut.start : cut.stop],
-                sync=cut.start == 0 and frame_size > 0,
+                sync=marked and cut.start == 0,
                 called=cut.start == 0 and frame.called,
                 quiet=cut.quiet,
                 begin_s=epoch_s + (index + instant) / rate_hz,
                 due_s=epoch_s + due / rate_hz,
+                waits=cut.waits,
             )
             index = stop
-
-
-class _Cut(NamedTuple):
-    """Samples of a frame period that make one packet; quiet: sent as Quiet; waits: for the next."""
-
-    start: int
-    stop: int
-    quiet: bool = False
-    waits: bool = False
-
-
-def _frame_size(setup: Setup) -> int:
-    """Samples of a frame: its coded chips, or if raw its whole span and the tail."""
-    if setup.integrated:
-        return setup.spec.chips
-    return (setup.spec.span_chips + TAIL_CHIPS) * setup.samples_per_chip
-
-
-def _cuts(
-    counts: NDArray[np.int16], frame_size: int, tail_size: int, gap_size: int, quiet_counts: int
-) -> Iterator[_Cut]:
-    """How the samples of a frame period are divided among packets.
-
-    frame_size: samples of the frame, which come first, with its tail. gap_size: the most in a
-    packet of the rest. quiet_counts: largest difference of samples in a Quiet; 0: none.
-    """
-
-    def quiet(start: int, stop: int) -> bool:
-        part = counts[start:stop]
-        return 0 < quiet_counts >= int(part.max()) - int(part.min())
-
-    end, frame_size = len(counts), min(frame_size, len(counts))
-    if frame_size and quiet(0, frame_size):
-        yield _Cut(0, frame_size, quiet=True)
-    else:
-        for start in range(0, frame_size, MAX_SAMPLES):
-            yield _Cut(start, min(start + MAX_SAMPLES, frame_size))
-    if frame_size < end and tail_size and quiet(frame_size - tail_size, end):
-        yield _Cut(frame_size, end, quiet=True, waits=True)
-    else:
-        for start in range(frame_size, end, gap_size):
-            stop = min(start + gap_size, end)
-            yield _Cut(start, stop, quiet(start, stop))
 
 
 class VirtualDigitizer:
@@ -194,8 +154,8 @@ class VirtualDigitizer:
         self._parser, self._writer = PacketParser(), PacketWriter()
         self._output = bytearray(1)  # a delimiter ends whatever was on the line before
         self._stream: Iterator[Block] | None = None
-        self._block: Block | None = None
-        self._started_s = 0.0
+        self._blocks: deque[Block] = deque()  # made and not yet sent
+        self._started_s = self._prepare_s = 0.0
         self._truth: Iterator[NodeFrame] | None = None
         self._true_frame: NodeFrame | None = None
 
@@ -231,7 +191,8 @@ class VirtualDigitizer:
             self._emit()
         if self._hurried:
             return math.inf
-        return (self._due_s - self._now_s) / (self.options.speed or 1.0)
+        self._pass_time()  # making packets has taken some
+        return max(0.0, self._due_s - self._now_s) / (self.options.speed or 1.0)
 
     def take(self, size: int) -> bytes:
         """Remove at most `size` bytes from the output buffer."""
@@ -284,9 +245,13 @@ class VirtualDigitizer:
         """Send what is due next."""
         if self._due_s == self._report_s:
             self._report()
+        elif not self._blocks:
+            assert self._stream is not None, "something is due: it must be a block"
+            while not self._blocks or self._blocks[-1].waits:
+                self._blocks.append(next(self._stream))
         else:
-            block, self._block = self._block, None
-            assert block is not None, "something is due: it must be a block"
+            block = self._blocks.popleft()
+            self._prepare_s = self._due_s + (0.0 if self._hurried else _PREPARE_S)
             make = Quiet.of if block.quiet else Samples
             device_time_us = round((self._started_s + block.begin_s) * 1e6)
             self._send(
@@ -303,9 +268,10 @@ class VirtualDigitizer:
     def _schedule(self) -> None:
         """Find out when something is due next."""
         self._due_s = self._report_s
-        if self._stream is not None:
-            self._block = self._block or next(self._stream)
-            self._due_s = min(self._due_s, self._started_s + self._block.due_s)
+        if self._blocks:
+            self._due_s = min(self._due_s, self._started_s + self._blocks[0].due_s)
+        elif self._stream is not None:
+            self._due_s = min(self._due_s, self._prepare_s)
 
     def _report(self) -> None:
         self._send(self.info())
@@ -337,7 +303,8 @@ class VirtualDigitizer:
                 self._stop()
                 self._roll_calls = RollCalls()
                 self._stream = stream(self.options, self.setup, self._roll_calls)
-                self._started_s, self._truth = self._now_s, None
+                self._started_s = self._prepare_s = self._now_s
+                self._truth = None
             case Stop():
                 self._stop()
             case RollCall():
@@ -374,7 +341,8 @@ class VirtualDigitizer:
         return Result.OK
 
     def _stop(self) -> None:
-        self._stream = self._block = None
+        self._stream = None
+        self._blocks.clear()
 
 
 def _samples(options: SimOptions, setup: Setup, frame: NodeFrame) -> NDArray[np.int16]:

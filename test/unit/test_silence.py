@@ -113,6 +113,25 @@ def test_a_digitizer_that_leaves_out_too_much_is_reported() -> None:
     assert "leaves out frames" in (pipeline.problem or "")
 
 
+def test_a_frame_of_which_only_the_beginning_is_summed_up_goes_on_in_what_follows() -> None:
+    spec = FrameSpec()
+    whole, parted = LineTiming(spec, 80e3), LineTiming(spec, 80e3)
+    expected = whole.quiet(QuietBlock(0, 1024, 0.1, 1e-6, sync=True))
+    found = parted.quiet(QuietBlock(0, 400, 0.1, 1e-6, sync=True))
+    assert found == []
+    found = parted.quiet(QuietBlock(400, 624, 0.1, 1e-6))
+    assert len(found) == len(expected) == 1
+    assert (found[0].start, found[0].levels) == (expected[0].start, None)
+
+
+def test_a_hole_before_silence_ends_the_frame_in_progress() -> None:
+    timing = LineTiming(FrameSpec(), 80e3)
+    timing.feed(SampleBlock(0, np.ones(100, np.float32), True))
+    frames = timing.quiet(QuietBlock(1024, 812, 0.0, 1e-6, sync=True))
+    assert [frame.start for frame in frames] == [1023.5]
+    assert timing.rejected == 1
+
+
 @pytest.mark.parametrize(
     "spec", [FrameSpec(amplitude_v=None), FrameSpec(order=16, first_row=0)], ids=["auto", "row 0"]
 )

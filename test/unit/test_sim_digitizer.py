@@ -5,7 +5,13 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from tactile_cdma._protocol import MAX_PACKET_US, MAX_SAMPLES, TAIL_CHIPS, Result, SyncMode
+from tactile_cdma._protocol import (
+    MAX_PACKET_US,
+    MAX_SAMPLES,
+    TAIL_CHIPS,
+    Result,
+    SyncMode,
+)
 from tactile_cdma.encode import line_chips
 from tactile_cdma.frame import FrameSpec
 from tactile_cdma.messages import (
@@ -15,6 +21,7 @@ from tactile_cdma.messages import (
     FrameLayout,
     GetInfo,
     Info,
+    Quiet,
     Received,
     RollCall,
     Samples,
@@ -148,6 +155,52 @@ def test_raw_packets_are_gapless_short_and_marked(query: str) -> None:
         period = setup.spec.frame_period_s * setup.rate_hz
         assert np.all(np.abs(marks - np.arange(len(marks)) * period) <= 0.5)
         assert len(marks) == 78
+
+
+def test_after_silence_a_gap_comes_with_the_packet_after_it() -> None:
+    bench = Bench("scene=idle&heartbeat=100")
+    bench.send(Configure(FrameLayout.of(FrameSpec(), 4), quiet_uv=100_000), Start())
+    bench.read()
+    start_s, frame_s, period_s = bench.now_s, 203 * 50e-6, 12.8e-3
+    silences = []
+    for number in range(30):
+        bench.now_s = start_s + number * period_s + frame_s - 1e-6
+        early = of_kind(bench.read(), Samples, Quiet)
+        bench.now_s += 2e-6
+        *gap, frame = of_kind(bench.read(), Samples, Quiet)
+        assert (frame.first_index, frame.sync) == (1024 * number, True)
+        if number:
+            (quiet,) = gap or early[-1:]
+            assert (type(quiet), quiet.first_index) == (Quiet, 1024 * number - 212)
+            assert len(gap) == silences[-1]
+        silences.append(isinstance(frame, Quiet))
+    assert {True, False} == set(silences)
+
+
+@pytest.mark.parametrize("stretch", [0.005, 0.1])
+def test_frames_that_last_longer_are_sent_to_their_end_at_once(stretch: float) -> None:
+    bench = Bench(f"scene=all&threshold=0&stretch={stretch}")
+    bench.send(Configure(FrameLayout.of(FrameSpec(), 4), quiet_uv=100_000), Start())
+    bench.read()
+    start_s = bench.now_s
+    for number in range(1, 60):
+        bench.now_s = start_s + number * 12.8e-3 + 1e-6
+        last = of_kind(bench.read(), Samples, Quiet)[-1]
+        size = last.count if isinstance(last, Quiet) else len(last.counts)
+        assert last.first_index + size == 1024 * number
+
+
+def test_silence_has_the_sums_of_the_samples_left_out() -> None:
+    everything, audible = Bench("scene=idle&offset=0.2"), Bench("scene=idle&offset=0.2")
+    for bench, quiet_uv in ((everything, 0), (audible, 100_000)):
+        bench.send(Configure(FrameLayout.of(FrameSpec(), 4), quiet_uv=quiet_uv), Start())
+    line = np.concatenate([packet.counts for packet in samples(everything.run(0.6, 0.05))])
+    quiet = [packet for packet in audible.run(0.5, 0.05) if isinstance(packet, Quiet)]
+    assert len(quiet) > 30
+    for packet in quiet:
+        part = line[packet.first_index : packet.first_index + packet.count]
+        assert packet == Quiet.of(packet.device_time_us, packet.first_index, part, packet.sync)
+        assert int(part.max()) - int(part.min()) <= 0.1 / audible.digitizer.info().volts_per_count
 
 
 def test_integrated_packets_end_with_the_last_chip_of_a_frame() -> None:

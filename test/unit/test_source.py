@@ -1,0 +1,94 @@
+"""Reading ports: all that is there, in order, and a clear error when the other end goes."""
+
+from __future__ import annotations
+
+import os
+import socket
+import tty
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import FileIO
+
+import numpy as np
+import pytest
+
+from tactile_cdma.errors import PortError
+from tactile_cdma.source import READ_SIZE, Port
+
+
+@contextmanager
+def pty_port() -> Iterator[tuple[FileIO, Port]]:
+    host, device = os.openpty()
+    tty.setraw(device)
+    name = os.ttyname(device)
+    with os.fdopen(host, "wb", buffering=0) as file, Port(name, 115_200) as port:
+        os.close(device)
+        yield file, port
+
+
+@contextmanager
+def socket_port() -> Iterator[tuple[socket.socket, Port]]:
+    with (
+        socket.create_server(("127.0.0.1", 0)) as server,
+        Port(f"socket://127.0.0.1:{server.getsockname()[1]}", 115_200) as port,
+    ):
+        connection, _ = server.accept()
+        with connection:
+            yield connection, port
+
+
+def read_all(port: Port, size: int) -> list[bytes]:
+    parts: list[bytes] = []
+    while sum(map(len, parts)) < size:
+        data, _ = port.read()
+        assert data, "it was sent and must come"
+        parts.append(data)
+    return parts
+
+
+SENT = np.random.default_rng(1).integers(0, 256, 9000, dtype=np.uint8).tobytes()
+
+
+def test_a_tty_gives_all_bytes_in_order() -> None:
+    with pty_port() as (host, port):
+        for size in (1, 4095, 4096, 9000):
+            host.write(SENT[:size])
+            assert b"".join(read_all(port, size)) == SENT[:size]
+        assert port.read()[0] == b""
+
+
+def test_a_socket_gives_all_bytes_in_order_and_no_read_is_endless() -> None:
+    with socket_port() as (connection, port):
+        flood = SENT * 40
+        connection.settimeout(5)
+        sent = connection.send(flood)
+        parts = read_all(port, sent)
+        assert b"".join(parts) == flood[:sent]
+        assert max(map(len, parts)) < 2 * READ_SIZE
+        assert port.read()[0] == b""
+
+
+def test_a_tty_whose_other_end_is_gone_is_lost() -> None:
+    with pty_port() as (host, port):
+        host.close()
+        with pytest.raises(PortError, match="lost while reading; unplugged"):
+            port.read()
+
+
+def test_a_socket_whose_other_end_is_closed_is_lost() -> None:
+    with socket_port() as (connection, port):
+        connection.sendall(b"last words")
+        connection.close()
+        assert port.read()[0] == b"last words"
+        with pytest.raises(PortError, match="end of file"):
+            port.read()
+
+
+def test_time_is_taken_after_the_bytes_came() -> None:
+    with pty_port() as (host, port):
+        times = []
+        for _ in range(3):
+            host.write(b"x")
+            times.append(port.read()[1])
+        assert times == sorted(times)
+        assert len(set(times)) == 3
