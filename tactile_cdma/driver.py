@@ -52,7 +52,6 @@ class Driver:
         self.problem: str | None = None
         self.connections = 0
         self._first_port: Port | None = None
-        self._session: Session | None = None
         self._url, self._baud = url, baud
         self._on_frame, self._on_problem = on_frame, on_problem
         self._stop = threading.Event()
@@ -68,11 +67,6 @@ class Driver:
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
-
-    def call_roll(self) -> None:
-        """Measure the nodes' clocks anew, one node after the other."""
-        if self._session is not None:
-            self._session.call_roll()
 
     def __enter__(self) -> Driver:
         self.start()
@@ -108,7 +102,7 @@ class Driver:
     def _stream(self, port: Port) -> None:
         """Handshake, then decode until stopped; raises PortError when the port is lost."""
         pipeline = self.pipeline
-        session = self._session = Session(pipeline.config)
+        session = Session(pipeline.config)
         pipeline.reconnected()
         if not self.problem:
             self._report(WAITING)
@@ -181,10 +175,6 @@ class Session:
         self._bytes = pipeline.parser.counters.bytes
         self._deadline = now_s + max(PATIENCE_S, 3 * pipeline.config.spec.frame_period_s)
         return self.open() if stuck else b""
-
-    def call_roll(self) -> None:
-        """Have every node speak alone once, as soon as the line at rest is known."""
-        self._calls = True
 
     def _has_seen_gaps(self, pipeline: Pipeline) -> bool:
         """Whether a few frames went by, decoded or not: level and noise of the gap are known."""
