@@ -7,10 +7,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from .burst import Burst, Quiet
 from .errors import SpecError
 from .fit import Fit, Floats, Line, lowest_power
 from .frame import FrameSpec
-from .gap import Burst, Expected, Found, GapSearch, Quiet
+from .gap import Expected, Found, GapSearch
 from .separate import NodeLevels
 from .timing import FrameLevels, SampleBlock, Timing
 
@@ -129,19 +130,8 @@ class GapTiming(Timing):
                 return []
             if burst.first < self._search.chip:
                 continue  # no gap before it: the rest of a frame that began before the cursor
-            line = Line(shifted)
-            for found in self._search.fits(line, burst, self._expected(burst)):
-                if found.fit.end(self.spec) > volts.size + 0.5 * found.fit.chip:
-                    continue
-                beside = self._search.beside(shifted, found.fit)
-                variance = beside.variance(burst.variance)
-                noise = variance * self._search.half / found.fit.chip
-                attempt = self._attempt(line, found.fit, MAX_SPREAD, noise)
-                if attempt.believable and beside.is_quiet(self._side_halves, variance, burst.power):
-                    self._quiet = quiet
-                    if self.spec.node_swing_v is None:
-                        self._search.least_power = lowest_power(float(attempt.amplitude.max()))
-                    return self._emit(volts, found, attempt.levels, quiet.level + beside.level)
+            if frames := self._take(shifted, burst, quiet):
+                return frames
         if all(self._may_be_noise(burst) for burst in seen):
             self._quiet = candidates[0] if candidates and not final else self._quiet
             return [] if final else self._pass_idle(end)
@@ -152,6 +142,24 @@ class GapTiming(Timing):
         # A wrong level's burst may reach far into the next frame.
         pause = min(burst.pause for burst in seen)
         self._skip_to(self._cursor + max(self._bit, math.ceil(pause)))
+        return []
+
+    def _take(self, volts: Floats, burst: Burst, quiet: Quiet) -> list[FrameLevels]:
+        """The frame that a burst is, if it is one. volts: gap level removed."""
+        line = Line(volts)
+        for found in self._search.fits(line, burst, self._expected(burst)):
+            fit = found.fit
+            if fit.end(self.spec) > volts.size + 0.5 * fit.chip:
+                continue
+            beside = self._search.beside(volts, fit)
+            variance = beside.variance(burst.variance)
+            noise = variance * self._search.half / fit.chip
+            attempt = self._attempt(line, fit, MAX_SPREAD, noise)
+            if attempt.believable and beside.is_quiet(self._side_halves, variance, burst.power):
+                self._quiet = quiet
+                if self.spec.node_swing_v is None:
+                    self._search.least_power = lowest_power(float(attempt.amplitude.max()))
+                return self._emit(volts, found, attempt.levels, beside.level)
         return []
 
     def _first_burst(self, volts: Floats, quiet: Quiet) -> Burst | None:
@@ -201,18 +209,18 @@ class GapTiming(Timing):
         return size < min(burst.first + self._reach, burst.last + self._bit)
 
     def _emit(
-        self, volts: Floats, found: Found, levels: NodeLevels, offset: float
+        self, volts: Floats, found: Found, levels: NodeLevels, left: float
     ) -> list[FrameLevels]:
-        """The frame, after the silent slots before it. offset: the gap's level around it, V."""
+        """The frame, after the silent slots before it. left: of the gap's level around it, V."""
         assert self._quiet is not None
-        fit = found.fit
-        clipped = self._clipped(volts[max(0, round(fit.start)) : round(fit.end(self.spec))])
+        fit, level = found.fit, self._quiet.level
+        clipped = self._clipped(volts[max(0, round(fit.start)) : round(fit.end(self.spec))] + level)
         start = self._cursor + fit.start
         # Without an earlier frame, what lies before this one may be the rest of another.
         frames = list(self._idle_slots(start - self._search.period / 2)) if self._last else []
         if self.spec.first_row == 0:  # the only row that an offset shows in
-            levels.values[:, 0] += np.float32(self._quiet.level - offset)
-        frames.append(self._heard(start, fit.chip, levels, offset, clipped, found.tied))
+            levels.values[:, 0] -= np.float32(left)
+        frames.append(self._heard(start, fit.chip, levels, level + left, clipped, found.tied))
         self._last, self._failures = Fit(start, fit.chip), 0
         if not found.tied:
             self._anchor_at(self._last)
