@@ -141,7 +141,7 @@ def _decode(arguments: argparse.Namespace) -> int:
     else:
         values |= described_parameters(path) | _given(arguments)
         config = SkinConfig.of(values)
-        pipeline = Pipeline(config)
+        pipeline = Pipeline(config, background=False)
         frames = decode_raw(path, pipeline)
     count = 0
     for t_start, words in frames:

@@ -62,10 +62,12 @@ class ClockTracker:
         self._turn = int(nodes[-1]) + 1
         spec = decorrelator.spec
         late = self.clocks.displacement([0, spec.chips])
-        for node, row in zip(nodes, spec.book.rows(spec.rows[nodes]), strict=True):
+        for node in nodes:
             alone = left + decorrelator.line(words[:, [node]], [node])
             begins, ends = raster(late[node], error, 1)
-            energy = RowSearch(alone, row, spec, decorrelator.sampling).energy(begins, ends)
+            energy = RowSearch(alone, spec.node_rows[node], spec, decorrelator.sampling).energy(
+                begins, ends
+            )
             apart = np.square(begins - late[node, 0]) + np.square(ends - late[node, 1])
             weight = np.exp((energy - energy.max()) / (2 * power) - apart / (2 * error**2))
             weight /= weight.sum()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +21,10 @@ LOW_RHO = 5.0
 LOW_MARGIN = 0.4
 """Words are flagged where one bit has less than this share of the word's mean amplitude."""
 
+FAINT_SHARE = 0.25
+"""Below this share of the expected amplitude nothing is taken for a node (fit.least_power)."""
+FEW_SHARE = 0.25
+"""Where fewer nodes stand out, the others are left out of all that is done per node."""
 DOUBLE_SHARE = 1.6
 """A level above this share of a node's amplitude is that of two nodes."""
 
@@ -89,41 +94,80 @@ def decode(
     likely even word) and is doubtful.
     """
     values, noise = levels.values, levels.noise_v
-    level = np.abs(values)
-    amplitude = level.sum(axis=0) * np.float32(1 / spec.line_bits)
+    amplitude = np.abs(values).sum(axis=0) * np.float32(1 / spec.line_bits)
     if swing_v is None:
         swing_v = spec.node_swing_v
     if swing_v is None:
         swing_v = max(float(amplitude.max()), AUTO_FLOOR * noise / threshold)
-    expected = np.asarray(swing_v, dtype=np.float32)
+    expected = np.broadcast_to(np.asarray(swing_v, dtype=np.float32), amplitude.shape)
     active = amplitude > np.float32(threshold) * expected
+    rho = amplitude * np.float32(1 / max(noise, 1e-12))
+    # Of nodes that are not even faint there is nothing more to know.
+    noticed = amplitude > np.float32(min(threshold, FAINT_SHARE)) * expected
+    if np.count_nonzero(noticed) < FEW_SHARE * spec.nodes:
+        some = np.flatnonzero(noticed)
+        read = _read(
+            values[:, some], amplitude[some], rho[some], expected[some], spec.sign_mask[some], spec
+        ).among(some, spec.nodes)
+    else:
+        read = _read(values, amplitude, rho, expected, spec.sign_mask, spec)
+    doubtful = read.doubtful & active
+    for node in levels.unresolved:
+        doubtful[node] = active[node]
+    return Words(
+        active,
+        read.codes * active,
+        amplitude,
+        rho,
+        read.margin * noticed,
+        doubtful,
+        read.doubled & doubtful,
+        float(noise * np.sqrt(spec.order)),
+    )
+
+
+class _Read(NamedTuple):
+    """Entries of Words for some nodes, active or not."""
+
+    codes: NDArray[np.int32]
+    margin: NDArray[np.float32]
+    doubtful: NDArray[np.bool_]
+    doubled: NDArray[np.bool_]
+
+    def among(self, chosen: NDArray[np.intp], nodes: int) -> _Read:
+        """The same for all nodes: zeros but for the chosen."""
+        whole = [np.zeros(nodes, dtype=part.dtype) for part in self]
+        for zeros, part in zip(whole, self, strict=True):
+            zeros[chosen] = part
+        return _Read._make(whole)
+
+
+def _read(
+    values: NDArray[np.float32],
+    amplitude: NDArray[np.float32],
+    rho: NDArray[np.float32],
+    expected: NDArray[np.float32],
+    sign_mask: NDArray[np.int32],
+    spec: FrameSpec,
+) -> _Read:
+    """Words of some nodes, each from its own column alone."""
+    level = np.abs(values)
     weakest = level.min(axis=0)
     # Sums of powers of two below 2¹⁷ are exact in float32, which is the fastest here.
-    words = np.einsum("k,kn->n", _weights(spec.line_bits), values > 0).astype(np.int32)
-    words ^= spec.sign_mask
-    if spec.parity:
-        odd = _is_odd(words)
-        turn = np.int32(1) << (spec.bits - level.argmin(axis=0)).astype(np.int32)
-        words = (words ^ turn * odd) >> 1
-    rho = amplitude * np.float32(1 / max(noise, 1e-12))
+    codes = np.einsum("k,kn->n", _weights(spec.line_bits), values > 0).astype(np.int32)
+    codes ^= sign_mask
     margin = weakest / np.maximum(amplitude, np.float32(1e-30))
-    doubtful = active & ((rho < LOW_RHO) | (margin < LOW_MARGIN))
+    doubtful = (rho < LOW_RHO) | (margin < LOW_MARGIN)
     if spec.parity:
-        doubtful |= active & odd
-    doubled = np.zeros_like(active)
+        odd = _is_odd(codes)
+        turn = np.int32(1) << (spec.bits - level.argmin(axis=0)).astype(np.int32)
+        codes = (codes ^ turn * odd) >> 1
+        doubtful |= odd
+    doubled = np.zeros_like(doubtful)
     if doubtful.any():
         cancelling = doubtful & (weakest < np.float32(LOW_MARGIN) * expected)
         doubled = cancelling & (level.max(axis=0) > np.float32(DOUBLE_SHARE) * expected)
-    return Words(
-        active,
-        words * active,
-        amplitude,
-        rho,
-        margin,
-        doubtful,
-        doubled,
-        float(noise * np.sqrt(spec.order)),
-    )
+    return _Read(codes, margin, doubtful, doubled)
 
 
 @cache

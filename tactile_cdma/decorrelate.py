@@ -12,7 +12,8 @@ the waveforms of bit m, D[0] = A[0]ᵀA[0] + λI and B[m] = D[m]⁻¹A[m]ᵀ:
 where each product of neighbours runs over the few samples only that their bits share. So a frame
 costs little more than its correlation with dense waveforms.
 
-λ bounds the noise for any clocks whatever: the covariance of x is K·G·K for G = AᵀA and
+λ bounds the noise for any clocks whatever, and best is λ = N·S/ρ² (S samples per chip), which
+makes x the linear estimate with the least mean error: the covariance of x is K·G·K for G = AᵀA and
 K = (G + λI)⁻¹, whose eigenvalues g/(g + λ)² are at most 1/(4λ). The price is that K·G = I − λK
 stands in for I: of its amplitude a node keeps the share 1 − λKᵢᵢ, the `resolution`. It is near 1
 unless two nodes have nearly the same waveform.
@@ -30,11 +31,13 @@ from .errors import SpecError
 from .frame import UNIPOLAR, FrameSpec
 from .node_clocks import NodeClocks
 from .sampling import Sampling, row_samples
+from .separate import NodeLevels
 
 Floats32 = NDArray[np.float32]
 
 MAX_GAIN = 8.0
-"""Noise of an estimate over that of a correlation without crosstalk: never more."""
+"""Noise of an estimate over that of a correlation without crosstalk: never more. Half of ρ gives
+the best λ, so this suits ρ = 16, and costs little elsewhere."""
 RESOLVED = 0.9
 """Resolution below which a node counts as not separated from some other."""
 MAX_BYTES = 1 << 29
@@ -108,7 +111,7 @@ class Decorrelator:
                 f"takes {size >> 20} MiB, more than {MAX_BYTES >> 20}: use fewer samples per chip, "
                 "or frames with resync slots"
             )
-        rows = spec.book.rows(spec.rows)
+        rows = spec.node_rows
         waveforms = [
             self._waveforms(rows, bit, first, stop) for bit, (first, stop) in enumerate(windows)
         ]
@@ -152,6 +155,11 @@ class Decorrelator:
                 left = values[m + 1] @ later.rows[:, :shared_size]
                 values[m] -= bit.inverse[:, later.first - bit.first :] @ left
         return values[:, : self.spec.nodes]
+
+    def levels(self, samples: Floats32, noise_rms_v: float) -> NodeLevels:
+        """What `estimate` finds, as correlation would hand it on. noise_rms_v: of one sample."""
+        gain = math.sqrt(float(np.square(self.noise_gain).mean()))
+        return NodeLevels(self.estimate(samples), noise_rms_v * gain)
 
     def line(self, amplitudes: Floats32, nodes: ArrayLike | None = None) -> Floats32:
         """The samples that these amplitudes would give: (self.samples,) float32, V.

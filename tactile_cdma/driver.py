@@ -15,6 +15,7 @@ from .messages import (
     FrameLayout,
     GetInfo,
     Packet,
+    RollCall,
     Start,
     Stop,
 )
@@ -100,7 +101,8 @@ class Driver:
 
     def _stream(self, port: Port) -> None:
         """Handshake, then decode until stopped; raises PortError when the port is lost."""
-        pipeline, session = self.pipeline, Session(self.pipeline.config)
+        pipeline = self.pipeline
+        session = Session(pipeline.config)
         pipeline.reconnected()
         if not self.problem:
             self._report(WAITING)
@@ -115,7 +117,8 @@ class Driver:
                     self._report(None)
                 if request := session.watch(pipeline, t_host):
                     port.write(request)
-                    self._report(session.problem)
+                    if session.problem:
+                        self._report(session.problem)
         finally:
             if self._stop.is_set():
                 port.write(session.close())
@@ -137,6 +140,7 @@ class Session:
         self.problem: str | None = None
         self._writer = PacketWriter()
         self._setting: tuple[Configure, ...] = ()
+        self._calls = config is not None and config.roll_call
         if config is not None:
             layout = FrameLayout.of(config.spec, config.samples_per_chip)
             integrated = config.samples_per_chip == 1
@@ -159,6 +163,9 @@ class Session:
 
     def watch(self, pipeline: Pipeline, now_s: float) -> bytes:
         """Requests to repeat because nothing came of the last ones; empty while all is well."""
+        if self._calls and self._has_seen_gaps(pipeline):
+            self._calls, self.problem = False, None
+            return self._requests(RollCall())
         stuck = pipeline.counters.frames == self._frames
         if stuck and now_s < self._deadline:
             return b""
@@ -168,6 +175,13 @@ class Session:
         self._bytes = pipeline.parser.counters.bytes
         self._deadline = now_s + max(PATIENCE_S, 3 * pipeline.config.spec.frame_period_s)
         return self.open() if stuck else b""
+
+    def _has_seen_gaps(self, pipeline: Pipeline) -> bool:
+        """Whether a few frames went by, decoded or not: level and noise of the gap are known."""
+        if pipeline.info is None:
+            return False
+        few_s = 4 * pipeline.config.spec.frame_period_s
+        return pipeline.counters.samples > few_s * pipeline.info.sample_rate_hz
 
     def _why(self, pipeline: Pipeline) -> str:
         """The likely cause of having received no frame for a while."""

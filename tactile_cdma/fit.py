@@ -43,10 +43,17 @@ class Line:
 
     def integral(self, times: Floats) -> Floats:
         """∫ line dt up to each instant, V·samples."""
-        shifted = np.clip(times + 0.5, 0.0, float(self.volts.size))
+        shifted = np.minimum(np.maximum(times + 0.5, 0.0), float(self.volts.size))
         whole = shifted.astype(np.intp)
         area: Floats = self._sums[whole] + (shifted - whole) * self._padded[whole]
         return area
+
+    def means(self, edges: Floats) -> NDArray[np.float32]:
+        """Mean level between consecutive edges, V: (…, e) samples to (…, e − 1) float32."""
+        total, number = self.before(edges)
+        number = np.maximum(number[..., 1:] - number[..., :-1], 0.5)
+        levels: Floats = (total[..., 1:] - total[..., :-1]) / number
+        return levels.astype(np.float32)
 
     def before(self, times: Floats) -> tuple[Floats, Floats]:
         """Samples taken before each instant: their sum, V, and their number."""
@@ -82,9 +89,10 @@ def _split(times: Floats, size: int) -> tuple[NDArray[np.intp], Floats]:
     A sample tells the level at its own instant, so it counts on one side of an edge only: to
     share it by areas would blur every chip with its neighbours.
     """
-    shifted = np.clip(times + 0.5, 0.0, float(size))
+    shifted = np.minimum(np.maximum(times + 0.5, 0.0), float(size))
     whole = shifted.astype(np.intp)
-    return whole, np.clip((shifted - whole - 0.5) / BLUR + 0.5, 0.0, 1.0)
+    share = (shifted - whole - 0.5) / BLUR + 0.5
+    return whole, np.minimum(np.maximum(share, 0.0), 1.0)
 
 
 def integrate(
@@ -96,14 +104,13 @@ def integrate(
     Returns (c, k, N) float32, V.
     """
     start, chip = start[:, None], chip[:, None]
-    if share == 1.0 and spec.span_chips == spec.chips:
-        total, number = map(np.diff, line.before(start + chip * np.arange(spec.chips + 1)))
+    if share == 1.0:
+        levels = line.means(start + chip * np.arange(spec.span_chips + 1))[:, spec.places]
     else:
         middle, reach = start + chip * (spec.places + 0.5), chip * (0.5 * share)
-        (left, less), (right, more) = line.before(middle - reach), line.before(middle + reach)
-        total, number = right - left, more - less
-    levels: Floats = total / np.maximum(number, 0.5)
-    return levels.astype(np.float32).reshape(-1, spec.line_bits, spec.order)
+        sides = np.stack((middle - reach, middle + reach), axis=-1)
+        levels = line.means(sides)
+    return levels.reshape(-1, spec.line_bits, spec.order)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,8 +139,7 @@ class WordFit:
     ) -> NDArray[np.bool_]:
         """Whether the words are even within a spread, and what is left over is white noise, (c,).
 
-        limit: of one word's spread; many words that spread by much more than its half must be
-            explained by noise.
+        limit: of one word's spread; beyond half of that it must be explained by noise.
         noise: variance of a chip's level in the gap, V². It makes words spread by 1/ρ², estimated
         with active·(k − 1) degrees of freedom. Where it is not known, it follows from the words:
         noise that makes them spread by s leaves s/active in each of the N rows. Beyond that (and
@@ -149,7 +155,8 @@ class WordFit:
             expected = left / 3 * active / spec.order
             scatter = np.sqrt(2 / (active * (spec.line_bits - 1)))
             most = np.minimum(
-                limit * (1.7 - 0.7 / active), limit / 2 + expected * (1.2 + 4 * scatter)
+                limit * (1.7 - 0.7 / active),
+                limit / 2 + expected * (1.3 + 4 * scatter),
             )
         good: NDArray[np.bool_] = (
             (self.power > 0) & (self.spread < most) & (self.misfit < left + MAX_DISTORTION)
@@ -230,9 +237,8 @@ def refine(
         levels[1:-1] = spread(symbols, spec.book).ravel() + words.pedestal[0]
         before, after = levels[:-1], levels[1:]
         edges, reach = start + chip * steps, share * chip
-        area = (
-            line.integral(edges + reach) - line.integral(edges - reach) - reach * (before + after)
-        )
+        left, right = line.integral(np.stack((edges - reach, edges + reach)))
+        area = right - left - reach * (before + after)
         seen = (edges >= reach - 0.5) & (edges + reach <= line.volts.size - 0.5)
         step = (before - after) * seen
         weight, moment = np.square(step), step * area

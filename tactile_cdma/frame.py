@@ -146,6 +146,11 @@ class FrameSpec:
         return np.arange(self.first_row, self.first_row + self.nodes)
 
     @cached_property
+    def node_rows(self) -> NDArray[np.int8]:
+        """The chips of a bit of every node, (n, N) int8 of ±1, row signs not applied."""
+        return self.book.rows(self.rows)
+
+    @cached_property
     def signs(self) -> NDArray[np.int8]:
         """Fixed sign of every node, (n,) int8 of ±1."""
         return row_signs(self.rows, self.sign_seed)

@@ -22,10 +22,12 @@ does not accumulate).
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .fit import Fit, Floats, Line, integrate, least_power, read_words, refine
 from .frame import MAX_STRETCH, FrameSpec
@@ -44,6 +46,12 @@ _LEAST_POWER = 1e-14
 """Power of what is not even rounding, V²."""
 _MEDIAN = 0.455
 """Median of the square of a normal variable."""
+_MOST_SHIFTS = 64
+"""Quiet chips that a frame may begin with, so that the search stays bounded."""
+_BATCH = 1 << 18
+"""Chips that are looked at at once."""
+_TURNS = 4
+"""Chips that are looked at together in the search for the chip clock."""
 _MAX_LINES = 12
 """Spectral lines that are tried at most."""
 
@@ -91,18 +99,21 @@ class Beside:
         return float(both.mean()) if both.size else 0.0
 
     def variance(self, guess: float) -> float:
-        """Their variance, V², by the median, which a piece of a frame does not sway."""
-        both = np.concatenate((self.before, self.after))
-        if both.size < 8:
+        """Variance of their noise, V²: of differences, which hum leaves alone, and by the median,
+        which a piece of a frame does not sway. guess: of the quietest window, which is too low.
+        """
+        steps = np.concatenate((np.diff(self.before), np.diff(self.after)))
+        if steps.size < 8:
             return guess
-        return max(float(np.median(np.square(both - both.mean()))) / _MEDIAN, 1e-3 * guess)
+        median = float(np.sort(np.square(steps))[steps.size // 2])
+        return max(median / (2 * _MEDIAN), guess)
 
     def is_quiet(self, size: int, variance: float, power: float) -> bool:
         """Whether so many on each side are gap: noise, and some hum against a frame's power."""
         for side in (self.before[:size], self.after[:size]):
             if side.size:
-                noise = variance * (1.2 + 5 * math.sqrt(2 / side.size))
-                drift = abs(float(side.mean())) - 3 * math.sqrt(variance / side.size)
+                noise = variance * (1.5 + 5 * math.sqrt(2 / side.size))
+                drift = abs(float(side.mean())) - 6 * math.sqrt(variance / side.size)
                 if drift > 0.2 * math.sqrt(power) or np.square(side).mean() > noise + 0.1 * power:
                     return False
         return True
@@ -142,12 +153,21 @@ class GapSearch:
         gap = max(self.period - self.longest, 0.3 * (self.period - self.shortest))
         self.quiet_halves = max(8, int(0.6 * gap / self.half))
         self.gap_size = math.ceil(max(self.period - self.longest, 5 * self.chip))
+        self._mean = np.full(self.half, 1 / self.half)
         self.least_power = least_power(spec)
 
     @cached_property
     def snr_floor(self) -> float:
         """Mean excess power of a frame, in gap variances, that noise practically never reaches."""
         return 0.1 + 6.0 * math.sqrt(self.half / self.shortest)
+
+    @cached_property
+    def _tones(self) -> tuple[int, Floats]:
+        """A block of about four chips of middling stretch: its length, and cosine and −sine of four
+        whole turns in it, (block, 2)."""
+        block = round(_TURNS * self.chip * (1 + MAX_STRETCH / 2))
+        angle = 2 * np.pi * _TURNS * np.arange(block) / block
+        return block, np.stack((np.cos(angle), -np.sin(angle)), axis=1)
 
     def quiet(self, volts: Floats, known: Quiet | None) -> list[Quiet]:
         """The gap's level: of the quietest window, judged from the known level if there is one.
@@ -203,32 +223,29 @@ class GapSearch:
         # Of all windows of a possible length, the one with the greatest excess over half of the
         # frame's power; then cut quiet cells from its ends.
         gain = np.concatenate(([0.0], np.cumsum(cells - (variance + 0.5 * power))))
-        lengths = np.arange(low, min(high, cells.size) + 1)
-        ends = np.arange(cells.size + 1 - low)[:, None] + lengths
-        totals = np.where(
-            ends <= cells.size,
-            gain[np.minimum(ends, cells.size)] - gain[: len(ends), None],
-            -np.inf,
-        )
-        begin, choice = np.unravel_index(int(np.argmax(totals)), totals.shape)
-        end = int(begin) + int(lengths[choice])
+        ends = np.concatenate((gain[low:], np.full(high - low, -np.inf)))
+        gains = np.lib.stride_tricks.sliding_window_view(ends, high - low + 1)
+        begin = int(np.argmax(gains.max(axis=1) - gain[: len(gains)]))
+        end = begin + low + int(np.argmax(gains[begin]))
         bit = int(np.ceil(self.spec.order * self.chip / size)) + 1
-        first = int(begin) + int(np.argmin(gain[begin : begin + bit + 1]))
+        first = begin + int(np.argmin(gain[begin : begin + bit + 1]))
         last = end - bit + int(np.argmax(gain[end - bit : end + 1])) if end > bit else end
         # Loud half chips are sharper than that, and reach beyond where chips are small.
         first, last = first * group, last * group
         node_power = max(self.least_power, power / (16 * self.spec.nodes))  # hum stays below
         loud = energy > max(_LOUD**2 * variance, node_power)
-        before = np.flatnonzero(loud[max(0, first - bit * group) : first])
-        after = np.flatnonzero(loud[last : last + bit * group])
+        before = np.flatnonzero(loud[max(0, first - bit * group) : first + group])
+        after = np.flatnonzero(loud[last - group : last + bit * group])
         if before.size:
             first += int(before[0]) - min(first, bit * group)
         if after.size:
-            last += int(after[-1]) + 1
+            last += int(after[-1]) + 1 - group
         snr = power / variance
-        slack = self.chip * (1.5 + 28.0 / snr) + (size - self.half)
-        # One and a half bits of a frame never have less than a third of its power.
-        pause, width = last, 3 * bit * group // 2
+        slack = self.chip * (1.5 + 60.0 / snr)
+        if not (before.size and after.size):
+            slack += size - self.half
+        # Every bit has the same energy, and any two bits' time holds a whole one.
+        pause, width = last, math.ceil(2 * (1 + MAX_STRETCH) * bit) * group
         if snr > 8 and last - first > width:
             powers = _window_sums(energy[first:last], width) / width - variance
             quiet = np.flatnonzero(powers < 0.2 * power)
@@ -239,88 +256,138 @@ class GapSearch:
         edges = np.array([first, last, pause]) * self.half - 0.5
         return Burst(float(edges[0]), float(edges[1]), slack, power, variance, float(edges[2]))
 
-    def fit(self, line: Line, burst: Burst, last: Expected | None) -> Found | None:
-        """The most likely frame around a burst, or None where no frame can have this length.
+    def fits(self, line: Line, burst: Burst, last: Expected | None) -> Iterator[Found]:
+        """Frames around a burst, the first one that the samples bear out is it.
 
-        last: what the frame before makes likely. Its chip duration is tried too: words with few
-        level changes show little of their own. Its raster decides where energies can't: with
-        natural signs and the same word everywhere only one chip per bit is loud, and rows are
-        shifts of each other, so that two nodes which cancel in their first and last chips may look
-        exactly like two others, a few chips later. Without a raster, and after long silence, such
-        frames are tied, and a loud first chip is the better guess.
+        last: what the frame before makes likely. If that is sharp, a frame on its raster that is
+        loud from end to end comes first, which saves work; then the most likely one of all. The
+        last chip duration is tried too: words with few level changes show little of their own.
+        The raster decides where energies can't: with natural signs and the same word everywhere
+        only one chip per bit is loud, and rows are shifts of each other, so that two nodes which
+        cancel in their first and last chips may look exactly like two others, a few chips later.
+        Without a raster, and after long silence, such frames are tied, and a loud first chip is
+        the better guess.
         """
         spec, loud = self.spec, burst.last - burst.first
         if not self.shortest - 1.5 * spec.order * self.chip <= loud + 2 * burst.slack:
-            return None
+            return
         if loud - 2 * burst.slack > self.longest:
-            return None
+            return
         clocks = self._chip_lines(line.volts, burst)
-        for chip in (loud / spec.chips, *((last.chip,) if last else ())):
+        for chip in (loud / spec.span_chips, *((last.chip,) if last else ())):
             clocks += [(chip, burst.first), (chip, burst.last)]
-        starts, chips = self._shifts(clocks, burst)
+        chip, edge = np.array(clocks).T
+        if last and last.scatter < 0.5 * self.chip:
+            start = edge + np.rint((last.start - edge) / chip) * chip
+            words = read_words(integrate(line, start, chip, spec), spec)
+            best = int(np.argmax(self._score(start, chip, words.power, burst, last)))
+            fit = Fit(start[best], chip[best])
+            if abs(fit.start - burst.first) + abs(fit.end(spec) - burst.last) < 1.25 * fit.chip:
+                yield from self._refined(line, fit, tied=False)
+        starts, chips, power = self._shifts(line, burst, edge, chip)
         if not starts.size:
-            return None
-        words = read_words(integrate(line, starts, chips, spec), spec)
-        energy = spec.chips * chips * words.power
-        # Log-likelihood in white noise, no sharper than the waveform keeps to the model.
-        unit = _DISTORTION / spec.chips * float(energy.max())
-        score = energy / max(2 * self.half * burst.variance, unit, 1e-30)
-        if last is not None:
-            off = np.square((starts - last.start) / last.scatter)
-            score -= np.minimum(0.5 * off, _ASTRAY)
+            return
+        score = self._score(starts, chips, power, burst, last)
         guess = score - np.log1p(np.square((starts - burst.first) / (0.5 * self.chip)))
         best = int(np.argmax(guess))
         rivals = score[np.abs(starts - starts[best]) > 0.5 * self.chip]
         tied = bool(rivals.max(initial=-np.inf) > score[best] - _CLEAR)
-        fit = refine(line, Fit(float(starts[best]), float(chips[best])), spec)
-        if not 0.99 * self.chip <= fit.chip <= 1.01 * (1 + MAX_STRETCH) * self.chip:
-            return None
-        return Found(fit, tied)
+        yield from self._refined(line, Fit(starts[best], chips[best]), tied)
+
+    def _score(
+        self,
+        starts: Floats,
+        chips: Floats,
+        power: NDArray[np.floating],
+        burst: Burst,
+        last: Expected | None,
+    ) -> Floats:
+        """Log-likelihood in white noise, no sharper than waveforms keep to the model, (c,)."""
+        energy = self.spec.chips * chips * power
+        unit = _DISTORTION / self.spec.chips * float(energy.max())
+        score: Floats = energy / max(2 * self.half * burst.variance, unit, 1e-30)
+        if last is not None:
+            off = np.square((starts - last.start) / last.scatter)
+            score -= np.minimum(0.5 * off, _ASTRAY)
+        return score
+
+    def _refined(self, line: Line, fit: Fit, tied: bool) -> Iterator[Found]:
+        """The frame with its exact timing, if that is possible."""
+        fit = refine(line, fit, self.spec)
+        if 0.99 * self.chip <= fit.chip <= 1.01 * (1 + MAX_STRETCH) * self.chip:
+            yield Found(fit, tied)
 
     def _chip_lines(self, volts: Floats, burst: Burst) -> list[tuple[float, float]]:
         """(chip duration, instant of some chip edge) for each strong line of squared differences.
 
-        Levels are averaged over half a chip on either side of a difference against noise.
+        Levels are averaged over half a chip on either side of a difference against noise. Only
+        frequencies near 1/chip matter: blocks of four chips are mixed down by a frequency of
+        whole turns per block, and what is left varies slowly.
         """
         begin = max(0, int(burst.first - burst.slack))
         sums = np.concatenate(([0.0], np.cumsum(volts[begin : int(burst.last + burst.slack) + 2])))
         h = self.half if self.chip >= 5 else 1
         steps = np.square(sums[2 * h :] - 2 * sums[h:-h] + sums[: -2 * h])
-        steps -= steps.mean()
-        size = 1 << int(4 * steps.size - 1).bit_length()
-        low = int(size / (self.chip * (1 + MAX_STRETCH) * 1.004))
-        high = int(size / (self.chip * 0.996)) + 2
-        band = np.fft.rfft(steps, size)[low - 1 : high + 1]
+        steps -= steps.sum() / steps.size
+        block, tones = self._tones
+        count = steps.size // block
+        mixed = steps[: count * block].reshape(count, block) @ tones
+        size = 1 << int(4 * count - 1).bit_length()
+        spectrum = np.fft.fft(mixed[:, 0] + 1j * mixed[:, 1], size)
+        low = math.floor((block / (self.chip * (1 + MAX_STRETCH) * 1.004) - _TURNS) * size)
+        high = math.ceil((block / (self.chip * 0.996) - _TURNS) * size)
+        bins = np.arange(low - 1, high + 2)
+        band = spectrum[bins]  # negative ones are at its end
         power = np.abs(band)
         inner = power[1:-1]
         peaks = np.flatnonzero((inner >= power[:-2]) & (inner > power[2:]))
         peaks = peaks[inner[peaks] > 0.5 * inner.max()]
         peaks = peaks[np.argsort(-inner[peaks])][:_MAX_LINES]
-        lines = []
-        for peak in peaks:
-            left, mid, right = power[peak : peak + 3]
-            shift = 0.5 * (left - right) / (left - 2 * mid + right)
-            frequency = (low + peak + shift) / size
-            # The phase turns by about π·(length/size) per bin off the peak.
-            phase = np.angle(band[peak + 1]) - np.pi * shift * steps.size / size
-            edge = -phase / (2 * np.pi * frequency)
-            lines.append((1 / frequency, begin + h - 0.5 + edge))
-        return lines
+        left, mid, right = power[peaks], power[peaks + 1], power[peaks + 2]
+        shift = 0.5 * (left - right) / (left - 2 * mid + right)
+        offset = (bins[peaks + 1] + shift) / size  # turns per block off the mixing frequency
+        frequency = (_TURNS + offset) / block
+        # The phase turns by about π·(count/size) per bin off the peak, and by the offset within
+        # half a block.
+        phase = np.angle(band[peaks + 1]) - np.pi * (
+            shift * count / size + offset * (1 - 1 / block)
+        )
+        edge = begin + h - 0.5 - phase / (2 * np.pi * frequency)
+        return list(zip((1 / frequency).tolist(), edge.tolist(), strict=True))
 
-    def _shifts(self, clocks: list[tuple[float, float]], burst: Burst) -> tuple[Floats, Floats]:
-        """Every whole-chip start that lets a frame cover the burst: starts and chips, (c,) each.
+    def _shifts(
+        self, line: Line, burst: Burst, edge: Floats, chip: Floats
+    ) -> tuple[Floats, Floats, NDArray[np.float32]]:
+        """Every whole-chip start that lets a frame cover the burst.
 
-        Quiet chips at either end of a frame are fewer than a bit's.
+        edge, chip: (q,) an instant of some chip edge and the duration, for each clock. Returns
+        starts, chip durations and powers of the words, (c,) each. Quiet chips at either end of a
+        frame are fewer than a bit's.
         """
-        starts, chips = [np.empty(0)], [np.empty(0)]
-        for chip, edge in clocks:
-            length, bit = self.spec.chips * chip, self.spec.order * chip
-            low = max(burst.last - length, burst.first - bit) - burst.slack
-            high = min(burst.first, burst.last + bit - length) + burst.slack
-            at = np.arange(np.ceil((low - edge) / chip), np.floor((high - edge) / chip) + 1)
-            starts.append(edge + at * chip)
-            chips.append(np.full(at.size, chip))
-        return np.concatenate(starts), np.concatenate(chips)
+        spec, span = self.spec, self.spec.span_chips
+        length, bit = span * chip, spec.order * chip
+        low = np.maximum(burst.last - length, burst.first - bit) - burst.slack
+        high = np.minimum(burst.first, burst.last + bit - length) + burst.slack
+        low = np.maximum(low, burst.first - burst.slack - _MOST_SHIFTS * chip)
+        low = edge + np.ceil((low - edge) / chip) * chip
+        shifts = np.arange(max(1, int(np.max((high - low) / chip)) + 1))
+        starts = low[:, None] + shifts * chip[:, None]
+        possible = starts <= high[:, None]
+        batches = min(chip.size, 1 + starts.size * spec.chips // _BATCH)
+        powers = [
+            self._powers(line, low[some], chip[some], shifts.size)
+            for some in np.array_split(np.arange(chip.size), batches)
+        ]
+        power = np.concatenate(powers)[possible]
+        return starts[possible], np.broadcast_to(chip[:, None], starts.shape)[possible], power
+
+    def _powers(self, line: Line, low: Floats, chip: Floats, count: int) -> NDArray[np.float32]:
+        """Power of the words for so many starts, a chip apart, of each clock, (q, count)."""
+        spec, span = self.spec, self.spec.span_chips
+        levels = line.means(low[:, None] + chip[:, None] * np.arange(span + count))
+        windows = np.lib.stride_tricks.sliding_window_view(levels, span, axis=1)
+        chips = windows[..., spec.places].reshape(-1, spec.line_bits, spec.order)
+        return read_words(chips, spec).power.reshape(-1, count)
 
     def beside(self, volts: Floats, fit: Fit) -> Beside:
         """What lies up to a gap's length beside a frame; a chip next to it is left out."""
@@ -331,7 +398,7 @@ class GapSearch:
     def _halves(self, volts: Floats) -> Floats:
         """Means of consecutive half chips, (m // half,)."""
         count = volts.size // self.half
-        means: Floats = volts[: count * self.half].reshape(count, self.half).mean(axis=1)
+        means: Floats = volts[: count * self.half].reshape(count, self.half) @ self._mean
         return means
 
 

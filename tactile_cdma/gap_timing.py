@@ -23,6 +23,8 @@ FORGET = 0.999
 """What is left of a learnt amplitude's power after each silent slot."""
 CLOCK_ERROR = 1e-4
 """What the frame period may be off from the digitizer's clock."""
+CLOCK_DRIFT = 1e-5
+"""What it may change from one frame to the next, once it is known from two."""
 
 
 class GapTiming(Timing):
@@ -57,6 +59,7 @@ class GapTiming(Timing):
         self._quiet: Quiet | None = None
         self._last: Fit | None = None  # the last frame, in stream indices
         self._anchor: Fit | None = None  # the last one whose place was certain
+        self._period, self._period_error = search.period, CLOCK_ERROR
         self._cursor = 0
         self._due = 0
         self._raster = 0.0  # start of the next slot
@@ -127,18 +130,18 @@ class GapTiming(Timing):
             if burst.first < self._search.chip:
                 continue  # no gap before it: the rest of a frame that began before the cursor
             line = Line(shifted)
-            found = self._search.fit(line, burst, self._expected(burst))
-            if found is None or found.fit.end(self.spec) > volts.size + 0.5 * found.fit.chip:
-                continue
-            beside = self._search.beside(shifted, found.fit)
-            variance = beside.variance(burst.variance)
-            noise = variance * self._search.half / found.fit.chip
-            attempt = self._attempt(line, found.fit, MAX_SPREAD, noise)
-            if attempt.believable and beside.is_quiet(self._side_halves, variance, burst.power):
-                self._quiet = quiet
-                if self.spec.node_swing_v is None:
-                    self._search.least_power = lowest_power(float(attempt.amplitude.max()))
-                return self._emit(volts, found, attempt.levels, quiet.level + beside.level)
+            for found in self._search.fits(line, burst, self._expected(burst)):
+                if found.fit.end(self.spec) > volts.size + 0.5 * found.fit.chip:
+                    continue
+                beside = self._search.beside(shifted, found.fit)
+                variance = beside.variance(burst.variance)
+                noise = variance * self._search.half / found.fit.chip
+                attempt = self._attempt(line, found.fit, MAX_SPREAD, noise)
+                if attempt.believable and beside.is_quiet(self._side_halves, variance, burst.power):
+                    self._quiet = quiet
+                    if self.spec.node_swing_v is None:
+                        self._search.least_power = lowest_power(float(attempt.amplitude.max()))
+                    return self._emit(volts, found, attempt.levels, quiet.level + beside.level)
         if all(self._may_be_noise(burst) for burst in seen):
             self._quiet = candidates[0] if candidates and not final else self._quiet
             return [] if final else self._pass_idle(end)
@@ -174,10 +177,22 @@ class GapTiming(Timing):
         """A frame near the burst that keeps to the raster of the last one."""
         if self._anchor is None:
             return None
-        period, chip = self._search.period, self._anchor.chip
-        slots = round((self._cursor + burst.first - self._anchor.start) / period)
-        start = self._anchor.start + slots * period - self._cursor
-        return Expected(start, SCATTER * chip + CLOCK_ERROR * slots * period, chip)
+        slots = self._slots(self._cursor + burst.first)
+        passed, chip = slots * self._period, self._anchor.chip
+        scatter = SCATTER * chip + self._period_error * passed
+        return Expected(self._anchor.start + passed - self._cursor, scatter, chip)
+
+    def _slots(self, index: float) -> int:
+        """Frame periods from the last certain frame to an index."""
+        return round((index - self._anchor.start) / self._period) if self._anchor else 0
+
+    def _anchor_at(self, fit: Fit) -> None:
+        """The place of this frame is certain; with the last one it tells the period."""
+        if self._anchor and (slots := self._slots(fit.start)):
+            period = (fit.start - self._anchor.start) / slots
+            if abs(period - self._search.period) < CLOCK_ERROR * period:
+                self._period, self._period_error = period, CLOCK_DRIFT
+        self._anchor = fit
 
     def _incomplete(self, burst: Burst, size: int) -> bool:
         """Whether chips of this burst's frame may still come after the samples in view."""
@@ -199,7 +214,8 @@ class GapTiming(Timing):
             levels.values[:, 0] += np.float32(self._quiet.level - offset)
         frames.append(self._heard(start, fit.chip, levels, offset, clipped, found.tied))
         self._last, self._failures = Fit(start, fit.chip), 0
-        self._anchor = self._anchor if found.tied else self._last
+        if not found.tied:
+            self._anchor_at(self._last)
         self._raster = start + self._search.period
         self._cursor += math.ceil(fit.end(self.spec) + 0.5 * fit.chip)
         self._schedule()

@@ -7,7 +7,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from .decode import DOUBLE_SHARE, LOW_MARGIN, LOW_RHO, Words
+from .decode import DOUBLE_SHARE, FAINT_SHARE, LOW_MARGIN, LOW_RHO, Words
 from .frame import FrameSpec
 
 JUDGE_FRAMES = 32
@@ -16,8 +16,6 @@ LEAST_WORDS = 1.5
 """Counted words that a verdict takes; each counts less as it gets older."""
 WEAK_SHARE = 0.6
 """A node below this share of the expected amplitude is weak."""
-LEAST_SHARE = 0.25
-"""Below this share of the expected amplitude nothing is taken for a node (fit.least_power)."""
 WEAK_RHO = 8.0
 """Words of a node not known to be weak must stand so far out of the noise to be noticed."""
 
@@ -78,7 +76,7 @@ class NodeHealth:
         """Words too weak to count as spoken, but too even and too strong to be noise."""
         faint: NDArray[np.bool_] = (
             ~words.active
-            & (words.amplitude_v > LEAST_SHARE * nominal_v)
+            & (words.amplitude_v > FAINT_SHARE * nominal_v)
             & (words.rho > WEAK_RHO)
             & (words.margin > LOW_MARGIN)
         )

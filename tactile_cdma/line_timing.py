@@ -185,6 +185,10 @@ class LineTiming(Timing):
         # The energy gate: means of samples have no more power than the samples themselves.
         if power <= self._least_power:
             return self._idle_frame(start, self._nominal_fit, power)
+        return self._loud_frame(start, end, volts, final)
+
+    def _loud_frame(self, start: int, end: int, volts: Floats, final: bool) -> list[FrameLevels]:
+        """The frame of samples with enough power for a node; as _decide."""
         if self._integrated:
             return self._integrated_frame(start, volts)
         line = Line(volts - self._level_v)

@@ -79,7 +79,13 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("parity", False, "every word is followed by a bit that makes its ones even"),
     Parameter("chip_us", 50.0, "pulse length: duration of one chip", "µs", (0.01, 1e6)),
     Parameter("frame_period_ms", 12.8, "from one frame's start to the next", "ms", (0.01, 1e5)),
-    Parameter("order", 0, "code order (chips per bit); 0: the smallest that fits", "", (0, 65_536)),
+    Parameter(
+        "order",
+        0,
+        "code order (chips per bit); 0: the smallest that fits, or 2 % more if that is faster",
+        "",
+        (0, 65_536),
+    ),
     Parameter("first_row", 1, "code row of node 1; the paper uses 0", "", (0, 65_535)),
     Parameter(
         "sign_seed",
@@ -113,6 +119,11 @@ PARAMETERS: tuple[Parameter, ...] = (
     ),
     Parameter(
         "samples_per_chip", 4, "asked of the digitizer; 1: it sends one mean per chip", "", (1, 256)
+    ),
+    Parameter(
+        "roll_call",
+        False,
+        "nodes have clocks of their own: measure these at the start, one node after the other",
     ),
     Parameter(
         "vref_v", 3.3, "reference of the nodes' ADC: V = code·vref/2^bits", "V", (0.1, 100.0)
@@ -180,6 +191,7 @@ class SkinConfig:
     spec: FrameSpec
     timing: str
     samples_per_chip: int
+    roll_call: bool
     adc: AdcScale
     curve: PressureCurve
     layout: GridLayout
@@ -211,6 +223,8 @@ class SkinConfig:
         )
         if get["timing"] == GAP:
             _check_gap(spec, get["samples_per_chip"])
+        if get["roll_call"]:
+            _check_roll_call(spec, get["timing"], get["samples_per_chip"])
         curve = PressureCurve.two_stage(
             v0_v=get["v0_v"],
             knee_pa=get["knee_kpa"] * 1e3,
@@ -222,6 +236,7 @@ class SkinConfig:
             spec=spec,
             timing=get["timing"],
             samples_per_chip=get["samples_per_chip"],
+            roll_call=get["roll_call"],
             adc=AdcScale(get["bits"], get["vref_v"]),
             curve=curve,
             layout=GridLayout.of(
@@ -289,6 +304,19 @@ def _sections(content: object) -> Iterable[Mapping[str, object]]:
                 }
             else:
                 yield from _sections(below)
+
+
+def _check_roll_call(spec: FrameSpec, timing: str, samples_per_chip: int) -> None:
+    for fault, remedy in (
+        (timing == GAP, "timing is 'gap', it must be 'line'"),
+        (samples_per_chip < 2, f"samples_per_chip is {samples_per_chip}, it must be 2 or more"),
+        (
+            spec.resync_chips > 0,
+            f"resync_chips is {spec.resync_chips}, it must be 0 (restarts make up for the clocks)",
+        ),
+    ):
+        if fault:
+            raise SpecError(f"roll_call measures clocks by raw samples of marked frames: {remedy}")
 
 
 def _check_gap(spec: FrameSpec, samples_per_chip: int) -> None:

@@ -24,6 +24,7 @@ from .messages import (
     Samples,
     Status,
 )
+from .node_timing import ClockReport, NodeTiming
 from .parameters import GAP, SkinConfig
 from .protocol import PacketParser
 from .silence import quiet_uv
@@ -81,8 +82,12 @@ class Pipeline:
     refusal: the last command that the digitizer refused and did not obey since.
     """
 
-    def __init__(self, config: SkinConfig) -> None:
+    def __init__(self, config: SkinConfig, background: bool = True) -> None:
+        """background: long work is done beside the stream, whose frames then depend on when it is
+        done; else at once.
+        """
         self.config = config
+        self._background = background
         self.counters = PipelineCounters()
         self.parser = PacketParser()
         self.taxels = Taxels(config.spec.nodes, config.adc, config.curve, config.stale_after_s)
@@ -110,6 +115,11 @@ class Pipeline:
     def rejected(self) -> int:
         """Bursts on the line that were no frame, under the present digitizer set-up."""
         return self._timing.rejected if self._timing else 0
+
+    @property
+    def clocks(self) -> ClockReport | None:
+        """What is known of the nodes' clocks; None where that is not asked."""
+        return self._timing.report if isinstance(self._timing, NodeTiming) else None
 
     def feed(self, data: bytes, t_host: float) -> list[TactileFrame]:
         """Decode what was read at t_host (monotonic, s). Any split gives the same frames."""
@@ -162,11 +172,14 @@ class Pipeline:
         if self.problem:
             return
         low_v, high_v = info.volts(np.array([info.min_count, info.max_count], dtype=np.int16))
-        timing = GapTiming if self.config.timing == GAP else LineTiming
+        spec, rails_v = self.config.spec, (float(low_v), float(high_v))
         try:
-            self._timing = timing(
-                self.config.spec, info.sample_rate_hz, (float(low_v), float(high_v))
-            )
+            if self.config.timing == GAP:
+                self._timing = GapTiming(spec, info.sample_rate_hz, rails_v)
+            elif info.integrated or spec.resync_chips:
+                self._timing = LineTiming(spec, info.sample_rate_hz, rails_v)
+            else:
+                self._timing = NodeTiming(spec, info.sample_rate_hz, rails_v, self._background)
         except SpecError as error:
             self.problem = f"the digitizer's sampling does not fit: {error}"
 
@@ -174,7 +187,8 @@ class Pipeline:
         if not self._arrived(packet, len(packet.counts), t_host):
             return []
         assert self.info is not None and self._timing is not None
-        block = SampleBlock(packet.first_index, self.info.volts(packet.counts), packet.sync)
+        volts = self.info.volts(packet.counts)
+        block = SampleBlock(packet.first_index, volts, packet.sync, packet.called)
         return [self._frame(chips) for chips in self._timing.feed(block)]
 
     def _quiet(self, packet: Quiet, t_host: float) -> list[TactileFrame]:
@@ -192,6 +206,7 @@ class Pipeline:
             (packet.mean - info.zero_count) * info.volts_per_count,
             packet.variance * info.volts_per_count**2,
             packet.sync,
+            packet.called,
         )
         if isinstance(timing, LineTiming):
             levels = timing.quiet(block)

@@ -82,7 +82,7 @@ class RollCallListener:
             )
         self.spec, self.sampling = spec, sampling
         self.heard: dict[int, HeardClock] = {}
-        self._rows = spec.book.rows(spec.rows)
+        self._rows = spec.node_rows
 
     @property
     def samples(self) -> int:

@@ -18,10 +18,12 @@ class NodeLevels:
     values: (k, n) float32, V: correlation of every node's row in every bit; ±a where the node
         spoke. Row signs and the amplifier's polarity are still in it.
     noise_v: rms noise of one value, V.
+    unresolved: nodes, counted from 0, whose waveforms do not tell them from some other.
     """
 
     values: NDArray[np.float32]
     noise_v: float
+    unresolved: tuple[int, ...] = ()
 
 
 def separate(chips: NDArray[np.float32], spec: FrameSpec) -> NodeLevels:

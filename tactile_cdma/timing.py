@@ -22,6 +22,8 @@ ABSURD_V = 1e6
 """No digitizer reports more; such samples are treated like NaN."""
 
 
+UNEVEN = 0.02
+"""Spread of words in which another look at the chips is worth its while: ρ < 7."""
 MIDDLE = 0.78
 """Share of a chip that is clear of edges up to 10 % of a chip off their ideal position."""
 
@@ -33,18 +35,20 @@ class SampleBlock:
     first_index: index of volts[0] in the digitizer's sample stream.
     volts: (m,) float32, V.
     sync: volts[0] is the first sample of a frame (line timing).
+    called: of a frame that belongs to a roll call.
     """
 
     first_index: int
     volts: NDArray[np.float32]
     sync: bool = False
+    called: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class QuietBlock:
     """Consecutive samples that nobody spoke in, of which the digitizer sent no more than this.
 
-    first_index, sync: as in SampleBlock. count: number of samples.
+    first_index, sync, called: as in SampleBlock. count: number of samples.
     mean_v, variance_v2: of the samples, V and V².
     """
 
@@ -53,6 +57,7 @@ class QuietBlock:
     mean_v: float
     variance_v2: float
     sync: bool = False
+    called: bool = False
 
     def samples(self) -> SampleBlock:
         """Samples that might have been: of this mean, and of this variance where even in number."""
@@ -60,7 +65,7 @@ class QuietBlock:
         deviation_v = math.sqrt(self.variance_v2)
         volts[::2] += deviation_v
         volts[1::2] -= deviation_v
-        return SampleBlock(self.first_index, volts, self.sync)
+        return SampleBlock(self.first_index, volts, self.sync, self.called)
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,16 +183,16 @@ class Timing:
         """What a fit makes of the samples, to be believed within a limit of spread.
 
         Whole chips are the matched filter; their middle is blind to edges a tenth of a chip off.
-        It is taken where it gives words more even than noise would by chance.
+        It is taken where words are uneven and it makes them more even than noise would by chance.
         """
         start, chip = np.array([fit.start]), np.array([fit.chip])
-        both = np.concatenate(
-            [integrate(line, start, chip, self.spec, share) for share in (1.0, MIDDLE)]
-        )
-        words = read_words(both, self.spec)
-        best = int(words.spread[1] < 0.6 * words.spread[0])
-        believable = bool(words.believable(limit, self.spec, noise)[best])
-        return Attempt(node_levels(words.rows[best], self.spec), words.amplitude[best], believable)
+        words = read_words(integrate(line, start, chip, self.spec), self.spec)
+        if words.spread[0] > UNEVEN:
+            middle = read_words(integrate(line, start, chip, self.spec, MIDDLE), self.spec)
+            if middle.spread[0] < 0.6 * words.spread[0]:
+                words = middle
+        believable = bool(words.believable(limit, self.spec, noise)[0])
+        return Attempt(node_levels(words.rows[0], self.spec), words.amplitude[0], believable)
 
     def _heard(
         self,

@@ -22,7 +22,7 @@ from .errors import SpecError
 from .paley import Paley, paley
 
 _LARGEST_BLOCK = 512
-"""Order from which on an FFT beats a dense product."""
+"""Order above which an FFT beats a dense product."""
 _BLAS_PRODUCTS = 1 << 18
 """Multiplications in one BLAS call. OpenBLAS spreads longer ones over its threads, which then wait
 for each other: milliseconds, on a machine that has anything else to do."""

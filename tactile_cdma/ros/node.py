@@ -7,7 +7,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import fields
 from functools import partial
 from typing import Any
 
@@ -34,7 +33,6 @@ from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
 from ..driver import WAITING, Driver, Session
 from ..errors import ParameterError, TactileError
-from ..health import NodeState
 from ..parameters import (
     BY_NAME,
     PARAMETERS,
@@ -46,12 +44,13 @@ from ..parameters import (
     unknown,
 )
 from ..pipeline import TactileFrame
-from ..protocol import Counters
 from ..source import Port
 from . import convert
+from .diagnostics import StreamReport
 
 NODE_NAME = "skin"
 RETRY_S = 2.0
+STAMP_JITTER_NS = 1_000_000
 LATCHED = QoSProfile(
     depth=1,
     reliability=ReliabilityPolicy.RELIABLE,
@@ -83,7 +82,8 @@ class SkinNode(LifecycleNode):
         self._latest: TactileFrame | None = None
         self._drawn: TactileFrame | None = None
         self._last_failure = ""
-        self._counted = (time.monotonic(), 0)
+        self._stream_report = StreamReport()
+        self._last_stamp_ns = 0
         self._silence_due_s = 0.0  # device time from which a frame without words is published again
         # rclpy lets a transition that is impossible in the present state end the executor.
         self._service_change_state.callback = partial(
@@ -216,7 +216,7 @@ class SkinNode(LifecycleNode):
         )
         port, self._port = self._port, None
         self._driver.start(port)
-        self._counted = (time.monotonic(), 0)
+        self._stream_report = StreamReport()
         self._heatmap_timer.timer_period_ns = round(1e9 / float(self._value("heatmap_rate_hz")))
         self._heatmap_timer.reset()
         return result
@@ -276,7 +276,12 @@ class SkinNode(LifecycleNode):
         self._latest = frame
         if not self._is_news(frame) or not self._array_publisher.get_subscription_count():
             return
-        header = self._header_at(frame.t_host)
+        stamp_ns = self._stamp_ns(frame.t_host)
+        # Two clocks are read for that, some µs apart: stamps rise all the same.
+        if 0 <= self._last_stamp_ns - stamp_ns < STAMP_JITTER_NS:
+            stamp_ns = self._last_stamp_ns + 1
+        self._last_stamp_ns = stamp_ns
+        header = self._header(stamp_ns)
         self._array_publisher.publish(
             convert.tactile_array(
                 frame, self._config, header, self._info_id, bool(self._live["publish_voltage"])
@@ -320,36 +325,8 @@ class SkinNode(LifecycleNode):
             level = DiagnosticStatus.ERROR if self._last_failure else DiagnosticStatus.STALE
             values: dict[str, object] = {}
         else:
-            pipeline = driver.pipeline
-            now, frames = time.monotonic(), pipeline.counters.frames
-            rate_hz = (frames - self._counted[1]) / max(now - self._counted[0], 1e-3)
-            self._counted = (now, frames)
-            level, text = DiagnosticStatus.OK, "receiving"
-            if driver.problem:
-                waiting = driver.problem == WAITING
-                level = DiagnosticStatus.WARN if waiting else DiagnosticStatus.ERROR
-                text = driver.problem
-            values = {
-                "port": self._value("port"),
-                "rate (Hz)": f"{rate_hz:.2f}",
-                "expected rate (Hz)": f"{1 / pipeline.config.spec.frame_period_s:.2f}",
-                "connections": driver.connections,
-                "rejected bursts": pipeline.rejected,
-                "clipped samples (%)": f"{100 * self._latest.clipped:.1f}" if self._latest else "",
-            }
-            for state in (NodeState.MISSING, NodeState.WEAK, NodeState.FAULTY, NodeState.DOUBLED):
-                nodes = pipeline.health.nodes(state)
-                values[f"{state.name.lower()} nodes"] = _numbers(nodes)
-                if nodes and state > NodeState.WEAK and level == DiagnosticStatus.OK:
-                    level, text = DiagnosticStatus.WARN, _COMPLAINTS[state]
-            for count in fields(pipeline.counters):
-                values[_words(count.name)] = getattr(pipeline.counters, count.name)
-            packets, status = pipeline.packet_counts, pipeline.status
-            for count in fields(Counters):
-                if count.name != "text_bytes":  # about half of all bytes on a healthy link
-                    values[_words(count.name)] = packets[count.name]
-            for count in fields(status) if status else ():
-                values["digitizer " + _words(count.name)] = getattr(status, count.name)
+            level, text, values = self._stream_report.of(driver, self._latest)
+            values["port"] = self._value("port")
         message = DiagnosticArray(status=[convert.diagnostic(name, level, text, values)])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_publisher.publish(message)
@@ -367,25 +344,15 @@ class SkinNode(LifecycleNode):
 
     def _header_at(self, t_host: float) -> Header:
         """A header stamped with a moment of the host's monotonic clock."""
+        return self._header(self._stamp_ns(t_host))
+
+    def _stamp_ns(self, t_host: float) -> int:
+        """A moment of the host's monotonic clock in ROS time, ns."""
         age_ns = time.monotonic_ns() - round(t_host * 1e9)
-        stamp = convert.stamp(self.get_clock().now().nanoseconds - age_ns)
-        return Header(stamp=stamp, frame_id=str(self._live["frame_id"]))
+        return int(self.get_clock().now().nanoseconds) - age_ns
 
-
-_COMPLAINTS = {
-    NodeState.FAULTY: "words of some nodes contradict the code: check their supply and clock",
-    NodeState.DOUBLED: "two nodes speak on one code row: check the numbers given to the nodes",
-}
-
-
-def _numbers(nodes: list[int], most: int = 20) -> str:
-    """Node numbers for people: not thousands of them."""
-    text = ", ".join(map(str, nodes[:most]))
-    return f"{text}, … {len(nodes)} in all" if len(nodes) > most else text
-
-
-def _words(name: str) -> str:
-    return name.replace("_", " ")
+    def _header(self, stamp_ns: int) -> Header:
+        return Header(stamp=convert.stamp(stamp_ns), frame_id=str(self._live["frame_id"]))
 
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:

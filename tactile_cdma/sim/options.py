@@ -9,7 +9,7 @@ from typing import Any
 from urllib.parse import parse_qsl, urlsplit
 
 from .._protocol import SyncMode
-from ..codes import smallest_order
+from ..codes import default_order
 from ..errors import ParameterError, SpecError
 from ..frame import DEFAULT_AMPLITUDE_V, MAX_STRETCH, FrameSpec
 from ..layout import GridLayout
@@ -248,9 +248,9 @@ class SimOptions:
             return pins.get(name, getattr(spec, name))
 
         rows = wanted("nodes") + wanted("first_row")
-        order = wanted("order") or smallest_order(rows)
+        order = wanted("order") or default_order(rows)
         if "order" not in pins and order < rows:
-            order = smallest_order(rows)
+            order = default_order(rows)
         free = replace(spec, **{**pins, "order": order, "frame_period_s": math.inf})
         period_s = spec.frame_period_s
         if self._longest_s(free) > period_s:  # then the paper's ratio of period to frame

@@ -137,9 +137,9 @@ def test_pressures_on_the_topic_are_those_pressed_on_the_simulated_skin() -> Non
 
 
 def test_stamps_are_the_middle_of_the_code_frame() -> None:
-    with running() as (node, client):
+    with running() as (_, client):
         wait_for(lambda: len(client.arrays) > 100)
-        now_ns = node.get_clock().now().nanoseconds
+    now_ns = time.time_ns()
     stamps = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in client.arrays])
     device_us = np.array([m.device_time_us for m in client.arrays], dtype=float)
     assert (np.diff(stamps) > 0).all()

@@ -1,0 +1,362 @@
+"""Timing: what stretch, jitter and clocks of the nodes' own cost, and what helps.
+
+    make bench-timing      QUICK=1: fewer frames and points
+
+Bit errors of frames in which every node speaks, at ρ = 15, where noise alone causes none. Words are
+random. Samples are instants, as a digitizer takes them. Frames that a method doesn't deliver count
+as guessed: half of their bits are wrong.
+
+- plain: chips where one fixed clock puts them (for nodes' own clocks: the mean of these).
+- line, gap: LineTiming, told where a frame begins, and GapTiming, which is not.
+- resync: the nodes start anew every 32 chips, after 1 guard chip.
+- decorrelated: least squares with clocks estimated from one simulated roll call.
+- scrambled: the same, where all nodes flip their chips by one common pseudo-random sequence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from benchmarks.report import QUICK, Report, medians_s
+from tactile_cdma.clock_tracking import ClockTracker
+from tactile_cdma.decorrelate import Decorrelator
+from tactile_cdma.fit import Line, integrate
+from tactile_cdma.frame import FrameSpec
+from tactile_cdma.gap_timing import GapTiming
+from tactile_cdma.line_timing import LineTiming
+from tactile_cdma.node_clocks import NodeClocks, crosstalk
+from tactile_cdma.roll_call import RollCallListener
+from tactile_cdma.sampling import INTEGRATED, Sampling
+from tactile_cdma.separate import separate
+from tactile_cdma.timing import SampleBlock
+
+RHO = 15.0
+CHIP_S = 10e-6
+RESYNC, GUARD = 32, 1
+FRAMES = {16: 10, 64: 5, 256: 2} if QUICK else {16: 40, 64: 20, 256: 10}
+NODES = (16, 64, 256)
+STRETCHES = (0.0, 0.005, 0.11) if QUICK else (0.0, 0.0005, 0.002, 0.005, 0.02, 0.05, 0.08, 0.11)
+JITTERS = (0.0, 0.1) if QUICK else (0.0, 0.02, 0.04, 0.06, 0.08, 0.1)
+RATES = (0.001, 0.01) if QUICK else (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02)
+DELAYS = (0.5,) if QUICK else (0.1, 0.25, 0.5)
+DELAY_BESIDE_RATE = 0.3
+
+
+@dataclass(frozen=True)
+class ScrambledSpec(FrameSpec):
+    """A frame whose chips all nodes flip alike, so that no row looks like another one shifted."""
+
+    @cached_property
+    def node_rows(self) -> np.ndarray:
+        mask = np.random.default_rng(self.order).choice(np.array([-1, 1], np.int8), self.order)
+        return self.book.rows(self.rows) * mask
+
+
+def frame_spec(nodes: int, kind: type[FrameSpec] = FrameSpec) -> FrameSpec:
+    """Room for the longest stretch and a gap; a period of whole samples."""
+    chips = 10 * FrameSpec(nodes=nodes, chip_s=1e-8, frame_period_s=1.0).order
+    return kind(nodes=nodes, chip_s=CHIP_S, frame_period_s=round(1.6 * chips) * CHIP_S)
+
+
+def noise_of(spec: FrameSpec, per_chip: float) -> float:
+    """Of one sample, V, for ρ with nodes of 1 V."""
+    return float(np.sqrt(spec.order * per_chip) / RHO)
+
+
+# One clock for all nodes
+
+
+def common_lines(
+    spec: FrameSpec, stretch: float, jitter: float, per_chip: int, rng: np.random.Generator
+) -> Iterable[tuple[np.ndarray, np.ndarray]]:
+    """Bits (k, n) of ±1 and the samples of a frame period, for as many frames as FRAMES says."""
+    period = round(spec.frame_period_s / CHIP_S * per_chip)
+    for _ in range(FRAMES[spec.nodes]):
+        bits = rng.choice([-1.0, 1.0], (spec.bits, spec.nodes))
+        levels = np.append((bits @ spec.node_rows).ravel(), 0.0)
+        edges = np.arange(spec.chips + 1.0)
+        edges[1:] += rng.uniform(-jitter, jitter, spec.chips)
+        chip = np.searchsorted(edges, (np.arange(period) + 0.5) / per_chip / (1 + stretch), "right")
+        yield bits, levels[chip - 1] + noise_of(spec, per_chip) * rng.normal(size=period)
+
+
+def common_errors(spec: FrameSpec, stretch: float, jitter: float) -> dict[str, float]:
+    """Share of wrong bits of each method."""
+    per_chip, rng = 8, np.random.default_rng(1)
+    frames = list(common_lines(spec, stretch, jitter, per_chip, rng))
+    period, rate_hz = frames[0][1].size, per_chip / CHIP_S
+    unstretched = replace(spec, amplitude_v=1.0)
+    found: dict[str, dict[int, np.ndarray]] = {"plain": {}, "line": {}, "gap": {}}
+    line_timing, gap_timing = (kind(unstretched, rate_hz) for kind in (LineTiming, GapTiming))
+    heard = {"line": [], "gap": []}
+    before = noise_of(spec, per_chip) * rng.normal(size=period)  # a silent slot
+    for number, volts in enumerate([before, *(line for _, line in frames), before]):
+        block = SampleBlock(number * period, volts.astype(np.float32), sync=True)
+        heard["line"] += line_timing.feed(block)
+        heard["gap"] += gap_timing.feed(replace(block, sync=False))
+        if 0 < number <= FRAMES[spec.nodes]:
+            chips = volts[: spec.chips * per_chip].reshape(spec.bits, spec.order, per_chip)
+            found["plain"][number] = separate(chips.mean(axis=2).astype(np.float32), spec).values
+    heard["line"] += line_timing.flush()
+    heard["gap"] += gap_timing.flush()
+    for name, levels in heard.items():
+        for frame in levels:
+            if frame.levels is not None:
+                found[name][round(frame.start / period)] = frame.levels.values
+    return {
+        name: float(np.mean([wrong(got.get(i + 1), bits) for i, (bits, _) in enumerate(frames)]))
+        for name, got in found.items()
+    }
+
+
+def wrong(values: np.ndarray | None, bits: np.ndarray) -> float:
+    """Share of wrong bits in a frame."""
+    return 0.5 if values is None else float(np.mean(np.sign(values) != bits))
+
+
+# Clocks of the nodes' own
+
+
+def own_line(
+    spec: FrameSpec, clocks: NodeClocks, bits: np.ndarray, per_chip: int, size: int
+) -> np.ndarray:
+    """What instants see of nodes that count their own chips; bits: (k, n), 0 where silent."""
+    instants = (np.arange(size) + 0.5) / per_chip
+    pitch = RESYNC + GUARD if spec.resync_chips else size
+    slot, since = np.divmod(instants, pitch)
+    length = RESYNC if spec.resync_chips else spec.chips
+    line = np.zeros(size)
+    for node in np.flatnonzero(bits.any(axis=0)):
+        step = (since - clocks.delay_chips[node]) / (1 + clocks.rate_error[node])
+        chip = np.floor(step).astype(int)
+        inside = (chip >= 0) & (chip < length)
+        chip = (chip + slot.astype(int) * length)[inside]
+        inside[inside], chip = chip < spec.chips, chip[chip < spec.chips]
+        line[inside] += bits[chip // spec.order, node] * spec.node_rows[node, chip % spec.order]
+    return line
+
+
+def called_clocks(
+    spec: FrameSpec, clocks: NodeClocks, per_chip: int, rng: np.random.Generator
+) -> NodeClocks:
+    """The clocks as one roll call lets the host know them."""
+    listener, noise = RollCallListener(spec, Sampling(per_chip)), noise_of(spec, per_chip)
+    for node in range(spec.nodes):
+        bits = rng.choice([-1.0, 1.0], (spec.bits, 1)) * (np.arange(spec.nodes) == node)
+        line = own_line(spec, clocks, bits, per_chip, listener.samples)
+        line += noise * rng.normal(size=line.size)
+        listener.hear(node, line.astype(np.float32), noise)
+    return listener.clocks()
+
+
+def own_errors(nodes: int, rate: float, delay: float) -> dict[str, float]:
+    """Share of wrong bits of each method, and the crosstalk that tells when plain fails."""
+    per_chip, rng = 2, np.random.default_rng(2)
+    spec, scrambled = frame_spec(nodes), frame_spec(nodes, ScrambledSpec)
+    resynced = replace(spec, resync_chips=RESYNC, guard_chips=GUARD)
+    clocks = NodeClocks(
+        rng.uniform(0, delay, nodes), rng.uniform(-rate, rate, nodes), np.ones(nodes, bool)
+    )
+    sampling, noise = Sampling(per_chip), noise_of(spec, per_chip)
+    period = round(spec.frame_period_s / CHIP_S * per_chip)
+    start = np.array([clocks.delay_chips.mean() * per_chip - 0.5])
+    chip = np.array([(1 + clocks.rate_error.mean()) * per_chip])
+    nominal = np.array([float(per_chip)])
+
+    def plain(line: np.ndarray) -> np.ndarray:
+        return separate(integrate(Line(line), start, chip, spec)[0], spec).values
+
+    def restarted(line: np.ndarray) -> np.ndarray:
+        return separate(integrate(Line(line), start, nominal, resynced)[0], spec).values
+
+    def decorrelated(some: FrameSpec) -> Callable[[np.ndarray], np.ndarray]:
+        decorrelator = Decorrelator(some, called_clocks(some, clocks, per_chip, rng), sampling)
+        return lambda line: decorrelator.estimate(line.astype(np.float32))
+
+    methods = {
+        "plain": (spec, plain),
+        "resync": (resynced, restarted),
+        "decorrelated": (spec, decorrelated(spec)),
+        "scrambled": (scrambled, decorrelated(scrambled)),
+    }
+    errors = dict.fromkeys(methods, 0.0)
+    for _ in range(FRAMES[nodes]):
+        bits = rng.choice([-1.0, 1.0], (spec.bits, nodes))
+        shared = noise * rng.normal(size=period)
+        for name, (some, decode) in methods.items():
+            line = own_line(some, clocks, bits, per_chip, period) + shared
+            errors[name] += wrong(decode(line), bits) / FRAMES[nodes]
+    return errors | {"crosstalk": crosstalk(spec, clocks)}
+
+
+def sampling_rows() -> list[list[object]]:
+    """What the samples per chip do for noise and bit errors, at 0.5 % and half a chip of delay."""
+    rows: list[list[object]] = []
+    for nodes in NODES[:2] if QUICK else NODES:
+        rng = np.random.default_rng(3)
+        clocks = NodeClocks(
+            rng.uniform(0, 0.5, nodes), rng.uniform(-0.005, 0.005, nodes), np.ones(nodes, bool)
+        )
+        for kind in (FrameSpec, ScrambledSpec):
+            spec = frame_spec(nodes, kind)
+            for sampling in (INTEGRATED, Sampling(2.0), Sampling(4.0)):
+                samples = spec.chips if sampling is INTEGRATED else None
+                decorrelator = Decorrelator(spec, clocks, sampling, samples)
+                noise, share = noise_of(spec, sampling.per_chip), 0.0
+                for _ in range(FRAMES[nodes]):
+                    bits = rng.choice([-1.0, 1.0], (spec.bits, nodes)).astype(np.float32)
+                    line = decorrelator.line(bits)
+                    line += np.float32(noise) * rng.normal(size=line.size).astype(np.float32)
+                    share += wrong(decorrelator.estimate(line), bits) / FRAMES[nodes]
+                rows.append(
+                    [
+                        nodes,
+                        spec.order,
+                        "yes" if kind is ScrambledSpec else "no",
+                        "chip means" if sampling is INTEGRATED else f"{sampling.per_chip:g}",
+                        float(np.median(decorrelator.gain)),
+                        float(decorrelator.gain.max()),
+                        int(decorrelator.unresolved.size),
+                        share,
+                    ]
+                )
+    return rows
+
+
+def costs(report: Report) -> float:
+    """Times of a frame and of what is done beside, ms; returns a decorrelation's at 256 nodes."""
+    rows, last = [], 0.0
+    for nodes in NODES:
+        spec, rng = frame_spec(nodes), np.random.default_rng(4)
+        clocks = NodeClocks(
+            rng.uniform(0, 0.5, nodes), rng.uniform(-0.01, 0.01, nodes), np.ones(nodes, bool)
+        )
+        sampling = Sampling(2.0)
+        decorrelator = Decorrelator(spec, clocks, sampling)
+        bits = rng.choice([-1.0, 1.0], (spec.bits, nodes)).astype(np.float32)
+        line = decorrelator.line(bits)
+        line += np.float32(0.1) * rng.normal(size=line.size).astype(np.float32)
+        tracker, wide = ClockTracker(clocks), line.astype(float)
+        listener, lone = RollCallListener(spec, sampling), np.arange(nodes) == nodes // 2
+        alone = own_line(spec, clocks, np.ones((10, 1)) * lone, 2, listener.samples)
+        alone = alone.astype(np.float32)
+        times = medians_s(
+            {
+                "plain": lambda line=wide, spec=spec: separate(
+                    integrate(Line(line), np.array([-0.5]), np.array([2.0]), spec)[0], spec
+                ),
+                "decorrelated": lambda d=decorrelator, line=line: d.estimate(line),
+                "track": lambda t=tracker, d=decorrelator, line=line, bits=bits: t.update(
+                    d, line, bits, 0.1
+                ),
+                "build": lambda spec=spec, clocks=clocks: Decorrelator(spec, clocks, Sampling(2.0)),
+                "hear": lambda r=listener, y=alone, n=nodes: r.hear(n // 2, y, 0.1),
+            },
+            rounds=2 if QUICK else 7,
+        )
+        last = 1e3 * times["decorrelated"]
+        rows.append([nodes, spec.order, *(1e3 * times[name] for name in times)])
+    headers = "nodes,order,plain,decorrelated,tracked,build,roll call of a node"
+    report.table(
+        [f"{name} ms" if i > 1 else name for i, name in enumerate(headers.split(","))], rows
+    )
+    return last
+
+
+COLOURS = {
+    "plain": "C3",
+    "line": "C2",
+    "gap": "C1",
+    "resync": "C0",
+    "decorrelated": "C2",
+    "scrambled": "C4",
+}
+STYLES = dict(zip(NODES, ("o-", "s--", "^:"), strict=True))
+
+
+def panel(
+    report: Report,
+    axis: Axes,
+    label: str,
+    points: Iterable[tuple[int, float, dict[str, float]]],
+    scale: float = 100.0,
+) -> dict[str, float]:
+    """One table and one plot of points (nodes, value, errors); returns each method's worst."""
+    kept = list(points)
+    names = [name for name in COLOURS if name in kept[0][2]]
+    columns = [*names, *(name for name in kept[0][2] if name not in names)]
+    rows = [[nodes, value, *(found[name] for name in columns)] for nodes, value, found in kept]
+    report.table(["nodes", label, *columns], rows)
+    for nodes in dict.fromkeys(nodes for nodes, _, _ in kept):
+        values = [scale * value for some, value, _ in kept if some == nodes]
+        for name in names:
+            errors = [max(found[name], 1e-5) for some, _, found in kept if some == nodes]
+            axis.plot(
+                values,
+                errors,
+                STYLES[nodes],
+                color=COLOURS[name],
+                label=f"{name}, {nodes}",
+                markersize=4,
+            )
+    axis.set(xlabel=label + (" / %" if scale > 1 else ""), yscale="log", ylim=(7e-6, 1))
+    axis.grid(alpha=0.3)
+    axis.legend(fontsize=6, ncols=2)
+    return {name: max(found[name] for _, _, found in kept) for name in names}
+
+
+def main() -> None:
+    report = Report("timing", f"Bit errors of timing, ρ = {RHO:g}")
+    figure = Figure(figsize=(11, 8), layout="constrained")
+    axes = figure.subplots(2, 2, sharey=True)
+    clocked = NODES[:2] if QUICK else NODES  # 256 roll-call frames take long to listen to
+    stretched = panel(
+        report,
+        axes[0, 0],
+        "stretch of all",
+        ((n, x, common_errors(frame_spec(n), x, 0.0)) for n in NODES for x in STRETCHES),
+    )
+    jittered = panel(
+        report,
+        axes[0, 1],
+        "jitter, chips",
+        ((n, x, common_errors(frame_spec(n), 0.0, x)) for n in NODES for x in JITTERS),
+        scale=1.0,
+    )
+    drifting = panel(
+        report,
+        axes[1, 0],
+        f"clock error (±), delay to {DELAY_BESIDE_RATE:g}",
+        ((n, x, own_errors(n, x, DELAY_BESIDE_RATE)) for n in clocked for x in RATES),
+    )
+    delayed = panel(
+        report,
+        axes[1, 1],
+        "delay (0…), chips",
+        ((n, x, own_errors(n, 0.0, x)) for n in clocked for x in DELAYS),
+        scale=1.0,
+    )
+    for axis in axes[:, 0]:
+        axis.set_ylabel("bit error rate; 1e-5: none")
+    headers = "nodes,order,scrambled,samples/chip,median gain,worst gain,unresolved,BER"
+    report.table(headers.split(","), sampling_rows())
+    decorrelate_ms = costs(report)
+    report.finish(
+        figure,
+        plain_ber=max(some["plain"] for some in (stretched, jittered, drifting, delayed)),
+        tracked_ber=max(some[name] for some in (stretched, jittered) for name in ("line", "gap")),
+        resync_ber=max(drifting["resync"], delayed["resync"]),
+        decorrelated_ber=max(drifting["decorrelated"], delayed["decorrelated"]),
+        scrambled_ber=max(drifting["scrambled"], delayed["scrambled"]),
+        decorrelate_ms_256=decorrelate_ms,
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,105 @@
+"""What a running driver says of itself in /diagnostics."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import fields
+
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from ..driver import WAITING, Driver
+from ..health import NodeState
+from ..pipeline import TactileFrame
+from ..protocol import Counters
+
+_COMPLAINTS = {
+    NodeState.FAULTY: "words of some nodes contradict the code: check their supply and clock",
+    NodeState.DOUBLED: "two nodes speak on one code row: check the numbers given to the nodes",
+}
+_MOST_NUMBERS = 20
+
+
+class StreamReport:
+    """Level, text and values of a driver's stream; rates are since the report before."""
+
+    def __init__(self) -> None:
+        self._counted = (time.monotonic(), 0)
+
+    def of(
+        self, driver: Driver, latest: TactileFrame | None
+    ) -> tuple[bytes, str, dict[str, object]]:
+        """What there is to say now. latest: the newest frame."""
+        level, text = _verdict(driver)
+        values = {**self._rates(driver), **_health(driver), **_clocks(driver), **_counts(driver)}
+        values["clipped samples (%)"] = f"{100 * latest.clipped:.1f}" if latest else ""
+        return level, text, values
+
+    def _rates(self, driver: Driver) -> dict[str, object]:
+        pipeline, now = driver.pipeline, time.monotonic()
+        frames = pipeline.counters.frames
+        rate_hz = (frames - self._counted[1]) / max(now - self._counted[0], 1e-3)
+        self._counted = (now, frames)
+        return {
+            "rate (Hz)": f"{rate_hz:.2f}",
+            "expected rate (Hz)": f"{1 / pipeline.config.spec.frame_period_s:.2f}",
+            "connections": driver.connections,
+            "rejected bursts": pipeline.rejected,
+        }
+
+
+def _verdict(driver: Driver) -> tuple[bytes, str]:
+    """The worst that there is to say."""
+    if driver.problem == WAITING:
+        return DiagnosticStatus.WARN, driver.problem
+    if driver.problem:
+        return DiagnosticStatus.ERROR, driver.problem
+    for state, complaint in _COMPLAINTS.items():
+        if driver.pipeline.health.nodes(state):
+            return DiagnosticStatus.WARN, complaint
+    clocks = driver.pipeline.clocks
+    if clocks is not None and clocks.problem:
+        return DiagnosticStatus.WARN, clocks.problem
+    return DiagnosticStatus.OK, "receiving"
+
+
+def _health(driver: Driver) -> dict[str, object]:
+    health = driver.pipeline.health
+    states = (NodeState.MISSING, NodeState.WEAK, NodeState.FAULTY, NodeState.DOUBLED)
+    return {f"{state.name.lower()} nodes": _numbers(health.nodes(state)) for state in states}
+
+
+def _clocks(driver: Driver) -> dict[str, object]:
+    clocks = driver.pipeline.clocks
+    if clocks is None or not clocks.heard:
+        return {}
+    return {
+        "node clocks heard": clocks.heard,
+        "node clocks apart (chips)": f"{clocks.spread_chips:.2f}",
+        "nodes taken apart by": "least squares" if clocks.decorrelated else "correlation",
+        "nodes not told apart": _numbers(list(clocks.unresolved)),
+    }
+
+
+def _counts(driver: Driver) -> dict[str, object]:
+    pipeline = driver.pipeline
+    values: dict[str, object] = {
+        _words(count.name): getattr(pipeline.counters, count.name)
+        for count in fields(pipeline.counters)
+    }
+    packets, status = pipeline.packet_counts, pipeline.status
+    for count in fields(Counters):
+        if count.name != "text_bytes":
+            values[_words(count.name)] = packets[count.name]
+    for count in fields(status) if status else ():
+        values["digitizer " + _words(count.name)] = getattr(status, count.name)
+    return values
+
+
+def _numbers(nodes: list[int]) -> str:
+    """Node numbers for people: not thousands of them."""
+    text = ", ".join(map(str, nodes[:_MOST_NUMBERS]))
+    return f"{text}, … {len(nodes)} in all" if len(nodes) > _MOST_NUMBERS else text
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
