@@ -23,9 +23,7 @@ except ImportError:  # not a POSIX system
 
 READ_TIMEOUT_S = 0.1
 READ_SIZE = 65_536
-"""Bytes that one read takes at most, so that a flood cannot hold its reader."""
-TTY_READ = 4095
-"""A tty hands out little more at once: where it gave so much, more is likely to be waiting."""
+"""Bytes that one read takes at most; a tty hands out 4 kB at once."""
 SIM_HANDLERS = "tactile_cdma.sim"
 
 if SIM_HANDLERS not in serial.protocol_handler_packages:
@@ -77,20 +75,12 @@ class Port:
         return data + self._serial.read(self._serial.in_waiting) if data else data
 
     def _wait_in_kernel(self, poll: select.poll) -> bytes:
-        """The same from a file descriptor, with the fewest system calls."""
+        """The same from a file descriptor, with two system calls."""
         if not poll.poll(READ_TIMEOUT_S * 1e3):
             return b""
-        descriptor = self._serial.fileno()
-        data = os.read(descriptor, READ_SIZE)
+        data = os.read(self._serial.fileno(), READ_SIZE)
         if not data:
             raise OSError("end of file")
-        last = data
-        while len(last) >= TTY_READ and len(data) < READ_SIZE:
-            try:
-                last = os.read(descriptor, READ_SIZE)
-            except BlockingIOError:
-                break
-            data += last
         return data
 
     def write(self, data: bytes) -> None:
