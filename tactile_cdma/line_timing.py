@@ -37,6 +37,8 @@ CARRIED_FRAMES = 15
 CARRIED_MISFIT = 3e-3
 """Power, relative to the words', that timing carried over may leave unexplained beside the noise:
 an edge error of about a thousandth of a chip's power, 0.01 dB."""
+RESTART_STEP = 1 / 16
+"""Raster on which the nodes' common delay is sought where they restart, chips."""
 GAP_WEIGHT = 0.25
 """Of the newest gap in the noise that is expected of the next frame."""
 
@@ -88,6 +90,8 @@ class LineTiming(Timing):
         self._level_known = False
         self._noise = 0.0  # variance of a chip's level in the gap, V²; 0 where unknown
         self._carried: _Carried | None = None
+        self._restarted = self._nominal_fit
+        self._restart_uses = 0
         self._chip = self._nominal
 
     def feed(self, block: SampleBlock) -> list[FrameLevels]:
@@ -255,8 +259,11 @@ class LineTiming(Timing):
         return []
 
     def _resynced_frame(self, start: int, line: Line, final: bool) -> list[FrameLevels]:
-        """The frame with restarts in it: its chips are at their nominal places."""
-        fit = self._nominal_fit
+        """The frame with restarts in it: its chips are where they should be, or all a bit late."""
+        if self._restart_uses % (CARRIED_FRAMES + 1) == 0:
+            self._restarted = self._least_late(line)
+        self._restart_uses += 1
+        fit = self._restarted
         found = self._attempt(line, fit, MAX_SPREAD, self._noise or None)
         if self._silent(found.amplitude):
             return self._idle_frame(start, fit, self._chip_power(line) * self._nominal)
@@ -264,6 +271,13 @@ class LineTiming(Timing):
             return self._emit(start, fit, found.levels, line.volts + self._level_v)
         self._reject()
         return []
+
+    def _least_late(self, line: Line) -> Fit:
+        """The start, up to a chip late, that explains the most energy."""
+        late = np.arange(0, 1, RESTART_STEP) * self._nominal
+        start, chip = self._nominal_fit.start + late, np.full(late.size, self._nominal)
+        power = read_words(integrate(line, start, chip, self.spec), self.spec).power
+        return Fit(float(start[np.argmax(power)]), self._nominal)
 
     def _explained(self, words: WordFit) -> bool:
         """Whether these words leave no more than the noise that the gap has shown."""

@@ -27,8 +27,8 @@ from .sampling import Sampling
 from .separate import NodeLevels
 from .timing import FrameLevels, QuietBlock, SampleBlock
 
-TRACKED_FRAMES = 8
-"""Clocks are followed in one of so many frames."""
+TRACKED_FRAMES = 4
+"""Clocks are followed in one of so many frames, a few nodes each time."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -163,3 +163,24 @@ def test_an_absurd_sample_loses_its_frame_only() -> None:
         assert len(frames) == 5 and timing.rejected == 1
         for frame in frames:
             assert frame.levels is not None and np.isfinite(frame.levels.values).all()
+
+
+@pytest.mark.parametrize("delay", [0.3, 0.9])
+def test_nodes_that_all_restart_late(delay: float) -> None:
+    spec = FrameSpec(resync_chips=32, guard_chips=1)
+    setup = Setup(spec, 8, SyncMode.DRIVE, False)
+    sent = blocks(SimOptions(scene="all", threshold=0), setup, 12)
+    shift = round(delay * 8)
+    line = np.concatenate([block.volts for block in sent])
+    late = np.concatenate((np.zeros(shift, np.float32), line[:-shift]))
+    given = [
+        replace(block, volts=late[block.first_index : block.first_index + block.volts.size])
+        for block in sent
+    ]
+    frames = run(LineTiming(spec, setup.rate_hz), given)
+    assert len(frames) == 12
+    nodes = islice(truth(SimOptions(scene="all", threshold=0), setup), 12)
+    for frame, node in zip(frames, nodes, strict=True):
+        assert frame.levels is not None
+        words = decode(frame.levels, spec)
+        assert np.array_equal(words.codes, node.codes) and not words.doubtful.any()
