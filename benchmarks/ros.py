@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from tactile_cdma.line_timing import TAIL_CHIPS
+from tactile_cdma._protocol import TAIL_CHIPS
 from tactile_cdma.messages import Samples
 from tactile_cdma.parameters import SkinConfig, Value
 from tactile_cdma.protocol import PacketParser
@@ -190,7 +190,8 @@ class driver:  # noqa: N801  # used like a function
     """The driver node in a process of its own."""
 
     def __init__(self, values: dict[str, Value], port: Path, folder: Path) -> None:
-        command = [sys.executable, "-m", "tactile_cdma.ros.node", "--ros-args"]
+        script = Path(__file__).resolve().parent.parent / "scripts" / "skin_driver"
+        command = [sys.executable, str(script), "--ros-args"]
         for name, value in {**values, "port": str(port)}.items():
             command += ["-p", f"{name}:={value}"]
         self._log = (folder / "driver.log").open("w+")

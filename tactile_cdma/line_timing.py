@@ -31,7 +31,7 @@ MAX_SPREAD = 0.12
 CHIP_ERROR = 2e-3
 """What chips may be shorter than nominal, or longer than the longest stretch."""
 CLEAN_SPREAD = 0.08
-"""Spread of words at which a frame marked by its sync is taken as timed right: ρ > 3.5."""
+"""The same for a frame timed as its sync says, where the noise is not known: ρ > 3.5."""
 CARRIED_FRAMES = 15
 """A frame's timing serves so many frames after it, as long as it explains them."""
 CARRIED_MISFIT = 3e-3
@@ -221,7 +221,7 @@ class LineTiming(Timing):
             return self._idle_frame(start, self._nominal_fit, power * self._nominal)
         for chip in dict.fromkeys((self._nominal, self._chip)):
             fit = self._refined(line, chip)
-            found = self._attempt(line, fit, CLEAN_SPREAD, self._noise or None)
+            found = self._attempt(line, fit, self._clean_spread, self._noise or None)
             if found.believable and not self._silent(found.amplitude):
                 if self._more_needed(fit, end, volts.size, final):
                     return []
@@ -237,12 +237,13 @@ class LineTiming(Timing):
         if end < longest and not final:
             self._due = longest
             return []
-        fit = self._refined(line, self._stretched(line))
-        found = self._attempt(line, fit, MAX_SPREAD)
-        if self._silent(found.amplitude):
-            return self._idle_frame(start, fit, power * self._nominal)
-        if found.believable and self._ends(line, fit, found.levels, found.amplitude):
-            return self._emit(start, fit, found.levels, volts + self._level_v)
+        for stretched in (self._by_loud_end(line), self._all_stretches(line)):
+            fit = self._refined(line, self._strongest(line, stretched))
+            found = self._attempt(line, fit, MAX_SPREAD, self._noise or None)
+            if self._silent(found.amplitude):
+                return self._idle_frame(start, fit, power * self._nominal)
+            if found.believable and self._ends(line, fit, found.levels, found.amplitude):
+                return self._emit(start, fit, found.levels, volts + self._level_v)
         self._reject(longest + math.ceil(self._nominal))
         return []
 
@@ -266,6 +267,7 @@ class LineTiming(Timing):
         fit = self._restarted
         found = self._attempt(line, fit, MAX_SPREAD, self._noise or None)
         if self._silent(found.amplitude):
+            self._restart_uses = 0
             return self._idle_frame(start, fit, self._chip_power(line) * self._nominal)
         if found.believable and self._ends(line, fit, found.levels, found.amplitude):
             return self._emit(start, fit, found.levels, line.volts + self._level_v)
@@ -286,8 +288,14 @@ class LineTiming(Timing):
             return False
         noise = 1.5 * self._noise / power
         return bool(
-            words.spread[0] < CLEAN_SPREAD and words.misfit[0] < noise + CARRIED_MISFIT
+            words.misfit[0] < noise + CARRIED_MISFIT
+            and words.believable(self._clean_spread, self.spec, self._noise or None)[0]
         ) and not self._silent(words.amplitude[0])
+
+    @property
+    def _clean_spread(self) -> float:
+        """Limit of spread at which a frame marked by its sync is taken as timed right."""
+        return MAX_SPREAD if self._noise else CLEAN_SPREAD  # known noise makes the limit stricter
 
     def _more_needed(self, fit: Fit, end: int, size: int, final: bool) -> bool:
         """Whether the silence after this fit's end is still to come; sets when to look again."""
@@ -327,11 +335,23 @@ class LineTiming(Timing):
         possible = 1 - CHIP_ERROR <= stretch <= (1 + CHIP_ERROR) * (1 + MAX_STRETCH)
         return fit if possible else Fit(-0.5, chip)
 
-    def _stretched(self, line: Line) -> float:
-        """The chip duration that explains the most energy, of all that end within the samples."""
+    def _by_loud_end(self, line: Line) -> Floats:
+        """Chip durations by which a frame ends where the line falls silent, or a bit later."""
+        limit = 5 * math.sqrt(self._noise * self._nominal)
+        loud = np.flatnonzero(np.abs(line.volts) > max(limit, 0.3 * math.sqrt(self._least_power)))
+        end = int(loud[-1]) + 1 if loud.size else self._nominal_size
+        chip: Floats = (end + self._nominal * np.arange(-1.0, 3.0, 0.5)) / self.spec.chips
+        return np.maximum(chip, self._nominal)
+
+    def _all_stretches(self, line: Line) -> Floats:
+        """All chip durations of frames that end within the samples."""
         spec, step = self.spec, 0.5 / self.spec.chips
-        chip = self._nominal * np.arange(1, 1 + MAX_STRETCH + step, step)
-        chip = chip[chip * spec.chips <= line.volts.size + self._nominal]
+        chip: Floats = self._nominal * np.arange(1, 1 + MAX_STRETCH + step, step)
+        return chip[chip * spec.chips <= line.volts.size + self._nominal]
+
+    def _strongest(self, line: Line, chip: Floats) -> float:
+        """The chip duration that explains the most energy."""
+        spec = self.spec
         batches = np.array_split(chip, 1 + chip.size * spec.chips // 2**18)
         gains = [
             read_words(integrate(line, np.full(some.size, -0.5), some, spec), spec).power * some

@@ -52,7 +52,7 @@ def _seconds(text: str) -> float:
 
 def driver_command(params: Path, port: str) -> list[str]:
     """Return the command of the driver node."""
-    command = [sys.executable, "-m", "tactile_cdma.ros.node", "--ros-args"]
+    command = [sys.executable, str(CHECKOUT / "scripts" / "skin_driver"), "--ros-args"]
     command += ["--params-file", str(params)]
     # Quoted, for a text that YAML would read as something else.
     return command + (["-p", f"port:={json.dumps(port)}"] if port else [])
