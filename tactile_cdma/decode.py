@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple
@@ -99,7 +100,9 @@ def decode(
         swing_v = spec.node_swing_v
     if swing_v is None:
         swing_v = max(float(amplitude.max()), AUTO_FLOOR * noise / threshold)
-    expected = np.broadcast_to(np.asarray(swing_v, dtype=np.float32), amplitude.shape)
+    expected = np.asarray(swing_v, dtype=np.float32)
+    if expected.ndim == 0:
+        expected = np.full(spec.nodes, expected)
     active = amplitude > np.float32(threshold) * expected
     rho = amplitude * np.float32(1 / max(noise, 1e-12))
     # Of nodes that are not even faint there is nothing more to know.
@@ -122,7 +125,7 @@ def decode(
         read.margin * noticed,
         doubtful,
         read.doubled & doubtful,
-        float(noise * np.sqrt(spec.order)),
+        noise * math.sqrt(spec.order),
     )
 
 

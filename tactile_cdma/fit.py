@@ -6,7 +6,9 @@ sample i is the line's level at instant i: it stands for [i − ½, i + ½).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +17,7 @@ from .frame import UNIPOLAR, FrameSpec
 from .transform import correlate, spread
 
 Floats = NDArray[np.float64]
+F = TypeVar("F", np.float32, np.float64)
 
 MAX_DISTORTION = 0.15
 """Power left over by the words, relative to theirs, that edges and clipping may account for."""
@@ -38,15 +41,14 @@ class Line:
     def __init__(self, volts: Floats) -> None:
         """Integrate once; float64 sums keep 1e-16·m relative, far below any ADC count."""
         self.volts = volts
-        self._padded = np.append(volts, 0.0)
-        self._sums = np.concatenate(([0.0], np.cumsum(volts)))
+        self._sums = np.empty(volts.size + 1)
+        self._sums[0] = 0.0
+        np.cumsum(volts, out=self._sums[1:])
 
     def integral(self, times: Floats) -> Floats:
         """∫ line dt up to each instant, V·samples."""
-        shifted = np.minimum(np.maximum(times + 0.5, 0.0), float(self.volts.size))
-        whole = shifted.astype(np.intp)
-        area: Floats = self._sums[whole] + (shifted - whole) * self._padded[whole]
-        return area
+        whole, share = _place(times, self.volts.size)
+        return self.sum_before(whole, share)
 
     def means(self, edges: Floats) -> NDArray[np.float32]:
         """Mean level between consecutive edges, V: (…, e) samples to (…, e − 1) float32."""
@@ -62,7 +64,7 @@ class Line:
 
     def sum_before(self, whole: NDArray[np.intp], share: Floats) -> Floats:
         """Sum of so many samples and a share of the next one, V."""
-        total: Floats = self._sums[whole] + share * self._padded[whole]
+        total: Floats = self._sums[whole] + share * self.volts[whole]
         return total
 
 
@@ -78,9 +80,9 @@ class ChipEdges:
         self._number = np.maximum(np.diff(self._whole + self._share), 0.5)
 
     def chips(self, line: Line) -> NDArray[np.float32]:
-        """As integrate gives them: (1, k, N) float32, V."""
+        """As integrate gives them: (k, N) float32, V."""
         levels = np.diff(line.sum_before(self._whole, self._share)) / self._number
-        return levels.astype(np.float32).reshape(1, self._spec.line_bits, self._spec.order)
+        return levels.astype(np.float32).reshape(self._spec.line_bits, self._spec.order)
 
 
 def _split(times: Floats, size: int) -> tuple[NDArray[np.intp], Floats]:
@@ -89,10 +91,15 @@ def _split(times: Floats, size: int) -> tuple[NDArray[np.intp], Floats]:
     A sample tells the level at its own instant, so it counts on one side of an edge only: to
     share it by areas would blur every chip with its neighbours.
     """
+    whole, share = _place(times, size)
+    return whole, np.minimum(np.maximum((share - 0.5) / BLUR + 0.5, 0.0), 1.0)
+
+
+def _place(times: Floats, size: int) -> tuple[NDArray[np.intp], Floats]:
+    """The sample that each instant lies in, 0…size − 1, and the share of it that has passed."""
     shifted = np.minimum(np.maximum(times + 0.5, 0.0), float(size))
-    whole = shifted.astype(np.intp)
-    share = (shifted - whole - 0.5) / BLUR + 0.5
-    return whole, np.minimum(np.maximum(share, 0.0), 1.0)
+    whole = np.minimum(shifted.astype(np.intp), size - 1)
+    return whole, shifted - whole
 
 
 def integrate(
@@ -134,34 +141,29 @@ class WordFit:
     spread: NDArray[np.float32]
     misfit: NDArray[np.float32]
 
-    def believable(
-        self, limit: float, spec: FrameSpec, noise: float | None = None
-    ) -> NDArray[np.bool_]:
-        """Whether the words are even within a spread, and what is left over is white noise, (c,).
+    def believable(self, limit: float, spec: FrameSpec, noise: float | None = None) -> bool:
+        """Whether the words are even within a spread, and what is left over is white noise.
 
-        limit: of one word's spread; beyond half of that it must be explained by noise.
+        Of a single hypothesis. limit: of one word's spread; beyond half of that it must be
+        explained by noise.
         noise: variance of a chip's level in the gap, V². It makes words spread by 1/ρ², estimated
         with active·(k − 1) degrees of freedom. Where it is not known, it follows from the words:
         noise that makes them spread by s leaves s/active in each of the N rows. Beyond that (and
         its scatter, s is an estimate from few bits) and some distortion there is a signal not
         understood.
         """
-        active = np.maximum(np.count_nonzero(self.amplitude, axis=1), 1)
-        most = np.full(len(active), limit)
+        power, spread, misfit = self.power.item(), self.spread.item(), self.misfit.item()
+        if not power > 0:
+            return False
+        active = max(int(np.count_nonzero(self.amplitude)), 1)
         if noise is None:
-            left = 3 * spec.order / active * self.spread
+            left, most = 3 * spec.order / active * spread, limit
         else:
-            left = 3 * np.float32(noise) / np.maximum(self.power, np.float32(1e-30))
+            left = 3 * noise / max(power, 1e-30)
             expected = left / 3 * active / spec.order
-            scatter = np.sqrt(2 / (active * (spec.line_bits - 1)))
-            most = np.minimum(
-                limit * (1.7 - 0.7 / active),
-                limit / 2 + expected * (1.3 + 4 * scatter),
-            )
-        good: NDArray[np.bool_] = (
-            (self.power > 0) & (self.spread < most) & (self.misfit < left + MAX_DISTORTION)
-        )
-        return good
+            scatter = math.sqrt(2 / (active * (spec.line_bits - 1)))
+            most = min(limit * (1.7 - 0.7 / active), limit / 2 + expected * (1.3 + 4 * scatter))
+        return bool(spread < most and misfit < left + MAX_DISTORTION)
 
 
 def least_power(spec: FrameSpec) -> float:
@@ -258,6 +260,6 @@ def refine(
     return Fit(float(start), float(chip))
 
 
-def dot(some: Floats, others: Floats) -> float:
+def dot(some: NDArray[F], others: NDArray[F]) -> float:
     """Sum of products, but not by BLAS: long ones wake its threads, which wait for each other."""
     return float(np.einsum("i,i->", some, others))

@@ -15,7 +15,6 @@ from .fit import (
     Fit,
     Floats,
     Line,
-    WordFit,
     dot,
     integrate,
     least_power,
@@ -25,6 +24,7 @@ from .fit import (
 from .frame import BIPOLAR, MAX_STRETCH, UNIPOLAR, FrameSpec
 from .separate import NodeLevels, node_levels
 from .timing import FrameLevels, QuietBlock, SampleBlock, Timing
+from .transform import correlate
 
 MAX_SPREAD = 0.12
 """Spread beyond which a marked frame is rejected after all stretches were tried."""
@@ -202,12 +202,13 @@ class LineTiming(Timing):
         if carried is not None and carried.uses < CARRIED_FRAMES:
             if carried.edges.size != volts.size:
                 carried.edges = ChipEdges(carried.fit, self.spec, volts.size)
-            words = read_words(carried.edges.chips(line), self.spec)
-            if self._explained(words):
-                fit, amplitude = carried.fit, words.amplitude[0]
+            rows = correlate(carried.edges.chips(line), self.spec.book)
+            amplitude = self._explained(rows)
+            if amplitude is not None:
+                fit = carried.fit
                 if self._more_needed(fit, end, volts.size, final):
                     return []
-                levels = node_levels(words.rows[0], self.spec)
+                levels = node_levels(rows, self.spec)
                 if self._ends(line, fit, levels, amplitude):
                     carried.uses += 1
                     return self._emit(start, fit, levels, volts)
@@ -254,7 +255,7 @@ class LineTiming(Timing):
         words = read_words(chips.reshape(1, spec.line_bits, spec.order), spec)
         if self._silent(words.amplitude[0]):
             return self._idle_frame(start, fit, self._sample_power(volts[: spec.chips]))
-        if words.believable(MAX_SPREAD, spec)[0]:
+        if words.believable(MAX_SPREAD, spec):
             return self._emit(start, fit, node_levels(words.rows[0], spec), volts)
         self._reject()
         return []
@@ -281,16 +282,28 @@ class LineTiming(Timing):
         power = read_words(integrate(line, start, chip, self.spec), self.spec).power
         return Fit(float(start[np.argmax(power)]), self._nominal)
 
-    def _explained(self, words: WordFit) -> bool:
-        """Whether these words leave no more than the noise that the gap has shown."""
-        power = float(words.power[0])
-        if power <= max(self._least_power, 4 * self._noise / self.spec.order):
-            return False
-        noise = 1.5 * self._noise / power
-        return bool(
-            words.misfit[0] < noise + CARRIED_MISFIT
-            and words.believable(self._clean_spread, self.spec, self._noise or None)[0]
-        ) and not self._silent(words.amplitude[0])
+    def _explained(self, rows: NDArray[np.float32]) -> NDArray[np.float32] | None:
+        """Amplitudes (n,) of words that leave no more than the noise that the gap has shown.
+
+        rows: (k, N) float32, V, all correlations. None where there are no such words. What makes
+        words uneven is left over, too, so this says that they are even.
+        """
+        spec = self.spec
+        level = np.abs(rows[:, spec.first_row : spec.first_row + spec.nodes])
+        amplitude = level.sum(axis=0) * np.float32(1 / spec.line_bits)
+        amplitude *= amplitude > 0.5 * amplitude.max()
+        power = dot(amplitude, amplitude)
+        meant = rows
+        if spec.drive == UNIPOLAR:
+            power += (float(rows[:, 0].sum()) / spec.line_bits) ** 2
+        elif spec.first_row > 0:
+            meant = rows[:, 1:]
+        total = float(np.einsum("kr,kr->", meant, meant)) / spec.line_bits
+        if total - power < 1.5 * self._noise + CARRIED_MISFIT * power and not self._silent(
+            amplitude
+        ):
+            return amplitude
+        return None
 
     @property
     def _clean_spread(self) -> float:

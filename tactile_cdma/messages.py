@@ -161,9 +161,11 @@ class Info(Packet):
 
     def volts(self, counts: NDArray[np.int16]) -> NDArray[np.float32]:
         """The line in V, float32, of counts of any shape."""
-        return (counts.astype(np.float32) - np.float32(self.zero_count)) * np.float32(
-            self.volts_per_count
-        )
+        volts = counts.astype(np.float32)
+        if self.zero_count:
+            volts -= np.float32(self.zero_count)
+        volts *= np.float32(self.volts_per_count)
+        return volts
 
 
 @dataclass(frozen=True, slots=True)

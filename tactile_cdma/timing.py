@@ -191,7 +191,7 @@ class Timing:
             middle = read_words(integrate(line, start, chip, self.spec, MIDDLE), self.spec)
             if middle.spread[0] < 0.6 * words.spread[0]:
                 words = middle
-        believable = bool(words.believable(limit, self.spec, noise)[0])
+        believable = words.believable(limit, self.spec, noise)
         return Attempt(node_levels(words.rows[0], self.spec), words.amplitude[0], believable)
 
     def _heard(
