@@ -290,7 +290,7 @@ class LineTiming(Timing):
         """
         spec = self.spec
         level = np.abs(rows[:, spec.first_row : spec.first_row + spec.nodes])
-        amplitude = level.sum(axis=0) * np.float32(1 / spec.line_bits)
+        amplitude: NDArray[np.float32] = level.sum(axis=0) * np.float32(1 / spec.line_bits)
         amplitude *= amplitude > 0.5 * amplitude.max()
         power = dot(amplitude, amplitude)
         meant = rows
