@@ -106,7 +106,7 @@ class Converter:
                 seen = np.clip(np.rint(line / step), -half, half - 1) * step
             found = correlate(seen, self.book) * self.signs
             wrong += int(np.count_nonzero((found > 0) != (symbols > 0), axis=0)[1:].sum())
-        return wrong / (len(self.sent) * self.sent[0].shape[0] * self.nodes)
+        return float(wrong) / (len(self.sent) * self.sent[0].shape[0] * self.nodes)
 
 
 def main() -> None:

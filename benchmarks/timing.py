@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -36,8 +36,8 @@ from tactile_cdma.line_timing import LineTiming
 from tactile_cdma.node_clocks import NodeClocks, crosstalk
 from tactile_cdma.roll_call import RollCallListener
 from tactile_cdma.sampling import INTEGRATED, Sampling
-from tactile_cdma.separate import separate
-from tactile_cdma.timing import SampleBlock
+from tactile_cdma.separate import NodeLevels, separate
+from tactile_cdma.timing import FrameLevels, SampleBlock
 
 RHO = 15.0
 CHIP_S = 10e-6
@@ -58,7 +58,8 @@ class ScrambledSpec(FrameSpec):
     @cached_property
     def node_rows(self) -> np.ndarray:
         mask = np.random.default_rng(self.order).choice(np.array([-1, 1], np.int8), self.order)
-        return self.book.rows(self.rows) * mask
+        rows: np.ndarray = self.book.rows(self.rows) * mask
+        return rows
 
 
 def frame_spec(nodes: int, kind: type[FrameSpec] = FrameSpec) -> FrameSpec:
@@ -97,7 +98,7 @@ def common_errors(spec: FrameSpec, stretch: float, jitter: float) -> dict[str, f
     unstretched = replace(spec, amplitude_v=1.0)
     found: dict[str, dict[int, np.ndarray]] = {"plain": {}, "line": {}, "gap": {}}
     line_timing, gap_timing = (kind(unstretched, rate_hz) for kind in (LineTiming, GapTiming))
-    heard = {"line": [], "gap": []}
+    heard: dict[str, list[FrameLevels]] = {"line": [], "gap": []}
     before = noise_of(spec, per_chip) * rng.normal(size=period)  # a silent slot
     for number, volts in enumerate([before, *(line for _, line in frames), before]):
         block = SampleBlock(number * period, volts.astype(np.float32), sync=True)
@@ -232,6 +233,12 @@ def sampling_rows() -> list[list[object]]:
     return rows
 
 
+def plainly(line: np.ndarray, spec: FrameSpec) -> NodeLevels:
+    """Plain correlation of a frame at 2 samples per chip."""
+    chips = integrate(Line(line), np.array([-0.5]), np.array([2.0]), spec)
+    return separate(chips[0], spec)
+
+
 def costs(report: Report) -> float:
     """Times of a frame and of what is done beside, ms; returns a decorrelation's at 256 nodes."""
     rows, last = [], 0.0
@@ -251,15 +258,11 @@ def costs(report: Report) -> float:
         alone = alone.astype(np.float32)
         times = medians_s(
             {
-                "plain": lambda line=wide, spec=spec: separate(
-                    integrate(Line(line), np.array([-0.5]), np.array([2.0]), spec)[0], spec
-                ),
-                "decorrelated": lambda d=decorrelator, line=line: d.estimate(line),
-                "track": lambda t=tracker, d=decorrelator, line=line, bits=bits: t.update(
-                    d, line, bits, 0.1
-                ),
-                "build": lambda spec=spec, clocks=clocks: Decorrelator(spec, clocks, Sampling(2.0)),
-                "hear": lambda r=listener, y=alone, n=nodes: r.hear(n // 2, y, 0.1),
+                "plain": partial(plainly, wide, spec),
+                "decorrelated": partial(decorrelator.estimate, line),
+                "track": partial(tracker.update, decorrelator, line, bits, 0.1),
+                "build": partial(Decorrelator, spec, clocks, sampling),
+                "hear": partial(listener.hear, nodes // 2, alone, 0.1),
             },
             rounds=2 if QUICK else 7,
         )
