@@ -106,7 +106,8 @@ class Converter:
                 seen = np.clip(np.rint(line / step), -half, half - 1) * step
             found = correlate(seen, self.book) * self.signs
             wrong += int(np.count_nonzero((found > 0) != (symbols > 0), axis=0)[1:].sum())
-        return float(wrong) / (len(self.sent) * self.sent[0].shape[0] * self.nodes)
+        total: int = len(self.sent) * self.sent[0].shape[0] * self.nodes
+        return wrong / total
 
 
 def main() -> None:

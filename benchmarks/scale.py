@@ -2,13 +2,15 @@
 
 A virtual digitizer in a process of its own samples a skin on which every node speaks in every
 frame, and writes to a pty; a second process runs the driver on that pty. Measured is all that this
-second process costs, and what it delivers is compared with what the simulated nodes said. A machine
-that just woke up is slow: "replay" is what parsing and decoding the same bytes cost without pauses.
+second process costs, and what it delivers is compared with what the simulated nodes said. A core
+that just woke up is slow: "replay" is what parsing and decoding the same bytes cost without pauses,
+and sleep_slowdown what a pause of one frame does to a plain loop.
 """
 
 from __future__ import annotations
 
 import multiprocessing
+import os
 import statistics
 import time
 from collections import Counter
@@ -78,6 +80,7 @@ class Run:
 
 def main() -> None:
     report = Report("scale", "Driver on a pty, virtual digitizer in another process, in real time")
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # of the processes below, as skin_driver sets it
     rows, runs = [], {}
     for nodes, scene in SKINS:
         row = measure(nodes, scene)
@@ -86,12 +89,32 @@ def main() -> None:
     report.table(list(rows[0]), [list(row.values()) for row in rows])
     report.finish(
         figure([row for row in rows if row["scene"] == "all"]),
-        cpu_16=runs[16, ALL]["CPU %"],
-        cpu_4096=runs[4096, ALL]["CPU %"],
+        cpu_16=runs[16, ALL]["CPU %"] / 100,
+        cpu_4096=runs[4096, ALL]["CPU %"] / 100,
         latency_ms_4096=runs[4096, ALL]["latency ms"],
         wrong_words=sum(row["wrong words"] for row in rows),
         lost_frames=sum(row["lost frames"] for row in rows),
+        replay_16=runs[16, ALL]["replay %"] / 100,
+        replay_4096=runs[4096, ALL]["replay %"] / 100,
+        sleep_slowdown=sleep_slowdown(),
     )
+
+
+def sleep_slowdown(rounds: int = 40, loops: int = 3000) -> float:
+    """CPU time of a plain loop after a pause of one frame, over its time without a pause."""
+
+    def loop_s() -> float:
+        begin_s, total = time.thread_time(), 0
+        for number in range(loops):
+            total += number
+        return time.thread_time() - begin_s
+
+    warm = statistics.median(loop_s() for _ in range(5 * rounds))
+    paused = []
+    for _ in range(rounds):
+        time.sleep(12.8e-3)
+        paused.append(loop_s())
+    return statistics.median(paused) / warm
 
 
 def parameters(nodes: int) -> dict[str, Any]:

@@ -95,7 +95,8 @@ def decode(
     likely even word) and is doubtful.
     """
     values, noise = levels.values, levels.noise_v
-    amplitude = np.abs(values).sum(axis=0) * np.float32(1 / spec.line_bits)
+    level = np.abs(values)
+    amplitude = level.sum(axis=0) * np.float32(1 / spec.line_bits)
     if swing_v is None:
         swing_v = spec.node_swing_v
     if swing_v is None:
@@ -110,10 +111,16 @@ def decode(
     if np.count_nonzero(noticed) < FEW_SHARE * spec.nodes:
         some = np.flatnonzero(noticed)
         read = _read(
-            values[:, some], amplitude[some], rho[some], expected[some], spec.sign_mask[some], spec
+            values[:, some],
+            level[:, some],
+            amplitude[some],
+            rho[some],
+            expected[some],
+            spec.sign_mask[some],
+            spec,
         ).among(some, spec.nodes)
     else:
-        read = _read(values, amplitude, rho, expected, spec.sign_mask, spec)
+        read = _read(values, level, amplitude, rho, expected, spec.sign_mask, spec)
     doubtful = read.doubtful & active
     for node in levels.unresolved:
         doubtful[node] = active[node]
@@ -147,14 +154,14 @@ class _Read(NamedTuple):
 
 def _read(
     values: NDArray[np.float32],
+    level: NDArray[np.float32],
     amplitude: NDArray[np.float32],
     rho: NDArray[np.float32],
     expected: NDArray[np.float32],
     sign_mask: NDArray[np.int32],
     spec: FrameSpec,
 ) -> _Read:
-    """Words of some nodes, each from its own column alone."""
-    level = np.abs(values)
+    """Words of some nodes, each from its own column alone. level: |values|."""
     weakest = level.min(axis=0)
     # Sums of powers of two below 2¹⁷ are exact in float32, which is the fastest here.
     codes = np.einsum("k,kn->n", _weights(spec.line_bits), values > 0).astype(np.int32)

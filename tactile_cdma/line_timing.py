@@ -251,7 +251,7 @@ class LineTiming(Timing):
     def _integrated_frame(self, start: int, volts: Floats) -> list[FrameLevels]:
         """The frame of words that are chips already: taken as it is, or not at all."""
         spec, fit = self.spec, self._nominal_fit
-        chips = (volts[: spec.chips] - self._level_v).astype(np.float32)
+        chips = np.subtract(volts[: spec.chips], self._level_v, dtype=np.float32)
         words = read_words(chips.reshape(1, spec.line_bits, spec.order), spec)
         if self._silent(words.amplitude[0]):
             return self._idle_frame(start, fit, self._sample_power(volts[: spec.chips]))

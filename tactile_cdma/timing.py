@@ -108,38 +108,48 @@ class SampleBuffer:
     def __init__(self) -> None:
         self.begin = 0
         self.end = 0
-        self._parts: list[Floats] = []
+        self._store = np.empty(_LEAST_STORE)
+        self._at = 0  # place of `begin` in the store
 
     def restart(self, index: int) -> None:
         """Forget all; the next sample has this index."""
         self.begin = self.end = index
-        self._parts = []
+        self._at = 0
 
     def append(self, volts: NDArray[np.float32]) -> None:
-        part = np.array(volts, dtype=np.float64)
+        """The samples that follow."""
+        kept = self.end - self.begin
+        if self._at + kept + volts.size > self._store.size:
+            self._make_room(kept + volts.size)
+        place = self._at + kept
+        part = self._store[place : place + volts.size]
+        part[:] = volts
         if not max(part.max(initial=0.0), -part.min(initial=0.0)) < ABSURD_V:
             part[~(np.abs(part) < ABSURD_V)] = np.nan
-        self._parts.append(part)
-        self.end += part.size
+        self.end += volts.size
 
     def take(self, begin: int, end: int) -> Floats:
-        """Samples begin…end − 1, as far as they are kept."""
-        if len(self._parts) != 1:
-            self._parts = [np.concatenate(self._parts) if self._parts else np.empty(0)]
-        return self._parts[0][max(0, begin - self.begin) : max(0, end - self.begin)]
+        """Samples begin…end − 1, as far as they are kept; a view, valid until the next append."""
+        first, stop = max(begin, self.begin), max(min(end, self.end), self.begin)
+        return self._store[self._at + first - self.begin : self._at + max(stop, first) - self.begin]
 
     def drop(self, before: int) -> None:
         """Forget samples before an index."""
         count = min(before, self.end) - self.begin
-        while count > 0 and self._parts:
-            head = self._parts[0]
-            if head.size > count:
-                self._parts[0] = head[count:]
-                self.begin += count
-                return
-            self._parts.pop(0)
-            self.begin += head.size
-            count -= head.size
+        if count > 0:
+            self.begin += count
+            self._at += count
+
+    def _make_room(self, size: int) -> None:
+        """Move what is kept to the front of a store that holds at least twice as much as needed."""
+        kept = self._store[self._at : self._at + self.end - self.begin]
+        if 2 * size > self._store.size:
+            self._store = np.empty(4 * size)
+        self._store[: kept.size] = kept
+        self._at = 0
+
+
+_LEAST_STORE = 4096
 
 
 class Timing:
