@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import NamedTuple
 
-VERSION = 1
+VERSION = 2
 SAMPLE_XOR = 0x5555
 MAX_SAMPLES = 8192
 MAX_PACKET_US = 3000

@@ -29,6 +29,8 @@ PATIENCE_S = 1.0
 """A digitizer that says nothing useful for so long is asked again."""
 RETRY_S = (0.2, 0.5, 1.0, 2.0)
 """Pauses between attempts to open a port; the last one repeats."""
+MOST_CALLS = 3
+"""Roll calls in a row that may come to nothing."""
 WAITING = "waiting for the first frame"
 """What keeps frames from coming right after a port was opened."""
 
@@ -120,6 +122,7 @@ class Driver:
                     if session.problem:
                         self._report(session.problem)
         finally:
+            pipeline.close()
             if self._stop.is_set():
                 port.write(session.close())
 
@@ -140,7 +143,8 @@ class Session:
         self.problem: str | None = None
         self._writer = PacketWriter()
         self._setting: tuple[Configure, ...] = ()
-        self._calls = config is not None and config.roll_call
+        self._calls_roll = config is not None and config.roll_call
+        self._calls_left, self._next_call_s = MOST_CALLS, -math.inf
         if config is not None:
             layout = FrameLayout.of(config.spec, config.samples_per_chip)
             integrated = config.samples_per_chip == 1
@@ -163,9 +167,8 @@ class Session:
 
     def watch(self, pipeline: Pipeline, now_s: float) -> bytes:
         """Requests to repeat because nothing came of the last ones; empty while all is well."""
-        if self._calls and self._has_seen_gaps(pipeline):
-            self._calls, self.problem = False, None
-            return self._requests(RollCall())
+        if self._calls_roll and (request := self._roll_call(pipeline, now_s)):
+            return request
         stuck = pipeline.counters.frames == self._frames
         if stuck and now_s < self._deadline:
             return b""
@@ -176,12 +179,23 @@ class Session:
         self._deadline = now_s + max(PATIENCE_S, 3 * pipeline.config.spec.frame_period_s)
         return self.open() if stuck else b""
 
-    def _has_seen_gaps(self, pipeline: Pipeline) -> bool:
-        """Whether a few frames went by, decoded or not: level and noise of the gap are known."""
-        if pipeline.info is None:
-            return False
-        few_s = 4 * pipeline.config.spec.frame_period_s
-        return pipeline.counters.samples > few_s * pipeline.info.sample_rate_hz
+    def _roll_call(self, pipeline: Pipeline, now_s: float) -> bytes:
+        """The request for a roll call, if there has been none in which all nodes were heard.
+
+        The digitizer may have been reset, or the clocks have changed: then it is time for another.
+        """
+        clocks = pipeline.clocks
+        if clocks is None or clocks.busy:
+            return b""
+        if clocks.heard == pipeline.config.spec.nodes:
+            self._calls_left = MOST_CALLS
+        elif self._calls_left and now_s >= self._next_call_s and pipeline.can_call_roll:
+            spec = pipeline.config.spec
+            self._calls_left -= 1
+            self._next_call_s = now_s + PATIENCE_S + 2 * spec.nodes * spec.frame_period_s
+            self.problem = None
+            return self._requests(RollCall())
+        return b""
 
     def _why(self, pipeline: Pipeline) -> str:
         """The likely cause of having received no frame for a while."""

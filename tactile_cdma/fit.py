@@ -28,6 +28,8 @@ REACHES = (0.5, 0.25, 0.12)
 the knowledge of its place and edges a tenth of a chip off ideal allow."""
 BLUR = 0.3
 """Samples around an edge of which it is uncertain on which side of it they were taken."""
+MANY_WORDS = 8
+"""Among so many words, one that is uneven says nothing about the frame."""
 SETTLED = 0.02
 """Change of a frame's edges, in chips, that is not worth another look."""
 
@@ -129,7 +131,8 @@ class WordFit:
     amplitude: (c, n) float32, V: mean of |signed| over the bits; 0 where the node is silent.
     pedestal: (c,) float32, V: the level that unipolar nodes add; 0 for bipolar drive.
     power: (c,) float32, V²: mean power of the chips that these words account for.
-    spread: (c,) float32: variance of |signed| within active words over their power.
+    spread: (c,) float32: variance of |signed| within active words over their power; of many words
+        the most uneven one is left out.
     misfit: (c,) float32: power of the chips that the words leave over, relative to `power`.
     """
 
@@ -184,7 +187,10 @@ def read_words(chips: NDArray[np.float32], spec: FrameSpec) -> WordFit:
     active = mean > 0.5 * mean.max(axis=1, keepdims=True)
     amplitude = mean * active
     word_power = np.einsum("cn,cn->c", amplitude, amplitude)
-    signed_power = np.einsum("cn,cn->c", np.einsum("ckn,ckn->cn", signed, signed), active)
+    excess = np.einsum("ckn,ckn->cn", signed, signed) / bits - np.square(mean)
+    uneven = np.where(active, excess, np.float32(0))
+    # Of many words one may be that of a broken node, or of two; if timing is wrong all are uneven.
+    odd = np.where(np.count_nonzero(active, axis=1) >= MANY_WORDS, uneven.max(axis=1), 0)
     pedestal, meant = np.zeros(len(chips), np.float32), rows
     if spec.drive == UNIPOLAR:
         pedestal = rows[..., 0].sum(axis=1) / bits
@@ -198,7 +204,7 @@ def read_words(chips: NDArray[np.float32], spec: FrameSpec) -> WordFit:
         amplitude,
         pedestal,
         power,
-        signed_power / np.maximum(bits * word_power, _TINY) - 1,
+        (uneven.sum(axis=1) - odd) / np.maximum(word_power, _TINY),
         total / np.maximum(bits * power, _TINY) - 1,
     )
 

@@ -11,9 +11,9 @@ from .decode import DOUBLE_SHARE, FAINT_SHARE, LOW_MARGIN, LOW_RHO, Words
 from .frame import FrameSpec
 
 JUDGE_FRAMES = 32
-"""Nodes are judged once in so many frames, and what was counted before then counts half."""
-LEAST_WORDS = 1.5
-"""Counted words that a verdict takes; each counts less as it gets older."""
+"""Nodes are judged once in so many frames with words in them."""
+LEAST_WORDS = 4
+"""Words that a verdict on a node takes; afterwards they count half beside newer ones."""
 WEAK_SHARE = 0.6
 """A node below this share of the expected amplitude is weak."""
 WEAK_RHO = 8.0
@@ -23,7 +23,7 @@ WEAK_RHO = 8.0
 class NodeState(IntEnum):
     """The verdict on a node; the later ones outrank the earlier ones."""
 
-    MISSING = 0
+    UNHEARD = 0
     OK = 1
     WEAK = 2
     FAULTY = 3
@@ -44,7 +44,7 @@ class NodeHealth:
         self.swing_v: NDArray[np.float32] | None = None
         if self._nominal_v is not None:
             self.swing_v = np.full(spec.nodes, self._nominal_v, dtype=np.float32)
-        self.state = np.full(spec.nodes, NodeState.MISSING, dtype=np.uint8)
+        self.state = np.full(spec.nodes, NodeState.UNHEARD, dtype=np.uint8)
         self.invalid = np.zeros(spec.nodes, dtype=bool)
         # Per node: words, their amplitudes, uneven ones and doubled ones, fading sums.
         self._words = np.zeros(spec.nodes, dtype=np.float32)
@@ -83,18 +83,21 @@ class NodeHealth:
         return faint
 
     def _judge(self) -> None:
-        known = self._words > LEAST_WORDS
+        heard, due = self._words > 0, self._words >= LEAST_WORDS
         amplitude_v = self._amplitude_v / np.maximum(self._words, 1e-6)
-        expected_v = self._nominal_v or (float(np.median(amplitude_v[known])) if known.any() else 0)
-        state = np.full(known.shape, NodeState.OK, dtype=np.uint8)
-        state[amplitude_v < WEAK_SHARE * expected_v] = NodeState.WEAK
-        state[self._uneven > 0.5 * self._words] = NodeState.FAULTY
+        expected_v = self._nominal_v or (float(np.median(amplitude_v[heard])) if heard.any() else 0)
+        verdict = np.full(due.shape, NodeState.OK, dtype=np.uint8)
+        verdict[amplitude_v < WEAK_SHARE * expected_v] = NodeState.WEAK
+        verdict[self._uneven > 0.5 * self._words] = NodeState.FAULTY
         twice = amplitude_v > DOUBLE_SHARE * expected_v
-        state[twice | (self._doubled > 0.25 * self._words)] = NodeState.DOUBLED
-        self.state = np.where(known, state, self.state)
+        verdict[twice | (self._doubled > 0.25 * self._words)] = NodeState.DOUBLED
+        unknown = heard & (self.state == NodeState.UNHEARD)
+        self.state = np.where(due, verdict, np.where(unknown, NodeState.OK, self.state))
         self.invalid = self.state >= NodeState.FAULTY
-        if self._nominal_v is not None:
-            weak = known & (state == NodeState.WEAK)
-            self.swing_v = np.where(weak, amplitude_v, self._nominal_v).astype(np.float32)
+        if self._nominal_v is not None and self.swing_v is not None:
+            weak = due & (verdict == NodeState.WEAK)
+            swing_v = np.where(weak, amplitude_v, np.float32(self._nominal_v))
+            self.swing_v = np.where(due, swing_v, self.swing_v).astype(np.float32)
+        # Each node's words fade by its own: one that speaks seldom is judged as well as others.
         for total in (self._words, self._amplitude_v, self._uneven, self._doubled):
-            total *= 0.5
+            total[due] *= 0.5

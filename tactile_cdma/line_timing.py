@@ -18,6 +18,7 @@ from .fit import (
     dot,
     integrate,
     least_power,
+    lowest_power,
     read_words,
     refine,
 )
@@ -39,6 +40,10 @@ CARRIED_MISFIT = 3e-3
 an edge error of about a thousandth of a chip's power, 0.01 dB."""
 RESTART_STEP = 1 / 16
 """Raster on which the nodes' common delay is sought where they restart, chips."""
+LEAST_REST = 16
+"""Samples that say what the line at rest is; those of several short gaps together."""
+MOST_RISE = 4.0
+"""By how much noise may rise from one gap to the next."""
 GAP_WEIGHT = 0.25
 """Of the newest gap in the noise that is expected of the next frame."""
 
@@ -88,6 +93,7 @@ class LineTiming(Timing):
         # All rows but the first have as many +1 as −1: without it a frame's mean is the offset.
         self._centred = spec.first_row > 0 and spec.drive == BIPOLAR
         self._level_known = False
+        self._rest = np.zeros(3)  # samples of gaps not made use of yet: count, sum, sum of squares
         self._noise = 0.0  # variance of a chip's level in the gap, V²; 0 where unknown
         self._carried: _Carried | None = None
         self._restarted = self._nominal_fit
@@ -148,8 +154,12 @@ class LineTiming(Timing):
         begin = index if self._gap_begin is None else max(self._gap_begin, index - self._gap_size)
         gap = self._samples.take(begin, index)
         if gap.size and not np.isnan(total := float(gap.sum())):
-            mean = total / gap.size
-            self._at_rest(mean, max(0.0, dot(gap, gap) / gap.size - mean**2))
+            self._rest += np.array((gap.size, total, dot(gap, gap)))
+            count, total, squares = self._rest.tolist()
+            if count >= LEAST_REST:
+                mean = total / count
+                self._at_rest(mean, max(0.0, squares - count * mean**2) / (count - 1))
+                self._rest[:] = 0
         self._samples.drop(index)
         tail = 0 if self._integrated else math.ceil(TAIL_CHIPS * self._nominal)
         self._start, self._due = index, index + self._nominal_size + tail
@@ -158,6 +168,8 @@ class LineTiming(Timing):
         """Samples of a gap have this mean, V, and variance, V²."""
         self._level_v = mean_v
         newest = variance / self._nominal
+        if self._level_known:  # a burst in one gap is not the noise of the next frame
+            newest = min(newest, MOST_RISE * self._noise + lowest_power(1e-3))
         self._noise += (GAP_WEIGHT if self._level_known else 1.0) * (newest - self._noise)
         self._level_known = True
 
@@ -233,7 +245,8 @@ class LineTiming(Timing):
                     return self._emit(start, fit, found.levels, volts + self._level_v)
         if power <= 1.6 * self._noise:  # too weak to look for at other stretches
             return self._idle_frame(start, self._nominal_fit, power * self._nominal)
-        tail = 0 if self._level_known else TAIL_CHIPS  # which then shows the level
+        # The tail shows the level, or that it has not changed: row 0 would take that for a word.
+        tail = 0 if self._level_known and spec.first_row > 0 else TAIL_CHIPS
         longest = start + math.ceil((1 + MAX_STRETCH) * (spec.chips + tail) * self._nominal)
         if end < longest and not final:
             self._due = longest
@@ -272,7 +285,7 @@ class LineTiming(Timing):
             return self._idle_frame(start, fit, self._chip_power(line) * self._nominal)
         if found.believable and self._ends(line, fit, found.levels, found.amplitude):
             return self._emit(start, fit, found.levels, line.volts + self._level_v)
-        self._reject()
+        self._reject(start + self._nominal_size + math.ceil(self._nominal))
         return []
 
     def _least_late(self, line: Line) -> Fit:
@@ -339,7 +352,12 @@ class LineTiming(Timing):
                 return True
             noise = levels.noise_v**2 * self.spec.order
         least = float(amplitude[amplitude > 0].min(initial=np.inf))
-        return dot(tail, tail) / tail.size < (0.4 * least) ** 2 + 4 * noise * fit.chip
+        if self.spec.first_row == 0:
+            mean = float(tail.sum()) / tail.size
+            if abs(mean) > 0.4 * least + 4 * math.sqrt(noise * fit.chip / tail.size):
+                return False
+        most = noise * fit.chip * (2 + 8 / math.sqrt(tail.size))  # the fewer the more by chance
+        return dot(tail, tail) / tail.size < (0.4 * least) ** 2 + most
 
     def _refined(self, line: Line, chip: float) -> Fit:
         """The frame refined around the first sample; as it was if that leads nowhere."""
@@ -354,7 +372,8 @@ class LineTiming(Timing):
         loud = np.flatnonzero(np.abs(line.volts) > max(limit, 0.3 * math.sqrt(self._least_power)))
         end = int(loud[-1]) + 1 if loud.size else self._nominal_size
         chip: Floats = (end + self._nominal * np.arange(-1.0, 3.0, 0.5)) / self.spec.chips
-        return np.maximum(chip, self._nominal)
+        longest = (1 + CHIP_ERROR) * (1 + MAX_STRETCH) * self._nominal
+        return np.minimum(np.maximum(chip, self._nominal), longest)
 
     def _all_stretches(self, line: Line) -> Floats:
         """All chip durations of frames that end within the samples."""

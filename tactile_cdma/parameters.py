@@ -82,7 +82,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter(
         "order",
         0,
-        "code order (chips per bit); 0: the smallest that fits, or 2 % more if that is faster",
+        "code order (chips per bit); 0: the smallest that fits, or a bit more if that is faster",
         "",
         (0, 65_536),
     ),

@@ -8,8 +8,9 @@ from dataclasses import asdict, dataclass, fields
 
 import numpy as np
 
-from ._protocol import VERSION, Result, SyncMode
+from ._protocol import VERSION, PacketType, Result, SyncMode
 from .clock import DeviceClock
+from .clock_keeper import ClockReport
 from .decode import Words, decode, silent
 from .errors import SpecError
 from .gap_timing import GapTiming
@@ -24,7 +25,7 @@ from .messages import (
     Samples,
     Status,
 )
-from .node_timing import ClockReport, NodeTiming
+from .node_timing import NodeTiming
 from .parameters import GAP, SkinConfig
 from .protocol import PacketParser
 from .silence import quiet_uv
@@ -119,7 +120,23 @@ class Pipeline:
     @property
     def clocks(self) -> ClockReport | None:
         """What is known of the nodes' clocks; None where that is not asked."""
-        return self._timing.report if isinstance(self._timing, NodeTiming) else None
+        return self._timing.clocks.report if isinstance(self._timing, NodeTiming) else None
+
+    @property
+    def _clocks_awaited(self) -> bool:
+        """Whether nodes have clocks of their own, and these are not known yet."""
+        clocks = self.clocks
+        return self.config.roll_call and clocks is not None and not clocks.heard
+
+    @property
+    def can_call_roll(self) -> bool:
+        """Whether a roll call makes sense: frames are marked and raw, the gap's level is known."""
+        return isinstance(self._timing, NodeTiming) and self._timing.rest_known
+
+    def close(self) -> None:
+        """End what is done beside the stream."""
+        if isinstance(self._timing, NodeTiming):
+            self._timing.clocks.close()
 
     def feed(self, data: bytes, t_host: float) -> list[TactileFrame]:
         """Decode what was read at t_host (monotonic, s). Any split gives the same frames."""
@@ -153,6 +170,7 @@ class Pipeline:
         # At once, for whoever reads the counts meanwhile.
         self._earlier_packets, self.parser = self.packet_counts, PacketParser()
         self.status = None
+        self.close()
         self.info = self.refusal = self._timing = self._next_index = None
         self.problem = None
         self._forget()
@@ -160,6 +178,10 @@ class Pipeline:
     def _acknowledged(self, ack: Ack) -> None:
         if ack.result != Result.OK:
             self.refusal = ack
+            if ack.command == PacketType.ROLL_CALL and isinstance(self._timing, NodeTiming):
+                self._timing.clocks.give_up(
+                    f"the digitizer refused the roll call: {ack.result.name.lower()}"
+                )
         elif self.refusal and self.refusal.command == ack.command:
             self.refusal = None
 
@@ -167,6 +189,7 @@ class Pipeline:
         if info == self.info:
             return
         self.info = info
+        self.close()
         self._timing = None
         self.problem = _contradiction(info, self.config)
         if self.problem:
@@ -194,7 +217,7 @@ class Pipeline:
     def _quiet(self, packet: Quiet, t_host: float) -> list[TactileFrame]:
         """Samples that nobody spoke in."""
         info, timing = self.info, self._timing
-        if info and packet.count > 2 * info.sample_rate_hz * self.config.spec.frame_period_s:
+        if info and not _is_plausible(packet, info, self.config.spec.frame_period_s):
             self.counters.implausible_packets += 1
             return []
         if not self._arrived(packet, packet.count, t_host):
@@ -277,6 +300,8 @@ class Pipeline:
             words = silent(spec.nodes, heard.noise_rms_v)
         else:
             words = decode(heard.levels, spec, self.threshold, self.health.swing_v)
+            if self._clocks_awaited:
+                words = words.doubted()
             if heard.tied:
                 words = words.doubted()
             else:
@@ -312,6 +337,14 @@ class Pipeline:
         at_or_before = (anchor for anchor in reversed(self._anchors) if anchor[0] <= index)
         first_index, t_device = next(at_or_before, self._anchors[0])
         return t_device + (index - first_index) / self.info.sample_rate_hz
+
+
+def _is_plausible(packet: Quiet, info: Info, period_s: float) -> bool:
+    """Whether samples within quiet_uv of each other may have these sums, and last so long."""
+    range_v = (info.max_count - info.min_count) * info.volts_per_count
+    half_v = 0.5 * (info.quiet_uv * 1e-6 or range_v) + info.volts_per_count
+    variance_v2 = packet.variance * info.volts_per_count**2
+    return packet.count <= 2 * info.sample_rate_hz * period_s and variance_v2 <= half_v**2
 
 
 def _contradiction(info: Info, config: SkinConfig) -> str | None:

@@ -219,8 +219,11 @@ def _judged(
     own = count * search.bits * (amplitude**2 + level**2)
     noise = line.size * noise_rms_v**2
     left = (float(np.square(line).sum()) - own - noise) / max(own, 1e-30)
+    delay, rate = float(late[0]), float(late[1] - late[0]) / search.chips
     refusal = ""
-    if rho < HEARD:
+    if not (-LATEST <= delay <= 2 * LATEST and abs(rate) <= 1.2 * LARGEST_RATE_ERROR):
+        refusal = f"a delay of {delay:.2f} chips and a clock error of {rate:.1%} are out of range"
+    elif rho < HEARD:
         refusal = f"nobody was heard: amplitude is {rho:.2g} times the noise"
     elif left > MAX_LEFT + 4 * sqrt(2 / line.size) * noise / own:
         refusal = (
@@ -228,8 +231,8 @@ def _judged(
             "is a different one"
         )
     return HeardClock(
-        delay_chips=float(late[0]),
-        rate_error=float(late[1] - late[0]) / search.chips,
+        delay_chips=delay,
+        rate_error=rate,
         delay_std=float(std[0]),
         rate_std=float(np.hypot(*std)) / search.chips,
         amplitude_v=amplitude,

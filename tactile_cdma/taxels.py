@@ -64,6 +64,7 @@ class Taxels:
         self._heard_s = np.full(nodes, -np.inf)
         self._silence: Readings | None = None  # what silent frames read, until somebody speaks
         self._stale_from_s = -np.inf  # when the next node goes stale
+        self._now_s = 0.0
 
     @property
     def stale_after_s(self) -> float:
@@ -74,6 +75,13 @@ class Taxels:
     def stale_after_s(self, seconds: float) -> None:
         self._stale_after_s, self._silence = seconds, None
 
+    @property
+    def missing(self) -> list[int]:
+        """Numbers, from 1 on, of the nodes not heard for stale_after_s, as of the last frame."""
+        unheard = self._now_s - self._heard_s > self._stale_after_s
+        numbers: list[int] = (np.flatnonzero(unheard) + 1).tolist()
+        return numbers
+
     def forget(self) -> None:
         """The device's clock starts anew: nobody was heard on it."""
         self._heard_s[:] = -np.inf
@@ -81,6 +89,7 @@ class Taxels:
 
     def update(self, words: Words, t_device: float, health: NodeHealth) -> Readings:
         """Take one frame's words, spoken at t_device (s)."""
+        self._now_s = t_device
         spoke = words.active
         anybody = bool(spoke.any())
         if anybody:

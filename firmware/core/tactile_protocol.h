@@ -15,7 +15,7 @@
 #define TP_ASSERT_AT(type, field, offset) \
     _Static_assert(offsetof(struct type, field) == offset, #type "." #field)
 
-#define TP_VERSION 1
+#define TP_VERSION 2
 #define TP_SAMPLE_XOR 0x5555u
 #define TP_MAX_SAMPLES 8192
 #define TP_MAX_PACKET_US 3000

@@ -64,8 +64,11 @@ def _verdict(driver: Driver) -> tuple[bytes, str]:
 
 def _health(driver: Driver) -> dict[str, object]:
     health = driver.pipeline.health
-    states = (NodeState.MISSING, NodeState.WEAK, NodeState.FAULTY, NodeState.DOUBLED)
-    return {f"{state.name.lower()} nodes": _numbers(health.nodes(state)) for state in states}
+    states = (NodeState.WEAK, NodeState.FAULTY, NodeState.DOUBLED)
+    return {
+        "missing nodes": _numbers(driver.pipeline.taxels.missing),
+        **{f"{state.name.lower()} nodes": _numbers(health.nodes(state)) for state in states},
+    }
 
 
 def _clocks(driver: Driver) -> dict[str, object]:

@@ -184,3 +184,21 @@ def test_nodes_that_all_restart_late(delay: float) -> None:
         assert frame.levels is not None
         words = decode(frame.levels, spec)
         assert np.array_equal(words.codes, node.codes) and not words.doubtful.any()
+
+
+@pytest.mark.parametrize("gap_chips", [1, 2, 3])
+@pytest.mark.parametrize("rate", [2, 4])
+def test_short_gaps_are_enough(gap_chips: int, rate: int) -> None:
+    spec = FrameSpec(frame_period_s=(200 + gap_chips) * 50e-6)
+    sigma = 0.3 * np.sqrt(20 * rate) / 8  # ρ = 8
+    options = SimOptions(scene="all", threshold=0, noise=float(sigma), seed=6, rail=10.0)
+    setup = Setup(spec, rate, SyncMode.DRIVE, False)
+    timing = LineTiming(spec, setup.rate_hz)
+    frames = run(timing, blocks(options, setup, 150))
+    assert timing.rejected <= 3
+    sent = list(islice(truth(options, setup), 150))
+    for frame in frames:
+        assert frame.levels is not None
+        words = decode(frame.levels, spec)
+        codes = sent[round(frame.start / setup.rate_hz / spec.frame_period_s)].codes
+        assert np.array_equal(words.codes, codes)

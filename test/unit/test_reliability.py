@@ -126,7 +126,7 @@ def scenes(change: str, spec: FrameSpec = SPEC, frames: int = 2 * JUDGE_FRAMES) 
         ("doubled", NodeState.DOUBLED),
         ("doubled, same word", NodeState.DOUBLED),
         ("broken", NodeState.FAULTY),
-        ("missing", NodeState.MISSING),
+        ("missing", NodeState.UNHEARD),
     ],
 )
 @pytest.mark.parametrize("known", [True, False])
@@ -135,12 +135,30 @@ def test_a_node_that_is_not_as_it_should_be_is_named(
 ) -> None:
     spec = SPEC if known else replace(SPEC, amplitude_v=None)
     if change == "weak" and not known:  # less than half the frame's strongest is silence then
-        state = NodeState.MISSING
+        state = NodeState.UNHEARD
     health = NodeHealth(spec)
     feed(health, scenes(change, spec), spec)
     assert health.state[4] == state
     assert np.delete(health.state, 4).tolist() == [NodeState.OK] * 15
     assert health.nodes(state) == ([5] if state != NodeState.OK else list(range(1, 17)))
+
+
+def test_a_node_that_only_tells_that_it_lives_is_sound() -> None:
+    """Every node speaks once in 78 frames, as at rest."""
+    rng, health = np.random.default_rng(11), NodeHealth(SPEC)
+    for frame in range(78 * 12):
+        active = np.arange(16) == frame % 78
+        chips = line_chips(SPEC, rng.integers(0, 1024, 16), active)
+        health.update(decode(separate(chips, SPEC), SPEC, swing_v=health.swing_v))
+    assert health.nodes(NodeState.OK) == list(range(1, 17))
+
+
+def test_a_node_that_died_is_missing() -> None:
+    health = NodeHealth(SPEC)
+    skin = Taxels(16, AdcScale(), PressureCurve.two_stage(), stale_after_s=1.0)
+    for number, levels in enumerate(scenes("none") + scenes("missing")):
+        skin.update(feed(health, [levels]), number / 32, health)
+        assert skin.missing == ([5] if number / 32 > 3 - 1 / 32 else [])
 
 
 def test_a_node_that_recovers_is_sound_again() -> None:
