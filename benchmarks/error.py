@@ -172,10 +172,14 @@ def blind_words(volts: np.ndarray, spec: FrameSpec, rate_hz: float) -> Words | N
 
 
 def marked_words(volts: np.ndarray, spec: FrameSpec, rate_hz: float, first: int) -> Words | None:
-    """Words of the frame of which the first sample is known."""
+    """Words of the frame of which the first sample is known.
+
+    A slot of silence comes before it, as in a stream: what the line at rest is, is known.
+    """
     timing = LineTiming(spec, rate_hz)
-    frames = timing.feed(SampleBlock(0, volts[:first]))
-    frames += timing.feed(SampleBlock(first, volts[first:], sync=True)) + timing.flush()
+    silence = np.resize(volts[:first], round(spec.frame_period_s * rate_hz))
+    frames = timing.feed(SampleBlock(0, silence, sync=True))
+    frames += timing.feed(SampleBlock(silence.size, volts[first:], sync=True)) + timing.flush()
     heard = [frame.levels for frame in frames if frame.levels is not None]
     return decode(heard[0], spec) if len(heard) == 1 else None
 

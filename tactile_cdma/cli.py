@@ -97,7 +97,8 @@ def _add_skin_options(parser: argparse.ArgumentParser) -> None:
         parameter = BY_NAME[name]
         unit = f" [{parameter.unit}]" if parameter.unit else ""
         kind = type(parameter.default)
-        group.add_argument(option, type=kind, dest=name, help=f"{parameter.text}{unit}")
+        text = f"{parameter.text}{unit}".replace("%", "%%")  # argparse formats it
+        group.add_argument(option, type=kind, dest=name, help=text)
     group.add_argument(
         "--natural-signs",
         action="store_const",

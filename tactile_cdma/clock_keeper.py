@@ -104,8 +104,8 @@ class ClockKeeper:
         """What a roll call has shown: a decorrelator, if it takes one."""
         clocks = listener.clocks()
         if not clocks.known.any():
-            problem = "no node was heard alone in the roll call"
-            self.report = replace(self.report, busy=False, problem=problem)
+            nobody = "no node was heard alone in the roll call"
+            self.report = replace(self.report, busy=False, problem=nobody)
             return self.decorrelator
         problem: str | None = None
         if missing := (np.flatnonzero(~clocks.known) + 1).tolist():

@@ -210,3 +210,10 @@ def test_simulate_ends_by_itself_and_refuses_bad_options(
     assert time.monotonic() - start < 5
     assert main(["simulate", "--pty", "sim://?scene=dance"]) == 1
     assert "moving" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["decode", "record", "simulate"])
+def test_every_command_explains_itself(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main([command, "--help"])
+    assert end.value.code == 0 and command in capsys.readouterr().out
