@@ -178,10 +178,10 @@ def marked_words(volts: np.ndarray, spec: FrameSpec, rate_hz: float, first: int)
     """
     timing = LineTiming(spec, rate_hz)
     silence = np.resize(volts[:first], round(spec.frame_period_s * rate_hz))
-    frames = timing.feed(SampleBlock(0, silence, sync=True))
-    frames += timing.feed(SampleBlock(silence.size, volts[first:], sync=True)) + timing.flush()
-    heard = [frame.levels for frame in frames if frame.levels is not None]
-    return decode(heard[0], spec) if len(heard) == 1 else None
+    timing.feed(SampleBlock(0, silence, sync=True))
+    frames = timing.feed(SampleBlock(silence.size, volts[first:], sync=True)) + timing.flush()
+    heard = [frame.levels for frame in frames if frame.start > 0.9 * silence.size]
+    return decode(heard[0], spec) if heard and heard[0] is not None else None
 
 
 def paper_stream(seed: int, frames: int = 100, samples_per_chip: int = 8) -> Streams:
