@@ -1,7 +1,7 @@
-# make run     simulated skin and viewer; PORT=/dev/ttyACM0 for a real one, SECONDS=n to end by itself
+# make run     simulated skin and viewer; PORT=/dev/ttyACM0 for a real one, PARAMS=file, SECONDS=n to end
 # make test    lint and tests
 # make setup   the environment in .venv only; everything else does this first
-# make bench-error, -speed, -skip, -timing, -scale, -ros, -crest    QUICK=1: within 40 s each
+# make bench-error, -speed, -skip, -timing, -scale, -ros, -crest    QUICK=1: within 40 s each, else up to 7 min
 # make lint    ruff and mypy;  make clean: remove .venv and what tests leave
 
 PYTHON ?= python3
