@@ -29,6 +29,7 @@ from .report import QUICK, Report, medians_s
 
 SKINS: dict[int, dict[str, Value]] = {
     16: {},  # the paper's timing, 4 raw samples per chip
+    # of order 1024
     1024: {"nodes": 1023, "chip_us": 1.5, "samples_per_chip": 1, "frame_period_ms": 20.0},
     4096: {"nodes": 4096, "chip_us": 0.4, "samples_per_chip": 1, "frame_period_ms": 20.0},
 }
