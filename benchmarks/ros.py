@@ -38,6 +38,7 @@ from .report import QUICK, Report
 CASES: dict[int, dict[str, Value]] = {
     16: {},  # the paper's timing, 4 raw samples per chip
     256: {"nodes": 255, "chip_us": 5.0, "samples_per_chip": 1, "frame_period_ms": 20.0},
+    # of order 1024
     1024: {"nodes": 1023, "chip_us": 1.5, "samples_per_chip": 1, "frame_period_ms": 20.0},
     4096: {
         "nodes": 4096,

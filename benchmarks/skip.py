@@ -29,6 +29,7 @@ from .report import QUICK, Report, medians_s
 
 SKINS: dict[int, dict[str, Value]] = {
     16: {},  # the paper's timing, 4 raw samples per chip
+    # of order 1024
     1024: {"nodes": 1023, "chip_us": 1.5, "samples_per_chip": 1, "frame_period_ms": 20.0},
     4096: {"nodes": 4096, "chip_us": 0.4, "samples_per_chip": 1, "frame_period_ms": 20.0},
 }
@@ -42,19 +43,18 @@ READ = 4095
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """What a digitizer sent for one scene."""
+    """What a digitizer sent for one scene, read by read: a packet at once, or READ bytes of it."""
 
     config: SkinConfig
-    data: bytes
+    reads: tuple[bytes, ...]
     frames: int
 
     def play(self) -> list[TactileFrame]:
         """Decode it as it would arrive."""
         pipeline, frames = Pipeline(self.config), []
-        seconds_per_byte = self.frames * self.config.spec.frame_period_s / len(self.data)
-        for start in range(0, len(self.data), READ):
-            stop = start + READ
-            frames += pipeline.feed(self.data[start:stop], stop * seconds_per_byte)
+        seconds_per_read = self.frames * self.config.spec.frame_period_s / len(self.reads)
+        for number, data in enumerate(self.reads):
+            frames += pipeline.feed(data, number * seconds_per_read)
         return frames
 
 
@@ -77,7 +77,8 @@ def main() -> None:
         for share in (*SHARES, HEARTBEAT):
             with_quiet, without = times[nodes, share, True], times[nodes, share, False]
             full = times[nodes, 1.0, True]
-            kilobytes = len(recordings[share, True].data) / recordings[share, True].frames / 1e3
+            kilobytes = sum(map(len, recordings[share, True].reads)) / 1e3
+            kilobytes /= recordings[share, True].frames
             rows.append((nodes, share, with_quiet, with_quiet / full, without, kilobytes))
     report.table(["nodes", "share", "ms/frame", "of full", "without QUIET, ms", "kB/frame"], rows)
     report.finish(
@@ -110,7 +111,11 @@ def record(config: SkinConfig, share: float | str, quiet: bool, frames: int) -> 
         chunk = digitizer.take(digitizer.pending)
         count += len(pipeline.feed(chunk, 0.0))
         data += chunk
-    return Recording(config, data, count)
+    packets = [packet + b"\0" for packet in data.split(b"\0") if packet]
+    reads = [
+        packet[start : start + READ] for packet in packets for start in range(0, len(packet), READ)
+    ]
+    return Recording(config, tuple(reads), count)
 
 
 def pressed(share: float) -> Callable[[float, Skin], NDArray[np.float64]]:

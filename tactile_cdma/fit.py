@@ -19,6 +19,9 @@ from .transform import correlate, spread
 Floats = NDArray[np.float64]
 F = TypeVar("F", np.float32, np.float64)
 
+MAX_SPREAD = 0.12
+"""Relative variance of |r| within a word beyond which a fit is not believed. White noise alone
+gives 1/ρ²; chips that have nothing to do with the code book give π/2 − 1 = 0.57."""
 MAX_DISTORTION = 0.15
 """Power left over by the words, relative to theirs, that edges and clipping may account for."""
 
@@ -30,6 +33,8 @@ BLUR = 0.3
 """Samples around an edge of which it is uncertain on which side of it they were taken."""
 MANY_WORDS = 8
 """Among so many words, one that is uneven says nothing about the frame."""
+_TINY = np.float32(1e-30)
+"""Of divisors that may be zero."""
 SETTLED = 0.02
 """Change of a frame's edges, in chips, that is not worth another look."""
 
@@ -207,9 +212,6 @@ def read_words(chips: NDArray[np.float32], spec: FrameSpec) -> WordFit:
         (uneven.sum(axis=1) - odd) / np.maximum(word_power, _TINY),
         total / np.maximum(bits * power, _TINY) - 1,
     )
-
-
-_TINY = np.float32(1e-30)
 
 
 @dataclass(frozen=True, slots=True)

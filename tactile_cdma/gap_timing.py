@@ -9,15 +9,12 @@ import numpy as np
 
 from .burst import Burst, Quiet
 from .errors import SpecError
-from .fit import Fit, Floats, Line, lowest_power
+from .fit import MAX_SPREAD, Fit, Floats, Line, lowest_power
 from .frame import FrameSpec
 from .gap import Expected, Found, GapSearch
 from .separate import NodeLevels
 from .timing import FrameLevels, SampleBlock, Timing
 
-MAX_SPREAD = 0.12
-"""Relative variance of |r| within a word beyond which a fit is not believed. White noise alone
-gives 1/ρ²; chips that have nothing to do with the code book give π/2 − 1 = 0.57."""
 SCATTER = 0.15
 """What frames may be off their raster, in chips."""
 FORGET = 0.999

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ._protocol import TAIL_CHIPS
 from .errors import SpecError
 from .fit import (
+    MAX_SPREAD,
     ChipEdges,
     Fit,
     Floats,
@@ -27,12 +28,11 @@ from .separate import NodeLevels, node_levels
 from .timing import FrameLevels, QuietBlock, SampleBlock, Timing
 from .transform import correlate
 
-MAX_SPREAD = 0.12
-"""Spread beyond which a marked frame is rejected after all stretches were tried."""
 CHIP_ERROR = 2e-3
 """What chips may be shorter than nominal, or longer than the longest stretch."""
 CLEAN_SPREAD = 0.08
-"""The same for a frame timed as its sync says, where the noise is not known: ρ > 3.5."""
+"""Spread at which a frame timed as its sync says is believed where the noise is not known: ρ > 3.5.
+Later, and where the noise is known, it is MAX_SPREAD."""
 CARRIED_FRAMES = 15
 """A frame's timing serves so many frames after it, as long as it explains them."""
 CARRIED_MISFIT = 3e-3
@@ -121,8 +121,9 @@ class LineTiming(Timing):
 
         As `feed` does with such samples, at next to no cost.
         """
-        if block.count < self._nominal_size if block.sync else self._start is not None:
-            return self.feed(block.samples())  # the frame in progress goes on in them
+        frame_goes_on = block.count < self._nominal_size if block.sync else self._start is not None
+        if frame_goes_on:
+            return self.feed(block.samples())
         self._continue(block)
         frames: list[FrameLevels] = []
         if block.sync:

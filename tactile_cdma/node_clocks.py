@@ -8,9 +8,7 @@ exceeds c. Times are in nominal chips from the sync edge.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -69,22 +67,6 @@ class NodeClocks:
         """Clocks of which nothing is known: all on the digitizer's."""
         return cls(np.zeros(nodes), np.zeros(nodes), np.zeros(nodes, bool))
 
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> NodeClocks:
-        """From what `to_dict` gave. Raises SpecError where something is missing or not a number."""
-        try:
-            return cls(*(np.asarray(values[name]) for name in _FIELDS))
-        except (KeyError, TypeError, ValueError) as error:
-            if isinstance(error, SpecError):
-                raise
-            raise SpecError(
-                f"node clocks need lists of numbers {', '.join(_FIELDS)}: {error!r}"
-            ) from None
-
-    def to_dict(self) -> dict[str, list[Any]]:
-        """Plain lists, for YAML or JSON."""
-        return {name: getattr(self, name).tolist() for name in _FIELDS}
-
     @property
     def nodes(self) -> int:
         """Number of nodes, n."""
@@ -118,9 +100,6 @@ class NodeClocks:
         delay = np.where(self.known, self.delay_chips, np.median(self.delay_chips[self.known]))
         rate = np.where(self.known, self.rate_error, np.median(self.rate_error[self.known]))
         return NodeClocks(delay, rate, self.known)
-
-
-_FIELDS = ("delay_chips", "rate_error", "known")
 
 
 def crosstalk(spec: FrameSpec, clocks: NodeClocks) -> float:

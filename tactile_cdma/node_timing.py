@@ -12,9 +12,9 @@ import math
 import numpy as np
 
 from .clock_keeper import ClockKeeper
-from .fit import Floats
+from .fit import MAX_SPREAD, Floats
 from .frame import FrameSpec
-from .line_timing import MAX_SPREAD, LineTiming
+from .line_timing import LineTiming
 from .sampling import Sampling
 from .separate import NodeLevels
 from .timing import FrameLevels, QuietBlock, SampleBlock

@@ -93,6 +93,7 @@ def describe_frame(t_start: float, words: Words, config: SkinConfig) -> dict[str
     voltage_v = config.adc.voltage(words.codes)
     pressure_pa = config.curve.pressure(voltage_v)
     bits = word_bits(words.codes, config.spec.bits)
+    confidence = words.confidence
     return {
         "t": round(t_start, 9),
         "nodes": [
@@ -103,6 +104,7 @@ def describe_frame(t_start: float, words: Words, config: SkinConfig) -> dict[str
                 "voltage": round(float(voltage_v[i]), 4),
                 "pressure_pa": round(float(pressure_pa[i]), 1),
                 "snr_db": round(20 * math.log10(float(words.rho[i])), 1),
+                "confidence": round(float(confidence[i]), 6),
                 "doubtful": bool(words.doubtful[i]),
             }
             for i in np.flatnonzero(words.active)

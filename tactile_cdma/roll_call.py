@@ -48,7 +48,7 @@ _TIE = 1e-4
 class HeardClock:
     """What a roll-call frame says about its node.
 
-    delay_chips, rate_error: as in NodeClocks. delay_std, rate_std: their likely errors.
+    delay_chips, rate_error: as in NodeClocks. delay_std: likely error of the former.
     amplitude_v: of its ± code on the line, V, regardless of sign.
     rho: amplitude over the noise of one bit's correlation.
     left: power that it leaves unexplained beyond noise, relative to its own.
@@ -58,7 +58,6 @@ class HeardClock:
     delay_chips: float
     rate_error: float
     delay_std: float
-    rate_std: float
     amplitude_v: float
     rho: float
     left: float
@@ -234,7 +233,6 @@ def _judged(
         delay_chips=delay,
         rate_error=rate,
         delay_std=float(std[0]),
-        rate_std=float(np.hypot(*std)) / search.chips,
         amplitude_v=amplitude,
         rho=rho,
         left=left,

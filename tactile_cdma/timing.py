@@ -102,6 +102,10 @@ class Attempt(NamedTuple):
     believable: bool
 
 
+_LEAST_STORE = 4096
+"""Samples that a buffer has room for from the start."""
+
+
 class SampleBuffer:
     """The samples still needed, addressed by stream index; float64, V, NaN where absurd."""
 
@@ -147,9 +151,6 @@ class SampleBuffer:
             self._store = np.empty(4 * size)
         self._store[: kept.size] = kept
         self._at = 0
-
-
-_LEAST_STORE = 4096
 
 
 class Timing:

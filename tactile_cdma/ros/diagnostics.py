@@ -17,6 +17,8 @@ _COMPLAINTS = {
     NodeState.DOUBLED: "two nodes speak on one code row: check the numbers given to the nodes",
 }
 _MOST_NUMBERS = 20
+_SLOW = 0.5
+"""Share of the expected rate below which something is wrong."""
 
 
 class StreamReport:
@@ -29,34 +31,46 @@ class StreamReport:
         self, driver: Driver, latest: TactileFrame | None
     ) -> tuple[bytes, str, dict[str, object]]:
         """What there is to say now. latest: the newest frame."""
-        level, text = _verdict(driver)
-        values = {**self._rates(driver), **_health(driver), **_clocks(driver), **_counts(driver)}
+        rate_hz, expected_hz = self._rate_hz(driver), 1 / driver.pipeline.config.spec.frame_period_s
+        level, text = _verdict(driver, rate_hz / expected_hz)
+        values: dict[str, object] = {
+            "rate (Hz)": f"{rate_hz:.2f}",
+            "expected rate (Hz)": f"{expected_hz:.2f}",
+            "connections": driver.connections,
+            "rejected bursts": driver.pipeline.rejected,
+        }
+        values |= {**_health(driver), **_clocks(driver), **_counts(driver)}
         values["clipped samples (%)"] = f"{100 * latest.clipped:.1f}" if latest else ""
         return level, text, values
 
-    def _rates(self, driver: Driver) -> dict[str, object]:
-        pipeline, now = driver.pipeline, time.monotonic()
-        frames = pipeline.counters.frames
+    def _rate_hz(self, driver: Driver) -> float:
+        now, frames = time.monotonic(), driver.pipeline.counters.frames
         rate_hz = (frames - self._counted[1]) / max(now - self._counted[0], 1e-3)
         self._counted = (now, frames)
-        return {
-            "rate (Hz)": f"{rate_hz:.2f}",
-            "expected rate (Hz)": f"{1 / pipeline.config.spec.frame_period_s:.2f}",
-            "connections": driver.connections,
-            "rejected bursts": pipeline.rejected,
-        }
+        return rate_hz
 
 
-def _verdict(driver: Driver) -> tuple[bytes, str]:
+def _verdict(driver: Driver, rate: float) -> tuple[bytes, str]:
     """The worst that there is to say."""
     if driver.problem == WAITING:
         return DiagnosticStatus.WARN, driver.problem
     if driver.problem:
         return DiagnosticStatus.ERROR, driver.problem
+    clocks = driver.pipeline.clocks
+    if clocks is not None and clocks.busy:
+        return DiagnosticStatus.OK, "roll call: measuring the nodes' clocks"
+    if rate < _SLOW:
+        return DiagnosticStatus.WARN, (
+            f"frames come at {rate:.0%} of their rate: is the digitizer or this computer too slow, "
+            "or is the line disturbed (see rejected bursts and lost samples)?"
+        )
+    if len(driver.pipeline.taxels.missing) == driver.pipeline.config.spec.nodes:
+        return DiagnosticStatus.WARN, "frames arrive, but no node was heard: is the skin powered?"
+    if clocks is not None and clocks.unresolved:
+        return DiagnosticStatus.WARN, "clocks of some nodes leave them not told apart"
     for state, complaint in _COMPLAINTS.items():
         if driver.pipeline.health.nodes(state):
             return DiagnosticStatus.WARN, complaint
-    clocks = driver.pipeline.clocks
     if clocks is not None and clocks.problem:
         return DiagnosticStatus.WARN, clocks.problem
     return DiagnosticStatus.OK, "receiving"

@@ -1,7 +1,5 @@
 """Clocks of the nodes, and when they are too far apart for plain correlation."""
 
-import json
-
 import numpy as np
 import pytest
 
@@ -36,26 +34,19 @@ def test_unknown_nodes_take_the_median() -> None:
     assert NodeClocks.nominal(3).with_guesses().delay_chips.tolist() == [0, 0, 0]
 
 
-def test_they_travel_as_json() -> None:
-    some = NodeClocks(np.array([0.1, 0.3]), np.array([0.01, -1e-7]), np.array([True, False]))
-    back = NodeClocks.from_dict(json.loads(json.dumps(some.to_dict())))
-    for name, values in some.to_dict().items():
-        assert getattr(back, name).tolist() == values
-
-
 @pytest.mark.parametrize(
-    ("values", "word"),
+    ("delay", "rate", "known", "word"),
     [
-        ({"delay_chips": [0.0], "rate_error": [0.0]}, "known"),
-        ({"delay_chips": [0.0, 1.0], "rate_error": [0.0], "known": [True]}, "shapes"),
-        ({"delay_chips": [9.0], "rate_error": [0.0], "known": [True]}, "node 1 is 9"),
-        ({"delay_chips": [0.0], "rate_error": [float("nan")], "known": [True]}, "rate_error"),
-        ({"delay_chips": ["x"], "rate_error": [0.0], "known": [True]}, "numbers"),
+        ([0.0, 1.0], [0.0], [True], "shapes"),
+        ([9.0], [0.0], [True], "node 1 is 9"),
+        ([0.0], [float("nan")], [True], "rate_error"),
     ],
 )
-def test_what_no_node_has_is_refused(values: dict, word: str) -> None:
+def test_what_no_node_has_is_refused(
+    delay: list[float], rate: list[float], known: list[bool], word: str
+) -> None:
     with pytest.raises(SpecError, match=word):
-        NodeClocks.from_dict(values)
+        NodeClocks(np.array(delay), np.array(rate), np.array(known))
 
 
 @pytest.mark.parametrize("order", [64, 68])
