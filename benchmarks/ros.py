@@ -4,7 +4,8 @@ Three processes, as in use: this one is the digitizer behind a pseudo-terminal, 
 driver node, the third subscribes to ~/tactile. All read one monotonic clock. A frame's time begins
 when the last byte of the packet with its last sample was written (raw frames: with the last sample
 that line timing waits for), and ends in the subscriber's callback. So it holds reading, decoding,
-publishing, DDS and the subscriber's deserialisation, and no code time.
+publishing, DDS and the subscriber's deserialisation, and no code time. "bare" is what a process
+takes that does nothing but publish finished messages of 16 taxels at the same rate: the floor.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import tempfile
 import threading
 import time
 import tty
+from array import array
 from dataclasses import dataclass
 from multiprocessing.synchronize import Event as EventType
 from pathlib import Path
@@ -52,6 +54,7 @@ CASES: dict[int, dict[str, Value]] = {
 SECONDS = 4.0 if QUICK else 30.0
 WARM_UP_S = 1.0
 DOMAIN = 77
+PAPER_PERIOD_US = 12_800
 CHUNK = 65_536
 
 
@@ -78,6 +81,9 @@ def main() -> None:
         )
         for nodes, r in results.items()
     ]
+    bare = measure_bare()
+    times_ms = np.percentile(bare.latency_ms, [5, 50, 90, 99, 100]).round(3)
+    rows.append(("bare", bare.sent, bare.lost, *times_ms.tolist()))
     report.table(["nodes", "frames", "lost", "p5 ms", "p50", "p90", "p99", "max"], rows)
     report.finish(
         picture(results),
@@ -85,6 +91,7 @@ def main() -> None:
         p99_ms_16=float(np.percentile(results[16].latency_ms, 99)),
         p50_ms_4096=float(np.median(results[4096].latency_ms)),
         p99_ms_4096=float(np.percentile(results[4096].latency_ms, 99)),
+        p50_ms_bare=float(np.median(bare.latency_ms)),
         lost=sum(r.lost for r in results.values()),
     )
 
@@ -107,6 +114,46 @@ def measure(values: dict[str, Value]) -> Result:
     received = sorted(queue.get(timeout=20))
     subscriber.join(10)
     return match(digitizer.sent, received, config.spec.frame_period_s * 1e6)
+
+
+def measure_bare() -> Result:
+    """Messages published by a process that has nothing else to do."""
+    context = multiprocessing.get_context("spawn")
+    stop, receiving, ended = context.Event(), context.Event(), context.Event()
+    queue, sent = context.Queue(), context.Queue()
+    subscriber = context.Process(target=subscribe, args=(stop, receiving, queue), daemon=True)
+    publisher = context.Process(target=publish, args=(ended, sent), daemon=True)
+    subscriber.start()
+    publisher.start()
+    assert receiving.wait(30), "no message arrived"
+    time.sleep(SECONDS + WARM_UP_S)
+    ended.set()
+    published = dict(sent.get(timeout=20))
+    time.sleep(0.3)
+    stop.set()
+    received = sorted(queue.get(timeout=20))
+    subscriber.join(10)
+    publisher.join(10)
+    return match(published, received, PAPER_PERIOD_US)
+
+
+def publish(ended: EventType, sent: multiprocessing.Queue[object]) -> None:
+    """Publish finished messages at the paper's rate; note (device time, µs; monotonic s)."""
+    import rclpy
+    from rclpy.qos import qos_profile_sensor_data
+
+    from tactile_cdma.msg import TactileArray
+
+    rclpy.init()
+    node = rclpy.create_node("skin")
+    publisher = node.create_publisher(TactileArray, "/skin/tactile", qos_profile_sensor_data)
+    message = TactileArray(pressure=array("f", [0.0] * 16), status=array("B", [0] * 16))
+    times: list[tuple[int, float]] = []
+    while not ended.wait(PAPER_PERIOD_US * 1e-6):
+        message.device_time_us += PAPER_PERIOD_US
+        times.append((message.device_time_us, time.monotonic()))
+        publisher.publish(message)
+    sent.put(times)
 
 
 def match(sent: dict[int, float], received: list[tuple[int, float]], period_us: float) -> Result:
@@ -214,6 +261,7 @@ class driver:  # noqa: N801  # used like a function
 def subscribe(stop: EventType, receiving: EventType, queue: multiprocessing.Queue[object]) -> None:
     """Note when every array comes: (device time of the frame's middle in µs, monotonic s)."""
     import rclpy
+    from rclpy.executors import SingleThreadedExecutor
     from rclpy.qos import QoSProfile, ReliabilityPolicy
 
     from tactile_cdma.msg import TactileArray
@@ -227,8 +275,10 @@ def subscribe(stop: EventType, receiving: EventType, queue: multiprocessing.Queu
         lambda message: received.append((message.device_time_us, time.monotonic())),
         QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT),
     )
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
     while not stop.is_set():
-        rclpy.spin_once(node, timeout_sec=0.1)
+        executor.spin_once(timeout_sec=0.1)
         if received:
             receiving.set()
     queue.put(received)
