@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from tactile_cdma._protocol import SyncMode
 from tactile_cdma.decode import decode
+from tactile_cdma.encode import line_chips
 from tactile_cdma.errors import SpecError
 from tactile_cdma.fit import Line, refine
 from tactile_cdma.frame import FrameSpec
@@ -202,3 +203,41 @@ def test_short_gaps_are_enough(gap_chips: int, rate: int) -> None:
         words = decode(frame.levels, spec)
         codes = sent[round(frame.start / setup.rate_hz / spec.frame_period_s)].codes
         assert np.array_equal(words.codes, codes)
+
+
+def loud_blocks(frames: int) -> tuple[list[SampleBlock], list[np.ndarray], Setup]:
+    """Frames in which all nodes speak, and their codes."""
+    options, setup = SimOptions(scene="all", threshold=0, seed=8), Setup(SPEC, 4)
+    codes = [node.codes for node in islice(truth(options, setup), frames)]
+    return blocks(options, setup, frames), codes, setup
+
+
+def test_a_burst_in_the_gap_costs_no_frame_after_it() -> None:
+    given, codes, setup = loud_blocks(20)
+    period = round(setup.rate_hz * SPEC.frame_period_s)
+    line = np.concatenate([block.volts for block in given])
+    burst = slice(6 * period - 160, 6 * period - 10)
+    line[burst] += np.where(np.arange(150) % 2, 10.0, -10.0).astype(np.float32)
+    sent = [
+        replace(block, volts=line[block.first_index : block.first_index + block.volts.size])
+        for block in given
+    ]
+    frames = run(LineTiming(SPEC, setup.rate_hz), sent)
+    assert len(frames) == 20
+    for frame, sent_codes in zip(frames, codes, strict=True):
+        assert frame.levels is not None
+        assert np.array_equal(decode(frame.levels, SPEC).codes, sent_codes)
+
+
+@pytest.mark.parametrize("drive", ["bipolar", "unipolar"])
+def test_two_nodes_on_one_row_cost_the_others_nothing(drive: str) -> None:
+    spec, rng = FrameSpec(drive=drive), np.random.default_rng(9)
+    timing, period = LineTiming(spec, 4 / spec.chip_s), 1024
+    for number in range(60):
+        codes, other = rng.integers(0, 1024, 16), rng.integers(0, 1024, 16)
+        chips = line_chips(spec, codes) + line_chips(spec, other, np.arange(16) == 4)
+        volts = np.zeros(period, np.float32)
+        volts[: 4 * spec.chips] = np.repeat(chips.ravel(), 4)
+        volts += rng.normal(0, 0.01, period).astype(np.float32)
+        timing.feed(SampleBlock(number * period, volts, sync=True))
+    assert timing.rejected <= 2

@@ -188,3 +188,12 @@ def test_the_driver_calls_the_roll_once_the_gap_is_known_and_after_a_reset_again
         assert sum(called) == 1 and called.index(True) > 1
         assert pipeline.clocks is not None and pipeline.clocks.decorrelated
         pipeline.reconnected()
+
+
+def test_no_word_is_certain_before_the_clocks_are_known() -> None:
+    bench = Bench("sim://?scene=all&threshold=0&heartbeat=0", roll_call=True)
+    bench.run(8)
+    assert all(frame.words.doubtful.all() for frame in bench.frames)
+    bench.call()
+    bench.run(40)
+    assert not bench.frames[-1].words.doubtful.any()
