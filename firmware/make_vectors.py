@@ -89,7 +89,7 @@ PACKETS: dict[str, tuple[int, Packet]] = {
     ),
     "quiet, extremes": (262, Quiet(0, 0, MOST, -MOST << 15, MOST << 30, overrun=True)),
     "samples, all zero on the wire": (258, Samples(0, 0, np.full(40, 0x5555, dtype=np.int16))),
-    "status": (259, Status(2**40 + 3, 1, 2, 3, streaming=True)),
+    "status": (259, Status(2**40 + 3, 1, 2, 3, 4, 5, streaming=True)),
     "ack": (260, Ack(PacketType.CONFIGURE, 513, Result.UNSUPPORTED)),
     "get info": (0, GetInfo()),
     "start": (1, Start()),

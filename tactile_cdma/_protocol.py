@@ -5,12 +5,20 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import NamedTuple
 
-VERSION = 2
+VERSION = 3
 SAMPLE_XOR = 0x5555
 MAX_SAMPLES = 8192
 MAX_PACKET_US = 3000
 TAIL_CHIPS = 3
 MAX_GAP = 4096
+SYNC_UNIT_US = 16
+SYNC_RESTART = 1
+SYNC_FRAME = 2
+SYNC_CALL = 3
+SYNC_LEAD = 4
+NODE_MAGIC = 1314145108
+NODE_VERSION = 1
+NODE_LEARN_REST = 65535
 FLAG_SYNC = 0x01
 FLAG_OVERRUN = 0x02
 FLAG_CALLED = 0x04
@@ -93,6 +101,26 @@ FIELDS: dict[str, tuple[Field, ...]] = {
         Field("resync_chips", "H", range(0, 65536)),
         Field("guard_chips", "B", range(0, 256)),
     ),
+    "NodeRecord": (
+        Field("magic", "I", range(1314145108, 1314145109)),
+        Field("version", "B", range(1, 2)),
+        Field("node", "H", range(1, 65536)),
+        Field("nodes", "H", range(1, 65536)),
+        Field("row", "H", range(0, 65536)),
+        Field("sign", "b", Polarity),
+        Field("bits", "B", range(8, 11)),
+        Field("parity", "B", bool),
+        Field("order", "H", range(1, 4097)),
+        Field("chip_ns", "I", range(20000, 1000001)),
+        Field("frame_period_us", "I", range(1000, 10000001)),
+        Field("resync_chips", "H", range(0, 65536)),
+        Field("guard_chips", "B", range(0, 256)),
+        Field("discipline", "B", bool),
+        Field("rest", "H", range(0, 65536)),
+        Field("threshold", "H", range(0, 65536)),
+        Field("heartbeat", "H", range(0, 65536)),
+        Field("turn", "H", range(0, 65536)),
+    ),
     "Info": (
         Field("version", "B", range(0, 256)),
         Field("firmware_major", "B", range(0, 256)),
@@ -126,6 +154,8 @@ FIELDS: dict[str, tuple[Field, ...]] = {
         Field("samples_lost", "I", range(0, 4294967296)),
         Field("packets_dropped", "I", range(0, 4294967296)),
         Field("commands_refused", "I", range(0, 4294967296)),
+        Field("command_errors", "I", range(0, 4294967296)),
+        Field("sync_faults", "I", range(0, 4294967296)),
         Field("streaming", "B", bool),
     ),
     "Ack": (

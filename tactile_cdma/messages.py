@@ -298,6 +298,8 @@ class Status(Packet):
     samples_lost: int = 0
     packets_dropped: int = 0
     commands_refused: int = 0
+    command_errors: int = 0
+    sync_faults: int = 0
     streaming: bool = False
 
 

@@ -5,6 +5,7 @@
 #ifndef TACTILE_PROTOCOL_H
 #define TACTILE_PROTOCOL_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -15,11 +16,21 @@
 #define TP_ASSERT_AT(type, field, offset) \
     _Static_assert(offsetof(struct type, field) == offset, #type "." #field)
 
-#define TP_VERSION 2
+#define TP_VERSION 3
 #define TP_SAMPLE_XOR 0x5555u
 #define TP_MAX_SAMPLES 8192
 #define TP_MAX_PACKET_US 3000
 #define TP_TAIL_CHIPS 3
+
+/* pulses on the sync line: unit, lengths and lead in units; memory of a node */
+#define TP_SYNC_UNIT_US 16u
+#define TP_SYNC_RESTART 1u
+#define TP_SYNC_FRAME 2u
+#define TP_SYNC_CALL 3u
+#define TP_SYNC_LEAD 4u
+#define TP_NODE_MAGIC 1314145108u
+#define TP_NODE_VERSION 1u
+#define TP_NODE_LEARN_REST 65535u
 
 /* packet types */
 #define TP_INFO 0x01
@@ -93,18 +104,6 @@ struct __attribute__((packed)) tp_frame_layout {
     uint16_t resync_chips; /* nodes start anew, at a sync edge, every so many chips; 0: at the frame's first chip only */
     uint8_t guard_chips; /* pause before each such restart, in chips */
 };
-#define TP_NODES_MIN 1u
-#define TP_NODES_MAX 65535u
-#define TP_BITS_MIN 8u
-#define TP_BITS_MAX 16u
-#define TP_ORDER_MIN 1u
-#define TP_ORDER_MAX 65536u
-#define TP_CHIP_NS_MIN 10u
-#define TP_CHIP_NS_MAX 1000000000u
-#define TP_FRAME_PERIOD_US_MIN 1u
-#define TP_FRAME_PERIOD_US_MAX 4294967295u
-#define TP_SAMPLES_PER_CHIP_MIN 1u
-#define TP_SAMPLES_PER_CHIP_MAX 65535u
 TP_ASSERT_AT(tp_frame_layout, nodes, 0);
 TP_ASSERT_AT(tp_frame_layout, bits, 2);
 TP_ASSERT_AT(tp_frame_layout, order, 3);
@@ -120,6 +119,68 @@ TP_ASSERT_AT(tp_frame_layout, parity, 26);
 TP_ASSERT_AT(tp_frame_layout, resync_chips, 27);
 TP_ASSERT_AT(tp_frame_layout, guard_chips, 29);
 _Static_assert(sizeof(struct tp_frame_layout) == 30, "size of tp_frame_layout");
+
+/* Begins a node's EEPROM. Chips follow: order bits, least significant first, 1 for +1; then CRC-32. */
+struct __attribute__((packed)) tp_node_record {
+    uint32_t magic; /* what says that this is such a record */
+    uint8_t version; /* of the record */
+    uint16_t node; /* number of this node; its turn in a roll call */
+    uint16_t nodes; /* number of nodes */
+    uint16_t row; /* code row; only for whoever reads the memory */
+    int8_t sign; /* sign of the row */
+    uint8_t bits; /* word length */
+    uint8_t parity; /* 1: every word is followed by a bit that makes its ones even */
+    uint16_t order; /* chips per bit */
+    uint32_t chip_ns; /* ns: nominal chip duration */
+    uint32_t frame_period_us; /* µs: from one frame's first chip to the next one's */
+    uint16_t resync_chips; /* start anew, at a sync edge, every so many chips; 0: never */
+    uint8_t guard_chips; /* pause before each such restart, in chips */
+    uint8_t discipline; /* 1: chip times follow the period of the sync edges */
+    uint16_t rest; /* code at rest; 65535: learnt after power-up */
+    uint16_t threshold; /* LSB: the node talks while its code is farther than this from rest or from what it sent last; 0: always */
+    uint16_t heartbeat; /* frames: the node talks at least once in so many frames; 0: never */
+    uint16_t turn; /* frames: frames from power-up to its first heartbeat */
+};
+TP_ASSERT_AT(tp_node_record, magic, 0);
+TP_ASSERT_AT(tp_node_record, version, 4);
+TP_ASSERT_AT(tp_node_record, node, 5);
+TP_ASSERT_AT(tp_node_record, nodes, 7);
+TP_ASSERT_AT(tp_node_record, row, 9);
+TP_ASSERT_AT(tp_node_record, sign, 11);
+TP_ASSERT_AT(tp_node_record, bits, 12);
+TP_ASSERT_AT(tp_node_record, parity, 13);
+TP_ASSERT_AT(tp_node_record, order, 14);
+TP_ASSERT_AT(tp_node_record, chip_ns, 16);
+TP_ASSERT_AT(tp_node_record, frame_period_us, 20);
+TP_ASSERT_AT(tp_node_record, resync_chips, 24);
+TP_ASSERT_AT(tp_node_record, guard_chips, 26);
+TP_ASSERT_AT(tp_node_record, discipline, 27);
+TP_ASSERT_AT(tp_node_record, rest, 28);
+TP_ASSERT_AT(tp_node_record, threshold, 30);
+TP_ASSERT_AT(tp_node_record, heartbeat, 32);
+TP_ASSERT_AT(tp_node_record, turn, 34);
+_Static_assert(sizeof(struct tp_node_record) == 36, "size of tp_node_record");
+/* whether every field is within its range */
+static inline bool tp_node_record_in_range(const struct tp_node_record *m)
+{
+    return m->magic >= 1314145108u &&
+           m->magic <= 1314145108u &&
+           m->version >= 1u &&
+           m->version <= 1u &&
+           m->node >= 1u &&
+           m->nodes >= 1u &&
+           (m->sign == 1 || m->sign == -1) &&
+           m->bits >= 8u &&
+           m->bits <= 10u &&
+           m->parity <= 1u &&
+           m->order >= 1u &&
+           m->order <= 4096u &&
+           m->chip_ns >= 20000u &&
+           m->chip_ns <= 1000000u &&
+           m->frame_period_us >= 1000u &&
+           m->frame_period_us <= 10000000u &&
+           m->discipline <= 1u;
+}
 
 /* What the digitizer is and how it is set. */
 struct __attribute__((packed)) tp_info {
@@ -137,8 +198,6 @@ struct __attribute__((packed)) tp_info {
     struct tp_frame_layout frame; /* layout of the frame */
     uint32_t quiet_uv; /* µV: what CONFIGURE has set; 0: QUIET is never sent */
 };
-#define TP_SAMPLE_RATE_UHZ_MIN 1u
-#define TP_SAMPLE_RATE_UHZ_MAX 18446744073709551615ull
 TP_ASSERT_AT(tp_info, version, 0);
 TP_ASSERT_AT(tp_info, firmware_major, 1);
 TP_ASSERT_AT(tp_info, firmware_minor, 2);
@@ -175,8 +234,6 @@ struct __attribute__((packed)) tp_quiet {
     int64_t sum; /* count: of the samples */
     uint64_t sum_of_squares; /* count²: of the samples */
 };
-#define TP_COUNT_MIN 1u
-#define TP_COUNT_MAX 4294967295u
 TP_ASSERT_AT(tp_quiet, device_time_us, 0);
 TP_ASSERT_AT(tp_quiet, first_index, 8);
 TP_ASSERT_AT(tp_quiet, flags, 16);
@@ -191,14 +248,18 @@ struct __attribute__((packed)) tp_status {
     uint32_t samples_lost; /* samples that overruns cost since power-up */
     uint32_t packets_dropped; /* packets numbered but never sent since power-up */
     uint32_t commands_refused; /* acknowledged with another result than OK */
+    uint32_t command_errors; /* packets from the host that were broken: no COBS, wrong CRC, too long */
+    uint32_t sync_faults; /* sync edges that came late or not at all */
     uint8_t streaming; /* between START and STOP */
 };
 TP_ASSERT_AT(tp_status, uptime_us, 0);
 TP_ASSERT_AT(tp_status, samples_lost, 8);
 TP_ASSERT_AT(tp_status, packets_dropped, 12);
 TP_ASSERT_AT(tp_status, commands_refused, 16);
-TP_ASSERT_AT(tp_status, streaming, 20);
-_Static_assert(sizeof(struct tp_status) == 21, "size of tp_status");
+TP_ASSERT_AT(tp_status, command_errors, 20);
+TP_ASSERT_AT(tp_status, sync_faults, 24);
+TP_ASSERT_AT(tp_status, streaming, 28);
+_Static_assert(sizeof(struct tp_status) == 29, "size of tp_status");
 
 /* Answers one command. */
 struct __attribute__((packed)) tp_ack {
@@ -223,6 +284,25 @@ TP_ASSERT_AT(tp_configure, sync_mode, 30);
 TP_ASSERT_AT(tp_configure, integrated, 31);
 TP_ASSERT_AT(tp_configure, quiet_uv, 32);
 _Static_assert(sizeof(struct tp_configure) == 36, "size of tp_configure");
+/* whether every field is within its range */
+static inline bool tp_configure_in_range(const struct tp_configure *m)
+{
+    return m->frame.nodes >= 1u &&
+           m->frame.bits >= 8u &&
+           m->frame.bits <= 16u &&
+           m->frame.order >= 1u &&
+           m->frame.order <= 65536u &&
+           m->frame.chip_ns >= 10u &&
+           m->frame.chip_ns <= 1000000000u &&
+           m->frame.frame_period_us >= 1u &&
+           m->frame.natural_signs <= 1u &&
+           (m->frame.drive == 0 || m->frame.drive == 1) &&
+           (m->frame.polarity == 1 || m->frame.polarity == -1) &&
+           m->frame.samples_per_chip >= 1u &&
+           m->frame.parity <= 1u &&
+           (m->sync_mode == 0 || m->sync_mode == 1 || m->sync_mode == 2) &&
+           m->integrated <= 1u;
+}
 
 /* longest packet: payload; with type and sequence; with CRC; with COBS and delimiter */
 #define TP_MAX_PAYLOAD 16401

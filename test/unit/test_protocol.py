@@ -150,7 +150,7 @@ def test_no_packet_is_longer_than_promised_nor_holds_a_delimiter(packet: Samples
     ("size", "kind"),
     [
         (74, INFO),
-        (30, Status(0)),
+        (38, Status(0)),
         (13, Ack(0, 0)),
         (46, Quiet(0, 0, 1, 0, 0)),
         (9, Stop()),

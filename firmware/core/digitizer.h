@@ -1,0 +1,84 @@
+/* The digitizer without its board: commands and samples in, packets and sync pulses out.
+ *
+ * Nothing here waits, allocates or touches hardware. A board
+ *
+ *   - hands over what arrives from the host (dg_receive), takes what is to be sent (dg_output,
+ *     dg_sent), and calls dg_time now and then for the reports of each second;
+ *   - asks after every dg_receive whether sampling has to start anew (dg_restarted), and then does
+ *     what dg->running and dg->ticks_per_sample say;
+ *   - hands over every sample (dg_samples), or says how many it could not keep (dg_lost);
+ *   - makes the pulses that dg_pulse announces.
+ *
+ * Time within a stream is counted in ticks of the board's sampling clock. Sample i's period begins
+ * at tick i · ticks_per_sample, and the sample is taken in its middle. Sync pulses are given in the
+ * same ticks, so where frames begin among the samples is arithmetic: no interrupt's latency and no
+ * search is in it.
+ *
+ * dg_pulse may be called from an interrupt; everything else from one context only.
+ */
+#ifndef TACTILE_DIGITIZER_H
+#define TACTILE_DIGITIZER_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "tactile_protocol.h"
+
+#define DG_FIRST_MARK_US 1000 /* from a stream's start to its first frame, at least */
+#define DG_REPORT_US 1000000  /* INFO and STATUS are repeated at this interval */
+
+/* What a board is: constant. */
+struct dg_board {
+    uint8_t id[8];            /* unique per board */
+    uint32_t ticks_per_us;    /* of the sampling clock */
+    uint32_t min_ticks;       /* per sample: the converter's fastest … */
+    uint32_t max_ticks;       /* … and slowest rate */
+    float volts_per_count;    /* V on the line */
+    int16_t zero_count;       /* reading at 0 V on the line */
+    int16_t min_count;        /* rails of the converter */
+    int16_t max_count;
+};
+
+/* A pulse on the sync line. */
+struct dg_pulse {
+    uint64_t tick;  /* of its rising edge, in the stream */
+    uint8_t units;  /* its length, in TP_SYNC_UNIT_US: TP_SYNC_FRAME, _CALL or _RESTART */
+};
+
+struct dg; /* see below; a board reads the fields that are said to be public */
+
+/* Power-up. output: the ring of bytes to be sent. samples: room for a packet's samples, at most
+ * TP_MAX_SAMPLES of them. Both stay the digitizer's. output_size: at least 4 · sample_capacity and
+ * TP_MAX_PACKET… of that capacity; see the source. */
+void dg_init(struct dg *dg, const struct dg_board *board, uint8_t *output, size_t output_size,
+             int16_t *samples, size_t sample_capacity, uint64_t now_us);
+
+/* Bytes from the host, in any pieces. */
+void dg_receive(struct dg *dg, const uint8_t *bytes, size_t size, uint64_t now_us);
+
+/* Whether sampling has to stop, or to start anew as dg->running and dg->ticks_per_sample now say;
+ * true once per change. Then call dg_begin, if running, with the time of tick 0. */
+bool dg_restarted(struct dg *dg);
+void dg_begin(struct dg *dg, uint64_t start_us);
+
+/* The next samples of the stream, in the converter's counts. */
+void dg_samples(struct dg *dg, const uint16_t *counts, size_t size);
+/* So many samples of the stream could not be kept. */
+void dg_lost(struct dg *dg, uint32_t size);
+
+/* The next pulse of the sync line: in order, each once. False where there is none (not running, or
+ * frames are not marked). */
+bool dg_pulse(struct dg *dg, struct dg_pulse *pulse);
+/* A pulse came late or not at all. */
+void dg_sync_fault(struct dg *dg);
+
+/* What time it is, on the clock of device_time_us. */
+void dg_time(struct dg *dg, uint64_t now_us);
+
+/* The bytes that are to be sent next, as far as they lie together in the ring; 0: none. */
+size_t dg_output(const struct dg *dg, const uint8_t **bytes);
+/* So many of them were sent. */
+void dg_sent(struct dg *dg, size_t size);
+
+#endif
