@@ -1,0 +1,60 @@
+"""The firmware, built for the tests: its portable core as a library, its images by make."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
+CORE = FIRMWARE / "core"
+BUILD = FIRMWARE / "build"
+STRICT = ("-std=gnu99", "-Wall", "-Wextra", "-Werror", "-I", str(CORE))
+SANITIZE = ("-fsanitize=address,undefined", "-fno-sanitize-recover=undefined")
+SANITIZED = "TACTILE_SANITIZE"
+"""Environment variable: set where the core is built with sanitizers (test_sanitizers.py)."""
+
+
+def need(tool: str) -> str:
+    """Path of a program; skips the test where it is not installed."""
+    path = shutil.which(tool)
+    if path is None:
+        pytest.skip(f"no {tool} on this machine; `make firmware-tools` tells how to get it")
+    return path
+
+
+def run(*command: str | Path, cwd: Path | None = None, timeout: float = 300) -> str:
+    """Run a command that has to succeed; return what it printed."""
+    result = subprocess.run(
+        [str(part) for part in command], capture_output=True, text=True, timeout=timeout, cwd=cwd
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
+    return result.stdout
+
+
+@pytest.fixture(scope="session")
+def core(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
+    """All of firmware/core and the tests' own C functions as a shared library."""
+    library = tmp_path_factory.mktemp("core") / "libcore.so"
+    sources = [*sorted(CORE.glob("*.c")), *sorted(Path(__file__).parent.glob("shim_*.c"))]
+    sanitize = SANITIZE if SANITIZED in os.environ else ()
+    run(need("cc"), *STRICT, "-O1", "-g", "-fPIC", "-shared", *sanitize, *sources, "-o", library)
+    return ctypes.CDLL(str(library))
+
+
+@pytest.fixture(scope="session")
+def built() -> Callable[[str], Path]:
+    """Has make build a target of firmware/Makefile; returns firmware/build."""
+
+    def build(target: str) -> Path:
+        BUILD.mkdir(exist_ok=True)
+        # Tests run in several processes, which must not build the same file at once.
+        run(need("flock"), BUILD / ".lock", need("make"), "-s", "-C", FIRMWARE, target)
+        return BUILD
+
+    return build
