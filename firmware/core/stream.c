@@ -275,6 +275,7 @@ static void end_part(struct stream *stream)
     switch (stream->part) {
     case STREAM_GAP:
         send_words(stream);
+        stream->waiting = false;
         begin_frame(stream);
         break;
     case STREAM_FRAME:
