@@ -317,17 +317,19 @@ def test_frames_must_fit_their_period_and_leave_time_for_pulses(core: ctypes.CDL
         True,
         False,
     ]
-    lead_us = SYNC_LEAD * SYNC_UNIT_US
-    slots = {"resync_chips": 2, "frame_period_us": 100_000, "chip_ns": -(-2 * lead_us * 1000 // 3)}
-    assert accepts(core, of_frame(**slots, guard_chips=1), of_frame(**slots, guard_chips=0)) == [
-        True,
-        False,
-    ]
+    third_ns = -(-2 * SYNC_LEAD * SYNC_UNIT_US * 1000 // 3)
+    slots: dict[str, Any] = {"resync_chips": 2, "chip_ns": third_ns, "frame_period_us": 100_000}
+    short, long = (of_frame(**slots, guard_chips=chips) for chips in (0, 1))
+    assert accepts(core, short, long) == [False, True]
     # Whose last sub-slot is one chip long: the frame's end is close behind its pulse.
-    last = {"resync_chips": 199, "guard_chips": 1}
+    last: dict[str, Any] = {"resync_chips": 199, "guard_chips": 1}
     ends = [of_frame(**last, frame_period_us=10_000 + us) for us in (49, 50, 127, 128)]
     assert accepts(core, *ends) == [False, False, False, True]
-    tiny = {"order": 1, "bits": 8, "chip_ns": 10_000}
+    even = of_frame(resync_chips=100, guard_chips=1, frame_period_us=10_110)
+    assert accepts(core, even) == [True]  # its last sub-slot is as long as the first
+    one: dict[str, Any] = {"order": 1, "bits": 8, "chip_ns": 10_000, "resync_chips": 8}
+    assert accepts(core, of_frame(**one)) == [True]  # which has no pulse within the frame
+    tiny: dict[str, Any] = {"order": 1, "bits": 8, "chip_ns": 10_000}
     assert accepts(
         core,
         of_frame(**tiny, frame_period_us=127),
@@ -338,7 +340,7 @@ def test_frames_must_fit_their_period_and_leave_time_for_pulses(core: ctypes.CDL
 
 def test_what_needs_marks_needs_marks(core: ctypes.CDLL) -> None:
     unmarked = SyncMode.NONE
-    resync = {"resync_chips": 50, "guard_chips": 1}
+    resync: dict[str, Any] = {"resync_chips": 50, "guard_chips": 1}
     assert accepts(
         core,
         of_frame(unmarked),
@@ -349,9 +351,9 @@ def test_what_needs_marks_needs_marks(core: ctypes.CDLL) -> None:
 
 
 def test_the_largest_and_the_strangest_layouts_do_no_harm(core: ctypes.CDLL) -> None:
-    huge = {"bits": 16, "parity": True, "order": 65_536, "chip_ns": 1_000_000_000}
-    guards = {"resync_chips": 1, "guard_chips": 255}
-    longest = {"frame_period_us": 2**32 - 1, "samples_per_chip": 65_535}
+    huge: dict[str, Any] = {"bits": 16, "parity": True, "order": 65_536, "chip_ns": 1_000_000_000}
+    guards: dict[str, Any] = {"resync_chips": 1, "guard_chips": 255}
+    longest: dict[str, Any] = {"frame_period_us": 2**32 - 1, "samples_per_chip": 65_535}
     assert accepts(core, of_frame(**huge, **guards, **longest)) == [False]
     assert accepts(core, of_frame(**longest, integrated=True)) == [False]
     assert accepts(core, of_frame(chip_ns=10)) == [False]
@@ -522,7 +524,7 @@ def test_what_is_sent_is_whole_however_it_is_taken(
         parser.feed(digitizer.take(most + quick * 400))
     parser.feed(digitizer.take())
     digitizer.time(100_000_000)
-    status = of_kind(parser.feed(digitizer.take()), Status)[-1]  # type: ignore[arg-type]
+    status = of_kind(parser.feed(digitizer.take()), Status)[-1]
     seen = parser.counters
     assert not seen.crc_errors + seen.framing_errors + seen.malformed + seen.jumps
     assert seen.lost_packets == status.packets_dropped
