@@ -284,15 +284,18 @@ def test_rates_are_those_of_the_converter(core: ctypes.CDLL) -> None:
     assert accepts(core, *raw) == [True, True, True, False, False]
     slow = [
         of_frame(chip_ns=ns, samples_per_chip=1, frame_period_us=4_000_000)
-        for ns in (1_365_300, 1_365_400)
+        for ns in (1_365_333, 1_365_344)  # 65,536 and 65,537 ticks
     ]
     assert accepts(core, *slow) == [True, False]
-    # 1 % off: 2449 ticks in 25 are 98 ticks, 2.04 % … per tick, so half of it is the worst.
-    ticks = [round(ns * 0.048) for ns in range(50_000, 52_000, 125)]
-    for ns, chip in zip(range(50_000, 52_000, 125), ticks, strict=True):
-        per_sample = round(ns * 0.048 / 25)
-        fits = abs(per_sample * 25 - ns * 0.048) <= 0.01 * ns * 0.048
-        assert accepts(core, of_frame(chip_ns=ns, samples_per_chip=25)) == [fits], chip
+
+
+def test_a_rate_is_right_to_one_percent(core: ctypes.CDLL) -> None:
+    chips = range(30_000, 34_000, 61)  # 14.4 to 16.3 ticks per sample
+    asked = [of_frame(chip_ns=ns, samples_per_chip=100) for ns in chips]
+    wanted = [ns * 48 / 1000 / 100 for ns in chips]
+    right = [abs(round(ticks) - ticks) <= 0.01 * ticks for ticks in wanted]
+    assert {True, False} == set(right)
+    assert accepts(core, *asked, min_ticks=8) == right
 
 
 def test_means_take_all_that_the_converter_gives(core: ctypes.CDLL) -> None:
@@ -306,10 +309,13 @@ def test_means_take_all_that_the_converter_gives(core: ctypes.CDLL) -> None:
     ):
         period_us = max(12_800, 201 * chip_ns // 1000)
         frame = replace(LAYOUT, chip_ns=chip_ns, samples_per_chip=least, frame_period_us=period_us)
-        answers(digitizer, Configure(frame, integrated=True))
-        assert digitizer.ticks_per_sample == ticks
+        answer = answers(digitizer, Configure(frame, integrated=True))
+        assert (of_kind(answer, Ack)[0].result, digitizer.ticks_per_sample) == (Result.OK, ticks)
     digitizer.close()
     assert accepts(core, of_frame(integrated=True, samples_per_chip=26)) == [False]
+    slow = of_frame(integrated=True, chip_ns=1_000_000_000, frame_period_us=201_000_000)
+    assert accepts(core, slow, max_ticks=11_718) == [True]
+    assert accepts(core, slow, max_ticks=11_717) == [False]
 
 
 def test_frames_must_fit_their_period_and_leave_time_for_pulses(core: ctypes.CDLL) -> None:
