@@ -466,6 +466,23 @@ def test_a_roll_call_asked_for_with_start_is_held(core: ctypes.CDLL) -> None:
     digitizer.close()
 
 
+def test_a_new_stream_begins_with_a_frame_and_no_roll_call(core: ctypes.CDLL) -> None:
+    asked = of_frame(resync_chips=50, guard_chips=4, frame_period_us=12_800, nodes=9)
+    digitizer = digitizer_with(core, asked)
+    first = digitizer.pulses(8)
+    digitizer.send(RollCall())
+    assert [pulse.units for pulse in digitizer.pulses(3)] == [SYNC_CALL, SYNC_RESTART, SYNC_RESTART]
+    digitizer.packets()
+    digitizer.send(Start())
+    assert digitizer.pulses(8) == first
+    digitizer.samples(np.zeros(80))
+    assert called_frames(digitizer, 2) == [False, False]
+    digitizer.send(RollCall())
+    digitizer.pulses(4)
+    assert called_frames(digitizer, 1) == [True]
+    digitizer.close()
+
+
 def test_a_roll_call_needs_marked_raw_frames(core: ctypes.CDLL) -> None:
     digitizer = CoreDigitizer(core)
     digitizer.packets()
