@@ -554,6 +554,16 @@ def test_what_is_sent_is_whole_however_it_is_taken(
     digitizer.close()
 
 
+def test_packets_may_end_where_the_ring_ends(core: ctypes.CDLL) -> None:
+    for size in range(1300, 1400):
+        digitizer = CoreDigitizer(core, capacity=16, output=size)
+        for _ in range(30):
+            digitizer.send(GetInfo())
+            digitizer.packets()
+        assert digitizer.parser.counters.packets == 2 + 2 * 30
+        digitizer.close()
+
+
 def test_the_sequence_wraps(digitizer: CoreDigitizer) -> None:
     digitizer.set_sequence(65_530)
     digitizer.send(Start())
