@@ -22,6 +22,7 @@ from .offline import decode_raw, decode_scope, describe_frame, described_paramet
 from .parameters import BY_NAME, GAP, NATURAL_SIGNS, SkinConfig, Value, read_file
 from .pipeline import Pipeline
 from .protocol import PacketParser, diagnose
+from .sim.digitizer import VirtualDigitizer
 from .sim.options import SimOptions
 from .sim.pty import serve
 from .source import Port
@@ -221,7 +222,12 @@ def _record(arguments: argparse.Namespace) -> int:
 def _simulate(arguments: argparse.Namespace) -> int:
     options = SimOptions.from_url(arguments.url)
     with _stop_event(arguments.seconds) as stop:
-        serve(options, arguments.link, stop, lambda path: print(f"serving on {path}", flush=True))
+        serve(
+            lambda: VirtualDigitizer(options),
+            arguments.link,
+            stop,
+            lambda path: print(f"serving on {path}", flush=True),
+        )
     return 0
 
 
