@@ -39,7 +39,6 @@ lint: setup
 	@"$(BIN)/ruff" format --check --quiet .
 	@"$(BIN)/mypy"
 
-# Where a toolchain is missing and cannot be installed, this says which.
 firmware: setup
 	@"$(BIN)/python" tools/firmware_tools.py --require
 	@$(MAKE) --no-print-directory -s -C firmware
