@@ -134,7 +134,7 @@ def read_node_memory(data: bytes) -> tuple[NodeRecord, NDArray[np.int8]]:
 
     What follows in the EEPROM is ignored. Raises NodeMemoryError, naming what is wrong.
     """
-    if data and data.count(0xFF) == len(data):
+    if data.count(0xFF) == len(data):
         raise NodeMemoryError("the memory is blank: it was never written, or a chip erase took it")
     wire = WIRE["NodeRecord"]
     if len(data) < wire.size:
