@@ -173,6 +173,27 @@ def read_node_memory(data: bytes) -> tuple[NodeRecord, NDArray[np.int8]]:
     return record, np.where(positive, 1, -1).astype(np.int8)
 
 
+def describe_memory(record: NodeRecord, chips: NDArray[np.int8]) -> str:
+    """What a node's memory says, for people: a few lines."""
+    code = "".join("+" if chip > 0 else "-" for chip in chips)
+    restart = f"every {record.resync_chips} chips, after {record.guard_chips} of pause"
+    rest = "learnt after power-up" if record.rest == NODE_LEARN_REST else f"code {record.rest}"
+    change = f"more than {record.threshold} LSB from rest ({rest}) or from what it sent last"
+    beat = f"once in {record.heartbeat} frames, first after {record.turn}"
+    lines = {
+        "node": f"{record.node} of {record.nodes}",
+        "code row": f"{record.row} of order {record.order}, sign {record.sign:+d}: {code}",
+        "word": f"{record.bits} bits" + (" and parity" if record.parity else ""),
+        "chip": f"{record.chip_ns / 1e3:g} µs"
+        + (", following the sync edges" if record.discipline else ", of the node's own clock"),
+        "frame": f"every {record.frame_period_us / 1e3:g} ms",
+        "restarts": restart if record.resync_chips else "none",
+        "talks": change if record.threshold else "in every frame",
+        "heartbeat": beat if record.heartbeat else "none",
+    }
+    return "\n".join(f"{name + ':':<10} {text}" for name, text in lines.items())
+
+
 def _size(order: int) -> int:
     """Bytes of record, chips and CRC."""
     return WIRE["NodeRecord"].size + (order + 7) // 8 + CRC_BYTES
