@@ -364,6 +364,14 @@ static void reset_by_watchdog(struct avr_node *node)
     after_reset(node);
 }
 
+/* What has happened by now. */
+static void catch_up(struct avr_node *node)
+{
+    process_events(node);
+    if (node->touched)
+        settle_pin(node);
+}
+
 void node_run(struct avr_node *node, int64_t t_ns)
 {
     avr_t *avr = node->avr;
@@ -376,23 +384,20 @@ void node_run(struct avr_node *node, int64_t t_ns)
         avr_cycle_count_t begin = avr->cycle;
         bool asleep = avr->state != cpu_Running;
 
-        if (asleep) {
-            avr_cycle_count_t event = next_event(node);
-            avr->cycle = event < end ? event : end;
-            node->counters.cycles_asleep += avr->cycle - begin;
-            begin = avr->cycle;
-        } else {
-            run_one(node);
-        }
-        process_events(node);
-        if (node->touched)
-            settle_pin(node);
+        catch_up(node);
         if (avr->run != node->run)
             reset_by_watchdog(node);
         else if (avr->interrupt_state)
             respond(node, asleep);
-        node->counters.cycles_awake += avr->cycle - begin;
+        if (avr->state == cpu_Running) {
+            run_one(node);
+            node->counters.cycles_awake += avr->cycle - begin;
+        } else {
+            avr->cycle = next_event(node) < end ? next_event(node) : end;
+            node->counters.cycles_asleep += avr->cycle - begin;
+        }
     }
+    catch_up(node);
 }
 
 /* What is connected to it */

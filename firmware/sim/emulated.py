@@ -1,7 +1,8 @@
 """The emulated skin: sensing nodes that run their real images, on one analog line (skin.h).
 
-EmulatedNodes is the nodes, the sync line that they hear and the line that they drive. Times are
-in ns from power-up of the whole skin, integers, and common to all nodes, whatever their clocks.
+EmulatedNodes is the nodes, the sync line that they hear and the line that they drive; EmulatedSkin
+has a digitizer as well: the firmware's core on a virtual board (virtual_board.h). Times are in ns
+from power-up of the whole skin, and common to all, whatever their clocks.
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ from numpy.typing import ArrayLike, NDArray
 LIBRARY = Path(__file__).resolve().parents[1] / "build" / "sim" / "libskin.so"
 EDGE = np.dtype([("t_ns", "<i8"), ("level", "i1")], align=True)
 """A change of an output pin: level is +1 high, −1 low, 0 released."""
+_MIN_RUN_NS = 10_000_000
+"""Without history: so long is run at a time, before edges are forgotten."""
 _AVR = 83
 """e_machine of an ELF image for the AVR."""
 
@@ -228,6 +231,58 @@ class EmulatedNodes:
         return pointer
 
 
+class EmulatedSkin(EmulatedNodes):
+    """Nodes and the digitizer that drives their sync line and samples their line.
+
+    clock_error: of the digitizer's oscillator; 0.01 is 1 % fast. link_rate: bytes per second that
+    the host gets; 0: all at once. history_s: so far back edges and the line are known.
+    """
+
+    def __init__(
+        self,
+        nodes: Sequence[Node],
+        amplifier: Amplifier | None = None,
+        *,
+        clock_error: float = 0.0,
+        link_rate: float = 0.0,
+        history_s: float = 1.0,
+        library: Path = LIBRARY,
+    ) -> None:
+        self._board: int | None = None
+        super().__init__(nodes, amplifier, library)
+        self._board = self._library.board_create(
+            self._skin, (amplifier or Amplifier()).offset_v, clock_error, link_rate
+        )
+        self._history_ns = round(history_s * 1e9)
+        self._buffer = ctypes.create_string_buffer(65_536)
+        self.now_ns = 0
+
+    def close(self) -> None:
+        """Free the digitizer and the nodes. May be called twice."""
+        if self._board is not None:
+            self._library.board_free(self._board)
+            self._board = None
+        super().close()
+
+    def run(self, t_ns: int) -> None:
+        """Run digitizer and nodes to a time."""
+        while self.now_ns < t_ns:
+            self.now_ns = min(t_ns, self.now_ns + max(self._history_ns, _MIN_RUN_NS))
+            self._library.board_run(self._board, self.now_ns)
+            self.forget(self.now_ns - self._history_ns)
+
+    def write(self, data: bytes) -> None:
+        """Bytes from the host reach the digitizer."""
+        self._library.board_write(self._board, data, len(data))
+
+    def read(self) -> bytes:
+        """What the host has received since the last call."""
+        parts = []
+        while size := self._library.board_read(self._board, self._buffer, len(self._buffer)):
+            parts.append(self._buffer.raw[:size])
+        return b"".join(parts)
+
+
 def _check_image(image: Path) -> None:
     try:
         head = image.read_bytes()[:20]
@@ -263,6 +318,11 @@ _FUNCTIONS: tuple[tuple[str, type | None, tuple[type, ...]], ...] = (
     ("skin_node", c_void_p, (c_void_p, c_int)),
     ("node_sense", None, (c_void_p, c_double)),
     ("node_edges", c_size_t, (c_void_p, POINTER(c_void_p), POINTER(c_int8))),
+    ("board_create", c_void_p, (c_void_p, c_double, c_double, c_double)),
+    ("board_free", None, (c_void_p,)),
+    ("board_run", None, (c_void_p, c_int64)),
+    ("board_write", None, (c_void_p, c_char_p, c_size_t)),
+    ("board_read", c_size_t, (c_void_p, c_char_p, c_size_t)),
     ("node_led", c_bool, (c_void_p,)),
     ("node_count", None, (c_void_p, POINTER(NodeCounters))),
 )
