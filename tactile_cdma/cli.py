@@ -1,4 +1,4 @@
-"""The command `tactile-cdma`: decode, record, simulate, set up nodes; all without ROS."""
+"""The command `tactile-cdma`: decode, record, simulate, set up hardware; all without ROS."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from . import __version__
+from .amplifier import design
+from .amplifier_report import describe, report
 from .capture import is_text, read_scope_csv
 from .driver import Session
 from .errors import CaptureError, PortError, SpecError, TactileError
@@ -126,6 +128,21 @@ def _parser() -> argparse.ArgumentParser:
     )
     _add_skin_options(node, "the driver's")
     node.set_defaults(run=_node)
+
+    amplifier = commands.add_parser("amplifier", help="the parts between nodes and digitizer")
+    amplifier.add_argument("--json", action="store_true", help="as one JSON object")
+    amplifier.add_argument(
+        "--supply", type=float, default=3.3, help="of nodes and amplifier [V] (3.3)"
+    )
+    amplifier.add_argument(
+        "--adc-volts", type=float, default=3.3, help="range of the digitizer's converter [V] (3.3)"
+    )
+    amplifier.add_argument("--adc-bits", type=int, default=12, help="its resolution [bit] (12)")
+    amplifier.add_argument(
+        "--active", type=float, default=1.0, help="largest share of nodes that talk at once (1)"
+    )
+    _add_skin_options(amplifier, "the driver's; the frame period plays no part")
+    amplifier.set_defaults(run=_amplifier)
     return parser
 
 
@@ -323,6 +340,24 @@ def _warn_of_silence(arguments: argparse.Namespace, config: SkinConfig) -> None:
             f"is stale to the driver after {config.stale_after_s:g} s (stale_after_s)",
             file=sys.stderr,
         )
+
+
+def _amplifier(arguments: argparse.Namespace) -> int:
+    longest_ms = 1e5  # or the default period would refuse larger skins
+    config = SkinConfig.of({**_given(arguments), "frame_period_ms": longest_ms})
+    front = design(
+        config.spec,
+        config.samples_per_chip,
+        supply_v=arguments.supply,
+        adc_volts=arguments.adc_volts,
+        adc_bits=arguments.adc_bits,
+        active=arguments.active,
+    )
+    if arguments.json:
+        print(json.dumps(report(config.spec, front)))
+    else:
+        print(describe(config.spec, front))
+    return 0
 
 
 @contextmanager
