@@ -1,4 +1,4 @@
-"""The skin of config/wired_skin.yaml, emulated: nodes that differ, and something that presses them."""
+"""The skin of config/wired_skin.yaml, emulated: nodes that differ, pressed by a scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An emulated skin against the driver: what was pressed, and what its pipeline makes of the bytes."""
+"""An emulated skin against the driver: what was pressed, what its pipeline makes of the bytes."""
 
 from __future__ import annotations
 
