@@ -18,8 +18,8 @@ from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
 from lifecycle_msgs.msg import State, Transition  # noqa: E402
 from rcl_interfaces.srv import DescribeParameters  # noqa: E402
 from sensor_msgs.msg import Image  # noqa: E402
-from skin_client import running, wait_for  # noqa: E402
 
+from skin_client import running, wait_for  # noqa: E402
 from tactile_cdma.calibration import AdcScale, PressureCurve  # noqa: E402
 from tactile_cdma.msg import TactileArray  # noqa: E402
 from tactile_cdma.parameters import PARAMETERS  # noqa: E402
