@@ -8,6 +8,7 @@ const BOOT_STAGE_ADDRESS = 0x20041f00; // where the boot ROM puts it
 const RESET_ADC = 1 << 0;
 const RESET_PWM = 1 << 14;
 const DREQ_UART0_TX = 20;
+const PWM_DIV = 0x04;
 const DMA_CHAN_ABORT = 0x444;
 const UART_FIFO = 32;
 const UART_CR = 0x30;
@@ -26,6 +27,7 @@ export class Chip {
     this.rp2040.flash.set(image);
     this.#countInterruptCycles();
     this.#resetBlocks();
+    this.#stopPwm();
     this.#abortDma();
     this.#connectLine(line);
     this.#connectFlash(flashId);
@@ -134,6 +136,16 @@ export class Chip {
         pwm.gpioValue = pwm.intRaw = pwm.intEnable = 0;
         pwm.checkInterrupts();
       }
+    };
+  }
+
+  // An emulated slice begins to count when its divider is set, enabled or not.
+  #stopPwm() {
+    const slice = this.rp2040.pwm.channels[0];
+    const write = slice.writeRegister.bind(slice);
+    slice.writeRegister = (offset, value) => {
+      write(offset, value);
+      if (offset === PWM_DIV) slice.updateEnable();
     };
   }
 

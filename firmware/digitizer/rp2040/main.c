@@ -8,7 +8,7 @@
 
 #define TICK_IDLE_US 10000u
 #define TICK_STREAMING_US 250u
-#define UART_PIECE 1024u /* its room in the ring is free only when it is sent */
+#define PIECE 1024u /* is sent at a time; only then its room in the output is free again */
 #define SAMPLE_CAPACITY TP_MAX_SAMPLES
 #define OUTPUT_SIZE 98304u
 
@@ -32,7 +32,8 @@ static volatile bool awake;
 
 static enum link commander;   /* who sent the last good command */
 static enum link heard;       /* whose bytes came last */
-static size_t uart_in_flight; /* bytes of the output */
+static enum link carrier;     /* who sends … */
+static size_t in_flight;      /* … so many bytes of the output */
 
 void wake(void)
 {
@@ -84,7 +85,7 @@ static void receive(void)
         hear(LINK_UART, bytes, size);
 }
 
-/* Returns whether there are more. */
+/* Returns whether there may be more. */
 static bool pass_samples(void)
 {
     const uint16_t *counts;
@@ -95,32 +96,26 @@ static bool pass_samples(void)
         dg_lost(&dg, lost);
     dg_samples(&dg, counts, size);
     sampler_done(size);
-    return size || lost;
+    return size == SAMPLER_CHUNK;
 }
 
 static void send(void)
 {
     const uint8_t *bytes;
-    size_t size;
 
-    if (uart_in_flight) {
-        if (uart_sending())
-            return;
-        dg_sent(&dg, uart_in_flight);
-        uart_in_flight = 0;
-    }
-    bool to_usb = commander ? commander == LINK_USB : usb_ready();
-    while ((size = dg_output(&dg, &bytes))) {
-        if (!to_usb) {
-            uart_in_flight = size < UART_PIECE ? size : UART_PIECE;
-            uart_send(bytes, uart_in_flight);
-            return;
-        }
-        size = usb_write(bytes, size);
-        if (!size)
-            return;
-        dg_sent(&dg, size);
-    }
+    if (carrier == LINK_UART ? uart_sending() : usb_sending())
+        return;
+    dg_sent(&dg, in_flight);
+    carrier = commander ? commander : usb_ready() ? LINK_USB : LINK_UART;
+    in_flight = dg_output(&dg, &bytes);
+    if (in_flight > PIECE)
+        in_flight = PIECE;
+    if (carrier == LINK_USB && !usb_ready())
+        in_flight = 0;
+    else if (carrier == LINK_USB)
+        usb_send(bytes, in_flight);
+    else if (in_flight)
+        uart_send(bytes, in_flight);
 }
 
 int main(void)

@@ -33,13 +33,14 @@ struct moment {
 /* sampler: ADC to DMA to a ring in RAM */
 #define SAMPLER_MIN_TICKS 96u
 #define SAMPLER_MAX_TICKS 65536u
+#define SAMPLER_CHUNK 256u
 void sampler_init(void);
 /* Starts sampling, and the PWM, which sync_prepare has set up. Returns the stream's tick at which
  * the PWM began to count; sets *moment to one soon after. */
 uint32_t sampler_start(uint32_t ticks_per_sample, struct moment *moment);
 void sampler_stop(void);
-/* The next samples, as far as they lie together; sets *lost to the number of those before them that
- * could not be kept. sampler_done: so many of them are no longer needed. */
+/* The next samples, at most a chunk of them; sets *lost to the number of those before them that
+ * could not be kept. sampler_done: so many are no longer needed. */
 size_t sampler_take(const uint16_t **samples, uint32_t *lost);
 void sampler_done(size_t size);
 
@@ -64,8 +65,10 @@ void uart_sent_interrupt(void);
 /* usb: a CDC ACM device */
 void usb_init(const uint8_t id[8]);
 size_t usb_read(uint8_t *bytes, size_t size);
-/* Takes what there is room for; returns how much. */
-size_t usb_write(const uint8_t *bytes, size_t size);
+/* Bytes must stay where they are while usb_sending(). None: that nothing follows for now, which the
+ * host's driver waits to hear. */
+void usb_send(const uint8_t *bytes, size_t size);
+bool usb_sending(void);
 /* A host has configured the device. */
 bool usb_ready(void);
 void usb_interrupt(void);

@@ -7,7 +7,6 @@
 #define RING_BITS 15 /* of bytes: the longest ring that DMA can wrap */
 #define RING_SIZE (1u << RING_BITS >> 1)
 #define KEPT (RING_SIZE - RING_SIZE / 4) /* what is older may be written over while it is read */
-#define CHUNK 256u
 
 /* Samples per turn of a DMA channel. A multiple of the ring, so that each channel begins where the
  * other ended. Of the writer's position, two turns are known: at 500 kS/s they last 1.05 s, longer
@@ -144,7 +143,7 @@ size_t sampler_take(const uint16_t **samples, uint32_t *lost)
     *samples = ring + place;
     if (waiting > RING_SIZE - place)
         waiting = RING_SIZE - place;
-    return waiting < CHUNK ? waiting : CHUNK;
+    return waiting < SAMPLER_CHUNK ? waiting : SAMPLER_CHUNK;
 }
 
 void sampler_done(size_t size)

@@ -23,11 +23,13 @@ struct setup_packet {
 #define IN_BUFFER 0x1c0u
 #define OUT_BUFFER 0x200u
 
-static struct byte_ring received, to_send;
+static struct byte_ring received;
 static uint8_t serial[8];
 static uint32_t next_data1[3][2]; /* data toggle of every endpoint's next packet */
-static volatile bool configured, receiving;
-static bool sending, sent_full;
+static volatile bool configured, receiving, sending;
+static const uint8_t *to_send;
+static size_t to_send_left;
+static bool sent_full; /* the last packet was */
 
 /* of the control transfer in progress */
 static const uint8_t *reply;
@@ -42,12 +44,18 @@ static volatile uint32_t *memory(uint32_t offset)
 
 static void copy_in(uint32_t offset, const uint8_t *bytes, size_t size)
 {
-    for (size_t i = 0; i < size; i += 4) {
-        uint32_t word = 0;
-        for (size_t j = 0; j < 4 && i + j < size; j++)
-            word |= (uint32_t)bytes[i + j] << 8 * j;
-        *memory(offset + i) = word;
-    }
+    volatile uint32_t *to = memory(offset);
+    const uint8_t *end = bytes + size;
+
+    for (; end - bytes >= 4; bytes += 4)
+        *to++ = bytes[0] | (uint32_t)bytes[1] << 8 | (uint32_t)bytes[2] << 16 |
+                (uint32_t)bytes[3] << 24;
+    if (bytes == end)
+        return;
+    uint32_t rest = 0;
+    while (end > bytes)
+        rest = rest << 8 | *--end;
+    *to = rest;
 }
 
 static void copy_out(uint8_t *bytes, uint32_t offset, size_t size)
@@ -159,19 +167,24 @@ static void reply_descriptor(const struct setup_packet *setup)
     }
 }
 
-/* A bulk packet to the host, if there is anything to send. */
-static void send_next(void)
+static void send_packet(void)
 {
-    uint8_t bytes[USB_PACKET];
-    size_t size = byte_ring_get(&to_send, bytes, sizeof bytes);
+    size_t size = to_send_left < USB_PACKET ? to_send_left : USB_PACKET;
 
-    /* the host's read ends with a packet that is not full */
-    sending = size || sent_full;
-    if (!sending)
-        return;
-    sent_full = size == USB_PACKET;
-    copy_in(IN_BUFFER, bytes, size);
+    copy_in(IN_BUFFER, to_send, size);
     hand_over(EP_DATA, DIR_IN, USB_BUF_FULL | size);
+    to_send += size;
+    to_send_left -= size;
+    sent_full = size == USB_PACKET;
+}
+
+/* The host has taken a bulk packet. */
+static void packet_taken(void)
+{
+    if (to_send_left)
+        send_packet();
+    else
+        sending = false;
 }
 
 /* Ready for a bulk packet from the host, if there is room for it; else the host has to wait. */
@@ -186,8 +199,7 @@ static void set_configuration(uint8_t configuration)
 {
     for (uint32_t endpoint = EP_NOTIFY; endpoint <= EP_DATA; endpoint++)
         next_data1[endpoint][DIR_IN] = next_data1[endpoint][DIR_OUT] = 0;
-    sending = sent_full = false;
-    to_send.got = to_send.put; /* what is old was for somebody else */
+    sending = sent_full = false; /* what is left was for somebody else */
     configured = configuration != 0;
     if (configured)
         receive_next();
@@ -202,10 +214,10 @@ static void clear_halt(const struct setup_packet *setup)
     if (endpoint != EP_DATA)
         return;
     next_data1[endpoint][direction] = 0;
-    if (direction == DIR_IN)
-        send_next();
-    else
+    if (direction == DIR_OUT)
         receive_next();
+    else if (sending)
+        packet_taken();
 }
 
 /* Requests without data, and those whose data come first: false for what is not known. */
@@ -290,7 +302,7 @@ static void buffer_done(uint32_t endpoint, enum direction direction)
         else
             control_send(NULL, 0); /* of data from the host, which nobody needs */
     } else if (direction == DIR_IN) {
-        send_next();
+        packet_taken();
     } else {
         copy_out(bytes, OUT_BUFFER, size);
         byte_ring_put(&received, bytes, size);
@@ -360,15 +372,19 @@ size_t usb_read(uint8_t *bytes, size_t size)
     return count;
 }
 
-size_t usb_write(const uint8_t *bytes, size_t size)
+void usb_send(const uint8_t *bytes, size_t size)
 {
-    if (!configured)
-        return 0;
-    size_t count = byte_ring_put(&to_send, bytes, size);
-
-    interrupts_off();
-    if (configured && !sending)
-        send_next();
+    interrupts_off(); /* a reset of the bus ends all sending */
+    if (configured && (size || sent_full)) {
+        to_send = bytes;
+        to_send_left = size;
+        sending = true;
+        send_packet();
+    }
     interrupts_on();
-    return count;
+}
+
+bool usb_sending(void)
+{
+    return sending;
 }
