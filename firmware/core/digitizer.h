@@ -14,7 +14,8 @@
  * same ticks, so where frames begin among the samples is arithmetic: no interrupt's latency and no
  * search is in it.
  *
- * dg_pulse may be called from an interrupt; everything else from one context only.
+ * dg_pulse and dg_sync_fault may be called from an interrupt; everything else from one context
+ * only. To be linked: digitizer, setup, stream, pulses, packet, cobs and crc32.
  */
 #ifndef TACTILE_DIGITIZER_H
 #define TACTILE_DIGITIZER_H
@@ -23,34 +24,42 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "tactile_protocol.h"
+#include "board.h"
+#include "packet.h"
+#include "pulses.h"
+#include "setup.h"
+#include "stream.h"
 
-#define DG_FIRST_MARK_US 1000 /* from a stream's start to its first frame, at least */
-#define DG_REPORT_US 1000000  /* INFO and STATUS are repeated at this interval */
+#define DG_FIRMWARE_MAJOR 1
+#define DG_FIRMWARE_MINOR 0
+#define DG_REPORT_US 1000000 /* INFO and STATUS are repeated at this interval */
 
-/* What a board is: constant. */
-struct dg_board {
-    uint8_t id[8];            /* unique per board */
-    uint32_t ticks_per_us;    /* of the sampling clock */
-    uint32_t min_ticks;       /* per sample: the converter's fastest … */
-    uint32_t max_ticks;       /* … and slowest rate */
-    float volts_per_count;    /* V on the line */
-    int16_t zero_count;       /* reading at 0 V on the line */
-    int16_t min_count;        /* rails of the converter */
-    int16_t max_count;
+/* Least size of the output ring: a packet of so many samples fits beside the reports. A board has
+ * better several times as much: what a slow host may be behind. */
+#define DG_OUTPUT_MIN(samples) \
+    (PACKET_MAX(sizeof(struct tp_samples) + 2 * (samples)) + STREAM_RESERVE)
+
+struct dg {
+    /* For the board to read: */
+    bool running;
+    uint32_t ticks_per_sample;
+
+    const struct dg_board *board;
+    bool restarted; /* and the board doesn't know yet */
+    bool begun;     /* samples that come are the stream's */
+    uint64_t report_us;
+    uint32_t commands_refused;
+    volatile uint32_t sync_faults;
+    struct setup setup;
+    struct packet_reader reader;
+    struct packet_writer writer;
+    struct pulses pulses;
+    struct stream stream;
 };
 
-/* A pulse on the sync line. */
-struct dg_pulse {
-    uint64_t tick;  /* of its rising edge, in the stream */
-    uint8_t units;  /* its length, in TP_SYNC_UNIT_US: TP_SYNC_FRAME, _CALL or _RESTART */
-};
-
-struct dg; /* see below; a board reads the fields that are said to be public */
-
-/* Power-up. output: the ring of bytes to be sent. samples: room for a packet's samples, at most
- * TP_MAX_SAMPLES of them. Both stay the digitizer's. output_size: at least 4 · sample_capacity and
- * TP_MAX_PACKET… of that capacity; see the source. */
+/* Power-up. output: the ring of bytes to be sent, at least DG_OUTPUT_MIN of the capacity. samples:
+ * room for a packet's samples, at most TP_MAX_SAMPLES of them; frames that are longer are sent in
+ * pieces and never as QUIET. All given stays the digitizer's. */
 void dg_init(struct dg *dg, const struct dg_board *board, uint8_t *output, size_t output_size,
              int16_t *samples, size_t sample_capacity, uint64_t now_us);
 
@@ -58,7 +67,8 @@ void dg_init(struct dg *dg, const struct dg_board *board, uint8_t *output, size_
 void dg_receive(struct dg *dg, const uint8_t *bytes, size_t size, uint64_t now_us);
 
 /* Whether sampling has to stop, or to start anew as dg->running and dg->ticks_per_sample now say;
- * true once per change. Then call dg_begin, if running, with the time of tick 0. */
+ * true once per change. Then call dg_begin, if running, with the time of tick 0; samples that are
+ * handed over before that are none of the stream's. */
 bool dg_restarted(struct dg *dg);
 void dg_begin(struct dg *dg, uint64_t start_us);
 
@@ -67,8 +77,8 @@ void dg_samples(struct dg *dg, const uint16_t *counts, size_t size);
 /* So many samples of the stream could not be kept. */
 void dg_lost(struct dg *dg, uint32_t size);
 
-/* The next pulse of the sync line: in order, each once. False where there is none (not running, or
- * frames are not marked). */
+/* The next pulse of the sync line: in order, each once, at most PULSES_AHEAD frames ahead of the
+ * samples. False where there is none (not running, or frames are not marked). */
 bool dg_pulse(struct dg *dg, struct dg_pulse *pulse);
 /* A pulse came late or not at all. */
 void dg_sync_fault(struct dg *dg);

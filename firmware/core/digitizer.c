@@ -1,0 +1,216 @@
+#include "digitizer.h"
+
+#include <string.h>
+
+#define COMMANDS 0x80 /* types from here on are the host's */
+
+static void report(struct dg *dg, uint8_t type, const void *payload, size_t size)
+{
+    if (packet_open(&dg->writer, type, size, 0)) {
+        packet_put(&dg->writer, payload, size);
+        packet_close(&dg->writer);
+    }
+}
+
+static void report_info(struct dg *dg)
+{
+    const struct dg_board *board = dg->board;
+    const struct setup *setup = &dg->setup;
+    int16_t scale = setup->asked.integrated ? SETUP_MEAN_SCALE : 1;
+    struct tp_info info = {
+        .version = TP_VERSION,
+        .firmware_major = DG_FIRMWARE_MAJOR,
+        .firmware_minor = DG_FIRMWARE_MINOR,
+        .sample_rate_uhz = setup->sample_rate_uhz,
+        .volts_per_count = board->volts_per_count / scale,
+        .zero_count = (int16_t)(board->zero_count * scale),
+        .min_count = (int16_t)(board->min_count * scale),
+        .max_count = (int16_t)(board->max_count * scale),
+        .sync_mode = setup->asked.sync_mode,
+        .integrated = setup->asked.integrated,
+        .frame = setup->asked.frame,
+        .quiet_uv = setup->asked.quiet_uv,
+    };
+
+    memcpy(info.digitizer_id, board->id, sizeof info.digitizer_id);
+    report(dg, TP_INFO, &info, sizeof info);
+}
+
+static void report_status(struct dg *dg, uint64_t now_us)
+{
+    struct tp_status status = {
+        .uptime_us = now_us,
+        .samples_lost = dg->stream.samples_lost,
+        .packets_dropped = dg->writer.dropped,
+        .commands_refused = dg->commands_refused,
+        .command_errors = dg->reader.errors,
+        .sync_faults = dg->sync_faults,
+        .streaming = dg->running,
+    };
+
+    report(dg, TP_STATUS, &status, sizeof status);
+}
+
+static void stop(struct dg *dg)
+{
+    pulses_end(&dg->pulses);
+    dg->restarted |= dg->running;
+    dg->running = dg->begun = false;
+}
+
+static void start(struct dg *dg)
+{
+    stop(dg);
+    dg->running = dg->restarted = true;
+}
+
+static enum tp_result configure(struct dg *dg, const struct tp_configure *asked)
+{
+    struct setup setup;
+
+    if (!tp_configure_in_range(asked))
+        return TP_RESULT_OUT_OF_RANGE;
+    if (!setup_make(&setup, dg->board, asked))
+        return TP_RESULT_UNSUPPORTED;
+    stop(dg);
+    dg->setup = setup;
+    dg->ticks_per_sample = setup.ticks_per_sample;
+    return TP_RESULT_OK;
+}
+
+static enum tp_result call_roll(struct dg *dg)
+{
+    if (!dg->running || !dg->setup.marked || dg->setup.asked.integrated)
+        return TP_RESULT_UNSUPPORTED;
+    pulses_call(&dg->pulses);
+    return TP_RESULT_OK;
+}
+
+/* Does what the packet that was just read says. */
+static enum tp_result obey(struct dg *dg)
+{
+    uint8_t type = dg->reader.header.type;
+    struct tp_configure asked;
+
+    switch (type) {
+    case TP_GET_INFO:
+    case TP_START:
+    case TP_STOP:
+    case TP_ROLL_CALL:
+        if (dg->reader.payload_size != 0)
+            return TP_RESULT_BAD_LENGTH;
+        break;
+    case TP_CONFIGURE:
+        if (dg->reader.payload_size != sizeof asked)
+            return TP_RESULT_BAD_LENGTH;
+        memcpy(&asked, dg->reader.payload, sizeof asked);
+        return configure(dg, &asked);
+    default:
+        return TP_RESULT_UNKNOWN_COMMAND;
+    }
+    if (type == TP_START)
+        start(dg);
+    else if (type == TP_STOP)
+        stop(dg);
+    else if (type == TP_ROLL_CALL)
+        return call_roll(dg);
+    return TP_RESULT_OK;
+}
+
+static void answer(struct dg *dg)
+{
+    enum tp_result result = obey(dg);
+    struct tp_ack ack = {
+        .command = dg->reader.header.type,
+        .command_sequence = dg->reader.header.sequence,
+        .result = (uint8_t)result,
+    };
+    bool done = result == TP_RESULT_OK;
+
+    dg->commands_refused += !done;
+    report(dg, TP_ACK, &ack, sizeof ack);
+    if (ack.command == TP_CONFIGURE ? done || result == TP_RESULT_UNSUPPORTED
+                                    : ack.command == TP_GET_INFO && done)
+        report_info(dg);
+}
+
+void dg_init(struct dg *dg, const struct dg_board *board, uint8_t *output, size_t output_size,
+             int16_t *samples, size_t sample_capacity, uint64_t now_us)
+{
+    memset(dg, 0, sizeof *dg);
+    dg->board = board;
+    dg->report_us = now_us;
+    packet_writer_init(&dg->writer, output, output_size);
+    stream_init(&dg->stream, &dg->pulses, &dg->writer, (uint16_t *)samples, sample_capacity);
+    configure(dg, &setup_default);
+}
+
+void dg_receive(struct dg *dg, const uint8_t *bytes, size_t size, uint64_t now_us)
+{
+    dg_time(dg, now_us); /* what was due before comes first */
+    for (size_t i = 0; i < size; i++) {
+        if (!packet_read(&dg->reader, bytes[i]))
+            continue;
+        if (dg->reader.header.type >= COMMANDS)
+            answer(dg);
+        else
+            dg->reader.errors++; /* as from a line that echoes */
+    }
+}
+
+bool dg_restarted(struct dg *dg)
+{
+    bool restarted = dg->restarted;
+
+    dg->restarted = false;
+    return restarted;
+}
+
+void dg_begin(struct dg *dg, uint64_t start_us)
+{
+    stream_begin(&dg->stream, &dg->setup, start_us);
+    pulses_begin(&dg->pulses, &dg->setup);
+    dg->begun = true;
+}
+
+void dg_samples(struct dg *dg, const uint16_t *counts, size_t size)
+{
+    if (dg->begun)
+        stream_samples(&dg->stream, counts, size);
+}
+
+void dg_lost(struct dg *dg, uint32_t size)
+{
+    if (dg->begun)
+        stream_lost(&dg->stream, size);
+}
+
+bool dg_pulse(struct dg *dg, struct dg_pulse *pulse)
+{
+    return pulses_next(&dg->pulses, pulse);
+}
+
+void dg_sync_fault(struct dg *dg)
+{
+    dg->sync_faults++;
+}
+
+void dg_time(struct dg *dg, uint64_t now_us)
+{
+    if (now_us < dg->report_us)
+        return;
+    report_info(dg);
+    report_status(dg, now_us);
+    while (dg->report_us <= now_us)
+        dg->report_us += DG_REPORT_US;
+}
+
+size_t dg_output(const struct dg *dg, const uint8_t **bytes)
+{
+    return packet_output(&dg->writer, bytes);
+}
+
+void dg_sent(struct dg *dg, size_t size)
+{
+    packet_sent(&dg->writer, size);
+}

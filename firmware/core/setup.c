@@ -1,0 +1,134 @@
+#include "setup.h"
+
+#include "frame.h"
+
+#define LEAD_US (TP_SYNC_LEAD * TP_SYNC_UNIT_US)
+
+const struct tp_configure setup_default = {
+    .frame = {
+        .nodes = 16,
+        .bits = 10,
+        .order = 20,
+        .chip_ns = 50000,
+        .frame_period_us = 12800,
+        .first_row = 1,
+        .sign_seed = 1,
+        .polarity = TP_POLARITY_NORMAL,
+        .samples_per_chip = 4,
+    },
+    .sync_mode = TP_SYNC_MODE_DRIVE,
+};
+
+/* In thousandths of a tick. */
+static uint64_t chip_length(const struct setup *setup)
+{
+    return (uint64_t)setup->asked.frame.chip_ns * setup->ticks_per_us;
+}
+
+static uint32_t place(const struct setup *setup, uint32_t chip)
+{
+    return frame_place(chip, setup->asked.frame.resync_chips, setup->asked.frame.guard_chips);
+}
+
+uint64_t setup_chip_place(const struct setup *setup, uint32_t chip)
+{
+    return place(setup, chip) * chip_length(setup);
+}
+
+/* Whether frames follow each other with time for every pulse of the sync line. */
+static bool timely(const struct setup *setup)
+{
+    const struct tp_frame_layout *frame = &setup->asked.frame;
+    uint64_t period_ns = frame->frame_period_us * 1000ull;
+    uint64_t between_ns = period_ns;
+
+    if ((place(setup, setup->chips - 1) + 1ull) * frame->chip_ns > period_ns)
+        return false;
+    if (!setup->marked)
+        return frame->resync_chips == 0 && !setup->asked.integrated;
+    if (frame->resync_chips && setup->chips > frame->resync_chips) {
+        uint32_t last = (setup->chips - 1) / frame->resync_chips * frame->resync_chips;
+        uint64_t slot_ns = (uint64_t)place(setup, frame->resync_chips) * frame->chip_ns;
+        between_ns = period_ns - (uint64_t)place(setup, last) * frame->chip_ns;
+        if (slot_ns < between_ns)
+            between_ns = slot_ns;
+    }
+    return between_ns >= 2 * LEAD_US * 1000ull;
+}
+
+/* Raw samples: so many per chip, to the nearest tick. */
+static bool sample_raw(struct setup *setup, const struct dg_board *board)
+{
+    uint64_t chip = chip_length(setup);
+    uint64_t per_tick = (uint64_t)setup->asked.frame.samples_per_chip * STRIDE_MILLI;
+    uint64_t ticks = (chip + per_tick / 2) / per_tick;
+    uint64_t taken = ticks * per_tick;
+    uint64_t error = taken > chip ? taken - chip : chip - taken;
+
+    if (ticks < board->min_ticks || ticks > board->max_ticks || error * 100 > chip)
+        return false;
+    setup->ticks_per_sample = (uint32_t)ticks;
+    setup->sample_rate_uhz = (setup->ticks_per_us * 1000000000000ull + ticks / 2) / ticks;
+    return true;
+}
+
+/* Means of chips: of as many samples as the converter can take evenly. */
+static bool sample_means(struct setup *setup, const struct dg_board *board)
+{
+    uint64_t chip_ticks = chip_length(setup) / STRIDE_MILLI;
+    uint64_t mean = chip_ticks / board->min_ticks;
+    uint32_t chip_ns = setup->asked.frame.chip_ns;
+
+    if (mean > SETUP_MAX_MEAN)
+        mean = SETUP_MAX_MEAN;
+    if (mean < setup->asked.frame.samples_per_chip || chip_ticks / mean > board->max_ticks)
+        return false;
+    setup->ticks_per_sample = (uint32_t)(chip_ticks / mean);
+    setup->sample_rate_uhz = (1000000000000000ull + chip_ns / 2) / chip_ns;
+    return true;
+}
+
+static uint32_t quiet_counts(const struct setup *setup, const struct dg_board *board)
+{
+    double volts_per_count = (double)board->volts_per_count;
+
+    if (!setup->marked)
+        return 0;
+    if (setup->asked.integrated)
+        volts_per_count /= SETUP_MEAN_SCALE;
+    double counts = setup->asked.quiet_uv * 1e-6 / volts_per_count;
+    return counts < UINT16_MAX ? (uint32_t)counts : UINT16_MAX;
+}
+
+bool setup_make(struct setup *setup, const struct dg_board *board,
+                const struct tp_configure *asked)
+{
+    const struct tp_frame_layout *frame = &asked->frame;
+    struct setup new = {.asked = *asked, .ticks_per_us = board->ticks_per_us};
+
+    new.marked = asked->sync_mode != TP_SYNC_MODE_NONE;
+    if (new.marked)
+        new.asked.sync_mode = TP_SYNC_MODE_DRIVE; /* taken for HEAR, too */
+    new.chips = frame_line_bits(frame->bits, frame->parity) * frame->order;
+    if (!timely(&new))
+        return false;
+    if (!(asked->integrated ? sample_means(&new, board) : sample_raw(&new, board)))
+        return false;
+
+    uint32_t ticks = new.ticks_per_sample, sample = ticks * STRIDE_MILLI;
+    uint64_t chip = chip_length(&new);
+    uint64_t span = place(&new, new.chips - 1) + 1ull + TP_TAIL_CHIPS;
+    uint64_t first = SETUP_FIRST_MARK_US * (uint64_t)new.ticks_per_us;
+    uint64_t packet = TP_MAX_PACKET_US * (uint64_t)new.ticks_per_us / ticks;
+
+    new.first_mark = (first + ticks - 1) / ticks * ticks;
+    new.period_ticks = (uint64_t)frame->frame_period_us * new.ticks_per_us;
+    new.period = stride_of(new.period_ticks * STRIDE_MILLI, sample);
+    new.chip = stride_of(chip, sample);
+    new.guard = stride_of(chip * frame->guard_chips, sample);
+    new.frame_samples = (span * chip + sample - 1) / sample;
+    new.gap_samples = packet ? (uint32_t)packet : 1;
+    new.quiet_counts = quiet_counts(&new, board);
+    *setup = new;
+    return true;
+}
