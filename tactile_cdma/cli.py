@@ -21,7 +21,7 @@ from .capture import is_text, read_scope_csv
 from .driver import Session
 from .errors import CaptureError, PortError, SpecError, TactileError
 from .messages import Info
-from .node_memory import EEPROM_BYTES, describe_memory, node_memory
+from .node_memory import MCUS, describe_memory, node_memory
 from .offline import decode_raw, decode_scope, describe_frame, described_parameters
 from .parameters import BY_NAME, GAP, NATURAL_SIGNS, SkinConfig, Value, read_file
 from .pipeline import Pipeline
@@ -105,7 +105,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help="Intel HEX (.hex, .eep) or bytes (.bin); with all: a directory, made if missing",
     )
-    node.add_argument("--mcu", choices=EEPROM_BYTES, default="atmega328p")
+    node.add_argument("--mcu", choices=MCUS, default="atmega328p")
     node.add_argument(
         "--threshold",
         type=int,

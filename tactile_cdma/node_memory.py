@@ -7,6 +7,7 @@ chips.
 
 from __future__ import annotations
 
+import math
 import zlib
 from dataclasses import astuple, dataclass
 
@@ -18,8 +19,22 @@ from .errors import NodeMemoryError, SpecError
 from .frame import FrameSpec
 from .messages import WIRE, FrameLayout, Message, build
 
-EEPROM_BYTES = {"atmega328p": 1024, "attiny85": 512}
-"""Size of the EEPROM of every microcontroller that a node may have."""
+
+@dataclass(frozen=True, slots=True)
+class Mcu:
+    """A microcontroller that a node may have, and what its firmware can do.
+
+    order: longest code row that its memories take. restart_chips: last chips of a sub-slot that
+        may overlap with the RESTART_S before the next one.
+    """
+
+    order: int
+    restart_chips: int
+
+
+MCUS = {"atmega328p": Mcu(4096, 1), "attiny85": Mcu(1024, 0)}
+RESTART_S = 80e-6
+"""What a node takes for a restart within the frame, s: its sync pulse comes that much ahead."""
 MEASURING_S = 1e-3
 """Least gap after a frame, s, in which the node measures and gets ready for the next sync edge."""
 CRC_BYTES = 4
@@ -73,15 +88,15 @@ def node_memory(
 
     Raises SpecError, naming value, limit and cause, for what such a node cannot do.
     """
-    if mcu not in EEPROM_BYTES:
-        raise SpecError(f"mcu is {mcu!r}; it must be one of {', '.join(EEPROM_BYTES)}")
+    if mcu not in MCUS:
+        raise SpecError(f"mcu is {mcu!r}; it must be one of {', '.join(MCUS)}")
     _check("node", node, 1, spec.nodes, "nodes are counted from 1")
     _check("threshold", threshold, 0, 2**spec.bits - 1, f"codes have {spec.bits} bits")
     _check("heartbeat", heartbeat, *_limits("heartbeat"), "a node counts frames in 16 bits")
     if rest is not None:
         _check("rest", rest, 0, 2**spec.bits - 1, f"codes have {spec.bits} bits")
     _check("bits", spec.bits, *_limits("bits"), "a node's converter has 10 bits")
-    _check("order", spec.order, *_limits("order"), "a node's memory holds no longer code row")
+    _check("order", spec.order, 1, MCUS[mcu].order, f"the {mcu} holds no longer code row")
     layout = FrameLayout.of(spec, samples_per_chip=1)  # whole nanoseconds and microseconds
     _check("chip_ns", layout.chip_ns, *_limits("chip_ns"), "a node puts a chip out at 8 MHz")
     _check(
@@ -97,11 +112,12 @@ def node_memory(
             f"{MEASURING_S * 1e3:g} ms to measure in it: frame_period_s must be at least "
             f"{spec.frame_s + MEASURING_S:g} s"
         )
-    size = _size(spec.order)
-    if size > EEPROM_BYTES[mcu]:
+    pause_s = (spec.guard_chips + MCUS[mcu].restart_chips) * spec.chip_s
+    if spec.resync_chips and pause_s < RESTART_S * (1 - 1e-9):
+        needed = math.ceil(RESTART_S / spec.chip_s - 1e-9) - MCUS[mcu].restart_chips
         raise SpecError(
-            f"a node's memory of order {spec.order} takes {size} bytes, but the EEPROM of the "
-            f"{mcu} has {EEPROM_BYTES[mcu]}: use a smaller order or another microcontroller"
+            f"guard_chips is {spec.guard_chips}, but to start anew within the frame the {mcu} "
+            f"takes at least {needed} of {spec.chip_s * 1e6:g} µs"
         )
     record = NodeRecord(
         node=node,

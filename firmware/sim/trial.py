@@ -12,7 +12,7 @@ from skin import PressedSkin
 from tactile_cdma.driver import Session
 from tactile_cdma.encode import frame_levels, line_chips
 from tactile_cdma.frame import FrameSpec
-from tactile_cdma.messages import Samples, Status
+from tactile_cdma.messages import Quiet, Samples, Status
 from tactile_cdma.parameters import SkinConfig
 from tactile_cdma.pipeline import Pipeline, TactileFrame
 from tactile_cdma.protocol import PacketParser
@@ -50,9 +50,8 @@ def press_and_decode(skin: PressedSkin, config: SkinConfig, frames: int) -> Tria
         skin.run(skin.now_ns + STEP_NS)
         data = skin.read()
         for packet in parser.feed(data):
-            if not isinstance(packet, Samples):
+            if not isinstance(packet, Samples | Quiet):
                 continue
-            assert pipeline.info is not None or start_us is None
             if packet.first_index == 0:
                 start_us = packet.device_time_us - _half_sample_us(config)
             if packet.sync and start_us is not None:

@@ -19,8 +19,10 @@ from tactile_cdma.errors import NodeMemoryError, SpecError
 from tactile_cdma.frame import FrameSpec
 from tactile_cdma.intel_hex import from_hex, to_hex
 from tactile_cdma.messages import WIRE
-from tactile_cdma.node_memory import EEPROM_BYTES, MEASURING_S, node_memory, read_node_memory
+from tactile_cdma.node_memory import MCUS, MEASURING_S, node_memory, read_node_memory
 
+EEPROM = {"atmega328p": 1024, "attiny85": 512}
+"""Bytes, by the data sheets."""
 SPEC = FrameSpec()
 MEMORY = node_memory(SPEC, 5)
 NAMES = [field.name for field in FIELDS["NodeRecord"]]
@@ -32,7 +34,7 @@ def specs(draw: st.DrawFn) -> FrameSpec:
     nodes, first_row = draw(st.integers(1, 200)), draw(st.integers(0, 3))
     order = smallest_order(draw(st.integers(nodes + first_row, 400)))
     bits, parity = draw(st.integers(8, 10)), draw(st.booleans())
-    chip_s = draw(st.integers(20_000, 100_000)) / 1e9
+    chip_s = draw(st.integers(40_000, 100_000)) / 1e9
     resync = draw(st.sampled_from([0, 16, 32]))
     span = 1.1 * (bits + 1) * order * chip_s
     return FrameSpec(
@@ -59,7 +61,7 @@ def test_what_is_written_reads_back(spec: FrameSpec, data: st.DataObject) -> Non
     memory = node_memory(
         spec, node, threshold=threshold, heartbeat=heartbeat, rest=rest, discipline=discipline
     )
-    blank = bytes([0xFF]) * (EEPROM_BYTES["atmega328p"] - len(memory))
+    blank = bytes([0xFF]) * (EEPROM["atmega328p"] - len(memory))
     record, chips = read_node_memory(from_hex(to_hex(memory + blank)))
     assert np.array_equal(chips, spec.node_rows[node - 1])
     assert chips.dtype == np.int8
@@ -119,9 +121,19 @@ def test_heartbeats_take_turns_and_all_come_within_one_period(nodes: int, heartb
         ({"frame_period_s": 11.0}, {}, "frame_period_us is 11000000; it must lie within 1000…"),
         ({"frame_period_s": 10.999e-3}, {}, "lasts 0.999 ms, but a node takes 1 ms"),
         (
-            {"order": 4096, "frame_period_s": 3.0},
+            {"order": 1032, "frame_period_s": 3.0},
             {"mcu": "attiny85"},
-            "takes 552 bytes, but the EEPROM of the attiny85 has 512",
+            "order is 1032; it must lie within 1…1024: the attiny85 holds no longer code row",
+        ),
+        (
+            {"order": 32, "frame_period_s": 0.1, "resync_chips": 32, "guard_chips": 1},
+            {"mcu": "attiny85"},
+            "guard_chips is 1, but to start anew within the frame the attiny85 takes at least 2 of",
+        ),
+        (
+            {"chip_s": 20e-6, "resync_chips": 32, "guard_chips": 2},
+            {},
+            "guard_chips is 2, but to start anew within the frame the atmega328p takes at least 3",
         ),
     ],
 )
@@ -138,9 +150,16 @@ def test_the_limits_themselves_are_allowed() -> None:
     tightest = FrameSpec(frame_period_s=FrameSpec().frame_s + MEASURING_S)
     assert read_node_memory(node_memory(tightest, 16))[0].frame_period_us == 11_000
     longest = FrameSpec(nodes=4095, order=4096, chip_s=20e-6, frame_period_s=0.9)
+    assert node_memory(FrameSpec(chip_s=20e-6, resync_chips=32, guard_chips=3), 1)
     memory = node_memory(longest, 4095, threshold=1023, heartbeat=65_535, rest=1023)
     assert len(memory) == 552
     assert read_node_memory(memory)[0].turn == 4094 * 65_535 // 4095
+
+
+@pytest.mark.parametrize("mcu", MCUS)
+def test_the_longest_row_fits_the_eeprom(mcu: str) -> None:
+    spec = FrameSpec(order=MCUS[mcu].order, frame_period_s=5.0)
+    assert len(node_memory(spec, 1, mcu=mcu)) <= EEPROM[mcu]
 
 
 def with_field(name: str, value: int, *, seal: bool = True) -> bytes:
