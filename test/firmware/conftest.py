@@ -58,3 +58,13 @@ def built() -> Callable[[str], Path]:
         return BUILD
 
     return build
+
+
+@pytest.fixture(scope="session")
+def rp2040_image(built: Callable[[str], Path]) -> Path:
+    """The RP2040's image, where there is an emulator to run it."""
+    need("arm-none-eabi-gcc")
+    need("node")
+    if not (FIRMWARE / "sim" / "node_modules" / "rp2040js").is_dir():
+        pytest.skip("no rp2040js; `make firmware-tools` gets it")
+    return built("rp2040") / "rp2040" / "digitizer.bin"

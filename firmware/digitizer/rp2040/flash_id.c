@@ -7,10 +7,10 @@
 #define ID_BYTES 8u
 
 /* The flash is not read as memory meanwhile: all code is in RAM. */
-bool flash_id(uint8_t id[ID_BYTES])
+void flash_id(uint8_t id[ID_BYTES])
 {
     uint32_t ctrlr0 = SSI->ctrlr0;
-    bool any = false;
+    uint8_t all_ones = 0xff;
 
     SSI->ssienr = 0;
     SSI->ctrlr0 = SSI_CTRLR0_8_BITS;
@@ -23,12 +23,13 @@ bool flash_id(uint8_t id[ID_BYTES])
         uint8_t byte = (uint8_t)SSI->dr0;
         if (i > DUMMY_BYTES) {
             id[i - 1 - DUMMY_BYTES] = byte;
-            any |= byte != 0x00 && byte != 0xff;
+            all_ones &= byte;
         }
     }
     IO_QSPI->gpio[IO_QSPI_SS].ctrl = 0;
     SSI->ssienr = 0;
     SSI->ctrlr0 = ctrlr0;
     SSI->ssienr = 1;
-    return any;
+    for (size_t i = 0; all_ones == 0xff && i < ID_BYTES; i++)
+        id[i] = 0; /* nothing answers */
 }

@@ -85,8 +85,8 @@ static void receive(void)
         hear(LINK_UART, bytes, size);
 }
 
-/* Returns whether there may be more. */
-static bool pass_samples(void)
+/* Returns how many there were. */
+static size_t pass_samples(void)
 {
     const uint16_t *counts;
     uint32_t lost;
@@ -96,7 +96,19 @@ static bool pass_samples(void)
         dg_lost(&dg, lost);
     dg_samples(&dg, counts, size);
     sampler_done(size);
-    return size == SAMPLER_CHUNK;
+    return size;
+}
+
+/* After a pulse that could not be made in time nodes and samples go different ways: a new stream
+ * begins. What was sampled until then is sent. */
+static void mend(void)
+{
+    sampler_pause();
+    while (pass_samples())
+        ;
+    dg_lost(&dg, 0);
+    dg_sync_fault(&dg);
+    restart();
 }
 
 static void send(void)
@@ -124,7 +136,7 @@ int main(void)
     SIO->oe_set = 1u << PIN_LED;
     IO_BANK0->gpio[PIN_LED].ctrl = IO_SIO;
     PADS_BANK0->gpio[PIN_LED] = PAD_DRIVE_4MA;
-    flash_id(board.id); /* all zero where it has none */
+    flash_id(board.id);
     sampler_init();
     sync_stop();
     uart_init();
@@ -136,15 +148,13 @@ int main(void)
         watchdog_feed();
         awake = false;
         receive();
-        if (dg.running && sync_failed()) {
-            dg_sync_fault(&dg);
-            restart();
-        }
-        bool busy = dg.running && pass_samples();
+        if (dg.running && sync_failed())
+            mend();
+        bool more = dg.running && pass_samples() == SAMPLER_CHUNK;
         dg_time(&dg, time_us());
         send();
         interrupts_off();
-        if (!awake && !busy)
+        if (!awake && !more)
             __asm__ volatile("wfi");
         interrupts_on();
     }

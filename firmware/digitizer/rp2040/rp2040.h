@@ -38,6 +38,8 @@ void sampler_init(void);
 /* Starts sampling, and the PWM, which sync_prepare has set up. Returns the stream's tick at which
  * the PWM began to count; sets *moment to one soon after. */
 uint32_t sampler_start(uint32_t ticks_per_sample, struct moment *moment);
+/* No further samples; those taken are still there. */
+void sampler_pause(void);
 void sampler_stop(void);
 /* The next samples, at most a chunk of them; sets *lost to the number of those before them that
  * could not be kept. sampler_done: so many are no longer needed. */
@@ -73,8 +75,8 @@ bool usb_sending(void);
 bool usb_ready(void);
 void usb_interrupt(void);
 
-/* flash_id: the flash's unique number. False, and zeros, where it has none. */
-bool flash_id(uint8_t id[8]);
+/* flash_id: the flash's unique number; zeros where it has none */
+void flash_id(uint8_t id[8]);
 
 /* main: something happened that main() has to see to */
 void wake(void);

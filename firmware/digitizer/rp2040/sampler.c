@@ -72,6 +72,11 @@ uint32_t sampler_start(uint32_t ticks, struct moment *moment)
     return pwm_tick;
 }
 
+void sampler_pause(void)
+{
+    ADC->cs = ADC_CS_EN;
+}
+
 void sampler_stop(void)
 {
     reset_blocks(RESET_ADC);
