@@ -60,7 +60,8 @@ bool pulses_next(struct pulses *pulses, struct dg_pulse *pulse)
     uint16_t resync_chips = setup->asked.frame.resync_chips;
     pulse->tick = pulses->mark - LEAD_US * setup->ticks_per_us;
     if (pulses->chip) {
-        pulse->tick += setup_chip_tick(setup, pulses->chip);
+        uint64_t place = setup_chip_place(setup, pulses->chip);
+        pulse->tick += (place + STRIDE_MILLI / 2) / STRIDE_MILLI;
         pulse->units = TP_SYNC_RESTART;
     } else {
         pulse->units = begin_frame(pulses);

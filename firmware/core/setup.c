@@ -2,7 +2,6 @@
 
 #include "frame.h"
 
-#define MILLI 1000u /* thousandths in a tick */
 #define LEAD_US (TP_SYNC_LEAD * TP_SYNC_UNIT_US)
 
 const struct tp_configure setup_default = {
@@ -31,9 +30,9 @@ static uint32_t place(const struct setup *setup, uint32_t chip)
     return frame_place(chip, setup->asked.frame.resync_chips, setup->asked.frame.guard_chips);
 }
 
-uint64_t setup_chip_tick(const struct setup *setup, uint32_t chip)
+uint64_t setup_chip_place(const struct setup *setup, uint32_t chip)
 {
-    return (place(setup, chip) * chip_length(setup) + MILLI / 2) / MILLI;
+    return place(setup, chip) * chip_length(setup);
 }
 
 /* Whether frames follow each other with time for every pulse of the sync line. */
@@ -61,7 +60,7 @@ static bool timely(const struct setup *setup)
 static bool sample_raw(struct setup *setup, const struct dg_board *board)
 {
     uint64_t chip = chip_length(setup);
-    uint64_t per_tick = (uint64_t)setup->asked.frame.samples_per_chip * MILLI;
+    uint64_t per_tick = (uint64_t)setup->asked.frame.samples_per_chip * STRIDE_MILLI;
     uint64_t ticks = (chip + per_tick / 2) / per_tick;
     uint64_t taken = ticks * per_tick;
     uint64_t error = taken > chip ? taken - chip : chip - taken;
@@ -76,7 +75,7 @@ static bool sample_raw(struct setup *setup, const struct dg_board *board)
 /* Means of chips: of as many samples as the converter can take evenly. */
 static bool sample_means(struct setup *setup, const struct dg_board *board)
 {
-    uint64_t chip_ticks = chip_length(setup) / MILLI;
+    uint64_t chip_ticks = chip_length(setup) / STRIDE_MILLI;
     uint64_t mean = chip_ticks / board->min_ticks;
     uint32_t chip_ns = setup->asked.frame.chip_ns;
 
@@ -116,7 +115,7 @@ bool setup_make(struct setup *setup, const struct dg_board *board,
     if (!(asked->integrated ? sample_means(&new, board) : sample_raw(&new, board)))
         return false;
 
-    uint32_t ticks = new.ticks_per_sample, sample = ticks * MILLI;
+    uint32_t ticks = new.ticks_per_sample, sample = ticks * STRIDE_MILLI;
     uint64_t chip = chip_length(&new);
     uint64_t span = place(&new, new.chips - 1) + 1ull + TP_TAIL_CHIPS;
     uint64_t first = SETUP_FIRST_MARK_US * (uint64_t)new.ticks_per_us;
@@ -124,7 +123,7 @@ bool setup_make(struct setup *setup, const struct dg_board *board,
 
     new.first_mark = (first + ticks - 1) / ticks * ticks;
     new.period_ticks = (uint64_t)frame->frame_period_us * new.ticks_per_us;
-    new.period = stride_of(new.period_ticks * MILLI, sample);
+    new.period = stride_of(new.period_ticks * STRIDE_MILLI, sample);
     new.chip = stride_of(chip, sample);
     new.guard = stride_of(chip * frame->guard_chips, sample);
     new.frame_samples = (span * chip + sample - 1) / sample;

@@ -9,8 +9,8 @@
 #include "stride.h"
 #include "tactile_protocol.h"
 
-#define SETUP_MAX_MEAN 4096   /* samples in the mean of a chip: bounds the load of slow chips … */
-#define SETUP_MEAN_SCALE 8    /* … whose means are sent in eighths of a count */
+#define SETUP_MAX_MEAN 4096      /* samples in the mean of a chip: bounds the load of slow chips … */
+#define SETUP_MEAN_SCALE 8       /* … whose means are sent in eighths of a count */
 #define SETUP_FIRST_MARK_US 1000 /* from a stream's start to its first frame, at least */
 
 struct setup {
@@ -37,7 +37,7 @@ extern const struct tp_configure setup_default;
 bool setup_make(struct setup *setup, const struct dg_board *board,
                 const struct tp_configure *asked);
 
-/* Where chip `chip` of a frame begins, in ticks after the frame's mark. */
-uint64_t setup_chip_tick(const struct setup *setup, uint32_t chip);
+/* When chip `chip` of a frame begins, after the frame's mark, in thousandths of a tick. */
+uint64_t setup_chip_place(const struct setup *setup, uint32_t chip);
 
 #endif

@@ -42,12 +42,14 @@ static void measure(struct stream *stream, uint32_t first, uint32_t end)
     stream->high = high;
 }
 
-/* Nearest µs to an instant in half ticks. */
-static uint64_t time_us(const struct stream *stream, uint64_t half_ticks)
+/* Nearest µs to an instant: a tick of the stream and thousandths more. */
+static uint64_t time_us(const struct stream *stream, uint64_t tick, uint64_t thousandths)
 {
     uint32_t ticks_per_us = stream->setup->ticks_per_us;
+    uint32_t us = ticks_per_us * STRIDE_MILLI;
 
-    return stream->start_us + (half_ticks + ticks_per_us) / (2 * ticks_per_us);
+    thousandths += tick % ticks_per_us * STRIDE_MILLI;
+    return stream->start_us + tick / ticks_per_us + (thousandths + us / 2) / us;
 }
 
 static uint64_t first_word_us(const struct stream *stream)
@@ -55,8 +57,8 @@ static uint64_t first_word_us(const struct stream *stream)
     const struct setup *setup = stream->setup;
 
     if (setup->asked.integrated)
-        return time_us(stream, 2 * (stream->mark + setup_chip_tick(setup, stream->first_chip)));
-    return time_us(stream, (2 * stream->index + 1) * setup->ticks_per_sample);
+        return time_us(stream, stream->mark, setup_chip_place(setup, stream->first_chip));
+    return time_us(stream, stream->index * setup->ticks_per_sample, setup->period.sample / 2);
 }
 
 static uint8_t flags(const struct stream *stream)
@@ -275,6 +277,7 @@ static void end_part(struct stream *stream)
     switch (stream->part) {
     case STREAM_GAP:
         send_words(stream);
+        stream->waiting = false;
         begin_frame(stream);
         break;
     case STREAM_FRAME:

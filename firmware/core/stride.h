@@ -10,6 +10,8 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#define STRIDE_MILLI 1000u /* thousandths in a tick */
+
 struct stride {
     uint64_t samples; /* sample periods in it, whole ones … */
     uint32_t rest;    /* … and what is left over */

@@ -30,7 +30,7 @@ from tactile_cdma.msg import TactileArray, TactileSkinInfo  # noqa: E402
 from tactile_cdma.parameters import PARAMETERS  # noqa: E402
 from tactile_cdma.ros.node import LATCHED, PICTURE, SkinNode  # noqa: E402
 from tactile_cdma.ros.view import QUEUE  # noqa: E402
-from tactile_cdma.sim.digitizer import truth  # noqa: E402
+from tactile_cdma.sim.digitizer import VirtualDigitizer, truth  # noqa: E402
 from tactile_cdma.sim.options import Setup, SimOptions  # noqa: E402
 from tactile_cdma.sim.pty import serve  # noqa: E402
 from tactile_cdma.taxels import Status  # noqa: E402
@@ -332,7 +332,13 @@ def test_unplugging_stops_publishing_says_so_and_replugging_resumes(tmp_path: Pa
             stop, ready = threading.Event(), threading.Event()
             options = SimOptions.from_url("sim://?scene=all")
             plugged = threading.Thread(
-                target=serve, args=(options, path, stop, lambda _, ready=ready: ready.set())
+                target=serve,
+                args=(
+                    lambda o=options: VirtualDigitizer(o),
+                    path,
+                    stop,
+                    lambda _, ready=ready: ready.set(),
+                ),
             )
             plugged.start()
             assert ready.wait(5)

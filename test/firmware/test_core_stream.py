@@ -1,0 +1,346 @@
+"""Samples → packets in C, against the virtual digitizer and against the rules in exact fractions."""
+
+from __future__ import annotations
+
+import ctypes
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from core_digitizer import Board, CoreDigitizer
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from tactile_cdma._protocol import MAX_SAMPLES, TAIL_CHIPS, Drive, Polarity, SyncMode
+from tactile_cdma.messages import (
+    Ack,
+    Configure,
+    FrameLayout,
+    Info,
+    Packet,
+    Quiet,
+    RollCall,
+    Samples,
+    Start,
+    Status,
+)
+from tactile_cdma.sim.digitizer import stream
+from tactile_cdma.sim.nodes import RollCalls
+from tactile_cdma.sim.options import SimOptions
+
+MIDDLE = 2048  # count of the middle of the converter's range, which the simulator calls 0
+FIRST_MARK_US = 1000
+START_US = 5_000_000
+
+
+def place(packet: Samples | Quiet, index: int, time_us: int) -> Samples | Quiet:
+    """A packet as it would be so many samples and µs later."""
+    moved = {"first_index": packet.first_index + index}
+    return replace(packet, device_time_us=packet.device_time_us + time_us, **moved)
+
+
+def of_line(packets: list[Packet]) -> list[Samples | Quiet]:
+    """The packets of samples; nothing but reports may be beside them."""
+    assert all(isinstance(packet, Samples | Quiet | Ack | Info | Status) for packet in packets)
+    return [packet for packet in packets if isinstance(packet, Samples | Quiet)]
+
+
+def configured(core: ctypes.CDLL, asked: Configure, **more: object) -> CoreDigitizer:
+    """A digitizer that streams, told at START_US what to do."""
+    digitizer = CoreDigitizer(core, now_us=START_US, **{"output": 1 << 23, **more})  # type: ignore[arg-type]
+    digitizer.send(asked, Start())
+    acks = [packet for packet in digitizer.packets() if isinstance(packet, Ack)]
+    assert [ack.result for ack in acks] == [0, 0]
+    return digitizer
+
+
+# Options of the simulator; quiet_uv; kinds of packets, S or Q, of frames and of gaps.
+SETUPS = {
+    "usual": ("", 0, "S", "S"),
+    "all talk": ("scene=all&threshold=0", 0, "S", "S"),
+    "parity": ("parity=1", 0, "S", "S"),
+    "other chips": ("samples_per_chip=6&chip_us=25&frame_period_ms=9", 0, "S", "S"),
+    "resync": ("resync_chips=32&guard_chips=4&frame_period_ms=20&clock_spread=0.005", 0, "S", "S"),
+    "long frames": ("nodes=200&chip_us=20&frame_period_ms=60", 0, "S", "S"),
+    "no gap": ("chip_us=60&frame_period_ms=12", 0, "S", ""),
+    "unmarked": ("timing=gap&stretch=0.1", 0, "", "S"),
+    "quiet": ("heartbeat=40&scene=idle", 150_000, "QS", "Q"),
+    "quiet, noisy": ("heartbeat=40&scene=idle&noise=0.02", 130_000, "QS", "QS"),
+    "quiet, short gap": ("heartbeat=40&scene=idle&frame_period_ms=10.3", 150_000, "QS", "Q"),
+    "quiet, long gap": (
+        "heartbeat=40&scene=idle&frame_period_ms=80&noise=0.017",
+        120_000,
+        "QS",
+        "QS",
+    ),
+    "quiet, stretched": ("heartbeat=20&scene=idle&stretch=0.1", 150_000, "QS", "QS"),
+    "quiet, resync": (
+        "resync_chips=32&guard_chips=4&frame_period_ms=20&scene=idle&heartbeat=40",
+        150_000,
+        "QS",
+        "Q",
+    ),
+    "quiet, but loud": ("scene=all&threshold=0", 150_000, "S", "Q"),
+    "quiet, but unmarked": ("timing=gap&scene=idle", 150_000, "", "S"),
+}
+
+
+@pytest.mark.parametrize("name", SETUPS)
+@pytest.mark.parametrize("chunk", [None, 37])
+def test_packets_are_those_of_the_virtual_digitizer(
+    core: ctypes.CDLL, name: str, chunk: int | None
+) -> None:
+    query, quiet_uv, *kinds = SETUPS[name]
+    options = SimOptions.from_url(f"sim://?seed=3&{query}")
+    setup = replace(options.setup(), quiet_uv=quiet_uv)
+    calls, turn = RollCalls(), 0
+    layout = FrameLayout.of(setup.spec, setup.samples_per_chip)
+    board = Board.of(volts_per_count=options.channel.volts_per_count(setup.spec))
+    marked = setup.sync != SyncMode.NONE
+    digitizer = configured(core, Configure(layout, setup.sync, False, quiet_uv), board=board)
+    before = -(-48 * FIRST_MARK_US // digitizer.ticks_per_sample) if marked else 0
+    first_mark_us, rest = divmod(before * digitizer.ticks_per_sample, 48)
+    assert rest == 0
+    digitizer.samples(np.full(before, MIDDLE))
+    digitizer.pulses(1 if not setup.spec.resync_chips else 0)
+    expected = []
+    calling = marked and not setup.spec.resync_chips
+    for block in itertools.islice(stream(options, setup, calls), 150):
+        if block.sync:
+            turn += 1
+            if turn > 1 and calling:
+                digitizer.pulses(1)
+            if turn in (3, 24, 27) and calling:  # the next frame's pulse is not given out yet
+                digitizer.send(RollCall())
+                calls.asked = True
+        counts = block.counts + np.int16(MIDDLE)
+        kind = Quiet.of if block.quiet else Samples
+        time_us = math.floor(block.begin_s * 1e6 + 0.5 + 1e-6)
+        expected.append(kind(time_us, block.first_index, counts, block.sync, called=block.called))
+        for part in (
+            [counts] if chunk is None else np.split(counts, range(chunk, len(counts), chunk))
+        ):
+            digitizer.samples(part)
+    got = [p for p in of_line(digitizer.packets()) if p.first_index >= before]
+    assert got[-1].first_index >= expected[-3].first_index  # little is held back
+    assert got == [
+        place(packet, before, START_US + first_mark_us) for packet in expected[: len(got)]
+    ]
+    for sync, letters in zip((True, False), kinds, strict=True):
+        sent = {type(packet).__name__[0] for packet in got if packet.sync == sync}
+        assert sent == set(letters)
+    assert any(packet.called for packet in got) == calling
+    assert not digitizer.parser.counters.lost_packets
+    digitizer.close()
+
+
+# The rules, in exact fractions of a µs
+
+
+@dataclass(frozen=True)
+class Rules:
+    """What docs/protocol.md says of a line at 48 ticks per µs, for one set-up."""
+
+    asked: Configure
+    ticks_per_sample: int
+    capacity: int
+
+    @property
+    def frame(self) -> FrameLayout:
+        return self.asked.frame
+
+    @property
+    def sample_us(self) -> Fraction:
+        return Fraction(self.ticks_per_sample, 48)
+
+    @property
+    def chip_us(self) -> Fraction:
+        return Fraction(self.frame.chip_ns, 1000)
+
+    @property
+    def places(self) -> list[int]:
+        """When chips begin, in chips after the mark."""
+        frame = self.frame
+        chips = range((frame.bits + frame.parity) * frame.order)
+        if not frame.resync_chips:
+            return list(chips)
+        return [chip + chip // frame.resync_chips * frame.guard_chips for chip in chips]
+
+    def first_sample(self, time_us: Fraction) -> int:
+        """Number of the first sample taken at or after a time."""
+        return math.ceil(time_us / self.sample_us - Fraction(1, 2))
+
+    def marks_us(self) -> Iterator[Fraction]:
+        first = math.ceil(FIRST_MARK_US / self.sample_us) * self.sample_us
+        return (first + number * self.frame.frame_period_us for number in itertools.count())
+
+    def raw(self, counts: NDArray[np.uint16], lost: set[int]) -> list[Samples]:
+        """The packets of raw samples, of which those of some numbers are lost."""
+        span = (self.places[-1] + 1 + TAIL_CHIPS) * self.chip_us
+        longest_gap = min(self.capacity, max(1, math.floor(3000 / self.sample_us)))
+        starts: dict[int, int] = {0: longest_gap}  # of sections, and the longest packet in each
+        marks = set()
+        for mark_us in self.marks_us():
+            mark = self.first_sample(mark_us)
+            if mark >= len(counts):
+                break
+            marks.add(mark)
+            starts[mark] = self.capacity
+            end = mark + math.ceil(span / self.sample_us)
+            if end < self.first_sample(mark_us + self.frame.frame_period_us):
+                starts[end] = longest_gap
+        packets: list[Samples] = []
+        longest, begin = 0, 0
+        for number in range(len(counts)):
+            longest = starts.get(number, longest)
+            if number in lost:
+                continue
+            after_loss = number - 1 in lost
+            if number in starts or after_loss or number - begin == longest:
+                time_us = START_US + math.floor((number + Fraction(1, 2)) * self.sample_us + HALF)
+                few = counts[number : number + 1].astype(np.int16)
+                packets.append(Samples(time_us, number, few, number in marks, after_loss))
+                begin = number
+            else:
+                few = counts[begin : number + 1].astype(np.int16)
+                packets[-1] = replace(packets[-1], counts=few)
+        return packets
+
+    def integrated(
+        self, counts: NDArray[np.uint16], lost: set[int], quiet_counts: int
+    ) -> list[Samples | Quiet]:
+        """The packets of means of chips; one that misses a sample is lost."""
+        packets: list[Samples | Quiet] = []
+        index, overrun = 0, False
+        for mark_us in self.marks_us():
+            words: list[int] = []
+            begun: list[Samples] = []
+            for chip, at in enumerate(self.places):
+                begin_us = mark_us + at * self.chip_us
+                samples = range(
+                    self.first_sample(begin_us), self.first_sample(begin_us + self.chip_us)
+                )
+                if samples.stop > len(counts):
+                    break
+                index += 1
+                if not lost.isdisjoint(samples):
+                    overrun, words = True, []
+                    continue
+                total = sum(int(count) for count in counts[samples.start : samples.stop])
+                if not words or len(words) == self.capacity:
+                    time_us = START_US + math.floor(begin_us + HALF)
+                    one = np.zeros(1, np.int16)
+                    begun.append(Samples(time_us, index - 1, one, chip == 0, overrun))
+                    overrun, words = False, []
+                words.append(math.floor(Fraction(8 * total, len(samples)) + HALF))
+                begun[-1] = replace(begun[-1], counts=np.array(words, np.int16))
+            whole = begun and len(begun[0].counts) == len(self.places)
+            if whole and 0 < quiet_counts >= int(np.ptp(begun[0].counts)):
+                one = begun[0]
+                packets.append(
+                    Quiet.of(one.device_time_us, one.first_index, one.counts, True, one.overrun)
+                )
+            else:
+                packets += begun
+            if samples.stop > len(counts):
+                return packets
+        raise AssertionError("marks never end")
+
+
+HALF = Fraction(1, 2)
+
+
+@st.composite
+def layouts(draw: st.DrawFn) -> FrameLayout:
+    """Frames of any awkward length, in which pulses of the sync line have time."""
+    chip_ns = draw(st.integers(20_000, 60_000))
+    resync_chips = draw(st.sampled_from([0, 0, 7, 11]))
+    frame = FrameLayout(
+        nodes=3,
+        bits=draw(st.integers(8, 10)),
+        order=draw(st.integers(1, 8)),
+        chip_ns=chip_ns,
+        frame_period_us=1,
+        first_row=1,
+        sign_seed=1,
+        natural_signs=False,
+        drive=Drive.BIPOLAR,
+        polarity=Polarity.NORMAL,
+        samples_per_chip=draw(st.integers(1, 7)),
+        parity=draw(st.booleans()),
+        resync_chips=resync_chips,
+        guard_chips=draw(st.integers(0, 3)) if resync_chips else 0,
+    )
+    span = Rules(Configure(frame), 1, 1).places[-1] + 1
+    rest_us = draw(st.integers(0, 200) | st.integers(0, 20_000))
+    return replace(frame, frame_period_us=math.ceil(span * chip_ns / 1000) + rest_us)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    frame=layouts(),
+    integrated=st.booleans(),
+    quiet=st.booleans(),
+    capacity=st.integers(1, 300) | st.just(8192),
+    size=st.integers(1, 4000),
+    chunks=st.lists(st.integers(1, 700), min_size=1, max_size=4),
+    losses=st.lists(st.tuples(st.integers(0, 4000), st.integers(1, 600)), max_size=3),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_packets_follow_the_rules_exactly(
+    core: ctypes.CDLL,
+    frame: FrameLayout,
+    integrated: bool,
+    quiet: bool,
+    capacity: int,
+    size: int,
+    chunks: list[int],
+    losses: list[tuple[int, int]],
+    seed: int,
+) -> None:
+    quiet_uv = 100_000 if quiet and integrated else 0
+    asked = Configure(frame, SyncMode.DRIVE, integrated, quiet_uv)
+    digitizer = CoreDigitizer(core, capacity=capacity, output=1 << 20, now_us=START_US)
+    digitizer.send(asked, Start())
+    accepted = not any(isinstance(p, Ack) and p.result for p in digitizer.packets())
+    if not accepted:
+        digitizer.close()
+        assume(False)
+    size *= 1 + 9 * integrated
+    rules = Rules(asked, digitizer.ticks_per_sample, capacity)
+    rng = np.random.default_rng(seed)
+    counts = rng.integers(0, 4096, size).astype(np.uint16)
+    if quiet_uv:  # some silence
+        level = rng.integers(0, 2, -(-size // 500)).repeat(500)[:size]
+        counts = np.where(level, counts, 2048 + counts % 2).astype(np.uint16)
+    lost = {number for begin, length in losses for number in range(begin, begin + length)}
+    lost = {number for number in lost if number < size}
+    number, turn = 0, 0
+    while number < size:
+        end = min(size, number + chunks[turn % len(chunks)])
+        turn += 1
+        missing = number in lost
+        while number < end:
+            stop = number
+            while stop < end and (stop in lost) == missing:
+                stop += 1
+            if missing:
+                digitizer.lost(stop - number)
+            else:
+                digitizer.samples(counts[number:stop])
+            number, missing = stop, not missing
+    got = of_line(digitizer.packets())
+    if integrated:
+        quiet_counts = int(quiet_uv * 1e-6 / (digitizer.board.volts_per_count / 8))
+        expected = rules.integrated(counts, lost, quiet_counts)
+    else:
+        expected = rules.raw(counts, lost)
+    assert got == expected[: len(got)]
+    assert len(expected) - len(got) <= 1  # the last one may wait for more
+    assert all(isinstance(p, Quiet) or len(p.counts) <= MAX_SAMPLES for p in got)
+    digitizer.close()
