@@ -24,13 +24,14 @@ from tactile_cdma.amplifier import (
     FrontEnd,
     design,
 )
-from tactile_cdma.amplifier_report import gaussian_clipping, loads, resolution
+from tactile_cdma.amplifier_report import describe, gaussian_clipping, loads, resolution
 from tactile_cdma.cli import main
 from tactile_cdma.errors import SpecError
 from tactile_cdma.frame import FrameSpec
 from tactile_cdma.parameters import SkinConfig
 from tactile_cdma.transform import correlate
 
+README = Path(__file__).resolve().parents[2] / "firmware" / "README.md"
 PERIOD_S = 100.0
 fronts = st.builds(
     lambda nodes, samples, supply_v, active: design(
@@ -116,7 +117,7 @@ def test_parts_are_those_that_one_can_buy(front: FrontEnd) -> None:
 def test_the_range_is_used_and_not_exceeded(front: FrontEnd) -> None:
     needed = min(front.talking, CREST * math.sqrt(front.talking))
     assert needed <= front.room * (1 + 1e-9)
-    assert front.room < 1.06 * needed
+    assert front.room < 1.101 * needed  # neighbours in E24 are up to 10 % apart
     assert front.room_v <= min(front.supply_v / 2, 3.3 - front.supply_v / 2)
     assert front.node_level_v == pytest.approx(0.3, rel=0.03)
 
@@ -256,3 +257,15 @@ def test_the_command_prints_parts_and_parameters(
 
     assert main(["amplifier", "--nodes", "64", "--adc-volts", "1.1"]) == 1
     assert "use a lower supply_v" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("nodes", [16, 64])
+def test_the_values_in_the_document_are_those_of_the_command(nodes: int) -> None:
+    spec, front = skin(nodes)
+    (row,) = [line for line in README.read_text().splitlines() if line.startswith(f"| {nodes} |")]
+    text = describe(spec, front)
+    for cell in row.strip("| ").split(" | ")[1:]:
+        for value in cell.split(", "):
+            assert value in text, value
+    for ohm in (front.series_ohm, front.bias_ohm, front.input_ohm, front.feedback_ohm):
+        assert f"| {ohm / 1e3:g} kΩ |" in row
