@@ -29,6 +29,9 @@ def test_fuse_bytes_are_those_of_the_fuses_named(part: str, tmp_path: Path) -> N
     (line,) = re.findall(rf"avrdude .* -p {part} .*fuse.*", text)
     written = dict(re.findall(r"-U (\wfuse):w:(0x\w\w):m", line))
     assert written.keys() == ON[part].keys()
+    header = (FIRMWARE / "node" / f"{GCC[part]}.h").read_text()
+    low, high, extended = (written[fuse] for fuse in ("lfuse", "hfuse", "efuse"))
+    assert f"(low {low}, high {high}, extended {extended})" in header
     source = tmp_path / "fuses.c"
     source.write_text(
         "#include <avr/io.h>\n"

@@ -74,7 +74,7 @@ def test_what_the_host_writes_the_firmware_takes_and_nothing_more(
     core: ctypes.CDLL, mcu: str, spec: FrameSpec
 ) -> None:
     if spec.frame_period_s - spec.frame_s < 0.9999e-3:  # the firmware is content with 0.964
-        with pytest.raises(SpecError, match="to measure in it|no longer code row|start anew"):
+        with pytest.raises(SpecError, match=r"to measure in it|no longer code row|start anew"):
             node_memory(spec, 1, mcu=mcu)
         return
     try:
