@@ -8,8 +8,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from rp2040 import Rp2040
 
+from rp2040 import Rp2040
 from tactile_cdma._protocol import SYNC_LEAD, SYNC_UNIT_US
 from tactile_cdma.messages import (
     Ack,
