@@ -38,6 +38,7 @@ lint: setup
 	@"$(BIN)/ruff" check .
 	@"$(BIN)/ruff" format --check --quiet .
 	@"$(BIN)/mypy"
+	@"$(BIN)/mypy" firmware/sim/*.py
 
 firmware: setup
 	@"$(BIN)/python" tools/firmware_tools.py --require

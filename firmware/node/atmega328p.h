@@ -3,7 +3,7 @@
  *
  * Timer1 counts cycles. It captures the edges of the sync line and makes those of the line, so that
  * no interrupt's latency is in them. Fuses: crystal, no division by 8, brown-out at 2.7 V,
- * EEPROM kept when the chip is erased (low 0xFF, high 0xD1, extended 0xFD).
+ * EEPROM kept when the chip is erased (low 0xFD, high 0xD1, extended 0xFD).
  */
 #ifndef NODE_ATMEGA328P_H
 #define NODE_ATMEGA328P_H
