@@ -106,9 +106,19 @@ static BOARD_INLINE bool board_sync_edge(uint32_t *when)
     return rising;
 }
 
+static BOARD_INLINE bool board_sync_pending(void)
+{
+    return TIFR1 & _BV(ICF1);
+}
+
 static BOARD_INLINE int16_t board_ticks_until(uint16_t at)
 {
     return (int16_t)(at - TCNT1);
+}
+
+static BOARD_INLINE uint16_t board_ticks_since(uint16_t then)
+{
+    return TCNT1 - then;
 }
 
 #define BOARD_SPIN_TICKS 40
