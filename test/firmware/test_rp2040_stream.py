@@ -81,7 +81,9 @@ def test_samples_are_the_lines(rp2040_image: Path, link: str, shape: Callable) -
         assert total >= 80_000
         assert bench.line[-1].first_index + bench.line[-1].counts.size == total  # type: ignore[union-attr]
         expected = bench.times_ns[0] + 12_500 * np.arange(bench.times_ns.size)
-        assert np.abs(bench.times_ns - expected).max() < 1e-3, "a period is 12.5 µs, in the long run"
+        assert np.abs(bench.times_ns - expected).max() < 1e-3, (
+            "a period is 12.5 µs, in the long run"
+        )
         assert bench.parser.counters.lost_packets == 0
 
 

@@ -1,6 +1,6 @@
 """Makes an RP2040's flash image from what the linker made: boot stage with its CRC, and UF2.
 
-    python image.py linked.bin digitizer.bin digitizer.uf2
+python image.py linked.bin digitizer.bin digitizer.uf2
 """
 
 from __future__ import annotations
