@@ -59,10 +59,6 @@ class Bench:
         self.link, self._shape = link, shape
         self.parser, self.writer = PacketParser(), PacketWriter()
         self.packets: list[Packet] = []
-        self.times_ns: NDArray[np.float64] = np.empty(0)
-        """When the conversions of the latest stream began; a few may be yet to come."""
-        self.counts: NDArray[np.uint16] = np.empty(0, np.uint16)
-        """What they gave."""
         self.edges: list[tuple[float, bool]] = []
         """Of the sync line: when, in ns; whether to high."""
         self._parts: list[tuple[NDArray[np.float64], NDArray[np.uint16]]] = []
@@ -88,6 +84,16 @@ class Bench:
         self._parts.append((times_ns, counts))
         return counts
 
+    @property
+    def times_ns(self) -> NDArray[np.float64]:
+        """When the conversions of the latest stream began; a few may be yet to come."""
+        return np.concatenate([times for times, _ in self._parts])
+
+    @property
+    def counts(self) -> NDArray[np.uint16]:
+        """What they gave."""
+        return np.concatenate([counts for _, counts in self._parts])
+
     def write(self, data: bytes) -> None:
         """Bytes from the host."""
         (self.board.write_usb if self.link == USB else self.board.write_uart)(data)
@@ -99,15 +105,27 @@ class Bench:
     def run(self, seconds: float) -> list[Packet]:
         """Lets time pass. Returns the packets that came meanwhile; all must be intact."""
         self.board.run(self.board.now + seconds)
-        data = self.board.read_usb() if self.link == USB else self.board.read_uart()
-        received = self.parser.feed(data)
+        received = self.parser.feed(self.read())
         seen = self.parser.counters
         assert not seen.crc_errors + seen.framing_errors + seen.malformed + seen.unknown, seen
         self.packets += received  # type: ignore[arg-type]
-        if self._parts:
-            self.times_ns = np.concatenate([times for times, _ in self._parts])
-            self.counts = np.concatenate([counts for _, counts in self._parts])
         return received  # type: ignore[return-value]
+
+    def read(self) -> bytes:
+        """What came since the last time."""
+        return self.board.read_usb() if self.link == USB else self.board.read_uart()
+
+    def run_deaf(self, seconds: float) -> None:
+        """Lets time pass, but nobody listens. All packets until now are forgotten."""
+        self.board.run(self.board.now + seconds)
+        self.read()
+        self.packets.clear()
+
+    def listen_again(self, seconds: float) -> None:
+        """As run, but begins at the first whole packet."""
+        self.board.run(self.board.now + seconds)
+        data = self.read()
+        self.packets += self.parser.feed(data[data.index(b"\0") :])  # type: ignore[arg-type]
 
     def stream(self, asked: Configure | FrameLayout, seconds: float) -> None:
         """Configures and starts, and lets time pass."""
@@ -142,15 +160,15 @@ class Bench:
 
         Returns how many samples they speak of.
         """
-        total = 0
+        total, times_ns, line = 0, self.times_ns, self.counts
         for packet in packets:
             first = packet.first_index
             size = packet.count if isinstance(packet, Quiet) else packet.counts.size
-            counts = self.counts[first : first + size]
+            counts = line[first : first + size]
             if isinstance(packet, Quiet):
                 assert (packet.sum, packet.count) == (counts.astype(np.int64).sum(), counts.size)
             else:
                 np.testing.assert_array_equal(packet.counts, counts)
-            assert abs(packet.device_time_us * 1000 - self.times_ns[first]) <= 1000
+            assert abs(packet.device_time_us * 1000 - times_ns[first]) <= 1000
             total += size
         return total

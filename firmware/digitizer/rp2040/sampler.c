@@ -22,6 +22,7 @@ __attribute__((section(".ring"), aligned(1u << RING_BITS))) static uint16_t ring
 static struct moment begin;
 static uint32_t ticks_per_sample;
 static uint32_t read_position;
+static bool overflowed;  /* the FIFO; and it is not yet known what that has cost */
 static uint32_t skipped; /* conversions whose results did not come to the ring */
 
 void sampler_init(void)
@@ -69,6 +70,7 @@ uint32_t sampler_start(uint32_t ticks, struct moment *moment)
     begin = *moment;
     ticks_per_sample = ticks;
     read_position = skipped = 0;
+    overflowed = false;
     return pwm_tick;
 }
 
@@ -98,35 +100,36 @@ static uint32_t position(void)
     }
 }
 
-/* The FIFO has overflowed: how many results this has cost is known from the time. Where in between
- * they are missing is not, so all since the last look are lost. False: not yet over. */
-static bool overflowed(uint32_t *lost)
+/* After the FIFO has overflowed: how many results this has cost is known from the time. Where in
+ * between they are missing is not, so all since the last look are lost. Returns how many; 0 while
+ * the FIFO is not empty. */
+static uint32_t count_lost(void)
 {
+    uint32_t us, written, rest;
     uint64_t ticks;
-    uint32_t rest;
+    bool drained;
 
-    ADC->fcs = ADC_FCS_EN | ADC_FCS_THRESH_1 | ADC_FCS_DREQ | ADC_FCS_OVER;
-    interrupts_off();
     do { /* until the time, just known, is far from a conversion's end */
-        uint32_t us = TIMER->timerawl;
+        interrupts_off();
+        us = TIMER->timerawl;
         while (TIMER->timerawl == us)
             ;
-        ticks = begin.tick + (time_us() - begin.us) * TICKS_PER_US;
-        ticks += ticks_per_sample - ticks_per_sample / 2 - ADC_CONVERSION;
+        written = position();
+        drained = ADC->fcs & ADC_FCS_EMPTY;
+        ticks = (time_us() - begin.us) * TICKS_PER_US + begin.tick;
+        interrupts_on();
+        ticks = ticks - ADC_CONVERSION - ticks_per_sample / 2 + ticks_per_sample;
         rest = (uint32_t)(ticks % ticks_per_sample);
     } while (rest < ADC_CONVERSION / 4 || rest > ticks_per_sample - ADC_CONVERSION / 4);
-    bool drained = ADC->fcs & ADC_FCS_EMPTY;
-    uint32_t written = position();
-    interrupts_on();
     if (!drained)
-        return false;
+        return 0;
 
     uint32_t converted = (uint32_t)(ticks / ticks_per_sample);
     uint32_t missing = (converted - written - skipped) & POSITION;
+    uint32_t lost = missing + ((written - read_position) & POSITION);
     skipped += missing;
-    *lost = missing + ((written - read_position) & POSITION);
     read_position = written;
-    return true;
+    return lost;
 }
 
 size_t sampler_take(const uint16_t **samples, uint32_t *lost)
@@ -135,7 +138,12 @@ size_t sampler_take(const uint16_t **samples, uint32_t *lost)
 
     *lost = 0;
     if (ADC->fcs & ADC_FCS_OVER) { /* looked at after the position: all before that is whole */
-        overflowed(lost);
+        ADC->fcs = ADC_FCS_EN | ADC_FCS_THRESH_1 | ADC_FCS_DREQ | ADC_FCS_OVER;
+        overflowed = true;
+    }
+    if (overflowed) {
+        *lost = count_lost();
+        overflowed = *lost == 0;
         return 0;
     }
     uint32_t waiting = (written - read_position) & POSITION;
