@@ -1,5 +1,8 @@
 # make run     simulated skin and viewer; PORT=/dev/ttyACM0 for a real one, PARAMS=file, SECONDS=n to end
+#              FIRMWARE=1: the emulated skin, real firmware on its nodes and in its digitizer
 # make test    lint and tests
+# make firmware         the images of nodes and digitizer, in firmware/build
+# make firmware-test    runs them in emulators, 16 nodes on one wire; the last line counts
 # make setup   the environment in .venv only; everything else does this first
 # make bench-error, -speed, -skip, -timing, -scale, -ros, -crest    QUICK=1: within 40 s each, else up to 7 min
 # make lint    ruff and mypy;  make clean: remove .venv and what tests leave
@@ -9,12 +12,13 @@ VENV ?= .venv
 PORT ?=
 PARAMS ?=
 SECONDS ?=
+FIRMWARE ?=
 PYTEST ?= -n 4
 export LC_ALL ?= C.UTF-8
 
 BIN = $(VENV)/bin
 .DEFAULT_GOAL := help
-.PHONY: help run test lint setup bench-setup clean
+.PHONY: help run test lint setup bench-setup clean firmware firmware-test firmware-tools
 
 help:
 	@sed -n 's/^# //p' Makefile
@@ -23,16 +27,27 @@ setup:
 	@command -v $(PYTHON) >/dev/null || { echo "setup: error: no $(PYTHON); apt install python3-venv"; exit 1; }
 	@$(PYTHON) tools/setup_env.py --venv "$(VENV)"
 
-run: setup
-	@"$(BIN)/python" tools/run.py --port "$(PORT)" --params "$(PARAMS)" --seconds "$(SECONDS)"
+run: setup $(if $(FIRMWARE),firmware)
+	@"$(BIN)/python" tools/run.py --port "$(PORT)" --params "$(PARAMS)" --seconds "$(SECONDS)" --firmware "$(FIRMWARE)"
 
 test: lint
+	@"$(BIN)/python" tools/firmware_tools.py
 	@"$(BIN)/python" -m pytest $(PYTEST)
 
 lint: setup
 	@"$(BIN)/ruff" check .
 	@"$(BIN)/ruff" format --check --quiet .
 	@"$(BIN)/mypy"
+	@"$(BIN)/mypy" firmware/sim/*.py
+
+firmware-tools: setup
+	@"$(BIN)/python" tools/firmware_tools.py --require
+
+firmware: firmware-tools
+	@$(MAKE) --no-print-directory -s -C firmware
+
+firmware-test: firmware
+	@"$(BIN)/python" firmware/sim/check.py
 
 bench-setup:
 	@command -v $(PYTHON) >/dev/null || { echo "setup: error: no $(PYTHON); apt install python3-venv"; exit 1; }
@@ -42,5 +57,6 @@ bench-%: bench-setup
 	@"$(BIN)/python" -m benchmarks.$*
 
 clean:
+	$(MAKE) -C firmware clean
 	rm -rf "$(VENV)" build install log dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

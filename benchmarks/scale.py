@@ -30,7 +30,7 @@ from tactile_cdma.frame import FrameSpec
 from tactile_cdma.parameters import SkinConfig
 from tactile_cdma.pipeline import Pipeline, TactileFrame
 from tactile_cdma.protocol import PacketParser
-from tactile_cdma.sim.digitizer import truth
+from tactile_cdma.sim.digitizer import VirtualDigitizer, truth
 from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.sim.pty import serve
 from tactile_cdma.source import Port
@@ -182,7 +182,7 @@ def digitize(query: str, stop: Event, ready: Connection) -> None:
     def on_ready(path: object) -> None:
         ready.send((str(path), time.monotonic()))
 
-    serve(SimOptions.from_url(query), None, stop, on_ready)  # type: ignore[arg-type]
+    serve(lambda: VirtualDigitizer(SimOptions.from_url(query)), None, stop, on_ready)  # type: ignore[arg-type]
 
 
 def drive(nodes: int, path: str, results: Connection) -> None:

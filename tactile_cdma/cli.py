@@ -1,9 +1,10 @@
-"""The command `tactile-cdma`: decode, record and simulate, all without ROS."""
+"""The command `tactile-cdma`: decode, record, simulate, set up hardware; all without ROS."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import shlex
 import signal
 import sys
 import threading
@@ -14,14 +15,19 @@ from pathlib import Path
 from typing import Any
 
 from . import __version__
+from .amplifier import design
+from .amplifier_report import describe, report
 from .capture import is_text, read_scope_csv
 from .driver import Session
 from .errors import CaptureError, PortError, SpecError, TactileError
 from .messages import Info
+from .node_memory import MCUS, describe_memory, node_memory
 from .offline import decode_raw, decode_scope, describe_frame, described_parameters
 from .parameters import BY_NAME, GAP, NATURAL_SIGNS, SkinConfig, Value, read_file
 from .pipeline import Pipeline
+from .programmer import avrdude, burn, node_files, read_memory, write_memory
 from .protocol import PacketParser, diagnose
+from .sim.digitizer import VirtualDigitizer
 from .sim.options import SimOptions
 from .sim.pty import serve
 from .source import Port
@@ -41,6 +47,8 @@ _SKIN_OPTIONS = {
     "--samples-per-chip": "samples_per_chip",
     "--vref": "vref_v",
 }
+ALL = "all"
+"""Instead of a node's number."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -85,13 +93,64 @@ def _parser() -> argparse.ArgumentParser:
         "url", nargs="?", default="sim://", help="options as in a port: 'sim://?scene=press&seed=1'"
     )
     simulate.set_defaults(run=_simulate)
+
+    node = commands.add_parser("node", help="what a sensing node's EEPROM has to hold")
+    what = node.add_mutually_exclusive_group(required=True)
+    what.add_argument("--node", type=_node_number, metavar="NUMBER", help="1, 2, … or all")
+    what.add_argument("--read", type=Path, metavar="FILE", help="print what such a file says")
+    node.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="FILE",
+        help="Intel HEX (.hex, .eep) or bytes (.bin); with all: a directory, made if missing",
+    )
+    node.add_argument("--mcu", choices=MCUS, default="atmega328p")
+    node.add_argument(
+        "--threshold",
+        type=int,
+        default=1,
+        help="the node talks while its code is farther than this from rest or from what it sent "
+        "last; 0: always [LSB] (1)",
+    )
+    node.add_argument(
+        "--heartbeat", type=int, default=78, help="and once in so many frames; 0: never (78)"
+    )
+    node.add_argument("--rest", type=int, help="code at rest (learnt after power-up)")
+    node.add_argument(
+        "--no-discipline",
+        action="store_false",
+        dest="discipline",
+        help="chip times are the node's own, they do not follow the sync edges",
+    )
+    node.add_argument(
+        "--programmer", metavar="NAME", help="also write it to the node, by avrdude: usbasp, …"
+    )
+    _add_skin_options(node, "the driver's")
+    node.set_defaults(run=_node)
+
+    amplifier = commands.add_parser("amplifier", help="the parts between nodes and digitizer")
+    amplifier.add_argument("--json", action="store_true", help="as one JSON object")
+    amplifier.add_argument(
+        "--supply", type=float, default=3.3, help="of nodes and amplifier [V] (3.3)"
+    )
+    amplifier.add_argument(
+        "--adc-volts", type=float, default=3.3, help="range of the digitizer's converter [V] (3.3)"
+    )
+    amplifier.add_argument("--adc-bits", type=int, default=12, help="its resolution [bit] (12)")
+    amplifier.add_argument(
+        "--active", type=float, default=1.0, help="largest share of nodes that talk at once (1)"
+    )
+    _add_skin_options(amplifier, "the driver's; the frame period plays no part")
+    amplifier.set_defaults(run=_amplifier)
     return parser
 
 
-def _add_skin_options(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group(
-        "the skin (default: what a raw capture says, else the driver's; amplitude: learnt)"
-    )
+def _add_skin_options(
+    parser: argparse.ArgumentParser,
+    default: str = "what a raw capture says, else the driver's; amplitude: learnt",
+) -> None:
+    group = parser.add_argument_group(f"the skin (default: {default})")
     group.add_argument("--params", type=Path, metavar="FILE", help="ROS 2 parameter file")
     for option, name in _SKIN_OPTIONS.items():
         parameter = BY_NAME[name]
@@ -113,6 +172,12 @@ def _positive(text: str) -> float:
     if not 0 < seconds <= threading.TIMEOUT_MAX:
         raise argparse.ArgumentTypeError(f"{text} is no positive time in s")
     return seconds
+
+
+def _node_number(text: str) -> int | str:
+    if text != ALL and not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r} is neither a number nor {ALL!r}")
+    return text if text == ALL else int(text)
 
 
 def _given(arguments: argparse.Namespace) -> dict[str, Value]:
@@ -221,7 +286,77 @@ def _record(arguments: argparse.Namespace) -> int:
 def _simulate(arguments: argparse.Namespace) -> int:
     options = SimOptions.from_url(arguments.url)
     with _stop_event(arguments.seconds) as stop:
-        serve(options, arguments.link, stop, lambda path: print(f"serving on {path}", flush=True))
+        serve(
+            lambda: VirtualDigitizer(options),
+            arguments.link,
+            stop,
+            lambda path: print(f"serving on {path}", flush=True),
+        )
+    return 0
+
+
+def _node(arguments: argparse.Namespace) -> int:
+    if arguments.read:
+        print(describe_memory(*read_memory(arguments.read)))
+        return 0
+    output, mcu, programmer = arguments.output, arguments.mcu, arguments.programmer
+    if output is None:
+        raise SpecError("-o is missing: the file to write, or with --node all the directory")
+    if programmer and arguments.node == ALL:
+        raise SpecError("--programmer writes one node, the one that is connected: --node is all")
+    config = SkinConfig.of(_given(arguments))
+    nodes = range(1, config.spec.nodes + 1) if arguments.node == ALL else [arguments.node]
+    memories = [
+        node_memory(
+            config.spec,
+            node,
+            threshold=arguments.threshold,
+            heartbeat=arguments.heartbeat,
+            rest=arguments.rest,
+            discipline=arguments.discipline,
+            mcu=mcu,
+        )
+        for node in nodes
+    ]
+    paths = [output] if arguments.node != ALL else node_files(output, len(memories))
+    for path, memory in zip(paths, memories, strict=True):
+        write_memory(path, memory)
+    _warn_of_silence(arguments, config)
+    print(f"written: {paths[0]}" + (f" … {paths[-1]}" if len(paths) > 1 else ""))
+    if programmer:
+        burn(output, mcu, programmer)
+    else:
+        print("to the node:", shlex.join(avrdude(paths[0], mcu, "usbasp")))
+    return 0
+
+
+def _warn_of_silence(arguments: argparse.Namespace, config: SkinConfig) -> None:
+    """Nodes that say too little are stale to the driver that has these parameters."""
+    silent_s = arguments.heartbeat * config.spec.frame_period_s
+    if arguments.threshold and not 0 < silent_s < config.stale_after_s:
+        often = f"only every {silent_s:g} s" if silent_s else "never"
+        print(
+            f"tactile-cdma: with heartbeat {arguments.heartbeat} a node at rest talks {often}, but "
+            f"is stale to the driver after {config.stale_after_s:g} s (stale_after_s)",
+            file=sys.stderr,
+        )
+
+
+def _amplifier(arguments: argparse.Namespace) -> int:
+    longest_ms = 1e5  # or the default period would refuse larger skins
+    config = SkinConfig.of({**_given(arguments), "frame_period_ms": longest_ms})
+    front = design(
+        config.spec,
+        config.samples_per_chip,
+        supply_v=arguments.supply,
+        adc_volts=arguments.adc_volts,
+        adc_bits=arguments.adc_bits,
+        active=arguments.active,
+    )
+    if arguments.json:
+        print(json.dumps(report(config.spec, front)))
+    else:
+        print(describe(config.spec, front))
     return 0
 
 

@@ -5,7 +5,8 @@ TactileError
 ├── ParameterError    an unknown parameter name, a wrong type or a value out of range
 ├── PortError         the port cannot be opened, was lost, or carries something else
 ├── ProtocolError     the digitizer speaks another protocol version or refuses a command
-└── CaptureError      a capture file that is empty, truncated or not what it should be
+├── CaptureError      a capture file that is empty, truncated or not what it should be
+└── NodeMemoryError   a node's memory that is blank, damaged or not for this firmware
 """
 
 
@@ -31,3 +32,7 @@ class ProtocolError(TactileError):
 
 class CaptureError(TactileError):
     """A capture file that is empty, truncated or not what it should be."""
+
+
+class NodeMemoryError(TactileError, ValueError):
+    """A node's memory that is blank, damaged or not for this firmware."""

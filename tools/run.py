@@ -10,12 +10,17 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import FrameType
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 PARAMS = CHECKOUT / "config" / "skin.yaml"
+WIRED_PARAMS = CHECKOUT / "config" / "wired_skin.yaml"
 SIMULATION = "sim://"
+EMULATOR = CHECKOUT / "firmware" / "sim" / "serve.py"
 LOG = CHECKOUT / "log" / "driver.log"
 SECONDS_WITHOUT_TERMINAL = 10.0
 PATIENCE_S = 5.0
@@ -28,8 +33,12 @@ def main() -> int:
     parser.add_argument("--port", default="", help="default: the simulated skin")
     parser.add_argument("--params", default="", help=f"default: {PARAMS.relative_to(CHECKOUT)}")
     parser.add_argument("--seconds", type=_seconds, default=0.0)
+    parser.add_argument("--firmware", default="", help="1: the emulated skin is the port")
     arguments = parser.parse_args()
-    params = Path(arguments.params or PARAMS)
+    firmware = arguments.firmware not in ("", "0")
+    if firmware and arguments.port:
+        parser.error(f"FIRMWARE=1 makes a port of its own; leave PORT={arguments.port} out")
+    params = Path(arguments.params or (WIRED_PARAMS if firmware else PARAMS))
     if not params.is_file():
         parser.error(f"no parameter file {params}")
     # A parameter file of the user's own names the port, unless one is given besides.
@@ -39,7 +48,32 @@ def main() -> int:
 
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("PYTHONUNBUFFERED", "1")
-    return run(driver_command(params, port), viewer_command(seconds), quiet=seconds == 0.0)
+    viewer, quiet = viewer_command(seconds), seconds == 0.0
+    if not firmware:
+        return run(driver_command(params, port), viewer, quiet)
+    with emulated_skin(params) as port:
+        return run(driver_command(params, port), viewer, quiet)
+
+
+@contextmanager
+def emulated_skin(params: Path) -> Iterator[str]:
+    """Run the firmware in its emulators; yields the port that it is served on."""
+    with TemporaryDirectory(prefix="skin-") as folder:
+        link = str(Path(folder) / "tty")
+        server = subprocess.Popen(
+            [sys.executable, str(EMULATOR), "--params", str(params), "--link", link],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            start_new_session=True,
+            preexec_fn=_end_with_parent,
+        )
+        try:
+            assert server.stdout is not None
+            if not server.stdout.readline():  # what it says when it is ready
+                raise SystemExit(1)  # it has said why not
+            yield link
+        finally:
+            _end(server)
 
 
 def _seconds(text: str) -> float:

@@ -9,6 +9,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from ..driver import WAITING, Driver
 from ..health import NodeState
+from ..messages import Status
 from ..pipeline import TactileFrame
 from ..protocol import Counters
 
@@ -16,6 +17,13 @@ _COMPLAINTS = {
     NodeState.FAULTY: "words of some nodes contradict the code: check their supply and clock",
     NodeState.DOUBLED: "two nodes speak on one code row: check the numbers given to the nodes",
 }
+_LOSSES = {
+    "sync_faults": "sync edges came late or not at all: the digitizer cannot keep up",
+    "samples_lost": "the digitizer loses samples: ask for fewer samples_per_chip",
+    "packets_dropped": "the link or this computer is too slow for the digitizer's packets",
+    "command_errors": "commands reach the digitizer broken: check cable and baud",
+}
+"""What it means that a count of STATUS rises."""
 _MOST_NUMBERS = 20
 _SLOW = 0.5
 """Share of the expected rate below which something is wrong."""
@@ -26,6 +34,7 @@ class StreamReport:
 
     def __init__(self) -> None:
         self._counted = (time.monotonic(), 0)
+        self._status: Status | None = None
 
     def of(
         self, driver: Driver, latest: TactileFrame | None
@@ -33,6 +42,9 @@ class StreamReport:
         """What there is to say now. latest: the newest frame."""
         rate_hz, expected_hz = self._rate_hz(driver), 1 / driver.pipeline.config.spec.frame_period_s
         level, text = _verdict(driver, rate_hz / expected_hz)
+        loss = self._loss(driver.pipeline.status)
+        if level == DiagnosticStatus.OK and loss:
+            level, text = DiagnosticStatus.WARN, loss
         values: dict[str, object] = {
             "rate (Hz)": f"{rate_hz:.2f}",
             "expected rate (Hz)": f"{expected_hz:.2f}",
@@ -42,6 +54,14 @@ class StreamReport:
         values |= {**_health(driver), **_clocks(driver), **_counts(driver)}
         values["clipped samples (%)"] = f"{100 * latest.clipped:.1f}" if latest else ""
         return level, text, values
+
+    def _loss(self, status: Status | None) -> str | None:
+        """The gravest of what the digitizer has lost since the report before."""
+        before, self._status = self._status, status
+        if before is None or status is None:
+            return None
+        rising = (text for n, text in _LOSSES.items() if getattr(status, n) > getattr(before, n))
+        return next(rising, None)
 
     def _rate_hz(self, driver: Driver) -> float:
         now, frames = time.monotonic(), driver.pipeline.counters.frames

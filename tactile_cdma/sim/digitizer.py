@@ -232,6 +232,11 @@ class VirtualDigitizer:
         )
 
     @property
+    def _command_errors(self) -> int:
+        seen = self._parser.counters
+        return seen.framing_errors + seen.crc_errors + seen.resyncs
+
+    @property
     def _hurried(self) -> bool:
         return self.options.speed == 0 and self.streaming
 
@@ -280,6 +285,7 @@ class VirtualDigitizer:
                 uptime_us=round(self._report_s * 1e6),
                 packets_dropped=self.packets_dropped,
                 commands_refused=self.commands_refused,
+                command_errors=self._command_errors,
                 streaming=self.streaming,
             )
         )

@@ -1,4 +1,4 @@
-"""The virtual digitizer behind a real tty, for programs that open a device path."""
+"""A digitizer that is a program behind a real tty, for programs that open a device path."""
 
 from __future__ import annotations
 
@@ -9,23 +9,35 @@ import tty
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Protocol
 
 from ..errors import PortError
-from .digitizer import VirtualDigitizer
-from .options import SimOptions
 
 _CHUNK = 65_536
 """Bytes offered to the terminal at once: it takes what it has room for."""
 _STOP_POLL_S = 0.1
 
 
+class Digitizer(Protocol):
+    """What a pseudo-terminal can stand for: VirtualDigitizer, or firmware in an emulator."""
+
+    def receive(self, data: bytes) -> None:
+        """Take bytes of the host."""
+
+    def advance(self, wanted: int) -> float:
+        """Do what is due by now; return the seconds until something else is due."""
+
+    def take(self, size: int) -> bytes:
+        """Give away at most `size` bytes for the host."""
+
+
 def serve(
-    options: SimOptions,
+    power_up: Callable[[], Digitizer],
     link: Path | None,
     stop: threading.Event,
     on_ready: Callable[[Path], None],
 ) -> None:
-    """Run a virtual digitizer on a pseudo-terminal until `stop` is set.
+    """Run a digitizer on a pseudo-terminal until `stop` is set.
 
     link: a symbolic link to create to the terminal, replacing an older link. on_ready is called
     with the path to open, the link's if there is one. Clients may come and go: the digitizer stays
@@ -36,12 +48,12 @@ def serve(
         host, path = stack.enter_context(_raw_terminal())
         if link is not None:
             stack.enter_context(_symlink(link, path))
-        digitizer = VirtualDigitizer(options)
+        digitizer = power_up()
         on_ready(link or path)
         _pump(digitizer, host, stop)
 
 
-def _pump(digitizer: VirtualDigitizer, host: int, stop: threading.Event) -> None:
+def _pump(digitizer: Digitizer, host: int, stop: threading.Event) -> None:
     """Carry bytes both ways, in the digitizer's time."""
     outgoing = b""
     while not stop.is_set():

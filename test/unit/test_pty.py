@@ -14,7 +14,7 @@ import serial
 from tactile_cdma.errors import PortError
 from tactile_cdma.messages import Info, Samples, Start, Status
 from tactile_cdma.protocol import PacketParser, PacketWriter
-from tactile_cdma.sim.digitizer import stream
+from tactile_cdma.sim.digitizer import VirtualDigitizer, stream
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import serve
 
@@ -28,7 +28,9 @@ def served(options: SimOptions, link: Path | None = None) -> Iterator[Path]:
         paths.append(path)
         ready.set()
 
-    server = threading.Thread(target=serve, args=(options, link, stop, on_ready))
+    server = threading.Thread(
+        target=serve, args=(lambda: VirtualDigitizer(options), link, stop, on_ready)
+    )
     server.start()
     try:
         assert ready.wait(5)
@@ -103,7 +105,7 @@ def test_links_replace_links_only(tmp_path: Path) -> None:
         assert Path(os.readlink(path)).exists()
     link.write_text("precious")
     with pytest.raises(PortError, match="no symbolic link"):
-        serve(SimOptions(), link, threading.Event(), lambda path: None)
+        serve(VirtualDigitizer, link, threading.Event(), lambda path: None)
     assert link.read_text() == "precious"
     with pytest.raises(PortError, match="cannot create the link"):
-        serve(SimOptions(), tmp_path / "no" / "skin", threading.Event(), lambda path: None)
+        serve(VirtualDigitizer, tmp_path / "no" / "skin", threading.Event(), lambda path: None)

@@ -326,6 +326,14 @@ def test_impossible_requests_are_refused_and_change_nothing() -> None:
     assert bench.run(1.1, 0.1)[-1].commands_refused == 4
 
 
+def test_broken_commands_are_counted_and_not_answered() -> None:
+    bench = Bench()
+    whole = PacketWriter().encode(Start())
+    bench.digitizer.receive(b"\x05\x11\0" + whole[:-3] + b"\0" + bytes(range(1, 100)) * 200 + b"\0")
+    assert of_kind(bench.read(), Ack) == []
+    assert bench.run(1.1, 0.1)[-1].command_errors == 3
+
+
 def test_reports_come_every_second() -> None:
     bench = Bench()
     packets = bench.run(5.05, 0.05)

@@ -1,0 +1,38 @@
+#include "event.h"
+
+void event_init(struct event *e, const struct tp_node_record *record, uint16_t rest)
+{
+    e->threshold = record->threshold;
+    e->rest = rest;
+    e->last_sent = rest;
+    e->heartbeat = record->heartbeat;
+    e->to_heartbeat = record->turn;
+    e->turn = (uint16_t)(record->node - 1u);
+    e->nodes = record->nodes;
+    e->called = record->nodes;
+}
+
+static bool farther(uint16_t a, uint16_t b, uint16_t distance)
+{
+    return (a > b ? a - b : b - a) > distance;
+}
+
+bool event_talks(const struct event *e, uint16_t code)
+{
+    if (e->called < e->nodes)
+        return e->called == e->turn;
+    return e->threshold == 0 || farther(code, e->rest, e->threshold) ||
+           farther(code, e->last_sent, e->threshold) || (e->heartbeat && e->to_heartbeat == 0);
+}
+
+void event_frame(struct event *e, enum event_frame frame, bool spoke, uint16_t code)
+{
+    if (spoke)
+        e->last_sent = code;
+    if (e->heartbeat && e->to_heartbeat-- == 0)
+        e->to_heartbeat = (uint16_t)(e->heartbeat - 1u);
+    if (frame == EVENT_CALL)
+        e->called = 1;
+    else if (e->called < e->nodes)
+        e->called++;
+}

@@ -1,0 +1,56 @@
+#include "node_memory.h"
+
+#include "crc32.h"
+#include "frame.h"
+
+/* Every order that a record may have; a corrupt one could say anything. */
+#define MAX_ORDER 4096u
+
+static bool intact(const struct tp_node_record *record, node_memory_reader *read)
+{
+    uint16_t size = (uint16_t)(sizeof *record + (record->order + 7u) / 8u + sizeof(uint32_t));
+    uint32_t crc = 0;
+
+    for (uint16_t address = 0; address < size; address++) {
+        uint8_t byte = read(address);
+
+        crc = crc32_update(crc, &byte, 1);
+    }
+    return crc == CRC32_RESIDUE;
+}
+
+static bool fits(const struct tp_node_record *record, const struct node_limits *limits)
+{
+    uint32_t chips = (uint32_t)frame_line_bits(record->bits, record->parity) * record->order;
+    uint32_t span = frame_span(chips, record->resync_chips, record->guard_chips);
+    uint64_t used_ns = (uint64_t)span * record->chip_ns +
+                       1000u * (TP_SYNC_LEAD * TP_SYNC_UNIT_US + limits->measuring_us);
+    uint32_t guard_ns = record->guard_chips * record->chip_ns;
+
+    return record->order <= limits->order && used_ns <= 1000u * (uint64_t)record->frame_period_us &&
+           (span == chips || guard_ns >= 1000ul * limits->restart_us);
+}
+
+enum node_memory_fault node_memory_load(struct tp_node_record *record, uint8_t *row,
+                                        const struct node_limits *limits, node_memory_reader *read)
+{
+    uint8_t *bytes = (uint8_t *)record;
+    uint16_t address;
+
+    for (address = 0; address < sizeof *record; address++)
+        bytes[address] = read(address);
+    if (record->magic != TP_NODE_MAGIC)
+        return NODE_MEMORY_BLANK;
+    if (record->version != TP_NODE_VERSION)
+        return NODE_MEMORY_INVALID;
+    if (record->order > MAX_ORDER || !intact(record, read))
+        return NODE_MEMORY_CORRUPT;
+    if (!tp_node_record_in_range(record) || record->node > record->nodes ||
+        !record->resync_chips != !record->guard_chips)
+        return NODE_MEMORY_INVALID;
+    if (!fits(record, limits))
+        return NODE_MEMORY_UNFIT;
+    for (uint16_t octet = 0; octet < (record->order + 7u) / 8u; octet++)
+        row[octet] = read(address++);
+    return NODE_MEMORY_GOOD;
+}

@@ -1,0 +1,105 @@
+#include "board.h"
+
+#include <avr/eeprom.h>
+#include <avr/power.h>
+#include <avr/sleep.h>
+#include <avr/wdt.h>
+#include <util/atomic.h>
+
+volatile uint16_t board_overflows;
+
+ISR(TIMER1_OVF_vect)
+{
+    board_overflows++;
+}
+
+EMPTY_INTERRUPT(TIMER1_COMPB_vect) /* the alarm: being awake is all it is for */
+EMPTY_INTERRUPT(ADC_vect)
+
+void board_init(void)
+{
+    /* after its own reset the watchdog goes on, in its shortest period */
+    MCUSR = 0;
+    wdt_enable(WDTO_250MS);
+    clock_prescale_set(clock_div_1);
+
+    PRR = _BV(PRTWI) | _BV(PRTIM2) | _BV(PRTIM0) | _BV(PRSPI) | _BV(PRUSART0);
+    ACSR = _BV(ACD);
+    DIDR0 = _BV(ADC0D);
+    /* pins that lead nowhere are pulled up, so that they don't float */
+    PORTB = (uint8_t)~(_BV(BOARD_LINE) | _BV(BOARD_SYNC));
+    PORTC = (uint8_t)~_BV(PC0);
+    PORTD = (uint8_t)~_BV(BOARD_LED);
+    DDRD = _BV(BOARD_LED);
+
+    TCCR1B = _BV(CS10);
+    TIMSK1 = _BV(TOIE1);
+    ADMUX = _BV(REFS0); /* AVcc is the reference, channel 0 */
+    /* sleep is idle, as it is after a reset: timer and capture go on */
+}
+
+uint32_t board_now(void)
+{
+    uint32_t now;
+
+    ATOMIC_BLOCK (ATOMIC_RESTORESTATE)
+        now = board_time(TCNT1);
+    return now;
+}
+
+void board_sleep(uint32_t when, const volatile uint8_t *event)
+{
+    cli();
+    if (!*event && (int32_t)(when - board_now()) > BOARD_TICKS_PER_US * 10) {
+        OCR1B = (uint16_t)when; /* further than 65,536 ticks away it comes too early, that is all */
+        TIFR1 = _BV(OCF1B);
+        TIMSK1 |= _BV(OCIE1B);
+        sleep_enable();
+        sei();
+        sleep_cpu();
+        sleep_disable();
+        cli();
+        TIMSK1 &= (uint8_t)~_BV(OCIE1B);
+    }
+    sei();
+}
+
+/* One conversion, asleep: 8 MHz / 64 = 125 kHz. */
+static uint16_t convert(void)
+{
+    ADCSRA = _BV(ADEN) | _BV(ADSC) | _BV(ADIE) | _BV(ADPS2) | _BV(ADPS1);
+    for (;;) {
+        cli();
+        if (!(ADCSRA & _BV(ADSC)))
+            break;
+        sleep_enable();
+        sei();
+        sleep_cpu();
+        sleep_disable();
+    }
+    sei();
+    return ADC;
+}
+
+uint16_t board_measure(void)
+{
+    uint16_t reading;
+
+    convert(); /* the first one after the converter was off is not good */
+    reading = convert();
+    ADCSRA = 0;
+    return reading;
+}
+
+void board_led(bool on)
+{
+    if (on)
+        PORTD |= _BV(BOARD_LED);
+    else
+        PORTD &= (uint8_t)~_BV(BOARD_LED);
+}
+
+uint8_t board_memory_byte(uint16_t address)
+{
+    return eeprom_read_byte((const uint8_t *)address);
+}

@@ -1,0 +1,157 @@
+/* ATmega328P at 8 MHz (crystal), 3.3 V: sync on PB0 (ICP1), line on PB1 (OC1A), sensor on PC0 (ADC0),
+ * LED on PD7.
+ *
+ * Timer1 counts cycles. It captures the edges of the sync line and makes those of the line, so that
+ * no interrupt's latency is in them. Fuses: crystal, no division by 8, brown-out at 2.7 V,
+ * EEPROM kept when the chip is erased (low 0xFD, high 0xD1, extended 0xFD).
+ */
+#ifndef NODE_ATMEGA328P_H
+#define NODE_ATMEGA328P_H
+
+#include <avr/interrupt.h>
+#include <avr/io.h>
+
+#include "node_memory.h"
+
+#define BOARD_TICKS_PER_US 8u
+#define BOARD_MATCH_vect TIMER1_COMPA_vect
+#define BOARD_SYNC_vect TIMER1_CAPT_vect
+
+#define BOARD_ORDER 4096
+
+#define BOARD_LINE PB1
+#define BOARD_SYNC PB0
+#define BOARD_LED PD7
+
+extern volatile uint16_t board_overflows;
+
+/* Time of a recent count of the timer; interrupts are off. */
+static BOARD_INLINE uint32_t board_time(uint16_t count)
+{
+    uint16_t overflows = board_overflows;
+
+    if (TIFR1 & _BV(TOV1) && count < 0x8000u)
+        overflows++; /* its interrupt is still to come */
+    return (uint32_t)overflows << 16 | count;
+}
+
+static BOARD_INLINE void board_level(bool high)
+{
+    TCCR1A = high ? _BV(COM1A1) | _BV(COM1A0) : _BV(COM1A1);
+}
+
+static BOARD_INLINE bool board_match(bool high, uint16_t here, uint16_t at)
+{
+    (void)here;
+    board_level(high);
+    OCR1A = at - 1u; /* the latch changes with the tick after the match */
+    return (int16_t)(at - 1u - TCNT1) > 0;
+}
+
+static BOARD_INLINE bool board_match_is_last(void)
+{
+    return true;
+}
+
+static BOARD_INLINE bool board_match_level(void)
+{
+    return TCCR1A & _BV(COM1A0);
+}
+
+static BOARD_INLINE void board_latch(bool high)
+{
+    board_level(high);
+    TCCR1C = _BV(FOC1A);
+}
+
+static BOARD_INLINE void board_match_past(uint16_t at)
+{
+    OCR1A = at - 1u;
+}
+
+static BOARD_INLINE void board_matches_on(void)
+{
+    TIFR1 = _BV(OCF1A);
+    TIMSK1 |= _BV(OCIE1A);
+}
+
+static BOARD_INLINE void board_matches_off(void)
+{
+    TIMSK1 &= (uint8_t)~_BV(OCIE1A);
+}
+
+static BOARD_INLINE void board_sync_on(void)
+{
+    TCCR1B = _BV(CS10) | _BV(ICES1); /* the next rising edge first */
+    TIFR1 = _BV(ICF1);
+    TIMSK1 |= _BV(ICIE1);
+}
+
+static BOARD_INLINE void board_sync_off(void)
+{
+    TIMSK1 &= (uint8_t)~_BV(ICIE1);
+}
+
+static BOARD_INLINE bool board_sync_edge(uint32_t *when)
+{
+    bool rising = TCCR1B & _BV(ICES1);
+
+    *when = board_time(ICR1);
+    TCCR1B = rising ? _BV(CS10) : _BV(CS10) | _BV(ICES1);
+    TIFR1 = _BV(ICF1); /* changing the edge may look like one */
+    if (rising && !(PINB & _BV(BOARD_SYNC)) && !(TIFR1 & _BV(ICF1))) {
+        TCCR1B = _BV(CS10) | _BV(ICES1); /* fallen before we could look: a glitch */
+        return false;
+    }
+    return rising;
+}
+
+static BOARD_INLINE bool board_sync_pending(void)
+{
+    return TIFR1 & _BV(ICF1);
+}
+
+static BOARD_INLINE int16_t board_ticks_until(uint16_t at)
+{
+    return (int16_t)(at - TCNT1);
+}
+
+static BOARD_INLINE uint16_t board_ticks_since(uint16_t then)
+{
+    return TCNT1 - then;
+}
+
+#define BOARD_SPIN_TICKS 40
+static BOARD_INLINE void board_spin(uint16_t at)
+{
+    uint8_t left = (uint8_t)at;
+
+    while (board_ticks_until(at) > 4 * BOARD_SPIN_TICKS)
+        ;
+    /* Read at cycle t, the count leaves at - t cycles, of which the instructions here take 11 and
+     * the one that follows 2. */
+    __asm__ volatile("lds __tmp_reg__, %[count] \n\t"
+                     "sub %[left], __tmp_reg__  \n\t"
+                     "subi %[left], 13          \n\t"
+                     "1: subi %[left], 4        \n\t" /* 4 cycles each, 3 the last time */
+                     "nop                       \n\t"
+                     "brcc 1b                   \n\t"
+                     "sbrc %[left], 0           \n\t" /* 2 cycles, or 3 */
+                     "rjmp 2f                   \n\t"
+                     "2: sbrc %[left], 1        \n\t" /* 2 cycles, or 4 */
+                     "lpm                       \n\t"
+                     : [left] "+d"(left)
+                     : [count] "n"(_SFR_MEM_ADDR(TCNT1L)));
+}
+
+static BOARD_INLINE void board_drive(void)
+{
+    DDRB |= _BV(BOARD_LINE);
+}
+
+static BOARD_INLINE void board_release(void)
+{
+    DDRB &= (uint8_t)~_BV(BOARD_LINE);
+}
+
+#endif

@@ -1,0 +1,116 @@
+#include "board.h"
+
+#include <avr/eeprom.h>
+#include <avr/power.h>
+#include <avr/sleep.h>
+#include <avr/wdt.h>
+#include <util/atomic.h>
+
+volatile uint32_t board_ticks;
+uint16_t board_match_here, board_match_at;
+bool board_match_high;
+
+ISR(TIMER0_OVF_vect)
+{
+    board_ticks += 0x8000u;
+}
+
+EMPTY_INTERRUPT(TIMER0_COMPA_vect) /* the alarm: being awake is all it is for */
+EMPTY_INTERRUPT(ADC_vect)
+
+/* Notes the time before anything else; talk.c goes on from there. */
+ISR(INT0_vect, ISR_NAKED)
+{
+    __asm__ volatile("push r24       \n\t"
+                     "in r24, %[count] \n\t"
+                     "out %[note], r24 \n\t"
+                     "pop r24        \n\t"
+                     "rjmp __vector_sync_edge \n\t" ::[count] "I"(_SFR_IO_ADDR(TCNT1)),
+                     [note] "I"(_SFR_IO_ADDR(GPIOR0)));
+}
+
+void board_init(void)
+{
+    /* after its own reset the watchdog goes on, in its shortest period */
+    MCUSR = 0;
+    wdt_enable(WDTO_250MS);
+    clock_prescale_set(clock_div_1);
+
+    PRR = _BV(PRUSI);
+    ACSR = _BV(ACD);
+    DIDR0 = _BV(ADC3D);
+    PORTB = _BV(PB0); /* leads nowhere, so it is pulled up */
+    DDRB = _BV(BOARD_LED);
+
+    MCUCR = _BV(ISC00); /* INT0 at any edge; sleep is idle */
+    TCCR0B = _BV(CS02);
+    TCCR1 = BOARD_COUNTING;
+    TIMSK = _BV(TOIE0);
+    ADMUX = _BV(MUX1) | _BV(MUX0); /* Vcc is the reference, channel 3 */
+}
+
+uint32_t board_now(void)
+{
+    uint32_t now;
+
+    ATOMIC_BLOCK (ATOMIC_RESTORESTATE)
+        now = board_time(TCNT1);
+    return now;
+}
+
+void board_sleep(uint32_t when, const volatile uint8_t *event)
+{
+    cli();
+    if (!*event && (int32_t)(when - board_now()) > 256) { /* two counts of Timer0 */
+        OCR0A = (uint8_t)(when >> 7); /* further than 8 ms away it comes too early, that is all */
+        TIFR = _BV(OCF0A);
+        TIMSK |= _BV(OCIE0A);
+        sleep_enable();
+        sei();
+        sleep_cpu();
+        sleep_disable();
+        cli();
+        TIMSK &= (uint8_t)~_BV(OCIE0A);
+    }
+    sei();
+}
+
+/* One conversion, asleep: 8 MHz / 64 = 125 kHz. */
+static uint16_t convert(void)
+{
+    ADCSRA = _BV(ADEN) | _BV(ADSC) | _BV(ADIE) | _BV(ADPS2) | _BV(ADPS1);
+    for (;;) {
+        cli();
+        if (!(ADCSRA & _BV(ADSC)))
+            break;
+        sleep_enable();
+        sei();
+        sleep_cpu();
+        sleep_disable();
+    }
+    sei();
+    return ADC;
+}
+
+uint16_t board_measure(void)
+{
+    uint16_t reading;
+
+    convert(); /* the first one after the converter was off is not good */
+    reading = convert();
+    ADCSRA = 0;
+    return reading;
+}
+
+void board_led(bool on)
+{
+    if (on)
+        PORTB |= _BV(BOARD_LED);
+    else
+        PORTB &= (uint8_t)~_BV(BOARD_LED);
+}
+
+uint8_t board_memory_byte(uint16_t address)
+{
+    return eeprom_read_byte((const uint8_t *)address);
+}

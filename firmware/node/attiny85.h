@@ -1,0 +1,199 @@
+/* ATtiny85 at 8 MHz (its RC oscillator, up to 10 % off): sync on PB2 (INT0), line on PB1 (OC1A), sensor
+ * on PB3 (ADC3), LED on PB4.
+ *
+ * Timer1 counts pairs of cycles and makes the edges of the line; with its 8 bits it wraps every 64 µs.
+ * Timer0, started with it, counts 256 cycles at a time and says which wrap it is. There is no capture:
+ * an edge of the sync line is timed by the first instructions of its interrupt, always as many cycles
+ * later if the processor sleeps, as it does when a pulse is due. Fuses: no division by 8, brown-out
+ * at 2.7 V, EEPROM kept when the chip is erased (low 0xE2, high 0xD5, extended 0xFF).
+ */
+#ifndef NODE_ATTINY85_H
+#define NODE_ATTINY85_H
+
+#include <avr/interrupt.h>
+#include <avr/io.h>
+
+#include "node_memory.h"
+
+#define BOARD_TICKS_PER_US 4u
+#define BOARD_MATCH_vect TIMER1_COMPA_vect
+#define BOARD_SYNC_vect __vector_sync_edge /* called by INT0's, see attiny85.c */
+
+#define BOARD_ORDER 1024
+
+#define BOARD_LINE PB1
+#define BOARD_SYNC PB2
+#define BOARD_SENSOR PB3
+#define BOARD_LED PB4
+
+/* Ticks from an edge to its interrupt's reading of Timer1: 4 cycles to wake, 4 to enter, 4 of
+ * instructions. (The pin's synchroniser takes 2 or 3 more, as an ATmega328P's does.) */
+#define BOARD_SYNC_LATENCY 6u
+
+/* Longest way to a match, in ticks; longer ones are gone in pieces, of which none is short enough to
+ * be over before it has begun. */
+#define BOARD_MATCH_REACH 240u
+
+#define BOARD_COUNTING _BV(CS11) /* of TCCR1: a tick is 2 cycles */
+
+/* Ticks up to Timer0's last wrap. */
+extern volatile uint32_t board_ticks;
+/* What a match on the way has to know. */
+extern uint16_t board_match_here, board_match_at;
+extern bool board_match_high;
+
+/* Time of a recent count of Timer1; interrupts are off. */
+static BOARD_INLINE uint32_t board_time(uint8_t count)
+{
+    uint32_t coarse = board_ticks;
+    uint8_t wraps = TCNT0;
+
+    if (TIFR & _BV(TOV0) && wraps < 0x80u)
+        coarse += 0x8000u; /* its interrupt is still to come */
+    coarse += (uint16_t)wraps << 7;
+    /* Timer1 is right in its 8 bits, and 0 to 128 ticks ahead of Timer0: 64, to tell its wraps */
+    return coarse + 64u + (int8_t)(uint8_t)(count - (uint8_t)coarse - 64u);
+}
+
+static BOARD_INLINE void board_level(bool high)
+{
+    TCCR1 = high ? BOARD_COUNTING | _BV(COM1A1) | _BV(COM1A0) : BOARD_COUNTING | _BV(COM1A1);
+}
+
+static BOARD_INLINE bool board_match_step(void)
+{
+    uint16_t left = board_match_at - board_match_here;
+    uint8_t step = (uint8_t)left;
+
+    if (left > BOARD_MATCH_REACH) {
+        step = left < 2 * BOARD_MATCH_REACH ? (uint8_t)(left / 2) : BOARD_MATCH_REACH;
+    } else {
+        board_level(board_match_high);
+    }
+    uint8_t from = (uint8_t)board_match_here;
+    board_match_here += step;
+    OCR1A = (uint8_t)(board_match_here - 1u);
+    return (uint8_t)(TCNT1 - from) < (uint8_t)(step - 1u);
+}
+
+static BOARD_INLINE bool board_match(bool high, uint16_t here, uint16_t at)
+{
+    board_match_high = high;
+    board_match_here = here;
+    board_match_at = at;
+    return board_match_step();
+}
+
+static BOARD_INLINE bool board_match_is_last(void)
+{
+    if (board_match_here == board_match_at)
+        return true;
+    board_match_step();
+    return false;
+}
+
+static BOARD_INLINE bool board_match_level(void)
+{
+    return TCCR1 & _BV(COM1A0);
+}
+
+static BOARD_INLINE void board_latch(bool high)
+{
+    board_level(high);
+    GTCCR = _BV(FOC1A);
+}
+
+static BOARD_INLINE void board_match_past(uint16_t at)
+{
+    OCR1A = (uint8_t)(at - 1u);
+}
+
+static BOARD_INLINE void board_matches_on(void)
+{
+    TIFR = _BV(OCF1A);
+    TIMSK |= _BV(OCIE1A);
+}
+
+static BOARD_INLINE void board_matches_off(void)
+{
+    TIMSK &= (uint8_t)~_BV(OCIE1A);
+}
+
+static BOARD_INLINE void board_sync_on(void)
+{
+    GIFR = _BV(INTF0);
+    GIMSK = _BV(INT0);
+}
+
+static BOARD_INLINE void board_sync_off(void)
+{
+    GIMSK = 0;
+}
+
+static BOARD_INLINE bool board_sync_edge(uint32_t *when)
+{
+    *when = board_time(GPIOR0) - BOARD_SYNC_LATENCY;
+    return PINB & _BV(BOARD_SYNC);
+}
+
+static BOARD_INLINE bool board_sync_pending(void)
+{
+    if (!(GIFR & _BV(INTF0)))
+        return false;
+    GPIOR0 = TCNT1;
+    GIFR = _BV(INTF0);
+    return true;
+}
+
+/* From 24 ticks ago to 231 ahead. */
+static BOARD_INLINE int16_t board_ticks_until(uint16_t at)
+{
+    uint8_t left = (uint8_t)((uint8_t)at - TCNT1);
+
+    return left < 232u ? left : (int16_t)(left - 256);
+}
+
+/* Up to 255. */
+static BOARD_INLINE uint16_t board_ticks_since(uint16_t then)
+{
+    return (uint8_t)(TCNT1 - (uint8_t)then);
+}
+
+#define BOARD_SPIN_TICKS 20
+static BOARD_INLINE void board_spin(uint16_t at)
+{
+    uint8_t left = (uint8_t)at, odd;
+
+    while (board_ticks_until(at) > 3 * BOARD_SPIN_TICKS)
+        ;
+    /* Two readings, a cycle apart, tell the cycle t: twice the first one, and 1 more if they differ.
+     * It leaves 2·at - t cycles, of which the instructions here take 14 and the one that follows 2. */
+    __asm__ volatile("in __tmp_reg__, %[count]  \n\t"
+                     "in %[odd], %[count]       \n\t"
+                     "sub %[odd], __tmp_reg__   \n\t"
+                     "sub %[left], __tmp_reg__  \n\t"
+                     "lsl %[left]               \n\t"
+                     "sub %[left], %[odd]       \n\t"
+                     "subi %[left], 16          \n\t"
+                     "1: subi %[left], 4        \n\t" /* 4 cycles each, 3 the last time */
+                     "nop                       \n\t"
+                     "brcc 1b                   \n\t"
+                     "sbrc %[left], 0           \n\t" /* 2 cycles, or 3 */
+                     "rjmp 2f                   \n\t"
+                     "2: sbrc %[left], 1        \n\t" /* 2 cycles, or 4 */
+                     "lpm                       \n\t"
+                     : [left] "+d"(left), [odd] "=&r"(odd)
+                     : [count] "I"(_SFR_IO_ADDR(TCNT1)));
+}
+
+static BOARD_INLINE void board_drive(void)
+{
+    DDRB |= _BV(BOARD_LINE);
+}
+
+static BOARD_INLINE void board_release(void)
+{
+    DDRB &= (uint8_t)~_BV(BOARD_LINE);
+}
+
+#endif

@@ -1,0 +1,133 @@
+/* A sensing node. Once per frame, as late as is safe before the next sync pulse, it measures and plans
+ * what to say; then it sleeps, and talk.c says it in interrupts. */
+#include <avr/interrupt.h>
+#include <avr/wdt.h>
+
+#include "board.h"
+#include "discipline.h"
+#include "event.h"
+#include "node_memory.h"
+#include "talk.h"
+
+#define MS (1000ul * BOARD_TICKS_PER_US)
+/* Two conversions take 310 µs; a new clock, the plan and what may interrupt them do with the rest. */
+#define MEASURING_US 800u
+/* From a sub-slot's end to the next one: its pulse must not begin before the line is released. */
+#define RESTART_US (TP_SYNC_LEAD * TP_SYNC_UNIT_US + 16u)
+#define REST_READINGS 8
+
+static struct tp_node_record record;
+static uint8_t row[BOARD_ORDER / 8];
+static struct discipline clock;
+static struct event event;
+
+static uint32_t mark;      /* when the present frame's pulse began, or should have */
+static bool heard;         /* … and that it did */
+static bool ever_heard;
+static bool clock_known;   /* good enough to talk by */
+static uint16_t code;      /* of the plan */
+
+/* Waits until a frame begins (true) or a time is there. The watchdog is content while time goes on. */
+static bool wait(uint32_t until)
+{
+    uint32_t now = board_now(), fed = now - 1;
+
+    while (!talk_began && (int32_t)(until - now) > 0) {
+        if (now != fed)
+            wdt_reset();
+        fed = now;
+        board_sleep(until, &talk_began);
+        now = board_now();
+    }
+    return talk_began;
+}
+
+static uint16_t measured_code(void)
+{
+    return (uint16_t)(board_measure() >> (10u - record.bits));
+}
+
+static uint16_t learnt_rest(void)
+{
+    uint16_t sum = REST_READINGS / 2;
+
+    for (uint8_t i = 0; i < REST_READINGS; i++) {
+        sum = (uint16_t)(sum + measured_code());
+        wait(board_now() + 8 * MS);
+    }
+    return sum / REST_READINGS;
+}
+
+/* Never talks, and says why: as many blinks as the fault's number, again and again. */
+static void blink(enum node_memory_fault fault)
+{
+    for (;;) {
+        for (uint8_t i = 0; i < fault; i++) {
+            board_led(true);
+            wait(board_now() + 150 * MS);
+            board_led(false);
+            wait(board_now() + 350 * MS);
+        }
+        wait(board_now() + 1500 * MS);
+    }
+}
+
+static void plan(void)
+{
+    talk_stop();
+    code = measured_code();
+    talk_plan(&clock, code, clock_known && event_talks(&event, code),
+              clock_known && event_talks_first(&event));
+}
+
+static void frame_began(void)
+{
+    struct talk_frame frame = talk_take();
+
+    if (heard && discipline_period(&clock, frame.when - mark))
+        clock_known = true;
+    mark = frame.when;
+    heard = ever_heard = true;
+    talk_believe(discipline_earliest(&clock));
+    event_frame(&event, frame.units == TP_SYNC_CALL ? EVENT_CALL : EVENT_FRAME, frame.spoke, code);
+}
+
+/* The pulse was not heard, or there is none: the frame is counted all the same, so that turns are kept,
+ * and the next one is measured for. */
+static void frame_missed(void)
+{
+    mark += clock.period;
+    heard = false;
+    talk_believe(0);
+    if (ever_heard)
+        event_frame(&event, EVENT_MISSED, false, code);
+}
+
+int main(void)
+{
+    static const struct node_limits limits = {
+        .order = BOARD_ORDER, .measuring_us = MEASURING_US, .restart_us = RESTART_US};
+    enum node_memory_fault fault;
+
+    board_init();
+    sei();
+    fault = node_memory_load(&record, row, &limits, board_memory_byte);
+    if (fault)
+        blink(fault);
+
+    event_init(&event, &record, record.rest == TP_NODE_LEARN_REST ? learnt_rest() : record.rest);
+    discipline_init(&clock, &record, BOARD_TICKS_PER_US);
+    clock_known = !record.discipline;
+    talk_init(&record, row);
+    mark = board_now();
+    for (;;) {
+        plan();
+        if (wait(mark + clock.period + clock.period / 2))
+            frame_began();
+        else
+            frame_missed();
+        /* a pulse before its time is a frame, too, though one without us */
+        while (wait(mark + clock.period - MEASURING_US * (uint32_t)BOARD_TICKS_PER_US))
+            frame_began();
+    }
+}

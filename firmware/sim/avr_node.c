@@ -1,0 +1,539 @@
+#include "avr_node.h"
+
+#include <math.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <simavr/avr_adc.h>
+#include <simavr/avr_eeprom.h>
+#include <simavr/avr_extint.h>
+#include <simavr/avr_ioport.h>
+#include <simavr/avr_timer.h>
+#include <simavr/sim_avr.h>
+#include <simavr/sim_core.h>
+#include <simavr/sim_elf.h>
+#include <simavr/sim_interrupts.h>
+
+#define RESPONSE_CYCLES 4 /* of an interrupt, and once more out of sleep */
+#define CODES 1024        /* of the converter */
+/* simavr's converter gives ⌊mV · 1023 / supply in mV⌋: with this supply, mV are codes */
+#define SUPPLY_OF_CODES 1023
+
+/* Where a node's parts are connected, and registers that simavr doesn't name. */
+struct wiring {
+    const char *mcu;
+    uint8_t sync_pin, out_pin; /* of port B */
+    char led_port;
+    uint8_t led_pin;
+    uint8_t sensor;       /* channel of the converter */
+    avr_regbit_t foc;     /* force output compare A of Timer1 */
+    avr_regbit_t sleep;   /* SE */
+    avr_regbit_t mode;    /* SM, of which 0 is idle */
+};
+
+static const struct wiring wirings[] = {
+    {"atmega328p", 0, 1, 'D', 7, 0, {.reg = 0x82, .bit = 7, .mask = 1},
+     {.reg = 0x53, .bit = 0, .mask = 1}, {.reg = 0x53, .bit = 1, .mask = 7}},
+    {"attiny85", 2, 1, 'B', 4, 3, {.reg = 0x4C, .bit = 2, .mask = 1},
+     {.reg = 0x55, .bit = 5, .mask = 1}, {.reg = 0x55, .bit = 3, .mask = 3}},
+};
+
+/* A register whose writes are seen: what simavr does with them, or NULL. */
+struct tap {
+    struct avr_node *node;
+    avr_io_write_t write;
+    void *param;
+};
+
+enum { TAP_DDR, TAP_PORT, TAP_PIN, TAP_COM, TAP_FOC, TAPS };
+
+struct avr_node {
+    avr_t *avr;
+    avr_run_t run; /* simavr's own; another where a watchdog reset is due */
+    const struct wiring *wiring;
+    avr_ioport_t *port, *led;
+    avr_timer_t *timer;
+    uint64_t clock_mhz; /* millihertz */
+    double supply_v;
+    int64_t start_ns;
+
+    const struct sync_line *sync;
+    uint64_t seen;                 /* edges of the sync line */
+    avr_cycle_count_t sync_cycle;  /* of the next one */
+    bool sync_level;
+
+    struct tap taps[TAPS];
+    bool touched;        /* a register of the output pin was written, by the last instruction */
+    bool driven, latched, port_bit, latch; /* the output pin: as its driver has it */
+
+    struct pin_edge *edges;
+    size_t size, capacity;
+    int8_t before;
+
+    struct node_counters counters;
+};
+
+/* Time */
+
+static avr_cycle_count_t cycle_at(const struct avr_node *node, int64_t t_ns)
+{
+    /* the first clock edge that isn't earlier */
+    __int128 scaled = (__int128)(t_ns - node->start_ns) * node->clock_mhz;
+    return scaled <= 0 ? 0 : (avr_cycle_count_t)((scaled + 999999999999) / 1000000000000);
+}
+
+static int64_t time_of(const struct avr_node *node, avr_cycle_count_t cycle)
+{
+    __int128 scaled = (__int128)cycle * 1000000000000 + node->clock_mhz / 2;
+    return node->start_ns + (int64_t)(scaled / node->clock_mhz);
+}
+
+/* The output pin */
+
+static void log_edge(struct avr_node *node, int8_t level)
+{
+    int64_t t_ns = time_of(node, node->avr->cycle);
+    struct pin_edge *last = node->size ? &node->edges[node->size - 1] : NULL;
+
+    if (last && last->t_ns == t_ns) { /* what lasted no time didn't happen */
+        node->size--;
+        last = node->size ? last - 1 : NULL;
+    }
+    if (level == (last ? last->level : node->before))
+        return;
+    if (node->size == node->capacity) {
+        node->capacity = 2 * node->capacity + 256;
+        node->edges = realloc(node->edges, node->capacity * sizeof *node->edges);
+    }
+    node->edges[node->size++] = (struct pin_edge){t_ns, level};
+}
+
+static void log_level(struct avr_node *node)
+{
+    bool high = node->latched ? node->latch : node->port_bit;
+    log_edge(node, !node->driven ? 0 : high ? 1 : -1);
+}
+
+static uint8_t compare_mode(const struct avr_node *node)
+{
+    return avr_regbit_get(node->avr, node->timer->comp[AVR_TIMER_COMPA].com);
+}
+
+static void match(struct avr_node *node)
+{
+    uint8_t mode = compare_mode(node);
+    node->latch = mode == avr_timer_com_toggle ? !node->latch : mode == avr_timer_com_set;
+    log_level(node);
+}
+
+/* simavr raises this with the mode's level on a match, and with the opposite one on overflow */
+static void on_compare(avr_irq_t *irq, uint32_t value, void *param)
+{
+    struct avr_node *node = param;
+    uint8_t mode = compare_mode(node);
+
+    (void)irq;
+    if (mode == avr_timer_com_toggle || (value & 1) == (mode == avr_timer_com_set))
+        match(node);
+}
+
+/* The last instruction's writes reach the pin. */
+static void settle_pin(struct avr_node *node)
+{
+    uint8_t *data = node->avr->data;
+    uint8_t bit = (uint8_t)(1u << node->wiring->out_pin);
+    bool pulled_up = !node->driven && node->port_bit;
+
+    node->driven = data[node->port->r_ddr] & bit;
+    node->port_bit = data[node->port->r_port] & bit;
+    node->latched = compare_mode(node) != avr_timer_com_normal;
+    node->counters.pull_ups += !pulled_up && !node->driven && node->port_bit;
+    if (avr_regbit_get(node->avr, node->wiring->foc)) {
+        avr_regbit_clear(node->avr, node->wiring->foc);
+        if (node->latched)
+            match(node);
+    }
+    log_level(node);
+    node->touched = false;
+}
+
+/* Registers */
+
+static void tapped_write(avr_t *avr, avr_io_addr_t address, uint8_t value, void *param)
+{
+    struct tap *tap = param;
+
+    if (tap->write)
+        tap->write(avr, address, value, tap->param);
+    else
+        avr->data[address] = value;
+    tap->node->touched = true;
+    avr->run_cycle_count = 0; /* ends avr_run_one with this instruction */
+}
+
+static void tap(struct avr_node *node, int which, avr_io_addr_t address)
+{
+    avr_io_addr_t io = AVR_DATA_TO_IO(address);
+
+    node->taps[which] = (struct tap){node, node->avr->io[io].w.c, node->avr->io[io].w.param};
+    node->avr->io[io].w.c = tapped_write;
+    node->avr->io[io].w.param = &node->taps[which];
+}
+
+static void write_flags(avr_t *avr, avr_io_addr_t address, uint8_t value, void *param)
+{
+    (void)param;
+    for (int i = 0; i < avr->interrupts.vector_count; i++) {
+        avr_int_vector_t *vector = avr->interrupts.vector[i];
+        if (vector->raised.reg == address && (value >> vector->raised.bit & 1))
+            avr_clear_interrupt(avr, vector);
+    }
+}
+
+static void write_mask(avr_t *avr, avr_io_addr_t address, uint8_t value, void *param)
+{
+    (void)param;
+    avr->data[address] = value;
+    for (int i = 0; i < avr->interrupts.vector_count; i++) {
+        avr_int_vector_t *vector = avr->interrupts.vector[i];
+        if (vector->enable.reg == address && avr_regbit_get(avr, vector->enable) &&
+            avr_regbit_get(avr, vector->raised))
+            avr_raise_interrupt(avr, vector);
+    }
+}
+
+static void replace_write(avr_t *avr, avr_io_addr_t address, avr_io_write_t write)
+{
+    avr->io[AVR_DATA_TO_IO(address)].w.c = write;
+    avr->io[AVR_DATA_TO_IO(address)].w.param = NULL;
+}
+
+static void replace_interrupt(avr_t *avr, const avr_int_vector_t *vector)
+{
+    replace_write(avr, vector->raised.reg, write_flags);
+    replace_write(avr, vector->enable.reg, write_mask);
+}
+
+/* Peripherals */
+
+static void *peripheral(avr_t *avr, const char *kind, char name)
+{
+    for (avr_io_t *io = avr->io_port; io; io = io->next) {
+        if (strcmp(io->kind, kind))
+            continue;
+        if (!name || (!strcmp(kind, "port") && ((avr_ioport_t *)io)->name == name) ||
+            (!strcmp(kind, "timer") && ((avr_timer_t *)io)->name == name))
+            return io;
+    }
+    return NULL;
+}
+
+/* Where the sync line is without having got there by an edge. */
+static void show_sync_level(struct avr_node *node)
+{
+    node->port->io.irq[node->wiring->sync_pin].value = node->sync_level;
+    if (node->sync_level)
+        node->avr->data[node->port->r_pin] |= (uint8_t)(1u << node->wiring->sync_pin);
+}
+
+/* After each reset: what simavr connects by itself and shouldn't, and what it forgets. */
+static void after_reset(struct avr_node *node)
+{
+    avr_extint_set_strict_lvl_trig(node->avr, 0, 0);
+    avr_unconnect_irq(&node->timer->io.irq[TIMER_IRQ_OUT_COMP + AVR_TIMER_COMPA],
+                      &node->port->io.irq[node->wiring->out_pin]);
+    show_sync_level(node);
+    node->latch = false;
+    settle_pin(node);
+}
+
+static void prepare(struct avr_node *node)
+{
+    avr_t *avr = node->avr;
+    avr_extint_t *extint = peripheral(avr, "extint", 0);
+
+    node->port = peripheral(avr, "port", 'B');
+    node->led = peripheral(avr, "port", node->wiring->led_port);
+    node->timer = peripheral(avr, "timer", '1');
+    if (!node->timer->wgm[0].reg) { /* the ATtiny85's, of which simavr knows little */
+        node->timer->wgm_op[0] = (avr_timer_wgm_t)AVR_TIMER_WGM_NORMAL8();
+        for (uint8_t select = 1; select < 16; select++)
+            node->timer->cs_div[select] = (uint8_t)(select - 1);
+    }
+    replace_interrupt(avr, &node->timer->overflow);
+    replace_interrupt(avr, &extint->eint[0].vector);
+    tap(node, TAP_DDR, node->port->r_ddr);
+    tap(node, TAP_PORT, node->port->r_port);
+    tap(node, TAP_PIN, node->port->r_pin);
+    tap(node, TAP_COM, node->timer->comp[AVR_TIMER_COMPA].com.reg);
+    tap(node, TAP_FOC, node->wiring->foc.reg);
+    avr_irq_register_notify(&node->timer->io.irq[TIMER_IRQ_OUT_COMP + AVR_TIMER_COMPA],
+                            on_compare, node);
+    avr->vcc = avr->avcc = avr->aref = SUPPLY_OF_CODES;
+    after_reset(node);
+}
+
+/* Running */
+
+static const struct sync_edge *next_edge(const struct avr_node *node)
+{
+    uint64_t next = node->seen - node->sync->dropped;
+
+    return next < node->sync->size ? &node->sync->edges[next] : NULL;
+}
+
+/* When the next edge of the sync line comes. */
+static void look_ahead(struct avr_node *node)
+{
+    const struct sync_edge *edge = next_edge(node);
+
+    node->sync_cycle = edge ? cycle_at(node, edge->t_ns) : UINT64_MAX;
+}
+
+/* Edges until power-up are nothing but the level that the node finds. */
+static void skip_past(struct avr_node *node)
+{
+    for (const struct sync_edge *edge; (edge = next_edge(node)) && edge->t_ns <= node->start_ns;
+         node->seen++)
+        node->sync_level = edge->level;
+    show_sync_level(node);
+}
+
+static void take_edge(struct avr_node *node)
+{
+    node->sync_level = next_edge(node)->level;
+    node->seen++;
+    look_ahead(node);
+    avr_raise_irq(&node->port->io.irq[node->wiring->sync_pin], node->sync_level);
+}
+
+static avr_cycle_count_t next_event(const struct avr_node *node)
+{
+    const struct avr_cycle_timer_slot_t *timer = node->avr->cycle_timers.timer;
+
+    return timer && timer->when < node->sync_cycle ? timer->when : node->sync_cycle;
+}
+
+/* Everything that is due by now, each at its own cycle. */
+static void process_events(struct avr_node *node)
+{
+    avr_t *avr = node->avr;
+    avr_cycle_count_t now = avr->cycle;
+
+    for (;;) {
+        avr_cycle_count_t due = next_event(node);
+        if (due > now || avr->run != node->run)
+            break;
+        avr->cycle = due;
+        if (due == node->sync_cycle)
+            take_edge(node);
+        else
+            avr_cycle_timer_process(avr);
+    }
+    avr->cycle = now;
+}
+
+/* Instructions, until one reaches the next event, changes when that is, touches the output pin, lets
+ * interrupts in or sleeps. simavr leaves its loop where a cycle timer is set, as its limit is 1. */
+static void run_instructions(struct avr_node *node, avr_cycle_count_t event)
+{
+    avr_t *avr = node->avr;
+
+    avr->run_cycle_count = event > avr->cycle ? event - avr->cycle : 0;
+    avr->pc = avr_run_one(avr);
+    if (avr->state != cpu_Sleeping)
+        return;
+    if (!avr_regbit_get(avr, node->wiring->sleep))
+        avr->state = cpu_Running;
+    else if (avr_regbit_get(avr, node->wiring->mode))
+        node->counters.deep_sleeps++;
+}
+
+static void respond(struct avr_node *node, bool slept)
+{
+    avr_t *avr = node->avr;
+    bool enabled = avr->sreg[S_I];
+
+    avr_service_interrupts(avr);
+    if (enabled && !avr->sreg[S_I])
+        avr->cycle += slept ? 2 * RESPONSE_CYCLES : RESPONSE_CYCLES;
+}
+
+static void reset_by_watchdog(struct avr_node *node)
+{
+    node->avr->run(node->avr); /* puts simavr's own back */
+    node->counters.watchdog_resets++;
+    after_reset(node);
+}
+
+/* What has happened by now. */
+static void catch_up(struct avr_node *node)
+{
+    process_events(node);
+    if (node->touched)
+        settle_pin(node);
+}
+
+void node_run(struct avr_node *node, int64_t t_ns)
+{
+    avr_t *avr = node->avr;
+    avr_cycle_count_t end = cycle_at(node, t_ns);
+
+    if (!avr->cycle)
+        skip_past(node);
+    look_ahead(node);
+    while (avr->cycle < end) {
+        avr_cycle_count_t begin = avr->cycle, event;
+        bool asleep = avr->state != cpu_Running;
+
+        catch_up(node);
+        if (avr->run != node->run)
+            reset_by_watchdog(node);
+        else if (avr->interrupt_state)
+            respond(node, asleep);
+        event = next_event(node) < end ? next_event(node) : end;
+        if (avr->state == cpu_Running) {
+            run_instructions(node, event);
+            node->counters.cycles_awake += avr->cycle - begin;
+        } else {
+            avr->cycle = event;
+            node->counters.cycles_asleep += avr->cycle - begin;
+        }
+    }
+    catch_up(node);
+}
+
+/* What is connected to it */
+
+void node_sense(struct avr_node *node, double volts)
+{
+    double code = floor(volts / node->supply_v * CODES);
+    uint32_t clipped = code <= 0 ? 0 : code >= CODES - 1 ? CODES - 1 : (uint32_t)code;
+
+    avr_raise_irq(avr_io_getirq(node->avr, AVR_IOCTL_ADC_GETIRQ,
+                                (int)(ADC_IRQ_ADC0 + node->wiring->sensor)),
+                  clipped);
+}
+
+size_t node_edges(const struct avr_node *node, const struct pin_edge **edges, int8_t *before)
+{
+    *edges = node->edges;
+    *before = node->before;
+    return node->size;
+}
+
+uint64_t node_seen(const struct avr_node *node)
+{
+    return node->seen;
+}
+
+void node_forget(struct avr_node *node, int64_t t_ns)
+{
+    size_t old = 0;
+
+    while (old < node->size && node->edges[old].t_ns < t_ns)
+        old++;
+    if (!old)
+        return;
+    node->before = node->edges[old - 1].level;
+    node->size -= old;
+    memmove(node->edges, node->edges + old, node->size * sizeof *node->edges);
+}
+
+bool node_led(const struct avr_node *node)
+{
+    const uint8_t *data = node->avr->data;
+
+    return data[node->led->r_ddr] & data[node->led->r_port] & 1u << node->wiring->led_pin;
+}
+
+void node_count(const struct avr_node *node, struct node_counters *counters)
+{
+    *counters = node->counters;
+}
+
+/* Powering up */
+
+static void count_faults(avr_t *avr, const int level, const char *format, va_list arguments)
+{
+    (void)format;
+    (void)arguments;
+    if (avr && avr->custom.data && (level == LOG_ERROR || level == LOG_WARNING))
+        ((struct avr_node *)avr->custom.data)->counters.faults++;
+}
+
+static const struct wiring *wiring_of(const char *mcu)
+{
+    for (size_t i = 0; i < sizeof wirings / sizeof *wirings; i++)
+        if (!strcmp(wirings[i].mcu, mcu))
+            return &wirings[i];
+    return NULL;
+}
+
+/* What keeps an image out of this AVR; NULL: nothing. */
+static const char *load(avr_t *avr, const char *image)
+{
+    elf_firmware_t firmware = {0};
+    const char *obstacle = NULL;
+
+    if (elf_read_firmware(image, &firmware))
+        return "no ELF image";
+    if (!firmware.flashsize)
+        obstacle = "an image without code";
+    else if (firmware.flashbase + firmware.flashsize > avr->flashend + 1)
+        obstacle = "an image larger than its flash";
+    else
+        avr_load_firmware(avr, &firmware);
+    free(firmware.flash);
+    return obstacle;
+}
+
+struct avr_node *node_create(const struct node_plan *plan, const struct sync_line *sync,
+                             char *error, size_t error_size)
+{
+    const struct wiring *wiring = wiring_of(plan->mcu);
+    const char *obstacle;
+    struct avr_node *node;
+
+    avr_global_logger_set(count_faults);
+    if (!wiring) {
+        snprintf(error, error_size, "there is no wiring for the MCU %s", plan->mcu);
+        return NULL;
+    }
+    node = calloc(1, sizeof *node);
+    *node = (struct avr_node){.avr = avr_make_mcu_by_name(plan->mcu), .wiring = wiring,
+                              .clock_mhz = (uint64_t)llround(plan->clock_hz * 1e3),
+                              .supply_v = plan->supply_v, .start_ns = plan->start_ns,
+                              .sync = sync, .seen = sync->dropped};
+    avr_init(node->avr);
+    obstacle = load(node->avr, plan->image);
+    if (!obstacle && plan->memory_size > node->avr->e2end + 1u)
+        obstacle = "a memory larger than its EEPROM";
+    if (obstacle) {
+        snprintf(error, error_size, "%s: %s for the %s", plan->image, obstacle, plan->mcu);
+        node_free(node);
+        return NULL;
+    }
+    if (plan->memory_size) {
+        avr_eeprom_desc_t content = {.ee = (uint8_t *)plan->memory,
+                                     .size = (uint32_t)plan->memory_size};
+        avr_ioctl(node->avr, AVR_IOCTL_EEPROM_SET, &content);
+    }
+    node->avr->custom.data = node;
+    node->avr->frequency = (uint32_t)llround(plan->clock_hz);
+    node->run = node->avr->run;
+    prepare(node);
+    return node;
+}
+
+void node_free(struct avr_node *node)
+{
+    if (!node)
+        return;
+    avr_terminate(node->avr);
+    free(node->avr);
+    free(node->edges);
+    free(node);
+}

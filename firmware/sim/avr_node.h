@@ -1,0 +1,78 @@
+/* A sensing node that runs its real image: an AVR under simavr, on the skin's time axis.
+ *
+ * Time is in ns and common to all nodes; each counts it by a clock of its own. simavr 1.6 is exact
+ * per instruction but not at its pins, so what matters there is done here, by the data sheets:
+ *
+ *   - Timers and edges of the sync line act at their own cycle, not after the instruction that they
+ *     fall into, or one cycle late out of sleep.
+ *   - The output pin: DDR bit clear is released; else the latch of output compare A where a compare
+ *     output mode is set, else the PORT bit. Writes act as their instruction ends. Only matches and
+ *     FOC1A change the latch (simavr also changes it on overflow, and PORT with it).
+ *   - An interrupt takes 4 cycles before its vector, 4 more out of sleep (simavr: none).
+ *   - Ones written to a timer's or INT0's flag register clear these flags (simavr: all flags of the
+ *     timer, none of INT0); enabling an interrupt whose flag is set raises it (simavr: never).
+ *   - SLEEP does nothing without SE. The ATtiny85's Timer1 counts, to 255.
+ *   - The converter's code is ⌊1024 · V / AVcc⌋; its only reference is AVcc.
+ *
+ * Left out: delays of the input synchronisers, the noise canceller, PRR, fuses, brown-out, sleep modes
+ * other than idle (they are counted).
+ */
+#ifndef AVR_NODE_H
+#define AVR_NODE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "sync_line.h"
+
+/* The output pin changed. */
+struct pin_edge {
+    int64_t t_ns;
+    int8_t level; /* +1 high, −1 low, 0 released */
+};
+
+/* Since power-up. */
+struct node_counters {
+    uint64_t cycles_awake, cycles_asleep;
+    uint32_t watchdog_resets;
+    uint32_t deep_sleeps; /* in another mode than idle: the emulation is not valid there */
+    uint32_t pull_ups;    /* times that the output pin was released into its pull-up */
+    uint32_t faults;      /* errors that simavr reports: bad addresses, bad opcodes, a crash */
+};
+
+/* What a node is. */
+struct node_plan {
+    const char *image, *mcu;
+    const uint8_t *memory; /* what its EEPROM begins with; the rest is blank */
+    size_t memory_size;
+    double clock_hz;
+    double supply_v;
+    double gain;      /* of the amplifier's input that it is connected to */
+    int64_t start_ns; /* when it is powered up */
+};
+
+struct avr_node;
+
+/* NULL where something is wrong; `error` then says what. */
+struct avr_node *node_create(const struct node_plan *plan, const struct sync_line *sync,
+                             char *error, size_t error_size);
+void node_free(struct avr_node *node);
+
+/* Run to a time; edges of the sync line before it must be known. */
+void node_run(struct avr_node *node, int64_t t_ns);
+
+/* Voltage at the sensor. */
+void node_sense(struct avr_node *node, double volts);
+/* Edges of the sync line that it has seen, or slept through before power-up. */
+uint64_t node_seen(const struct avr_node *node);
+
+/* Edges of the output pin, in order; the pin was at `before` until the first. */
+size_t node_edges(const struct avr_node *node, const struct pin_edge **edges, int8_t *before);
+/* Forget edges before a time. */
+void node_forget(struct avr_node *node, int64_t t_ns);
+
+bool node_led(const struct avr_node *node);
+void node_count(const struct avr_node *node, struct node_counters *counters);
+
+#endif

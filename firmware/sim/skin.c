@@ -1,0 +1,172 @@
+#include "skin.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+struct member {
+    struct avr_node *node;
+    double swing_nv; /* at the amplifier's output, per level; whole, so that sums are exact */
+};
+
+struct skin {
+    struct amplifier amplifier;
+    struct sync_line sync;
+    struct member *members;
+    size_t size;
+    int64_t now_ns; /* nodes have run to it */
+    uint64_t random;
+    double spare; /* of a pair of normal deviates; NaN: none */
+};
+
+struct skin *skin_create(const struct amplifier *amplifier)
+{
+    struct skin *skin = calloc(1, sizeof *skin);
+
+    skin->amplifier = *amplifier;
+    skin->random = amplifier->seed;
+    skin->spare = NAN;
+    return skin;
+}
+
+void skin_free(struct skin *skin)
+{
+    for (size_t i = 0; i < skin->size; i++)
+        node_free(skin->members[i].node);
+    free(skin->members);
+    free(skin->sync.edges);
+    free(skin);
+}
+
+int skin_add(struct skin *skin, const struct node_plan *plan, char *error, size_t error_size)
+{
+    double swing_v = skin->amplifier.polarity * plan->gain * plan->supply_v / 2;
+    struct avr_node *node = node_create(plan, &skin->sync, error, error_size);
+
+    if (!node)
+        return -1;
+    skin->members = realloc(skin->members, (skin->size + 1) * sizeof *skin->members);
+    skin->members[skin->size] = (struct member){node, round(swing_v * 1e9)};
+    return (int)skin->size++;
+}
+
+struct avr_node *skin_node(struct skin *skin, int node)
+{
+    return skin->members[node].node;
+}
+
+bool skin_sync(struct skin *skin, int64_t t_ns, bool level)
+{
+    struct sync_line *sync = &skin->sync;
+
+    if (t_ns < skin->now_ns || (sync->size && t_ns < sync->edges[sync->size - 1].t_ns))
+        return false;
+    if (sync->size == sync->capacity) {
+        sync->capacity = 2 * sync->capacity + 64;
+        sync->edges = realloc(sync->edges, sync->capacity * sizeof *sync->edges);
+    }
+    sync->edges[sync->size++] = (struct sync_edge){t_ns, level};
+    return true;
+}
+
+void skin_run(struct skin *skin, int64_t t_ns)
+{
+    for (size_t i = 0; i < skin->size; i++)
+        node_run(skin->members[i].node, t_ns);
+    if (t_ns > skin->now_ns)
+        skin->now_ns = t_ns;
+}
+
+void skin_forget(struct skin *skin, int64_t t_ns)
+{
+    struct sync_line *sync = &skin->sync;
+    uint64_t seen = sync->dropped + sync->size;
+
+    for (size_t i = 0; i < skin->size; i++) {
+        node_forget(skin->members[i].node, t_ns);
+        if (node_seen(skin->members[i].node) < seen)
+            seen = node_seen(skin->members[i].node);
+    }
+    sync->size -= seen - sync->dropped;
+    memmove(sync->edges, sync->edges + (seen - sync->dropped), sync->size * sizeof *sync->edges);
+    sync->dropped = seen;
+}
+
+/* The line */
+
+/* SplitMix64 (Steele, Lea, Flood 2014): (0, 1] */
+static double uniform(struct skin *skin)
+{
+    uint64_t z = skin->random += 0x9E3779B97F4A7C15u;
+
+    z = (z ^ z >> 30) * 0xBF58476D1CE4E5B9u;
+    z = (z ^ z >> 27) * 0x94D049BB133111EBu;
+    return (double)(((z ^ z >> 31) >> 11) + 1) * 0x1p-53;
+}
+
+/* Box and Muller's pair, one at a time */
+static double normal(struct skin *skin)
+{
+    double radius, angle, deviate = skin->spare;
+
+    skin->spare = NAN;
+    if (!isnan(deviate))
+        return deviate;
+    radius = sqrt(-2 * log(uniform(skin)));
+    angle = 2 * M_PI * uniform(skin);
+    skin->spare = radius * sin(angle);
+    return radius * cos(angle);
+}
+
+/* The first edge at or after a time. */
+static size_t find_edge(const struct pin_edge *edges, size_t size, double t_ns)
+{
+    size_t low = 0;
+
+    while (low < size) {
+        size_t middle = low + (size - low) / 2;
+        if ((double)edges[middle].t_ns > t_ns)
+            size = middle;
+        else
+            low = middle + 1;
+    }
+    return low;
+}
+
+/* Adds a member's steps to those of the line: how much each sample lies above the one before. */
+static void add_steps(const struct member *member, double t_ns, double step_ns, double *nv,
+                      size_t size)
+{
+    const struct pin_edge *edges;
+    int8_t level;
+    size_t count = node_edges(member->node, &edges, &level);
+    size_t i = find_edge(edges, count, t_ns);
+
+    if (i)
+        level = edges[i - 1].level;
+    nv[0] += member->swing_nv * level;
+    for (; i < count; i++) {
+        double sample = ceil(((double)edges[i].t_ns - t_ns) / step_ns);
+        if (sample >= (double)size)
+            break;
+        nv[(size_t)sample] += member->swing_nv * (edges[i].level - level);
+        level = edges[i].level;
+    }
+}
+
+void skin_volts(struct skin *skin, double t_ns, double step_ns, double *volts, size_t size)
+{
+    const struct amplifier *amplifier = &skin->amplifier;
+    double sum_nv = 0;
+
+    for (size_t i = 0; i < size; i++)
+        volts[i] = 0;
+    for (size_t i = 0; size && i < skin->size; i++)
+        add_steps(&skin->members[i], t_ns, step_ns, volts, size);
+    for (size_t i = 0; i < size; i++) {
+        double noise = amplifier->noise_v > 0 ? amplifier->noise_v * normal(skin) : 0;
+        sum_nv += volts[i];
+        volts[i] = amplifier->offset_v + sum_nv / 1e9 + noise;
+        volts[i] = fmin(fmax(volts[i], amplifier->low_v), amplifier->high_v);
+    }
+}

@@ -1,0 +1,40 @@
+/* The emulated skin: nodes, the sync line that they hear and the analog line that they share.
+ *
+ *     volts(t) = offset + polarity · Σ gain · level(t) · supply / 2  + noise, clipped at the rails
+ *
+ * with level +1, −1 or 0 (released), for a summing amplifier whose summing point holds a released
+ * input at half its supply. */
+#ifndef SKIN_H
+#define SKIN_H
+
+#include "avr_node.h"
+
+struct amplifier {
+    double offset_v;
+    double polarity;       /* +1, or −1 where it inverts */
+    double low_v, high_v;  /* its rails */
+    double noise_v;        /* standard deviation */
+    uint64_t seed;         /* of the noise */
+};
+
+struct skin;
+
+struct skin *skin_create(const struct amplifier *amplifier);
+void skin_free(struct skin *skin);
+
+/* Returns the node's number, or −1 and says why. */
+int skin_add(struct skin *skin, const struct node_plan *plan, char *error, size_t error_size);
+struct avr_node *skin_node(struct skin *skin, int node);
+
+/* An edge of the sync line; not before the last one, nor before what nodes have run to: else false. */
+bool skin_sync(struct skin *skin, int64_t t_ns, bool level);
+
+/* Run all nodes to a time. */
+void skin_run(struct skin *skin, int64_t t_ns);
+/* Forget what happened before a time. */
+void skin_forget(struct skin *skin, int64_t t_ns);
+
+/* The line at `size` instants from t_ns on. */
+void skin_volts(struct skin *skin, double t_ns, double step_ns, double *volts, size_t size);
+
+#endif

@@ -1,0 +1,20 @@
+/* The sync line: its edges, past and announced, in order. Every node reads it at its own pace. */
+#ifndef SYNC_LINE_H
+#define SYNC_LINE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+struct sync_edge {
+    int64_t t_ns;
+    bool level;
+};
+
+struct sync_line {
+    struct sync_edge *edges;
+    size_t size, capacity;
+    uint64_t dropped; /* edges before edges[0]: those that all nodes have seen */
+};
+
+#endif

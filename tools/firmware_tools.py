@@ -1,0 +1,93 @@
+#!/usr/bin/env python3
+"""Gets what firmware is built and emulated with: `make firmware-tools`. Standard library only.
+
+Debian packages are installed where that needs no question (root, or sudo without a password), and
+the RP2040's emulator comes from npm. What is missing and cannot be installed is named: tests that
+need it are skipped, and say so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from setup_env import CHECKOUT, may_be_root
+
+SIM = CHECKOUT / "firmware" / "sim"
+PACKAGES = {  # Debian's name: what tells that it is there, a program or a file
+    "gcc-avr": "avr-gcc",
+    "avr-libc": "/usr/lib/avr/include/avr/io.h",
+    "libsimavr-dev": "/usr/include/simavr/sim_avr.h",
+    "libelf-dev": "/usr/include/libelf.h",
+    "gcc-arm-none-eabi": "arm-none-eabi-gcc",
+    "libnewlib-arm-none-eabi": "/usr/include/newlib/stdint.h",
+    "qemu-system-arm": "qemu-system-arm",
+    "cppcheck": "cppcheck",
+    "avrdude": "avrdude",
+    "make": "make",
+    "gcc": "cc",
+    "util-linux": "flock",
+}
+
+
+def main() -> int:
+    """Install what is missing, as far as that goes; with --require, fail where it did not."""
+    parser = argparse.ArgumentParser(description="Get what firmware is built and emulated with.")
+    parser.add_argument("--require", action="store_true", help="missing tools are an error")
+    required = parser.parse_args().require
+    install(missing())
+    problems = []
+    if packages := missing():
+        problems.append(f"sudo apt install {' '.join(packages)}")
+    if problem := emulator_problem():
+        problems.append(problem)
+    for problem in problems:
+        print(f"firmware: needed on this machine: {problem}", file=sys.stderr)
+    return int(required and bool(problems))
+
+
+def missing() -> list[str]:
+    """Return Debian names of the packages that this machine lacks."""
+    return [name for name, sign in PACKAGES.items() if not present(sign)]
+
+
+def present(sign: str) -> bool:
+    """Tell whether a file, or a program of this name, is there."""
+    return Path(sign).exists() if sign.startswith("/") else shutil.which(sign) is not None
+
+
+def install(packages: list[str]) -> None:
+    """Install Debian packages, if that needs no question."""
+    if not packages or not shutil.which("apt-get") or not may_be_root():
+        return
+    apt_get = ["apt-get"] if os.geteuid() == 0 else ["sudo", "apt-get"]
+    command = [*apt_get, "install", "-y", "--no-install-recommends", *packages]
+    print(f"firmware: {' '.join(command)}", flush=True)
+    subprocess.run([*apt_get, "update"], stdout=subprocess.DEVNULL, check=False)
+    subprocess.run(command, stdout=subprocess.DEVNULL, check=False)
+
+
+def emulator_problem() -> str | None:
+    """Install the RP2040's emulator unless it is there; return why it cannot be had."""
+    stamp, lock = SIM / "node_modules" / ".package-lock.json", SIM / "package-lock.json"
+    if stamp.exists() and stamp.stat().st_mtime >= lock.stat().st_mtime:
+        return None
+    npm = shutil.which("npm")
+    if npm is None or not shutil.which("node"):
+        return "Node.js 18 or newer with npm, for the RP2040's emulator"
+    print("firmware: npm ci (the RP2040's emulator)", flush=True)
+    done = subprocess.run(
+        [npm, "ci", "--no-audit", "--no-fund"], cwd=SIM, capture_output=True, text=True
+    )
+    if done.returncode:
+        return f"the npm package in {SIM / 'package.json'}: {done.stderr.strip().splitlines()[-1]}"
+    stamp.touch()
+    return None
+
+
+if __name__ == "__main__":
+    sys.exit(main())
