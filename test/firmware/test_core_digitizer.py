@@ -577,7 +577,9 @@ def test_the_sequence_wraps(digitizer: CoreDigitizer) -> None:
 
 def test_losses_are_counted_in_index_and_status(digitizer: CoreDigitizer) -> None:
     digitizer.send(Start())
-    digitizer.samples(np.zeros(80 + 100))
+    digitizer.samples(np.zeros(80 + 50))
+    digitizer.lost(0)  # is nothing
+    digitizer.samples(np.zeros(50))
     digitizer.lost(40)
     digitizer.samples(np.zeros(672 + 212))
     digitizer.lost(2000)  # over a frame's mark
