@@ -36,7 +36,7 @@ def specs(draw: st.DrawFn) -> FrameSpec:
     bits, parity = draw(st.integers(8, 10)), draw(st.booleans())
     chip_s = draw(st.integers(40_000, 100_000)) / 1e9
     resync = draw(st.sampled_from([0, 16, 32]))
-    span = 1.1 * (bits + 1) * order * chip_s
+    span = 1.2 * (bits + 1) * order * chip_s
     return FrameSpec(
         nodes=nodes,
         bits=bits,
