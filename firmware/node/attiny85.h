@@ -166,21 +166,24 @@ static BOARD_INLINE void board_spin(uint16_t at)
     while (board_ticks_until(at) > 3 * BOARD_SPIN_TICKS)
         ;
     /* Two readings, a cycle apart, tell the cycle t: twice the first one, and 1 more if they differ.
-     * It leaves 2·at - t cycles, of which the instructions here take 14 and the one that follows 2. */
+     * It leaves 2·at - t cycles, of which the instructions here take 16 and the one that follows 2. */
     __asm__ volatile("in __tmp_reg__, %[count]  \n\t"
                      "in %[odd], %[count]       \n\t"
                      "sub %[odd], __tmp_reg__   \n\t"
                      "sub %[left], __tmp_reg__  \n\t"
                      "lsl %[left]               \n\t"
                      "sub %[left], %[odd]       \n\t"
-                     "subi %[left], 16          \n\t"
+                     "subi %[left], 18          \n\t"
                      "1: subi %[left], 4        \n\t" /* 4 cycles each, 3 the last time */
                      "nop                       \n\t"
                      "brcc 1b                   \n\t"
                      "sbrc %[left], 0           \n\t" /* 2 cycles, or 3 */
                      "rjmp 2f                   \n\t"
-                     "2: sbrc %[left], 1        \n\t" /* 2 cycles, or 4 */
-                     "lpm                       \n\t"
+                     "2: sbrc %[left], 1        \n\t" /* and for twice as much two of them */
+                     "rjmp 3f                   \n\t"
+                     "3: sbrc %[left], 1        \n\t"
+                     "rjmp 4f                   \n\t"
+                     "4:                        \n\t"
                      : [left] "+d"(left), [odd] "=&r"(odd)
                      : [count] "I"(_SFR_IO_ADDR(TCNT1)));
 }
