@@ -55,22 +55,23 @@ uint32_t board_now(void)
 
 void board_sleep(uint32_t when, const volatile uint8_t *event)
 {
-    cli();
-    if ((int32_t)(when - board_now()) <= 10 * (int32_t)BOARD_TICKS_PER_US) {
-        sei();
-        return;
-    }
-    OCR1B = (uint16_t)when; /* further than 65,536 ticks away it rings too early, that is all */
-    TIFR1 = _BV(OCF1B);
-    TIMSK1 |= _BV(OCIE1B);
     rang = false;
+    ATOMIC_BLOCK (ATOMIC_RESTORESTATE) {
+        OCR1B = (uint16_t)when; /* further than 65,536 ticks away it rings too early, that is all */
+        TIFR1 = _BV(OCF1B);
+        TIMSK1 |= _BV(OCIE1B);
+    }
+    if ((int32_t)(when - board_now()) <= 0)
+        rang = true; /* too late for the alarm */
     /* what else wakes us, every chip for one, must not cost more than this */
-    while (!rang && !*event) {
+    for (;;) {
+        cli();
+        if (rang || *event)
+            break;
         sleep_enable();
         sei();
         sleep_cpu();
         sleep_disable();
-        cli();
     }
     TIMSK1 &= (uint8_t)~_BV(OCIE1B);
     sei();

@@ -66,22 +66,23 @@ uint32_t board_now(void)
 
 void board_sleep(uint32_t when, const volatile uint8_t *event)
 {
-    cli();
-    if ((int32_t)(when - board_now()) <= 256) { /* two counts of Timer0 */
-        sei();
-        return;
-    }
-    OCR0A = (uint8_t)(when >> 7); /* further than 8 ms away it rings too early, that is all */
-    TIFR = _BV(OCF0A);
-    TIMSK |= _BV(OCIE0A);
     rang = false;
+    ATOMIC_BLOCK (ATOMIC_RESTORESTATE) {
+        OCR0A = (uint8_t)(when >> 7); /* rings up to 32 µs late; further than 8 ms away too early, that is all */
+        TIFR = _BV(OCF0A);
+        TIMSK |= _BV(OCIE0A);
+    }
+    if ((int32_t)(when - board_now()) <= 0)
+        rang = true; /* too late for the alarm */
     /* what else wakes us, every chip for one, must not cost more than this */
-    while (!rang && !*event) {
+    for (;;) {
+        cli();
+        if (rang || *event)
+            break;
         sleep_enable();
         sei();
         sleep_cpu();
         sleep_disable();
-        cli();
     }
     TIMSK &= (uint8_t)~_BV(OCIE0A);
     sei();

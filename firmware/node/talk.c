@@ -170,7 +170,7 @@ ISR(BOARD_SYNC_vect)
     uint32_t when;
     uint16_t start, length;
     uint8_t ours, units;
-    bool spoke = false;
+    bool over, spoke = false;
 
     if (!board_sync_edge(&when)) {
         if (high)
@@ -183,12 +183,13 @@ ISR(BOARD_SYNC_vect)
     ours = answers();
     if (!ours)
         return;
+    over = board_sync_fell((uint16_t)rise, &length);
     start = aim();
-    do {
-        length = board_ticks_since((uint16_t)rise);
-        if (length >= LONGEST_PULSE_TICKS)
+    while (!over) {
+        if (board_ticks_since((uint16_t)rise) >= LONGEST_PULSE_TICKS)
             return; /* its end will be an interrupt, and no more */
-    } while (!board_sync_fell((uint16_t)rise, &length));
+        over = board_sync_fell((uint16_t)rise, &length);
+    }
     units = sync_pulse_units(length, UNIT_TICKS);
     if (ours & 1u << units)
         spoke = begin_slot(start);
