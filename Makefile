@@ -18,7 +18,7 @@ export LC_ALL ?= C.UTF-8
 
 BIN = $(VENV)/bin
 .DEFAULT_GOAL := help
-.PHONY: help run test lint setup bench-setup clean firmware firmware-test
+.PHONY: help run test lint setup bench-setup clean firmware firmware-test firmware-tools
 
 help:
 	@sed -n 's/^# //p' Makefile
@@ -38,9 +38,12 @@ lint: setup
 	@"$(BIN)/ruff" check .
 	@"$(BIN)/ruff" format --check --quiet .
 	@"$(BIN)/mypy"
+	@"$(BIN)/mypy" firmware/sim/*.py
 
-firmware: setup
+firmware-tools: setup
 	@"$(BIN)/python" tools/firmware_tools.py --require
+
+firmware: firmware-tools
 	@$(MAKE) --no-print-directory -s -C firmware
 
 firmware-test: firmware

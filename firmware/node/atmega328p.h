@@ -3,7 +3,7 @@
  *
  * Timer1 counts cycles. It captures the edges of the sync line and makes those of the line, so that
  * no interrupt's latency is in them. Fuses: crystal, no division by 8, brown-out at 2.7 V,
- * EEPROM kept when the chip is erased (low 0xFF, high 0xD1, extended 0xFD).
+ * EEPROM kept when the chip is erased (low 0xFD, high 0xD1, extended 0xFD).
  */
 #ifndef NODE_ATMEGA328P_H
 #define NODE_ATMEGA328P_H
@@ -106,9 +106,19 @@ static BOARD_INLINE bool board_sync_edge(uint32_t *when)
     return rising;
 }
 
+static BOARD_INLINE bool board_sync_pending(void)
+{
+    return TIFR1 & _BV(ICF1);
+}
+
 static BOARD_INLINE int16_t board_ticks_until(uint16_t at)
 {
     return (int16_t)(at - TCNT1);
+}
+
+static BOARD_INLINE uint16_t board_ticks_since(uint16_t then)
+{
+    return TCNT1 - then;
 }
 
 #define BOARD_SPIN_TICKS 40

@@ -136,12 +136,27 @@ static BOARD_INLINE bool board_sync_edge(uint32_t *when)
     return PINB & _BV(BOARD_SYNC);
 }
 
+static BOARD_INLINE bool board_sync_pending(void)
+{
+    if (!(GIFR & _BV(INTF0)))
+        return false;
+    GPIOR0 = TCNT1;
+    GIFR = _BV(INTF0);
+    return true;
+}
+
 /* From 24 ticks ago to 231 ahead. */
 static BOARD_INLINE int16_t board_ticks_until(uint16_t at)
 {
     uint8_t left = (uint8_t)((uint8_t)at - TCNT1);
 
     return left < 232u ? left : (int16_t)(left - 256);
+}
+
+/* Up to 255. */
+static BOARD_INLINE uint16_t board_ticks_since(uint16_t then)
+{
+    return (uint8_t)(TCNT1 - (uint8_t)then);
 }
 
 #define BOARD_SPIN_TICKS 20

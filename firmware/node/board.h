@@ -52,8 +52,9 @@ static BOARD_INLINE void board_latch(bool high);
 /* The switch. */
 static BOARD_INLINE void board_drive(void);
 static BOARD_INLINE void board_release(void);
-/* Ticks until a near time. */
+/* Ticks until a near time, and since one. */
 static BOARD_INLINE int16_t board_ticks_until(uint16_t at);
+static BOARD_INLINE uint16_t board_ticks_since(uint16_t then);
 /* Waits, to the cycle, so that board_drive or board_release right after it takes effect at `at`. */
 static BOARD_INLINE void board_spin(uint16_t at);
 
@@ -62,6 +63,8 @@ static BOARD_INLINE void board_sync_on(void);
 static BOARD_INLINE void board_sync_off(void);
 /* In that interrupt: whether the edge was a rising one, and when it came. */
 static BOARD_INLINE bool board_sync_edge(uint32_t *when);
+/* Whether another edge has come meanwhile; then board_sync_edge tells of it. */
+static BOARD_INLINE bool board_sync_pending(void);
 
 #if defined(__AVR_ATmega328P__)
 #include "atmega328p.h"

@@ -7,6 +7,7 @@
 #include "sync_pulse.h"
 
 #define UNIT_TICKS (TP_SYNC_UNIT_US * BOARD_TICKS_PER_US)
+#define LONGEST_PULSE_TICKS (TP_SYNC_CALL * UNIT_TICKS + UNIT_TICKS / 2u)
 /* The interrupt that ends a sub-slot comes so long before its end: others may be running. */
 #define RELEASE_LEAD_TICKS (30u * BOARD_TICKS_PER_US)
 /* A last chip shorter than this is waited for by the interrupt that began it. */
@@ -129,20 +130,9 @@ static BOARD_INLINE bool begin_slot(void)
     return true;
 }
 
-/* What the pulse may be is settled while it lasts, for there is little time when it is over. */
-static BOARD_INLINE void pulse_begins(uint32_t when)
-{
-    rise = when;
-    high = true;
-    may_frame = when - frame.when >= earliest;
-    may_restart = state == PAUSED &&
-                  when - slot_rise - restart_earliest <= restart_width;
-}
-
 static BOARD_INLINE void pulse_ends(uint32_t when)
 {
     uint8_t units = sync_pulse_units(when - rise, UNIT_TICKS);
-
     bool speaks = false;
 
     high = false;
@@ -160,13 +150,31 @@ static BOARD_INLINE void pulse_ends(uint32_t when)
         frame.spoke = false;
 }
 
+static BOARD_INLINE void pulse_begins(uint32_t when)
+{
+    rise = when;
+    high = true;
+    may_frame = when - frame.when >= earliest;
+    may_restart = state == PAUSED &&
+                  when - slot_rise - restart_earliest <= restart_width;
+}
+
+/* After a roll call's pulse there are 16 µs to the first chip, less than another interrupt would take:
+ * who might have to speak waits for the pulse's end here. */
 ISR(BOARD_SYNC_vect)
 {
     uint32_t when;
 
-    if (board_sync_edge(&when))
+    if (board_sync_edge(&when)) {
         pulse_begins(when);
-    else if (high)
+        if (!may_restart && !(may_frame && planned && (plan_talks || plan_talks_first)))
+            return;
+        while (!board_sync_pending())
+            if (board_ticks_since((uint16_t)when) >= LONGEST_PULSE_TICKS)
+                return;
+        board_sync_edge(&when);
+    }
+    if (high)
         pulse_ends(when);
 }
 

@@ -14,9 +14,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from emulated import EmulationError
-from skin import PressedSkin, reference_skin
-
+from emulated import EmulatedSkin, EmulationError
+from skin import PressedSkin, reference_amplifier, reference_nodes
 from tactile_cdma.errors import TactileError
 from tactile_cdma.parameters import SkinConfig, read_file
 from tactile_cdma.sim.pty import serve
@@ -31,9 +30,7 @@ MOST_LAG_S = 0.1
 class LiveSkin:
     """An emulated skin in the host's time: a `tactile_cdma.sim.pty.Digitizer`."""
 
-    def __init__(
-        self, skin: PressedSkin, clock: Callable[[], float] = time.monotonic
-    ) -> None:
+    def __init__(self, skin: PressedSkin, clock: Callable[[], float] = time.monotonic) -> None:
         self._skin, self._clock = skin, clock
         self._origin_s = clock()
         self._output = bytearray()
@@ -44,11 +41,11 @@ class LiveSkin:
 
     def advance(self, wanted: int) -> float:
         """Let the emulation catch up with the host's clock, by a step at most."""
-        lag_s = self._clock() - self._origin_s - self._skin.time_s
+        lag_s = self._clock() - self._origin_s - self._skin.now_ns * 1e-9
         if lag_s > MOST_LAG_S:
             self._origin_s += lag_s - MOST_LAG_S
         if lag_s >= STEP_S:
-            self._skin.run(self._skin.time_s + STEP_S)
+            self._skin.run(self._skin.now_ns + round(STEP_S * 1e9))
             self._output += self._skin.read()
         return max(0.0, STEP_S - lag_s)
 
@@ -71,8 +68,9 @@ def main() -> int:
         signal.signal(number, lambda *_: stop.set())
     try:
         config = SkinConfig.of(read_file(arguments.params))
-        skin = reference_skin(config, SCENES[arguments.scene])
-        serve(lambda: LiveSkin(skin), arguments.link, stop, lambda p: print(p, flush=True))
+        with EmulatedSkin(reference_nodes(config), reference_amplifier(config)) as nodes:
+            skin = PressedSkin(config, SCENES[arguments.scene], nodes, nodes)
+            serve(lambda: LiveSkin(skin), arguments.link, stop, lambda p: print(p, flush=True))
     except (EmulationError, TactileError) as error:
         print(f"{Path(__file__).name}: {error}", file=sys.stderr)
         return 1

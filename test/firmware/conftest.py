@@ -66,6 +66,16 @@ def built() -> Callable[[str], Path]:
 
 
 @pytest.fixture(scope="session")
+def rp2040_image(built: Callable[[str], Path]) -> Path:
+    """The RP2040's image, where there is an emulator to run it."""
+    need("arm-none-eabi-gcc")
+    need("node")
+    if not (FIRMWARE / "sim" / "node_modules" / "rp2040js").is_dir():
+        pytest.skip("no rp2040js; `make firmware-tools` gets it")
+    return built("rp2040") / "rp2040" / "digitizer.bin"
+
+
+@pytest.fixture(scope="session")
 def emulator(built: Callable[[str], Path]) -> None:
     """The library of emulated.py."""
     if not Path("/usr/include/simavr/sim_avr.h").exists():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import struct
 from ctypes import POINTER, byref, c_bool, c_size_t, c_uint8, c_uint16, c_uint32, c_uint64
 from dataclasses import dataclass
 from typing import Any
@@ -58,7 +59,7 @@ class Pulse:
     @property
     def announces(self) -> int:
         """Tick of the frame or restart that it announces, at 48 ticks per µs."""
-        return self.tick + 48 * SYNC_UNIT_US * SYNC_LEAD
+        return int(self.tick + 48 * SYNC_UNIT_US * SYNC_LEAD)
 
 
 class CoreDigitizer:
@@ -76,11 +77,14 @@ class CoreDigitizer:
         declare(core)
         self._core, self.now_us = core, now_us
         self.board = board or Board.of()
+        self.capacity = capacity
         self.output_size = core.shim_output_min(capacity) * 8 if output is None else output
         self._shim = core.shim_new(byref(self.board), self.output_size, capacity, now_us)
         self.parser, self.writer = PacketParser(), PacketWriter()
-        self.events: list[tuple[str, Any]] = []
-        """All that was done to it, for a replay elsewhere."""
+        self.events: list[tuple[str, bytes]] = []
+        """All that was done to it, as events of digitizer/replay."""
+        self.given = b""
+        """What came of it: pulses and bytes to be sent, in the order of asking."""
 
     def close(self) -> None:
         self._core.shim_free(self._shim)
@@ -98,7 +102,7 @@ class CoreDigitizer:
 
     def receive(self, data: bytes) -> None:
         """Bytes from the host; starts the stream anew where that is what they ask for."""
-        self.events.append(("receive", data))
+        self.events.append(("r", data))
         self._core.dg_receive(self._shim, data, len(data), self.now_us)
         if self._core.dg_restarted(self._shim) and self.running:
             self._core.dg_begin(self._shim, self.now_us)
@@ -109,16 +113,16 @@ class CoreDigitizer:
 
     def samples(self, counts: NDArray[Any]) -> None:
         data = np.ascontiguousarray(counts, dtype=np.uint16)
-        self.events.append(("samples", data.tobytes()))
+        self.events.append(("s", data.tobytes()))
         self._core.dg_samples(self._shim, data.ctypes.data_as(POINTER(c_uint16)), data.size)
 
     def lost(self, size: int) -> None:
-        self.events.append(("lost", size))
+        self.events.append(("l", struct.pack("<I", size)))
         self._core.dg_lost(self._shim, size)
 
     def time(self, now_us: int) -> None:
         self.now_us = now_us
-        self.events.append(("time", now_us))
+        self.events.append(("t", struct.pack("<Q", now_us)))
         self._core.dg_time(self._shim, now_us)
 
     def sync_fault(self) -> None:
@@ -126,14 +130,17 @@ class CoreDigitizer:
 
     def pulses(self, count: int) -> list[Pulse]:
         """The next pulses; fewer where there are no more."""
-        self.events.append(("pulses", count))
-        pulses, pulse = [], _Pulse()
+        self.events.append(("p", struct.pack("<I", count)))
+        pulses: list[Pulse] = []
+        pulse = _Pulse()
         while len(pulses) < count and self._core.dg_pulse(self._shim, byref(pulse)):
             pulses.append(Pulse(pulse.tick, pulse.units))
+            self.given += struct.pack("<QB", pulse.tick, pulse.units)
         return pulses
 
     def take(self, most: int = 1 << 30) -> bytes:
         """Bytes of the output, as the line would take them: in as many goes as the ring wants."""
+        self.events.append(("o", struct.pack("<I", most)))
         taken = b""
         start = POINTER(c_uint8)()
         while most > 0 and (size := self._core.dg_output(self._shim, byref(start))):
@@ -141,6 +148,7 @@ class CoreDigitizer:
             taken += ctypes.string_at(start, size)
             self._core.dg_sent(self._shim, size)
             most -= size
+        self.given += taken
         return taken
 
     def packets(self) -> list[Packet]:
@@ -148,8 +156,9 @@ class CoreDigitizer:
         received = self.parser.feed(self.take())
         seen = self.parser.counters
         assert not seen.crc_errors + seen.framing_errors + seen.malformed + seen.unknown
-        assert all(isinstance(packet, Packet) for packet in received)
-        return received  # type: ignore[return-value]
+        packets = [packet for packet in received if isinstance(packet, Packet)]
+        assert len(packets) == len(received)
+        return packets
 
 
 def declare(core: ctypes.CDLL) -> None:

@@ -15,7 +15,7 @@ from tactile_cdma.encode import frame_levels, line_chips
 from tactile_cdma.frame import FrameSpec
 
 sys.path.insert(0, str(FIRMWARE / "sim"))
-from emulated import EDGE, EmulatedNodes, Node  # noqa: E402
+from emulated import EDGE, EmulatedNodes, Node
 
 UNIT_NS, LEAD_NS = 16_000, 64_000
 RESTART, FRAME, CALL = 1, 2, 3
@@ -44,7 +44,9 @@ class Bench:
         self.skin.sync(rise_ns, True)
         self.skin.sync(rise_ns + length_ns, False)
 
-    def frame(self, number: int, units: int = FRAME, late_ns: int = 0, skip: Sequence[int] = ()) -> int:
+    def frame(
+        self, number: int, units: int = FRAME, late_ns: int = 0, skip: Sequence[int] = ()
+    ) -> int:
         """All pulses of a frame, in its turn; run to its end. Returns when its first chip is due.
 
         late_ns: it comes so much after its time. skip: restart pulses that don't come.

@@ -1,4 +1,4 @@
-"""Samples → packets in C, against the virtual digitizer and against the rules in exact fractions."""
+"""Samples → packets in C, against the virtual digitizer and the rules in exact fractions."""
 
 from __future__ import annotations
 

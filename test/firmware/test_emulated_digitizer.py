@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import Specimen
-from emulated import Amplifier, EmulatedSkin, Node
 
+from emulated import Amplifier, EmulatedSkin, Node
 from tactile_cdma._protocol import PacketType, Result, SyncMode
 from tactile_cdma.frame import FrameSpec
 from tactile_cdma.messages import (

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import Specimen
+
 from emulated import Amplifier, EmulatedNodes, EmulationError, Node
 
 CYCLE_NS = 125

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from itertools import islice, pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,20 +14,16 @@ import yaml
 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
 from lifecycle_msgs.msg import State, Transition  # noqa: E402
-from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
-from rcl_interfaces.srv import DescribeParameters, SetParameters  # noqa: E402
-from rclpy.executors import SingleThreadedExecutor  # noqa: E402
-from rclpy.node import Node  # noqa: E402
-from rclpy.parameter import Parameter  # noqa: E402
+from rcl_interfaces.srv import DescribeParameters  # noqa: E402
 from sensor_msgs.msg import Image  # noqa: E402
 
+from skin_client import running, wait_for  # noqa: E402
 from tactile_cdma.calibration import AdcScale, PressureCurve  # noqa: E402
-from tactile_cdma.msg import TactileArray, TactileSkinInfo  # noqa: E402
+from tactile_cdma.msg import TactileArray  # noqa: E402
 from tactile_cdma.parameters import PARAMETERS  # noqa: E402
-from tactile_cdma.ros.node import LATCHED, PICTURE, SkinNode  # noqa: E402
-from tactile_cdma.ros.view import QUEUE  # noqa: E402
+from tactile_cdma.ros.node import PICTURE  # noqa: E402
 from tactile_cdma.sim.digitizer import VirtualDigitizer, truth  # noqa: E402
 from tactile_cdma.sim.options import Setup, SimOptions  # noqa: E402
 from tactile_cdma.sim.pty import serve  # noqa: E402
@@ -38,76 +32,11 @@ from tactile_cdma.taxels import Status  # noqa: E402
 pytestmark = pytest.mark.ros
 
 
-class Client(Node):
-    """A subscriber and caller of services, as any user's node would be."""
-
-    def __init__(self) -> None:
-        super().__init__("client")
-        self.arrays: list[TactileArray] = []
-        self.images: list[Image] = []
-        self.infos: list[TactileSkinInfo] = []
-        self.diagnostics: list[DiagnosticStatus] = []
-        self.create_subscription(TactileArray, "/skin/tactile", self.arrays.append, QUEUE)
-        self.create_subscription(TactileSkinInfo, "/skin/info", self.infos.append, LATCHED)
-        self.create_subscription(
-            DiagnosticArray, "/diagnostics", lambda m: self.diagnostics.extend(m.status), 10
-        )
-
-    def call(self, kind: Any, name: str, request: Any) -> Any:
-        client = self.create_client(kind, f"/skin/{name}")
-        assert client.wait_for_service(10), f"no service {name}"
-        future = client.call_async(request)
-        wait_for(future.done)
-        self.destroy_client(client)
-        return future.result()
-
-    def change(self, transition: int) -> bool:
-        request = ChangeState.Request(transition=Transition(id=transition))
-        return bool(self.call(ChangeState, "change_state", request).success)
-
-    def state(self) -> int:
-        return int(self.call(GetState, "get_state", GetState.Request()).current_state.id)
-
-    def set(self, **values: Any) -> tuple[bool, str]:
-        """Set one parameter; returns whether it was taken and the reason if not."""
-        parameters = [Parameter(n, value=v).to_parameter_msg() for n, v in values.items()]
-        request = SetParameters.Request(parameters=parameters)
-        [result] = self.call(SetParameters, "set_parameters", request).results
-        return result.successful, result.reason
-
-
-def wait_for(condition: Callable[[], object], timeout_s: float = 15.0) -> None:
-    deadline = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline, "waited in vain"
-        time.sleep(0.01)
-
-
 @pytest.fixture(scope="module", autouse=True)
 def ros() -> Iterator[None]:
     rclpy.init()
     yield
     rclpy.shutdown()
-
-
-@contextmanager
-def running(**parameters: Any) -> Iterator[tuple[SkinNode, Client]]:
-    """A driver node and a client, each spinning in a thread of its own."""
-    overrides = [Parameter(name, value=value) for name, value in parameters.items()]
-    node, client = SkinNode(parameter_overrides=overrides), Client()
-    executors = [SingleThreadedExecutor(), SingleThreadedExecutor()]
-    threads = []
-    for executor, member in zip(executors, (node, client), strict=True):
-        executor.add_node(member)
-        threads.append(threading.Thread(target=executor.spin))
-        threads[-1].start()
-    try:
-        yield node, client
-    finally:
-        for executor, thread, member in zip(executors, threads, (node, client), strict=True):
-            executor.shutdown()
-            thread.join()
-            member.destroy_node()
 
 
 def test_status_bits_are_those_of_the_message() -> None:

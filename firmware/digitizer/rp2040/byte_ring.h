@@ -1,0 +1,53 @@
+/* Bytes between an interrupt and main(): one of them puts, the other gets. */
+#ifndef RP2040_BYTE_RING_H
+#define RP2040_BYTE_RING_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#define BYTE_RING_SIZE 4096u /* a power of two */
+
+struct byte_ring {
+    volatile uint32_t put, got; /* in all, modulo 2³² */
+    uint8_t bytes[BYTE_RING_SIZE];
+};
+
+static inline size_t byte_ring_used(const struct byte_ring *ring)
+{
+    return ring->put - ring->got;
+}
+
+static inline size_t byte_ring_room(const struct byte_ring *ring)
+{
+    return BYTE_RING_SIZE - byte_ring_used(ring);
+}
+
+/* Returns how many there was room for. */
+static inline size_t byte_ring_put(struct byte_ring *ring, const uint8_t *bytes, size_t size)
+{
+    size_t room = byte_ring_room(ring), put = ring->put;
+
+    if (size > room)
+        size = room;
+    for (size_t i = 0; i < size; i++)
+        ring->bytes[(put + i) % BYTE_RING_SIZE] = bytes[i];
+    __asm__ volatile("" ::: "memory"); /* bytes before their number */
+    ring->put = put + size;
+    return size;
+}
+
+/* Returns how many there were. */
+static inline size_t byte_ring_get(struct byte_ring *ring, uint8_t *bytes, size_t size)
+{
+    size_t used = byte_ring_used(ring), got = ring->got;
+
+    if (size > used)
+        size = used;
+    for (size_t i = 0; i < size; i++)
+        bytes[i] = ring->bytes[(got + i) % BYTE_RING_SIZE];
+    __asm__ volatile("" ::: "memory");
+    ring->got = got + size;
+    return size;
+}
+
+#endif

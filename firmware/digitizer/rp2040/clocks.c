@@ -1,0 +1,84 @@
+/* Clocks, watchdog and time.
+ *
+ * clk_sys is 96 MHz, not the usual 125: the PWM then counts, with a whole divider, the same 48 MHz
+ * that the ADC counts, so sync pulses lie on the sampling clock's ticks exactly.
+ */
+#include "rp2040.h"
+#include "registers.h"
+
+#define CRYSTAL_MHZ 12u
+#define WATCHDOG_US 500000u
+
+static volatile uint32_t tick_us;
+
+static void pll_start(volatile struct pll *pll, uint32_t reset, uint32_t fbdiv, uint32_t prim)
+{
+    reset_blocks(reset);
+    pll->cs = 1; /* reference: the crystal */
+    pll->fbdiv = fbdiv;
+    clear_bits(&pll->pwr, PLL_PWR_PD | PLL_PWR_VCOPD);
+    while (!(pll->cs & PLL_LOCK))
+        ;
+    pll->prim = prim;
+    clear_bits(&pll->pwr, PLL_PWR_POSTDIVPD);
+}
+
+void clocks_init(void)
+{
+    XOSC->startup = 47; /* · 256 periods: 1 ms */
+    XOSC->ctrl = XOSC_ENABLE_1_15MHZ;
+    while (!(XOSC->status & XOSC_STABLE))
+        ;
+    CLK_REF->ctrl = CLK_REF_XOSC;
+    while (!(CLK_REF->selected & 1u << CLK_REF_XOSC))
+        ;
+    CLK_SYS->ctrl = 0; /* clk_ref, while its PLL is set up */
+    while (!(CLK_SYS->selected & 1u))
+        ;
+    pll_start(PLL_SYS, RESET_PLL_SYS, 120, PLL_PRIM(5, 3)); /* 1440 MHz / 15 = 96 MHz */
+    pll_start(PLL_USB, RESET_PLL_USB, 100, PLL_PRIM(5, 5)); /* 1200 MHz / 25 = 48 MHz */
+    CLK_SYS->div = CLK_DIV_1;
+    CLK_SYS->ctrl = CLK_SYS_AUX;
+    while (!(CLK_SYS->selected & 1u << CLK_SYS_AUX))
+        ;
+    CLK_PERI->ctrl = CLK_ENABLE; /* clk_sys */
+    CLK_USB->div = CLK_DIV_1;
+    CLK_USB->ctrl = CLK_ENABLE; /* PLL_USB, and so … */
+    CLK_ADC->div = CLK_DIV_1;
+    CLK_ADC->ctrl = CLK_ENABLE; /* … here */
+
+    reset_blocks(RESET_TIMER | RESET_IO_BANK0 | RESET_PADS_BANK0 | RESET_DMA);
+    WATCHDOG->tick = CRYSTAL_MHZ | WATCHDOG_TICK_ENABLE; /* 1 µs; the timer's tick, too */
+    watchdog_feed();
+    WATCHDOG->ctrl = WATCHDOG_ENABLE;
+
+    TIMER->inte = 1;
+    NVIC_ISER = 1u << IRQ_TIMER_0;
+}
+
+void watchdog_feed(void)
+{
+    WATCHDOG->load = 2 * WATCHDOG_US; /* it counts down twice per tick (erratum E1) */
+}
+
+uint64_t time_us(void)
+{
+    for (;;) {
+        uint32_t high = TIMER->timerawh, low = TIMER->timerawl;
+        if (high == TIMER->timerawh)
+            return (uint64_t)high << 32 | low;
+    }
+}
+
+void tick_every(uint32_t us)
+{
+    tick_us = us;
+    TIMER->alarm[0] = TIMER->timerawl + us;
+}
+
+void tick_interrupt(void)
+{
+    TIMER->intr = 1;
+    TIMER->alarm[0] = TIMER->timerawl + tick_us;
+    wake();
+}

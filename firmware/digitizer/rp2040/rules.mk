@@ -1,0 +1,33 @@
+# build/rp2040/digitizer.elf, .bin and .uf2
+RP2040_DIR := digitizer/rp2040
+RP2040_OUT := $(BUILD)/rp2040
+RP2040_CC := arm-none-eabi-gcc
+RP2040_FLAGS := -mcpu=cortex-m0plus -mthumb -O2 -g -ffunction-sections -fdata-sections
+RP2040_CORE := digitizer setup stream pulses packet cobs crc32
+RP2040_OBJECTS := $(RP2040_CORE:%=$(RP2040_OUT)/core/%.o) \
+    $(patsubst $(RP2040_DIR)/%.c,$(RP2040_OUT)/%.o,$(wildcard $(RP2040_DIR)/*.c)) \
+    $(RP2040_OUT)/boot2.o
+
+rp2040: $(RP2040_OUT)/digitizer.uf2
+
+$(RP2040_OUT)/digitizer.uf2: $(RP2040_OUT)/linked.bin $(RP2040_DIR)/image.py
+	python3 $(RP2040_DIR)/image.py $< $(@:.uf2=.bin) $@
+
+$(RP2040_OUT)/linked.bin: $(RP2040_OUT)/digitizer.elf
+	arm-none-eabi-objcopy -O binary $< $@
+
+$(RP2040_OUT)/digitizer.elf: $(RP2040_OBJECTS) $(RP2040_DIR)/rp2040.ld
+	$(RP2040_CC) $(RP2040_FLAGS) -nostartfiles -Wl,--gc-sections -Wl,--fatal-warnings \
+	    -T $(RP2040_DIR)/rp2040.ld $(RP2040_OBJECTS) -o $@
+
+$(RP2040_OUT)/core/%.o: $(CORE)/%.c $(wildcard $(CORE)/*.h) $(RP2040_DIR)/rules.mk
+	@mkdir -p $(@D)
+	$(RP2040_CC) $(RP2040_FLAGS) $(STRICT) -c $< -o $@
+
+$(RP2040_OUT)/%.o: $(RP2040_DIR)/%.c $(wildcard $(CORE)/*.h $(RP2040_DIR)/*.h) $(RP2040_DIR)/rules.mk
+	@mkdir -p $(@D)
+	$(RP2040_CC) $(RP2040_FLAGS) $(STRICT) -c $< -o $@
+
+$(RP2040_OUT)/%.o: $(RP2040_DIR)/%.S
+	@mkdir -p $(@D)
+	$(RP2040_CC) $(RP2040_FLAGS) -c $< -o $@

@@ -1,0 +1,94 @@
+/* Sync pulses, made by PWM slice 0: one of its periods is one interval of the sync line, which may
+ * begin with a pulse. It counts the ADC's ticks, and takes over the next period's length and pulse
+ * when one ends; so an interrupt has a whole interval's time to say what comes after the running
+ * one, and none of its latency is in the pulses. Long intervals are made of several periods.
+ */
+#include "rp2040.h"
+#include "registers.h"
+
+#define SYS_PER_TICK 2u
+#define FIRST_TICKS 6000u /* before the first pulse comes its lead and more: DG_FIRST_MARK_US */
+#define MAX_TICKS 65536u  /* of a period */
+#define SPARE_TICKS (2 * TICKS_PER_US) /* the time is known to 1 µs */
+#define SLICE_0 1u
+
+static struct dg *source;
+static struct moment begin;
+static struct dg_pulse pulse; /* the next that is not programmed */
+static bool pulse_left;
+static uint64_t running_end, programmed_end; /* of the running and of the programmed period */
+static volatile bool failed;
+
+/* Puts the line low; a restarted slice counts from 0. */
+void sync_stop(void)
+{
+    IO_BANK0->gpio[PIN_SYNC].ctrl = IO_SIO;
+    SIO->out_clr = 1u << PIN_SYNC;
+    SIO->oe_set = 1u << PIN_SYNC;
+    PADS_BANK0->gpio[PIN_SYNC] = PAD_DRIVE_4MA | PAD_SCHMITT;
+    reset_blocks(RESET_PWM);
+}
+
+void sync_prepare(void)
+{
+    sync_stop();
+    PWM->slice[0].div = PWM_DIV(SYS_PER_TICK);
+    PWM->slice[0].top = FIRST_TICKS - 1;
+    PWM->slice[0].cc = 0;
+    IO_BANK0->gpio[PIN_SYNC].ctrl = IO_PWM;
+}
+
+/* Says what comes after the programmed period. */
+static void program_next(void)
+{
+    uint32_t high = 0;
+    uint64_t left = MAX_TICKS; /* to the next pulse, if there is one */
+
+    if (pulse_left && pulse.tick == programmed_end) {
+        high = pulse.units * TP_SYNC_UNIT_US * TICKS_PER_US;
+        pulse_left = dg_pulse(source, &pulse);
+    }
+    if (pulse_left)
+        left = pulse.tick - programmed_end;
+    uint32_t length = (uint32_t)(left > 2 * MAX_TICKS ? MAX_TICKS : left);
+    if (length > MAX_TICKS)
+        length /= 2; /* no short period at the end */
+    PWM->slice[0].cc = high;
+    PWM->slice[0].top = length - 1;
+    running_end = programmed_end;
+    programmed_end += length;
+
+    /* of 32 bits, the difference is right */
+    uint32_t now = begin.tick + (TIMER->timerawl - (uint32_t)begin.us) * TICKS_PER_US;
+    if ((int32_t)((uint32_t)running_end - now) < (int32_t)SPARE_TICKS) {
+        failed = true;
+        sync_stop();
+    }
+}
+
+void sync_start(struct dg *dg, uint32_t begin_tick, const struct moment *moment)
+{
+    failed = false;
+    source = dg;
+    begin = *moment;
+    programmed_end = begin_tick + FIRST_TICKS;
+    pulse_left = dg_pulse(dg, &pulse);
+    if (!pulse_left)
+        return;
+    program_next();
+    PWM->inte = SLICE_0;
+    NVIC_ISER = 1u << IRQ_PWM_WRAP;
+}
+
+bool sync_failed(void)
+{
+    return failed;
+}
+
+void sync_interrupt(void)
+{
+    PWM->intr = SLICE_0;
+    program_next();
+    if (failed)
+        wake();
+}

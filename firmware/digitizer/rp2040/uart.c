@@ -1,0 +1,60 @@
+/* UART0: received bytes by interrupt, sent ones by DMA. */
+#include "rp2040.h"
+#include "byte_ring.h"
+#include "registers.h"
+
+static struct byte_ring received;
+
+void uart_init(void)
+{
+    IO_BANK0->gpio[PIN_UART_TX].ctrl = IO_UART;
+    IO_BANK0->gpio[PIN_UART_RX].ctrl = IO_UART;
+    PADS_BANK0->gpio[PIN_UART_TX] = PAD_DRIVE_4MA | PAD_SCHMITT;
+    PADS_BANK0->gpio[PIN_UART_RX] = PAD_INPUT | PAD_SCHMITT | PAD_PULL_UP | PAD_NO_OUTPUT;
+
+    reset_blocks(RESET_UART0);
+    UART0->ibrd = 3; /* 96 MHz / (16 · 3) = 2 Mbaud */
+    UART0->fbrd = 0;
+    UART0->lcr_h = UART_LCR_8N1_FIFO;
+    UART0->dmacr = UART_DMA_TX;
+    UART0->imsc = UART_INT_RX | UART_INT_RX_TIMEOUT;
+    UART0->cr = UART_CR_ENABLE;
+
+    DMA->inte0 = 1u << DMA_UART;
+    NVIC_ISER = 1u << IRQ_UART0 | 1u << IRQ_DMA_0;
+}
+
+void uart_interrupt(void)
+{
+    while (!(UART0->fr & UART_FR_RXFE)) {
+        uint8_t byte = (uint8_t)UART0->dr;
+        byte_ring_put(&received, &byte, 1); /* if full: its packet is broken, which is counted */
+    }
+    UART0->icr = UART_INT_RX_TIMEOUT;
+    wake();
+}
+
+size_t uart_read(uint8_t *bytes, size_t size)
+{
+    return byte_ring_get(&received, bytes, size);
+}
+
+void uart_send(const uint8_t *bytes, size_t size)
+{
+    DMA_CHANNEL(DMA_UART)->read_addr = (uint32_t)bytes;
+    DMA_CHANNEL(DMA_UART)->write_addr = (uint32_t)&UART0->dr;
+    DMA_CHANNEL(DMA_UART)->trans_count = size;
+    DMA_CHANNEL(DMA_UART)->ctrl_trig =
+        DMA_EN | DMA_INCR_READ | DMA_CHAIN_TO(DMA_UART) | DMA_TREQ(DREQ_UART0_TX);
+}
+
+bool uart_sending(void)
+{
+    return DMA_CHANNEL(DMA_UART)->ctrl_trig & DMA_BUSY;
+}
+
+void uart_sent_interrupt(void)
+{
+    DMA->ints0 = 1u << DMA_UART;
+    wake();
+}

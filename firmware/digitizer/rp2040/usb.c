@@ -1,0 +1,390 @@
+/* A USB CDC ACM device: two byte streams, of bulk packets. Line coding and DTR are taken note of by
+ * nobody: what the host reads are packets, which need neither.
+ */
+#include "byte_ring.h"
+#include "registers.h"
+#include "rp2040.h"
+#include "usb_descriptors.h"
+
+enum direction { DIR_IN, DIR_OUT };
+enum { GET_STATUS = 0, CLEAR_FEATURE = 1, SET_FEATURE = 3, SET_ADDRESS = 5, GET_DESCRIPTOR = 6,
+       GET_CONFIGURATION = 8, SET_CONFIGURATION = 9,
+       SET_LINE_CODING = 0x20, GET_LINE_CODING = 0x21, SET_CONTROL_LINE_STATE = 0x22 };
+enum { TO_DEVICE = 0x00, TO_INTERFACE = 0x01, TO_ENDPOINT = 0x02, CLASS = 0x20, FROM_DEVICE = 0x80 };
+
+struct setup_packet {
+    uint8_t request_type, request;
+    uint16_t value, index, length;
+};
+
+/* Buffers in the controller's memory, as offsets from its beginning. */
+#define EP0_BUFFER 0x100u
+#define NOTIFY_BUFFER 0x180u
+#define IN_BUFFER 0x1c0u
+#define OUT_BUFFER 0x200u
+
+static struct byte_ring received;
+static uint8_t serial[8];
+static uint32_t next_data1[3][2]; /* data toggle of every endpoint's next packet */
+static volatile bool configured, receiving, sending;
+static const uint8_t *to_send;
+static size_t to_send_left;
+static bool sent_full; /* the last packet was */
+
+/* of the control transfer in progress */
+static const uint8_t *reply;
+static size_t reply_left;
+static bool reply_zero; /* ends with an empty packet */
+static uint8_t new_address;
+
+static volatile uint32_t *memory(uint32_t offset)
+{
+    return (volatile uint32_t *)((uintptr_t)USB_DPRAM + offset);
+}
+
+static void copy_in(uint32_t offset, const uint8_t *bytes, size_t size)
+{
+    volatile uint32_t *to = memory(offset);
+    const uint8_t *end = bytes + size;
+
+    for (; end - bytes >= 4; bytes += 4)
+        *to++ = bytes[0] | (uint32_t)bytes[1] << 8 | (uint32_t)bytes[2] << 16 |
+                (uint32_t)bytes[3] << 24;
+    if (bytes == end)
+        return;
+    uint32_t rest = 0;
+    while (end > bytes)
+        rest = rest << 8 | *--end;
+    *to = rest;
+}
+
+static void copy_out(uint8_t *bytes, uint32_t offset, size_t size)
+{
+    for (size_t i = 0; i < size; i++)
+        bytes[i] = (uint8_t)(*memory(offset + (i & ~3u)) >> 8 * (i & 3u));
+}
+
+/* Gives the controller a buffer: full for IN, to be filled for OUT. */
+static void hand_over(uint32_t endpoint, enum direction direction, uint32_t bits)
+{
+    volatile uint32_t *control = &USB_DPRAM->buf_ctrl[endpoint][direction];
+    uint32_t *data1 = &next_data1[endpoint][direction];
+
+    bits |= *data1;
+    *data1 ^= USB_BUF_DATA1;
+    *control = bits;
+    /* clk_usb must see the rest before it sees this: 3 of its cycles, 6 of ours */
+    __asm__ volatile("nop\n nop\n nop\n nop\n nop\n nop" ::: "memory");
+    *control = bits | USB_BUF_AVAILABLE;
+}
+
+static void control_send(const uint8_t *bytes, size_t size)
+{
+    copy_in(EP0_BUFFER, bytes, size);
+    hand_over(EP_CONTROL, DIR_IN, USB_BUF_FULL | size);
+}
+
+static void control_receive(void)
+{
+    hand_over(EP_CONTROL, DIR_OUT, USB_PACKET);
+}
+
+static void control_stall(void)
+{
+    USB->ep_stall_arm = 3; /* of endpoint 0, both directions */
+    USB_DPRAM->buf_ctrl[EP_CONTROL][DIR_IN] = USB_BUF_STALL;
+    USB_DPRAM->buf_ctrl[EP_CONTROL][DIR_OUT] = USB_BUF_STALL;
+}
+
+/* The next packet of a reply; after its last one, the host's empty packet is waited for. */
+static void reply_next(void)
+{
+    if (!reply_left && !reply_zero) {
+        next_data1[EP_CONTROL][DIR_OUT] = USB_BUF_DATA1;
+        control_receive();
+        return;
+    }
+    size_t size = reply_left < USB_PACKET ? reply_left : USB_PACKET;
+    reply_zero &= reply_left != 0;
+    control_send(reply, size);
+    reply += size;
+    reply_left -= size;
+}
+
+static void reply_with(const struct setup_packet *setup, const uint8_t *bytes, size_t size)
+{
+    reply = bytes;
+    reply_left = size < setup->length ? size : setup->length;
+    reply_zero = size < setup->length && size % USB_PACKET == 0;
+    reply_next();
+}
+
+static void reply_string(const struct setup_packet *setup)
+{
+    static const char *const texts[] = {
+        [USB_MANUFACTURER] = "tactile_cdma",
+        [USB_PRODUCT] = "Tactile skin digitizer",
+    };
+    static const char digits[] = "0123456789ABCDEF";
+    static uint8_t string[USB_PACKET];
+    uint8_t index = (uint8_t)setup->value;
+    size_t size = 2;
+
+    if (index == USB_LANGUAGES) {
+        string[size++] = 0x09; /* English (US) */
+        string[size++] = 0x04;
+    } else if (index == USB_SERIAL) {
+        for (size_t i = 0; i < 2 * sizeof serial; i++, size += 2)
+            string[size] = (uint8_t)digits[serial[i / 2] >> (i % 2 ? 0 : 4) & 15];
+    } else if (index <= USB_PRODUCT) {
+        for (const char *text = texts[index]; *text; text++, size += 2)
+            string[size] = (uint8_t)*text;
+    } else {
+        control_stall();
+        return;
+    }
+    for (size_t i = 3; index != USB_LANGUAGES && i < size; i += 2)
+        string[i] = 0; /* UTF-16 */
+    string[0] = (uint8_t)size;
+    string[1] = USB_STRING;
+    reply_with(setup, string, size);
+}
+
+static void reply_descriptor(const struct setup_packet *setup)
+{
+    switch (setup->value >> 8) {
+    case USB_DEVICE:
+        reply_with(setup, device_descriptor, sizeof device_descriptor);
+        break;
+    case USB_CONFIGURATION:
+        reply_with(setup, configuration_descriptor, sizeof configuration_descriptor);
+        break;
+    case USB_STRING:
+        reply_string(setup);
+        break;
+    default: /* the device qualifier, among others: there is no high speed */
+        control_stall();
+    }
+}
+
+static void send_packet(void)
+{
+    size_t size = to_send_left < USB_PACKET ? to_send_left : USB_PACKET;
+
+    copy_in(IN_BUFFER, to_send, size);
+    hand_over(EP_DATA, DIR_IN, USB_BUF_FULL | size);
+    to_send += size;
+    to_send_left -= size;
+    sent_full = size == USB_PACKET;
+}
+
+/* The host has taken a bulk packet. */
+static void packet_taken(void)
+{
+    if (to_send_left)
+        send_packet();
+    else
+        sending = false;
+}
+
+/* Ready for a bulk packet from the host, if there is room for it; else the host has to wait. */
+static void receive_next(void)
+{
+    receiving = byte_ring_room(&received) >= USB_PACKET;
+    if (receiving)
+        hand_over(EP_DATA, DIR_OUT, USB_PACKET);
+}
+
+static void set_configuration(uint8_t configuration)
+{
+    for (uint32_t endpoint = EP_NOTIFY; endpoint <= EP_DATA; endpoint++)
+        next_data1[endpoint][DIR_IN] = next_data1[endpoint][DIR_OUT] = 0;
+    sending = sent_full = false; /* what is left was for somebody else */
+    configured = configuration != 0;
+    if (configured)
+        receive_next();
+}
+
+/* A halted endpoint's toggle starts anew; its packet, if any, has not been taken. */
+static void clear_halt(const struct setup_packet *setup)
+{
+    uint32_t endpoint = setup->index & 15u;
+    enum direction direction = setup->index & 0x80 ? DIR_IN : DIR_OUT;
+
+    if (endpoint != EP_DATA)
+        return;
+    next_data1[endpoint][direction] = 0;
+    if (direction == DIR_OUT)
+        receive_next();
+    else if (sending)
+        packet_taken();
+}
+
+/* Requests without data, and those whose data come first: false for what is not known. */
+static bool obey(const struct setup_packet *setup)
+{
+    switch (setup->request_type << 8 | setup->request) {
+    case TO_DEVICE << 8 | SET_ADDRESS:
+        new_address = (uint8_t)setup->value; /* holds when this was acknowledged */
+        break;
+    case TO_DEVICE << 8 | SET_CONFIGURATION:
+        set_configuration((uint8_t)setup->value);
+        break;
+    case TO_ENDPOINT << 8 | CLEAR_FEATURE:
+        clear_halt(setup);
+        break;
+    case (CLASS | TO_INTERFACE) << 8 | SET_CONTROL_LINE_STATE:
+        break;
+    default:
+        return false;
+    }
+    control_send(NULL, 0);
+    return true;
+}
+
+static void control_request(void)
+{
+    static const uint8_t zeros[2];
+    static const uint8_t line_coding[7] = {LE16(0xc200), LE16(1), 0, 0, 8}; /* 115200 8N1 */
+    static uint8_t configuration;
+    uint32_t low = USB_DPRAM->setup[0], high = USB_DPRAM->setup[1];
+    struct setup_packet setup = {
+        .request_type = (uint8_t)low,
+        .request = (uint8_t)(low >> 8),
+        .value = (uint16_t)(low >> 16),
+        .index = (uint16_t)high,
+        .length = (uint16_t)(high >> 16),
+    };
+
+    next_data1[EP_CONTROL][DIR_IN] = next_data1[EP_CONTROL][DIR_OUT] = USB_BUF_DATA1;
+    new_address = 0;
+    switch (setup.request_type << 8 | setup.request) {
+    case (FROM_DEVICE | TO_DEVICE) << 8 | GET_DESCRIPTOR:
+        reply_descriptor(&setup);
+        break;
+    case (FROM_DEVICE | TO_DEVICE) << 8 | GET_CONFIGURATION:
+        configuration = configured;
+        reply_with(&setup, &configuration, 1);
+        break;
+    case (FROM_DEVICE | TO_DEVICE) << 8 | GET_STATUS:
+    case (FROM_DEVICE | TO_INTERFACE) << 8 | GET_STATUS:
+    case (FROM_DEVICE | TO_ENDPOINT) << 8 | GET_STATUS:
+        reply_with(&setup, zeros, sizeof zeros);
+        break;
+    case (FROM_DEVICE | CLASS | TO_INTERFACE) << 8 | GET_LINE_CODING:
+        reply_with(&setup, line_coding, sizeof line_coding);
+        break;
+    case (CLASS | TO_INTERFACE) << 8 | SET_LINE_CODING:
+        control_receive();
+        break;
+    default:
+        if (!obey(&setup))
+            control_stall();
+    }
+}
+
+/* The host has taken, or filled, a buffer. */
+static void buffer_done(uint32_t endpoint, enum direction direction)
+{
+    uint32_t size = USB_DPRAM->buf_ctrl[endpoint][direction] & USB_BUF_LENGTH;
+    uint8_t bytes[USB_PACKET];
+
+    if (endpoint == EP_CONTROL && direction == DIR_IN) {
+        if (new_address) {
+            USB->addr_endp[0] = new_address;
+            new_address = 0;
+        } else if (reply) {
+            reply_next();
+        }
+    } else if (endpoint == EP_CONTROL) {
+        if (reply)
+            reply = NULL; /* the end of a reply */
+        else
+            control_send(NULL, 0); /* of data from the host, which nobody needs */
+    } else if (direction == DIR_IN) {
+        packet_taken();
+    } else {
+        copy_out(bytes, OUT_BUFFER, size);
+        byte_ring_put(&received, bytes, size);
+        receive_next();
+    }
+}
+
+void usb_interrupt(void)
+{
+    uint32_t status = USB->ints;
+
+    if (status & USB_INT_BUS_RESET) {
+        USB->sie_status = USB_SIE_STATUS_BUS_RESET;
+        USB->addr_endp[0] = 0;
+        set_configuration(0);
+    }
+    if (status & USB_INT_SETUP_REQ) {
+        USB->sie_status = USB_SIE_STATUS_SETUP_REC;
+        reply = NULL;
+        control_request();
+    }
+    if (status & USB_INT_BUFF_STATUS) {
+        uint32_t done = USB->buff_status;
+        for (uint32_t i = 0; i < 2 * (EP_DATA + 1); i++) {
+            if (done & 1u << i) {
+                USB->buff_status = 1u << i;
+                buffer_done(i / 2, i % 2 ? DIR_OUT : DIR_IN);
+            }
+        }
+    }
+    wake();
+}
+
+void usb_init(const uint8_t id[8])
+{
+    for (size_t i = 0; i < sizeof serial; i++)
+        serial[i] = id[i];
+    reset_blocks(RESET_USBCTRL);
+    for (uint32_t offset = 0; offset < EP0_BUFFER; offset += 4)
+        *memory(offset) = 0;
+    const uint32_t on = USB_EP_ENABLE | USB_EP_INT_PER_BUFFER;
+    USB_DPRAM->ep_ctrl[EP_NOTIFY - 1][DIR_IN] = on | USB_EP_TYPE(USB_INTERRUPT) | NOTIFY_BUFFER;
+    USB_DPRAM->ep_ctrl[EP_DATA - 1][DIR_IN] = on | USB_EP_TYPE(USB_BULK) | IN_BUFFER;
+    USB_DPRAM->ep_ctrl[EP_DATA - 1][DIR_OUT] = on | USB_EP_TYPE(USB_BULK) | OUT_BUFFER;
+
+    USB->muxing = USB_MUXING_TO_PHY | USB_MUXING_SOFTCON;
+    USB->pwr = USB_PWR_VBUS_DETECT | USB_PWR_VBUS_DETECT_OVERRIDE;
+    USB->main_ctrl = USB_MAIN_CTRL_EN;
+    USB->inte = USB_INT_BUFF_STATUS | USB_INT_BUS_RESET | USB_INT_SETUP_REQ;
+    NVIC_ISER = 1u << IRQ_USBCTRL;
+    USB->sie_ctrl = USB_SIE_CTRL_EP0_INT_1BUF | USB_SIE_CTRL_PULLUP_EN;
+}
+
+bool usb_ready(void)
+{
+    return configured;
+}
+
+size_t usb_read(uint8_t *bytes, size_t size)
+{
+    size_t count = byte_ring_get(&received, bytes, size);
+
+    interrupts_off();
+    if (configured && !receiving)
+        receive_next();
+    interrupts_on();
+    return count;
+}
+
+void usb_send(const uint8_t *bytes, size_t size)
+{
+    interrupts_off(); /* a reset of the bus ends all sending */
+    if (configured && (size || sent_full)) {
+        to_send = bytes;
+        to_send_left = size;
+        sending = true;
+        send_packet();
+    }
+    interrupts_on();
+}
+
+bool usb_sending(void)
+{
+    return sending;
+}

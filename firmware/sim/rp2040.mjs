@@ -1,0 +1,146 @@
+// Runs the digitizer's image in an emulated RP2040, as the slave of a parent process.
+//
+//     node rp2040.mjs digitizer.bin flash-id
+//
+// flash-id: the flash's unique number, 16 hexadecimal digits. Messages go over stdin and stdout:
+//
+//     u8 type, u32 size, payload of this size
+//
+// little-endian; times are f64 in ns since power-up. The parent sends
+//
+//     'R' time             run until then; answered by 'D'
+//     'U' bytes            to UART0, from now on, at its speed
+//     'S' bytes            to USB
+//     'H' u8               USB cable: 0 unplugged, 1 plugged in but nobody reads, 2 read
+//     'T' f64              the CPU stands still for so many ns
+//     'M' f64              DMA takes no samples from the ADC for so many ns
+//     'A' u16…             counts of the line: of the conversion asked for, and of those after it
+//
+// and gets
+//
+//     'D' time, f64        it has run until then; cycles that the CPU was awake, in all
+//     'P' time, u8, u8     a pin (16: sync, 25: LED) is now low (0) or high (1)
+//     'U' time, bytes      UART0 has sent them; the last one just then
+//     'S' time, bytes      USB likewise
+//     'I' JSON             a USB host has configured the device: its descriptors
+//     'A' time, f64, time  a conversion begins; others follow in steps of so many ns; the sync line
+//                          does not change before the second time. To be answered by 'A' with at
+//                          least one count
+//     'X' text             the end: an error
+//
+// All that happens before a time is told before it: an answer to 'A' may depend on all edges of the
+// sync line before that conversion, and hold for conversions until the line can next change.
+
+import { readFileSync, readSync, writeSync } from 'node:fs';
+
+const MAX_UART_PIECE = 256;
+const PINS = [16, 25];
+
+let pending = Buffer.alloc(0);
+
+// The next message of the parent. Ends the process where the parent has gone.
+function receive() {
+  const chunk = Buffer.alloc(65536);
+  for (;;) {
+    if (pending.length >= 5) {
+      const end = 5 + pending.readUInt32LE(1);
+      if (pending.length >= end) {
+        const message = { type: String.fromCharCode(pending[0]), payload: pending.subarray(5, end) };
+        pending = pending.subarray(end);
+        return message;
+      }
+    }
+    const size = readSync(0, chunk);
+    if (!size) process.exit(0);
+    pending = Buffer.concat([pending, chunk.subarray(0, size)]);
+  }
+}
+
+function send(type, ...parts) {
+  const payload = Buffer.concat(
+    parts.map((part) => (typeof part === 'number' ? float(part) : Buffer.from(part))),
+  );
+  const head = Buffer.alloc(5);
+  head[0] = type.charCodeAt(0);
+  head.writeUInt32LE(payload.length, 1);
+  const bytes = Buffer.concat([head, payload]);
+  for (let sent = 0; sent < bytes.length; ) sent += writeSync(1, bytes, sent);
+}
+
+function float(value) {
+  const bytes = Buffer.alloc(8);
+  bytes.writeDoubleLE(value);
+  return bytes;
+}
+
+// Counts that the parent gave in advance, and the conversion that the first of them is of.
+let counts = [];
+let expected = 0;
+
+function line(now, period) {
+  if (!counts.length || Math.abs(now - expected) > period / 16) {
+    send('A', now, period, chip.syncStaysUntil);
+    const { type, payload } = receive();
+    if (type !== 'A' || payload.length < 2) throw new Error(`'A' with counts expected, not '${type}'`);
+    counts = [];
+    for (let i = payload.length - 2; i >= 0; i -= 2) counts.push(payload.readUInt16LE(i));
+  }
+  expected = now + period;
+  return counts.pop();
+}
+
+let uartBytes = [];
+
+function flushUart() {
+  if (uartBytes.length) send('U', chip.now, uartBytes);
+  uartBytes = [];
+}
+
+function uartByte(byte) {
+  uartBytes.push(byte);
+  if (byte === 0 || uartBytes.length >= MAX_UART_PIECE) flushUart();
+}
+
+let chip;
+try {
+  const { Chip } = await import('./rp2040_chip.mjs');
+  const { UsbHost } = await import('./rp2040_usb_host.mjs');
+  const [image, flashId] = process.argv.slice(2);
+  chip = new Chip({ image: readFileSync(image), flashId: Buffer.from(flashId, 'hex'), line, uartByte });
+  const host = new UsbHost(chip, {
+    received: (bytes) => send('S', chip.now, bytes),
+    enumerated: (device) => send('I', JSON.stringify(device)),
+  });
+  for (const pin of PINS) chip.onPin(pin, (high) => send('P', chip.now, [pin, Number(high)]));
+
+  for (;;) {
+    const { type, payload } = receive();
+    switch (type) {
+      case 'R':
+        chip.run(payload.readDoubleLE());
+        flushUart();
+        send('D', chip.now, chip.cycles);
+        break;
+      case 'U':
+        chip.uartReceive(payload);
+        break;
+      case 'S':
+        host.send(payload);
+        break;
+      case 'H':
+        host.plug(payload[0] > 0, payload[0] > 1);
+        break;
+      case 'T':
+        chip.stall(payload.readDoubleLE());
+        break;
+      case 'M':
+        chip.holdSamples(payload.readDoubleLE());
+        break;
+      default:
+        throw new Error(`message '${type}' is not known`);
+    }
+  }
+} catch (error) {
+  send('X', error.code === 'ERR_MODULE_NOT_FOUND' ? error.message : (error.stack ?? String(error)));
+  process.exit(1);
+}

@@ -1,0 +1,225 @@
+"""The digitizer's real image, run in an emulated RP2040 (rp2040js): the Python side of rp2040.mjs.
+
+    with Rp2040(image, line) as board:
+        board.plug_usb()
+        board.write_uart(bytes)
+        board.run(0.5)
+        packets = parser.feed(board.read_uart())
+
+Time is that of the chip, from power-up on, in seconds where nothing else is said. It passes in
+`run` alone; `line` and `on_sync` are called from there. All that happens before a time is told
+before it, so a line may depend on every sync edge before the instants that it is asked for.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import struct
+import subprocess
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+from numpy.typing import NDArray
+
+HERE = Path(__file__).resolve().parent
+PIN_SYNC = 16
+PIN_LED = 25
+MAX_COUNTS = 4096
+"""Counts of the line per question."""
+
+Line = Callable[[NDArray[np.float64]], NDArray[np.uint16]]
+"""The ADC's counts, (m,) uint16, at times (m,) float64, ns. No sync edge lies between the times."""
+SyncEdge = Callable[[float, bool], None]
+"""A change of the sync line: when, in ns; whether to high."""
+
+
+class EmulatorError(RuntimeError):
+    """The emulator is not installed, could not go on, or was used wrongly."""
+
+
+@dataclass(frozen=True, slots=True)
+class UsbDevice:
+    """What the device has told a USB host; `strings` by index, None where there is none."""
+
+    device: bytes
+    configuration: bytes
+    strings: tuple[str | None, ...]
+
+
+class Rp2040:
+    """The chip with its flash, a line at its ADC and hosts at UART and USB.
+
+    image: the flash's content, a .bin file.
+    line: what the ADC converts.
+    on_sync: told of every edge of the sync line.
+    flash_id: the flash's unique number, 8 bytes.
+    """
+
+    def __init__(
+        self,
+        image: Path,
+        line: Line,
+        on_sync: SyncEdge | None = None,
+        flash_id: bytes = bytes.fromhex("e661640843123456"),
+    ) -> None:
+        node = shutil.which("node")
+        if node is None:
+            raise EmulatorError("no node on this machine: Node.js 18 or newer runs the emulator")
+        if not (HERE / "node_modules" / "rp2040js").is_dir():
+            raise EmulatorError(f"rp2040js is not installed: `npm ci` in {HERE} does that")
+        if not image.is_file():
+            raise EmulatorError(f"no image {image}: `make rp2040` in firmware/ builds it")
+        self._line = line
+        self._on_sync = on_sync
+        self._uart = bytearray()
+        self._usb = bytearray()
+        self._pending = bytearray()
+        self._now_ns = 0.0
+        self._until_ns = 0.0
+        self.cycles = 0.0
+        """That the CPU was awake, since power-up."""
+        self.led = False
+        self.usb_device: UsbDevice | None = None
+        """Set when a host has configured the device, which takes some 30 ms."""
+        self._process = subprocess.Popen(
+            [node, str(HERE / "rp2040.mjs"), str(image), flash_id.hex()],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            bufsize=0,
+        )
+
+    def __enter__(self) -> Rp2040:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Ends the emulator."""
+        assert self._process.stdin is not None and self._process.stdout is not None
+        self._process.stdin.close()
+        self._process.stdout.close()
+        self._process.wait()
+
+    @property
+    def now(self) -> float:
+        """Time since power-up, s."""
+        return self._now_ns / 1e9
+
+    def run(self, until: float) -> None:
+        """Lets time pass, to `until` s."""
+        self._until_ns = until * 1e9
+        self._send(b"R", struct.pack("<d", self._until_ns))
+        while self._handle(*self._receive()) != "D":
+            pass
+
+    def write_uart(self, data: bytes) -> None:
+        """Sends to UART0, from now on, at its speed."""
+        self._send(b"U", data)
+
+    def read_uart(self) -> bytes:
+        """All that UART0 has sent since the last call."""
+        data = bytes(self._uart)
+        self._uart.clear()
+        return data
+
+    def plug_usb(self, reading: bool = True) -> None:
+        """A USB host; one that is not `reading` takes nothing from the device."""
+        self._send(b"H", bytes([2 if reading else 1]))
+
+    def unplug_usb(self) -> None:
+        """The USB host goes away."""
+        self._send(b"H", bytes([0]))
+
+    def write_usb(self, data: bytes) -> None:
+        """Sends to the USB device."""
+        self._send(b"S", data)
+
+    def read_usb(self) -> bytes:
+        """All that the USB host has read since the last call."""
+        data = bytes(self._usb)
+        self._usb.clear()
+        return data
+
+    def stall(self, seconds: float) -> None:
+        """The CPU stands still from now on, while all around it goes on."""
+        self._send(b"T", struct.pack("<d", seconds * 1e9))
+
+    def hold_samples(self, seconds: float) -> None:
+        """From now on no sample gets from the ADC's FIFO to memory."""
+        self._send(b"M", struct.pack("<d", seconds * 1e9))
+
+    def _handle(self, kind: str, payload: bytes) -> str:
+        """Takes note of a message; returns its type."""
+        if kind == "A":
+            self._answer(*struct.unpack("<3d", payload))
+        elif kind == "U":
+            self._uart += payload[8:]
+        elif kind == "S":
+            self._usb += payload[8:]
+        elif kind == "P":
+            now_ns, pin, level = struct.unpack("<dBB", payload)
+            if pin == PIN_LED:
+                self.led = bool(level)
+            elif pin == PIN_SYNC and self._on_sync is not None:
+                self._on_sync(now_ns, bool(level))
+        elif kind == "D":
+            self._now_ns, self.cycles = struct.unpack("<dd", payload)
+        elif kind == "I":
+            self.usb_device = _device(json.loads(payload))
+        elif kind == "X":
+            raise EmulatorError(payload.decode())
+        else:
+            raise EmulatorError(f"message {kind!r} of the emulator is not known")
+        return kind
+
+    def _answer(self, now_ns: float, period_ns: float, stays_ns: float) -> None:
+        """The line's counts at a conversion and at those that follow before it may change."""
+        ahead = (min(stays_ns, self._until_ns) - now_ns) // period_ns
+        times = now_ns + period_ns * np.arange(min(max(ahead, 1), MAX_COUNTS))
+        counts = np.asarray(self._line(times))
+        if counts.shape != times.shape:
+            raise EmulatorError(f"a line of shape {counts.shape} for times of shape {times.shape}")
+        self._send(b"A", counts.astype("<u2").tobytes())
+
+    def _send(self, kind: bytes, payload: bytes) -> None:
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(kind + struct.pack("<I", len(payload)) + payload)
+        except BrokenPipeError:
+            while True:  # until it says why
+                self._handle(*self._receive())
+
+    def _receive(self) -> tuple[str, bytes]:
+        """The next message."""
+        assert self._process.stdout is not None
+        while True:
+            if len(self._pending) >= 5:
+                kind, size = struct.unpack_from("<cI", self._pending)
+                if len(self._pending) >= 5 + size:
+                    payload = bytes(self._pending[5 : 5 + size])
+                    del self._pending[: 5 + size]
+                    return kind.decode(), payload
+            data = os.read(self._process.stdout.fileno(), 1 << 16)
+            if not data:
+                raise EmulatorError(f"the emulator has ended ({self._process.wait()})")
+            self._pending += data
+
+
+def _device(told: dict[str, list[int] | list[list[int] | None]]) -> UsbDevice:
+    """What the device told, from the emulator's JSON."""
+    strings = tuple(
+        None if string is None else bytes(string)[2:].decode("utf-16-le")  # type: ignore[arg-type]
+        for string in told["strings"]
+    )
+    return UsbDevice(bytes(told["device"]), bytes(told["configuration"]), strings)  # type: ignore[arg-type]

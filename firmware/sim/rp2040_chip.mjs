@@ -1,0 +1,249 @@
+// An RP2040 as rp2040js emulates it, put right where it differs from the chip in something that the
+// digitizer depends on. Each change says what the emulator does.
+
+import { RP2040 } from 'rp2040js';
+
+const FLASH_BOOT_STAGE = 256;
+const BOOT_STAGE_ADDRESS = 0x20041f00; // where the boot ROM puts it
+const RESET_ADC = 1 << 0;
+const RESET_PWM = 1 << 14;
+const DREQ_UART0_TX = 20;
+const PWM_DIV = 0x04;
+const DMA_CHAN_ABORT = 0x444;
+const UART_FIFO = 32;
+const UART_CR = 0x30;
+const UART_DMACR = 0x48;
+const INTERRUPT_CYCLES = 15 + 13; // entry and return, which the emulator does in none
+
+export class Chip {
+  // image: of the flash. flashId: its unique number, 8 bytes. line: time in ns → ADC count.
+  // uartByte: called with every byte that UART0 has sent, when its stop bit ends.
+  constructor({ image, flashId, line, uartByte }) {
+    this.rp2040 = new RP2040();
+    this.clock = this.rp2040.clock;
+    this.rp2040.logger = new Logger();
+    this.cycles = 0; // that the CPU was not asleep
+    this.stalledUntil = 0;
+    this.rp2040.flash.set(image);
+    this.#countInterruptCycles();
+    this.#resetBlocks();
+    this.#stopPwm();
+    this.#abortDma();
+    this.#connectLine(line);
+    this.#connectFlash(flashId);
+    this.#paceUart(uartByte);
+    this.rp2040.peripherals[0x40058].onWatchdogTrigger = () => {
+      throw new Error(`the watchdog has reset the chip at ${this.now} ns`);
+    };
+    this.#boot();
+  }
+
+  get now() {
+    return this.clock.nanos;
+  }
+
+  // Nothing but the CPU's instructions takes time, and there are none while it sleeps.
+  run(until) {
+    const { clock, rp2040 } = this;
+    const { core } = rp2040;
+    while (clock.nanosCounter < until) {
+      if (core.waiting || clock.nanosCounter < this.stalledUntil) {
+        const end = core.waiting ? until : Math.min(until, this.stalledUntil);
+        const next = clock.nextAlarm ? clock.nextAlarm.nanos : Infinity;
+        clock.tick(Math.min(next, end) - clock.nanosCounter);
+        continue;
+      }
+      const cycles = core.executeInstruction() + this.interruptCycles;
+      this.interruptCycles = 0;
+      this.cycles += cycles;
+      const time = clock.nanosCounter + (cycles * 1e9) / rp2040.clkSys;
+      if (clock.nextAlarm && clock.nextAlarm.nanos <= time) clock.tick(time - clock.nanosCounter);
+      else clock.nanosCounter = time;
+    }
+  }
+
+  // A CPU that does nothing for so long, while everything around it goes on.
+  stall(ns) {
+    this.stalledUntil = this.now + ns;
+  }
+
+  // For so long no sample gets from the ADC's FIFO to the DMA.
+  holdSamples(ns) {
+    const { adc, dma } = this.rp2040;
+    const update = adc.updateDMA;
+    adc.updateDMA = () => dma.clearDREQ(adc.dreq);
+    adc.updateDMA();
+    this.clock
+      .createAlarm(() => {
+        adc.updateDMA = update;
+        adc.updateDMA();
+      })
+      .schedule(ns);
+  }
+
+  // The sync line will not change before this time: it does so with PWM 0, which has taken over
+  // its present period's length and pulse.
+  get syncStaysUntil() {
+    const { timer, alarmA, alarmBottom } = this.rp2040.pwm.channels[0];
+    if (!timer.enable) return this.now;
+    return Math.min(alarmA.clockAlarm.nanos, alarmBottom.clockAlarm.nanos);
+  }
+
+  onPin(pin, changed) {
+    let high = false;
+    this.rp2040.gpio[pin].addListener((state) => {
+      if (high !== (state === 1)) changed((high = !high));
+    });
+  }
+
+  // There is no boot ROM: this is what it does. The image's boot stage does the rest.
+  #boot() {
+    const { core, sram, flash } = this.rp2040;
+    sram.set(flash.subarray(0, FLASH_BOOT_STAGE), BOOT_STAGE_ADDRESS - 0x20000000);
+    core.SP = 0x20042000;
+    core.PC = BOOT_STAGE_ADDRESS;
+  }
+
+  #countInterruptCycles() {
+    const { core } = this.rp2040;
+    const enter = core.exceptionEntry.bind(core);
+    this.interruptCycles = 0;
+    core.exceptionEntry = (number) => {
+      this.interruptCycles += INTERRUPT_CYCLES;
+      enter(number);
+    };
+  }
+
+  // Emulated RESETS reset nothing; a conversion in progress, old samples or half a pulse would
+  // get into the next stream.
+  #resetBlocks() {
+    const { adc, pwm, peripherals } = this.rp2040;
+    const resets = peripherals[0x4000c];
+    const write = resets.writeUint32.bind(resets);
+    resets.writeUint32 = (offset, value) => {
+      write(offset, value);
+      if (offset !== 0) return;
+      if (value & RESET_ADC) {
+        adc.sampleAlarm.cancel();
+        adc.multiShotAlarm.cancel();
+        adc.fifo.reset();
+        adc.busy = false;
+        adc.cs = adc.fcs = adc.clockDiv = 0;
+        this.rp2040.dma.clearDREQ(adc.dreq);
+      }
+      if (value & RESET_PWM) {
+        pwm.reset();
+        pwm.gpioValue = pwm.intRaw = pwm.intEnable = 0;
+        pwm.checkInterrupts();
+      }
+    };
+  }
+
+  // An emulated slice begins to count when its divider is set, enabled or not.
+  #stopPwm() {
+    const slice = this.rp2040.pwm.channels[0];
+    const write = slice.writeRegister.bind(slice);
+    slice.writeRegister = (offset, value) => {
+      write(offset, value);
+      if (offset === PWM_DIV) slice.updateEnable();
+    };
+  }
+
+  // Emulated DMA ends a transfer at once, but doesn't know the register that tells when.
+  #abortDma() {
+    const { dma } = this.rp2040;
+    const read = dma.readUint32.bind(dma);
+    dma.readUint32 = (offset) => (offset === DMA_CHAN_ABORT ? 0 : read(offset));
+  }
+
+  // The emulator's own pacing is right: a conversion takes its 96 clocks, the next one begins
+  // 1 + DIV.INT clocks after the one before.
+  #connectLine(line) {
+    const { adc } = this.rp2040;
+    adc.onADCRead = (channel) => {
+      const { divider } = adc;
+      adc.currentChannel = channel;
+      adc.channelValues[channel] = line(this.now, (Math.max(divider, 96) * 1000) / 48);
+      adc.sampleAlarm.schedule(adc.sampleTime * 1000);
+    };
+  }
+
+  // The emulated SSI reads zeros, and the pins of the flash don't exist. Here is a flash chip that
+  // knows one command.
+  #connectFlash(flashId) {
+    const { peripherals } = this.rp2040;
+    const ssi = peripherals[0x18000];
+    const pins = peripherals[0x40018];
+    const [write, read] = [ssi.writeUint32.bind(ssi), ssi.readUint32.bind(ssi)];
+    let selected = 0;
+    let received = [];
+    let answer = [];
+    pins.readUint32 = () => 0;
+    pins.writeUint32 = (offset, value) => {
+      if (offset !== 0x0c) return;
+      selected = ((value >> 8) & 3) === 2; // OUTOVER: low
+      received = [];
+    };
+    ssi.writeUint32 = (offset, value) => {
+      if (offset !== 0x60) return write(offset, value);
+      const place = received.push(value & 0xff) - 6; // after the command and 4 bytes of nothing
+      answer.push(selected && received[0] === 0x4b && place >= 0 ? flashId[place] : 0);
+    };
+    ssi.readUint32 = (offset) => (offset === 0x60 ? answer.shift() : read(offset));
+  }
+
+  // Emulated bytes leave the UART at once, and DMA may always write the next. Here they wait in its
+  // FIFO for their turn on the wire.
+  #paceUart(uartByte) {
+    const uart = this.rp2040.uart[0];
+    const { dma } = this.rp2040;
+    const write = uart.writeUint32.bind(uart);
+    const queue = [];
+    let byDma = false;
+    const request = () => {
+      if (byDma && uart.enabled && queue.length < UART_FIFO) dma.setDREQ(DREQ_UART0_TX);
+      else dma.clearDREQ(DREQ_UART0_TX);
+    };
+    const sent = this.clock.createAlarm(() => {
+      uartByte(queue.shift());
+      if (queue.length) sent.schedule(this.uartByteNs);
+      request();
+    });
+    uart.onByte = (byte) => {
+      if (queue.push(byte) === 1) sent.schedule(this.uartByteNs);
+      request();
+    };
+    uart.writeUint32 = (offset, value) => {
+      if (offset === UART_DMACR) byDma = (value & 2) !== 0;
+      else write(offset, value);
+      if (offset === UART_DMACR || offset === UART_CR) request();
+    };
+
+    const arriving = [];
+    const arrived = this.clock.createAlarm(() => {
+      uart.feedByte(arriving.shift());
+      if (arriving.length) arrived.schedule(this.uartByteNs);
+    });
+    this.uartReceive = (bytes) => {
+      const idle = !arriving.length;
+      arriving.push(...bytes);
+      if (idle && arriving.length) arrived.schedule(this.uartByteNs);
+    };
+  }
+
+  get uartByteNs() {
+    return 10e9 / this.rp2040.uart[0].baudRate;
+  }
+}
+
+// The emulator reports what it cannot do. For this firmware all of it would be an error.
+class Logger {
+  debug() {}
+  info() {}
+  warn(component, message) {
+    this.error(component, message);
+  }
+  error(component, message) {
+    throw new Error(`${component}: ${message}`);
+  }
+}

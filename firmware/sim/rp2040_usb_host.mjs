@@ -1,0 +1,225 @@
+// A USB host at the emulated controller: enumerates the device as Linux does, then reads and writes
+// its two bulk endpoints. It stands in for the emulator's own transfers, which deliver at once
+// whatever the host does, and don't look at data toggles.
+//
+// One transaction at a time is on the bus; 64 bytes take 1/19 ms, as full speed allows.
+
+const SIE_BUS_RESET = 1 << 19;
+const FULL = 1 << 15;
+const DATA1 = 1 << 13;
+const STALL = 1 << 11;
+const AVAILABLE = 1 << 10;
+const LENGTH = 0x3ff;
+const PACKET = 64;
+const IN = 0;
+const OUT = 1;
+const TRANSACTION_NS = (bytes) => ((bytes + 15) * 8000) / 12;
+
+const le16 = (value) => [value & 0xff, value >> 8];
+const setup = (type, request, value, index, length) => [
+  type,
+  request,
+  ...le16(value),
+  ...le16(index),
+  ...le16(length),
+];
+
+export class UsbHost {
+  // received: called with the bytes of every bulk packet from the device.
+  // enumerated: called with what the device tells about itself.
+  constructor(chip, { received, enumerated }) {
+    this.chip = chip;
+    this.usb = chip.rp2040.usbCtrl;
+    this.view = chip.rp2040.usbDPRAMView;
+    this.received = received;
+    this.enumerated = enumerated;
+    this.reading = false;
+    this.toSend = [];
+    this.plugged = this.configured = this.enabled = this.busy = false;
+    this.usb.onUSBEnabled = () => {
+      this.enabled = true;
+      if (this.plugged) this.#begin();
+    };
+    this.usb.onResetReceived = () => {};
+    this.usb.DPRAMUpdated = (offset) => {
+      if (offset >= 0x80 && offset < 0x100) this.#serve();
+    };
+    this.step = chip.clock.createAlarm(() => this.#advance());
+    this.done = chip.clock.createAlarm(() => {
+      this.busy = false;
+      this.finish();
+      this.#serve();
+    });
+  }
+
+  plug(plugged, reading) {
+    this.reading = reading;
+    if (plugged && !this.plugged && this.enabled) this.#begin();
+    if (!plugged) this.configured = false;
+    this.plugged = plugged;
+    this.#serve();
+  }
+
+  send(bytes) {
+    this.toSend.push(...bytes);
+    this.#serve();
+  }
+
+  #begin() {
+    this.configured = false;
+    this.script = this.#enumerate();
+    this.#advance();
+  }
+
+  // Goes on with the enumeration: it yields the ns to wait, or a transaction of endpoint 0.
+  #advance(result) {
+    const { value, done } = this.script.next(result);
+    this.wanted = null;
+    if (done) return;
+    if (typeof value === 'number') this.step.schedule(value);
+    else {
+      this.wanted = value;
+      this.#serve();
+    }
+  }
+
+  *#enumerate() {
+    const descriptor = (type, index, length) =>
+      this.#read(setup(0x80, 6, (type << 8) | index, type === 3 ? 0x0409 : 0, length));
+    this.address = 0;
+    yield* this.#reset();
+    yield* descriptor(1, 0, 64);
+    yield* this.#reset();
+    yield* this.#write(setup(0x00, 5, 17, 0, 0));
+    this.address = 17;
+    yield 2e6;
+    const device = yield* descriptor(1, 0, 18);
+    const qualifier = yield* descriptor(6, 0, 10);
+    const head = yield* descriptor(2, 0, 9);
+    const configuration = yield* descriptor(2, 0, head[2] | (head[3] << 8));
+    const strings = [];
+    for (let index = 0; index < 5; index++) strings.push(yield* descriptor(3, index, 255));
+    yield* this.#write(setup(0x00, 9, configuration[5], 0, 0));
+    this.toggle = [0, 0];
+    const coding = yield* this.#read(setup(0xa1, 0x21, 0, 0, 7));
+    yield* this.#write(setup(0x21, 0x20, 0, 0, 7), coding);
+    yield* this.#write(setup(0x21, 0x22, 3, 0, 0));
+    this.configured = true;
+    this.enumerated({ device, qualifier, configuration, strings });
+  }
+
+  *#reset() {
+    this.usb.sieStatus |= SIE_BUS_RESET;
+    this.usb.sieStatusUpdated();
+    yield 10e6;
+  }
+
+  // A control transfer with data from the device: its bytes, or null where it refuses.
+  *#read(packet) {
+    const asked = packet[6] | (packet[7] << 8);
+    const bytes = [];
+    let toggle = DATA1;
+    yield { setup: packet };
+    for (;;) {
+      const part = yield { direction: IN, toggle };
+      if (part === null) return null;
+      bytes.push(...part);
+      toggle ^= DATA1;
+      if (part.length < PACKET || bytes.length >= asked) break;
+    }
+    yield { direction: OUT, toggle: DATA1, bytes: [] };
+    if (bytes.length > asked) throw new Error(`${bytes.length} bytes, ${asked} were asked for`);
+    return bytes;
+  }
+
+  // A control transfer with data to the device, or none.
+  *#write(packet, bytes = []) {
+    yield { setup: packet };
+    let result = 0;
+    if (bytes.length) result = yield { direction: OUT, toggle: DATA1, bytes };
+    if (result !== null) result = yield { direction: IN, toggle: DATA1 };
+    if (result === null) throw new Error(`request ${packet} was refused`);
+  }
+
+  // Puts the next transaction on the bus, if the device is ready for one.
+  #serve() {
+    if (this.busy || !this.plugged) return;
+    if (this.wanted) this.#serveControl(this.wanted);
+    else if (this.configured) this.#serveBulk();
+  }
+
+  #serveControl(wanted) {
+    if (wanted.setup) {
+      this.#start(8, () => {
+        this.#check(this.usb.addrEndp & 0x7f, this.address, 'device address');
+        for (const direction of [IN, OUT]) this.#control(0, direction, 0);
+        this.usb.sendSetupPacket(Uint8Array.from(wanted.setup));
+        this.#advance();
+      });
+      return;
+    }
+    const control = this.#control(0, wanted.direction);
+    if (control & STALL) {
+      this.#start(0, () => this.#advance(null));
+    } else if (control & AVAILABLE) {
+      this.#check(control & DATA1, wanted.toggle, 'data toggle of endpoint 0');
+      const bytes = wanted.bytes ?? this.#bytes(0x100, control & LENGTH);
+      this.#start(bytes.length, () => {
+        this.#complete(0, wanted.direction, bytes, 0x100);
+        this.#advance(bytes);
+      });
+    }
+  }
+
+  #serveBulk() {
+    for (const direction of this.toSend.length ? [OUT, IN] : [IN]) {
+      const control = this.#control(2, direction);
+      if (!(control & AVAILABLE) || (direction === IN && !this.reading)) continue;
+      this.#check(control & DATA1, this.toggle[direction], `data toggle of ${direction}`);
+      this.toggle[direction] ^= DATA1;
+      const buffer = this.view.getUint32(direction === IN ? 0x10 : 0x14, true) & 0xffc0;
+      const bytes =
+        direction === IN
+          ? this.#bytes(buffer, control & LENGTH)
+          : this.toSend.splice(0, Math.min(PACKET, control & LENGTH));
+      this.#start(bytes.length, () => {
+        this.#complete(2, direction, bytes, buffer);
+        if (direction === IN) this.received(bytes);
+      });
+      return;
+    }
+  }
+
+  #start(size, finish) {
+    this.busy = true;
+    this.finish = finish;
+    this.done.schedule(TRANSACTION_NS(size));
+  }
+
+  // What the controller does when a buffer was sent or filled.
+  #complete(endpoint, direction, bytes, buffer) {
+    let control = this.#control(endpoint, direction) & ~AVAILABLE;
+    if (direction === OUT) {
+      this.chip.rp2040.usbDPRAM.set(bytes, buffer);
+      control = (control & ~LENGTH) | bytes.length | FULL;
+    } else {
+      control &= ~FULL;
+    }
+    this.#control(endpoint, direction, control);
+    this.usb.indicateBufferReady(endpoint, direction === OUT);
+  }
+
+  #control(endpoint, direction, value) {
+    const offset = 0x80 + 8 * endpoint + 4 * direction;
+    if (value !== undefined) this.view.setUint32(offset, value, true);
+    return this.view.getUint32(offset, true);
+  }
+
+  #bytes(offset, size) {
+    return [...this.chip.rp2040.usbDPRAM.slice(offset, offset + size)];
+  }
+
+  #check(found, expected, what) {
+    if (found !== expected) throw new Error(`${what} is ${found}, should be ${expected}`);
+  }
+}

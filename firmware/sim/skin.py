@@ -1,0 +1,150 @@
+"""The skin of config/wired_skin.yaml, emulated: nodes that differ, pressed by a scene."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emulated import Amplifier, EmulatedNodes, Node
+from tactile_cdma.node_memory import node_memory
+from tactile_cdma.parameters import SkinConfig
+from tactile_cdma.sim.scene import Scene, Skin
+
+IMAGES = Path(__file__).resolve().parents[1] / "build" / "node"
+SUPPLY_V = 3.3
+CLOCK_HZ = 8e6
+NOISE_V = 2e-3
+"""Of one sample on the line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """How the nodes differ, each drawn evenly between ± these shares.
+
+    clock: of the oscillators. supply: of the supplies, and with them of the levels on the line.
+    """
+
+    clock: float = 0.02
+    supply: float = 0.03
+    seed: int = 1
+
+
+def reference_nodes(
+    config: SkinConfig,
+    spread: Spread | None = None,
+    *,
+    mcu: str = "atmega328p",
+    discipline: bool = True,
+    threshold: int = 1,
+    heartbeat: int = 78,
+) -> list[Node]:
+    """The nodes of a skin, each with the memory that `tactile-cdma node` would give it.
+
+    The extremes of the spread of clocks are among them.
+    """
+    spec, spread = config.spec, spread or Spread()
+    assert spec.amplitude_v is not None, "a wired skin has a known amplitude"
+    rng = np.random.default_rng(spread.seed)
+    clocks = rng.permutation(np.linspace(-spread.clock, spread.clock, spec.nodes))
+    supplies = rng.uniform(-spread.supply, spread.supply, spec.nodes)
+    return [
+        Node(
+            image=IMAGES / f"node-{mcu}.elf",
+            mcu=mcu,
+            memory=node_memory(
+                spec,
+                number + 1,
+                threshold=threshold,
+                heartbeat=heartbeat,
+                discipline=discipline,
+                mcu=mcu,
+            ),
+            clock_hz=CLOCK_HZ * (1 + clocks[number]),
+            supply_v=SUPPLY_V * (1 + supplies[number]),
+            gain=spec.amplitude_v / (SUPPLY_V / 2),
+        )
+        for number in range(spec.nodes)
+    ]
+
+
+def reference_amplifier(config: SkinConfig) -> Amplifier:
+    """The amplifier between these nodes and the digitizer."""
+    return Amplifier(polarity=config.spec.polarity, noise_v=NOISE_V)
+
+
+class Digitized(Protocol):
+    """Nodes with a digitizer, whichever way that is emulated."""
+
+    @property
+    def now_ns(self) -> int:
+        """How far the emulation has come."""
+
+    def run(self, t_ns: int) -> None:
+        """Run everything to a time."""
+
+    def write(self, data: bytes) -> None:
+        """Bytes from the host reach the digitizer."""
+
+    def read(self) -> bytes:
+        """What the host has received since the last call."""
+
+
+class PressedSkin:
+    """An emulated skin under a scene. Pressures stay as they are for a frame period at a time.
+
+    phase_ns: pressures change so long after a multiple of the frame period.
+    """
+
+    def __init__(
+        self, config: SkinConfig, scene: Scene, nodes: EmulatedNodes, digitizer: Digitized
+    ) -> None:
+        self.phase_ns = 0
+        self._config, self._scene = config, scene
+        self._nodes, self._digitizer = nodes, digitizer
+        self._supplies_v = np.array([node.supply_v for node in nodes.nodes])
+        layout = config.layout
+        self._place = Skin(layout.positions_m[:, :2].astype(np.float64), layout.pitch_m)
+        self._pressed_ns: list[int] = []
+        self._codes: list[NDArray[np.int64]] = []
+        self._next_ns = 0
+        self._press()
+
+    @property
+    def now_ns(self) -> int:
+        """How far the emulation has come."""
+        return self._digitizer.now_ns
+
+    def run(self, t_ns: int) -> None:
+        """Run to a time, pressing on the way."""
+        while self._next_ns <= t_ns:
+            self._digitizer.run(self._next_ns)
+            self._press()
+        self._digitizer.run(t_ns)
+
+    def write(self, data: bytes) -> None:
+        """Bytes from the host reach the digitizer."""
+        self._digitizer.write(data)
+
+    def read(self) -> bytes:
+        """What the host has received since the last call."""
+        return self._digitizer.read()
+
+    def codes(self, t_ns: int) -> NDArray[np.int64]:
+        """What ideal converters make of the sensors' voltages at a time: (n,) codes."""
+        return self._codes[bisect_right(self._pressed_ns, t_ns) - 1]
+
+    def _press(self) -> None:
+        config = self._config
+        volts = config.curve.voltage(self._scene(self.now_ns * 1e-9, self._place))
+        self._pressed_ns.append(self.now_ns)
+        self._codes.append(config.adc.code(volts))
+        # Sensor and converter share a node's supply: what the code says is their ratio.
+        self._nodes.press(volts / config.adc.vref_v * self._supplies_v)
+        period_ns = round(config.spec.frame_period_s * 1e9)
+        periods = (self.now_ns - self.phase_ns) // period_ns + 1
+        self._next_ns = self.phase_ns + periods * period_ns

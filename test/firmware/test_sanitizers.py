@@ -1,0 +1,34 @@
+"""The core's tests once more, with every access and every sum in C watched."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import SANITIZED, need, run
+
+HERE = Path(__file__).parent
+TESTS = sorted(set(HERE.glob("test_core_*.py")) - {HERE / "test_core_replay.py"})
+
+
+@pytest.mark.slow
+def test_the_core_stays_within_its_memory_and_its_numbers() -> None:
+    library = run(need("cc"), "-print-file-name=libasan.so").strip()
+    if not Path(library).is_absolute():
+        pytest.skip("this compiler has no libasan.so: the core is not tested with sanitizers")
+    # Python itself leaks, and its allocator is none of ours.
+    watched = {"LD_PRELOAD": library, "ASAN_OPTIONS": "detect_leaks=0", SANITIZED: "1"}
+    # Not captured: what a sanitizer says would be lost with the process that it ends.
+    quietly = ("-q", "-x", "-s", "-p", "no:cacheprovider")
+    command = [sys.executable, "-m", "pytest", *quietly, *TESTS]
+    result = subprocess.run(
+        [str(part) for part in command],
+        env={**os.environ, **watched},
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
+    assert result.returncode == 0, result.stdout[-5000:] + result.stderr[-5000:]
