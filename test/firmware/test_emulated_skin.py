@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import need
-from emulated import Amplifier, EmulatedSkin, Node
 
+from emulated import Amplifier, EmulatedSkin, Node
 from tactile_cdma.driver import Session
 from tactile_cdma.messages import Quiet, RollCall, Samples
 from tactile_cdma.node_memory import node_memory
