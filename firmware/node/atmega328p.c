@@ -13,7 +13,13 @@ ISR(TIMER1_OVF_vect)
     board_overflows++;
 }
 
-EMPTY_INTERRUPT(TIMER1_COMPB_vect) /* the alarm: being awake is all it is for */
+static volatile bool rang; /* the alarm */
+
+ISR(TIMER1_COMPB_vect)
+{
+    rang = true;
+}
+
 EMPTY_INTERRUPT(ADC_vect)
 
 void board_init(void)
@@ -50,17 +56,23 @@ uint32_t board_now(void)
 void board_sleep(uint32_t when, const volatile uint8_t *event)
 {
     cli();
-    if (!*event && (int32_t)(when - board_now()) > BOARD_TICKS_PER_US * 10) {
-        OCR1B = (uint16_t)when; /* further than 65,536 ticks away it comes too early, that is all */
-        TIFR1 = _BV(OCF1B);
-        TIMSK1 |= _BV(OCIE1B);
+    if ((int32_t)(when - board_now()) <= 10 * (int32_t)BOARD_TICKS_PER_US) {
+        sei();
+        return;
+    }
+    OCR1B = (uint16_t)when; /* further than 65,536 ticks away it rings too early, that is all */
+    TIFR1 = _BV(OCF1B);
+    TIMSK1 |= _BV(OCIE1B);
+    rang = false;
+    /* what else wakes us, every chip for one, must not cost more than this */
+    while (!rang && !*event) {
         sleep_enable();
         sei();
         sleep_cpu();
         sleep_disable();
         cli();
-        TIMSK1 &= (uint8_t)~_BV(OCIE1B);
     }
+    TIMSK1 &= (uint8_t)~_BV(OCIE1B);
     sei();
 }
 

@@ -40,9 +40,8 @@ static BOARD_INLINE void board_level(bool high)
     TCCR1A = high ? _BV(COM1A1) | _BV(COM1A0) : _BV(COM1A1);
 }
 
-static BOARD_INLINE bool board_match(bool high, uint16_t here, uint16_t at)
+static BOARD_INLINE bool board_match(bool high, uint16_t at)
 {
-    (void)here;
     board_level(high);
     OCR1A = at - 1u; /* the latch changes with the tick after the match */
     return (int16_t)(at - 1u - TCNT1) > 0;
@@ -106,9 +105,12 @@ static BOARD_INLINE bool board_sync_edge(uint32_t *when)
     return rising;
 }
 
-static BOARD_INLINE bool board_sync_pending(void)
+static BOARD_INLINE bool board_sync_fell(uint16_t rise, uint16_t *length)
 {
-    return TIFR1 & _BV(ICF1);
+    if (!(TIFR1 & _BV(ICF1)))
+        return false;
+    *length = ICR1 - rise;
+    return true;
 }
 
 static BOARD_INLINE int16_t board_ticks_until(uint16_t at)

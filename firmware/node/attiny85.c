@@ -15,7 +15,13 @@ ISR(TIMER0_OVF_vect)
     board_ticks += 0x8000u;
 }
 
-EMPTY_INTERRUPT(TIMER0_COMPA_vect) /* the alarm: being awake is all it is for */
+static volatile bool rang; /* the alarm */
+
+ISR(TIMER0_COMPA_vect)
+{
+    rang = true;
+}
+
 EMPTY_INTERRUPT(ADC_vect)
 
 /* Notes the time before anything else; talk.c goes on from there. */
@@ -61,17 +67,23 @@ uint32_t board_now(void)
 void board_sleep(uint32_t when, const volatile uint8_t *event)
 {
     cli();
-    if (!*event && (int32_t)(when - board_now()) > 256) { /* two counts of Timer0 */
-        OCR0A = (uint8_t)(when >> 7); /* further than 8 ms away it comes too early, that is all */
-        TIFR = _BV(OCF0A);
-        TIMSK |= _BV(OCIE0A);
+    if ((int32_t)(when - board_now()) <= 256) { /* two counts of Timer0 */
+        sei();
+        return;
+    }
+    OCR0A = (uint8_t)(when >> 7); /* further than 8 ms away it rings too early, that is all */
+    TIFR = _BV(OCF0A);
+    TIMSK |= _BV(OCIE0A);
+    rang = false;
+    /* what else wakes us, every chip for one, must not cost more than this */
+    while (!rang && !*event) {
         sleep_enable();
         sei();
         sleep_cpu();
         sleep_disable();
         cli();
-        TIMSK &= (uint8_t)~_BV(OCIE0A);
     }
+    TIMSK &= (uint8_t)~_BV(OCIE0A);
     sei();
 }
 

@@ -76,10 +76,9 @@ static BOARD_INLINE bool board_match_step(void)
     return (uint8_t)(TCNT1 - from) < (uint8_t)(step - 1u);
 }
 
-static BOARD_INLINE bool board_match(bool high, uint16_t here, uint16_t at)
+static BOARD_INLINE bool board_match(bool high, uint16_t at)
 {
     board_match_high = high;
-    board_match_here = here;
     board_match_at = at;
     return board_match_step();
 }
@@ -105,6 +104,7 @@ static BOARD_INLINE void board_latch(bool high)
 
 static BOARD_INLINE void board_match_past(uint16_t at)
 {
+    board_match_here = board_match_at = at;
     OCR1A = (uint8_t)(at - 1u);
 }
 
@@ -136,13 +136,12 @@ static BOARD_INLINE bool board_sync_edge(uint32_t *when)
     return PINB & _BV(BOARD_SYNC);
 }
 
-static BOARD_INLINE bool board_sync_pending(void)
+/* Who asks first after 10 µs doesn't learn whether the pulse was over before: 4 to 8 µs of noise just
+ * when a restart is due may pass for one. */
+static BOARD_INLINE bool board_sync_fell(uint16_t rise, uint16_t *length)
 {
-    if (!(GIFR & _BV(INTF0)))
-        return false;
-    GPIOR0 = TCNT1;
-    GIFR = _BV(INTF0);
-    return true;
+    *length = (uint8_t)(TCNT1 - (uint8_t)rise);
+    return !(PINB & _BV(BOARD_SYNC));
 }
 
 /* From 24 ticks ago to 231 ahead. */
