@@ -1,4 +1,5 @@
-/* Interrupt flags: a pulse if one clears alone, another at once if a set flag interrupts once enabled. */
+/* A pulse if an interrupt flag clears alone; another at once if one that is set interrupts as soon as
+ * it is enabled. */
 #include "specimen.h"
 
 ISR(TIMER1_COMPB_vect)

@@ -1,5 +1,5 @@
-/* Drives its output as the latch is, forces that high, takes no care of the watchdog (16 ms), and lights
- * the LED after a reset by it. */
+/* Drives its output as the latch is, forces that high, takes no care of the watchdog (16 ms), and
+ * lights the LED after a reset by it. */
 #include <avr/wdt.h>
 
 #include "specimen.h"

@@ -1,5 +1,5 @@
-/* Released some 200 cycles after Timer1 starts; a match sets the latch, high until then, low at a time of
- * which byte 0 of the EEPROM is the cycle. */
+/* Released some 200 cycles after Timer1 starts; a match sets the latch, high until then, low: when,
+ * byte 0 of the EEPROM says in cycles. */
 #include <avr/eeprom.h>
 
 #include "specimen.h"
