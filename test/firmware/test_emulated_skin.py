@@ -36,17 +36,16 @@ def config(**values: object) -> SkinConfig:
 
 
 def skin_of(images: Path, config: SkinConfig, clocks: np.ndarray, threshold: int = 0) -> list[Node]:
-    """Nodes with clocks that are off by these shares; they know their level at rest."""
-    return [
-        Node(
-            images / "node-atmega328p.elf",
-            memory=node_memory(config.spec, number, threshold=threshold, heartbeat=0, rest=1000),
-            clock_hz=8e6 * (1 + error),
-            gain=GAIN,
-            supply_v=SUPPLY_V,
+    """Nodes of either kind, with clocks off by these shares; they know their code at rest."""
+    nodes = []
+    for number, error in enumerate(clocks, start=1):
+        mcu = ("atmega328p", "attiny85")[number % 2]
+        record = node_memory(
+            config.spec, number, threshold=threshold, heartbeat=0, rest=1000, mcu=mcu
         )
-        for number, error in enumerate(clocks, start=1)
-    ]
+        image = images / f"node-{mcu}.elf"
+        nodes.append(Node(image, mcu, record, 8e6 * (1 + error), SUPPLY_V, GAIN))
+    return nodes
 
 
 def volts(codes: np.ndarray) -> np.ndarray:

@@ -1,5 +1,5 @@
-/* A pulse if an interrupt flag clears alone; another at once if one that is set interrupts as soon as
- * it is enabled. */
+/* A pulse if an interrupt flag clears alone; another at once if one that is set interrupts when it
+ * is enabled. */
 #include "specimen.h"
 
 ISR(TIMER1_COMPB_vect)
