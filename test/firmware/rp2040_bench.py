@@ -1,4 +1,4 @@
-"""The RP2040's image in its emulator: a known line at its ADC, the host's own parser at its ports."""
+"""The RP2040's image in its emulator: a known line at its ADC, the host's parser at its ports."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from rp2040 import Rp2040
 
+from rp2040 import Rp2040
 from tactile_cdma._protocol import SYNC_LEAD, SYNC_UNIT_US
 from tactile_cdma.messages import (
     Ack,
