@@ -18,7 +18,7 @@ export LC_ALL ?= C.UTF-8
 
 BIN = $(VENV)/bin
 .DEFAULT_GOAL := help
-.PHONY: help run test lint setup bench-setup clean firmware firmware-test
+.PHONY: help run test lint setup bench-setup clean firmware firmware-test firmware-tools
 
 help:
 	@sed -n 's/^# //p' Makefile
@@ -40,8 +40,10 @@ lint: setup
 	@"$(BIN)/mypy"
 	@"$(BIN)/mypy" firmware/sim/*.py
 
-firmware: setup
+firmware-tools: setup
 	@"$(BIN)/python" tools/firmware_tools.py --require
+
+firmware: firmware-tools
 	@$(MAKE) --no-print-directory -s -C firmware
 
 firmware-test: firmware

@@ -113,7 +113,7 @@ def node_memory(
             f"{spec.frame_s + MEASURING_S:g} s"
         )
     pause_s = (spec.guard_chips + MCUS[mcu].restart_chips) * spec.chip_s
-    if spec.resync_chips and pause_s < RESTART_S * (1 - 1e-9):
+    if spec.span_chips > spec.chips and pause_s < RESTART_S * (1 - 1e-9):
         needed = math.ceil(RESTART_S / spec.chip_s - 1e-9) - MCUS[mcu].restart_chips
         raise SpecError(
             f"guard_chips is {spec.guard_chips}, but to start anew within the frame the {mcu} "

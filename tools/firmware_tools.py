@@ -27,6 +27,7 @@ PACKAGES = {  # Debian's name: what tells that it is there, a program or a file
     "libnewlib-arm-none-eabi": "/usr/include/newlib/stdint.h",
     "qemu-system-arm": "qemu-system-arm",
     "cppcheck": "cppcheck",
+    "avrdude": "avrdude",
     "make": "make",
     "gcc": "cc",
     "util-linux": "flock",

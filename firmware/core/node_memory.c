@@ -25,10 +25,10 @@ static bool fits(const struct tp_node_record *record, const struct node_limits *
     uint32_t span = frame_span(chips, record->resync_chips, record->guard_chips);
     uint64_t used_ns = (uint64_t)span * record->chip_ns +
                        1000u * (TP_SYNC_LEAD * TP_SYNC_UNIT_US + limits->measuring_us);
-    uint32_t pause_chips = (uint32_t)record->guard_chips + limits->restart_chips;
+    uint32_t guard_ns = record->guard_chips * record->chip_ns;
 
     return record->order <= limits->order && used_ns <= 1000u * (uint64_t)record->frame_period_us &&
-           (span == chips || (uint64_t)pause_chips * record->chip_ns >= 1000u * limits->restart_us);
+           (span == chips || guard_ns >= 1000ul * limits->restart_us);
 }
 
 enum node_memory_fault node_memory_load(struct tp_node_record *record, uint8_t *row,

@@ -20,7 +20,6 @@ struct node_limits {
     uint16_t order;          /* chips of a row that it has room for */
     uint16_t measuring_us;   /* it needs so long between a frame's end and the next sync pulse */
     uint16_t restart_us;     /* … and between a sub-slot's end and the next sub-slot */
-    uint8_t restart_chips;   /* of which so many may be the sub-slot's last chips */
 };
 
 /* Byte `address` of the memory. */

@@ -118,7 +118,7 @@ bool setup_make(struct setup *setup, const struct dg_board *board,
     uint32_t ticks = new.ticks_per_sample, sample = ticks * STRIDE_MILLI;
     uint64_t chip = chip_length(&new);
     uint64_t span = place(&new, new.chips - 1) + 1ull + TP_TAIL_CHIPS;
-    uint64_t first = SETUP_FIRST_MARK_US * (uint64_t)new.ticks_per_us;
+    uint64_t first = DG_FIRST_MARK_US * (uint64_t)new.ticks_per_us;
     uint64_t packet = TP_MAX_PACKET_US * (uint64_t)new.ticks_per_us / ticks;
 
     new.first_mark = (first + ticks - 1) / ticks * ticks;

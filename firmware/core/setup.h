@@ -11,7 +11,7 @@
 
 #define SETUP_MAX_MEAN 4096      /* samples in the mean of a chip: bounds the load of slow chips … */
 #define SETUP_MEAN_SCALE 8       /* … whose means are sent in eighths of a count */
-#define SETUP_FIRST_MARK_US 1000 /* from a stream's start to its first frame, at least */
+#define DG_FIRST_MARK_US 1000    /* from a stream's start to its first frame, at least */
 
 struct setup {
     struct tp_configure asked; /* as it holds */

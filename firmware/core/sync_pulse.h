@@ -9,13 +9,13 @@
 #define SYNC_PULSE_GLITCH 0u
 
 /* TP_SYNC_RESTART, TP_SYNC_FRAME or TP_SYNC_CALL: the length rounded to units, so clocks may be some
- * 14 % off; anything shorter or longer is a glitch. unit_ticks: a constant power of two, so that
- * nothing is divided. */
+ * 14 % off; anything shorter or longer is a glitch. unit_ticks: a constant that divides 256, so
+ * that an AVR takes a byte for a quotient. */
 static inline uint8_t sync_pulse_units(uint32_t ticks, uint16_t unit_ticks)
 {
     if (ticks >= TP_SYNC_CALL * unit_ticks + unit_ticks / 2u)
         return SYNC_PULSE_GLITCH;
-    return (uint8_t)((uint16_t)(ticks + unit_ticks / 2u) / unit_ticks);
+    return (uint8_t)((uint16_t)((uint16_t)(ticks + unit_ticks / 2u) * (256u / unit_ticks)) >> 8);
 }
 
 #endif

@@ -3,7 +3,7 @@
  *
  * Timer1 counts cycles. It captures the edges of the sync line and makes those of the line, so that
  * no interrupt's latency is in them. Fuses: crystal, no division by 8, brown-out at 2.7 V,
- * EEPROM kept when the chip is erased (low 0xFF, high 0xD1, extended 0xFD).
+ * EEPROM kept when the chip is erased (low 0xFD, high 0xD1, extended 0xFD).
  */
 #ifndef NODE_ATMEGA328P_H
 #define NODE_ATMEGA328P_H
@@ -17,11 +17,7 @@
 #define BOARD_MATCH_vect TIMER1_COMPA_vect
 #define BOARD_SYNC_vect TIMER1_CAPT_vect
 
-/* Capturing goes on while the last chip of a sub-slot is on the line. */
 #define BOARD_ORDER 4096
-#define BOARD_LIMITS                                                                              \
-    ((struct node_limits){.order = BOARD_ORDER, .measuring_us = 900, .restart_us = 80,            \
-                          .restart_chips = 1})
 
 #define BOARD_LINE PB1
 #define BOARD_SYNC PB0
@@ -30,7 +26,7 @@
 extern volatile uint16_t board_overflows;
 
 /* Time of a recent count of the timer; interrupts are off. */
-static inline uint32_t board_time(uint16_t count)
+static BOARD_INLINE uint32_t board_time(uint16_t count)
 {
     uint16_t overflows = board_overflows;
 
@@ -39,12 +35,12 @@ static inline uint32_t board_time(uint16_t count)
     return (uint32_t)overflows << 16 | count;
 }
 
-static inline void board_level(bool high)
+static BOARD_INLINE void board_level(bool high)
 {
     TCCR1A = high ? _BV(COM1A1) | _BV(COM1A0) : _BV(COM1A1);
 }
 
-static inline bool board_match(bool high, uint16_t here, uint16_t at)
+static BOARD_INLINE bool board_match(bool high, uint16_t here, uint16_t at)
 {
     (void)here;
     board_level(high);
@@ -52,46 +48,51 @@ static inline bool board_match(bool high, uint16_t here, uint16_t at)
     return (int16_t)(at - 1u - TCNT1) > 0;
 }
 
-static inline bool board_match_is_last(void)
+static BOARD_INLINE bool board_match_is_last(void)
 {
     return true;
 }
 
-static inline bool board_match_level(void)
+static BOARD_INLINE bool board_match_level(void)
 {
     return TCCR1A & _BV(COM1A0);
 }
 
-static inline void board_latch(bool high)
+static BOARD_INLINE void board_latch(bool high)
 {
     board_level(high);
     TCCR1C = _BV(FOC1A);
 }
 
-static inline void board_matches_on(void)
+static BOARD_INLINE void board_match_past(uint16_t at)
+{
+    OCR1A = at - 1u;
+}
+
+static BOARD_INLINE void board_matches_on(void)
 {
     TIFR1 = _BV(OCF1A);
     TIMSK1 |= _BV(OCIE1A);
 }
 
-static inline void board_matches_off(void)
+static BOARD_INLINE void board_matches_off(void)
 {
     TIMSK1 &= (uint8_t)~_BV(OCIE1A);
 }
 
-static inline void board_sync_on(void)
+static BOARD_INLINE void board_sync_on(void)
 {
     TCCR1B = _BV(CS10) | _BV(ICES1); /* the next rising edge first */
     TIFR1 = _BV(ICF1);
     TIMSK1 |= _BV(ICIE1);
 }
 
-static inline void board_sync_off(void)
+static BOARD_INLINE void board_sync_off(void)
 {
     TIMSK1 &= (uint8_t)~_BV(ICIE1);
 }
 
-static inline bool board_sync_edge(uint32_t *when)
+static BOARD_INLINE bool board_sync_edge(uint32_t *when)
 {
     bool rising = TCCR1B & _BV(ICES1);
 
@@ -105,13 +106,23 @@ static inline bool board_sync_edge(uint32_t *when)
     return rising;
 }
 
-static inline int16_t board_ticks_until(uint16_t at)
+static BOARD_INLINE bool board_sync_pending(void)
+{
+    return TIFR1 & _BV(ICF1);
+}
+
+static BOARD_INLINE int16_t board_ticks_until(uint16_t at)
 {
     return (int16_t)(at - TCNT1);
 }
 
+static BOARD_INLINE uint16_t board_ticks_since(uint16_t then)
+{
+    return TCNT1 - then;
+}
+
 #define BOARD_SPIN_TICKS 40
-static inline void board_spin(uint16_t at)
+static BOARD_INLINE void board_spin(uint16_t at)
 {
     uint8_t left = (uint8_t)at;
 
@@ -133,12 +144,12 @@ static inline void board_spin(uint16_t at)
                      : [count] "n"(_SFR_MEM_ADDR(TCNT1L)));
 }
 
-static inline void board_drive(void)
+static BOARD_INLINE void board_drive(void)
 {
     DDRB |= _BV(BOARD_LINE);
 }
 
-static inline void board_release(void)
+static BOARD_INLINE void board_release(void)
 {
     DDRB &= (uint8_t)~_BV(BOARD_LINE);
 }

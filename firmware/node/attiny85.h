@@ -19,11 +19,7 @@
 #define BOARD_MATCH_vect TIMER1_COMPA_vect
 #define BOARD_SYNC_vect __vector_sync_edge /* called by INT0's, see attiny85.c */
 
-/* The release at a sub-slot's end must not delay the timing of the pulse that starts the next one. */
 #define BOARD_ORDER 1024
-#define BOARD_LIMITS                                                                              \
-    ((struct node_limits){.order = BOARD_ORDER, .measuring_us = 900, .restart_us = 80,            \
-                          .restart_chips = 0})
 
 #define BOARD_LINE PB1
 #define BOARD_SYNC PB2
@@ -47,7 +43,7 @@ extern uint16_t board_match_here, board_match_at;
 extern bool board_match_high;
 
 /* Time of a recent count of Timer1; interrupts are off. */
-static inline uint32_t board_time(uint8_t count)
+static BOARD_INLINE uint32_t board_time(uint8_t count)
 {
     uint32_t coarse = board_ticks;
     uint8_t wraps = TCNT0;
@@ -59,12 +55,12 @@ static inline uint32_t board_time(uint8_t count)
     return coarse + 64u + (int8_t)(uint8_t)(count - (uint8_t)coarse - 64u);
 }
 
-static inline void board_level(bool high)
+static BOARD_INLINE void board_level(bool high)
 {
     TCCR1 = high ? BOARD_COUNTING | _BV(COM1A1) | _BV(COM1A0) : BOARD_COUNTING | _BV(COM1A1);
 }
 
-static inline bool board_match_step(void)
+static BOARD_INLINE bool board_match_step(void)
 {
     uint16_t left = board_match_at - board_match_here;
     uint8_t step = (uint8_t)left;
@@ -80,7 +76,7 @@ static inline bool board_match_step(void)
     return (uint8_t)(TCNT1 - from) < (uint8_t)(step - 1u);
 }
 
-static inline bool board_match(bool high, uint16_t here, uint16_t at)
+static BOARD_INLINE bool board_match(bool high, uint16_t here, uint16_t at)
 {
     board_match_high = high;
     board_match_here = here;
@@ -88,7 +84,7 @@ static inline bool board_match(bool high, uint16_t here, uint16_t at)
     return board_match_step();
 }
 
-static inline bool board_match_is_last(void)
+static BOARD_INLINE bool board_match_is_last(void)
 {
     if (board_match_here == board_match_at)
         return true;
@@ -96,55 +92,75 @@ static inline bool board_match_is_last(void)
     return false;
 }
 
-static inline bool board_match_level(void)
+static BOARD_INLINE bool board_match_level(void)
 {
     return TCCR1 & _BV(COM1A0);
 }
 
-static inline void board_latch(bool high)
+static BOARD_INLINE void board_latch(bool high)
 {
     board_level(high);
     GTCCR = _BV(FOC1A);
 }
 
-static inline void board_matches_on(void)
+static BOARD_INLINE void board_match_past(uint16_t at)
+{
+    OCR1A = (uint8_t)(at - 1u);
+}
+
+static BOARD_INLINE void board_matches_on(void)
 {
     TIFR = _BV(OCF1A);
     TIMSK |= _BV(OCIE1A);
 }
 
-static inline void board_matches_off(void)
+static BOARD_INLINE void board_matches_off(void)
 {
     TIMSK &= (uint8_t)~_BV(OCIE1A);
 }
 
-static inline void board_sync_on(void)
+static BOARD_INLINE void board_sync_on(void)
 {
     GIFR = _BV(INTF0);
     GIMSK = _BV(INT0);
 }
 
-static inline void board_sync_off(void)
+static BOARD_INLINE void board_sync_off(void)
 {
     GIMSK = 0;
 }
 
-static inline bool board_sync_edge(uint32_t *when)
+static BOARD_INLINE bool board_sync_edge(uint32_t *when)
 {
     *when = board_time(GPIOR0) - BOARD_SYNC_LATENCY;
     return PINB & _BV(BOARD_SYNC);
 }
 
+static BOARD_INLINE bool board_sync_pending(void)
+{
+    if (!(GIFR & _BV(INTF0)))
+        return false;
+    GPIOR0 = TCNT1;
+    GIFR = _BV(INTF0);
+    return true;
+}
+
 /* From 24 ticks ago to 231 ahead. */
-static inline int16_t board_ticks_until(uint16_t at)
+static BOARD_INLINE int16_t board_ticks_until(uint16_t at)
 {
     uint8_t left = (uint8_t)((uint8_t)at - TCNT1);
 
     return left < 232u ? left : (int16_t)(left - 256);
 }
 
+/* Up to 255. */
+static BOARD_INLINE uint16_t board_ticks_since(uint16_t then)
+{
+    return (uint8_t)(TCNT1 - (uint8_t)then);
+}
+
 #define BOARD_SPIN_TICKS 20
-static inline void board_spin(uint16_t at)
+static BOARD_INLINE void board_spin(uint16_t at)
 {
     uint8_t left = (uint8_t)at, odd;
 
@@ -170,12 +186,12 @@ static inline void board_spin(uint16_t at)
                      : [count] "I"(_SFR_IO_ADDR(TCNT1)));
 }
 
-static inline void board_drive(void)
+static BOARD_INLINE void board_drive(void)
 {
     DDRB |= _BV(BOARD_LINE);
 }
 
-static inline void board_release(void)
+static BOARD_INLINE void board_release(void)
 {
     DDRB &= (uint8_t)~_BV(BOARD_LINE);
 }

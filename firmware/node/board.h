@@ -10,6 +10,9 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+/* Cycles are counted from board_spin on; and a call costs an interrupt all registers. */
+#define BOARD_INLINE inline __attribute__((always_inline))
+
 /* For main.c, interrupts on. */
 
 /* First thing after a reset: clocks, pins, timers, watchdog. */
@@ -26,7 +29,6 @@ uint8_t board_memory_byte(uint16_t address);
  *
  *   BOARD_TICKS_PER_US   a power of two
  *   BOARD_ORDER          most chips of a row
- *   BOARD_LIMITS         its struct node_limits
  *   BOARD_MATCH_vect     interrupt of the latch's match
  *   BOARD_SYNC_vect      interrupt of the sync line's edges
  *   BOARD_SPIN_TICKS     least way to what board_spin waits for
@@ -34,30 +36,35 @@ uint8_t board_memory_byte(uint16_t address);
 
 /* The latch gets a level when the timer gets to `at`; here: the last match, or the switch's last
  * closing, not long ago. False: too late. */
-static inline bool board_match(bool high, uint16_t here, uint16_t at);
+static BOARD_INLINE bool board_match(bool high, uint16_t here, uint16_t at);
 /* In the match's interrupt: whether it was the one that was asked for, not one on the way. */
-static inline bool board_match_is_last(void);
+static BOARD_INLINE bool board_match_is_last(void);
 /* Level that the next match will set. */
-static inline bool board_match_level(void);
+static BOARD_INLINE bool board_match_level(void);
+/* The next match is one turn of the timer after `at`. */
+static BOARD_INLINE void board_match_past(uint16_t at);
 /* Interrupts at matches, from the next one on. */
-static inline void board_matches_on(void);
-static inline void board_matches_off(void);
+static BOARD_INLINE void board_matches_on(void);
+static BOARD_INLINE void board_matches_off(void);
 /* The latch, and the next match, get a level at once. */
-static inline void board_latch(bool high);
+static BOARD_INLINE void board_latch(bool high);
 
 /* The switch. */
-static inline void board_drive(void);
-static inline void board_release(void);
-/* Ticks until a near time. */
-static inline int16_t board_ticks_until(uint16_t at);
+static BOARD_INLINE void board_drive(void);
+static BOARD_INLINE void board_release(void);
+/* Ticks until a near time, and since one. */
+static BOARD_INLINE int16_t board_ticks_until(uint16_t at);
+static BOARD_INLINE uint16_t board_ticks_since(uint16_t then);
 /* Waits, to the cycle, so that board_drive or board_release right after it takes effect at `at`. */
-static inline void board_spin(uint16_t at);
+static BOARD_INLINE void board_spin(uint16_t at);
 
 /* Interrupts at edges of the sync line, from the next one on. */
-static inline void board_sync_on(void);
-static inline void board_sync_off(void);
+static BOARD_INLINE void board_sync_on(void);
+static BOARD_INLINE void board_sync_off(void);
 /* In that interrupt: whether the edge was a rising one, and when it came. */
-static inline bool board_sync_edge(uint32_t *when);
+static BOARD_INLINE bool board_sync_edge(uint32_t *when);
+/* Whether another edge has come meanwhile; then board_sync_edge tells of it. */
+static BOARD_INLINE bool board_sync_pending(void);
 
 #if defined(__AVR_ATmega328P__)
 #include "atmega328p.h"

@@ -11,7 +11,9 @@
 
 #define MS (1000ul * BOARD_TICKS_PER_US)
 /* Two conversions take 310 µs; a new clock, the plan and what may interrupt them do with the rest. */
-#define MEASURING_TICKS (800ul * BOARD_TICKS_PER_US)
+#define MEASURING_US 800u
+/* From a sub-slot's end to the next one: its pulse must not begin before the line is released. */
+#define RESTART_US (TP_SYNC_LEAD * TP_SYNC_UNIT_US + 16u)
 #define REST_READINGS 8
 
 static struct tp_node_record record;
@@ -103,7 +105,8 @@ static void frame_missed(void)
 
 int main(void)
 {
-    const struct node_limits limits = BOARD_LIMITS;
+    static const struct node_limits limits = {
+        .order = BOARD_ORDER, .measuring_us = MEASURING_US, .restart_us = RESTART_US};
     enum node_memory_fault fault;
 
     board_init();
@@ -124,7 +127,7 @@ int main(void)
         else
             frame_missed();
         /* a pulse before its time is a frame, too, though one without us */
-        while (wait(mark + clock.period - MEASURING_TICKS))
+        while (wait(mark + clock.period - MEASURING_US * (uint32_t)BOARD_TICKS_PER_US))
             frame_began();
     }
 }

@@ -7,10 +7,11 @@
 #include "sync_pulse.h"
 
 #define UNIT_TICKS (TP_SYNC_UNIT_US * BOARD_TICKS_PER_US)
+#define LONGEST_PULSE_TICKS (TP_SYNC_CALL * UNIT_TICKS + UNIT_TICKS / 2u)
 /* The interrupt that ends a sub-slot comes so long before its end: others may be running. */
-#define RELEASE_LEAD_TICKS (10u * BOARD_TICKS_PER_US)
-/* A chip shorter than this is waited for by the interrupt that began it. */
-#define SHORT_CHIP_TICKS (40u * BOARD_TICKS_PER_US)
+#define RELEASE_LEAD_TICKS (30u * BOARD_TICKS_PER_US)
+/* A last chip shorter than this is waited for by the interrupt that began it. */
+#define SHORT_CHIP_TICKS (60u * BOARD_TICKS_PER_US)
 
 enum state {
     SILENT,    /* the line is released */
@@ -42,12 +43,12 @@ static uint8_t guard_chips;
 static struct talk_frame frame;
 volatile uint8_t talk_began;
 
-static inline uint16_t ticks(uint32_t q16)
+static BOARD_INLINE uint16_t ticks(uint32_t q16)
 {
     return (uint16_t)((q16 + 0x8000u) >> 16);
 }
 
-static inline void fall_silent(void)
+static BOARD_INLINE void fall_silent(void)
 {
     board_release();
     board_matches_off();
@@ -56,119 +57,124 @@ static inline void fall_silent(void)
 }
 
 /* The last chip ends at edge_q16. */
-static inline void end_slot(void)
+static BOARD_INLINE void end_slot(void)
 {
     uint16_t end = ticks(edge_q16);
 
     if (board_ticks_until(end) >= BOARD_SPIN_TICKS)
         board_spin(end);
-    board_release();
-    board_matches_off();
+    fall_silent();
     if (more) {
         state = PAUSED;
         board_latch(sequencer_level(&sequencer));
-    } else {
-        state = SILENT;
-        board_sync_on();
     }
 }
 
-/* A chip has begun, at edge_q16. */
-static inline void chip_began(bool first)
+/* A chip has begun, at edge_q16; says whether it is one to be waited for. */
+static BOARD_INLINE bool chip_began(void)
 {
     uint16_t here = ticks(edge_q16), end;
     enum sequencer_next next = sequencer_step(&sequencer);
-    bool in_time = true;
+    bool level, in_time;
 
     edge_q16 += chip_q16;
     end = ticks(edge_q16);
     if (next == SEQUENCER_CHIP) {
-        in_time = board_match(sequencer_level(&sequencer), here, end);
+        level = sequencer_level(&sequencer);
     } else {
         state = LAST;
         more = next == SEQUENCER_GUARD;
-        if (more)
-            board_sync_on(); /* where the guard is short, the pulse begins before it */
-        if ((uint16_t)(end - here) < SHORT_CHIP_TICKS) {
-            end_slot();
-            return;
-        }
-        in_time = board_match(board_match_level(), here, (uint16_t)(end - RELEASE_LEAD_TICKS));
+        if ((uint16_t)(end - here) < SHORT_CHIP_TICKS)
+            return true;
+        level = board_match_level();
+        end -= RELEASE_LEAD_TICKS;
     }
+    in_time = board_match(level, here, end);
     if (!in_time)
         fall_silent(); /* rather than say something else */
-    else if (first)
-        board_matches_on();
+    return false;
+}
+
+/* One for both interrupts: a copy in each would take a quarter of the ATtiny85's memory. */
+static __attribute__((noinline)) void advance(void)
+{
+    if (state == LAST || chip_began())
+        end_slot();
 }
 
 ISR(BOARD_MATCH_vect)
 {
-    if (!board_match_is_last())
-        return;
-    if (state == LAST)
-        end_slot();
-    else
-        chip_began(false);
+    if (board_match_is_last())
+        advance();
 }
 
 /* The present pulse was one for us: the first chip comes `lead` after its beginning. */
-static inline bool begin_slot(void)
+static BOARD_INLINE bool begin_slot(void)
 {
     uint32_t start_q16 = (rise << 16) + lead_q16;
     uint16_t start = ticks(start_q16);
 
-    if (state == LAST)
-        end_slot();
     if (board_ticks_until(start) < BOARD_SPIN_TICKS) {
         state = SILENT;
         return false;
     }
     board_sync_off();
+    board_match_past(start);
     board_spin(start);
     board_drive();
+    board_matches_on();
     state = TALKING;
     slot_rise = rise;
     edge_q16 = start_q16;
-    chip_began(true);
+    advance();
     return true;
 }
 
-/* What the pulse may be is settled while it lasts, for there is little time when it is over. */
-static inline void pulse_begins(uint32_t when)
+static BOARD_INLINE void pulse_ends(uint32_t when)
+{
+    uint8_t units = sync_pulse_units(when - rise, UNIT_TICKS);
+    bool speaks = false;
+
+    high = false;
+    if (units == TP_SYNC_RESTART) {
+        speaks = may_restart;
+    } else if (units != SYNC_PULSE_GLITCH && may_frame) {
+        speaks = planned && (units == TP_SYNC_CALL ? plan_talks_first : plan_talks);
+        planned = false;
+        frame.when = rise;
+        frame.units = units;
+        frame.spoke = speaks;
+        talk_began = 1;
+    }
+    if (speaks && !begin_slot())
+        frame.spoke = false;
+}
+
+static BOARD_INLINE void pulse_begins(uint32_t when)
 {
     rise = when;
     high = true;
     may_frame = when - frame.when >= earliest;
-    may_restart = (state == PAUSED || state == LAST) &&
+    may_restart = state == PAUSED &&
                   when - slot_rise - restart_earliest <= restart_width;
 }
 
-static inline void pulse_ends(uint32_t when)
-{
-    uint8_t units = sync_pulse_units(when - rise, UNIT_TICKS);
-
-    high = false;
-    if (units == TP_SYNC_RESTART) {
-        if (may_restart)
-            begin_slot();
-    } else if (units != SYNC_PULSE_GLITCH && may_frame) {
-        bool talks = planned && (units == TP_SYNC_CALL ? plan_talks_first : plan_talks);
-
-        frame.spoke = talks && begin_slot();
-        frame.when = rise;
-        frame.units = units;
-        planned = false;
-        talk_began = 1;
-    }
-}
-
+/* After a roll call's pulse there are 16 µs to the first chip, less than another interrupt would take:
+ * who might have to speak waits for the pulse's end here. */
 ISR(BOARD_SYNC_vect)
 {
     uint32_t when;
 
-    if (board_sync_edge(&when))
+    if (board_sync_edge(&when)) {
         pulse_begins(when);
-    else if (high)
+        if (!may_restart && !(may_frame && planned && (plan_talks || plan_talks_first)))
+            return;
+        while (!board_sync_pending())
+            if (board_ticks_since((uint16_t)when) >= LONGEST_PULSE_TICKS)
+                return;
+        board_sync_edge(&when);
+    }
+    if (high)
         pulse_ends(when);
 }
 

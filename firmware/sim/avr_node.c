@@ -170,6 +170,7 @@ static void tapped_write(avr_t *avr, avr_io_addr_t address, uint8_t value, void 
     else
         avr->data[address] = value;
     tap->node->touched = true;
+    avr->run_cycle_count = 0; /* ends avr_run_one with this instruction */
 }
 
 static void tap(struct avr_node *node, int which, avr_io_addr_t address)
@@ -334,10 +335,13 @@ static void process_events(struct avr_node *node)
     avr->cycle = now;
 }
 
-static void run_one(struct avr_node *node)
+/* Instructions, until one reaches the next event, changes when that is, touches the output pin, lets
+ * interrupts in or sleeps. simavr leaves its loop where a cycle timer is set, as its limit is 1. */
+static void run_instructions(struct avr_node *node, avr_cycle_count_t event)
 {
     avr_t *avr = node->avr;
 
+    avr->run_cycle_count = event > avr->cycle ? event - avr->cycle : 0;
     avr->pc = avr_run_one(avr);
     if (avr->state != cpu_Sleeping)
         return;
@@ -381,7 +385,7 @@ void node_run(struct avr_node *node, int64_t t_ns)
         skip_past(node);
     look_ahead(node);
     while (avr->cycle < end) {
-        avr_cycle_count_t begin = avr->cycle;
+        avr_cycle_count_t begin = avr->cycle, event;
         bool asleep = avr->state != cpu_Running;
 
         catch_up(node);
@@ -389,11 +393,12 @@ void node_run(struct avr_node *node, int64_t t_ns)
             reset_by_watchdog(node);
         else if (avr->interrupt_state)
             respond(node, asleep);
+        event = next_event(node) < end ? next_event(node) : end;
         if (avr->state == cpu_Running) {
-            run_one(node);
+            run_instructions(node, event);
             node->counters.cycles_awake += avr->cycle - begin;
         } else {
-            avr->cycle = next_event(node) < end ? next_event(node) : end;
+            avr->cycle = event;
             node->counters.cycles_asleep += avr->cycle - begin;
         }
     }

@@ -128,6 +128,7 @@ class EmulatedNodes:
         self,
         nodes: Sequence[Node],
         amplifier: Amplifier | None = None,
+        *,
         library: Path = LIBRARY,
     ) -> None:
         self._library = _load(library)
@@ -137,7 +138,7 @@ class EmulatedNodes:
                 _Amplifier(
                     line.offset_v, line.polarity, line.low_v, line.high_v, line.noise_v, line.seed
                 )
-            )
+            ),
         )
         self.nodes = tuple(nodes)
         try:
@@ -249,7 +250,7 @@ class EmulatedSkin(EmulatedNodes):
         library: Path = LIBRARY,
     ) -> None:
         self._board: int | None = None
-        super().__init__(nodes, amplifier, library)
+        super().__init__(nodes, amplifier, library=library)
         self._board = self._library.board_create(
             self._skin, (amplifier or Amplifier()).offset_v, clock_error, link_rate
         )

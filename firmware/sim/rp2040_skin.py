@@ -6,13 +6,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from emulated import Amplifier, EmulatedNodes, Node
 from numpy.typing import NDArray
+
+from emulated import Amplifier, EmulatedNodes, Node
 from rp2040 import Rp2040
 
 IMAGE = Path(__file__).resolve().parents[1] / "build" / "rp2040" / "digitizer.bin"
 FULL_SCALE_V = 3.3
 COUNTS = 4096
+CPU_HZ = 125e6
 
 
 class Rp2040Skin(EmulatedNodes):
@@ -40,6 +42,12 @@ class Rp2040Skin(EmulatedNodes):
         """How far the emulation has come."""
         assert self.chip is not None, "closed"
         return round(self.chip.now * 1e9)
+
+    @property
+    def cpu_load(self) -> float:
+        """Share of the time since power-up that the RP2040's processor was awake."""
+        assert self.chip is not None, "closed"
+        return self.chip.cycles / (self.chip.now * CPU_HZ)
 
     def run(self, t_ns: int) -> None:
         """Run digitizer and nodes to a time."""

@@ -80,7 +80,9 @@ def reference_amplifier(config: SkinConfig) -> Amplifier:
 class Digitized(Protocol):
     """Nodes with a digitizer, whichever way that is emulated."""
 
-    now_ns: int
+    @property
+    def now_ns(self) -> int:
+        """How far the emulation has come."""
 
     def run(self, t_ns: int) -> None:
         """Run everything to a time."""

@@ -12,12 +12,14 @@ from skin import PressedSkin
 from tactile_cdma.driver import Session
 from tactile_cdma.encode import frame_levels, line_chips
 from tactile_cdma.frame import FrameSpec
-from tactile_cdma.messages import Quiet, Samples, Status
+from tactile_cdma.messages import Quiet, Samples
 from tactile_cdma.parameters import SkinConfig
 from tactile_cdma.pipeline import Pipeline, TactileFrame
 from tactile_cdma.protocol import PacketParser
 
 STEP_NS = 20_000_000
+SETTLING = 16
+"""First frames, which don't count: nodes measure the sync edges' period and their code at rest."""
 PATIENCE_NS = 3_000_000_000
 """Without a frame for so long a trial is over."""
 BEFORE_MARK_NS = 200_000
@@ -30,83 +32,99 @@ class Trial:
     """What came of a trial.
 
     wrong: nodes' codes that were more than one LSB off or missing, over all frames.
-    marks_ns: when each frame's first chip should begin. codes: (n,) as decoded, by frame.
+    silent: times that a node did not talk.
+    words: what every frame's nodes said, (n,) codes, by the time at which its first chip should
+    have begun, ns.
     """
 
-    frames: int = 0
     wrong: int = 0
+    silent: int = 0
     lost_samples: int = 0
-    marks_ns: list[int] = field(default_factory=list)
-    codes: list[NDArray[np.int32]] = field(default_factory=list)
+    words: dict[int, NDArray[np.int32]] = field(default_factory=dict)
+
+    @property
+    def frames(self) -> int:
+        """Frames that counted."""
+        return len(self.words)
 
 
 def press_and_decode(skin: PressedSkin, config: SkinConfig, frames: int) -> Trial:
     """Run until so many frames were decoded, or none comes any more."""
-    spec, trial = config.spec, Trial()
+    trial, marks = Trial(), Marks(config)
     pipeline, parser = Pipeline(config, background=False), PacketParser()
     skin.write(Session(config).open())
-    start_us, last_ns = None, skin.now_ns
+    last_ns, settling = skin.now_ns, SETTLING
     while trial.frames < frames and skin.now_ns - last_ns < PATIENCE_NS:
         skin.run(skin.now_ns + STEP_NS)
         data = skin.read()
         for packet in parser.feed(data):
-            if not isinstance(packet, Samples | Quiet):
-                continue
-            if packet.first_index == 0:
-                start_us = packet.device_time_us - _half_sample_us(config)
-            if packet.sync and start_us is not None:
-                mark_us = start_us + packet.first_index * _sample_us(config)
-                trial.marks_ns.append(round(1e3 * mark_us))
-                # From now on pressures change in the middle of frames, while nodes don't measure.
-                skin.phase_ns = trial.marks_ns[-1] + round(spec.frame_s * 0.5e9)
+            marks.take(packet)
         for frame in pipeline.feed(data, skin.now_ns * 1e-9):
-            last_ns = skin.now_ns
-            trial.frames += 1
-            trial.codes.append(frame.words.codes)
-            trial.wrong += _wrong(frame, skin, config)
+            last_ns, mark_ns = skin.now_ns, marks.nearest(frame)
+            # From now on pressures change in the middle of frames, while nodes don't measure.
+            skin.phase_ns = mark_ns + round(config.spec.frame_s * 0.5e9)
+            if settling:
+                settling -= 1
+                continue
+            trial.words[mark_ns] = frame.words.codes
+            trial.silent += int(np.sum(~frame.words.active))
+            trial.wrong += _wrong(frame, skin.codes(mark_ns - BEFORE_MARK_NS), config)
     trial.lost_samples = pipeline.counters.lost_samples
-    status: Status | None = pipeline.status
-    if status is not None:
-        trial.lost_samples += status.samples_lost
     return trial
 
 
-def _wrong(frame: TactileFrame, skin: PressedSkin, config: SkinConfig) -> int:
-    mark_ns = round(frame.t_start * 1e9)
-    truth = skin.codes(mark_ns - BEFORE_MARK_NS)
+def _wrong(frame: TactileFrame, truth: NDArray[np.int64], config: SkinConfig) -> int:
     codes = frame.readings.voltage_v / config.adc.lsb_v
-    return int(np.sum(~(np.abs(codes - truth) <= MOST_WRONG_LSB)))  # NaN is wrong, too
+    good = np.abs(codes - truth) <= MOST_WRONG_LSB + 1e-3  # NaN is not
+    return int(np.sum(~good))
 
 
-def _sample_us(config: SkinConfig) -> float:
-    return config.spec.chip_s * 1e6 / config.samples_per_chip
+class Marks:
+    """When frames should begin, by what the digitizer says of its samples; to the µs."""
+
+    def __init__(self, config: SkinConfig) -> None:
+        self._sample_us = config.spec.chip_s * 1e6 / config.samples_per_chip
+        self._start_us = 0
+        self._marks_ns: list[int] = []
+
+    def take(self, packet: object) -> None:
+        """Look at a packet."""
+        if not isinstance(packet, Samples | Quiet):
+            return
+        if packet.first_index == 0:  # taken half a period after the stream's start
+            self._start_us = packet.device_time_us - int(self._sample_us / 2)
+        if packet.sync:
+            mark_us = self._start_us + packet.first_index * self._sample_us
+            self._marks_ns.append(round(1e3 * mark_us))
+
+    def nearest(self, frame: TactileFrame) -> int:
+        """The mark of a frame, ns."""
+        return min(self._marks_ns[::-1], key=lambda mark: abs(mark - frame.t_start * 1e9))
 
 
-def _half_sample_us(config: SkinConfig) -> int:
-    return int(_sample_us(config) / 2)
+def edge_errors(nodes: EmulatedNodes, spec: FrameSpec, trial: Trial) -> list[NDArray[np.float64]]:
+    """How far the edges of the nodes' pins are from where they should be: an array per burst, ns.
 
-
-def edge_errors(
-    nodes: EmulatedNodes, spec: FrameSpec, marks_ns: list[int], codes: list[NDArray[np.int32]]
-) -> list[NDArray[np.float64]]:
-    """How far every edge of every node's pin is from where it should be: a row per burst, ns.
-
-    Of frames in which all nodes talk. Raises AssertionError where edges are missing or too many.
+    Silent nodes have none. Raises AssertionError where edges are missing or too many.
     """
     chip_ns, errors = spec.chip_s * 1e9, []
     for node in range(spec.nodes):
         edges = nodes.edges(node)
-        for mark_ns, word in zip(marks_ns, codes, strict=True):
-            expected = _expected_edges(spec, node, int(word[node]))
-            begin = np.searchsorted(edges["t_ns"], mark_ns - chip_ns / 2)
-            seen = edges[begin : begin + len(expected)]
+        for mark_ns, codes in trial.words.items():
+            expected = expected_edges(spec, node, int(codes[node]))
+            begin, end = np.searchsorted(
+                edges["t_ns"], [mark_ns - chip_ns / 2, mark_ns + (spec.span_chips + 0.5) * chip_ns]
+            )
+            seen = edges[begin:end]
+            if not len(seen):
+                continue
             assert np.array_equal(seen["level"], expected["level"]), f"node {node + 1}: {seen}"
             errors.append(seen["t_ns"] - mark_ns - expected["t_ns"] * chip_ns)
     return errors
 
 
-def _expected_edges(spec: FrameSpec, node: int, code: int) -> NDArray[np.void]:
-    """Changes of a node's pin in one frame, t in chips from its start."""
+def expected_edges(spec: FrameSpec, node: int, code: int) -> NDArray[np.void]:
+    """Changes of a node's pin in one frame, t_ns in chips from its start."""
     alone = np.arange(spec.nodes) == node
     chips = line_chips(spec, np.where(alone, code, 0), alone, amplitude_v=float(spec.polarity))
     levels = np.sign(frame_levels(chips, spec)).astype(np.int8)

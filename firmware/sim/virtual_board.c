@@ -6,7 +6,7 @@
 
 #include "digitizer.h"
 
-#define STEP_NS 250000
+#define STEP_NS 500000
 #define TICKS_PER_US 48
 #define COUNTS 4096
 #define FULL_SCALE_V 3.3

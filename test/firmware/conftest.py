@@ -6,13 +6,18 @@ import ctypes
 import os
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeAlias
 
 import pytest
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 CORE = FIRMWARE / "core"
+sys.path.append(str(FIRMWARE / "sim"))
+from emulated import Node  # noqa: E402
+
 BUILD = FIRMWARE / "build"
 STRICT = ("-std=gnu99", "-Wall", "-Wextra", "-Werror", "-I", str(CORE))
 SANITIZE = ("-fsanitize=address,undefined", "-fno-sanitize-recover=undefined")
@@ -68,3 +73,30 @@ def rp2040_image(built: Callable[[str], Path]) -> Path:
     if not (FIRMWARE / "sim" / "node_modules" / "rp2040js").is_dir():
         pytest.skip("no rp2040js; `make firmware-tools` gets it")
     return built("rp2040") / "rp2040" / "digitizer.bin"
+
+
+@pytest.fixture(scope="session")
+def emulator(built: Callable[[str], Path]) -> None:
+    """The library of emulated.py."""
+    if not Path("/usr/include/simavr/sim_avr.h").exists():
+        pytest.skip("no libsimavr-dev on this machine; `make firmware-tools` tells how to get it")
+    built("sim")
+
+
+Specimen: TypeAlias = "Callable[..., Node]"
+
+
+@pytest.fixture(scope="session")
+def specimen(tmp_path_factory: pytest.TempPathFactory, emulator: None) -> Specimen:
+    """Compiles a program of test/firmware/avr for an MCU; returns the node that runs it."""
+    folder = tmp_path_factory.mktemp("avr")
+
+    def build(name: str, mcu: str = "atmega328p", *options: str) -> Node:
+        image = folder / f"{name}-{mcu}{''.join(options)}.elf"
+        if not image.exists():
+            warn = ("-std=gnu99", "-Wall", "-Wextra", "-Werror", "-Os")
+            source = Path(__file__).parent / "avr" / f"{name}.c"
+            run(need("avr-gcc"), f"-mmcu={mcu}", *warn, *options, source, "-o", image)
+        return Node(image, mcu)
+
+    return build

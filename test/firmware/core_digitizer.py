@@ -59,7 +59,7 @@ class Pulse:
     @property
     def announces(self) -> int:
         """Tick of the frame or restart that it announces, at 48 ticks per µs."""
-        return self.tick + 48 * SYNC_UNIT_US * SYNC_LEAD
+        return int(self.tick + 48 * SYNC_UNIT_US * SYNC_LEAD)
 
 
 class CoreDigitizer:
@@ -131,7 +131,8 @@ class CoreDigitizer:
     def pulses(self, count: int) -> list[Pulse]:
         """The next pulses; fewer where there are no more."""
         self.events.append(("p", struct.pack("<I", count)))
-        pulses, pulse = [], _Pulse()
+        pulses: list[Pulse] = []
+        pulse = _Pulse()
         while len(pulses) < count and self._core.dg_pulse(self._shim, byref(pulse)):
             pulses.append(Pulse(pulse.tick, pulse.units))
             self.given += struct.pack("<QB", pulse.tick, pulse.units)
@@ -155,8 +156,9 @@ class CoreDigitizer:
         received = self.parser.feed(self.take())
         seen = self.parser.counters
         assert not seen.crc_errors + seen.framing_errors + seen.malformed + seen.unknown
-        assert all(isinstance(packet, Packet) for packet in received)
-        return received  # type: ignore[return-value]
+        packets = [packet for packet in received if isinstance(packet, Packet)]
+        assert len(packets) == len(received)
+        return packets
 
 
 def declare(core: ctypes.CDLL) -> None:

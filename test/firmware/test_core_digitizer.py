@@ -284,15 +284,18 @@ def test_rates_are_those_of_the_converter(core: ctypes.CDLL) -> None:
     assert accepts(core, *raw) == [True, True, True, False, False]
     slow = [
         of_frame(chip_ns=ns, samples_per_chip=1, frame_period_us=4_000_000)
-        for ns in (1_365_300, 1_365_400)
+        for ns in (1_365_333, 1_365_344)  # 65,536 and 65,537 ticks
     ]
     assert accepts(core, *slow) == [True, False]
-    # 1 % off: 2449 ticks in 25 are 98 ticks, 2.04 % … per tick, so half of it is the worst.
-    ticks = [round(ns * 0.048) for ns in range(50_000, 52_000, 125)]
-    for ns, chip in zip(range(50_000, 52_000, 125), ticks, strict=True):
-        per_sample = round(ns * 0.048 / 25)
-        fits = abs(per_sample * 25 - ns * 0.048) <= 0.01 * ns * 0.048
-        assert accepts(core, of_frame(chip_ns=ns, samples_per_chip=25)) == [fits], chip
+
+
+def test_a_rate_is_right_to_one_percent(core: ctypes.CDLL) -> None:
+    chips = range(30_000, 34_000, 61)  # 14.4 to 16.3 ticks per sample
+    asked = [of_frame(chip_ns=ns, samples_per_chip=100) for ns in chips]
+    wanted = [ns * 48 / 1000 / 100 for ns in chips]
+    right = [abs(round(ticks) - ticks) <= 0.01 * ticks for ticks in wanted]
+    assert {True, False} == set(right)
+    assert accepts(core, *asked, min_ticks=8) == right
 
 
 def test_means_take_all_that_the_converter_gives(core: ctypes.CDLL) -> None:
@@ -306,10 +309,13 @@ def test_means_take_all_that_the_converter_gives(core: ctypes.CDLL) -> None:
     ):
         period_us = max(12_800, 201 * chip_ns // 1000)
         frame = replace(LAYOUT, chip_ns=chip_ns, samples_per_chip=least, frame_period_us=period_us)
-        answers(digitizer, Configure(frame, integrated=True))
-        assert digitizer.ticks_per_sample == ticks
+        answer = answers(digitizer, Configure(frame, integrated=True))
+        assert (of_kind(answer, Ack)[0].result, digitizer.ticks_per_sample) == (Result.OK, ticks)
     digitizer.close()
     assert accepts(core, of_frame(integrated=True, samples_per_chip=26)) == [False]
+    slow = of_frame(integrated=True, chip_ns=1_000_000_000, frame_period_us=201_000_000)
+    assert accepts(core, slow, max_ticks=11_718) == [True]
+    assert accepts(core, slow, max_ticks=11_717) == [False]
 
 
 def test_frames_must_fit_their_period_and_leave_time_for_pulses(core: ctypes.CDLL) -> None:
@@ -317,17 +323,19 @@ def test_frames_must_fit_their_period_and_leave_time_for_pulses(core: ctypes.CDL
         True,
         False,
     ]
-    lead_us = SYNC_LEAD * SYNC_UNIT_US
-    slots = {"resync_chips": 2, "frame_period_us": 100_000, "chip_ns": -(-2 * lead_us * 1000 // 3)}
-    assert accepts(core, of_frame(**slots, guard_chips=1), of_frame(**slots, guard_chips=0)) == [
-        True,
-        False,
-    ]
+    third_ns = -(-2 * SYNC_LEAD * SYNC_UNIT_US * 1000 // 3)
+    slots: dict[str, Any] = {"resync_chips": 2, "chip_ns": third_ns, "frame_period_us": 100_000}
+    short, long = (of_frame(**slots, guard_chips=chips) for chips in (0, 1))
+    assert accepts(core, short, long) == [False, True]
     # Whose last sub-slot is one chip long: the frame's end is close behind its pulse.
-    last = {"resync_chips": 199, "guard_chips": 1}
+    last: dict[str, Any] = {"resync_chips": 199, "guard_chips": 1}
     ends = [of_frame(**last, frame_period_us=10_000 + us) for us in (49, 50, 127, 128)]
     assert accepts(core, *ends) == [False, False, False, True]
-    tiny = {"order": 1, "bits": 8, "chip_ns": 10_000}
+    even = of_frame(resync_chips=100, guard_chips=1, frame_period_us=10_110)
+    assert accepts(core, even) == [True]  # its last sub-slot is as long as the first
+    one: dict[str, Any] = {"order": 1, "bits": 8, "chip_ns": 10_000, "resync_chips": 8}
+    assert accepts(core, of_frame(**one)) == [True]  # which has no pulse within the frame
+    tiny: dict[str, Any] = {"order": 1, "bits": 8, "chip_ns": 10_000}
     assert accepts(
         core,
         of_frame(**tiny, frame_period_us=127),
@@ -338,7 +346,7 @@ def test_frames_must_fit_their_period_and_leave_time_for_pulses(core: ctypes.CDL
 
 def test_what_needs_marks_needs_marks(core: ctypes.CDLL) -> None:
     unmarked = SyncMode.NONE
-    resync = {"resync_chips": 50, "guard_chips": 1}
+    resync: dict[str, Any] = {"resync_chips": 50, "guard_chips": 1}
     assert accepts(
         core,
         of_frame(unmarked),
@@ -349,9 +357,9 @@ def test_what_needs_marks_needs_marks(core: ctypes.CDLL) -> None:
 
 
 def test_the_largest_and_the_strangest_layouts_do_no_harm(core: ctypes.CDLL) -> None:
-    huge = {"bits": 16, "parity": True, "order": 65_536, "chip_ns": 1_000_000_000}
-    guards = {"resync_chips": 1, "guard_chips": 255}
-    longest = {"frame_period_us": 2**32 - 1, "samples_per_chip": 65_535}
+    huge: dict[str, Any] = {"bits": 16, "parity": True, "order": 65_536, "chip_ns": 1_000_000_000}
+    guards: dict[str, Any] = {"resync_chips": 1, "guard_chips": 255}
+    longest: dict[str, Any] = {"frame_period_us": 2**32 - 1, "samples_per_chip": 65_535}
     assert accepts(core, of_frame(**huge, **guards, **longest)) == [False]
     assert accepts(core, of_frame(**longest, integrated=True)) == [False]
     assert accepts(core, of_frame(chip_ns=10)) == [False]
@@ -522,7 +530,7 @@ def test_what_is_sent_is_whole_however_it_is_taken(
         parser.feed(digitizer.take(most + quick * 400))
     parser.feed(digitizer.take())
     digitizer.time(100_000_000)
-    status = of_kind(parser.feed(digitizer.take()), Status)[-1]  # type: ignore[arg-type]
+    status = of_kind(parser.feed(digitizer.take()), Status)[-1]
     seen = parser.counters
     assert not seen.crc_errors + seen.framing_errors + seen.malformed + seen.jumps
     assert seen.lost_packets == status.packets_dropped

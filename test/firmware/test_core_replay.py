@@ -134,9 +134,9 @@ def test_a_script_that_ends_early_is_refused(
 ) -> None:
     digitizer = CoreDigitizer(core)
     digitizer.samples(np.zeros(10))
-    command = [built("replay-native") / "replay" / "replay", "events", "output"]
+    native = built("replay-native") / "replay" / "replay"
     for cut in (-1, 5):
         (tmp_path / "events").write_bytes(script(digitizer)[:cut])
         with pytest.raises(AssertionError, match=r"replay: .*(longer|no start)"):
-            run(*command, cwd=tmp_path)
+            run(native, "events", "output", cwd=tmp_path)
     digitizer.close()

@@ -21,7 +21,9 @@ def test_the_core_stays_within_its_memory_and_its_numbers() -> None:
         pytest.skip("this compiler has no libasan.so: the core is not tested with sanitizers")
     # Python itself leaks, and its allocator is none of ours.
     watched = {"LD_PRELOAD": library, "ASAN_OPTIONS": "detect_leaks=0", SANITIZED: "1"}
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-x", *TESTS]
+    # Not captured: what a sanitizer says would be lost with the process that it ends.
+    quietly = ("-q", "-x", "-s", "-p", "no:cacheprovider")
+    command = [sys.executable, "-m", "pytest", *quietly, *TESTS]
     result = subprocess.run(
         [str(part) for part in command],
         env={**os.environ, **watched},

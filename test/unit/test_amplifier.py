@@ -17,20 +17,20 @@ from tactile_cdma.amplifier import (
     CREST,
     E12,
     E24,
-    LEAST_SAMPLES,
     RAIL_V,
     SETTLED,
     SETTLING,
     FrontEnd,
     design,
 )
-from tactile_cdma.amplifier_report import gaussian_clipping, loads, resolution
+from tactile_cdma.amplifier_report import describe, gaussian_clipping, loads, resolution
 from tactile_cdma.cli import main
 from tactile_cdma.errors import SpecError
 from tactile_cdma.frame import FrameSpec
 from tactile_cdma.parameters import SkinConfig
 from tactile_cdma.transform import correlate
 
+README = Path(__file__).resolve().parents[2] / "firmware" / "README.md"
 PERIOD_S = 100.0
 fronts = st.builds(
     lambda nodes, samples, supply_v, active: design(
@@ -92,6 +92,23 @@ def test_the_noise_gain_divides_the_open_loop_gain() -> None:
     assert ideal / real - 1 == pytest.approx(front.noise_gain / 1e4, rel=1e-3)
 
 
+@pytest.mark.parametrize("nodes", [1, 16, 64, 1000])
+@pytest.mark.parametrize("wire", [0.0, 1.0])
+def test_the_gain_bandwidth_suffices_with_wire_on_the_line(nodes: int, wire: float) -> None:
+    """At the corner of the feedback, where the amplifier's gain is GBW/f and lags by 90°.
+
+    wire: capacitance of the line over what firmware/README.md allows, (noise gain − 1) · Cf.
+    """
+    _, front = skin(nodes)
+    f = front.corner_hz
+    feedback = 1 / (1 / front.feedback_ohm + 2j * math.pi * f * front.feedback_f)
+    wire_f = wire * (front.noise_gain - 1) * front.feedback_f
+    noise_gain = 1 + feedback * (nodes / front.input_ohm + 2j * math.pi * f * wire_f)
+    actual_over_ideal = 1 / (1 + noise_gain * 1j * f / front.gain_bandwidth_hz)
+    assert abs(actual_over_ideal - 1) <= 0.1
+    assert abs(actual_over_ideal - 1) > 0.05  # and it is not asked for more than is needed
+
+
 def is_of(series: tuple[int, ...], value: float) -> bool:
     mantissa = value / 10.0 ** (math.floor(math.log10(value * (1 + 1e-9))) - 1)
     return min(abs(mantissa - part) for part in series) < 1e-6
@@ -116,7 +133,7 @@ def test_parts_are_those_that_one_can_buy(front: FrontEnd) -> None:
 def test_the_range_is_used_and_not_exceeded(front: FrontEnd) -> None:
     needed = min(front.talking, CREST * math.sqrt(front.talking))
     assert needed <= front.room * (1 + 1e-9)
-    assert front.room < 1.06 * needed
+    assert front.room < 1.101 * needed  # neighbours in E24 are up to 10 % apart
     assert front.room_v <= min(front.supply_v / 2, 3.3 - front.supply_v / 2)
     assert front.node_level_v == pytest.approx(0.3, rel=0.03)
 
@@ -127,7 +144,7 @@ def test_steps_have_settled_when_the_first_sample_is_taken() -> None:
         for chip_s in (1e-6, 20e-6, 50e-6, 1e-3):
             spec = FrameSpec(chip_s=chip_s, frame_period_s=PERIOD_S)
             front = design(spec, samples)
-            first_s = chip_s / (2 * max(samples, LEAST_SAMPLES))
+            first_s = chip_s / (2 * max(samples, 4))  # a mean is of 4 samples or more
             slow, fast = 1 / front.corner_hz, 1 / front.filter_hz
             slow, fast = max(slow, fast) / (2 * math.pi), min(slow, fast) / (2 * math.pi)
             left = slow * math.exp(-first_s / slow) - fast * math.exp(-first_s / fast)
@@ -256,3 +273,15 @@ def test_the_command_prints_parts_and_parameters(
 
     assert main(["amplifier", "--nodes", "64", "--adc-volts", "1.1"]) == 1
     assert "use a lower supply_v" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("nodes", [16, 64])
+def test_the_values_in_the_document_are_those_of_the_command(nodes: int) -> None:
+    spec, front = skin(nodes)
+    (row,) = [line for line in README.read_text().splitlines() if line.startswith(f"| {nodes} |")]
+    text = describe(spec, front)
+    for cell in row.strip("| ").split(" | ")[1:]:
+        for value in cell.split(", "):
+            assert value in text, value
+    for ohm in (front.series_ohm, front.bias_ohm, front.input_ohm, front.feedback_ohm):
+        assert f"| {ohm / 1e3:g} kΩ |" in row

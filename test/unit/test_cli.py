@@ -212,7 +212,7 @@ def test_simulate_ends_by_itself_and_refuses_bad_options(
     assert "moving" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("command", ["decode", "record", "simulate"])
+@pytest.mark.parametrize("command", ["decode", "record", "simulate", "node", "amplifier"])
 def test_every_command_explains_itself(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
         main([command, "--help"])

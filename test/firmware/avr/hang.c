@@ -1,0 +1,16 @@
+/* Drives its output, takes no care of the watchdog (16 ms), and lights the LED after a reset by it. */
+#include <avr/wdt.h>
+
+#include "specimen.h"
+
+int main(void)
+{
+    if (MCUSR & _BV(WDRF)) {
+        LED_DDR |= _BV(LED);
+        LED_PORT |= _BV(LED);
+    }
+    wdt_enable(WDTO_15MS);
+    DDRB |= _BV(OUT);
+    for (;;)
+        ;
+}

@@ -1,0 +1,112 @@
+"""One node's image under test: a sync line to order, and what its pin did against what it should."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from conftest import FIRMWARE
+from numpy.typing import NDArray
+
+from tactile_cdma.encode import frame_levels, line_chips
+from tactile_cdma.frame import FrameSpec
+
+sys.path.insert(0, str(FIRMWARE / "sim"))
+from emulated import EDGE, EmulatedNodes, Node
+
+UNIT_NS, LEAD_NS = 16_000, 64_000
+RESTART, FRAME, CALL = 1, 2, 3
+VREF = 3.3
+POWER_UP_NS = 20_000_000
+"""The first frame pulse comes so long after power-up."""
+CLOCK_KNOWN = 2
+"""Frames that a node listens to before it talks: it measures its clock by their pulses."""
+
+
+@dataclass
+class Bench:
+    """Nodes and a sync line that is driven pulse by pulse; all times in ns."""
+
+    skin: EmulatedNodes
+    spec: FrameSpec
+    pulses: list[tuple[int, int]] = field(default_factory=list)
+
+    @property
+    def period_ns(self) -> int:
+        """From one frame to the next."""
+        return round(self.spec.frame_period_s * 1e9)
+
+    def pulse(self, rise_ns: int, length_ns: int = FRAME * UNIT_NS) -> None:
+        """A pulse of any length at any time."""
+        self.skin.sync(rise_ns, True)
+        self.skin.sync(rise_ns + length_ns, False)
+
+    def frame(
+        self, number: int, units: int = FRAME, late_ns: int = 0, skip: Sequence[int] = ()
+    ) -> int:
+        """All pulses of a frame, in its turn; run to its end. Returns when its first chip is due.
+
+        late_ns: it comes so much after its time. skip: restart pulses that don't come.
+        """
+        start = POWER_UP_NS + number * self.period_ns + late_ns
+        self.pulse(start - LEAD_NS, units * UNIT_NS)
+        for slot in range(1, slots(self.spec)):
+            if slot not in skip:
+                at = slot * (self.spec.resync_chips + self.spec.guard_chips) * self.spec.chip_s
+                self.pulse(start + round(at * 1e9) - LEAD_NS, RESTART * UNIT_NS)
+        self.skin.run(start + self.period_ns - 2_000_000)
+        return start
+
+    def heard(self, node: int, start_ns: int) -> NDArray[np.void]:
+        """What a node's pin did in the frame that began at a time."""
+        edges = self.skin.edges(node)
+        inside = (edges["t_ns"] >= start_ns - LEAD_NS) & (
+            edges["t_ns"] < start_ns + self.period_ns - LEAD_NS
+        )
+        return edges[inside]
+
+
+def slots(spec: FrameSpec) -> int:
+    """Sub-slots of a frame."""
+    return 1 + (spec.chips - 1) // spec.resync_chips if spec.resync_chips else 1
+
+
+def expected(
+    spec: FrameSpec, node: int, code: int, start_ns: int, chip_ns: float | None = None
+) -> NDArray[np.void]:
+    """Edges of a node's pin (EDGE), by what the host's own encoder says; node counts from 0.
+
+    chip_ns: duration of a chip by the node's clock, within each sub-slot.
+    """
+    codes = np.full(spec.nodes, code)
+    active = np.arange(spec.nodes) == node
+    chips = line_chips(spec, codes, active, amplitude_v=1.0)
+    levels = np.append(frame_levels(chips * spec.polarity, spec), 0).astype(np.int8)
+    changed = np.flatnonzero(np.diff(levels, prepend=0))
+    nominal_ns = spec.chip_s * 1e9
+    since, slot_start = changed, np.zeros(len(changed))
+    if spec.resync_chips:
+        pitch = spec.resync_chips + spec.guard_chips
+        # the end of a sub-slot, and all that is in it, is counted from its beginning
+        slot_start = changed // pitch * pitch
+        since = changed - slot_start
+    edges = np.zeros(len(changed), EDGE)
+    edges["t_ns"] = np.round(start_ns + slot_start * nominal_ns + since * (chip_ns or nominal_ns))
+    edges["level"] = levels[changed]
+    return edges
+
+
+def volts(code: int, bits: int) -> float:
+    """A sensor's voltage in the middle of a code."""
+    return (code + 0.5) / (1 << bits) * VREF
+
+
+def image(build: Path, mcu: str) -> Path:
+    """A node's image."""
+    return build / "node" / f"node-{mcu}.elf"
+
+
+__all__ = ["EDGE", "Bench", "EmulatedNodes", "Node", "expected", "image", "slots", "volts"]

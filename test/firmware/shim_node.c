@@ -1,0 +1,81 @@
+/* What test_node_core.py needs of a node's core, as functions of plain numbers and arrays. */
+#include "discipline.h"
+#include "event.h"
+#include "frame.h"
+#include "node_memory.h"
+#include "sequencer.h"
+#include "sync_pulse.h"
+
+static const uint8_t *memory;
+static size_t memory_size;
+
+static uint8_t read_memory(uint16_t address)
+{
+    return address < memory_size ? memory[address] : 0xFF;
+}
+
+int shim_load(const uint8_t *bytes, size_t size, const struct node_limits *limits,
+              struct tp_node_record *record, uint8_t *row)
+{
+    memory = bytes;
+    memory_size = size;
+    return node_memory_load(record, row, limits, read_memory);
+}
+
+/* Levels of a frame of `span` chips: 1, -1, in a guard 0. Returns how many it has. */
+uint32_t shim_frame(const struct tp_node_record *record, const uint8_t *row, uint16_t code,
+                    int8_t *levels, uint32_t span)
+{
+    struct sequencer sequencer;
+    uint32_t place = 0;
+    enum sequencer_next next;
+
+    sequencer_init(&sequencer, record, row);
+    sequencer_start(&sequencer, code);
+    do {
+        if (place < span)
+            levels[place] = sequencer_level(&sequencer) ? 1 : -1;
+        place++;
+        next = sequencer_step(&sequencer);
+        if (next == SEQUENCER_GUARD)
+            place += record->guard_chips;
+    } while (next != SEQUENCER_END && place < span);
+    return place;
+}
+
+/* Who talks in each of `size` frames, and what began it: enum event_frame. */
+void shim_events(const struct tp_node_record *record, uint16_t rest, const uint16_t *codes,
+                 const uint8_t *frames, uint8_t *talks, size_t size)
+{
+    struct event event;
+
+    event_init(&event, record, rest);
+    for (size_t i = 0; i < size; i++) {
+        bool called = frames[i] == EVENT_CALL;
+
+        talks[i] = frames[i] != EVENT_MISSED &&
+                   (called ? event_talks_first(&event) : event_talks(&event, codes[i]));
+        event_frame(&event, (enum event_frame)frames[i], talks[i], codes[i]);
+    }
+}
+
+/* After one measured period: whether it was believed; chip, lead, period and earliest next pulse. */
+bool shim_discipline(const struct tp_node_record *record, uint32_t ticks_per_us, uint32_t measured,
+                     uint32_t result[4])
+{
+    struct discipline clock;
+    bool believed;
+
+    discipline_init(&clock, record, ticks_per_us);
+    believed = discipline_period(&clock, measured);
+    result[0] = clock.chip_q16;
+    result[1] = clock.lead_q16;
+    result[2] = clock.period;
+    result[3] = discipline_earliest(&clock);
+    return believed;
+}
+
+uint8_t shim_pulse(uint32_t ticks, uint16_t unit_ticks)
+{
+    return sync_pulse_units(ticks, unit_ticks);
+}

@@ -1,0 +1,218 @@
+"""The digitizer's core on its virtual board, with emulated nodes on its lines.
+
+The nodes here copy the sync line to the analog one, 201 of their cycles of 125 ns later.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import Specimen
+
+from emulated import Amplifier, EmulatedSkin, Node
+from tactile_cdma._protocol import PacketType, Result, SyncMode
+from tactile_cdma.frame import FrameSpec
+from tactile_cdma.messages import (
+    Ack,
+    Configure,
+    FrameLayout,
+    GetInfo,
+    Info,
+    Packet,
+    RollCall,
+    Samples,
+    Start,
+    Status,
+    Stop,
+)
+from tactile_cdma.protocol import PacketParser, PacketWriter
+
+MS = 1_000_000
+SPEC = FrameSpec(nodes=2, order=4, frame_period_s=5e-3)
+LAYOUT = FrameLayout.of(SPEC, samples_per_chip=4)
+COUNT_V = 3.3 / 4096
+LEAD_NS, ECHO_NS = 64_000, 201 * 125
+HALF_US = 6  # half a sample's period of 12.5 µs, in whole µs
+
+
+class Host:
+    """Talks with a skin's digitizer and keeps what it says."""
+
+    def __init__(self, skin: EmulatedSkin) -> None:
+        self.skin = skin
+        self.writer, self.parser = PacketWriter(), PacketParser()
+        self.heard: list[object] = []
+
+    def say(self, *packets: Packet) -> None:
+        self.skin.write(b"".join(self.writer.encode(packet) for packet in packets))
+
+    def run(self, t_ns: int) -> None:
+        self.skin.run(t_ns)
+        self.heard += self.parser.feed(self.skin.read())
+
+    def all(self, kind: type[Packet]) -> list:
+        return [packet for packet in self.heard if isinstance(packet, kind)]
+
+    def stream(self, t_ns: int, **options: object) -> list[Samples]:
+        """Samples from a Start now until a time."""
+        self.say(Configure(LAYOUT, **options), Start())
+        self.run(t_ns)
+        return self.all(Samples)
+
+
+def test_conversation(specimen: Specimen) -> None:
+    with EmulatedSkin([specimen("capture")]) as skin:
+        host = Host(skin)
+        host.run(10 * MS)
+        assert [type(packet) for packet in host.heard] == [Info, Status]  # at power-up
+        host.heard.clear()
+        host.say(GetInfo(), Configure(LAYOUT), Start())
+        host.run(40 * MS)
+        first, info, second, configured, third = host.heard[:5]
+        assert [first.command, second.command, third.command] == [
+            PacketType.GET_INFO,
+            PacketType.CONFIGURE,
+            PacketType.START,
+        ]
+        assert {ack.result for ack in (first, second, third)} == {Result.OK}
+        assert isinstance(info, Info)
+        assert configured.frame == LAYOUT
+        assert configured.sync_mode == SyncMode.DRIVE
+        assert configured.sample_rate_hz == 80_000
+        assert configured.volts_per_count == pytest.approx(COUNT_V)
+        assert (configured.zero_count, configured.min_count, configured.max_count) == (
+            2048,
+            0,
+            4095,
+        )
+        samples = host.all(Samples)
+        assert 10 * MS / 1000 <= samples[0].device_time_us < 10 * MS / 1000 + 50
+        host.say(Stop())
+        host.run(45 * MS)
+        assert isinstance(host.heard[-1], Ack)
+        assert host.heard[-1].command == PacketType.STOP
+        host.run(1100 * MS)
+        assert len(host.all(Status)) == 1
+        assert host.all(Status)[0].streaming is False
+        assert host.parser.counters.lost_packets == host.parser.counters.crc_errors == 0
+
+
+@pytest.mark.parametrize("clock_error", [0.0, 0.01, -0.003])
+def test_samples_are_the_line_at_their_instants(specimen: Specimen, clock_error: float) -> None:
+    echo, shows = specimen("capture"), specimen("convert")
+    nodes = [
+        replace(echo, gain=0.1),
+        replace(shows, gain=0.13, clock_hz=7.6e6),
+        replace(shows, gain=0.07, clock_hz=8.3e6),
+    ]
+    with EmulatedSkin(nodes, clock_error=clock_error) as skin:
+        skin.press([0, 1.1, 2.2])
+        skin.run(3 * MS + 123_456)
+        samples = Host(skin).stream(60 * MS)
+        counts = np.concatenate([packet.counts for packet in samples])
+        indices = np.concatenate([[0], np.cumsum([packet.counts.size for packet in samples])[:-1]])
+        assert [packet.first_index for packet in samples] == indices.tolist()
+        ticks = 600  # of 48 MHz; each is taken in the middle of its period
+        first_ticks = (samples[0].device_time_us - HALF_US) * 48
+        tick_ns = 1e3 / 48 / (1 + clock_error)
+        at_ns = (first_ticks + ticks / 2) * tick_ns
+        line = skin.volts(at_ns, ticks * tick_ns, counts.size)
+        assert (counts == np.floor(line / COUNT_V)).all()
+        assert len(np.unique(counts)) == 4  # low; one node, the other, both
+        times = [packet.device_time_us - samples[0].device_time_us for packet in samples]
+        assert times == [packet.first_index * 25 // 2 for packet in samples]
+
+
+@pytest.mark.parametrize("clock_error", [0.0, 0.01])
+def test_frames_are_announced_at_their_time(specimen: Specimen, clock_error: float) -> None:
+    with EmulatedSkin([specimen("capture")], clock_error=clock_error) as skin:
+        host = Host(skin)
+        host.stream(12 * MS)
+        host.say(RollCall())
+        host.run(50 * MS)
+        marks = [packet for packet in host.all(Samples) if packet.sync]
+        assert np.diff([mark.device_time_us for mark in marks]).tolist() == [5000] * (
+            len(marks) - 1
+        )
+        edges = skin.edges(0)
+        rises = edges["t_ns"][edges["level"] == 1]
+        falls = edges["t_ns"][edges["level"] == -1][1:]  # the first one is of power-up
+        for mark, rise, fall in zip(marks, rises, falls, strict=False):
+            due = ((mark.device_time_us - HALF_US) * 1000 - LEAD_NS) / (1 + clock_error) + ECHO_NS
+            assert 0 <= rise - due <= 125
+            units = 3 if mark.called and not called_before(marks, mark) else 2
+            assert fall - rise == pytest.approx(units * 16_000 / (1 + clock_error), abs=125)
+        assert sum(mark.called for mark in marks) == SPEC.nodes
+        assert len(rises) in (len(marks), len(marks) + 1)
+
+
+def called_before(marks: list[Samples], mark: Samples) -> bool:
+    i = marks.index(mark)
+    return i > 0 and marks[i - 1].called
+
+
+def test_a_slow_link_drops_whole_packets_and_counts_them(specimen: Specimen) -> None:
+    rate = 50_000.0  # bytes per second; 80,000 samples take 160,000
+    with EmulatedSkin([specimen("capture")], link_rate=rate) as skin:
+        host = Host(skin)
+        host.say(Configure(LAYOUT), Start())
+        for ms in range(100, 4001, 100):
+            host.run(ms * MS)
+            assert host.parser.counters.bytes <= rate * ms / 1000
+        assert host.parser.counters.bytes > 0.99 * rate * 4
+        counters = host.parser.counters
+        assert counters.crc_errors == counters.framing_errors == 0
+        dropped = host.all(Status)[-1].packets_dropped
+        assert 0 < dropped <= counters.lost_packets
+        host.say(Stop())
+        host.run(7000 * MS)  # the ring has emptied
+        assert host.all(Status)[-1].packets_dropped == host.parser.counters.lost_packets
+        # what is there is whole: a jump of the index is a lost packet
+        sent = 2 * sum(packet.counts.size for packet in host.all(Samples))
+        assert 0.9 < sent / (rate * 4 + 65_536) < 1  # all the link's and the ring's
+
+
+def test_a_fast_link_changes_nothing_but_when(specimen: Specimen) -> None:
+    def heard(link_rate: float) -> list[Samples]:
+        with EmulatedSkin([specimen("capture")], link_rate=link_rate) as skin:
+            return Host(skin).stream(50 * MS)
+
+    at_once, later = heard(0), heard(250_000)
+    assert len(at_once) - 2 <= len(later) <= len(at_once)
+    assert later == at_once[: len(later)]
+
+
+def test_running_in_pieces_changes_nothing(specimen: Specimen) -> None:
+    def heard(step_ns: int) -> list[Samples]:
+        with EmulatedSkin([specimen("capture")], clock_error=0.002) as skin:
+            host = Host(skin)
+            host.say(Configure(LAYOUT), Start())
+            for t_ns in range(step_ns, 30 * MS + 1, step_ns):
+                host.run(t_ns)
+            return host.all(Samples)
+
+    assert heard(30 * MS) == heard(100_000)
+
+
+def test_short_history_is_enough_for_the_stream(specimen: Specimen) -> None:
+    def heard(history_s: float) -> list[Samples]:
+        with EmulatedSkin([specimen("capture")], history_s=history_s) as skin:
+            return Host(skin).stream(200 * MS)
+
+    assert heard(0) == heard(1)
+
+
+def test_the_converter_clips_where_the_amplifier_does(specimen: Specimen) -> None:
+    loud = replace(specimen("capture"), gain=1.2)
+    with EmulatedSkin([loud], Amplifier(low_v=-1, high_v=4)) as skin:
+        counts = np.concatenate([packet.counts for packet in Host(skin).stream(20 * MS)])
+        assert (counts.min(), counts.max()) == (0, 4095)
+
+
+def test_no_nodes_no_signal(emulator: None) -> None:
+    nodes: list[Node] = []
+    with EmulatedSkin(nodes, Amplifier(offset_v=1.2)) as skin:
+        counts = np.concatenate([packet.counts for packet in Host(skin).stream(20 * MS)])
+        assert set(counts) == {int(1.2 / COUNT_V)}

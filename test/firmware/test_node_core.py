@@ -1,0 +1,291 @@
+"""A sensing node's core in C against the host: memory, chips, rules, clock and sync pulses."""
+
+from __future__ import annotations
+
+import ctypes
+import zlib
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from tactile_cdma.calibration import AdcScale, PressureCurve
+from tactile_cdma.codes import is_feasible
+from tactile_cdma.encode import frame_levels, line_chips
+from tactile_cdma.frame import FrameSpec
+from tactile_cdma.messages import WIRE
+from tactile_cdma.node_memory import node_memory, read_node_memory
+from tactile_cdma.sim.nodes import NodeRules, RollCalls, node_frames
+from tactile_cdma.sim.scene import Skin
+
+GOOD, BLANK, CORRUPT, INVALID, UNFIT = range(5)
+FRAME, CALL, MISSED = range(3)
+ORDERS = [order for order in range(1, 421) if is_feasible(order)] + [1024, 4096]
+SPEC = FrameSpec(nodes=4, order=16)
+MEASURING_US, RESTART_US = 900, 80
+RECORD_BYTES = WIRE["NodeRecord"].size
+
+
+class Limits(ctypes.Structure):
+    """struct node_limits."""
+
+    _fields_ = (
+        ("order", ctypes.c_uint16),
+        ("measuring_us", ctypes.c_uint16),
+        ("restart_us", ctypes.c_uint16),
+    )
+
+
+def load(core: ctypes.CDLL, memory: bytes, order: int = 4096) -> tuple[int, bytes, bytes]:
+    """The fault that the node finds in a memory; its record and its row."""
+    record = ctypes.create_string_buffer(RECORD_BYTES)
+    row = ctypes.create_string_buffer((order + 7) // 8)
+    limits = Limits(order, MEASURING_US, RESTART_US)
+    fault = core.shim_load(memory, len(memory), ctypes.byref(limits), record, row)
+    return fault, record.raw, row.raw
+
+
+def record_of(**changes: int) -> bytes:
+    """The memory of a good node with other values in its record, be they allowed or not."""
+    record, chips = read_node_memory(node_memory(SPEC, 2))
+    values = {**asdict(record), **changes}
+    row = np.packbits(np.resize(chips > 0, values["order"]), bitorder="little")
+    body = WIRE["NodeRecord"].pack(*values.values()) + row.tobytes()
+    return body + zlib.crc32(body).to_bytes(4, "little")
+
+
+@st.composite
+def specs(draw: st.DrawFn) -> FrameSpec:
+    """Frames of every shape that a node may be asked for; nodes reach from row 0 to the last."""
+    order = draw(st.sampled_from(ORDERS))
+    first_row = draw(st.integers(0, order - 1))
+    resync = draw(st.one_of(st.just(0), st.integers(1, 4000)))
+    guard = draw(st.integers(2, 255)) if resync else 0
+    spec = FrameSpec(
+        nodes=draw(st.integers(1, order - first_row)),
+        bits=draw(st.integers(8, 10)),
+        order=order,
+        chip_s=draw(st.sampled_from([20e-6, 50e-6, 61.7e-6])),
+        frame_period_s=1e6,
+        first_row=first_row,
+        sign_seed=draw(st.one_of(st.none(), st.integers(0, 2**32 - 1))),
+        polarity=draw(st.sampled_from([1, -1])),
+        parity=draw(st.booleans()),
+        resync_chips=resync,
+        guard_chips=guard,
+    )
+    return replace(spec, frame_period_s=max(spec.frame_s + 2e-3, 1e-3).__round__(6))
+
+
+@settings(deadline=None, max_examples=150)
+@given(data=st.data())
+def test_chips_are_those_of_the_host(core: ctypes.CDLL, data: st.DataObject) -> None:
+    spec = data.draw(specs().filter(lambda spec: spec.frame_period_s <= 10))
+    node = data.draw(st.integers(1, spec.nodes))
+    code = data.draw(st.integers(0, 2**spec.bits - 1))
+    memory = node_memory(spec, node)
+    fault, record, row = load(core, memory)
+    if spec.resync_chips and spec.chips > spec.resync_chips and (
+        spec.guard_chips * spec.chip_s < RESTART_US * 0.999e-6
+    ):
+        assert fault == UNFIT
+        return
+    assert fault == GOOD
+    levels = np.zeros(spec.span_chips, np.int8)
+    span = core.shim_frame(record, row, code, levels.ctypes, spec.span_chips)
+    assert span == spec.span_chips
+    active = np.arange(spec.nodes) == node - 1
+    chips = line_chips(spec, np.full(spec.nodes, code), active, 1.0)
+    np.testing.assert_array_equal(levels, spec.polarity * frame_levels(chips, spec))
+
+
+def test_memory_is_read_as_written(core: ctypes.CDLL) -> None:
+    memory = node_memory(SPEC, 3, threshold=7, heartbeat=50)
+    fault, record, row = load(core, memory + bytes(100))
+    assert fault == GOOD
+    assert record == memory[:RECORD_BYTES]
+    assert row[:2] == memory[RECORD_BYTES : RECORD_BYTES + 2]
+
+
+@pytest.mark.parametrize("memory", [b"", b"\xff" * 1024, b"\0" * 1024])
+def test_blank_memory(core: ctypes.CDLL, memory: bytes) -> None:
+    assert load(core, memory)[0] == BLANK
+
+
+@given(st.integers(0, 8 * len(record_of()) - 1))
+def test_no_flipped_bit_is_believed(core: ctypes.CDLL, bit: int) -> None:
+    memory = bytearray(record_of())
+    memory[bit // 8] ^= 1 << bit % 8
+    assert load(core, bytes(memory))[0] in (BLANK, CORRUPT, INVALID)
+
+
+@pytest.mark.parametrize(
+    ("changes", "fault"),
+    [
+        ({"node": 4}, GOOD),
+        ({"node": 5}, INVALID),
+        ({"node": 0}, INVALID),
+        ({"bits": 7}, INVALID),
+        ({"bits": 11}, INVALID),
+        ({"sign": 0}, INVALID),
+        ({"parity": 2}, INVALID),
+        ({"discipline": 2}, INVALID),
+        ({"version": 2}, INVALID),
+        ({"order": 0}, INVALID),
+        ({"chip_ns": 19_999}, INVALID),
+        ({"resync_chips": 32}, INVALID),
+        ({"guard_chips": 2}, INVALID),
+        ({"resync_chips": 32, "guard_chips": 2}, GOOD),
+        ({"resync_chips": 32, "guard_chips": 1}, UNFIT),
+        ({"resync_chips": 160, "guard_chips": 1}, GOOD),
+        # 8 ms of chips, 64 µs of lead, 900 µs to measure
+        ({"frame_period_us": 8_964}, GOOD),
+        ({"frame_period_us": 8_963}, UNFIT),
+        ({"frame_period_us": 9_064, "resync_chips": 80, "guard_chips": 2}, GOOD),
+        ({"frame_period_us": 9_063, "resync_chips": 80, "guard_chips": 2}, UNFIT),
+    ],
+)
+def test_what_a_node_takes(core: ctypes.CDLL, changes: dict[str, int], fault: int) -> None:
+    assert load(core, record_of(**changes))[0] == fault
+
+
+def test_row_that_is_too_long_for_the_board(core: ctypes.CDLL) -> None:
+    memory = node_memory(FrameSpec(nodes=4, order=1032, frame_period_s=1.0), 1)
+    assert load(core, memory)[0] == GOOD
+    assert load(core, memory, order=1024)[0] == UNFIT
+
+
+def talks(
+    core: ctypes.CDLL, memory: bytes, rest: int, codes: NDArray[np.int64], frames: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """In which frames the node talks."""
+    result = np.zeros(len(codes), np.uint8)
+    core.shim_events(
+        memory[:RECORD_BYTES],
+        rest,
+        codes.astype(np.uint16).ctypes,
+        frames.astype(np.uint8).ctypes,
+        result.ctypes,
+        ctypes.c_size_t(len(codes)),
+    )
+    return result.astype(bool)
+
+
+@settings(deadline=None, max_examples=50)
+@given(
+    nodes=st.integers(1, 6),
+    threshold=st.integers(0, 40),
+    heartbeat=st.integers(0, 20),
+    seed=st.integers(0, 2**32 - 1),
+    called=st.sets(st.integers(0, 59), max_size=4),
+)
+def test_rules_are_those_of_the_simulator(
+    core: ctypes.CDLL, nodes: int, threshold: int, heartbeat: int, seed: int, called: set[int]
+) -> None:
+    """Random presses and roll calls, 60 frames: who talks when."""
+    spec = FrameSpec(nodes=nodes, order=16)
+    rng = np.random.default_rng(seed)
+    # stays, steps and drifts, so that every rule gets to decide
+    steps = rng.choice([0, 0, 0, 0.1, 1, 10], (60, nodes)) * rng.choice([-1, 1], (60, nodes))
+    pressures = np.abs(np.cumsum(steps, axis=0)) * 1e3 * rng.choice([0, 1], (60, nodes))
+    calls = RollCalls()
+
+    def scene(t_s: float, skin: Skin) -> NDArray[np.float64]:
+        return pressures[min(59, round(t_s / spec.frame_period_s))]
+
+    truth = node_frames(
+        spec, scene, Skin(np.zeros((nodes, 2)), 1e-3), NodeRules(threshold, heartbeat), roll_calls=calls
+    )
+    frames = []
+    for number in range(60):
+        calls.asked = number in called
+        frames.append(next(truth))
+    codes = np.array([frame.codes for frame in frames])
+    rest = AdcScale(spec.bits).code(PressureCurve.two_stage().voltage(np.zeros(nodes)))
+    began = np.array([CALL if number in called else FRAME for number in range(60)])
+    for node in range(nodes):
+        memory = node_memory(spec, node + 1, threshold=threshold, heartbeat=heartbeat)
+        np.testing.assert_array_equal(
+            talks(core, memory, int(rest[node]), codes[:, node], began),
+            [frame.active[node] for frame in frames],
+        )
+
+
+def test_missed_frames_keep_turns(core: ctypes.CDLL) -> None:
+    """Heartbeat and roll call go by frames that were, not by those that were heard."""
+    memory = node_memory(SPEC, 3, threshold=1000, heartbeat=8)  # turn 4, third in a roll call
+    codes = np.full(40, 500)
+    began = np.full(40, FRAME)
+    began[[2, 20, 21]] = MISSED
+    began[19] = CALL
+    heard = talks(core, memory, 500, codes, began)
+    # 20 falls into the roll call, in which this node speaks in the frame after 20
+    expected = [4, 12, 28, 36]
+    assert np.flatnonzero(heard).tolist() == expected
+    began[21] = FRAME
+    assert np.flatnonzero(talks(core, memory, 500, codes, began)).tolist() == sorted([*expected, 21])
+
+
+@settings(deadline=None)
+@given(
+    chip_ns=st.integers(20_000, 1_000_000),
+    order=st.integers(1, 4096),
+    gap_us=st.integers(1_000, 100_000),
+    ticks_per_us=st.sampled_from([4, 8]),
+    error=st.floats(-0.1, 0.1),
+)
+@example(chip_ns=20_000, order=4096, gap_us=1_000, ticks_per_us=8, error=-0.1)
+@example(chip_ns=221_000, order=4096, gap_us=1_000, ticks_per_us=8, error=0.1)
+def test_edges_stay_within_a_tick_and_a_half(
+    core: ctypes.CDLL, chip_ns: int, order: int, gap_us: int, ticks_per_us: int, error: float
+) -> None:
+    """Of the true time, over the whole frame, for any clock: one of the measurement (a tick in the
+    period is less in the frame), a third of the sum, half of the rounding to whole ticks."""
+    chips = 11 * order
+    frame_us = chips * chip_ns // 1000 + 1
+    period_us = frame_us + gap_us
+    if not 1_000 <= period_us <= 10_000_000:
+        return
+    memory = record_of(chip_ns=chip_ns, order=order, parity=1, frame_period_us=period_us)
+    measured = int(period_us * ticks_per_us * (1 + error))
+    result = (ctypes.c_uint32 * 4)()
+    assert core.shim_discipline(memory, ticks_per_us, measured, result)
+    chip_q16, lead_q16, period, _ = result
+    assert period == measured
+    true_chip = chip_ns * 1e-3 * ticks_per_us * (1 + error)
+    assert abs(chips * (chip_q16 / 65_536 - true_chip)) < 1 + 0.35
+    assert abs(lead_q16 / 65_536 - 64 * ticks_per_us * (1 + error)) < 0.1
+
+
+@pytest.mark.parametrize("discipline", [0, 1])
+@pytest.mark.parametrize(
+    ("measured", "believed"),
+    [(89_600, True), (89_599, False), (115_200, True), (115_201, False), (204_800, False), (0, False)],
+)
+def test_only_credible_periods_count(
+    core: ctypes.CDLL, measured: int, believed: bool, discipline: int
+) -> None:
+    """12.8 ms at 8 MHz, an eighth either way; without discipline chips stay nominal."""
+    result = (ctypes.c_uint32 * 4)()
+    memory = record_of(discipline=discipline)
+    assert bool(core.shim_discipline(memory, 8, measured, result) & 1) == believed
+    period = measured if believed else 102_400
+    followed = period if discipline else 102_400
+    assert list(result) == [
+        round(followed / 256 * 65_536),
+        followed * 65_536 // 200,
+        period,
+        period - period // 8,
+    ]
+
+
+@pytest.mark.parametrize("unit_ticks", [64, 128])
+def test_pulses(core: ctypes.CDLL, unit_ticks: int) -> None:
+    """Rounded to units; 1, 2 and 3 mean something."""
+    core.shim_pulse.restype = ctypes.c_uint8
+    for ticks in [*range(0, 6 * unit_ticks), 65_536, 65_536 + 2 * unit_ticks, 2**32 - 1]:
+        units = int(ticks / unit_ticks + 0.5)
+        assert core.shim_pulse(ticks, unit_ticks) == (units if units <= 3 else 0)

@@ -1,0 +1,103 @@
+"""Host and firmware agree on a node's memory, and on what a node can do."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+
+import numpy as np
+import pytest
+from conftest import FIRMWARE
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tactile_cdma.errors import SpecError
+from tactile_cdma.frame import FrameSpec
+from tactile_cdma.messages import WIRE
+from tactile_cdma.node_memory import MCUS, Mcu, node_memory
+
+READER = ctypes.CFUNCTYPE(ctypes.c_uint8, ctypes.c_uint16)
+GOOD, BLANK, CORRUPT, UNFIT = 0, 1, 2, 4
+"""enum node_memory_fault, without INVALID."""
+
+
+class Limits(ctypes.Structure):
+    """struct node_limits"""
+
+    _fields_ = (
+        ("order", ctypes.c_uint16),
+        ("measuring_us", ctypes.c_uint16),
+        ("restart_us", ctypes.c_uint16),
+        ("restart_chips", ctypes.c_uint8),
+    )
+
+
+def limits(mcu: str) -> Limits:
+    """BOARD_LIMITS from a board's header, which no compiler for the host takes."""
+    text = (FIRMWARE / "node" / f"{mcu}.h").read_text()
+    (board,) = re.findall(r"#define BOARD_LIMITS.*?\{(.*?)\}", text, re.DOTALL)
+    (order,) = re.findall(r"#define BOARD_ORDER (\d+)", text)
+    values = dict(re.findall(r"\.(\w+) = (\w+)", board)) | {"order": order}
+    return Limits(**{name: int(value) for name, value in values.items()})
+
+
+def load(core: ctypes.CDLL, memory: bytes, board: Limits) -> tuple[int, bytes, bytes]:
+    """What the firmware finds: its fault, and the bytes of record and row."""
+    eeprom = memory + b"\xff" * (1024 - len(memory))
+    record = ctypes.create_string_buffer(WIRE["NodeRecord"].size)
+    row = ctypes.create_string_buffer(board.order // 8)
+    fault = core.node_memory_load(record, row, ctypes.byref(board), READER(eeprom.__getitem__))
+    return fault, record.raw, row.raw
+
+
+@st.composite
+def specs(draw: st.DrawFn) -> FrameSpec:
+    """Skins about the limits of nodes, on either side of them."""
+    resync = draw(st.sampled_from([0, 16, 32]))
+    shape = {
+        "nodes": 1,
+        "bits": draw(st.integers(8, 10)),
+        "order": draw(st.sampled_from([2, 20, 32, 1024, 1032])),
+        "chip_s": draw(st.integers(20, 100)) / 1e6,
+        "parity": draw(st.booleans()),
+        "resync_chips": resync,
+        "guard_chips": draw(st.integers(1, 5)) if resync else 0,
+    }
+    frame_us = round(FrameSpec(**shape, frame_period_s=10.0).frame_s * 1e6)
+    return FrameSpec(**shape, frame_period_s=(frame_us + draw(st.integers(900, 1100))) / 1e6)
+
+
+@pytest.mark.parametrize("mcu", MCUS)
+@settings(max_examples=200, deadline=None)
+@given(spec=specs())
+def test_what_the_host_writes_the_firmware_takes_and_nothing_more(
+    core: ctypes.CDLL, mcu: str, spec: FrameSpec
+) -> None:
+    if spec.frame_period_s - spec.frame_s < 0.9999e-3:  # the firmware is content with 0.964
+        with pytest.raises(SpecError, match=r"to measure in it|no longer code row|start anew"):
+            node_memory(spec, 1, mcu=mcu)
+        return
+    try:
+        memory = node_memory(spec, 1, mcu=mcu)
+    except SpecError:
+        memory = unchecked_memory(spec)
+        assert load(core, memory, limits(mcu))[0] == UNFIT
+        return
+    fault, record, row = load(core, memory, limits(mcu))
+    assert fault == GOOD
+    assert record == memory[: len(record)]
+    chips = np.unpackbits(np.frombuffer(row, np.uint8), count=spec.order, bitorder="little")
+    assert np.array_equal(chips > 0, spec.node_rows[0] > 0)
+    assert load(core, memory[:-1] + bytes([memory[-1] ^ 1]), limits(mcu))[0] == CORRUPT
+
+
+def unchecked_memory(spec: FrameSpec) -> bytes:
+    """The memory of a node that can do anything."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(MCUS, "any", Mcu(order=4096, restart_chips=255))
+        return node_memory(spec, 1, mcu="any")
+
+
+def test_a_blank_memory_is_told_from_a_damaged_one(core: ctypes.CDLL) -> None:
+    assert load(core, b"", limits("attiny85"))[0] == BLANK
+    assert load(core, node_memory(FrameSpec(), 1)[:-1], limits("attiny85"))[0] == CORRUPT
