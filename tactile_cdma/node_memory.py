@@ -24,17 +24,16 @@ from .messages import WIRE, FrameLayout, Message, build
 class Mcu:
     """A microcontroller that a node may have, and what its firmware can do.
 
-    order: longest code row that its memories take. restart_chips: last chips of a sub-slot that
-        may overlap with the RESTART_S before the next one.
+    order: longest code row that its memories take.
     """
 
     order: int
-    restart_chips: int
 
 
-MCUS = {"atmega328p": Mcu(4096, 1), "attiny85": Mcu(1024, 0)}
+MCUS = {"atmega328p": Mcu(4096), "attiny85": Mcu(1024)}
 RESTART_S = 80e-6
-"""What a node takes for a restart within the frame, s: its sync pulse comes that much ahead."""
+"""Least guard before a restart within the frame, s: the restart's sync pulse, 64 µs ahead of it,
+must not begin before a node has released the line."""
 MEASURING_S = 1e-3
 """Least gap after a frame, s, in which the node measures and gets ready for the next sync edge."""
 CRC_BYTES = 4
@@ -112,11 +111,10 @@ def node_memory(
             f"{MEASURING_S * 1e3:g} ms to measure in it: frame_period_s must be at least "
             f"{spec.frame_s + MEASURING_S:g} s"
         )
-    pause_s = (spec.guard_chips + MCUS[mcu].restart_chips) * spec.chip_s
-    if spec.span_chips > spec.chips and pause_s < RESTART_S * (1 - 1e-9):
-        needed = math.ceil(RESTART_S / spec.chip_s - 1e-9) - MCUS[mcu].restart_chips
+    if spec.span_chips > spec.chips and spec.guard_chips * spec.chip_s < RESTART_S * (1 - 1e-9):
+        needed = math.ceil(RESTART_S / spec.chip_s - 1e-9)
         raise SpecError(
-            f"guard_chips is {spec.guard_chips}, but to start anew within the frame the {mcu} "
+            f"guard_chips is {spec.guard_chips}, but to start anew within the frame a node "
             f"takes at least {needed} of {spec.chip_s * 1e6:g} µs"
         )
     record = NodeRecord(

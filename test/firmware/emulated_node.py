@@ -1,4 +1,4 @@
-"""One node's image under test: a sync line to order, and what its pin did against what it should."""
+"""Nodes' images under test: a sync line to order, and what their pins should do."""
 
 from __future__ import annotations
 
