@@ -181,9 +181,9 @@ ISR(BOARD_SYNC_vect)
     high = true;
     may_frame = rise - frame.when >= earliest;
     ours = answers();
-    if (!ours)
-        return;
     over = board_sync_fell((uint16_t)rise, &length);
+    if (!over && !ours)
+        return;
     start = aim();
     while (!over) {
         if (board_ticks_since((uint16_t)rise) >= LONGEST_PULSE_TICKS)
