@@ -20,6 +20,7 @@
 #define BOARD_SYNC_vect __vector_sync_edge /* called by INT0's, see attiny85.c */
 
 #define BOARD_ORDER 1024
+#define BOARD_CHIP_NS 40000u
 
 #define BOARD_LINE PB1
 #define BOARD_SYNC PB2
