@@ -72,11 +72,12 @@ def main() -> int:
         trials.append(trial)
         print(
             f"{name}: frames={trial.frames} wrong={trial.wrong} "
-            f"lost_samples={trial.lost_samples} {measured} "
+            f"silent={trial.silent} lost_samples={trial.lost_samples} {measured} "
             f"({time.monotonic() - begin:.0f} s)",
             flush=True,
         )
-    frames, wrong = sum(t.frames for t in trials), sum(t.wrong for t in trials)
+    # Every node was to talk in every frame: one that was silent is wrong, too.
+    frames, wrong = sum(t.frames for t in trials), sum(t.wrong + t.silent for t in trials)
     lost_samples = sum(t.lost_samples for t in trials)
     print(f"frames={frames} wrong={wrong} lost_samples={lost_samples}")
     return int(wrong > 0 or lost_samples > 0 or frames < FRAMES * len(plan))

@@ -219,7 +219,7 @@ class Rp2040:
 def _device(told: dict[str, list[int] | list[list[int] | None]]) -> UsbDevice:
     """What the device told, from the emulator's JSON."""
     strings = tuple(
-        None if string is None else bytes(string)[2:].decode("utf-16-le")  # type: ignore[arg-type]
+        None if string is None else bytes(string)[2:].decode("utf-16-le")
         for string in told["strings"]
     )
     return UsbDevice(bytes(told["device"]), bytes(told["configuration"]), strings)  # type: ignore[arg-type]

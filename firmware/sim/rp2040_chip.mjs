@@ -5,6 +5,7 @@ import { RP2040 } from 'rp2040js';
 
 const FLASH_BOOT_STAGE = 256;
 const BOOT_STAGE_ADDRESS = 0x20041f00; // where the boot ROM puts it
+const PSM_ALL_BUT_OSCILLATORS = 0x1fffc;
 const RESET_ADC = 1 << 0;
 const RESET_PWM = 1 << 14;
 const DREQ_UART0_TX = 20;
@@ -32,8 +33,10 @@ export class Chip {
     this.#connectLine(line);
     this.#connectFlash(flashId);
     this.#paceUart(uartByte);
-    this.rp2040.peripherals[0x40058].onWatchdogTrigger = () => {
-      throw new Error(`the watchdog has reset the chip at ${this.now} ns`);
+    const { [0x40010]: psm, [0x40058]: watchdog } = this.rp2040.peripherals;
+    watchdog.onWatchdogTrigger = () => {
+      const resets = psm.wdsel === PSM_ALL_BUT_OSCILLATORS ? 'has reset the chip' : 'resets nothing';
+      throw new Error(`the watchdog ${resets} at ${this.now} ns`);
     };
     this.#boot();
   }

@@ -11,6 +11,7 @@ const STALL = 1 << 11;
 const AVAILABLE = 1 << 10;
 const LENGTH = 0x3ff;
 const PACKET = 64;
+const TRANSFER = 128; // what Linux' CDC ACM driver reads at a time
 const IN = 0;
 const OUT = 1;
 const TRANSACTION_NS = (bytes) => ((bytes + 15) * 8000) / 12;
@@ -25,7 +26,8 @@ const setup = (type, request, value, index, length) => [
 ];
 
 export class UsbHost {
-  // received: called with the bytes of every bulk packet from the device.
+  // received: called with the bytes of every transfer from the device, which ends when it is full or
+  // with a packet that is not.
   // enumerated: called with what the device tells about itself.
   constructor(chip, { received, enumerated }) {
     this.chip = chip;
@@ -101,6 +103,7 @@ export class UsbHost {
     for (let index = 0; index < 5; index++) strings.push(yield* descriptor(3, index, 255));
     yield* this.#write(setup(0x00, 9, configuration[5], 0, 0));
     this.toggle = [0, 0];
+    this.transfer = [];
     const coding = yield* this.#read(setup(0xa1, 0x21, 0, 0, 7));
     yield* this.#write(setup(0x21, 0x20, 0, 0, 7), coding);
     yield* this.#write(setup(0x21, 0x22, 3, 0, 0));
@@ -184,10 +187,17 @@ export class UsbHost {
           : this.toSend.splice(0, Math.min(PACKET, control & LENGTH));
       this.#start(bytes.length, () => {
         this.#complete(2, direction, bytes, buffer);
-        if (direction === IN) this.received(bytes);
+        if (direction === IN) this.#collect(bytes);
       });
       return;
     }
+  }
+
+  #collect(bytes) {
+    this.transfer.push(...bytes);
+    if (bytes.length === PACKET && this.transfer.length < TRANSFER) return;
+    if (this.transfer.length) this.received(this.transfer);
+    this.transfer = [];
   }
 
   #start(size, finish) {

@@ -1,4 +1,4 @@
-"""The RP2040's image in its emulator: a known line at its ADC, the host's own parser at its ports."""
+"""The RP2040's image in its emulator: a known line at its ADC, the host's parser at its ports."""
 
 from __future__ import annotations
 

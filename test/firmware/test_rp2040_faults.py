@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rp2040 import EmulatorError
 from rp2040_bench import UART, USB, Bench, ramp
 
+from rp2040 import EmulatorError
 from tactile_cdma._protocol import Result, SyncMode
 from tactile_cdma.frame import FrameSpec
 from tactile_cdma.messages import (
@@ -39,7 +40,7 @@ def end(packet: Samples | Quiet) -> int:
 def missing(packets: list[Samples | Quiet]) -> list[int]:
     """Sizes of the gaps between packets, by first_index."""
     steps = [
-        after.first_index - end(before) for before, after in zip(packets, packets[1:], strict=False)
+        after.first_index - end(before) for before, after in itertools.pairwise(packets)
     ]
     return [step for step in steps if step]
 
@@ -215,7 +216,7 @@ def test_a_cpu_that_hangs_is_reset(rp2040_image: Path) -> None:
     with Bench(rp2040_image, UART) as bench:
         bench.stream(PLAIN, 0.02)
         bench.board.stall(1.0)
-        with pytest.raises(EmulatorError, match="watchdog"):
+        with pytest.raises(EmulatorError, match="watchdog has reset"):
             bench.run(1.0)
 
 

@@ -45,6 +45,18 @@ def test_usb_host_configures_the_device(rp2040_image: Path) -> None:
         assert told.device[4:7] == bytes([0xEF, 2, 1]), "functions are told by association"
 
 
+def test_usb_answers_of_any_length_come_at_once(rp2040_image: Path) -> None:
+    """A transfer ends with a packet that is not full: where the last one is, an empty one follows."""
+    with Bench(rp2040_image, USB) as bench:
+        for number in range(40, 104):  # 13 bytes each: one of these makes whole packets
+            bench.board.plug_usb(reading=False)
+            bench.send(*number * [Stop()])
+            bench.board.run(bench.board.now + 0.004)
+            bench.board.plug_usb()
+            acks = [packet for packet in bench.run(0.003) if isinstance(packet, Ack)]
+            assert len(acks) == number
+
+
 @pytest.mark.parametrize("link", [UART, USB])
 def test_conversation(rp2040_image: Path, link: str) -> None:
     with Bench(rp2040_image, link) as bench:

@@ -49,6 +49,7 @@ void clocks_init(void)
 
     reset_blocks(RESET_TIMER | RESET_IO_BANK0 | RESET_PADS_BANK0 | RESET_DMA);
     WATCHDOG->tick = CRYSTAL_MHZ | WATCHDOG_TICK_ENABLE; /* 1 µs; the timer's tick, too */
+    PSM->wdsel = PSM_ALL_BUT_OSCILLATORS; /* what the watchdog resets */
     watchdog_feed();
     WATCHDOG->ctrl = WATCHDOG_ENABLE;
 

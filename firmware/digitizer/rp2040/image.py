@@ -19,7 +19,7 @@ RP2040_FAMILY = 0xE48BFF56
 
 
 def boot_crc(data: bytes) -> int:
-    """The CRC-32 of the boot ROM: that of IEEE 802.3, but not reflected and not inverted at the end."""
+    """The boot ROM's CRC-32: as of IEEE 802.3, but neither reflected nor inverted at the end."""
     crc = 0xFFFFFFFF
     for byte in data:
         crc ^= byte << 24

@@ -8,7 +8,7 @@
 
 #define TICK_IDLE_US 10000u
 #define TICK_STREAMING_US 250u
-#define PIECE 1024u /* is sent at a time; only then its room in the output is free again */
+#define PIECE 4096u /* is sent at a time; only then its room in the output is free again */
 #define SAMPLE_CAPACITY TP_MAX_SAMPLES
 #define OUTPUT_SIZE 98304u
 

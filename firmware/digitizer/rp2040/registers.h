@@ -64,6 +64,10 @@ struct pll { uint32_t cs, pwr, fbdiv, prim; };
 #define PLL_PWR_VCOPD (1u << 5)
 #define PLL_PRIM(div1, div2) ((uint32_t)(div1) << 16 | (uint32_t)(div2) << 12)
 
+struct psm { uint32_t frce_on, frce_off, wdsel, done; };
+#define PSM BLOCK(psm, 0x40010000u)
+#define PSM_ALL_BUT_OSCILLATORS 0x1fffcu
+
 struct watchdog { uint32_t ctrl, load, reason, scratch[8], tick; };
 #define WATCHDOG BLOCK(watchdog, 0x40058000u)
 #define WATCHDOG_ENABLE (1u << 30)
@@ -149,7 +153,6 @@ struct ssi {
 };
 #define SSI BLOCK(ssi, 0x18000000u)
 #define SSI_CTRLR0_8_BITS (7u << 16)
-#define SSI_SR_TFE (1u << 2)
 #define SSI_SR_RFNE (1u << 3)
 
 struct usb {
@@ -188,7 +191,6 @@ struct usb_dpram {
 
 /* The Cortex-M0+'s own. */
 #define NVIC_ISER (*(volatile uint32_t *)0xe000e100u)
-#define NVIC_IPR ((volatile uint32_t *)0xe000e400u)
 #define VTOR (*(volatile uint32_t *)0xe000ed08u)
 enum { IRQ_TIMER_0 = 0, IRQ_PWM_WRAP = 4, IRQ_USBCTRL = 5, IRQ_DMA_0 = 11, IRQ_UART0 = 20 };
 

@@ -1,4 +1,5 @@
 /* From the second stage to main(): the image goes to RAM, and everything runs there. */
+#include <stddef.h>
 #include <stdint.h>
 
 #include "rp2040.h"
@@ -16,14 +17,19 @@ static void hang(void)
         ;
 }
 
-/* volatile: else the compiler calls memcpy, which is not there yet */
+static inline size_t words(const uint32_t *begin, const uint32_t *end)
+{
+    return ((uintptr_t)end - (uintptr_t)begin) / sizeof *begin;
+}
+
 __attribute__((section(".flash"), noreturn)) void reset(void)
 {
-    const uint32_t *from = image_load;
-    for (volatile uint32_t *to = image_start; to < image_end;)
-        *to++ = *from++;
-    for (volatile uint32_t *to = bss_start; to < bss_end;)
-        *to++ = 0;
+    volatile uint32_t *image = image_start, *bss = bss_start; /* else memcpy is called: in RAM */
+
+    for (size_t i = 0; i < words(image_start, image_end); i++)
+        image[i] = image_load[i];
+    for (size_t i = 0; i < words(bss_start, bss_end); i++)
+        bss[i] = 0;
     VTOR = (uint32_t)image_start;
     main();
     for (;;)

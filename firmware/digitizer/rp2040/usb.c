@@ -73,8 +73,8 @@ static void hand_over(uint32_t endpoint, enum direction direction, uint32_t bits
     bits |= *data1;
     *data1 ^= USB_BUF_DATA1;
     *control = bits;
-    /* clk_usb must see the rest before it sees this: 3 of its cycles, 6 of ours */
-    __asm__ volatile("nop\n nop\n nop\n nop\n nop\n nop" ::: "memory");
+    /* clk_usb must have seen the rest before it sees this: 5 of its cycles, 10 of ours */
+    __asm__ volatile(".rept 10\n nop\n .endr" ::: "memory");
     *control = bits | USB_BUF_AVAILABLE;
 }
 
@@ -319,12 +319,7 @@ void usb_interrupt(void)
         USB->addr_endp[0] = 0;
         set_configuration(0);
     }
-    if (status & USB_INT_SETUP_REQ) {
-        USB->sie_status = USB_SIE_STATUS_SETUP_REC;
-        reply = NULL;
-        control_request();
-    }
-    if (status & USB_INT_BUFF_STATUS) {
+    if (status & USB_INT_BUFF_STATUS) { /* before the next request: it ends the one before */
         uint32_t done = USB->buff_status;
         for (uint32_t i = 0; i < 2 * (EP_DATA + 1); i++) {
             if (done & 1u << i) {
@@ -332,6 +327,11 @@ void usb_interrupt(void)
                 buffer_done(i / 2, i % 2 ? DIR_OUT : DIR_IN);
             }
         }
+    }
+    if (status & USB_INT_SETUP_REQ) {
+        USB->sie_status = USB_SIE_STATUS_SETUP_REC;
+        reply = NULL;
+        control_request();
     }
     wake();
 }
