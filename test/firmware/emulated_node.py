@@ -23,7 +23,7 @@ VREF = 3.3
 POWER_UP_NS = 20_000_000
 """The first frame pulse comes so long after power-up."""
 MEASURED_NS = 950_000
-"""A node has not measured yet so long before a frame's first chip, but is done with the last one."""
+"""So long before a frame a node is done with the last one, and has not measured yet."""
 CLOCK_KNOWN = 2
 """Frames that a node listens to before it talks: it measures its clock by their pulses."""
 

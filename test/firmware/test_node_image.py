@@ -1,4 +1,4 @@
-"""The nodes' images under emulation: what their pins do, edge by edge, against the host's encoder."""
+"""The nodes' images, emulated: what their pins do, edge by edge, against the host's encoder."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ from emulated_node import (
     slots,
     volts,
 )
-from numpy.typing import NDArray
 
 from tactile_cdma.frame import FrameSpec
 from tactile_cdma.node_memory import MCUS, node_memory
@@ -403,3 +402,18 @@ def test_late_starters_join(build: Path, mcu: str) -> None:
                 if not is_silent(skin, start, node):
                     assert_says(skin, start, REST, 1, node)
         assert spoke(skin, start) == list(range(len(made)))
+
+
+@pytest.mark.parametrize("mcu", MCUS)
+def test_node_that_hangs_starts_anew(build: Path, mcu: str) -> None:
+    """A storm on the sync line leaves no time for anything; the watchdog ends that."""
+    with bench(build, SPEC, mcu, **SPEECH) as skin:
+        number = listen(skin)
+        assert_says(skin, skin.frame(number), REST)
+        begin = POWER_UP_NS + (number + 1) * skin.period_ns
+        for at in range(begin, begin + 600_000_000, 9_000):
+            skin.pulse(at, 4_000)
+        for frame in range(number + 50, number + 90):
+            skin.frame(frame)
+        assert skin.skin.counters(0).watchdog_resets > 0
+        assert_says(skin, skin.frame(number + 90), REST)
