@@ -24,13 +24,15 @@ from .messages import WIRE, FrameLayout, Message, build
 class Mcu:
     """A microcontroller that a node may have, and what its firmware can do.
 
-    order: longest code row that its memories take.
+    order: longest code row that its memories take. chip_ns: shortest chip, ns, that its clock
+        leaves time for.
     """
 
     order: int
+    chip_ns: int
 
 
-MCUS = {"atmega328p": Mcu(4096), "attiny85": Mcu(1024)}
+MCUS = {"atmega328p": Mcu(4096, 30_000), "attiny85": Mcu(1024, 40_000)}
 RESTART_S = 80e-6
 """Least guard before a restart within the frame, s: the restart's sync pulse, 64 µs ahead of it,
 must not begin before a node has released the line."""
@@ -97,7 +99,8 @@ def node_memory(
     _check("bits", spec.bits, *_limits("bits"), "a node's converter has 10 bits")
     _check("order", spec.order, 1, MCUS[mcu].order, f"the {mcu} holds no longer code row")
     layout = FrameLayout.of(spec, samples_per_chip=1)  # whole nanoseconds and microseconds
-    _check("chip_ns", layout.chip_ns, *_limits("chip_ns"), "a node puts a chip out at 8 MHz")
+    longest = _limits("chip_ns")[1]
+    _check("chip_ns", layout.chip_ns, MCUS[mcu].chip_ns, longest, f"the {mcu} runs at 8 MHz")
     _check(
         "frame_period_us",
         layout.frame_period_us,

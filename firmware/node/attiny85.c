@@ -24,15 +24,18 @@ ISR(TIMER0_COMPA_vect)
 
 EMPTY_INTERRUPT(ADC_vect)
 
-/* Notes the time before anything else; talk.c goes on from there. */
+/* Notes time and level before anything else; talk.c goes on from there. */
 ISR(INT0_vect, ISR_NAKED)
 {
-    __asm__ volatile("push r24       \n\t"
-                     "in r24, %[count] \n\t"
-                     "out %[note], r24 \n\t"
-                     "pop r24        \n\t"
+    __asm__ volatile("push r24                \n\t"
+                     "in r24, %[count]        \n\t"
+                     "out %[time], r24        \n\t"
+                     "in r24, %[pins]         \n\t"
+                     "out %[level], r24       \n\t"
+                     "pop r24                 \n\t"
                      "rjmp __vector_sync_edge \n\t" ::[count] "I"(_SFR_IO_ADDR(TCNT1)),
-                     [note] "I"(_SFR_IO_ADDR(GPIOR0)));
+                     [time] "I"(_SFR_IO_ADDR(GPIOR0)), [pins] "I"(_SFR_IO_ADDR(PINB)),
+                     [level] "I"(_SFR_IO_ADDR(GPIOR1)));
 }
 
 void board_init(void)

@@ -20,6 +20,7 @@
 #define BOARD_SYNC_vect __vector_sync_edge /* called by INT0's, see attiny85.c */
 
 #define BOARD_ORDER 1024
+#define BOARD_CHIP_NS 40000u
 
 #define BOARD_LINE PB1
 #define BOARD_SYNC PB2
@@ -133,14 +134,18 @@ static BOARD_INLINE void board_sync_off(void)
 static BOARD_INLINE bool board_sync_edge(uint32_t *when)
 {
     *when = board_time(GPIOR0) - BOARD_SYNC_LATENCY;
-    return PINB & _BV(BOARD_SYNC);
+    return GPIOR1 & _BV(BOARD_SYNC);
 }
 
-/* Who asks first after 10 µs doesn't learn whether the pulse was over before: 4 to 8 µs of noise just
- * when a restart is due may pass for one. */
+/* Asked for the first time some 20 µs after the rising edge: a pulse that is over by then is taken for
+ * the shortest one, be it noise of 2 to 8 µs. */
 static BOARD_INLINE bool board_sync_fell(uint16_t rise, uint16_t *length)
 {
+    const uint8_t unit = TP_SYNC_UNIT_US * BOARD_TICKS_PER_US;
+
     *length = (uint8_t)(TCNT1 - (uint8_t)rise);
+    if (*length < 2 * unit - unit / 4)
+        *length = unit;
     return !(PINB & _BV(BOARD_SYNC));
 }
 

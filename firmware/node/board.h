@@ -29,6 +29,7 @@ uint8_t board_memory_byte(uint16_t address);
  *
  *   BOARD_TICKS_PER_US   a power of two
  *   BOARD_ORDER          most chips of a row
+ *   BOARD_CHIP_NS        least duration of a chip, for which its interrupts leave time
  *   BOARD_MATCH_vect     interrupt of the latch's match
  *   BOARD_SYNC_vect      interrupt of the sync line's edges
  *   BOARD_SPIN_TICKS     least way to what board_spin waits for

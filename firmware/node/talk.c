@@ -181,9 +181,9 @@ ISR(BOARD_SYNC_vect)
     high = true;
     may_frame = rise - frame.when >= earliest;
     ours = answers();
-    if (!ours)
-        return;
     over = board_sync_fell((uint16_t)rise, &length);
+    if (!over && !ours)
+        return;
     start = aim();
     while (!over) {
         if (board_ticks_since((uint16_t)rise) >= LONGEST_PULSE_TICKS)
@@ -210,8 +210,10 @@ void talk_init(const struct tp_node_record *record, const uint8_t *row)
 void talk_plan(const struct discipline *clock, uint16_t code, bool talks, bool talks_first)
 {
     uint32_t guard_ticks = guard_chips * (clock->chip_q16 >> 8) >> 8;
-    uint32_t slot_ticks = (uint32_t)((uint64_t)slot_places * clock->chip_q16 >> 16);
+    uint32_t slot_ticks = 0;
 
+    if (slot_places)
+        slot_ticks = (uint32_t)((uint64_t)slot_places * clock->chip_q16 >> 16);
     sequencer_start(&sequencer, code);
     chip_q16 = clock->chip_q16;
     chips_are_short = chip_q16 >> 16 < SHORT_CHIP_TICKS;

@@ -1,4 +1,4 @@
-"""The nodes' images under emulation: what their pins do, edge by edge, against the host's encoder."""
+"""The nodes' images, emulated: what their pins do, edge by edge, against the host's encoder."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from emulated_node import (
     slots,
     volts,
 )
-from numpy.typing import NDArray
 
 from tactile_cdma.frame import FrameSpec
-from tactile_cdma.node_memory import node_memory
+from tactile_cdma.node_memory import MCUS, node_memory
 
-MCUS = ["atmega328p", "attiny85"]
-EDGE_NS = 260
-"""Largest error of an edge: two cycles at 7.2 MHz, of an ATtiny85's tick of two."""
+EDGE_NS = 280
+"""Largest error of an edge: two cycles at 7.2 MHz, or an ATtiny85's tick."""
+AWAKE_NS = 850
+"""… of an ATtiny85 that happens to be awake when the pulse comes: 6 cycles."""
 SPEC = FrameSpec(nodes=4, order=16)
 REST = 225
 SPEECH = {"threshold": 0, "rest": REST}
@@ -72,14 +72,18 @@ def bench(
             assert not (counters.faults or counters.deep_sleeps or counters.pull_ups)
 
 
-def assert_says(
-    bench: Bench, start_ns: int, code: int, number: int = 1, node: int = 0, **kw: float
-) -> None:
-    """The pin of a node, of this number from 1, said a code in the frame that began then."""
+def assert_says(bench: Bench, start_ns: int, code: int, number: int = 1, node: int = 0) -> float:
+    """The pin of a node, of this number from 1, said a code in the frame that began then.
+
+    Returns the largest error of its edges, ns.
+    """
     heard = bench.heard(node, start_ns)
-    wanted = expected(bench.spec, number - 1, code, start_ns, **kw)
+    wanted = expected(bench.spec, number - 1, code, start_ns)
     np.testing.assert_array_equal(heard["level"], wanted["level"])
-    assert np.abs(heard["t_ns"] - wanted["t_ns"]).max() <= EDGE_NS
+    worst_ns = np.abs(heard["t_ns"] - wanted["t_ns"]).max()
+    tiny = bench.skin.nodes[node].mcu == "attiny85"
+    assert worst_ns <= (AWAKE_NS if tiny else EDGE_NS)
+    return float(worst_ns)
 
 
 def is_silent(bench: Bench, start_ns: int, node: int = 0) -> bool:
@@ -105,8 +109,9 @@ SHAPES = {
                                       frame_period_s=16e-3),
     "a restart for each chip": FrameSpec(nodes=1, order=2, bits=8, chip_s=80e-6, resync_chips=1,
                                          guard_chips=2),
-    "quick chips": FrameSpec(nodes=4, order=32, chip_s=20e-6, frame_period_s=8e-3),
-    "chips of 30 µs": FrameSpec(nodes=4, order=16, chip_s=30.03e-6),
+    "quick chips": FrameSpec(nodes=4, order=20, chip_s=40e-6, parity=True),
+    "chips of 30 µs": FrameSpec(nodes=4, order=16, chip_s=30e-6),
+    "odd chips": FrameSpec(nodes=4, order=16, chip_s=51.237e-6),
     "chips near the timer's wrap": FrameSpec(nodes=3, order=4, chip_s=64e-6, frame_period_s=5e-3),
     "slow chips": FrameSpec(nodes=2, order=4, bits=8, chip_s=1e-3, frame_period_s=40e-3),
     "least gap": FrameSpec(nodes=4, order=16, frame_period_s=9e-3),
@@ -119,6 +124,8 @@ SHAPES = {
 def test_words_of_every_shape(build: Path, mcu: str, shape: str) -> None:
     """The first and the last node, fast and slow clocks, all kinds of codes."""
     spec = SHAPES[shape]
+    if spec.chip_s < MCUS[mcu].chip_ns * 1e-9:
+        pytest.skip(f"chips too short for the {mcu}")
     rng = np.random.default_rng(sum(map(ord, shape)))
     top = (1 << spec.bits) - 1
     codes = [0, top, 0b0101101110 & top, *rng.integers(0, top, 2)]
@@ -135,15 +142,17 @@ def test_words_of_every_shape(build: Path, mcu: str, shape: str) -> None:
 
 @pytest.mark.parametrize("mcu", MCUS)
 def test_every_code(build: Path, mcu: str) -> None:
-    """All 1024, rails included, in the shortest frame there is."""
-    spec = FrameSpec(nodes=1, order=2, chip_s=20e-6, frame_period_s=1.5e-3)
+    """All 1024, rails included; and hardly any frame finds the node awake."""
+    spec = FrameSpec(nodes=1, order=2, chip_s=40e-6, frame_period_s=2e-3)
     with bench(build, spec, mcu, **SPEECH) as skin:
         number = listen(skin)
+        errors_ns = []
         for code in range(1024):
             skin.skin.press(volts(code, 10))
             start = skin.frame(number + code)
-            assert_says(skin, start, code)
+            errors_ns.append(assert_says(skin, start, code))
             skin.skin.forget(start)
+        assert np.quantile(errors_ns, 0.99) <= EDGE_NS
 
 
 @pytest.mark.parametrize("mcu", MCUS)
@@ -183,7 +192,7 @@ def test_clock_that_wanders(build: Path, mcu: str) -> None:
                 heard = skin.heard(0, at)
                 # chips are as long as the last period made them: 0.1 % longer than the one before
                 stretch = (heard["t_ns"] - at) / np.maximum(wanted["t_ns"] - at, 1)
-                assert abs(stretch[-1] - 1.001 ** (number - 1)) < 2e-4
+                assert abs(stretch[-1] - 1.001 ** (number - 2)) < 2e-4
             at += round(skin.period_ns * 1.001**number)
 
 
@@ -192,24 +201,32 @@ def test_what_is_no_frame_pulse_is_ignored(build: Path, mcu: str) -> None:
     """Glitches, restart pulses that nobody waits for, pulses too long, early and doubled ones."""
     with bench(build, SPEC, mcu, **SPEECH) as skin:
         number = listen(skin)
-        begin = POWER_UP_NS + (number - 1) * skin.period_ns
-        spoken = begin + 9_000_000  # the frame is over
-        for length_ns in (100, 500, 2_000, 5_000, 7_000, 16_000, 60_000, 80_000, 200_000):
-            skin.pulse(spoken, length_ns)
-            spoken += length_ns + 50_000
-        skin.pulse(begin + round(0.85 * skin.period_ns), FRAME * UNIT_NS)
-        skin.pulse(begin + round(0.86 * skin.period_ns), CALL * UNIT_NS)
-        skin.skin.run(begin + skin.period_ns - 2 * LEAD_NS)
-        assert is_silent(skin, begin)
-        for frame in range(number, number + 3):
+        for frame in range(number, number + 4):
             start = POWER_UP_NS + frame * skin.period_ns
             skin.pulse(start - LEAD_NS)
             skin.pulse(start - LEAD_NS + 40_000, 10_000)  # while it waits for its first chip
             skin.pulse(start + 1_000_000, FRAME * UNIT_NS)  # while it talks
             for at in range(2_000_000, 4_000_000, 7_000):
                 skin.pulse(start + at, 1_000)
-            skin.pulse(start + 9_000_000, FRAME * UNIT_NS)
-            skin.skin.run(start + skin.period_ns - 2_000_000)
+            at = start + 8_100_000  # the frame is over
+            for length_ns in (
+                100,
+                500,
+                2_000,
+                5_000,
+                7_000,
+                16_000,
+                32_000,
+                60_000,
+                80_000,
+                200_000,
+            ):
+                skin.pulse(at, length_ns)
+                at += length_ns + 50_000
+            skin.pulse(start + round(0.85 * skin.period_ns), FRAME * UNIT_NS)
+            skin.pulse(start + round(0.86 * skin.period_ns), CALL * UNIT_NS)
+            skin.pulse(start + round(0.865 * skin.period_ns), 48_000_0)
+            skin.skin.run(start + skin.period_ns - 950_000)
             assert_says(skin, start, REST)
 
 
@@ -271,7 +288,7 @@ def test_node_without_a_memory_is_silent_and_blinks(build: Path, mcu: str, memor
     spoilt = spoil(node_memory(SPEC, 1, mcu=mcu, **SPEECH))
     with bench(build, SPEC, mcu, memory=spoilt) as skin:
         lit = []
-        for number in range(420):
+        for number in range(720):
             assert is_silent(skin, skin.frame(number))
             lit.append(skin.skin.led(0))
         changes = np.flatnonzero(np.diff(lit, prepend=False))
@@ -366,7 +383,7 @@ def test_silent_node_sleeps(build: Path, mcu: str, record_property: Callable[...
             shares[name] = awake / (awake + after.cycles_asleep - before.cycles_asleep)
             record_property(name, shares[name])
             print(mcu, name, f"{shares[name]:.2%}")
-    assert shares["silent"] < 0.06
+    assert shares["silent"] < 0.08
     assert shares["talking"] < 0.5
 
 
@@ -385,3 +402,18 @@ def test_late_starters_join(build: Path, mcu: str) -> None:
                 if not is_silent(skin, start, node):
                     assert_says(skin, start, REST, 1, node)
         assert spoke(skin, start) == list(range(len(made)))
+
+
+@pytest.mark.parametrize("mcu", MCUS)
+def test_node_that_hangs_starts_anew(build: Path, mcu: str) -> None:
+    """A storm on the sync line leaves no time for anything; the watchdog ends that."""
+    with bench(build, SPEC, mcu, **SPEECH) as skin:
+        number = listen(skin)
+        assert_says(skin, skin.frame(number), REST)
+        begin = POWER_UP_NS + (number + 1) * skin.period_ns
+        for at in range(begin, begin + 600_000_000, 9_000):
+            skin.pulse(at, 4_000)
+        for frame in range(number + 50, number + 90):
+            skin.frame(frame)
+        assert skin.skin.counters(0).watchdog_resets > 0
+        assert_says(skin, skin.frame(number + 90), REST)
