@@ -53,7 +53,7 @@ static void restart(void)
     struct moment moment;
     sync_prepare();
     uint32_t begin = sampler_start(dg.ticks_per_sample, &moment);
-    dg_begin(&dg, moment.us - moment.tick / TICKS_PER_US);
+    dg_begin(&dg, moment.us - (moment.tick + TICKS_PER_US / 2) / TICKS_PER_US);
     sync_start(&dg, begin, &moment);
     SIO->out_set = 1u << PIN_LED;
 }

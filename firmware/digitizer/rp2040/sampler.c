@@ -16,7 +16,7 @@
 
 /* From the end of the first conversion to the PWM's start, in ticks: the result passes to the FIFO,
  * the CPU sees it there and writes one register. */
-#define START_TICKS 6u
+#define START_TICKS 7u
 
 __attribute__((section(".ring"), aligned(1u << RING_BITS))) static uint16_t ring[RING_SIZE];
 static struct moment begin;
