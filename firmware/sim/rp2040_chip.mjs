@@ -50,6 +50,8 @@ export class Chip {
     const { clock, rp2040 } = this;
     const { core } = rp2040;
     while (clock.nanosCounter < until) {
+      // The emulator sleeps over an interrupt that came after the last look and before WFI.
+      if (core.waiting && core.pendingInterrupts & core.enabledInterrupts) core.waiting = false;
       if (core.waiting || clock.nanosCounter < this.stalledUntil) {
         const end = core.waiting ? until : Math.min(until, this.stalledUntil);
         const next = clock.nextAlarm ? clock.nextAlarm.nanos : Infinity;
