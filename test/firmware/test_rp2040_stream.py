@@ -115,6 +115,9 @@ SETUPS = {
     "restarts, odd chip": replace(RESYNC, chip_ns=33_333, parity=True, frame_period_us=9_777),
     "short slots": replace(RESYNC, resync_chips=2, guard_chips=1, frame_period_us=20_000),
     "3 samples of a 47 µs chip": replace(PLAIN, chip_ns=47_000, samples_per_chip=3),
+    "1 µs more than 3 whole periods of the PWM": replace(
+        PLAIN, chip_ns=20_000, samples_per_chip=2, frame_period_us=4097
+    ),
     "slow": replace(PLAIN, chip_ns=500_000, frame_period_us=200_000, samples_per_chip=1),
 }
 

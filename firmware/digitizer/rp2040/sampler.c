@@ -1,8 +1,8 @@
 /* ADC to RAM without the CPU: the converter runs by itself, and two DMA channels take turns to write
  * its results into one ring; each hands over to the other for ever.
  */
-#include "rp2040.h"
 #include "registers.h"
+#include "rp2040.h"
 
 #define RING_BITS 15 /* of bytes: the longest ring that DMA can wrap */
 #define RING_SIZE (1u << RING_BITS >> 1)
