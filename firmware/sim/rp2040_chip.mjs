@@ -11,6 +11,7 @@ const RESET_PWM = 1 << 14;
 const DREQ_UART0_TX = 20;
 const PWM_DIV = 0x04;
 const DMA_CHAN_ABORT = 0x444;
+const UART_BAUD = 2e6;
 const UART_FIFO = 32;
 const UART_CR = 0x30;
 const UART_DMACR = 0x48;
@@ -237,7 +238,10 @@ export class Chip {
   }
 
   get uartByteNs() {
-    return 10e9 / this.rp2040.uart[0].baudRate;
+    const { baudRate } = this.rp2040.uart[0];
+    if (Math.abs(baudRate / UART_BAUD - 1) > 0.02)
+      throw new Error(`UART0 is set to ${baudRate} baud, its host to ${UART_BAUD}`);
+    return 10e9 / baudRate;
   }
 }
 
