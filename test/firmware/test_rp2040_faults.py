@@ -74,6 +74,17 @@ def test_what_is_no_command(rp2040_image: Path, link: str) -> None:
         assert len(bench.of(Info)) >= 3
 
 
+def test_usb_commands_wait_until_there_is_time_for_them(rp2040_image: Path) -> None:
+    """At the highest rate a packet of a frame keeps main() from reading for 3 ms."""
+    with Bench(rp2040_image, USB) as bench:
+        bench.stream(FAST, 0.02)
+        bench.write(3000 * b"\5\1\2\3\4\0")
+        bench.run(0.05)
+        bench.send(Stop())
+        bench.run(1.1)
+        assert bench.status.command_errors == 3000
+
+
 def test_the_link_that_commands_is_answered(rp2040_image: Path) -> None:
     """Two hosts: a packet of one that the other interrupts is broken, and neither gets stuck."""
     with Bench(rp2040_image, USB) as bench:
