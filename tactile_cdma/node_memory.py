@@ -24,17 +24,18 @@ from .messages import WIRE, FrameLayout, Message, build
 class Mcu:
     """A microcontroller that a node may have, and what its firmware can do.
 
-    order: longest code row that its memories take. restart_chips: last chips of a sub-slot that
-        may overlap with the RESTART_S before the next one.
+    order: longest code row that its memories take. chip_ns: shortest chip, ns, that its clock
+        leaves time for.
     """
 
     order: int
-    restart_chips: int
+    chip_ns: int
 
 
-MCUS = {"atmega328p": Mcu(4096, 1), "attiny85": Mcu(1024, 0)}
+MCUS = {"atmega328p": Mcu(4096, 30_000), "attiny85": Mcu(1024, 40_000)}
 RESTART_S = 80e-6
-"""What a node takes for a restart within the frame, s: its sync pulse comes that much ahead."""
+"""Least guard before a restart within the frame, s: the restart's sync pulse, 64 µs ahead of it,
+must not begin before a node has released the line."""
 MEASURING_S = 1e-3
 """Least gap after a frame, s, in which the node measures and gets ready for the next sync edge."""
 CRC_BYTES = 4
@@ -98,7 +99,8 @@ def node_memory(
     _check("bits", spec.bits, *_limits("bits"), "a node's converter has 10 bits")
     _check("order", spec.order, 1, MCUS[mcu].order, f"the {mcu} holds no longer code row")
     layout = FrameLayout.of(spec, samples_per_chip=1)  # whole nanoseconds and microseconds
-    _check("chip_ns", layout.chip_ns, *_limits("chip_ns"), "a node puts a chip out at 8 MHz")
+    longest = _limits("chip_ns")[1]
+    _check("chip_ns", layout.chip_ns, MCUS[mcu].chip_ns, longest, f"the {mcu} runs at 8 MHz")
     _check(
         "frame_period_us",
         layout.frame_period_us,
@@ -112,11 +114,10 @@ def node_memory(
             f"{MEASURING_S * 1e3:g} ms to measure in it: frame_period_s must be at least "
             f"{spec.frame_s + MEASURING_S:g} s"
         )
-    pause_s = (spec.guard_chips + MCUS[mcu].restart_chips) * spec.chip_s
-    if spec.span_chips > spec.chips and pause_s < RESTART_S * (1 - 1e-9):
-        needed = math.ceil(RESTART_S / spec.chip_s - 1e-9) - MCUS[mcu].restart_chips
+    if spec.span_chips > spec.chips and spec.guard_chips * spec.chip_s < RESTART_S * (1 - 1e-9):
+        needed = math.ceil(RESTART_S / spec.chip_s - 1e-9)
         raise SpecError(
-            f"guard_chips is {spec.guard_chips}, but to start anew within the frame the {mcu} "
+            f"guard_chips is {spec.guard_chips}, but to start anew within the frame a node "
             f"takes at least {needed} of {spec.chip_s * 1e6:g} µs"
         )
     record = NodeRecord(

@@ -181,7 +181,7 @@ void dg_samples(struct dg *dg, const uint16_t *counts, size_t size)
 
 void dg_lost(struct dg *dg, uint32_t size)
 {
-    if (dg->begun)
+    if (dg->begun && size)
         stream_lost(&dg->stream, size);
 }
 

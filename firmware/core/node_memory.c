@@ -27,7 +27,8 @@ static bool fits(const struct tp_node_record *record, const struct node_limits *
                        1000u * (TP_SYNC_LEAD * TP_SYNC_UNIT_US + limits->measuring_us);
     uint32_t guard_ns = record->guard_chips * record->chip_ns;
 
-    return record->order <= limits->order && used_ns <= 1000u * (uint64_t)record->frame_period_us &&
+    return record->order <= limits->order && record->chip_ns >= limits->chip_ns &&
+           used_ns <= 1000u * (uint64_t)record->frame_period_us &&
            (span == chips || guard_ns >= 1000ul * limits->restart_us);
 }
 

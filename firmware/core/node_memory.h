@@ -18,6 +18,7 @@ enum node_memory_fault {
 /* What a board can do. */
 struct node_limits {
     uint16_t order;          /* chips of a row that it has room for */
+    uint16_t chip_ns;        /* least duration of a chip */
     uint16_t measuring_us;   /* it needs so long between a frame's end and the next sync pulse */
     uint16_t restart_us;     /* … and between a sub-slot's end and the next sub-slot */
 };

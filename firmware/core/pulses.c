@@ -7,7 +7,6 @@ void pulses_begin(struct pulses *pulses, const struct setup *setup)
     pulses->setup = setup;
     pulses->mark = setup->first_mark;
     pulses->frame = pulses->chip = pulses->turns = 0;
-    pulses->called = 0;
     __asm__ volatile("" ::: "memory"); /* an interrupt may come right after the next line */
     pulses->on = setup->marked;
 }

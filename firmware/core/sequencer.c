@@ -4,10 +4,38 @@ void sequencer_init(struct sequencer *s, const struct tp_node_record *record, co
 {
     s->row = row;
     s->order = record->order;
-    s->slot_chips = record->resync_chips;
+    /* a frame has at most 11 · 4096 chips */
+    s->slot_chips = record->resync_chips ? record->resync_chips : UINT16_MAX;
     s->negative = record->sign < 0;
     s->code_bits = record->bits;
     s->parity = record->parity;
+}
+
+static void load_octet(struct sequencer *s)
+{
+    bool inverted = s->negative == !!(s->word & 0x8000u);
+
+    s->chips = inverted ? (uint8_t)~*s->octet : *s->octet;
+    s->octet++;
+    s->octet_left = 8;
+}
+
+static void begin_bit(struct sequencer *s)
+{
+    s->bit_left = s->order;
+    s->octet = s->row;
+    load_octet(s);
+}
+
+static void begin_run(struct sequencer *s)
+{
+    uint8_t run = s->octet_left;
+
+    if (s->bit_left < run)
+        run = (uint8_t)s->bit_left;
+    if (s->slot_left < run)
+        run = (uint8_t)s->slot_left;
+    s->run = s->run_left = run;
 }
 
 void sequencer_start(struct sequencer *s, uint16_t code)
@@ -25,5 +53,31 @@ void sequencer_start(struct sequencer *s, uint16_t code)
     }
     s->word = word;
     s->slot_left = s->slot_chips;
-    sequencer_begin_bit(s);
+    begin_bit(s);
+    begin_run(s);
+}
+
+enum sequencer_next sequencer_turn(struct sequencer *s)
+{
+    enum sequencer_next next = SEQUENCER_CHIP;
+
+    s->octet_left = (uint8_t)(s->octet_left - s->run);
+    s->bit_left = (uint16_t)(s->bit_left - s->run);
+    s->slot_left = (uint16_t)(s->slot_left - s->run);
+    if (s->bit_left == 0) {
+        if (--s->bits_left == 0)
+            return SEQUENCER_END;
+        s->word = (uint16_t)(s->word << 1);
+        begin_bit(s);
+    } else if (s->octet_left == 0) {
+        load_octet(s);
+    } else {
+        s->chips >>= 1;
+    }
+    if (s->slot_left == 0) {
+        s->slot_left = s->slot_chips;
+        next = SEQUENCER_GUARD;
+    }
+    begin_run(s);
+    return next;
 }

@@ -13,7 +13,13 @@ ISR(TIMER1_OVF_vect)
     board_overflows++;
 }
 
-EMPTY_INTERRUPT(TIMER1_COMPB_vect) /* the alarm: being awake is all it is for */
+static volatile bool rang; /* the alarm */
+
+ISR(TIMER1_COMPB_vect)
+{
+    rang = true;
+}
+
 EMPTY_INTERRUPT(ADC_vect)
 
 void board_init(void)
@@ -49,18 +55,25 @@ uint32_t board_now(void)
 
 void board_sleep(uint32_t when, const volatile uint8_t *event)
 {
-    cli();
-    if (!*event && (int32_t)(when - board_now()) > BOARD_TICKS_PER_US * 10) {
-        OCR1B = (uint16_t)when; /* further than 65,536 ticks away it comes too early, that is all */
+    rang = false;
+    ATOMIC_BLOCK (ATOMIC_RESTORESTATE) {
+        OCR1B = (uint16_t)when; /* further than 65,536 ticks away it rings too early, that is all */
         TIFR1 = _BV(OCF1B);
         TIMSK1 |= _BV(OCIE1B);
+    }
+    if ((int32_t)(when - board_now()) <= 0)
+        rang = true; /* too late for the alarm */
+    /* what else wakes us, every chip for one, must not cost more than this */
+    for (;;) {
+        cli();
+        if (rang || *event)
+            break;
         sleep_enable();
         sei();
         sleep_cpu();
         sleep_disable();
-        cli();
-        TIMSK1 &= (uint8_t)~_BV(OCIE1B);
     }
+    TIMSK1 &= (uint8_t)~_BV(OCIE1B);
     sei();
 }
 

@@ -18,6 +18,7 @@
 #define BOARD_SYNC_vect TIMER1_CAPT_vect
 
 #define BOARD_ORDER 4096
+#define BOARD_CHIP_NS 30000u
 
 #define BOARD_LINE PB1
 #define BOARD_SYNC PB0
@@ -40,9 +41,8 @@ static BOARD_INLINE void board_level(bool high)
     TCCR1A = high ? _BV(COM1A1) | _BV(COM1A0) : _BV(COM1A1);
 }
 
-static BOARD_INLINE bool board_match(bool high, uint16_t here, uint16_t at)
+static BOARD_INLINE bool board_match(bool high, uint16_t at)
 {
-    (void)here;
     board_level(high);
     OCR1A = at - 1u; /* the latch changes with the tick after the match */
     return (int16_t)(at - 1u - TCNT1) > 0;
@@ -106,9 +106,12 @@ static BOARD_INLINE bool board_sync_edge(uint32_t *when)
     return rising;
 }
 
-static BOARD_INLINE bool board_sync_pending(void)
+static BOARD_INLINE bool board_sync_fell(uint16_t rise, uint16_t *length)
 {
-    return TIFR1 & _BV(ICF1);
+    if (!(TIFR1 & _BV(ICF1)))
+        return false;
+    *length = ICR1 - rise;
+    return true;
 }
 
 static BOARD_INLINE int16_t board_ticks_until(uint16_t at)
@@ -128,18 +131,21 @@ static BOARD_INLINE void board_spin(uint16_t at)
 
     while (board_ticks_until(at) > 4 * BOARD_SPIN_TICKS)
         ;
-    /* Read at cycle t, the count leaves at - t cycles, of which the instructions here take 11 and
+    /* Read at cycle t, the count leaves at - t cycles, of which the instructions here take 13 and
      * the one that follows 2. */
     __asm__ volatile("lds __tmp_reg__, %[count] \n\t"
                      "sub %[left], __tmp_reg__  \n\t"
-                     "subi %[left], 13          \n\t"
+                     "subi %[left], 15          \n\t"
                      "1: subi %[left], 4        \n\t" /* 4 cycles each, 3 the last time */
                      "nop                       \n\t"
                      "brcc 1b                   \n\t"
                      "sbrc %[left], 0           \n\t" /* 2 cycles, or 3 */
                      "rjmp 2f                   \n\t"
-                     "2: sbrc %[left], 1        \n\t" /* 2 cycles, or 4 */
-                     "lpm                       \n\t"
+                     "2: sbrc %[left], 1        \n\t" /* and for twice as much two of them */
+                     "rjmp 3f                   \n\t"
+                     "3: sbrc %[left], 1        \n\t"
+                     "rjmp 4f                   \n\t"
+                     "4:                        \n\t"
                      : [left] "+d"(left)
                      : [count] "n"(_SFR_MEM_ADDR(TCNT1L)));
 }

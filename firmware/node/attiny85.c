@@ -15,18 +15,27 @@ ISR(TIMER0_OVF_vect)
     board_ticks += 0x8000u;
 }
 
-EMPTY_INTERRUPT(TIMER0_COMPA_vect) /* the alarm: being awake is all it is for */
+static volatile bool rang; /* the alarm */
+
+ISR(TIMER0_COMPA_vect)
+{
+    rang = true;
+}
+
 EMPTY_INTERRUPT(ADC_vect)
 
-/* Notes the time before anything else; talk.c goes on from there. */
+/* Notes time and level before anything else; talk.c goes on from there. */
 ISR(INT0_vect, ISR_NAKED)
 {
-    __asm__ volatile("push r24       \n\t"
-                     "in r24, %[count] \n\t"
-                     "out %[note], r24 \n\t"
-                     "pop r24        \n\t"
+    __asm__ volatile("push r24                \n\t"
+                     "in r24, %[count]        \n\t"
+                     "out %[time], r24        \n\t"
+                     "in r24, %[pins]         \n\t"
+                     "out %[level], r24       \n\t"
+                     "pop r24                 \n\t"
                      "rjmp __vector_sync_edge \n\t" ::[count] "I"(_SFR_IO_ADDR(TCNT1)),
-                     [note] "I"(_SFR_IO_ADDR(GPIOR0)));
+                     [time] "I"(_SFR_IO_ADDR(GPIOR0)), [pins] "I"(_SFR_IO_ADDR(PINB)),
+                     [level] "I"(_SFR_IO_ADDR(GPIOR1)));
 }
 
 void board_init(void)
@@ -60,18 +69,25 @@ uint32_t board_now(void)
 
 void board_sleep(uint32_t when, const volatile uint8_t *event)
 {
-    cli();
-    if (!*event && (int32_t)(when - board_now()) > 256) { /* two counts of Timer0 */
-        OCR0A = (uint8_t)(when >> 7); /* further than 8 ms away it comes too early, that is all */
+    rang = false;
+    ATOMIC_BLOCK (ATOMIC_RESTORESTATE) {
+        OCR0A = (uint8_t)(when >> 7); /* rings up to 32 µs late; further than 8 ms away too early, that is all */
         TIFR = _BV(OCF0A);
         TIMSK |= _BV(OCIE0A);
+    }
+    if ((int32_t)(when - board_now()) <= 0)
+        rang = true; /* too late for the alarm */
+    /* what else wakes us, every chip for one, must not cost more than this */
+    for (;;) {
+        cli();
+        if (rang || *event)
+            break;
         sleep_enable();
         sei();
         sleep_cpu();
         sleep_disable();
-        cli();
-        TIMSK &= (uint8_t)~_BV(OCIE0A);
     }
+    TIMSK &= (uint8_t)~_BV(OCIE0A);
     sei();
 }
 

@@ -20,6 +20,7 @@
 #define BOARD_SYNC_vect __vector_sync_edge /* called by INT0's, see attiny85.c */
 
 #define BOARD_ORDER 1024
+#define BOARD_CHIP_NS 40000u
 
 #define BOARD_LINE PB1
 #define BOARD_SYNC PB2
@@ -76,10 +77,9 @@ static BOARD_INLINE bool board_match_step(void)
     return (uint8_t)(TCNT1 - from) < (uint8_t)(step - 1u);
 }
 
-static BOARD_INLINE bool board_match(bool high, uint16_t here, uint16_t at)
+static BOARD_INLINE bool board_match(bool high, uint16_t at)
 {
     board_match_high = high;
-    board_match_here = here;
     board_match_at = at;
     return board_match_step();
 }
@@ -105,6 +105,7 @@ static BOARD_INLINE void board_latch(bool high)
 
 static BOARD_INLINE void board_match_past(uint16_t at)
 {
+    board_match_here = board_match_at = at;
     OCR1A = (uint8_t)(at - 1u);
 }
 
@@ -133,16 +134,19 @@ static BOARD_INLINE void board_sync_off(void)
 static BOARD_INLINE bool board_sync_edge(uint32_t *when)
 {
     *when = board_time(GPIOR0) - BOARD_SYNC_LATENCY;
-    return PINB & _BV(BOARD_SYNC);
+    return GPIOR1 & _BV(BOARD_SYNC);
 }
 
-static BOARD_INLINE bool board_sync_pending(void)
+/* Asked for the first time some 20 µs after the rising edge: a pulse that is over by then is taken for
+ * the shortest one, be it noise of 2 to 8 µs. */
+static BOARD_INLINE bool board_sync_fell(uint16_t rise, uint16_t *length)
 {
-    if (!(GIFR & _BV(INTF0)))
-        return false;
-    GPIOR0 = TCNT1;
-    GIFR = _BV(INTF0);
-    return true;
+    const uint8_t unit = TP_SYNC_UNIT_US * BOARD_TICKS_PER_US;
+
+    *length = (uint8_t)(TCNT1 - (uint8_t)rise);
+    if (*length < 2 * unit - unit / 4)
+        *length = unit;
+    return !(PINB & _BV(BOARD_SYNC));
 }
 
 /* From 24 ticks ago to 231 ahead. */
@@ -167,21 +171,24 @@ static BOARD_INLINE void board_spin(uint16_t at)
     while (board_ticks_until(at) > 3 * BOARD_SPIN_TICKS)
         ;
     /* Two readings, a cycle apart, tell the cycle t: twice the first one, and 1 more if they differ.
-     * It leaves 2·at - t cycles, of which the instructions here take 14 and the one that follows 2. */
+     * It leaves 2·at - t cycles, of which the instructions here take 16 and the one that follows 2. */
     __asm__ volatile("in __tmp_reg__, %[count]  \n\t"
                      "in %[odd], %[count]       \n\t"
                      "sub %[odd], __tmp_reg__   \n\t"
                      "sub %[left], __tmp_reg__  \n\t"
                      "lsl %[left]               \n\t"
                      "sub %[left], %[odd]       \n\t"
-                     "subi %[left], 16          \n\t"
+                     "subi %[left], 18          \n\t"
                      "1: subi %[left], 4        \n\t" /* 4 cycles each, 3 the last time */
                      "nop                       \n\t"
                      "brcc 1b                   \n\t"
                      "sbrc %[left], 0           \n\t" /* 2 cycles, or 3 */
                      "rjmp 2f                   \n\t"
-                     "2: sbrc %[left], 1        \n\t" /* 2 cycles, or 4 */
-                     "lpm                       \n\t"
+                     "2: sbrc %[left], 1        \n\t" /* and for twice as much two of them */
+                     "rjmp 3f                   \n\t"
+                     "3: sbrc %[left], 1        \n\t"
+                     "rjmp 4f                   \n\t"
+                     "4:                        \n\t"
                      : [left] "+d"(left), [odd] "=&r"(odd)
                      : [count] "I"(_SFR_IO_ADDR(TCNT1)));
 }

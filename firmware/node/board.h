@@ -29,14 +29,14 @@ uint8_t board_memory_byte(uint16_t address);
  *
  *   BOARD_TICKS_PER_US   a power of two
  *   BOARD_ORDER          most chips of a row
+ *   BOARD_CHIP_NS        least duration of a chip, for which its interrupts leave time
  *   BOARD_MATCH_vect     interrupt of the latch's match
  *   BOARD_SYNC_vect      interrupt of the sync line's edges
  *   BOARD_SPIN_TICKS     least way to what board_spin waits for
  */
 
-/* The latch gets a level when the timer gets to `at`; here: the last match, or the switch's last
- * closing, not long ago. False: too late. */
-static BOARD_INLINE bool board_match(bool high, uint16_t here, uint16_t at);
+/* The latch gets a level when the timer gets to `at`. False: it is too late for that. */
+static BOARD_INLINE bool board_match(bool high, uint16_t at);
 /* In the match's interrupt: whether it was the one that was asked for, not one on the way. */
 static BOARD_INLINE bool board_match_is_last(void);
 /* Level that the next match will set. */
@@ -63,8 +63,8 @@ static BOARD_INLINE void board_sync_on(void);
 static BOARD_INLINE void board_sync_off(void);
 /* In that interrupt: whether the edge was a rising one, and when it came. */
 static BOARD_INLINE bool board_sync_edge(uint32_t *when);
-/* Whether another edge has come meanwhile; then board_sync_edge tells of it. */
-static BOARD_INLINE bool board_sync_pending(void);
+/* Whether a pulse is over that began at `rise`, a moment ago; its length in ticks. */
+static BOARD_INLINE bool board_sync_fell(uint16_t rise, uint16_t *length);
 
 #if defined(__AVR_ATmega328P__)
 #include "atmega328p.h"

@@ -10,11 +10,15 @@
 #include "talk.h"
 
 #define MS (1000ul * BOARD_TICKS_PER_US)
-/* Two conversions take 310 µs; a new clock, the plan and what may interrupt them do with the rest. */
+/* So long before the next pulse the reading begins. Two conversions take 310 µs; a new clock, the plan,
+ * and what may interrupt them, do with the rest. */
 #define MEASURING_US 800u
-/* From a sub-slot's end to the next one: its pulse must not begin before the line is released. */
-#define RESTART_US (TP_SYNC_LEAD * TP_SYNC_UNIT_US + 16u)
 #define REST_READINGS 8
+
+/* The frame is over before the reading begins; a restart's pulse, 64 µs ahead of its sub-slot, begins
+ * after the line was released. */
+static const struct node_limits limits = {
+    .order = BOARD_ORDER, .chip_ns = BOARD_CHIP_NS, .measuring_us = 900, .restart_us = 80};
 
 static struct tp_node_record record;
 static uint8_t row[BOARD_ORDER / 8];
@@ -105,8 +109,6 @@ static void frame_missed(void)
 
 int main(void)
 {
-    static const struct node_limits limits = {
-        .order = BOARD_ORDER, .measuring_us = MEASURING_US, .restart_us = RESTART_US};
     enum node_memory_fault fault;
 
     board_init();

@@ -22,17 +22,22 @@ enum state {
 
 static struct sequencer sequencer;
 static volatile uint8_t state;
-static bool more;                  /* LAST: another sub-slot follows */
 
-static uint32_t edge_q16;          /* time of the last edge, of its 32 bits the 16 lowest, · 2¹⁶ */
+static uint32_t edge_q16;          /* time of the last edge plus ½, of its 32 bits the 16 lowest, · 2¹⁶ */
 static uint32_t chip_q16, lead_q16;
+static bool chips_are_short;
 
-static volatile bool planned;
-static bool plan_talks, plan_talks_first;
+/* End of the last chip that is planned: when, what follows (enum sequencer_next), and how high that
+ * is. The timer is told of it when the chip begins. */
+static uint16_t next_edge;
+static uint8_t next;
+static bool next_level;
+
+static volatile uint8_t plan;      /* pulses that the node answers with its word: bit per length */
 
 static uint32_t rise;              /* when the sync line's present pulse began */
 static bool high;                  /* whether there is one */
-static bool may_frame, may_restart;  /* what it may be, by the time of its beginning */
+static bool may_frame;             /* whether it is time for a frame pulse */
 static uint32_t earliest;          /* ticks from a frame's pulse to the next one's, at least */
 static uint32_t slot_rise;         /* when the pulse of the present sub-slot began */
 static uint32_t restart_earliest;  /* ticks from there to the next one's, at least … */
@@ -43,11 +48,6 @@ static uint8_t guard_chips;
 static struct talk_frame frame;
 volatile uint8_t talk_began;
 
-static BOARD_INLINE uint16_t ticks(uint32_t q16)
-{
-    return (uint16_t)((q16 + 0x8000u) >> 16);
-}
-
 static BOARD_INLINE void fall_silent(void)
 {
     board_release();
@@ -56,126 +56,146 @@ static BOARD_INLINE void fall_silent(void)
     board_sync_on();
 }
 
-/* The last chip ends at edge_q16. */
-static BOARD_INLINE void end_slot(void)
+/* What follows the chip that the sequencer is at. */
+static BOARD_INLINE void step(void)
 {
-    uint16_t end = ticks(edge_q16);
+    next = sequencer_step(&sequencer);
+    next_level = sequencer_level(&sequencer);
+}
 
-    if (board_ticks_until(end) >= BOARD_SPIN_TICKS)
-        board_spin(end);
+/* The line, released, has the level that a sub-slot begins with. */
+static void get_ready(void)
+{
+    board_latch(sequencer_level(&sequencer));
+    step();
+}
+
+static void end_slot(void)
+{
+    if (board_ticks_until(next_edge) >= BOARD_SPIN_TICKS)
+        board_spin(next_edge);
     fall_silent();
-    if (more) {
+    if (next == SEQUENCER_GUARD) {
         state = PAUSED;
-        board_latch(sequencer_level(&sequencer));
+        get_ready();
     }
 }
 
-/* A chip has begun, at edge_q16; says whether it is one to be waited for. */
-static BOARD_INLINE bool chip_began(void)
+/* A sub-slot's last chip has begun, or its end is near. Out of the way of all other chips. */
+static __attribute__((noinline)) void last_chip(void)
 {
-    uint16_t here = ticks(edge_q16), end;
-    enum sequencer_next next = sequencer_step(&sequencer);
-    bool level, in_time;
+    bool ends = state == LAST || chips_are_short;
 
-    edge_q16 += chip_q16;
-    end = ticks(edge_q16);
-    if (next == SEQUENCER_CHIP) {
-        level = sequencer_level(&sequencer);
-    } else {
-        state = LAST;
-        more = next == SEQUENCER_GUARD;
-        if ((uint16_t)(end - here) < SHORT_CHIP_TICKS)
-            return true;
-        level = board_match_level();
-        end -= RELEASE_LEAD_TICKS;
-    }
-    in_time = board_match(level, here, end);
-    if (!in_time)
-        fall_silent(); /* rather than say something else */
-    return false;
-}
-
-/* One for both interrupts: a copy in each would take a quarter of the ATtiny85's memory. */
-static __attribute__((noinline)) void advance(void)
-{
-    if (state == LAST || chip_began())
+    state = LAST;
+    if (ends || !board_match(board_match_level(), (uint16_t)(next_edge - RELEASE_LEAD_TICKS)))
         end_slot();
+}
+
+/* A chip has begun. The timer is told first of what follows; then there is time to work out what
+ * follows that. */
+static BOARD_INLINE void chip_began(void)
+{
+    if (next != SEQUENCER_CHIP) {
+        last_chip();
+    } else if (board_match(next_level, next_edge)) {
+        edge_q16 += chip_q16;
+        next_edge = (uint16_t)(edge_q16 >> 16);
+        step();
+    } else {
+        fall_silent(); /* too late: rather than say something else */
+    }
 }
 
 ISR(BOARD_MATCH_vect)
 {
-    if (board_match_is_last())
-        advance();
+    if (!board_match_is_last())
+        return;
+    if (state == TALKING)
+        chip_began();
+    else
+        last_chip();
 }
 
-/* The present pulse was one for us: the first chip comes `lead` after its beginning. */
-static BOARD_INLINE bool begin_slot(void)
+/* The first chip's time, should the present pulse be one for us. */
+static BOARD_INLINE uint16_t aim(void)
 {
-    uint32_t start_q16 = (rise << 16) + lead_q16;
-    uint16_t start = ticks(start_q16);
+    uint32_t start_q16 = (rise << 16) + lead_q16 + 0x8000u;
+    uint16_t start = (uint16_t)(start_q16 >> 16);
 
-    if (board_ticks_until(start) < BOARD_SPIN_TICKS) {
-        state = SILENT;
-        return false;
-    }
-    board_sync_off();
+    edge_q16 = start_q16 + chip_q16;
+    next_edge = (uint16_t)(edge_q16 >> 16);
     board_match_past(start);
+    return start;
+}
+
+/* It is one. */
+static BOARD_INLINE bool begin_slot(uint16_t start)
+{
+    if (board_ticks_until(start) < BOARD_SPIN_TICKS)
+        return false;
     board_spin(start);
     board_drive();
     board_matches_on();
+    board_sync_off();
     state = TALKING;
     slot_rise = rise;
-    edge_q16 = start_q16;
-    advance();
+    chip_began();
     return true;
 }
 
-static BOARD_INLINE void pulse_ends(uint32_t when)
+/* Pulses of these lengths are ours, if they begin now: bit per length. */
+static BOARD_INLINE uint8_t answers(void)
 {
-    uint8_t units = sync_pulse_units(when - rise, UNIT_TICKS);
-    bool speaks = false;
-
-    high = false;
-    if (units == TP_SYNC_RESTART) {
-        speaks = may_restart;
-    } else if (units != SYNC_PULSE_GLITCH && may_frame) {
-        speaks = planned && (units == TP_SYNC_CALL ? plan_talks_first : plan_talks);
-        planned = false;
-        frame.when = rise;
-        frame.units = units;
-        frame.spoke = speaks;
-        talk_began = 1;
-    }
-    if (speaks && !begin_slot())
-        frame.spoke = false;
+    if (state == PAUSED && rise - slot_rise - restart_earliest <= restart_width)
+        return 1u << TP_SYNC_RESTART;
+    return may_frame ? plan : 0;
 }
 
-static BOARD_INLINE void pulse_begins(uint32_t when)
+static BOARD_INLINE void pulse_ended(uint8_t units, bool spoke)
 {
-    rise = when;
-    high = true;
-    may_frame = when - frame.when >= earliest;
-    may_restart = state == PAUSED &&
-                  when - slot_rise - restart_earliest <= restart_width;
+    high = false;
+    if (may_frame && (units == TP_SYNC_FRAME || units == TP_SYNC_CALL)) {
+        frame.when = rise;
+        frame.units = units;
+        frame.spoke = spoke;
+        talk_began = 1;
+        plan = 0;
+    }
 }
 
 /* After a roll call's pulse there are 16 µs to the first chip, less than another interrupt would take:
- * who might have to speak waits for the pulse's end here. */
+ * who might have to speak waits for the pulse's end, with all but that settled. */
 ISR(BOARD_SYNC_vect)
 {
     uint32_t when;
+    uint16_t start, length;
+    uint8_t ours, units;
+    bool over, spoke = false;
 
-    if (board_sync_edge(&when)) {
-        pulse_begins(when);
-        if (!may_restart && !(may_frame && planned && (plan_talks || plan_talks_first)))
-            return;
-        while (!board_sync_pending())
-            if (board_ticks_since((uint16_t)when) >= LONGEST_PULSE_TICKS)
-                return;
-        board_sync_edge(&when);
+    if (!board_sync_edge(&when)) {
+        if (high)
+            pulse_ended(sync_pulse_units(when - rise, UNIT_TICKS), false);
+        return;
     }
-    if (high)
-        pulse_ends(when);
+    rise = when;
+    high = true;
+    may_frame = rise - frame.when >= earliest;
+    ours = answers();
+    over = board_sync_fell((uint16_t)rise, &length);
+    if (!over && !ours)
+        return;
+    start = aim();
+    while (!over) {
+        if (board_ticks_since((uint16_t)rise) >= LONGEST_PULSE_TICKS)
+            return; /* its end will be an interrupt, and no more */
+        over = board_sync_fell((uint16_t)rise, &length);
+    }
+    units = sync_pulse_units(length, UNIT_TICKS);
+    if (ours & 1u << units)
+        spoke = begin_slot(start);
+    if (!spoke)
+        board_sync_on();
+    pulse_ended(units, spoke);
 }
 
 void talk_init(const struct tp_node_record *record, const uint8_t *row)
@@ -190,24 +210,25 @@ void talk_init(const struct tp_node_record *record, const uint8_t *row)
 void talk_plan(const struct discipline *clock, uint16_t code, bool talks, bool talks_first)
 {
     uint32_t guard_ticks = guard_chips * (clock->chip_q16 >> 8) >> 8;
-    uint32_t slot_ticks = (uint32_t)((uint64_t)slot_places * clock->chip_q16 >> 16);
+    uint32_t slot_ticks = 0;
 
+    if (slot_places)
+        slot_ticks = (uint32_t)((uint64_t)slot_places * clock->chip_q16 >> 16);
     sequencer_start(&sequencer, code);
     chip_q16 = clock->chip_q16;
+    chips_are_short = chip_q16 >> 16 < SHORT_CHIP_TICKS;
     lead_q16 = clock->lead_q16;
     /* what a guard is there for is clocks that are off by as much */
     restart_earliest = slot_ticks - guard_ticks;
     restart_width = 2u * guard_ticks;
-    plan_talks = talks;
-    plan_talks_first = talks_first;
-    board_latch(sequencer_level(&sequencer));
-    planned = true;
+    get_ready();
+    plan = (uint8_t)(talks << TP_SYNC_FRAME | talks_first << TP_SYNC_CALL);
 }
 
 void talk_stop(void)
 {
     ATOMIC_BLOCK (ATOMIC_RESTORESTATE) {
-        planned = false;
+        plan = 0;
         fall_silent();
     }
 }

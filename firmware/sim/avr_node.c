@@ -335,8 +335,8 @@ static void process_events(struct avr_node *node)
     avr->cycle = now;
 }
 
-/* Instructions, until one reaches the next event, changes when that is, touches the output pin, lets
- * interrupts in or sleeps. simavr leaves its loop where a cycle timer is set, as its limit is 1. */
+/* Instructions, until one reaches the next event, changes when that is, touches the output pin,
+ * lets interrupts in or sleeps. (simavr leaves its loop where a timer is set: its limit is 1.) */
 static void run_instructions(struct avr_node *node, avr_cycle_count_t event)
 {
     avr_t *avr = node->avr;

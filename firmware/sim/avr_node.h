@@ -14,8 +14,9 @@
  *   - SLEEP does nothing without SE. The ATtiny85's Timer1 counts, to 255.
  *   - The converter's code is ⌊1024 · V / AVcc⌋; its only reference is AVcc.
  *
- * Left out: delays of the input synchronisers, the noise canceller, PRR, fuses, brown-out, sleep modes
- * other than idle (they are counted).
+ * Left out: delays of the input synchronisers, the noise canceller, PRR, fuses, brown-out, sleep
+ * modes other than idle (they are counted). SBI on a PIN register toggles, as in simavr, all bits
+ * that are set; a timer is read as it is when the reading instruction begins.
  */
 #ifndef AVR_NODE_H
 #define AVR_NODE_H

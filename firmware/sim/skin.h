@@ -26,7 +26,7 @@ void skin_free(struct skin *skin);
 int skin_add(struct skin *skin, const struct node_plan *plan, char *error, size_t error_size);
 struct avr_node *skin_node(struct skin *skin, int node);
 
-/* An edge of the sync line; not before the last one, nor before what nodes have run to: else false. */
+/* An edge of the sync line. False where it is before the last one, or nodes have run past it. */
 bool skin_sync(struct skin *skin, int64_t t_ns, bool level);
 
 /* Run all nodes to a time. */

@@ -1,11 +1,11 @@
 /* A digitizer's board for the emulated skin: the portable core on virtual hardware.
  *
- * Its clock of 48 MHz times the converter, the sync pulses and the device time. The converter has 12
- * bits from 0 to 3.3 V and takes its samples from the skin's line at their exact instants; pulses
- * reach the nodes at theirs. What is sent waits in the core's ring for a link of limited speed.
+ * Its clock of 48 MHz times the converter, the sync pulses and the device time. The converter has
+ * 12 bits from 0 to 3.3 V and takes its samples from the skin's line at their exact instants;
+ * pulses reach the nodes at theirs. What is sent waits in the core's ring for a link of limited speed.
  *
- * Nodes and board take turns in steps of STEP_NS: pulses are announced before it, samples handed over
- * and bytes sent after it. */
+ * Nodes and board take turns in steps of STEP_NS: pulses are announced before it, samples handed
+ * over and bytes sent after it. */
 #ifndef VIRTUAL_BOARD_H
 #define VIRTUAL_BOARD_H
 

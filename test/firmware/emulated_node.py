@@ -1,4 +1,4 @@
-"""One node's image under test: a sync line to order, and what its pin did against what it should."""
+"""Nodes' images under test: a sync line to order, and what their pins should do."""
 
 from __future__ import annotations
 
@@ -22,6 +22,8 @@ RESTART, FRAME, CALL = 1, 2, 3
 VREF = 3.3
 POWER_UP_NS = 20_000_000
 """The first frame pulse comes so long after power-up."""
+MEASURED_NS = 950_000
+"""So long before a frame a node is done with the last one, and has not measured yet."""
 CLOCK_KNOWN = 2
 """Frames that a node listens to before it talks: it measures its clock by their pulses."""
 
@@ -57,7 +59,7 @@ class Bench:
             if slot not in skip:
                 at = slot * (self.spec.resync_chips + self.spec.guard_chips) * self.spec.chip_s
                 self.pulse(start + round(at * 1e9) - LEAD_NS, RESTART * UNIT_NS)
-        self.skin.run(start + self.period_ns - 2_000_000)
+        self.skin.run(start + self.period_ns - MEASURED_NS)
         return start
 
     def heard(self, node: int, start_ns: int) -> NDArray[np.void]:

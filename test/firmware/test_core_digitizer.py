@@ -247,6 +247,27 @@ def test_a_refused_configure_leaves_the_stream_alone(digitizer: CoreDigitizer) -
     assert not digitizer.running
 
 
+def test_the_board_is_told_once_of_every_change(
+    core: ctypes.CDLL, digitizer: CoreDigitizer
+) -> None:
+    for command, changes in (
+        (Stop(), False),
+        (Start(), True),
+        (Start(), True),
+        (GetInfo(), False),
+        (of_frame(chip_ns=1000), False),
+        (Stop(), True),
+        (of_frame(), False),
+        (Start(), True),
+        (of_frame(), True),
+    ):
+        data = digitizer.writer.encode(command)
+        core.dg_receive(digitizer._shim, data, len(data), 0)
+        told = [core.dg_restarted(digitizer._shim) for _ in range(2)]
+        assert told == [changes, False]
+    assert not digitizer.running
+
+
 def test_samples_before_the_stream_begins_are_none_of_it(
     core: ctypes.CDLL, digitizer: CoreDigitizer
 ) -> None:
@@ -466,6 +487,23 @@ def test_a_roll_call_asked_for_with_start_is_held(core: ctypes.CDLL) -> None:
     digitizer.close()
 
 
+def test_a_new_stream_begins_with_a_frame_and_no_roll_call(core: ctypes.CDLL) -> None:
+    asked = of_frame(resync_chips=50, guard_chips=4, frame_period_us=12_800, nodes=9)
+    digitizer = digitizer_with(core, asked)
+    first = digitizer.pulses(8)
+    digitizer.send(RollCall())
+    assert [pulse.units for pulse in digitizer.pulses(3)] == [SYNC_CALL, SYNC_RESTART, SYNC_RESTART]
+    digitizer.packets()
+    digitizer.send(Start())
+    assert digitizer.pulses(8) == first
+    digitizer.samples(np.zeros(80))
+    assert called_frames(digitizer, 2) == [False, False]
+    digitizer.send(RollCall())
+    digitizer.pulses(4)
+    assert called_frames(digitizer, 1) == [True]
+    digitizer.close()
+
+
 def test_a_roll_call_needs_marked_raw_frames(core: ctypes.CDLL) -> None:
     digitizer = CoreDigitizer(core)
     digitizer.packets()
@@ -537,6 +575,16 @@ def test_what_is_sent_is_whole_however_it_is_taken(
     digitizer.close()
 
 
+def test_packets_may_end_where_the_ring_ends(core: ctypes.CDLL) -> None:
+    for size in range(1300, 1400):
+        digitizer = CoreDigitizer(core, capacity=16, output=size)
+        for _ in range(30):
+            digitizer.send(GetInfo())
+            digitizer.packets()
+        assert digitizer.parser.counters.packets == 2 + 2 * 30
+        digitizer.close()
+
+
 def test_the_sequence_wraps(digitizer: CoreDigitizer) -> None:
     digitizer.set_sequence(65_530)
     digitizer.send(Start())
@@ -550,7 +598,9 @@ def test_the_sequence_wraps(digitizer: CoreDigitizer) -> None:
 
 def test_losses_are_counted_in_index_and_status(digitizer: CoreDigitizer) -> None:
     digitizer.send(Start())
-    digitizer.samples(np.zeros(80 + 100))
+    digitizer.samples(np.zeros(80 + 50))
+    digitizer.lost(0)  # is nothing
+    digitizer.samples(np.zeros(50))
     digitizer.lost(40)
     digitizer.samples(np.zeros(672 + 212))
     digitizer.lost(2000)  # over a frame's mark

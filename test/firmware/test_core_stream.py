@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tactile_cdma._protocol import MAX_SAMPLES, TAIL_CHIPS, Drive, Polarity, SyncMode
+from tactile_cdma.frame import FrameSpec
 from tactile_cdma.messages import (
     Ack,
     Configure,
@@ -136,6 +137,44 @@ def test_packets_are_those_of_the_virtual_digitizer(
         assert sent == set(letters)
     assert any(packet.called for packet in got) == calling
     assert not digitizer.parser.counters.lost_packets
+    digitizer.close()
+
+
+GAP = FrameLayout.of(FrameSpec(frame_period_s=21.4e-3), 4)  # of 900 samples; the frame has 812
+
+
+def sizes(digitizer: CoreDigitizer) -> list[tuple[type, int]]:
+    return [
+        (type(packet), packet.count if isinstance(packet, Quiet) else len(packet.counts))
+        for packet in of_line(digitizer.packets())
+    ]
+
+
+def test_a_gap_after_silence_waits_if_it_can_be_held_and_while_it_is_silent(
+    core: ctypes.CDLL,
+) -> None:
+    pieces = [(Quiet, 240), (Quiet, 240), (Quiet, 240), (Quiet, 180)]
+    for capacity, gap in ((900, [(Quiet, 900)]), (899, pieces)):
+        digitizer = configured(core, Configure(GAP, quiet_uv=100_000), capacity=capacity)
+        digitizer.samples(np.full(80 + 812, MIDDLE))
+        assert sizes(digitizer) == [(Quiet, 80), (Quiet, 812)]
+        digitizer.samples(np.full(899, MIDDLE))
+        assert sizes(digitizer) == ([] if len(gap) == 1 else pieces[:-1])
+        digitizer.samples(np.full(1 + 811, MIDDLE))
+        assert sizes(digitizer) == ([] if len(gap) == 1 else pieces[-1:])  # still waits
+        digitizer.samples(np.full(1, MIDDLE))
+        assert sizes(digitizer) == [*(gap if len(gap) == 1 else []), (Quiet, 812)]
+        digitizer.close()
+
+
+def test_a_gap_that_becomes_loud_is_sent_at_once(core: ctypes.CDLL) -> None:
+    digitizer = configured(core, Configure(GAP, quiet_uv=100_000))
+    digitizer.samples(np.full(80 + 812 + 500, MIDDLE))
+    assert sizes(digitizer) == [(Quiet, 80), (Quiet, 812)]
+    digitizer.samples(np.full(1, 3000))
+    assert sizes(digitizer) == [(Quiet, 240), (Quiet, 240)]
+    digitizer.samples(np.full(219 + 180, MIDDLE))
+    assert sizes(digitizer) == [(Samples, 240), (Quiet, 180)]
     digitizer.close()
 
 

@@ -148,6 +148,22 @@ def test_frames_are_announced_at_their_time(specimen: Specimen, clock_error: flo
         assert len(rises) in (len(marks), len(marks) + 1)
 
 
+def test_a_new_stream_has_its_own_pulses(specimen: Specimen) -> None:
+    with EmulatedSkin([specimen("capture")]) as skin:
+        host = Host(skin)
+        host.say(Configure(LAYOUT))
+        for i in range(5):
+            host.say(Start())
+            host.run((i + 1) * 12 * MS + i * 300_000)
+        marks = [packet for packet in host.all(Samples) if packet.sync]
+        due = [(mark.device_time_us - HALF_US) * 1000 - LEAD_NS + ECHO_NS for mark in marks]
+        edges = skin.edges(0)
+        rises = set(edges["t_ns"][edges["level"] == 1].tolist())
+        assert len(due) == 5 * 2
+        assert rises > set(due)
+        assert len(rises) == len(due) + 5  # a frame of each stream was cut off
+
+
 def called_before(marks: list[Samples], mark: Samples) -> bool:
     i = marks.index(mark)
     return i > 0 and marks[i - 1].called
@@ -157,10 +173,12 @@ def test_a_slow_link_drops_whole_packets_and_counts_them(specimen: Specimen) -> 
     rate = 50_000.0  # bytes per second; 80,000 samples take 160,000
     with EmulatedSkin([specimen("capture")], link_rate=rate) as skin:
         host = Host(skin)
+        host.run(900 * MS)  # an idle link saves nothing up
+        idle = host.parser.counters.bytes
         host.say(Configure(LAYOUT), Start())
         for ms in range(100, 4001, 100):
-            host.run(ms * MS)
-            assert host.parser.counters.bytes <= rate * ms / 1000
+            host.run((900 + ms) * MS)
+            assert host.parser.counters.bytes - idle <= rate * ms / 1000 + 1
         assert host.parser.counters.bytes > 0.99 * rate * 4
         counters = host.parser.counters
         assert counters.crc_errors == counters.framing_errors == 0

@@ -5,17 +5,21 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
+from conftest import need  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
 
-from emulated import EmulatedSkin  # noqa: E402
+from emulated import EmulatedSkin, Node  # noqa: E402
+from rp2040_skin import Rp2040Skin  # noqa: E402
 from serve import LiveSkin  # noqa: E402
 from skin import PressedSkin, reference_amplifier, reference_nodes  # noqa: E402
 from skin_client import Client, running, wait_for  # noqa: E402
@@ -38,12 +42,23 @@ def ros() -> Iterator[None]:
     rclpy.shutdown()
 
 
+@pytest.fixture(scope="module", autouse=True)
+def images(built: Callable[[str], Path], emulator: None) -> None:
+    need("avr-gcc")
+    built("node")
+
+
+def wired(nodes: list[Node], **board: Any) -> EmulatedSkin:
+    """These nodes, with the digitizer's core on a virtual board."""
+    return EmulatedSkin(nodes, reference_amplifier(CONFIG), **board)
+
+
 @contextmanager
-def live(port: Path, **how: Any) -> Iterator[PressedSkin]:
-    """An emulated skin on a tty of this path, in the host's time."""
+def live(port: Path, emulated: EmulatedSkin | Rp2040Skin) -> Iterator[PressedSkin]:
+    """An emulated skin on a tty of this path, in the host's time as far as it can follow."""
     stop, ready = threading.Event(), threading.Event()
-    with EmulatedSkin(reference_nodes(CONFIG, **how), reference_amplifier(CONFIG)) as nodes:
-        skin = PressedSkin(CONFIG, SCENES["moving"], nodes, nodes)
+    with emulated:
+        skin = PressedSkin(CONFIG, SCENES["moving"], emulated, emulated)
         server = threading.Thread(
             target=serve, args=(lambda: LiveSkin(skin), port, stop, lambda _: ready.set())
         )
@@ -86,17 +101,23 @@ def phase_lock(client: Client, skin: PressedSkin) -> int:
     return len(client.arrays) + 10
 
 
-def test_what_presses_the_emulated_skin_is_what_the_topic_says(
-    tmp_path: Path, built: Callable[[str], Path]
-) -> None:
-    built("node"), built("sim")
-    port = tmp_path / "skin"
-    with live(port, threshold=0) as skin, driven(port) as client:
+def diagnosed(client: Client, name: str) -> str:
+    """The newest value of this name in /diagnostics."""
+    latest = client.diagnostics[-1:]
+    values = {pair.key: pair.value for status in latest for pair in status.values}
+    return str(values.get(name, ""))
+
+
+def test_what_presses_the_emulated_skin_is_what_the_topic_says(tmp_path: Path) -> None:
+    nodes = reference_nodes(CONFIG, threshold=0)
+    with live(tmp_path / "tty", wired(nodes)) as skin, driven(tmp_path / "tty") as client:
         first = phase_lock(client, skin)
         wait_for(lambda: len(client.arrays) >= first + FRAMES, 60)
         off = off_lsb(client, skin, first)
     assert len(off) >= FRAMES
-    assert np.abs(off).max() <= 1.001  # and none is NaN: all nodes were heard in every frame
+    assert np.abs(off).max() <= 1.001  # and none is NaN
+    status = np.array([message.status for message in client.arrays[first:]])
+    assert not np.any(status & (Status.SILENT | Status.STALE))  # all were heard in every frame
     sequences = [message.sequence for message in client.arrays[first:]]
     assert np.array_equal(np.diff(sequences), np.ones(len(sequences) - 1))
     pressures = np.array([message.pressure for message in client.arrays[first:]])
@@ -105,12 +126,18 @@ def test_what_presses_the_emulated_skin_is_what_the_topic_says(
     assert np.ptp(pressures, axis=0).max() > 20e3  # something did move
 
 
-def test_silent_nodes_are_held_and_within_their_threshold(
-    tmp_path: Path, built: Callable[[str], Path]
-) -> None:
-    built("node"), built("sim")
-    port = tmp_path / "skin"
-    with live(port, threshold=2, heartbeat=16) as skin, driven(port) as client:
+def test_the_same_through_the_rp2040s_image(tmp_path: Path, rp2040_image: Path) -> None:
+    skin_of_nodes = Rp2040Skin(reference_nodes(CONFIG, threshold=0), reference_amplifier(CONFIG))
+    with live(tmp_path / "tty", skin_of_nodes) as skin, driven(tmp_path / "tty") as client:
+        first = phase_lock(client, skin)
+        wait_for(lambda: len(client.arrays) >= first + FRAMES, 120)
+        off = off_lsb(client, skin, first)
+    assert np.abs(off).max() <= 1.001
+
+
+def test_silent_nodes_are_held_within_their_threshold(tmp_path: Path) -> None:
+    nodes = reference_nodes(CONFIG, threshold=2, heartbeat=16)
+    with live(tmp_path / "tty", wired(nodes)) as skin, driven(tmp_path / "tty") as client:
         first = phase_lock(client, skin) + 16
         wait_for(lambda: len(client.arrays) >= first + FRAMES, 60)
         off = off_lsb(client, skin, first)
@@ -119,15 +146,56 @@ def test_silent_nodes_are_held_and_within_their_threshold(
     assert silent.any() and not silent.all()
 
 
-def test_without_discipline_the_same_skin_fails(
-    tmp_path: Path, built: Callable[[str], Path]
-) -> None:
-    built("node"), built("sim")
-    port = tmp_path / "skin"
-    with live(port, threshold=0, discipline=False) as skin, driven(port) as client:
+def test_without_discipline_the_same_skin_fails(tmp_path: Path) -> None:
+    nodes = reference_nodes(CONFIG, threshold=0, discipline=False)
+    with live(tmp_path / "tty", wired(nodes)) as skin, driven(tmp_path / "tty") as client:
         wait_for(lambda: client.diagnostics and skin.now_ns > 4e9, 60)
         off = off_lsb(client, skin, 0)
         worst = max(status.level for status in client.diagnostics)
     good = (np.abs(off) <= 1.001).all(axis=1).sum() if len(off) else 0
     assert good < 0.1 * 4.0 / CONFIG.spec.frame_period_s
     assert worst >= DiagnosticStatus.WARN
+
+
+class RailedSkin(EmulatedSkin):
+    """The sensor of node 5 is shorted, that of node 9 open."""
+
+    def press(self, volts: ArrayLike) -> None:
+        volts = np.array(volts)
+        volts[[4, 8]] = 0.0, 5.0
+        super().press(volts)
+
+
+def test_broken_nodes_are_named_and_harm_no_other(tmp_path: Path) -> None:
+    """Node 3's memory is blank, node 7's corrupt; two sensors are at their rails."""
+    nodes = reference_nodes(CONFIG, threshold=0)
+    nodes[2] = replace(nodes[2], memory=b"")
+    nodes[6] = replace(nodes[6], memory=bytes([nodes[6].memory[0] ^ 1, *nodes[6].memory[1:]]))
+    with (
+        live(tmp_path / "tty", RailedSkin(nodes, reference_amplifier(CONFIG))) as skin,
+        driven(tmp_path / "tty") as client,
+    ):
+        first = phase_lock(client, skin)
+        wait_for(lambda: len(client.arrays) >= first + 100, 60)
+        wait_for(lambda: diagnosed(client, "missing nodes") == "3, 7")
+        off = off_lsb(client, skin, first)
+        status = np.array([message.status for message in client.arrays[first:]])
+        pressures = np.array([message.pressure for message in client.arrays[first:]])
+    assert np.isnan(pressures[:, [2, 6]]).all()
+    assert (status[:, 4] & Status.SATURATED).all()
+    assert np.allclose(pressures[:, 8], CONFIG.curve.pressure(CONFIG.adc.voltage(1023)))
+    healthy = [node for node in range(16) if node not in (2, 4, 6, 8)]
+    assert np.abs(off[:, healthy]).max() <= 1.001
+
+
+def test_broken_commands_and_a_slow_link_show_in_the_diagnostics(tmp_path: Path) -> None:
+    nodes = reference_nodes(CONFIG, threshold=0)
+    port = tmp_path / "tty"
+    # A frame of 1024 samples takes 2 kB: 60 kB/s carry some 30 of the 78 per second.
+    with live(port, wired(nodes, link_rate=60e3)), driven(port) as client:
+        wait_for(lambda: client.arrays, 30)
+        with open(port, "wb") as second_program:
+            second_program.write(b"\x05\x11garbage\0" + bytes(range(1, 200)) * 300 + b"\0")
+        wait_for(lambda: diagnosed(client, "digitizer command errors") == "2")
+        wait_for(lambda: int(diagnosed(client, "digitizer packets dropped") or 0) > 0, 30)
+        wait_for(lambda: any("too slow" in status.message for status in client.diagnostics), 30)

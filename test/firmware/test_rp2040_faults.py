@@ -39,9 +39,7 @@ def end(packet: Samples | Quiet) -> int:
 
 def missing(packets: list[Samples | Quiet]) -> list[int]:
     """Sizes of the gaps between packets, by first_index."""
-    steps = [
-        after.first_index - end(before) for before, after in itertools.pairwise(packets)
-    ]
+    steps = [after.first_index - end(before) for before, after in itertools.pairwise(packets)]
     return [step for step in steps if step]
 
 

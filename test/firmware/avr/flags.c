@@ -1,11 +1,6 @@
-/* Interrupt flags: a pulse of 1 unit if one clears alone, then one if a set flag interrupts once enabled. */
+/* A pulse if an interrupt flag clears alone; another at once if one that is set interrupts when it
+ * is enabled. */
 #include "specimen.h"
-
-#if defined(__AVR_ATtiny85__)
-#define FLAGS TIFR
-#else
-#define FLAGS TIFR1
-#endif
 
 ISR(TIMER1_COMPB_vect)
 {
@@ -19,9 +14,9 @@ int main(void)
     OCR1B = 100;
     listen();
     TIMER1_MASK = 0;
-    loop_until_bit_is_set(FLAGS, OCF1A);
-    FLAGS = _BV(OCF1A);
-    if (!(FLAGS & _BV(OCF1A)) && FLAGS & _BV(OCF1B))
+    loop_until_bit_is_set(TIMER1_FLAGS, OCF1A);
+    TIMER1_FLAGS = _BV(OCF1A);
+    if (!(TIMER1_FLAGS & _BV(OCF1A)) && TIMER1_FLAGS & _BV(OCF1B))
         show(1);
     TIMER1_MASK = _BV(OCIE1B);
     sleep_on();

@@ -1,4 +1,5 @@
-/* Drives its output, takes no care of the watchdog (16 ms), and lights the LED after a reset by it. */
+/* Drives its output as the latch is, forces that high, takes no care of the watchdog (16 ms), and
+ * lights the LED after a reset by it. */
 #include <avr/wdt.h>
 
 #include "specimen.h"
@@ -10,7 +11,10 @@ int main(void)
         LED_PORT |= _BV(LED);
     }
     wdt_enable(WDTO_15MS);
+    OCR1A = 255; /* no match in the meantime */
+    MODE(SET);
     DDRB |= _BV(OUT);
+    FORCE();
     for (;;)
         ;
 }

@@ -1,25 +1,14 @@
-/* Output compare A: forced, and matched every 400 cycles; the timer overflows on. */
+/* Output compare A: forced, toggled by matches every 400 cycles, disconnected, and set for good. */
 #include "specimen.h"
 
-#if defined(__AVR_ATtiny85__)
-#define MODE(mode) TCCR1 = (uint8_t)(_BV(CS11) | (mode) << COM1A0)
-#define FORCE() GTCCR = _BV(FOC1A)
-#define FLAGS TIFR
-#define STEP 200
-#else
-#define MODE(mode) TCCR1A = (uint8_t)((mode) << COM1A0)
-#define FORCE() TCCR1C = _BV(FOC1A)
-#define FLAGS TIFR1
-#define STEP 400
-#endif
-enum { TOGGLE = 1, CLEAR, SET };
-
-static uint8_t matches;
+static uint16_t matches;
 
 ISR(TIMER1_COMPA_vect)
 {
     OCR1A += STEP;
-    if (++matches == 10)
+    if (++matches == 9)
+        MODE(NONE); /* the PORT bit, which is low */
+    if (matches == 10)
         MODE(SET); /* from now on it stays high */
 }
 
@@ -35,6 +24,6 @@ int main(void)
     MODE(SET); /* nothing yet */
     MODE(TOGGLE);
     OCR1A = 200;
-    FLAGS = _BV(OCF1A);
+    TIMER1_FLAGS = _BV(OCF1A);
     sleep_on();
 }

@@ -16,6 +16,10 @@
 #define LED 4
 #define SENSOR 3
 #define TIMER1_MASK TIMSK
+#define TIMER1_FLAGS TIFR
+#define MODE(mode) (TCCR1 = (uint8_t)(_BV(CS11) | (mode) << COM1A0))
+#define FORCE() (GTCCR = _BV(FOC1A))
+#define STEP 200 /* of 2 cycles */
 #else
 #define SYNC 0
 #define SYNC_VECTOR TIMER1_CAPT_vect
@@ -24,7 +28,12 @@
 #define LED 7
 #define SENSOR 0
 #define TIMER1_MASK TIMSK1
+#define TIMER1_FLAGS TIFR1
+#define MODE(mode) (TCCR1A = (uint8_t)((mode) << COM1A0))
+#define FORCE() (TCCR1C = _BV(FOC1A))
+#define STEP 400
 #endif
+enum { NONE, TOGGLE, CLEAR, SET }; /* of output compare A */
 
 /* Timer1 runs, and the sync line's next edge (ATmega: a rising one) interrupts. */
 static inline void listen(void)

@@ -1,0 +1,419 @@
+"""The nodes' images, emulated: what their pins do, edge by edge, against the host's encoder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from emulated_node import (
+    CALL,
+    CLOCK_KNOWN,
+    FRAME,
+    LEAD_NS,
+    POWER_UP_NS,
+    UNIT_NS,
+    Bench,
+    EmulatedNodes,
+    Node,
+    expected,
+    image,
+    slots,
+    volts,
+)
+
+from tactile_cdma.frame import FrameSpec
+from tactile_cdma.node_memory import MCUS, node_memory
+
+EDGE_NS = 280
+"""Largest error of an edge: two cycles at 7.2 MHz, or an ATtiny85's tick."""
+AWAKE_NS = 850
+"""… of an ATtiny85 that happens to be awake when the pulse comes: 6 cycles."""
+SPEC = FrameSpec(nodes=4, order=16)
+REST = 225
+SPEECH = {"threshold": 0, "rest": REST}
+Builder = Callable[[str], Path]
+
+
+@pytest.fixture(scope="module")
+def build(built: Builder) -> Path:
+    """Where images and emulation are."""
+    built("node")
+    return built("sim")
+
+
+@contextmanager
+def bench(
+    build: Path,
+    spec: FrameSpec = SPEC,
+    mcu: str = "atmega328p",
+    nodes: Sequence[int] = (1,),
+    clock_hz: float = 8e6,
+    memory: bytes | None = None,
+    **options: int | bool | None,
+) -> Iterator[Bench]:
+    """Nodes of these numbers, from 1, with memories by the host; at rest."""
+    made = [
+        Node(
+            image(build, mcu),
+            mcu,
+            node_memory(spec, node, mcu=mcu, **options) if memory is None else memory,
+            clock_hz=clock_hz,
+        )
+        for node in nodes
+    ]
+    with EmulatedNodes(made) as skin:
+        skin.press(volts(REST, spec.bits))
+        yield Bench(skin, spec)
+        for node in range(len(nodes)):
+            counters = skin.counters(node)
+            assert not (counters.faults or counters.deep_sleeps or counters.pull_ups)
+
+
+def assert_says(bench: Bench, start_ns: int, code: int, number: int = 1, node: int = 0) -> float:
+    """The pin of a node, of this number from 1, said a code in the frame that began then.
+
+    Returns the largest error of its edges, ns.
+    """
+    heard = bench.heard(node, start_ns)
+    wanted = expected(bench.spec, number - 1, code, start_ns)
+    np.testing.assert_array_equal(heard["level"], wanted["level"])
+    worst_ns = np.abs(heard["t_ns"] - wanted["t_ns"]).max()
+    tiny = bench.skin.nodes[node].mcu == "attiny85"
+    assert worst_ns <= (AWAKE_NS if tiny else EDGE_NS)
+    return float(worst_ns)
+
+
+def is_silent(bench: Bench, start_ns: int, node: int = 0) -> bool:
+    """Whether the pin was released all the frame through."""
+    return len(bench.heard(node, start_ns)) == 0
+
+
+def listen(bench: Bench) -> int:
+    """The frames before the node knows its clock; returns the number of the next one."""
+    for number in range(CLOCK_KNOWN):
+        assert is_silent(bench, bench.frame(number))
+    return CLOCK_KNOWN
+
+
+SHAPES = {
+    "paper": FrameSpec(nodes=16, order=16, first_row=0, sign_seed=None),
+    "8 bits": FrameSpec(nodes=4, order=16, bits=8),
+    "9 bits, parity, Paley": FrameSpec(nodes=11, order=12, bits=9, parity=True),
+    "parity": FrameSpec(nodes=4, order=16, parity=True),
+    "restarts": FrameSpec(nodes=31, order=32, bits=8, resync_chips=32, guard_chips=2,
+                          frame_period_s=20e-3),
+    "restarts within bits": FrameSpec(nodes=4, order=16, resync_chips=25, guard_chips=3,
+                                      frame_period_s=16e-3),
+    "a restart for each chip": FrameSpec(nodes=1, order=2, bits=8, chip_s=80e-6, resync_chips=1,
+                                         guard_chips=2),
+    "quick chips": FrameSpec(nodes=4, order=20, chip_s=40e-6, parity=True),
+    "chips of 30 µs": FrameSpec(nodes=4, order=16, chip_s=30e-6),
+    "odd chips": FrameSpec(nodes=4, order=16, chip_s=51.237e-6),
+    "chips near the timer's wrap": FrameSpec(nodes=3, order=4, chip_s=64e-6, frame_period_s=5e-3),
+    "slow chips": FrameSpec(nodes=2, order=4, bits=8, chip_s=1e-3, frame_period_s=40e-3),
+    "least gap": FrameSpec(nodes=4, order=16, frame_period_s=9e-3),
+    "long period": FrameSpec(nodes=3, order=4, frame_period_s=0.25),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("shape", SHAPES)
+def test_words_of_every_shape(build: Path, mcu: str, shape: str) -> None:
+    """The first and the last node, fast and slow clocks, all kinds of codes."""
+    spec = SHAPES[shape]
+    if spec.chip_s < MCUS[mcu].chip_ns * 1e-9:
+        pytest.skip(f"chips too short for the {mcu}")
+    rng = np.random.default_rng(sum(map(ord, shape)))
+    top = (1 << spec.bits) - 1
+    codes = [0, top, 0b0101101110 & top, *rng.integers(0, top, 2)]
+    for clock_hz in (7.21e6, 8e6, 8.77e6):
+        with bench(build, spec, mcu, (1, spec.nodes), clock_hz, **SPEECH) as skin:
+            for number in range(CLOCK_KNOWN):
+                skin.frame(number)
+            for number, code in enumerate(codes, CLOCK_KNOWN):
+                skin.skin.press(volts(code, spec.bits))
+                start = skin.frame(number)
+                for node, which in enumerate((1, spec.nodes)):
+                    assert_says(skin, start, code, which, node)
+
+
+@pytest.mark.parametrize("mcu", MCUS)
+def test_every_code(build: Path, mcu: str) -> None:
+    """All 1024, rails included; and hardly any frame finds the node awake."""
+    spec = FrameSpec(nodes=1, order=2, chip_s=40e-6, frame_period_s=2e-3)
+    with bench(build, spec, mcu, **SPEECH) as skin:
+        number = listen(skin)
+        errors_ns = []
+        for code in range(1024):
+            skin.skin.press(volts(code, 10))
+            start = skin.frame(number + code)
+            errors_ns.append(assert_says(skin, start, code))
+            skin.skin.forget(start)
+        assert np.quantile(errors_ns, 0.99) <= EDGE_NS
+
+
+@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("sensor_v", [-0.5, 0.0, 3.3, 5.0])
+def test_sensor_at_the_rails(build: Path, mcu: str, sensor_v: float) -> None:
+    with bench(build, SPEC, mcu, **SPEECH) as skin:
+        number = listen(skin)
+        skin.skin.press(sensor_v)
+        assert_says(skin, skin.frame(number), 0 if sensor_v <= 0 else 1023)
+
+
+@pytest.mark.parametrize("mcu", MCUS)
+def test_without_discipline_chips_are_the_clocks_own(build: Path, mcu: str) -> None:
+    """And start anew with every sub-slot; a node that doesn't measure need not wait, either."""
+    error = 0.01
+    spec = SHAPES["restarts"]
+    with bench(build, spec, mcu, clock_hz=8e6 * (1 + error), discipline=False, **SPEECH) as skin:
+        start = skin.frame(0)
+        chip_ns = spec.chip_s * 1e9 / (1 + error)
+        wanted = expected(spec, 0, REST, start, chip_ns)
+        heard = skin.heard(0, start)
+        np.testing.assert_array_equal(heard["level"], wanted["level"])
+        lead_error = LEAD_NS / (1 + error) - LEAD_NS
+        assert np.abs(heard["t_ns"] - wanted["t_ns"] - lead_error).max() <= 2 * EDGE_NS
+
+
+@pytest.mark.parametrize("mcu", MCUS)
+def test_clock_that_wanders(build: Path, mcu: str) -> None:
+    """A digitizer whose period changes is followed from frame to frame."""
+    with bench(build, SPEC, mcu, **SPEECH) as skin:
+        at = POWER_UP_NS
+        for number in range(12):
+            skin.pulse(at - LEAD_NS)
+            skin.skin.run(at + 10_000_000)
+            if number > CLOCK_KNOWN:
+                wanted = expected(SPEC, 0, REST, at)
+                heard = skin.heard(0, at)
+                # chips are as long as the last period made them: 0.1 % longer than the one before
+                stretch = (heard["t_ns"] - at) / np.maximum(wanted["t_ns"] - at, 1)
+                assert abs(stretch[-1] - 1.001 ** (number - 2)) < 2e-4
+            at += round(skin.period_ns * 1.001**number)
+
+
+@pytest.mark.parametrize("mcu", MCUS)
+def test_what_is_no_frame_pulse_is_ignored(build: Path, mcu: str) -> None:
+    """Glitches, restart pulses that nobody waits for, pulses too long, early and doubled ones."""
+    with bench(build, SPEC, mcu, **SPEECH) as skin:
+        number = listen(skin)
+        for frame in range(number, number + 4):
+            start = POWER_UP_NS + frame * skin.period_ns
+            skin.pulse(start - LEAD_NS)
+            skin.pulse(start - LEAD_NS + 40_000, 10_000)  # while it waits for its first chip
+            skin.pulse(start + 1_000_000, FRAME * UNIT_NS)  # while it talks
+            for at in range(2_000_000, 4_000_000, 7_000):
+                skin.pulse(start + at, 1_000)
+            at = start + 8_100_000  # the frame is over
+            for length_ns in (
+                100,
+                500,
+                2_000,
+                5_000,
+                7_000,
+                16_000,
+                32_000,
+                60_000,
+                80_000,
+                200_000,
+            ):
+                skin.pulse(at, length_ns)
+                at += length_ns + 50_000
+            skin.pulse(start + round(0.85 * skin.period_ns), FRAME * UNIT_NS)
+            skin.pulse(start + round(0.86 * skin.period_ns), CALL * UNIT_NS)
+            skin.pulse(start + round(0.865 * skin.period_ns), 48_000_0)
+            skin.skin.run(start + skin.period_ns - 950_000)
+            assert_says(skin, start, REST)
+
+
+@pytest.mark.parametrize("mcu", MCUS)
+def test_missing_and_late_pulses(build: Path, mcu: str) -> None:
+    """A missing pulse costs its frame; a late one is obeyed, and bends no chip."""
+    with bench(build, SPEC, mcu, clock_hz=8.2e6, **SPEECH) as skin:
+        number = listen(skin)
+        assert_says(skin, skin.frame(number), REST)
+        skin.skin.run(POWER_UP_NS + (number + 3) * skin.period_ns - 3_000_000)
+        assert is_silent(skin, POWER_UP_NS + (number + 1) * skin.period_ns)
+        assert is_silent(skin, POWER_UP_NS + (number + 2) * skin.period_ns)
+        assert_says(skin, skin.frame(number + 3), REST)
+        late = skin.period_ns // 3
+        assert_says(skin, skin.frame(number + 4, late_ns=late), REST)
+        assert_says(skin, skin.frame(number + 5, late_ns=late), REST)
+
+
+@pytest.mark.parametrize("mcu", MCUS)
+def test_line_without_pulses_for_long(build: Path, mcu: str) -> None:
+    """The node keeps measuring, so that its first word afterwards is true."""
+    with bench(build, SPEC, mcu, **SPEECH) as skin:
+        number = listen(skin)
+        skin.skin.run(POWER_UP_NS + 200 * skin.period_ns)
+        skin.skin.press(volts(345, 10))
+        assert_says(skin, skin.frame(number + 203), 345)
+        assert skin.skin.counters(0).watchdog_resets == 0
+
+
+@pytest.mark.parametrize("mcu", MCUS)
+def test_missing_restart_ends_the_frame(build: Path, mcu: str) -> None:
+    spec = SHAPES["restarts"]
+    with bench(build, spec, mcu, **SPEECH) as skin:
+        number = listen(skin)
+        start = skin.frame(number, skip=[4])
+        assert slots(spec) > 6
+        wanted = expected(spec, 0, REST, start)
+        cut_ns = start + 4 * 34 * 50_000
+        heard = skin.heard(0, start)
+        before = wanted[wanted["t_ns"] < cut_ns - 10_000]
+        np.testing.assert_array_equal(heard["level"], before["level"])
+        assert heard["level"][-1] == 0
+        assert_says(skin, skin.frame(number + 1), REST)
+
+
+MEMORIES = {
+    "blank": (1, lambda good: b""),
+    "zeroed": (1, lambda good: bytes(len(good))),
+    "damaged": (2, lambda good: good[:40] + bytes([good[40] ^ 1]) + good[41:]),
+    "another version": (3, lambda good: good[:4] + b"\x02" + good[5:]),
+}
+
+
+@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("memory", MEMORIES)
+def test_node_without_a_memory_is_silent_and_blinks(build: Path, mcu: str, memory: str) -> None:
+    """As often as its fault's number says, then a pause."""
+    blinks, spoil = MEMORIES[memory]
+    spoilt = spoil(node_memory(SPEC, 1, mcu=mcu, **SPEECH))
+    with bench(build, SPEC, mcu, memory=spoilt) as skin:
+        lit = []
+        for number in range(720):
+            assert is_silent(skin, skin.frame(number))
+            lit.append(skin.skin.led(0))
+        changes = np.flatnonzero(np.diff(lit, prepend=False))
+        flashes = changes[::2]
+        pauses = np.diff(flashes) * SPEC.frame_period_s
+        first = np.flatnonzero(pauses > 1.5)
+        assert np.all(np.diff(first) == blinks) and len(first) >= 2
+        assert first[0] == blinks - 1
+        assert skin.skin.counters(0).watchdog_resets == 0
+
+
+@pytest.mark.parametrize("mcu", MCUS)
+def test_healthy_node_is_dark(build: Path, mcu: str) -> None:
+    with bench(build, SPEC, mcu) as skin:
+        for number in range(100):
+            skin.frame(number)
+            assert not skin.skin.led(0)
+
+
+def spoke(bench: Bench, start_ns: int) -> list[int]:
+    """Which nodes, from 0, said something in a frame."""
+    return [n for n in range(len(bench.skin.nodes)) if not is_silent(bench, start_ns, n)]
+
+
+@pytest.mark.parametrize("mcu", MCUS)
+def test_events(build: Path, mcu: str) -> None:
+    """Silent at rest; talks while pressed, and once more to tell of the release; heartbeats."""
+    with bench(build, SPEC, mcu, (1, 2, 3, 4), threshold=2, heartbeat=20, rest=REST) as skin:
+        heard = {}
+        for number in range(60):
+            pressed = 2 <= number % 30 < 6 and number > 30
+            # node 2 is pressed; node 3 only touched
+            skin.skin.press([volts(code, 10) for code in
+                             (REST, REST + 300 * pressed, REST - 2 * pressed, REST)])  # fmt: skip
+            heard[number] = spoke(skin, skin.frame(number))
+        turns = {0: 0, 5: 1, 10: 2, 15: 3}
+        for number, nodes in heard.items():
+            beating = (
+                {turns[number % 20]} if number % 20 in turns and number >= CLOCK_KNOWN else set()
+            )
+            pressed = {1} if 32 <= number <= 36 else set()
+            assert set(nodes) == beating | pressed, number
+
+
+@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("clock_hz", [7.2e6, 8e6, 8.8e6])
+def test_roll_call(build: Path, mcu: str, clock_hz: float) -> None:
+    """Everyone alone once, in turn, even who is pressed; the first right after the pulse."""
+    with bench(
+        build, SPEC, mcu, (1, 2, 3, 4), clock_hz, threshold=1, heartbeat=0, rest=REST
+    ) as skin:
+        number = 0
+        while number < 6:
+            assert spoke(skin, skin.frame(number)) == []
+            number += 1
+        skin.skin.press(volts(100, 10))
+        assert spoke(skin, skin.frame(number)) == [0, 1, 2, 3]
+        for turn in range(4):
+            start = skin.frame(number + 1 + turn, units=FRAME if turn else CALL)
+            assert spoke(skin, start) == [turn]
+            assert_says(skin, start, 100, turn + 1, turn)
+        assert spoke(skin, skin.frame(number + 5)) == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("mcu", MCUS)
+def test_rest_is_learnt(build: Path, mcu: str) -> None:
+    with bench(build, SPEC, mcu, threshold=3, heartbeat=0, rest=None) as skin:
+        skin.skin.press(volts(777, 10))
+        codes = [777] * 10 + [780, 774, 781, 781, 777, 777]
+        said = []
+        for number, code in enumerate(codes):
+            skin.skin.press(volts(code, 10))
+            said.append(spoke(skin, skin.frame(number)) == [0])
+        assert said == [False] * 12 + [True, True, True, False]
+
+
+@pytest.mark.parametrize("mcu", MCUS)
+def test_silent_node_sleeps(build: Path, mcu: str, record_property: Callable[..., None]) -> None:
+    """Share of time awake: silent, and talking in every frame."""
+    shares = {}
+    for name, options in {
+        "silent": {"threshold": 1, "heartbeat": 0, "rest": REST},
+        "talking": SPEECH,
+    }.items():
+        with bench(build, SPEC, mcu, **options) as skin:
+            listen(skin)
+            before = skin.skin.counters(0)
+            for number in range(CLOCK_KNOWN, CLOCK_KNOWN + 50):
+                skin.frame(number)
+            after = skin.skin.counters(0)
+            awake = after.cycles_awake - before.cycles_awake
+            shares[name] = awake / (awake + after.cycles_asleep - before.cycles_asleep)
+            record_property(name, shares[name])
+            print(mcu, name, f"{shares[name]:.2%}")
+    assert shares["silent"] < 0.08
+    assert shares["talking"] < 0.5
+
+
+@pytest.mark.parametrize("mcu", MCUS)
+def test_late_starters_join(build: Path, mcu: str) -> None:
+    """Powered up in the middle of a frame, at any time in it: silent until the clock is known."""
+    memory = node_memory(SPEC, 1, mcu=mcu, **SPEECH)
+    starts = [round(POWER_UP_NS + share * 12.8e6) for share in np.linspace(0, 1, 9)]
+    made = [Node(image(build, mcu), mcu, memory, start_ns=start) for start in starts]
+    with EmulatedNodes(made) as emulated:
+        emulated.press(volts(REST, 10))
+        skin = Bench(emulated, SPEC)
+        for number in range(5):
+            start = skin.frame(number)
+            for node in range(len(made)):
+                if not is_silent(skin, start, node):
+                    assert_says(skin, start, REST, 1, node)
+        assert spoke(skin, start) == list(range(len(made)))
+
+
+@pytest.mark.parametrize("mcu", MCUS)
+def test_node_that_hangs_starts_anew(build: Path, mcu: str) -> None:
+    """A storm on the sync line leaves no time for anything; the watchdog ends that."""
+    with bench(build, SPEC, mcu, **SPEECH) as skin:
+        number = listen(skin)
+        assert_says(skin, skin.frame(number), REST)
+        begin = POWER_UP_NS + (number + 1) * skin.period_ns
+        for at in range(begin, begin + 600_000_000, 9_000):
+            skin.pulse(at, 4_000)
+        for frame in range(number + 50, number + 90):
+            skin.frame(frame)
+        assert skin.skin.counters(0).watchdog_resets > 0
+        assert_says(skin, skin.frame(number + 90), REST)
