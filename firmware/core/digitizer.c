@@ -173,6 +173,13 @@ void dg_begin(struct dg *dg, uint64_t start_us)
     dg->begun = true;
 }
 
+void dg_end(struct dg *dg)
+{
+    if (dg->begun)
+        stream_lost(&dg->stream, 0); /* nothing comes after what is held */
+    dg->begun = false;
+}
+
 void dg_samples(struct dg *dg, const uint16_t *counts, size_t size)
 {
     if (dg->begun)

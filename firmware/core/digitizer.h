@@ -71,6 +71,8 @@ void dg_receive(struct dg *dg, const uint8_t *bytes, size_t size, uint64_t now_u
  * handed over before that are none of the stream's. */
 bool dg_restarted(struct dg *dg);
 void dg_begin(struct dg *dg, uint64_t start_us);
+/* A board has to start anew by itself, and does so with dg_begin: the samples until now are sent. */
+void dg_end(struct dg *dg);
 
 /* The next samples of the stream, in the converter's counts. */
 void dg_samples(struct dg *dg, const uint16_t *counts, size_t size);

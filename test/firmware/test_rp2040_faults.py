@@ -99,7 +99,7 @@ def test_the_link_that_commands_is_answered(rp2040_image: Path) -> None:
         assert not bench.read() and len(bench.board.read_uart()) > 8000
         bench.board.write_uart(other.encode(GetInfo())[:5])
         bench.run_deaf(0.01)
-        bench.send(GetInfo())
+        bench.write(bench.writer.encode(GetInfo()))
         bench.listen_again(0.05)
         assert [ack.command for ack in bench.of(Ack)] == [0x81]
         assert bench.check(bench.line) > 2000

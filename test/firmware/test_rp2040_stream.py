@@ -46,7 +46,7 @@ def test_usb_host_configures_the_device(rp2040_image: Path) -> None:
 
 
 def test_usb_answers_of_any_length_come_at_once(rp2040_image: Path) -> None:
-    """A transfer ends with a packet that is not full: after a full one an empty one follows."""
+    """A transfer ends with a packet that is not full; after a full one, with an empty one."""
     with Bench(rp2040_image, USB) as bench:
         for number in range(40, 104):  # 13 bytes each: one of these makes whole packets
             bench.board.plug_usb(reading=False)

@@ -107,7 +107,7 @@ static void mend(void)
     sampler_pause();
     while (pass_samples())
         ;
-    dg_lost(&dg, 0);
+    dg_end(&dg);
     dg_sync_fault(&dg);
     restart();
 }
