@@ -354,6 +354,28 @@ def test_roll_call(build: Path, mcu: str, clock_hz: float) -> None:
 
 
 @pytest.mark.parametrize("mcu", MCUS)
+def test_turns_are_kept_over_missing_pulses(build: Path, mcu: str) -> None:
+    """Frames are counted by time where they aren't heard: in a roll call and for heartbeats."""
+    with bench(build, SPEC, mcu, (1, 2, 3, 4), threshold=100, heartbeat=20, rest=REST) as skin:
+        heard = {number: spoke(skin, skin.frame(number)) for number in range(6)}
+        heard[6] = spoke(skin, skin.frame(6, units=CALL))
+        for number in (8, 9, 10, 13, 15, 20):
+            heard[number] = spoke(skin, skin.frame(number))
+        assert heard == {
+            **{number: [] for number in range(6)},
+            **{5: [1], 6: [0], 8: [2], 9: [3], 10: [2], 13: [], 15: [3], 20: [0]},
+        }
+
+
+@pytest.mark.parametrize("mcu", MCUS)
+def test_clock_is_not_measured_over_missing_pulses(build: Path, mcu: str) -> None:
+    with bench(build, SPEC, mcu, clock_hz=8.24e6, **SPEECH) as skin:
+        for number in (0, 2, 3):
+            assert is_silent(skin, skin.frame(number))
+        assert_says(skin, skin.frame(4), REST)
+
+
+@pytest.mark.parametrize("mcu", MCUS)
 def test_rest_is_learnt(build: Path, mcu: str) -> None:
     with bench(build, SPEC, mcu, threshold=3, heartbeat=0, rest=None) as skin:
         skin.skin.press(volts(777, 10))
