@@ -92,7 +92,6 @@ static void frame_began(void)
         clock_known = true;
     mark = frame.when;
     heard = ever_heard = true;
-    talk_believe(discipline_earliest(&clock));
     event_frame(&event, frame.units == TP_SYNC_CALL, frame.spoke, code);
 }
 
@@ -102,7 +101,6 @@ static void frame_missed(void)
 {
     mark += clock.period;
     heard = false;
-    talk_believe(0);
     if (ever_heard)
         event_frame(&event, false, false, code);
 }
