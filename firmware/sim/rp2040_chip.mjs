@@ -11,6 +11,7 @@ const RESET_PWM = 1 << 14;
 const DREQ_UART0_TX = 20;
 const PWM_DIV = 0x04;
 const DMA_CHAN_ABORT = 0x444;
+const UART_BAUD = 2e6;
 const UART_FIFO = 32;
 const UART_CR = 0x30;
 const UART_DMACR = 0x48;
@@ -50,6 +51,8 @@ export class Chip {
     const { clock, rp2040 } = this;
     const { core } = rp2040;
     while (clock.nanosCounter < until) {
+      // The emulator sleeps over an interrupt that came after the last look and before WFI.
+      if (core.waiting && core.pendingInterrupts & core.enabledInterrupts) core.waiting = false;
       if (core.waiting || clock.nanosCounter < this.stalledUntil) {
         const end = core.waiting ? until : Math.min(until, this.stalledUntil);
         const next = clock.nextAlarm ? clock.nextAlarm.nanos : Infinity;
@@ -235,7 +238,10 @@ export class Chip {
   }
 
   get uartByteNs() {
-    return 10e9 / this.rp2040.uart[0].baudRate;
+    const { baudRate } = this.rp2040.uart[0];
+    if (Math.abs(baudRate / UART_BAUD - 1) > 0.02)
+      throw new Error(`UART0 is set to ${baudRate} baud, its host to ${UART_BAUD}`);
+    return 10e9 / baudRate;
   }
 }
 

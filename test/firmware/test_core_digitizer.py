@@ -247,6 +247,27 @@ def test_a_refused_configure_leaves_the_stream_alone(digitizer: CoreDigitizer) -
     assert not digitizer.running
 
 
+def test_the_board_is_told_once_of_every_change(
+    core: ctypes.CDLL, digitizer: CoreDigitizer
+) -> None:
+    for command, changes in (
+        (Stop(), False),
+        (Start(), True),
+        (Start(), True),
+        (GetInfo(), False),
+        (of_frame(chip_ns=1000), False),
+        (Stop(), True),
+        (of_frame(), False),
+        (Start(), True),
+        (of_frame(), True),
+    ):
+        data = digitizer.writer.encode(command)
+        core.dg_receive(digitizer._shim, data, len(data), 0)
+        told = [core.dg_restarted(digitizer._shim) for _ in range(2)]
+        assert told == [changes, False]
+    assert not digitizer.running
+
+
 def test_samples_before_the_stream_begins_are_none_of_it(
     core: ctypes.CDLL, digitizer: CoreDigitizer
 ) -> None:

@@ -39,9 +39,7 @@ def end(packet: Samples | Quiet) -> int:
 
 def missing(packets: list[Samples | Quiet]) -> list[int]:
     """Sizes of the gaps between packets, by first_index."""
-    steps = [
-        after.first_index - end(before) for before, after in itertools.pairwise(packets)
-    ]
+    steps = [after.first_index - end(before) for before, after in itertools.pairwise(packets)]
     return [step for step in steps if step]
 
 
@@ -72,6 +70,17 @@ def test_what_is_no_command(rp2040_image: Path, link: str) -> None:
         bench.run(1.0)
         assert (bench.status.command_errors, bench.status.commands_refused) == (4, 2)
         assert len(bench.of(Info)) >= 3
+
+
+def test_usb_commands_wait_until_there_is_time_for_them(rp2040_image: Path) -> None:
+    """At the highest rate a packet of a frame keeps main() from reading for 3 ms."""
+    with Bench(rp2040_image, USB) as bench:
+        bench.stream(FAST, 0.02)
+        bench.write(3000 * b"\5\1\2\3\4\0")
+        bench.run(0.05)
+        bench.send(Stop())
+        bench.run(1.1)
+        assert bench.status.command_errors == 3000
 
 
 def test_the_link_that_commands_is_answered(rp2040_image: Path) -> None:

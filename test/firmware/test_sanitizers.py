@@ -11,7 +11,8 @@ import pytest
 from conftest import SANITIZED, need, run
 
 HERE = Path(__file__).parent
-TESTS = sorted(set(HERE.glob("test_core_*.py")) - {HERE / "test_core_replay.py"})
+TESTS = [*HERE.glob("test_core_[!r]*.py"), HERE / "test_node_core.py"]
+"""Those that call the core as a library: all but the replay."""
 
 
 @pytest.mark.slow

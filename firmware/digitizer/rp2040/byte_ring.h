@@ -5,7 +5,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define BYTE_RING_SIZE 4096u /* a power of two */
+#define BYTE_RING_SIZE 1024u /* a power of two; 5 ms of the UART, and USB can wait */
 
 struct byte_ring {
     volatile uint32_t put, got; /* in all, modulo 2³² */

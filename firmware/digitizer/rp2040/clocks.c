@@ -3,8 +3,8 @@
  * clk_sys is 96 MHz, not the usual 125: the PWM then counts, with a whole divider, the same 48 MHz
  * that the ADC counts, so sync pulses lie on the sampling clock's ticks exactly.
  */
-#include "rp2040.h"
 #include "registers.h"
+#include "rp2040.h"
 
 #define CRYSTAL_MHZ 12u
 #define WATCHDOG_US 500000u

@@ -1,6 +1,6 @@
 /* The flash's unique number, which stands for the board: the RP2040 itself has none. */
-#include "rp2040.h"
 #include "registers.h"
+#include "rp2040.h"
 
 #define READ_UNIQUE_ID 0x4b
 #define DUMMY_BYTES 4u

@@ -53,7 +53,7 @@ static void restart(void)
     struct moment moment;
     sync_prepare();
     uint32_t begin = sampler_start(dg.ticks_per_sample, &moment);
-    dg_begin(&dg, moment.us - moment.tick / TICKS_PER_US);
+    dg_begin(&dg, moment.us - (moment.tick + TICKS_PER_US / 2) / TICKS_PER_US);
     sync_start(&dg, begin, &moment);
     SIO->out_set = 1u << PIN_LED;
 }
@@ -63,12 +63,13 @@ static void hear(enum link link, const uint8_t *bytes, size_t size)
     static const uint8_t delimiter = 0;
     uint64_t now_us = time_us();
 
+    dg_time(&dg, now_us);
+    uint16_t next = dg.writer.sequence;
     if (link != heard)
         dg_receive(&dg, &delimiter, 1, now_us); /* two hosts' packets don't mix */
     heard = link;
-    uint16_t answers = dg.writer.sequence;
     dg_receive(&dg, bytes, size, now_us);
-    if (dg.writer.sequence != answers)
+    if (dg.writer.sequence != next) /* something was answered */
         commander = link;
     if (dg_restarted(&dg))
         restart();

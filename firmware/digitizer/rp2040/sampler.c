@@ -1,8 +1,8 @@
 /* ADC to RAM without the CPU: the converter runs by itself, and two DMA channels take turns to write
  * its results into one ring; each hands over to the other for ever.
  */
-#include "rp2040.h"
 #include "registers.h"
+#include "rp2040.h"
 
 #define RING_BITS 15 /* of bytes: the longest ring that DMA can wrap */
 #define RING_SIZE (1u << RING_BITS >> 1)
@@ -16,7 +16,7 @@
 
 /* From the end of the first conversion to the PWM's start, in ticks: the result passes to the FIFO,
  * the CPU sees it there and writes one register. */
-#define START_TICKS 6u
+#define START_TICKS 7u
 
 __attribute__((section(".ring"), aligned(1u << RING_BITS))) static uint16_t ring[RING_SIZE];
 static struct moment begin;

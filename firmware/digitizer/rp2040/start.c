@@ -2,8 +2,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "rp2040.h"
 #include "registers.h"
+#include "rp2040.h"
 
 extern uint32_t image_start[], image_end[], image_load[], bss_start[], bss_end[], stack_top[];
 int main(void);

@@ -3,11 +3,11 @@
  * when one ends; so an interrupt has a whole interval's time to say what comes after the running
  * one, and none of its latency is in the pulses. Long intervals are made of several periods.
  */
-#include "rp2040.h"
 #include "registers.h"
+#include "rp2040.h"
 
 #define SYS_PER_TICK 2u
-#define FIRST_TICKS 6000u /* before the first pulse comes its lead and more: DG_FIRST_MARK_US */
+#define FIRST_TICKS 6000u /* of the first period, which ends long before the first pulse */
 #define MAX_TICKS 65536u  /* of a period */
 #define SPARE_TICKS (2 * TICKS_PER_US) /* the time is known to 1 µs */
 #define SLICE_0 1u

@@ -1,7 +1,7 @@
 /* UART0: received bytes by interrupt, sent ones by DMA. */
-#include "rp2040.h"
 #include "byte_ring.h"
 #include "registers.h"
+#include "rp2040.h"
 
 static struct byte_ring received;
 

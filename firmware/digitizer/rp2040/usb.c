@@ -1,4 +1,4 @@
-/* A USB CDC ACM device: two byte streams, of bulk packets. Line coding and DTR are taken note of by
+/* A USB CDC ACM device: bytes both ways, in bulk packets. Line coding and DTR are taken note of by
  * nobody: what the host reads are packets, which need neither.
  */
 #include "byte_ring.h"
@@ -7,7 +7,7 @@
 #include "usb_descriptors.h"
 
 enum direction { DIR_IN, DIR_OUT };
-enum { GET_STATUS = 0, CLEAR_FEATURE = 1, SET_FEATURE = 3, SET_ADDRESS = 5, GET_DESCRIPTOR = 6,
+enum { GET_STATUS = 0, CLEAR_FEATURE = 1, SET_ADDRESS = 5, GET_DESCRIPTOR = 6,
        GET_CONFIGURATION = 8, SET_CONFIGURATION = 9,
        SET_LINE_CODING = 0x20, GET_LINE_CODING = 0x21, SET_CONTROL_LINE_STATE = 0x22 };
 enum { TO_DEVICE = 0x00, TO_INTERFACE = 0x01, TO_ENDPOINT = 0x02, CLASS = 0x20, FROM_DEVICE = 0x80 };
