@@ -25,13 +25,13 @@ bool event_talks(const struct event *e, uint16_t code)
            farther(code, e->last_sent, e->threshold) || (e->heartbeat && e->to_heartbeat == 0);
 }
 
-void event_frame(struct event *e, enum event_frame frame, bool spoke, uint16_t code)
+void event_frame(struct event *e, bool call, bool spoke, uint16_t code)
 {
     if (spoke)
         e->last_sent = code;
     if (e->heartbeat && e->to_heartbeat-- == 0)
         e->to_heartbeat = (uint16_t)(e->heartbeat - 1u);
-    if (frame == EVENT_CALL)
+    if (call)
         e->called = 1;
     else if (e->called < e->nodes)
         e->called++;

@@ -12,13 +12,6 @@
 
 #include "tactile_protocol.h"
 
-/* What began a frame. */
-enum event_frame {
-    EVENT_FRAME,    /* a frame pulse */
-    EVENT_CALL,     /* a frame pulse that announces a roll call, which begins with this frame */
-    EVENT_MISSED,   /* time alone: the pulse was not heard */
-};
-
 struct event {
     uint16_t threshold;
     uint16_t rest;
@@ -42,7 +35,8 @@ static inline bool event_talks_first(const struct event *e)
     return e->turn == 0;
 }
 
-/* A frame has begun. spoke: whether this node says `code` in it. */
-void event_frame(struct event *e, enum event_frame frame, bool spoke, uint16_t code);
+/* A frame has begun, heard or not, and with it a roll call, or not. spoke: whether this node says
+ * `code` in it. */
+void event_frame(struct event *e, bool call, bool spoke, uint16_t code);
 
 #endif

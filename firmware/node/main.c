@@ -92,8 +92,7 @@ static void frame_began(void)
         clock_known = true;
     mark = frame.when;
     heard = ever_heard = true;
-    talk_believe(discipline_earliest(&clock));
-    event_frame(&event, frame.units == TP_SYNC_CALL ? EVENT_CALL : EVENT_FRAME, frame.spoke, code);
+    event_frame(&event, frame.units == TP_SYNC_CALL, frame.spoke, code);
 }
 
 /* The pulse was not heard, or there is none: the frame is counted all the same, so that turns are kept,
@@ -102,9 +101,8 @@ static void frame_missed(void)
 {
     mark += clock.period;
     heard = false;
-    talk_believe(0);
     if (ever_heard)
-        event_frame(&event, EVENT_MISSED, false, code);
+        event_frame(&event, false, false, code);
 }
 
 int main(void)

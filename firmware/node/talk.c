@@ -201,6 +201,7 @@ ISR(BOARD_SYNC_vect)
 void talk_init(const struct tp_node_record *record, const uint8_t *row)
 {
     sequencer_init(&sequencer, record, row);
+    frame.when = board_now() - 0x80000000u; /* long ago */
     guard_chips = record->guard_chips;
     slot_places = record->resync_chips ? record->resync_chips + guard_chips : 0;
     ATOMIC_BLOCK (ATOMIC_RESTORESTATE)
@@ -222,6 +223,8 @@ void talk_plan(const struct discipline *clock, uint16_t code, bool talks, bool t
     restart_earliest = slot_ticks - guard_ticks;
     restart_width = 2u * guard_ticks;
     get_ready();
+    ATOMIC_BLOCK (ATOMIC_RESTORESTATE)
+        earliest = discipline_earliest(clock);
     plan = (uint8_t)(talks << TP_SYNC_FRAME | talks_first << TP_SYNC_CALL);
 }
 
@@ -242,10 +245,4 @@ struct talk_frame talk_take(void)
         talk_began = 0;
     }
     return taken;
-}
-
-void talk_believe(uint32_t ticks_after)
-{
-    ATOMIC_BLOCK (ATOMIC_RESTORESTATE)
-        earliest = ticks_after;
 }

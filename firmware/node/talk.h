@@ -30,8 +30,7 @@ void talk_plan(const struct discipline *clock, uint16_t code, bool talks, bool t
 /* Releases the line, and forgets the plan. */
 void talk_stop(void);
 
-/* The frame that has begun. Frame pulses are not believed before `earliest` ticks after its own. */
+/* The frame that has begun. */
 struct talk_frame talk_take(void);
-void talk_believe(uint32_t earliest);
 
 #endif

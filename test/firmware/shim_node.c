@@ -43,7 +43,9 @@ uint32_t shim_frame(const struct tp_node_record *record, const uint8_t *row, uin
     return place;
 }
 
-/* Who talks in each of `size` frames, and what began it: enum event_frame. */
+enum { FRAME, CALL, MISSED };
+
+/* Who talks in each of `size` frames that began like this. */
 void shim_events(const struct tp_node_record *record, uint16_t rest, const uint16_t *codes,
                  const uint8_t *frames, uint8_t *talks, size_t size)
 {
@@ -51,11 +53,11 @@ void shim_events(const struct tp_node_record *record, uint16_t rest, const uint1
 
     event_init(&event, record, rest);
     for (size_t i = 0; i < size; i++) {
-        bool called = frames[i] == EVENT_CALL;
+        bool call = frames[i] == CALL;
 
-        talks[i] = frames[i] != EVENT_MISSED &&
-                   (called ? event_talks_first(&event) : event_talks(&event, codes[i]));
-        event_frame(&event, (enum event_frame)frames[i], talks[i], codes[i]);
+        talks[i] = frames[i] != MISSED &&
+                   (call ? event_talks_first(&event) : event_talks(&event, codes[i]));
+        event_frame(&event, call, talks[i], codes[i]);
     }
 }
 
