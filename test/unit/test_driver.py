@@ -55,7 +55,13 @@ def virtual_tty(path: Path, url: str = "sim://?seed=5&scene=all") -> Iterator[Pa
     """A virtual digitizer on a pty, linked at path, in a thread of its own."""
     stop, ready = threading.Event(), threading.Event()
     thread = threading.Thread(
-        target=serve, args=(SimOptions.from_url(url), path, stop, lambda _: ready.set())
+        target=serve,
+        args=(
+            lambda: VirtualDigitizer(SimOptions.from_url(url)),
+            path,
+            stop,
+            lambda _: ready.set(),
+        ),
     )
     thread.start()
     assert ready.wait(5)

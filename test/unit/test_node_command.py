@@ -27,14 +27,14 @@ def test_the_memory_of_a_node_follows_the_parameter_file(
     params.write_text(
         "skin:\n  ros__parameters:\n"
         "    {nodes: 30, order: 32, frame_period_ms: 25.0, parity: true, sign_seed: 7,\n"
-        "     resync_chips: 32, guard_chips: 1, first_row: 2}\n"
+        "     resync_chips: 32, guard_chips: 2, first_row: 2}\n"
     )
     path = tmp_path / "node05.hex"
     assert main(["node", "--params", str(params), "--node", "5", "-o", str(path)]) == 0
     out, err = capsys.readouterr()
     assert f"eeprom:w:{path}:i" in out and "-p m328p" in out
     assert err == ""
-    spec = FrameSpec(30, 10, 32, 50e-6, 25e-3, 2, 7, parity=True, resync_chips=32, guard_chips=1)
+    spec = FrameSpec(30, 10, 32, 50e-6, 25e-3, 2, 7, parity=True, resync_chips=32, guard_chips=2)
     assert from_hex(path.read_text()) == node_memory(spec, 5)
 
 
