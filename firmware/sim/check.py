@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from emulated import EmulatedNodes, EmulatedSkin, EmulationError
+from rp2040 import EmulatorError
 from rp2040_skin import Rp2040Skin
 from skin import Digitized, PressedSkin, reference_amplifier, reference_nodes
 from tactile_cdma.parameters import SkinConfig, read_file
@@ -43,7 +44,7 @@ def on_rp2040(config: SkinConfig, frames: int) -> tuple[Trial, str]:
     nodes = reference_nodes(config, threshold=0)
     with Rp2040Skin(nodes, reference_amplifier(config)) as skin:
         trial = press(skin, skin, config, frames)
-        load = skin.cpu_load
+        load = skin.chip.load
     return trial, f"cpu_load={load:.2f}"
 
 
@@ -66,7 +67,7 @@ def main() -> int:
         begin = time.monotonic()
         try:
             trial, measured = run()
-        except EmulationError as error:
+        except (EmulationError, EmulatorError) as error:
             print(f"firmware-test: {name}: {error}", file=sys.stderr)
             return 1
         trials.append(trial)
