@@ -25,8 +25,8 @@ class Rp2040Skin(EmulatedNodes):
         self.chip = Rp2040(IMAGE, self._counts, self._edge)
         super().__init__(nodes, amplifier)
         self.chip.plug_usb()
-        self.edges_ns: list[tuple[int, bool]] = []
-        """Edges of the sync line as they came from the pin: when, whether to high."""
+        self.pulses_ns: list[int] = []
+        """When the pulses began that came from the sync pin."""
 
     def close(self) -> None:
         """End the emulator, free the nodes. May be called twice."""
@@ -52,7 +52,8 @@ class Rp2040Skin(EmulatedNodes):
         return self.chip.read_usb()
 
     def _edge(self, t_ns: float, level: bool) -> None:
-        self.edges_ns.append((round(t_ns), level))
+        if level:
+            self.pulses_ns.append(round(t_ns))
         self.sync(round(t_ns), level)
 
     def _counts(self, times_ns: NDArray[np.float64]) -> NDArray[np.uint16]:
