@@ -107,7 +107,8 @@ def edge_errors(
 ) -> list[NDArray[np.float64]]:
     """How far the edges of the nodes' pins are from where they should be: an array per burst, ns.
 
-    words: as a Trial has them. Silent nodes have no edges. Raises AssertionError where edges are missing or too many.
+    words: as a Trial has them. Silent nodes have no edges. Raises AssertionError where edges are
+    missing or too many.
     """
     chip_ns, errors = spec.chip_s * 1e9, []
     for node in range(spec.nodes):
