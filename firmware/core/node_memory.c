@@ -24,7 +24,7 @@ static bool fits(const struct tp_node_record *record, const struct node_limits *
     uint32_t chips = (uint32_t)frame_line_bits(record->bits, record->parity) * record->order;
     uint32_t span = frame_span(chips, record->resync_chips, record->guard_chips);
     uint64_t used_ns = (uint64_t)span * record->chip_ns +
-                       1000u * (TP_SYNC_LEAD * TP_SYNC_UNIT_US + limits->measuring_us);
+                       1000ul * (TP_SYNC_LEAD * TP_SYNC_UNIT_US + limits->measuring_us);
     uint32_t guard_ns = record->guard_chips * record->chip_ns;
 
     return record->order <= limits->order && record->chip_ns >= limits->chip_ns &&

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -272,11 +273,19 @@ def test_missing_restart_ends_the_frame(build: Path, mcu: str) -> None:
         assert_says(skin, skin.frame(number + 1), REST)
 
 
+def with_period(memory: bytes, period_us: int) -> bytes:
+    """A memory, otherwise good, that asks for another frame period."""
+    body = memory[:20] + period_us.to_bytes(4, "little") + memory[24:-4]
+    return body + zlib.crc32(body).to_bytes(4, "little")
+
+
 MEMORIES = {
     "blank": (1, lambda good: b""),
     "zeroed": (1, lambda good: bytes(len(good))),
     "damaged": (2, lambda good: good[:40] + bytes([good[40] ^ 1]) + good[41:]),
     "another version": (3, lambda good: good[:4] + b"\x02" + good[5:]),
+    # 8 ms of chips, 64 µs of lead and 900 µs to measure
+    "a gap too short by 1 µs": (4, lambda good: with_period(good, 8_963)),
 }
 
 
