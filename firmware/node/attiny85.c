@@ -52,6 +52,7 @@ void board_init(void)
     DDRB = _BV(BOARD_LED);
 
     MCUCR = _BV(ISC00); /* INT0 at any edge; sleep is idle */
+    GTCCR = _BV(PSR0); /* it has been counting since power-up */
     TCCR0B = _BV(CS02);
     TCCR1 = BOARD_COUNTING;
     TIMSK = _BV(TOIE0);

@@ -29,15 +29,16 @@ struct wiring {
     uint8_t led_pin;
     uint8_t sensor;       /* channel of the converter */
     avr_regbit_t foc;     /* force output compare A of Timer1 */
+    avr_regbit_t psr;     /* reset of Timer0's prescaler, beside foc; or none */
     avr_regbit_t sleep;   /* SE */
     avr_regbit_t mode;    /* SM, of which 0 is idle */
 };
 
 static const struct wiring wirings[] = {
-    {"atmega328p", 0, 1, 'D', 7, 0, {.reg = 0x82, .bit = 7, .mask = 1},
+    {"atmega328p", 0, 1, 'D', 7, 0, {.reg = 0x82, .bit = 7, .mask = 1}, {0},
      {.reg = 0x53, .bit = 0, .mask = 1}, {.reg = 0x53, .bit = 1, .mask = 7}},
     {"attiny85", 2, 1, 'B', 4, 3, {.reg = 0x4C, .bit = 2, .mask = 1},
-     {.reg = 0x55, .bit = 5, .mask = 1}, {.reg = 0x55, .bit = 3, .mask = 3}},
+     {.reg = 0x4C, .bit = 0, .mask = 1}, {.reg = 0x55, .bit = 5, .mask = 1}, {.reg = 0x55, .bit = 3, .mask = 3}},
 };
 
 /* A register whose writes are seen: what simavr does with them, or NULL. */
@@ -47,7 +48,7 @@ struct tap {
     void *param;
 };
 
-enum { TAP_DDR, TAP_PORT, TAP_PIN, TAP_COM, TAP_FOC, TAPS };
+enum { TAP_DDR, TAP_PORT, TAP_PIN, TAP_COM, TAP_FOC, TAP_CLOCK, TAPS };
 
 struct avr_node {
     avr_t *avr;
@@ -55,6 +56,8 @@ struct avr_node {
     const struct wiring *wiring;
     avr_ioport_t *port, *led;
     avr_timer_t *timer;
+    avr_timer_t *prescaled;        /* Timer0, if its prescaler is modelled */
+    int64_t prescaler;             /* cycle at which that one was 0 */
     uint64_t clock_mhz; /* millihertz */
     double supply_v;
     int64_t start_ns;
@@ -156,6 +159,10 @@ static void settle_pin(struct avr_node *node)
             match(node);
     }
     log_level(node);
+    if (node->prescaled && avr_regbit_get(node->avr, node->wiring->psr)) {
+        avr_regbit_clear(node->avr, node->wiring->psr);
+        node->prescaler = (int64_t)node->avr->cycle;
+    }
     node->touched = false;
 }
 
@@ -180,6 +187,21 @@ static void tap(struct avr_node *node, int which, avr_io_addr_t address)
     node->taps[which] = (struct tap){node, node->avr->io[io].w.c, node->avr->io[io].w.param};
     node->avr->io[io].w.c = tapped_write;
     node->avr->io[io].w.param = &node->taps[which];
+}
+
+/* A prescaler runs by itself: a timer that is put to it first counts when it gets to its end. */
+static void prescaled_write(avr_t *avr, avr_io_addr_t address, uint8_t value, void *param)
+{
+    struct tap *tap = param;
+    const avr_timer_t *timer = tap->node->prescaled;
+    avr_cycle_count_t now = avr->cycle;
+    uint8_t select = value & 7;
+
+    if (select)
+        avr->cycle -= (uint64_t)((int64_t)now - tap->node->prescaler) &
+                      ((1u << timer->cs_div[select]) - 1u);
+    tap->write(avr, address, value, tap->param);
+    avr->cycle = now;
 }
 
 static void write_flags(avr_t *avr, avr_io_addr_t address, uint8_t value, void *param)
@@ -269,6 +291,13 @@ static void prepare(struct avr_node *node)
     tap(node, TAP_PIN, node->port->r_pin);
     tap(node, TAP_COM, node->timer->comp[AVR_TIMER_COMPA].com.reg);
     tap(node, TAP_FOC, node->wiring->foc.reg);
+    if (node->wiring->psr.reg) {
+        node->prescaled = peripheral(avr, "timer", '0');
+        tap(node, TAP_CLOCK, node->prescaled->cs[0].reg);
+        avr->io[AVR_DATA_TO_IO(node->prescaled->cs[0].reg)].w.c = prescaled_write;
+        /* where it is at power-up is anybody's guess */
+        node->prescaler = -(int64_t)((__int128)node->start_ns * node->clock_mhz / 1000000000000);
+    }
     avr_irq_register_notify(&node->timer->io.irq[TIMER_IRQ_OUT_COMP + AVR_TIMER_COMPA],
                             on_compare, node);
     avr->vcc = avr->avcc = avr->aref = SUPPLY_OF_CODES;

@@ -436,6 +436,23 @@ def test_late_starters_join(build: Path, mcu: str) -> None:
 
 
 @pytest.mark.parametrize("mcu", MCUS)
+def test_prescalers_at_power_up_are_anywhere(build: Path, mcu: str) -> None:
+    """Time is told right by both timers of an ATtiny85, wherever their prescalers were."""
+    memory = node_memory(SPEC, 1, mcu=mcu, **SPEECH)
+    made = [Node(image(build, mcu), mcu, memory, start_ns=2_000 * node) for node in range(16)]
+    with EmulatedNodes(made) as emulated:
+        emulated.press(volts(REST, 10))
+        skin = Bench(emulated, SPEC)
+        for number in range(20):
+            start = skin.frame(number)
+            for node in range(16):
+                if number >= CLOCK_KNOWN:
+                    assert_says(skin, start, REST, 1, node)
+                else:
+                    assert is_silent(skin, start, node)
+
+
+@pytest.mark.parametrize("mcu", MCUS)
 def test_node_that_hangs_starts_anew(build: Path, mcu: str) -> None:
     """A storm on the sync line leaves no time for anything; the watchdog ends that."""
     with bench(build, SPEC, mcu, **SPEECH) as skin:
