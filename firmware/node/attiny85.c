@@ -6,14 +6,12 @@
 #include <avr/wdt.h>
 #include <util/atomic.h>
 
-volatile uint32_t board_ticks;
+uint32_t board_ticks;
 uint16_t board_match_here, board_match_at;
 bool board_match_high;
 
-ISR(TIMER0_OVF_vect)
-{
-    board_ticks += 0x8000u;
-}
+/* Longest sleep, in ticks: half a turn of Timer0, of which board_now must miss none. */
+#define NAP_TICKS 0x4000
 
 static volatile bool rang; /* the alarm */
 
@@ -55,7 +53,6 @@ void board_init(void)
     GTCCR = _BV(PSR0); /* it has been counting since power-up */
     TCCR0B = _BV(CS02);
     TCCR1 = BOARD_COUNTING;
-    TIMSK = _BV(TOIE0);
     ADMUX = _BV(MUX1) | _BV(MUX0); /* Vcc is the reference, channel 3 */
 }
 
@@ -63,21 +60,31 @@ uint32_t board_now(void)
 {
     uint32_t now;
 
-    ATOMIC_BLOCK (ATOMIC_RESTORESTATE)
+    ATOMIC_BLOCK (ATOMIC_RESTORESTATE) {
+        if (TIFR & _BV(TOV0)) {
+            TIFR = _BV(TOV0);
+            board_ticks += 0x8000u;
+        }
         now = board_time(TCNT1);
+    }
     return now;
 }
 
 void board_sleep(uint32_t when, const volatile uint8_t *event)
 {
+    uint32_t now = board_now();
+
+    /* so what wakes it isn't near a pulse that it goes to sleep for */
+    if ((int32_t)(when - now) > NAP_TICKS)
+        when = now + NAP_TICKS;
     rang = false;
     ATOMIC_BLOCK (ATOMIC_RESTORESTATE) {
-        OCR0A = (uint8_t)(when >> 7); /* rings up to 32 µs late; further than 8 ms away too early, that is all */
+        OCR0A = (uint8_t)(when >> 7); /* rings up to 32 µs late */
         TIFR = _BV(OCF0A);
         TIMSK |= _BV(OCIE0A);
     }
-    if ((int32_t)(when - board_now()) <= 0)
-        rang = true; /* too late for the alarm */
+    if ((int32_t)(when - board_now()) <= 128)
+        rang = true; /* Timer0 may be there already: too late for the alarm */
     /* what else wakes us, every chip for one, must not cost more than this */
     for (;;) {
         cli();

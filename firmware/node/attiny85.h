@@ -4,9 +4,9 @@
  * Timer1 counts pairs of cycles and makes the edges of the line; with its 8 bits it wraps every 64 µs.
  * Timer0, started with it, counts 256 cycles at a time and says which wrap it is. There is no capture:
  * an edge of the sync line is timed by the first instructions of its interrupt, always as many cycles
- * later if the processor sleeps, as it does when a pulse is due (but for one in some hundred, which
- * comes up to 7 µs late when Timer0 is being served). Fuses: no division by 8, brown-out
- * at 2.7 V, EEPROM kept when the chip is erased (low 0xE2, high 0xD5, extended 0xFF).
+ * later if the processor sleeps, as it does when a pulse is due: nothing wakes it by itself then. Fuses:
+ * no division by 8, brown-out at 2.7 V, EEPROM kept when the chip is erased (low 0xE2, high 0xD5,
+ * extended 0xFF).
  */
 #ifndef NODE_ATTINY85_H
 #define NODE_ATTINY85_H
@@ -38,8 +38,9 @@
 
 #define BOARD_COUNTING _BV(CS11) /* of TCCR1: a tick is 2 cycles */
 
-/* Ticks up to Timer0's last wrap. */
-extern volatile uint32_t board_ticks;
+/* Ticks up to Timer0's last wrap, or the one before: board_now sees to it. An interrupt for it would delay
+ * that of a pulse. */
+extern uint32_t board_ticks;
 /* What a match on the way has to know. */
 extern uint16_t board_match_here, board_match_at;
 extern bool board_match_high;
@@ -50,8 +51,10 @@ static BOARD_INLINE uint32_t board_time(uint8_t count)
     uint32_t coarse = board_ticks;
     uint8_t wraps = TCNT0;
 
-    if (TIFR & _BV(TOV0) && wraps < 0x80u)
-        coarse += 0x8000u; /* its interrupt is still to come */
+    if (TIFR & _BV(TOV0)) {
+        coarse += 0x8000u; /* not seen to yet */
+        wraps = TCNT0;     /* it may have been read before the wrap */
+    }
     coarse += (uint16_t)wraps << 7;
     /* Timer1 is right in its 8 bits, and 0 to 128 ticks ahead of Timer0: 64, to tell its wraps */
     return coarse + 64u + (int8_t)(uint8_t)(count - (uint8_t)coarse - 64u);
