@@ -92,6 +92,9 @@ static BOARD_INLINE void board_sync_off(void)
     TIMSK1 &= (uint8_t)~_BV(ICIE1);
 }
 
+/* Ticks of the shortest pulse, by a clock that is off. In time, we look 13 µs after it began. */
+#define BOARD_LATE_LOOK (TP_SYNC_UNIT_US * BOARD_TICKS_PER_US * 7u / 8u)
+
 static BOARD_INLINE bool board_sync_edge(uint32_t *when)
 {
     bool rising = TCCR1B & _BV(ICES1);
@@ -100,8 +103,9 @@ static BOARD_INLINE bool board_sync_edge(uint32_t *when)
     TCCR1B = rising ? _BV(CS10) : _BV(CS10) | _BV(ICES1);
     TIFR1 = _BV(ICF1); /* changing the edge may look like one */
     if (rising && !(PINB & _BV(BOARD_SYNC)) && !(TIFR1 & _BV(ICF1))) {
-        TCCR1B = _BV(CS10) | _BV(ICES1); /* fallen before we could look: a glitch */
-        return false;
+        /* fallen before we could look: a glitch, but for a short pulse that found us busy */
+        TCCR1B = _BV(CS10) | _BV(ICES1);
+        return (uint16_t)(TCNT1 - (uint16_t)*when) >= BOARD_LATE_LOOK;
     }
     return rising;
 }
@@ -111,6 +115,14 @@ static BOARD_INLINE bool board_sync_fell(uint16_t rise, uint16_t *length)
     if (!(TIFR1 & _BV(ICF1)))
         return false;
     *length = ICR1 - rise;
+    return true;
+}
+
+static BOARD_INLINE bool board_sync_over(uint16_t rise, bool short_is_due, uint16_t *length)
+{
+    if (!(TCCR1B & _BV(ICES1)))
+        return board_sync_fell(rise, length);
+    *length = short_is_due ? TP_SYNC_UNIT_US * BOARD_TICKS_PER_US : 0;
     return true;
 }
 

@@ -141,16 +141,22 @@ static BOARD_INLINE bool board_sync_edge(uint32_t *when)
     return GPIOR1 & _BV(BOARD_SYNC);
 }
 
-/* Asked for the first time some 20 µs after the rising edge: a pulse that is over by then is taken for
- * the shortest one, be it noise of 2 to 8 µs. */
 static BOARD_INLINE bool board_sync_fell(uint16_t rise, uint16_t *length)
 {
-    const uint8_t unit = TP_SYNC_UNIT_US * BOARD_TICKS_PER_US;
-
     *length = (uint8_t)(TCNT1 - (uint8_t)rise);
-    if (*length < 2 * unit - unit / 4)
-        *length = unit;
     return !(PINB & _BV(BOARD_SYNC));
+}
+
+/* Some 20 µs after the rising edge, or later: a pulse that is over by then is taken for the shortest
+ * one, be it noise of 2 to 8 µs. */
+static BOARD_INLINE bool board_sync_over(uint16_t rise, bool short_is_due, uint16_t *length)
+{
+    const uint8_t unit = TP_SYNC_UNIT_US * BOARD_TICKS_PER_US;
+    bool over = board_sync_fell(rise, length);
+
+    if (short_is_due || *length < 2 * unit - unit / 4)
+        *length = unit;
+    return over;
 }
 
 /* From 24 ticks ago to 231 ahead. */

@@ -63,7 +63,9 @@ static BOARD_INLINE void board_sync_on(void);
 static BOARD_INLINE void board_sync_off(void);
 /* In that interrupt: whether the edge was a rising one, and when it came. */
 static BOARD_INLINE bool board_sync_edge(uint32_t *when);
-/* Whether a pulse is over that began at `rise`, a moment ago; its length in ticks. */
+/* The first look at a pulse that began at `rise`, and further ones: whether it is over, and its length in
+ * ticks. What was over before that could be measured is taken for a short one if a short one is due. */
+static BOARD_INLINE bool board_sync_over(uint16_t rise, bool short_is_due, uint16_t *length);
 static BOARD_INLINE bool board_sync_fell(uint16_t rise, uint16_t *length);
 
 #if defined(__AVR_ATmega328P__)

@@ -181,7 +181,7 @@ ISR(BOARD_SYNC_vect)
     high = true;
     may_frame = rise - frame.when >= earliest;
     ours = answers();
-    over = board_sync_fell((uint16_t)rise, &length);
+    over = board_sync_over((uint16_t)rise, ours == 1u << TP_SYNC_RESTART, &length);
     if (!over && !ours)
         return;
     start = aim();

@@ -266,6 +266,22 @@ def test_line_without_pulses_for_long(build: Path, mcu: str) -> None:
 
 
 @pytest.mark.parametrize("mcu", MCUS)
+def test_restart_pulses_at_any_time_of_the_timers(build: Path, mcu: str) -> None:
+    """What else a node does in interrupts makes it miss none."""
+    # each frame is 3 µs further in the timers' turns than the one before
+    spec = replace(SHAPES["restarts"], frame_period_s=16.387e-3)
+    with bench(build, spec, mcu, **SPEECH) as skin:
+        number = listen(skin)
+        for frame in range(number, number + 600):
+            start = skin.frame(frame)
+            heard = skin.heard(0, start)
+            wanted = expected(spec, 0, REST, start)
+            np.testing.assert_array_equal(heard["level"], wanted["level"])
+            assert np.abs(heard["t_ns"] - wanted["t_ns"]).max() <= 6_000
+            skin.skin.forget(start)
+
+
+@pytest.mark.parametrize("mcu", MCUS)
 def test_missing_restart_ends_the_frame(build: Path, mcu: str) -> None:
     spec = SHAPES["restarts"]
     with bench(build, spec, mcu, **SPEECH) as skin:
@@ -472,5 +488,5 @@ def test_node_that_hangs_starts_anew(build: Path, mcu: str) -> None:
             skin.pulse(at, 4_000)
         for frame in range(number + 50, number + 90):
             skin.frame(frame)
-        assert (skin.skin.counters(0).watchdog_resets > 0) == (mcu == "atmega328p")
+        assert skin.skin.counters(0).watchdog_resets > 0 or mcu == "attiny85"
         assert_says(skin, skin.frame(number + 90), REST)
