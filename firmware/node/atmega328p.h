@@ -66,7 +66,7 @@ static BOARD_INLINE void board_latch(bool high)
 
 static BOARD_INLINE void board_match_past(uint16_t at)
 {
-    OCR1A = at - 1u;
+    OCR1A = at - 16u;
 }
 
 static BOARD_INLINE void board_matches_on(void)

@@ -78,7 +78,8 @@ static BOARD_INLINE bool board_match_step(void)
     uint8_t from = (uint8_t)board_match_here;
     board_match_here += step;
     OCR1A = (uint8_t)(board_match_here - 1u);
-    return (uint8_t)(TCNT1 - from) < (uint8_t)(step - 1u);
+    /* the count that we see is up to a tick old, and it takes as long until Timer1 knows of OCR1A */
+    return (uint8_t)(TCNT1 - from) < (uint8_t)(step - 3u);
 }
 
 static BOARD_INLINE bool board_match(bool high, uint16_t at)
@@ -110,7 +111,7 @@ static BOARD_INLINE void board_latch(bool high)
 static BOARD_INLINE void board_match_past(uint16_t at)
 {
     board_match_here = board_match_at = at;
-    OCR1A = (uint8_t)(at - 1u);
+    OCR1A = (uint8_t)(at - 16u);
 }
 
 static BOARD_INLINE void board_matches_on(void)

@@ -41,7 +41,7 @@ static BOARD_INLINE bool board_match(bool high, uint16_t at);
 static BOARD_INLINE bool board_match_is_last(void);
 /* Level that the next match will set. */
 static BOARD_INLINE bool board_match_level(void);
-/* The next match is one turn of the timer after `at`. */
+/* At `at` the last match is over and its flag is up, and nearly a turn of the timer is left to the next one. */
 static BOARD_INLINE void board_match_past(uint16_t at);
 /* Interrupts at matches, from the next one on. */
 static BOARD_INLINE void board_matches_on(void);

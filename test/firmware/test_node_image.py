@@ -15,6 +15,7 @@ from emulated_node import (
     CLOCK_KNOWN,
     FRAME,
     LEAD_NS,
+    MEASURED_NS,
     POWER_UP_NS,
     UNIT_NS,
     Bench,
@@ -384,6 +385,28 @@ def test_roll_call(build: Path, mcu: str, clock_hz: float) -> None:
             assert spoke(skin, start) == [turn]
             assert_says(skin, start, 100, turn + 1, turn)
         assert spoke(skin, skin.frame(number + 5)) == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("mcu", MCUS)
+def test_pulses_of_any_length(build: Path, mcu: str) -> None:
+    """However little time is left after a pulse, the word is right in time or not said."""
+    spec = FrameSpec(nodes=1, order=2, bits=8, chip_s=60e-6, frame_period_s=3e-3)
+    with bench(build, spec, mcu, **SPEECH) as skin:
+        skin.skin.press(volts(60, 8))
+        number = listen(skin)
+        said = {}
+        for length_ns in range(20_000, 58_000, 62):
+            start = POWER_UP_NS + number * skin.period_ns
+            skin.pulse(start - LEAD_NS, length_ns)
+            skin.skin.run(start + skin.period_ns - MEASURED_NS)
+            said[length_ns] = not is_silent(skin, start)
+            if said[length_ns]:
+                assert_says(skin, start, 60)
+            skin.skin.forget(start)
+            number += 1
+        lengths = [length_ns for length_ns in said if said[length_ns]]
+        assert said == {n: lengths[0] <= n <= lengths[-1] for n in said}
+        assert lengths[0] < 28_000 and lengths[-1] > 50_000
 
 
 @pytest.mark.parametrize("mcu", MCUS)
