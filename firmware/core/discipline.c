@@ -39,16 +39,26 @@ void discipline_init(struct discipline *d, const struct tp_node_record *record,
 
     d->follows = record->discipline;
     d->nominal = d->period = record->frame_period_us * ticks_per_us;
+    d->last = 0;
     d->chip = ratio(record->chip_ns, period_ns);
     d->lead = ratio(1000u * TP_SYNC_LEAD * TP_SYNC_UNIT_US, period_ns);
     follow(d, d->nominal);
 }
 
+/* Whether two periods differ by no more than 2^-shift of the second one. */
+static bool like(uint32_t period, uint32_t other, uint8_t shift)
+{
+    return (period > other ? period - other : other - period) <= other >> shift;
+}
+
 bool discipline_period(struct discipline *d, uint32_t ticks)
 {
-    uint32_t off = ticks > d->nominal ? ticks - d->nominal : d->nominal - ticks;
+    uint32_t last = d->last;
 
-    if (off > d->nominal >> 3)
+    d->last = ticks;
+    if (!like(ticks, d->nominal, 3))
+        return false;
+    if (last && !like(ticks, last, 9) && !like(ticks, d->period, 9))
         return false;
     d->period = ticks;
     if (d->follows)

@@ -22,7 +22,8 @@ struct discipline_ratio {
 struct discipline {
     bool follows;                  /* whether chips follow the pulses */
     uint32_t nominal;              /* ticks of a frame period, if the clock is right */
-    uint32_t period;               /* ticks, as last measured */
+    uint32_t period;               /* ticks, as last believed */
+    uint32_t last;                 /* ticks, as last measured; 0: never */
     uint32_t chip_q16;             /* ticks · 2¹⁶ of a chip */
     uint32_t lead_q16;             /* … and from a pulse to the first chip */
     struct discipline_ratio chip;  /* of the frame period */
@@ -33,7 +34,9 @@ void discipline_init(struct discipline *d, const struct tp_node_record *record,
                      uint32_t ticks_per_us);
 
 /* Two successive frame pulses came `ticks` apart. Believed if that is what a clock no more than an
- * eighth off makes of a frame period; returns whether it was. */
+ * eighth off makes of a frame period, and, but for the first time, if it is like the one that was last
+ * believed or last measured: a clock drifts by little, but a digitizer that starts anew may pulse at
+ * any time. Returns whether it was. */
 bool discipline_period(struct discipline *d, uint32_t ticks);
 
 /* Ticks after a frame pulse before which no other can be one. */

@@ -4,9 +4,10 @@
  * Timer1 counts pairs of cycles and makes the edges of the line; with its 8 bits it wraps every 64 µs.
  * Timer0, started with it, counts 256 cycles at a time and says which wrap it is. There is no capture:
  * an edge of the sync line is timed by the first instructions of its interrupt, always as many cycles
- * later if the processor sleeps, as it does when a pulse is due: nothing wakes it by itself then. Fuses:
- * no division by 8, brown-out at 2.7 V, EEPROM kept when the chip is erased (low 0xE2, high 0xD5,
- * extended 0xFF).
+ * later if the processor sleeps, as it does when a pulse is due: nothing wakes it by itself then.
+ *
+ * Fuses: no division by 8, brown-out at 2.7 V, EEPROM kept when the chip is erased
+ * (low 0xE2, high 0xD5, extended 0xFF).
  */
 #ifndef NODE_ATTINY85_H
 #define NODE_ATTINY85_H
