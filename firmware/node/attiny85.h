@@ -39,8 +39,8 @@
 
 #define BOARD_COUNTING _BV(CS11) /* of TCCR1: a tick is 2 cycles */
 
-/* Ticks up to Timer0's last wrap, or the one before: board_now sees to it. An interrupt for it would delay
- * that of a pulse. */
+/* Ticks up to Timer0's last wrap, or the one before: board_now sees to it. An interrupt for it would
+ * delay that of a pulse. */
 extern uint32_t board_ticks;
 /* What a match on the way has to know. */
 extern uint16_t board_match_here, board_match_at;

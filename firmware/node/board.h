@@ -41,7 +41,8 @@ static BOARD_INLINE bool board_match(bool high, uint16_t at);
 static BOARD_INLINE bool board_match_is_last(void);
 /* Level that the next match will set. */
 static BOARD_INLINE bool board_match_level(void);
-/* At `at` the last match is over and its flag is up, and nearly a turn of the timer is left to the next one. */
+/* At `at` the last match is over, its flag is up, and nearly a turn of the timer is left to the next
+ * one. */
 static BOARD_INLINE void board_match_past(uint16_t at);
 /* Interrupts at matches, from the next one on. */
 static BOARD_INLINE void board_matches_on(void);
@@ -63,8 +64,9 @@ static BOARD_INLINE void board_sync_on(void);
 static BOARD_INLINE void board_sync_off(void);
 /* In that interrupt: whether the edge was a rising one, and when it came. */
 static BOARD_INLINE bool board_sync_edge(uint32_t *when);
-/* The first look at a pulse that began at `rise`, and further ones: whether it is over, and its length in
- * ticks. What was over before that could be measured is taken for a short one if a short one is due. */
+/* The first look at a pulse that began at `rise`, and further ones: whether it is over, and its
+ * length in ticks. What was over before that could be measured is taken for a short one if a short
+ * one is due. */
 static BOARD_INLINE bool board_sync_over(uint16_t rise, bool short_is_due, uint16_t *length);
 static BOARD_INLINE bool board_sync_fell(uint16_t rise, uint16_t *length);
 

@@ -260,7 +260,7 @@ def test_missing_and_late_pulses(build: Path, mcu: str) -> None:
 @pytest.mark.parametrize("mcu", MCUS)
 @pytest.mark.parametrize("share", [-0.06, -0.05, -0.01, 0.005, 0.02, 0.05, 0.1])
 def test_pulses_that_start_anew_bend_no_chip(build: Path, mcu: str, share: float) -> None:
-    """A digitizer that begins again does so in another phase; the node's clock is still the same."""
+    """A digitizer that begins again does so in another phase; the node's clock is the same."""
     with bench(build, SPEC, mcu, clock_hz=8.1e6, **SPEECH) as skin:
         number = listen(skin)
         assert_says(skin, skin.frame(number), REST)
