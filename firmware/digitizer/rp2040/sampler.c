@@ -114,8 +114,8 @@ static uint32_t count_lost(void)
         us = TIMER->timerawl;
         while (TIMER->timerawl == us)
             ;
+        drained = ADC->fcs & ADC_FCS_EMPTY; /* before the position, which else may lack the last */
         written = position();
-        drained = ADC->fcs & ADC_FCS_EMPTY;
         ticks = (time_us() - begin.us) * TICKS_PER_US + begin.tick;
         interrupts_on();
         ticks = ticks - ADC_CONVERSION - ticks_per_sample / 2 + ticks_per_sample;
