@@ -179,7 +179,7 @@ void dg_begin(struct dg *dg, uint64_t start_us)
 void dg_end(struct dg *dg)
 {
     if (dg->begun)
-        stream_lost(&dg->stream, 0); /* nothing comes after what is held */
+        stream_end(&dg->stream);
     dg->begun = false;
 }
 
