@@ -8,8 +8,9 @@
 
 #define UNIT_TICKS (TP_SYNC_UNIT_US * BOARD_TICKS_PER_US)
 #define LONGEST_PULSE_TICKS (TP_SYNC_CALL * UNIT_TICKS + UNIT_TICKS / 2u)
-/* The interrupt that ends a sub-slot comes so long before its end: others may be running. */
-#define RELEASE_LEAD_TICKS (30u * BOARD_TICKS_PER_US)
+/* The interrupt that ends a sub-slot comes so long before its end: others may be running,
+ * and what follows is worked out. */
+#define RELEASE_LEAD_TICKS (40u * BOARD_TICKS_PER_US)
 /* A last chip shorter than this is waited for by the interrupt that began it. */
 #define SHORT_CHIP_TICKS (60u * BOARD_TICKS_PER_US)
 
@@ -72,12 +73,16 @@ static void get_ready(void)
 
 static void end_slot(void)
 {
+    bool pauses = next == SEQUENCER_GUARD, level = sequencer_level(&sequencer);
+
+    if (pauses)
+        step(); /* now: after the slot, the restart's pulse may be 16 µs away */
     if (board_ticks_until(next_edge) >= BOARD_SPIN_TICKS)
         board_spin(next_edge);
     fall_silent();
-    if (next == SEQUENCER_GUARD) {
+    if (pauses) {
         state = PAUSED;
-        get_ready();
+        board_latch(level);
     }
 }
 

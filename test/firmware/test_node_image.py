@@ -32,7 +32,7 @@ from tactile_cdma.node_memory import MCUS, node_memory
 
 EDGE_NS = 280
 """Largest error of an edge: two cycles at 7.2 MHz, or an ATtiny85's tick."""
-BUSY_NS = 6_000
+BUSY_NS = 7_500
 """… of an ATtiny85 whose alarm rings just before a restart pulse."""
 SPEC = FrameSpec(nodes=4, order=16)
 REST = 225
@@ -108,6 +108,8 @@ SHAPES = {
                                       frame_period_s=16e-3),
     "a restart for each chip": FrameSpec(nodes=1, order=2, bits=8, chip_s=80e-6, resync_chips=1,
                                          guard_chips=2),
+    "least guards": FrameSpec(nodes=3, order=4, bits=8, chip_s=80e-6, resync_chips=9, guard_chips=1,
+                              frame_period_s=5e-3),
     "quick chips": FrameSpec(nodes=4, order=20, chip_s=40e-6, parity=True),
     "chips of 30 µs": FrameSpec(nodes=4, order=16, chip_s=30e-6),
     "odd chips": FrameSpec(nodes=4, order=16, chip_s=51.237e-6),
