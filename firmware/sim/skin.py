@@ -41,7 +41,7 @@ def reference_nodes(
     mcu: str = "atmega328p",
     discipline: bool = True,
     threshold: int = 1,
-    heartbeat: int = 78,
+    heartbeat: int | None = None,
 ) -> list[Node]:
     """The nodes of a skin, each with the memory that `tactile-cdma node` would give it.
 
