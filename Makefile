@@ -27,7 +27,7 @@ setup:
 	@command -v $(PYTHON) >/dev/null || { echo "setup: error: no $(PYTHON); apt install python3-venv"; exit 1; }
 	@$(PYTHON) tools/setup_env.py --venv "$(VENV)"
 
-run: setup $(if $(FIRMWARE),firmware)
+run: setup $(if $(filter-out 0,$(FIRMWARE)),firmware)
 	@"$(BIN)/python" tools/run.py --port "$(PORT)" --params "$(PARAMS)" --seconds "$(SECONDS)" --firmware "$(FIRMWARE)"
 
 test: lint

@@ -21,7 +21,7 @@ from .capture import is_text, read_scope_csv
 from .driver import Session
 from .errors import CaptureError, PortError, SpecError, TactileError
 from .messages import Info
-from .node_memory import MCUS, describe_memory, node_memory
+from .node_memory import MCUS, describe_memory, node_memory, usual_heartbeat
 from .offline import decode_raw, decode_scope, describe_frame, described_parameters
 from .parameters import BY_NAME, GAP, NATURAL_SIGNS, SkinConfig, Value, read_file
 from .pipeline import Pipeline
@@ -114,7 +114,7 @@ def _parser() -> argparse.ArgumentParser:
         "last; 0: always [LSB] (1)",
     )
     node.add_argument(
-        "--heartbeat", type=int, default=78, help="and once in so many frames; 0: never (78)"
+        "--heartbeat", type=int, help="and once in so many frames; 0: never (as many as take 1 s)"
     )
     node.add_argument("--rest", type=int, help="code at rest (learnt after power-up)")
     node.add_argument(
@@ -332,11 +332,14 @@ def _node(arguments: argparse.Namespace) -> int:
 
 def _warn_of_silence(arguments: argparse.Namespace, config: SkinConfig) -> None:
     """Nodes that say too little are stale to the driver that has these parameters."""
-    silent_s = arguments.heartbeat * config.spec.frame_period_s
+    heartbeat = arguments.heartbeat
+    if heartbeat is None:
+        heartbeat = usual_heartbeat(config.spec.frame_period_s)
+    silent_s = heartbeat * config.spec.frame_period_s
     if arguments.threshold and not 0 < silent_s < config.stale_after_s:
         often = f"only every {silent_s:g} s" if silent_s else "never"
         print(
-            f"tactile-cdma: with heartbeat {arguments.heartbeat} a node at rest talks {often}, but "
+            f"tactile-cdma: with heartbeat {heartbeat} a node at rest talks {often}, but "
             f"is stale to the driver after {config.stale_after_s:g} s (stale_after_s)",
             file=sys.stderr,
         )

@@ -38,6 +38,8 @@ RESTART_S = 80e-6
 must not begin before a node has released the line."""
 MEASURING_S = 1e-3
 """Least gap after a frame, s, in which the node measures and gets ready for the next sync edge."""
+HEARTBEAT_S = 1.0
+"""About so long a node at rest is silent, unless told otherwise."""
 CRC_BYTES = 4
 
 
@@ -74,7 +76,7 @@ def node_memory(
     node: int,
     *,
     threshold: int = 1,
-    heartbeat: int = 78,
+    heartbeat: int | None = None,
     rest: int | None = None,
     discipline: bool = True,
     mcu: str = "atmega328p",
@@ -83,7 +85,8 @@ def node_memory(
 
     threshold: LSB; the node talks while its code is farther than this from rest or from what it
         sent last; 0: always.
-    heartbeat: frames; the node talks at least once in so many, the nodes taking turns; 0: never.
+    heartbeat: frames; the node talks at least once in so many, the nodes taking turns; 0: never;
+        None: as many as usual_heartbeat says.
     rest: code at rest; None: learnt after power-up.
     discipline: chip times follow the period of the sync edges.
 
@@ -93,6 +96,8 @@ def node_memory(
         raise SpecError(f"mcu is {mcu!r}; it must be one of {', '.join(MCUS)}")
     _check("node", node, 1, spec.nodes, "nodes are counted from 1")
     _check("threshold", threshold, 0, 2**spec.bits - 1, f"codes have {spec.bits} bits")
+    if heartbeat is None:
+        heartbeat = usual_heartbeat(spec.frame_period_s)
     _check("heartbeat", heartbeat, *_limits("heartbeat"), "a node counts frames in 16 bits")
     if rest is not None:
         _check("rest", rest, 0, 2**spec.bits - 1, f"codes have {spec.bits} bits")
@@ -111,8 +116,8 @@ def node_memory(
     if gap_s < MEASURING_S * (1 - 1e-9):  # rounding of the difference
         raise SpecError(
             f"the gap after a frame lasts {gap_s * 1e3:g} ms, but a node takes "
-            f"{MEASURING_S * 1e3:g} ms to measure in it: frame_period_s must be at least "
-            f"{spec.frame_s + MEASURING_S:g} s"
+            f"{MEASURING_S * 1e3:g} ms to measure in it: frame_period_ms must be at least "
+            f"{(spec.frame_s + MEASURING_S) * 1e3:g}"
         )
     if spec.span_chips > spec.chips and spec.guard_chips * spec.chip_s < RESTART_S * (1 - 1e-9):
         needed = math.ceil(RESTART_S / spec.chip_s - 1e-9)
@@ -144,6 +149,11 @@ def node_memory(
         + np.packbits(chips > 0, bitorder="little").tobytes()
     )
     return body + zlib.crc32(body).to_bytes(CRC_BYTES, "little")
+
+
+def usual_heartbeat(frame_period_s: float) -> int:
+    """Frames in about HEARTBEAT_S, one at least: 78 of 12.8 ms."""
+    return max(1, round(HEARTBEAT_S / frame_period_s))
 
 
 def read_node_memory(data: bytes) -> tuple[NodeRecord, NDArray[np.int8]]:

@@ -18,6 +18,7 @@ from pathlib import Path
 from setup_env import CHECKOUT, may_be_root
 
 SIM = CHECKOUT / "firmware" / "sim"
+NODE_VERSION = 18
 PACKAGES = {  # Debian's name: what tells that it is there, a program or a file
     "gcc-avr": "avr-gcc",
     "avr-libc": "/usr/lib/avr/include/avr/io.h",
@@ -77,16 +78,33 @@ def emulator_problem() -> str | None:
     if stamp.exists() and stamp.stat().st_mtime >= lock.stat().st_mtime:
         return None
     npm = shutil.which("npm")
-    if npm is None or not shutil.which("node"):
-        return "Node.js 18 or newer with npm, for the RP2040's emulator"
+    if npm is None or node_version() < NODE_VERSION:
+        return f"Node.js {NODE_VERSION} or newer with npm, for the RP2040's emulator"
     print("firmware: npm ci (the RP2040's emulator)", flush=True)
     done = subprocess.run(
         [npm, "ci", "--no-audit", "--no-fund"], cwd=SIM, capture_output=True, text=True
     )
     if done.returncode:
-        return f"the npm package in {SIM / 'package.json'}: {done.stderr.strip().splitlines()[-1]}"
+        return f"the npm package in {SIM / 'package.json'}: {complaint(done.stderr)}"
     stamp.touch()
     return None
+
+
+def node_version() -> int:
+    """Return the major version of Node.js; 0: not there."""
+    node = shutil.which("node")
+    if node is None:
+        return 0
+    said = subprocess.run([node, "--version"], capture_output=True, text=True).stdout
+    number = said.strip().removeprefix("v").split(".")[0]
+    return int(number) if number.isdecimal() else 0
+
+
+def complaint(stderr: str) -> str:
+    """Return the line in which npm says why: the last one only tells where its log is."""
+    lines = stderr.strip().splitlines() or ["npm failed without a word"]
+    errors = [line for line in lines if line.startswith(("npm error", "npm ERR!"))] or lines[-1:]
+    return next((line for line in errors if "reason:" in line), errors[0])
 
 
 if __name__ == "__main__":

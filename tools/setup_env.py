@@ -233,7 +233,8 @@ def build_messages(venv: Path, use_installation: bool) -> None:
 def choose_interpreter(any_version: bool) -> tuple[str, str]:
     """Return path and full version of the Python to build the venv on."""
     # From inside a venv, even this one, its base: the venv may be about to be deleted.
-    own = getattr(sys, "_base_executable", sys.executable)
+    # Without links, for inside a venv it has another name than outside.
+    own = os.path.realpath(getattr(sys, "_base_executable", sys.executable))
     if any_version or sys.version_info[:2] in SUPPORTED:
         return own, platform.python_version()
     for major, minor in SUPPORTED:

@@ -25,6 +25,10 @@ STEP_S = 2e-3
 """The emulation goes on in such steps, and so do bytes."""
 MOST_LAG_S = 0.1
 """An emulation that falls farther behind the host's clock lets it go."""
+SLOW = (
+    "serve.py: this machine emulates so many nodes slower than they are: "
+    "fewer frames come than should, and their age says nothing"
+)
 
 
 class LiveSkin:
@@ -34,6 +38,7 @@ class LiveSkin:
         self._skin, self._clock = skin, clock
         self._origin_s = clock()
         self._output = bytearray()
+        self._is_late = False
 
     def receive(self, data: bytes) -> None:
         """Hand bytes of the host to the digitizer."""
@@ -44,6 +49,9 @@ class LiveSkin:
         lag_s = self._clock() - self._origin_s - self._skin.now_ns * 1e-9
         if lag_s > MOST_LAG_S:
             self._origin_s += lag_s - MOST_LAG_S
+            if not self._is_late:
+                self._is_late = True
+                print(SLOW, file=sys.stderr, flush=True)
         if lag_s >= STEP_S:
             self._skin.run(self._skin.now_ns + round(STEP_S * 1e9))
             self._output += self._skin.read()

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emulated import Amplifier, EmulatedNodes, Node
+from tactile_cdma.errors import SpecError
 from tactile_cdma.node_memory import node_memory
 from tactile_cdma.parameters import SkinConfig
 from tactile_cdma.sim.scene import Scene, Skin
@@ -41,14 +42,17 @@ def reference_nodes(
     mcu: str = "atmega328p",
     discipline: bool = True,
     threshold: int = 1,
-    heartbeat: int = 78,
+    heartbeat: int | None = None,
 ) -> list[Node]:
     """The nodes of a skin, each with the memory that `tactile-cdma node` would give it.
 
     The extremes of the spread of clocks are among them.
     """
     spec, spread = config.spec, spread or Spread()
-    assert spec.amplitude_v is not None, "a wired skin has a known amplitude"
+    if spec.amplitude_v is None:
+        raise SpecError(
+            "amplitude_mv is 0, learnt from every frame: an emulated skin has to be given it"
+        )
     rng = np.random.default_rng(spread.seed)
     clocks = rng.permutation(np.linspace(-spread.clock, spread.clock, spec.nodes))
     supplies = rng.uniform(-spread.supply, spread.supply, spec.nodes)

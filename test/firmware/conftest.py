@@ -19,8 +19,15 @@ sys.path.append(str(FIRMWARE / "sim"))
 from emulated import Node  # noqa: E402
 
 BUILD = FIRMWARE / "build"
+SIMAVR = Path("/usr/include/simavr/sim_avr.h")
 STRICT = ("-std=gnu99", "-Wall", "-Wextra", "-Werror", "-I", str(CORE))
 SANITIZE = ("-fsanitize=address,undefined", "-fno-sanitize-recover=undefined")
+COMPILERS = {
+    "node": "avr-gcc",
+    "rp2040": "arm-none-eabi-gcc",
+    "replay-arm": "arm-none-eabi-gcc",
+}
+"""What a target of firmware/Makefile takes besides the host's compiler."""
 SANITIZED = "TACTILE_SANITIZE"
 """Environment variable: set where the core is built with sanitizers (test_sanitizers.py)."""
 
@@ -54,9 +61,17 @@ def core(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
 
 @pytest.fixture(scope="session")
 def built() -> Callable[[str], Path]:
-    """Has make build a target of firmware/Makefile; returns firmware/build."""
+    """Has make build a target of firmware/Makefile; returns firmware/build.
+
+    Skips the test where the machine lacks what that takes.
+    """
 
     def build(target: str) -> Path:
+        need(COMPILERS.get(target, "cc"))
+        if target == "sim" and not SIMAVR.exists():
+            pytest.skip(
+                "no libsimavr-dev on this machine; `make firmware-tools` tells how to get it"
+            )
         BUILD.mkdir(exist_ok=True)
         # Tests run in several processes, which must not build the same file at once.
         run(need("flock"), BUILD / ".lock", need("make"), "-s", "-C", FIRMWARE, target)
@@ -78,8 +93,6 @@ def rp2040_image(built: Callable[[str], Path]) -> Path:
 @pytest.fixture(scope="session")
 def emulator(built: Callable[[str], Path]) -> None:
     """The library of emulated.py."""
-    if not Path("/usr/include/simavr/sim_avr.h").exists():
-        pytest.skip("no libsimavr-dev on this machine; `make firmware-tools` tells how to get it")
     built("sim")
 
 

@@ -11,7 +11,9 @@ import pytest
 from conftest import need
 
 from emulated import Amplifier, EmulatedSkin, Node
+from skin import reference_nodes
 from tactile_cdma.driver import Session
+from tactile_cdma.errors import SpecError
 from tactile_cdma.messages import Quiet, RollCall, Samples
 from tactile_cdma.node_memory import node_memory
 from tactile_cdma.parameters import SkinConfig
@@ -148,3 +150,8 @@ def test_a_digitizer_with_another_clock_is_followed(images: Path) -> None:
         frames = Host(skin, setup).run(200 * MS)[LISTENING:]
         assert len(frames) >= 10
         assert all((frame.words.codes == codes).all() for frame in frames)
+
+
+def test_amplitude_of_an_emulated_skin_must_be_known() -> None:
+    with pytest.raises(SpecError, match="amplitude_mv is 0"):
+        reference_nodes(config(amplitude_mv=0.0))

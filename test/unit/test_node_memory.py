@@ -105,6 +105,15 @@ def test_heartbeats_take_turns_and_all_come_within_one_period(nodes: int, heartb
 
 
 @pytest.mark.parametrize(
+    ("frame_period_s", "heartbeat"), [(12.8e-3, 78), (40e-3, 25), (0.6, 2), (2.0, 1), (10.0, 1)]
+)
+def test_heartbeat_is_a_second_unless_told_otherwise(frame_period_s: float, heartbeat: int) -> None:
+    """So that nodes of a slow skin are not stale to the driver between two of them."""
+    spec = FrameSpec(frame_period_s=frame_period_s)
+    assert read_node_memory(node_memory(spec, 16))[0].heartbeat == heartbeat
+
+
+@pytest.mark.parametrize(
     ("changes", "options", "message"),
     [
         ({}, {"node": 0}, "node is 0; it must lie within 1…16"),
@@ -119,7 +128,12 @@ def test_heartbeats_take_turns_and_all_come_within_one_period(nodes: int, heartb
         ({"chip_s": 19e-6}, {}, "chip_ns is 19000; it must lie within 30000…1000000"),
         ({"chip_s": 50.0001e-6}, {}, "whole nanoseconds"),
         ({"frame_period_s": 11.0}, {}, "frame_period_us is 11000000; it must lie within 1000…"),
-        ({"frame_period_s": 10.999e-3}, {}, "lasts 0.999 ms, but a node takes 1 ms"),
+        (
+            {"frame_period_s": 10.999e-3},
+            {},
+            "lasts 0.999 ms, but a node takes 1 ms to measure in it: frame_period_ms must be at "
+            "least 11",
+        ),
         (
             {"order": 1032, "frame_period_s": 3.0},
             {"mcu": "attiny85"},
