@@ -45,6 +45,7 @@ firmware-tools: setup
 
 firmware: firmware-tools
 	@$(MAKE) --no-print-directory -s -C firmware
+	@ls firmware/build/node/*.hex firmware/build/rp2040/*.uf2
 
 firmware-test: firmware
 	@"$(BIN)/python" firmware/sim/check.py
@@ -59,4 +60,5 @@ bench-%: bench-setup
 clean:
 	$(MAKE) -C firmware clean
 	rm -rf "$(VENV)" build install log dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf firmware/sim/node_modules
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

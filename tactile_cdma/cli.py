@@ -21,7 +21,7 @@ from .capture import is_text, read_scope_csv
 from .driver import Session
 from .errors import CaptureError, PortError, SpecError, TactileError
 from .messages import Info
-from .node_memory import MCUS, describe_memory, node_memory, usual_heartbeat
+from .node_memory import MCUS, check_timing, describe_memory, node_memory, usual_heartbeat
 from .offline import decode_raw, decode_scope, describe_frame, described_parameters
 from .parameters import BY_NAME, GAP, NATURAL_SIGNS, SkinConfig, Value, read_file
 from .pipeline import Pipeline
@@ -305,6 +305,7 @@ def _node(arguments: argparse.Namespace) -> int:
     if programmer and arguments.node == ALL:
         raise SpecError("--programmer writes one node, the one that is connected: --node is all")
     config = SkinConfig.of(_given(arguments))
+    check_timing(config.timing)
     nodes = range(1, config.spec.nodes + 1) if arguments.node == ALL else [arguments.node]
     memories = [
         node_memory(

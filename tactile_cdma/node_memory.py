@@ -18,6 +18,7 @@ from ._protocol import FIELDS, NODE_LEARN_REST, NODE_MAGIC, NODE_VERSION, Polari
 from .errors import NodeMemoryError, SpecError
 from .frame import FrameSpec
 from .messages import WIRE, FrameLayout, Message, build
+from .parameters import LINE
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +70,15 @@ class NodeRecord(Message):
     threshold: int
     heartbeat: int
     turn: int
+
+
+def check_timing(timing: str) -> None:
+    """Raises SpecError for a timing with which such nodes never talk."""
+    if timing != LINE:
+        raise SpecError(
+            f"timing is {timing!r}: the digitizer then gives no sync pulses, and these nodes talk "
+            f"only when they hear one; set timing to {LINE!r}"
+        )
 
 
 def node_memory(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from emulated import Amplifier, EmulatedNodes, Node
 from tactile_cdma.errors import SpecError
-from tactile_cdma.node_memory import node_memory
+from tactile_cdma.node_memory import check_timing, node_memory
 from tactile_cdma.parameters import SkinConfig
 from tactile_cdma.sim.scene import Scene, Skin
 
@@ -46,13 +46,15 @@ def reference_nodes(
 ) -> list[Node]:
     """The nodes of a skin, each with the memory that `tactile-cdma node` would give it.
 
-    The extremes of the spread of clocks are among them.
+    The extremes of the spread of clocks are among them. Raises SpecError for parameters that leave
+    something open.
     """
     spec, spread = config.spec, spread or Spread()
     if spec.amplitude_v is None:
         raise SpecError(
             "amplitude_mv is 0, learnt from every frame: an emulated skin has to be given it"
         )
+    check_timing(config.timing)
     rng = np.random.default_rng(spread.seed)
     clocks = rng.permutation(np.linspace(-spread.clock, spread.clock, spec.nodes))
     supplies = rng.uniform(-spread.supply, spread.supply, spec.nodes)

@@ -230,3 +230,12 @@ def test_avrdude_writes_the_memory_into_a_node(
         assert main(command) == 1
     assert "avrdude failed with exit code 1" in capfd.readouterr().err
     assert set(tiny.eeprom) == {0xFF}
+
+
+def test_nodes_that_would_hear_no_pulse_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "node.hex"
+    assert main(["node", "--node", "1", "-o", str(path), "--timing", "gap"]) == 1
+    assert "timing is 'gap'" in capsys.readouterr().err
+    assert not path.exists()
