@@ -24,6 +24,9 @@
 #define BOARD_SYNC PB0
 #define BOARD_LED PD7
 
+#define BOARD_SHORTEST_TICKS (TP_SYNC_UNIT_US * BOARD_TICKS_PER_US) /* of a pulse */
+#define BOARD_OVER GPIOR0 /* whether the pulse was over before its end could be captured */
+
 extern volatile uint16_t board_overflows;
 
 /* Time of a recent count of the timer; interrupts are off. */
@@ -99,15 +102,20 @@ static BOARD_INLINE bool board_sync_edge(uint32_t *when)
     *when = board_time(ICR1);
     TCCR1B = rising ? _BV(CS10) : _BV(CS10) | _BV(ICES1);
     TIFR1 = _BV(ICF1); /* changing the edge may look like one */
+    BOARD_OVER = 0;
     if (rising && !(PINB & _BV(BOARD_SYNC)) && !(TIFR1 & _BV(ICF1))) {
-        TCCR1B = _BV(CS10) | _BV(ICES1); /* fallen before we could look: a glitch */
-        return false;
+        TCCR1B = _BV(CS10) | _BV(ICES1); /* fallen before we could look: a glitch … */
+        BOARD_OVER = TCNT1 - (uint16_t)*when >= BOARD_SHORTEST_TICKS - BOARD_SHORTEST_TICKS / 4;
+        return BOARD_OVER; /* … or we are late: it may have been the shortest pulse */
     }
     return rising;
 }
 
 static BOARD_INLINE bool board_sync_fell(uint16_t rise, uint16_t *length)
 {
+    *length = BOARD_SHORTEST_TICKS;
+    if (BOARD_OVER)
+        return true;
     if (!(TIFR1 & _BV(ICF1)))
         return false;
     *length = ICR1 - rise;

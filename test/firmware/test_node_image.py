@@ -272,6 +272,38 @@ def test_missing_restart_ends_the_frame(build: Path, mcu: str) -> None:
         assert_says(skin, skin.frame(number + 1), REST)
 
 
+CROWDED = {
+    "the release's interrupt": FrameSpec(nodes=13, order=28, chip_s=80e-6, parity=True,
+                                         resync_chips=13, guard_chips=1, frame_period_s=35.052e-3),
+    "the timer's overflow": FrameSpec(nodes=2, order=2, chip_s=35.034e-6, parity=True, first_row=0,
+                                      resync_chips=2, guard_chips=3, frame_period_s=3.322e-3),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("shape", CROWDED)
+def test_restart_pulse_that_is_over_before_it_is_served(build: Path, shape: str) -> None:
+    """Another interrupt keeps an ATmega328P from it, but not from its sub-slot."""
+    spec = CROWDED[shape]
+    with bench(build, spec, **SPEECH) as skin:
+        for number in range(listen(skin), 45):
+            assert_says(skin, skin.frame(number), REST)
+
+
+@pytest.mark.parametrize("mcu", MCUS)
+def test_pulse_while_the_node_gets_ready(build: Path, mcu: str) -> None:
+    """A slow clock, not yet known, has it measure just when the pulse comes."""
+    spec = FrameSpec(nodes=11, order=12, bits=9, parity=True, chip_s=40e-6, frame_period_s=7.8e-3)
+    clocks_hz = 8e6 * (1 - 0.1 + np.arange(-8, 9) * 2e-5)
+    memory = node_memory(spec, 1, mcu=mcu, **SPEECH)
+    nodes = [Node(image(build, mcu), mcu, memory, clock_hz=clock) for clock in clocks_hz]
+    with EmulatedNodes(nodes) as emulated:
+        emulated.press(volts(REST, spec.bits))
+        skin = Bench(emulated, spec)
+        for number in range(6):
+            start = skin.frame(number)
+        assert spoke(skin, start) == list(range(len(nodes)))
+
+
 MEMORIES = {
     "blank": (1, lambda good: b""),
     "zeroed": (1, lambda good: bytes(len(good))),
