@@ -14,10 +14,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from emulated import EmulatedNodes, EmulatedSkin, EmulationError
+from rp2040 import EmulatorError
 from rp2040_skin import Rp2040Skin
 from skin import Digitized, PressedSkin, reference_amplifier, reference_nodes
+from tactile_cdma._protocol import SYNC_LEAD, SYNC_UNIT_US
 from tactile_cdma.parameters import SkinConfig, read_file
 from tactile_cdma.sim.scene import SCENES
 from trial import Trial, edge_errors, press_and_decode
@@ -32,19 +35,28 @@ def on_virtual_board(config: SkinConfig, mcu: str, frames: int) -> tuple[Trial, 
     nodes = reference_nodes(config, mcu=mcu, threshold=0)
     with EmulatedSkin(nodes, reference_amplifier(config), history_s=HISTORY_S) as skin:
         trial = press(skin, skin, config, frames)
-        errors_us = [errors / 1e3 for errors in edge_errors(skin, config.spec, trial)]
-    edge_us = max(np.abs(errors).max() for errors in errors_us)
-    jitter_us = max(np.abs(np.diff(errors)).max() for errors in errors_us)
-    return trial, f"edge_us_max={edge_us:.3f} jitter_us_max={jitter_us:.3f}"
+        return trial, edges(skin, config, trial.words)
 
 
 def on_rp2040(config: SkinConfig, frames: int) -> tuple[Trial, str]:
-    """Nodes on the RP2040's image, with a host at its USB port."""
+    """Nodes on the RP2040's image, with a host at its USB port; edges against those of its pin."""
     nodes = reference_nodes(config, threshold=0)
     with Rp2040Skin(nodes, reference_amplifier(config)) as skin:
         trial = press(skin, skin, config, frames)
-        load = skin.cpu_load
-    return trial, f"cpu_load={load:.2f}"
+        starts = np.array(skin.pulses_ns) + SYNC_LEAD * SYNC_UNIT_US * 1000
+        by_pulse = {
+            int(starts[np.abs(starts - mark_ns).argmin()]): codes
+            for mark_ns, codes in trial.words.items()
+        }
+        return trial, f"{edges(skin, config, by_pulse)} cpu_load={skin.chip.load:.2f}"
+
+
+def edges(nodes: EmulatedNodes, config: SkinConfig, words: dict[int, NDArray[np.int32]]) -> str:
+    """Largest error of an edge, and largest change of it from one edge to the next."""
+    errors_us = [errors / 1e3 for errors in edge_errors(nodes, config.spec, words)]
+    edge_us = max(np.abs(errors).max() for errors in errors_us)
+    jitter_us = max(np.abs(np.diff(errors)).max() for errors in errors_us)
+    return f"edge_us_max={edge_us:.3f} jitter_us_max={jitter_us:.3f}"
 
 
 def press(nodes: EmulatedNodes, digitizer: Digitized, config: SkinConfig, frames: int) -> Trial:
@@ -66,7 +78,7 @@ def main() -> int:
         begin = time.monotonic()
         try:
             trial, measured = run()
-        except EmulationError as error:
+        except (EmulationError, EmulatorError) as error:
             print(f"firmware-test: {name}: {error}", file=sys.stderr)
             return 1
         trials.append(trial)

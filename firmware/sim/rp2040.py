@@ -27,6 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 HERE = Path(__file__).resolve().parent
+CPU_HZ = 96e6
+"""As the firmware sets it (clocks.c)."""
 PIN_SYNC = 16
 PIN_LED = 25
 MAX_COUNTS = 4096
@@ -115,6 +117,11 @@ class Rp2040:
     def now(self) -> float:
         """Time since power-up, s."""
         return self._now_ns / 1e9
+
+    @property
+    def load(self) -> float:
+        """Share of the time since power-up that the CPU was awake."""
+        return self.cycles / (self.now * CPU_HZ)
 
     def run(self, until: float) -> None:
         """Lets time pass, to `until` s."""

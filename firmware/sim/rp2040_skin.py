@@ -14,7 +14,6 @@ from rp2040 import Rp2040
 IMAGE = Path(__file__).resolve().parents[1] / "build" / "rp2040" / "digitizer.bin"
 FULL_SCALE_V = 3.3
 COUNTS = 4096
-CPU_HZ = 125e6
 
 
 class Rp2040Skin(EmulatedNodes):
@@ -23,50 +22,38 @@ class Rp2040Skin(EmulatedNodes):
     """
 
     def __init__(self, nodes: Sequence[Node], amplifier: Amplifier | None = None) -> None:
-        self.chip: Rp2040 | None = None
-        super().__init__(nodes, amplifier)
         self.chip = Rp2040(IMAGE, self._counts, self._edge)
+        super().__init__(nodes, amplifier)
         self.chip.plug_usb()
-        self.edges_ns: list[tuple[int, bool]] = []
-        """Edges of the sync line as they came from the pin: when, whether to high."""
+        self.pulses_ns: list[int] = []
+        """When the pulses began that came from the sync pin."""
 
     def close(self) -> None:
         """End the emulator, free the nodes. May be called twice."""
-        if self.chip is not None:
-            self.chip.close()
-            self.chip = None
+        self.chip.close()
         super().close()
 
     @property
     def now_ns(self) -> int:
         """How far the emulation has come."""
-        assert self.chip is not None, "closed"
         return round(self.chip.now * 1e9)
-
-    @property
-    def cpu_load(self) -> float:
-        """Share of the time since power-up that the RP2040's processor was awake."""
-        assert self.chip is not None, "closed"
-        return self.chip.cycles / (self.chip.now * CPU_HZ)
 
     def run(self, t_ns: int) -> None:
         """Run digitizer and nodes to a time."""
-        assert self.chip is not None, "closed"
         self.chip.run(t_ns * 1e-9)
         super().run(t_ns)
 
     def write(self, data: bytes) -> None:
         """Bytes from the host reach the digitizer."""
-        assert self.chip is not None, "closed"
         self.chip.write_usb(data)
 
     def read(self) -> bytes:
         """What the host has received since the last call."""
-        assert self.chip is not None, "closed"
         return self.chip.read_usb()
 
     def _edge(self, t_ns: float, level: bool) -> None:
-        self.edges_ns.append((round(t_ns), level))
+        if level:
+            self.pulses_ns.append(round(t_ns))
         self.sync(round(t_ns), level)
 
     def _counts(self, times_ns: NDArray[np.float64]) -> NDArray[np.uint16]:

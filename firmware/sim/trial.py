@@ -102,15 +102,18 @@ class Marks:
         return min(self._marks_ns[::-1], key=lambda mark: abs(mark - frame.t_start * 1e9))
 
 
-def edge_errors(nodes: EmulatedNodes, spec: FrameSpec, trial: Trial) -> list[NDArray[np.float64]]:
+def edge_errors(
+    nodes: EmulatedNodes, spec: FrameSpec, words: dict[int, NDArray[np.int32]]
+) -> list[NDArray[np.float64]]:
     """How far the edges of the nodes' pins are from where they should be: an array per burst, ns.
 
-    Silent nodes have none. Raises AssertionError where edges are missing or too many.
+    words: as a Trial has them. Silent nodes have no edges. Raises AssertionError where edges are
+    missing or too many.
     """
     chip_ns, errors = spec.chip_s * 1e9, []
     for node in range(spec.nodes):
         edges = nodes.edges(node)
-        for mark_ns, codes in trial.words.items():
+        for mark_ns, codes in words.items():
             expected = expected_edges(spec, node, int(codes[node]))
             begin, end = np.searchsorted(
                 edges["t_ns"], [mark_ns - chip_ns / 2, mark_ns + (spec.span_chips + 0.5) * chip_ns]
