@@ -44,14 +44,25 @@ void discipline_init(struct discipline *d, const struct tp_node_record *record,
     follow(d, d->nominal);
 }
 
+static uint32_t distance(uint32_t a, uint32_t b)
+{
+    return a > b ? a - b : b - a;
+}
+
 bool discipline_period(struct discipline *d, uint32_t ticks)
 {
-    uint32_t off = ticks > d->nominal ? ticks - d->nominal : d->nominal - ticks;
-
-    if (off > d->nominal >> 3)
+    if (distance(ticks, d->nominal) > d->nominal >> 3)
         return false;
     d->period = ticks;
     if (d->follows)
         follow(d, ticks);
     return true;
+}
+
+bool discipline_agrees(const struct discipline *d, uint32_t ticks)
+{
+    uint32_t wandered = d->period >> 9;
+    uint32_t late = d->lead_q16 >> (16u + 2u); /* a quarter of the lead's 64 µs */
+
+    return distance(ticks, d->period) <= (wandered > late ? wandered : late);
 }

@@ -36,10 +36,15 @@ void discipline_init(struct discipline *d, const struct tp_node_record *record,
  * eighth off makes of a frame period; returns whether it was. */
 bool discipline_period(struct discipline *d, uint32_t ticks);
 
-/* Ticks after a frame pulse before which no other can be one. */
+/* Whether so many ticks are the period that was last measured, but for what a clock wanders and an
+ * interrupt is late: the larger of 0.2 % and 16 µs. */
+bool discipline_agrees(const struct discipline *d, uint32_t ticks);
+
+/* Ticks after a frame pulse before which no other can be one: the shortest period that is believed,
+ * whatever the last one was. One that was wrong thus doesn't hide the pulses that would mend it. */
 static inline uint32_t discipline_earliest(const struct discipline *d)
 {
-    return d->period - (d->period >> 3);
+    return d->nominal - (d->nominal >> 3);
 }
 
 #endif

@@ -88,8 +88,14 @@ static void frame_began(void)
 {
     struct talk_frame frame = talk_take();
 
-    if (heard && discipline_period(&clock, frame.when - mark))
-        clock_known = true;
+    if (heard) {
+        /* Where the digitizer starts anew, two pulses are any time apart: a period that is not like
+         * the last one is taken over, but another one has to be measured before we talk again. */
+        uint32_t period = frame.when - mark;
+        bool sure = !clock_known || !clock.follows || discipline_agrees(&clock, period);
+        if (discipline_period(&clock, period))
+            clock_known = sure;
+    }
     mark = frame.when;
     heard = ever_heard = true;
     event_frame(&event, frame.units == TP_SYNC_CALL, frame.spoke, code);

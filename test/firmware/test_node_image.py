@@ -304,6 +304,24 @@ def test_pulse_while_the_node_gets_ready(build: Path, mcu: str) -> None:
         assert spoke(skin, start) == list(range(len(nodes)))
 
 
+@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("error", [-0.09, -0.02, 0.0, 0.02, 0.09])
+@pytest.mark.parametrize("jump", [-0.06, -0.01, 0.01, 0.06, 0.12])
+def test_digitizer_that_starts_anew(build: Path, mcu: str, error: float, jump: float) -> None:
+    """Two of its pulses are a wrong time apart: no chip is bent by that, and soon all is well."""
+    with bench(build, SPEC, mcu, clock_hz=8e6 * (1 + error), **SPEECH) as skin:
+        number = listen(skin)
+        assert_says(skin, skin.frame(number), REST)
+        late_ns = round(jump * skin.period_ns)
+        said = []
+        for number in range(number + 1, number + 7):
+            start = skin.frame(number, late_ns=late_ns)
+            said.append(not is_silent(skin, start))
+            if said[-1]:
+                assert_says(skin, start, REST)
+        assert said[2:] == [True] * 4
+
+
 MEMORIES = {
     "blank": (1, lambda good: b""),
     "zeroed": (1, lambda good: bytes(len(good))),
