@@ -3,16 +3,19 @@
 #include <string.h>
 
 #define COMMANDS 0x80 /* types from here on are the host's */
+#define ANSWERS 512   /* of STREAM_RESERVE: bytes that reports leave to answers */
 
-static void report(struct dg *dg, uint8_t type, const void *payload, size_t size)
+_Static_assert(ANSWERS < STREAM_RESERVE, "reports have room where samples have none");
+
+static void report(struct dg *dg, uint8_t type, const void *payload, size_t size, size_t reserve)
 {
-    if (packet_open(&dg->writer, type, size, 0)) {
+    if (packet_open(&dg->writer, type, size, reserve)) {
         packet_put(&dg->writer, payload, size);
         packet_close(&dg->writer);
     }
 }
 
-static void report_info(struct dg *dg)
+static void report_info(struct dg *dg, size_t reserve)
 {
     const struct dg_board *board = dg->board;
     const struct setup *setup = &dg->setup;
@@ -33,7 +36,7 @@ static void report_info(struct dg *dg)
     };
 
     memcpy(info.digitizer_id, board->id, sizeof info.digitizer_id);
-    report(dg, TP_INFO, &info, sizeof info);
+    report(dg, TP_INFO, &info, sizeof info, reserve);
 }
 
 static void report_status(struct dg *dg, uint64_t now_us)
@@ -48,7 +51,7 @@ static void report_status(struct dg *dg, uint64_t now_us)
         .streaming = dg->running,
     };
 
-    report(dg, TP_STATUS, &status, sizeof status);
+    report(dg, TP_STATUS, &status, sizeof status, ANSWERS);
 }
 
 static void stop(struct dg *dg)
@@ -128,10 +131,10 @@ static void answer(struct dg *dg)
     bool done = result == TP_RESULT_OK;
 
     dg->commands_refused += !done;
-    report(dg, TP_ACK, &ack, sizeof ack);
+    report(dg, TP_ACK, &ack, sizeof ack, 0);
     if (ack.command == TP_CONFIGURE ? done || result == TP_RESULT_UNSUPPORTED
                                     : ack.command == TP_GET_INFO && done)
-        report_info(dg);
+        report_info(dg, 0);
 }
 
 void dg_init(struct dg *dg, const struct dg_board *board, uint8_t *output, size_t output_size,
@@ -176,7 +179,7 @@ void dg_begin(struct dg *dg, uint64_t start_us)
 void dg_end(struct dg *dg)
 {
     if (dg->begun)
-        stream_lost(&dg->stream, 0); /* nothing comes after what is held */
+        stream_end(&dg->stream);
     dg->begun = false;
 }
 
@@ -206,7 +209,7 @@ void dg_time(struct dg *dg, uint64_t now_us)
 {
     if (now_us < dg->report_us)
         return;
-    report_info(dg);
+    report_info(dg, ANSWERS);
     report_status(dg, now_us);
     while (dg->report_us <= now_us)
         dg->report_us += DG_REPORT_US;

@@ -386,3 +386,11 @@ void stream_lost(struct stream *stream, uint32_t size)
             end_part(stream);
     }
 }
+
+void stream_end(struct stream *stream)
+{
+    if (stream->waiting)
+        wait_no_more(stream);
+    send_words(stream);
+    send_delayed(stream);
+}

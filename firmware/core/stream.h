@@ -66,5 +66,7 @@ void stream_begin(struct stream *stream, const struct setup *setup, uint64_t sta
 void stream_samples(struct stream *stream, const uint16_t *counts, size_t size);
 /* So many samples are missing. */
 void stream_lost(struct stream *stream, uint32_t size);
+/* No more come: what is held is sent. */
+void stream_end(struct stream *stream);
 
 #endif

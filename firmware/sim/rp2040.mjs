@@ -12,6 +12,7 @@
 //     'U' bytes            to UART0, from now on, at its speed
 //     'S' bytes            to USB
 //     'H' u8               USB cable: 0 unplugged, 1 plugged in but nobody reads, 2 read
+//     'C'                  the USB host clears a halt of the device's bulk IN endpoint
 //     'T' f64              the CPU stands still for so many ns
 //     'M' f64              DMA takes no samples from the ADC for so many ns
 //     'A' u16…             counts of the line: of the conversion asked for, and of those after it
@@ -129,6 +130,9 @@ try {
         break;
       case 'H':
         host.plug(payload[0] > 0, payload[0] > 1);
+        break;
+      case 'C':
+        host.clearHalt();
         break;
       case 'T':
         chip.stall(payload.readDoubleLE());

@@ -144,6 +144,10 @@ class Rp2040:
         """A USB host; one that is not `reading` takes nothing from the device."""
         self._send(b"H", bytes([2 if reading else 1]))
 
+    def clear_usb_halt(self) -> None:
+        """The USB host clears a halt of the endpoint that it reads, though there is none."""
+        self._send(b"C", b"")
+
     def unplug_usb(self) -> None:
         """The USB host goes away."""
         self._send(b"H", bytes([0]))

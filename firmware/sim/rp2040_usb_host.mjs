@@ -67,6 +67,17 @@ export class UsbHost {
     this.#serve();
   }
 
+  // What some hosts do when a program opens the port.
+  clearHalt() {
+    this.script = this.#clearHalt();
+    this.#advance();
+  }
+
+  *#clearHalt() {
+    yield* this.#write(setup(0x02, 1, 0, 0x82, 0));
+    this.toggle[IN] = 0;
+  }
+
   #begin() {
     this.configured = false;
     this.script = this.#enumerate();
@@ -155,14 +166,14 @@ export class UsbHost {
     if (wanted.setup) {
       this.#start(8, () => {
         this.#check(this.usb.addrEndp & 0x7f, this.address, 'device address');
-        for (const direction of [IN, OUT]) this.#control(0, direction, 0);
+        this.usb.epStallArm = 0; // all that a SETUP does to the buffers of endpoint 0
         this.usb.sendSetupPacket(Uint8Array.from(wanted.setup));
         this.#advance();
       });
       return;
     }
     const control = this.#control(0, wanted.direction);
-    if (control & STALL) {
+    if (control & STALL && this.usb.epStallArm & (1 << wanted.direction)) {
       this.#start(0, () => this.#advance(null));
     } else if (control & AVAILABLE) {
       this.#check(control & DATA1, wanted.toggle, 'data toggle of endpoint 0');

@@ -120,6 +120,9 @@ class CoreDigitizer:
         self.events.append(("l", struct.pack("<I", size)))
         self._core.dg_lost(self._shim, size)
 
+    def end(self) -> None:
+        self._core.dg_end(self._shim)
+
     def time(self, now_us: int) -> None:
         self.now_us = now_us
         self.events.append(("t", struct.pack("<Q", now_us)))
@@ -183,6 +186,7 @@ def declare(core: ctypes.CDLL) -> None:
         "dg_receive": (None, pointer, ctypes.c_char_p, size, u64),
         "dg_restarted": (c_bool, pointer),
         "dg_begin": (None, pointer, u64),
+        "dg_end": (None, pointer),
         "dg_samples": (None, pointer, POINTER(c_uint16), size),
         "dg_lost": (None, pointer, c_uint32),
         "dg_pulse": (c_bool, pointer, POINTER(_Pulse)),

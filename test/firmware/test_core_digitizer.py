@@ -542,6 +542,18 @@ def test_packets_without_room_are_dropped_whole_and_told_of(core: ctypes.CDLL) -
     digitizer.close()
 
 
+def test_a_host_that_was_away_for_long_is_answered(core: ctypes.CDLL) -> None:
+    """The reports of each second don't use up all the room that samples leave."""
+    digitizer = CoreDigitizer(core, capacity=900, output=6000)
+    digitizer.send(Start())
+    digitizer.samples(np.arange(20 * 1024) % 4096)
+    for second in range(1, 60):
+        digitizer.time(second * 1_000_000)
+    digitizer.send(Configure(LAYOUT), GetInfo(), Start())
+    assert [type(packet) for packet in digitizer.packets()[-5:]] == [Ack, Info, Ack, Info, Ack]
+    digitizer.close()
+
+
 def test_reports_that_find_no_room_are_counted_too(core: ctypes.CDLL) -> None:
     digitizer = CoreDigitizer(core, capacity=16, output=2000)
     for _ in range(100):

@@ -178,6 +178,28 @@ def test_a_gap_that_becomes_loud_is_sent_at_once(core: ctypes.CDLL) -> None:
     digitizer.close()
 
 
+@pytest.mark.parametrize(
+    ("asked", "held", "sent"),
+    [
+        (Configure(GAP), 80 + 300, [(Samples, 80), (Samples, 300)]),
+        (Configure(GAP, quiet_uv=100_000), 80 + 812 + 300, [(Quiet, 240), (Quiet, 60)]),
+        (Configure(GAP, quiet_uv=100_000), 80 + 812 + 900, [(Quiet, 900)]),
+        (Configure(GAP, integrated=True), 500 + 25 * 10 + 5, [(Samples, 10)]),
+    ],
+)
+def test_a_stream_that_the_board_ends_is_sent_to_its_end(
+    core: ctypes.CDLL, asked: Configure, held: int, sent: list[tuple[type, int]]
+) -> None:
+    digitizer = configured(core, asked)
+    digitizer.samples(np.full(held, MIDDLE))
+    digitizer.end()
+    got = sizes(digitizer)
+    assert got[-len(sent) :] == sent
+    digitizer.samples(np.full(1000, MIDDLE))
+    assert not sizes(digitizer)
+    digitizer.close()
+
+
 # The rules, in exact fractions of a µs
 
 

@@ -23,7 +23,7 @@ from tactile_cdma.messages import (
     Start,
     Stop,
 )
-from tactile_cdma.protocol import PacketWriter, wrap
+from tactile_cdma.protocol import PacketParser, PacketWriter, wrap
 
 PLAIN = FrameLayout.of(FrameSpec(), 4)  # 80 kS/s
 UNMARKED = Configure(PLAIN, SyncMode.NONE)
@@ -147,6 +147,55 @@ def test_usb_comes_back_after_it_was_unplugged(rp2040_image: Path) -> None:
         assert bench.of(Ack)[-1].result == Result.OK
         restart = [packet.first_index for packet in bench.line].index(0)
         assert bench.check(bench.line[restart:]) > 7000
+
+
+def test_a_usb_host_that_never_reads_leaves_the_uart_alone(rp2040_image: Path) -> None:
+    """As a PC that is only the power supply: it configures the device, nobody opens its port."""
+    with Bench(rp2040_image, USB, ramp) as usb:
+        usb.board.plug_usb(reading=False)
+        usb.run_deaf(1.2)
+        usb.board.read_uart()
+        other = PacketWriter()
+        for _ in range(2):
+            usb.board.write_uart(b"\0" + other.encode(GetInfo()))
+            usb.board.run(usb.board.now + 0.1)
+            heard = PacketParser().feed(usb.board.read_uart())
+            assert [packet.command for packet in heard if isinstance(packet, Ack)][-1:] == [0x81]
+            usb.send(GetInfo())  # and doesn't read the answer
+            usb.board.run(usb.board.now + 0.01)
+        assert not usb.read()
+        usb.board.plug_usb()
+        usb.send(GetInfo())
+        usb.listen_again(0.1)
+        assert [ack.command for ack in usb.of(Ack)][-1:] == [0x81]
+
+
+def test_a_new_usb_host_gets_nothing_of_the_last_one(rp2040_image: Path) -> None:
+    with Bench(rp2040_image, USB) as bench:
+        bench.board.plug_usb(reading=False)
+        bench.run_deaf(2.2)  # two reports: more than the controller holds
+        bench.board.unplug_usb()
+        bench.run_deaf(0.1)
+        bench.board.plug_usb()
+        bench.board.run(bench.board.now + 0.1)
+        assert not bench.read().strip(b"\0")
+        bench.run(1.0)
+        assert bench.of(Info)
+
+
+@pytest.mark.parametrize("reading", [False, True])
+def test_a_halt_that_is_cleared_takes_nothing_away(rp2040_image: Path, reading: bool) -> None:
+    with Bench(rp2040_image, USB, ramp) as bench:
+        bench.stream(PLAIN, 0.1)
+        bench.board.plug_usb(reading)
+        bench.run(0.01)
+        bench.board.clear_usb_halt()
+        bench.run(0.01)
+        bench.board.plug_usb()
+        bench.run(0.1)
+        assert not missing(bench.line)
+        assert bench.check(bench.line) > 16_000
+        assert bench.parser.counters.lost_packets == 0
 
 
 def test_a_cpu_that_was_away(rp2040_image: Path) -> None:

@@ -25,7 +25,7 @@ static void pll_start(volatile struct pll *pll, uint32_t reset, uint32_t fbdiv, 
 
 void clocks_init(void)
 {
-    XOSC->startup = 47; /* · 256 periods: 1 ms */
+    XOSC->startup = 64 * 47; /* · 256 periods: 64 ms, which some boards' crystals take */
     XOSC->ctrl = XOSC_ENABLE_1_15MHZ;
     while (!(XOSC->status & XOSC_STABLE))
         ;

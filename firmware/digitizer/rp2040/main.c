@@ -30,6 +30,7 @@ static uint8_t output[OUTPUT_SIZE];
 static int16_t samples[SAMPLE_CAPACITY];
 static volatile bool awake;
 
+static const uint8_t delimiter = 0;
 static enum link commander;   /* who sent the last good command */
 static enum link heard;       /* whose bytes came last */
 static enum link carrier;     /* who sends … */
@@ -60,7 +61,6 @@ static void restart(void)
 
 static void hear(enum link link, const uint8_t *bytes, size_t size)
 {
-    static const uint8_t delimiter = 0;
     uint64_t now_us = time_us();
 
     dg_time(&dg, now_us);
@@ -112,23 +112,38 @@ static void mend(void)
     restart();
 }
 
+static void start_sending(const uint8_t *bytes, size_t size)
+{
+    if (carrier == LINK_USB)
+        usb_send(bytes, size);
+    else if (size)
+        uart_send(bytes, size);
+}
+
 static void send(void)
 {
     const uint8_t *bytes;
+    enum link next = commander ? commander : usb_ready() ? LINK_USB : LINK_UART;
 
+    if (carrier == LINK_USB && next == LINK_UART) { /* a USB host may have stopped reading for good */
+        size_t left = usb_cancel();
+        in_flight = in_flight > left ? in_flight - left : 0; /* it may have been the delimiter */
+    }
     if (carrier == LINK_UART ? uart_sending() : usb_sending())
         return;
     dg_sent(&dg, in_flight);
-    carrier = commander ? commander : usb_ready() ? LINK_USB : LINK_UART;
+    in_flight = 0;
+    if (carrier != next) {
+        carrier = next;
+        start_sending(&delimiter, 1); /* ends the packet that was cut when this link was left */
+        return;
+    }
+    if (carrier == LINK_USB && !usb_ready())
+        return;
     in_flight = dg_output(&dg, &bytes);
     if (in_flight > PIECE)
         in_flight = PIECE;
-    if (carrier == LINK_USB && !usb_ready())
-        in_flight = 0;
-    else if (carrier == LINK_USB)
-        usb_send(bytes, in_flight);
-    else if (in_flight)
-        uart_send(bytes, in_flight);
+    start_sending(bytes, in_flight);
 }
 
 int main(void)

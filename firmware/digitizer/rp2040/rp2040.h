@@ -71,6 +71,8 @@ size_t usb_read(uint8_t *bytes, size_t size);
  * host's driver waits to hear. */
 void usb_send(const uint8_t *bytes, size_t size);
 bool usb_sending(void);
+/* Sends no more; returns how many bytes the controller has not got. A packet that it has stays there. */
+size_t usb_cancel(void);
 /* A host has configured the device. */
 bool usb_ready(void);
 void usb_interrupt(void);

@@ -39,7 +39,6 @@ uint32_t sampler_start(uint32_t ticks, struct moment *moment)
     ADC->cs = ADC_CS_EN;
     while (!(ADC->cs & ADC_CS_READY))
         ;
-    ADC->div = (ticks - 1) << 8;
     ADC->fcs = ADC_FCS_EN | ADC_FCS_THRESH_1;
     for (int n = DMA_SAMPLES_A; n <= DMA_SAMPLES_B; n++) {
         DMA_CHANNEL(n)->read_addr = (uint32_t)&ADC->fifo;
@@ -52,6 +51,7 @@ uint32_t sampler_start(uint32_t ticks, struct moment *moment)
     /* The PWM starts when the first result is seen, which tells when its conversion began without
      * relying on how soon the ADC does what it is told. */
     interrupts_off();
+    ADC->div = (ticks - 1) << 8; /* just now: the divider starts anew with it */
     ADC->cs = ADC_CS_EN | ADC_CS_START_MANY;
     while (ADC->fcs & ADC_FCS_EMPTY)
         ;
@@ -114,8 +114,8 @@ static uint32_t count_lost(void)
         us = TIMER->timerawl;
         while (TIMER->timerawl == us)
             ;
+        drained = ADC->fcs & ADC_FCS_EMPTY; /* before the position, which else may lack the last */
         written = position();
-        drained = ADC->fcs & ADC_FCS_EMPTY;
         ticks = (time_us() - begin.us) * TICKS_PER_US + begin.tick;
         interrupts_on();
         ticks = ticks - ADC_CONVERSION - ticks_per_sample / 2 + ticks_per_sample;

@@ -27,6 +27,7 @@ static struct byte_ring received;
 static uint8_t serial[8];
 static uint32_t next_data1[3][2]; /* data toggle of every endpoint's next packet */
 static volatile bool configured, receiving, sending;
+static bool armed; /* a bulk packet waits for the host to take it */
 static const uint8_t *to_send;
 static size_t to_send_left;
 static bool sent_full; /* the last packet was */
@@ -176,11 +177,13 @@ static void send_packet(void)
     to_send += size;
     to_send_left -= size;
     sent_full = size == USB_PACKET;
+    armed = true;
 }
 
 /* The host has taken a bulk packet. */
 static void packet_taken(void)
 {
+    armed = false;
     if (to_send_left)
         send_packet();
     else
@@ -195,17 +198,24 @@ static void receive_next(void)
         hand_over(EP_DATA, DIR_OUT, USB_PACKET);
 }
 
+/* What is left to be sent was for somebody else, the packet that the controller holds, too. */
 static void set_configuration(uint8_t configuration)
 {
-    for (uint32_t endpoint = EP_NOTIFY; endpoint <= EP_DATA; endpoint++)
-        next_data1[endpoint][DIR_IN] = next_data1[endpoint][DIR_OUT] = 0;
-    sending = sent_full = false; /* what is left was for somebody else */
+    for (uint32_t endpoint = EP_NOTIFY; endpoint <= EP_DATA; endpoint++) {
+        for (uint32_t direction = DIR_IN; direction <= DIR_OUT; direction++) {
+            USB_DPRAM->buf_ctrl[endpoint][direction] = 0;
+            next_data1[endpoint][direction] = 0;
+        }
+    }
+    sending = sent_full = armed = false;
+    to_send_left = 0;
     configured = configuration != 0;
     if (configured)
         receive_next();
 }
 
-/* A halted endpoint's toggle starts anew; its packet, if any, has not been taken. */
+/* A halted endpoint's toggle starts anew; its packet, if any, has not been taken and stays. Some
+ * hosts do this whenever a program opens the port. */
 static void clear_halt(const struct setup_packet *setup)
 {
     uint32_t endpoint = setup->index & 15u;
@@ -216,8 +226,9 @@ static void clear_halt(const struct setup_packet *setup)
     next_data1[endpoint][direction] = 0;
     if (direction == DIR_OUT)
         receive_next();
-    else if (sending)
-        packet_taken();
+    else if (armed)
+        hand_over(EP_DATA, DIR_IN, USB_BUF_FULL | (USB_DPRAM->buf_ctrl[EP_DATA][DIR_IN] &
+                                                   USB_BUF_LENGTH));
 }
 
 /* Requests without data, and those whose data come first: false for what is not known. */
@@ -317,6 +328,7 @@ void usb_interrupt(void)
     if (status & USB_INT_BUS_RESET) {
         USB->sie_status = USB_SIE_STATUS_BUS_RESET;
         USB->addr_endp[0] = 0;
+        USB->buff_status = ~0u; /* of before */
         set_configuration(0);
     }
     if (status & USB_INT_BUFF_STATUS) { /* before the next request: it ends the one before */
@@ -330,6 +342,8 @@ void usb_interrupt(void)
     }
     if (status & USB_INT_SETUP_REQ) {
         USB->sie_status = USB_SIE_STATUS_SETUP_REC;
+        for (uint32_t direction = DIR_IN; direction <= DIR_OUT; direction++)
+            USB_DPRAM->buf_ctrl[EP_CONTROL][direction] = 0; /* of a request that was given up */
         reply = NULL;
         control_request();
     }
@@ -375,13 +389,24 @@ size_t usb_read(uint8_t *bytes, size_t size)
 void usb_send(const uint8_t *bytes, size_t size)
 {
     interrupts_off(); /* a reset of the bus ends all sending */
-    if (configured && (size || sent_full)) {
+    if (configured && (size || (sent_full && !armed))) {
         to_send = bytes;
         to_send_left = size;
         sending = true;
-        send_packet();
+        if (!armed) /* else it follows that packet */
+            send_packet();
     }
     interrupts_on();
+}
+
+size_t usb_cancel(void)
+{
+    interrupts_off();
+    size_t left = to_send_left;
+    to_send_left = 0;
+    sending = false;
+    interrupts_on();
+    return left;
 }
 
 bool usb_sending(void)
