@@ -182,7 +182,8 @@ ISR(BOARD_SYNC_vect)
     may_frame = rise - frame.when >= earliest;
     ours = answers();
     over = board_sync_fell((uint16_t)rise, &length);
-    if (!over && !ours)
+    /* Nor is another interrupt to delay the end of a frame's pulse: it might pass for a roll call's. */
+    if (!over && !ours && !may_frame)
         return;
     start = aim();
     while (!over) {
