@@ -324,7 +324,9 @@ def test_digitizer_that_starts_anew(build: Path, mcu: str, error: float, jump: f
 
 def test_end_of_a_pulse_while_an_attiny85s_timer_is_served(build: Path) -> None:
     """A fast clock and a late look at the end make no roll call of a frame."""
-    spec = FrameSpec(nodes=55, order=64, bits=9, parity=True, chip_s=64e-6, frame_period_s=54.718e-3)
+    spec = FrameSpec(
+        nodes=55, order=64, bits=9, parity=True, chip_s=64e-6, frame_period_s=54.718e-3
+    )
     with bench(build, spec, "attiny85", clock_hz=8.8e6, **SPEECH) as skin:
         assert_says(skin, skin.frame(listen(skin)), REST)
 
