@@ -314,8 +314,8 @@ def test_digitizer_that_starts_anew(build: Path, mcu: str, error: float, jump: f
         assert_says(skin, skin.frame(number), REST)
         late_ns = round(jump * skin.period_ns)
         said = []
-        for number in range(number + 1, number + 7):
-            start = skin.frame(number, late_ns=late_ns)
+        for later in range(number + 1, number + 7):
+            start = skin.frame(later, late_ns=late_ns)
             said.append(not is_silent(skin, start))
             if said[-1]:
                 assert_says(skin, start, REST)
