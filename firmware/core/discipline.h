@@ -39,10 +39,11 @@ void discipline_init(struct discipline *d, const struct tp_node_record *record,
  * any time. Returns whether it was. */
 bool discipline_period(struct discipline *d, uint32_t ticks);
 
-/* Ticks after a frame pulse before which no other can be one. */
+/* Ticks after a frame pulse before which no other can be one: the shortest period that is believed,
+ * whatever the last one was, so that a wrong one doesn't hide the pulses that would mend it. */
 static inline uint32_t discipline_earliest(const struct discipline *d)
 {
-    return d->period - (d->period >> 3);
+    return d->nominal - (d->nominal >> 3);
 }
 
 #endif

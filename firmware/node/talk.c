@@ -237,7 +237,10 @@ void talk_stop(void)
 {
     ATOMIC_BLOCK (ATOMIC_RESTORESTATE) {
         plan = 0;
-        fall_silent();
+        /* Else it is silent and listens: a pulse on the line just now must not lose its end. */
+        if (state == TALKING || state == LAST)
+            fall_silent();
+        state = SILENT;
     }
 }
 

@@ -289,7 +289,7 @@ def test_only_credible_periods_count(
         round(followed / 256 * 65_536),
         followed * 65_536 // 200,
         period,
-        period - period // 8,
+        102_400 - 102_400 // 8,
     ]
 
 
