@@ -33,8 +33,8 @@ class Mcu:
     chip_ns: int
 
 
-MCUS = {"atmega328p": Mcu(4096, 30_000), "attiny85": Mcu(1024, 40_000)}
-RESTART_S = 80e-6
+MCUS = {"atmega328p": Mcu(4096, 35_000), "attiny85": Mcu(1024, 40_000)}
+RESTART_S = 96e-6
 """Least guard before a restart within the frame, s: the restart's sync pulse, 64 µs ahead of it,
 must not begin before a node has released the line."""
 MEASURING_S = 1e-3

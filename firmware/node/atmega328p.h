@@ -18,7 +18,7 @@
 #define BOARD_SYNC_vect TIMER1_CAPT_vect
 
 #define BOARD_ORDER 4096
-#define BOARD_CHIP_NS 30000u
+#define BOARD_CHIP_NS 35000u
 
 #define BOARD_LINE PB1
 #define BOARD_SYNC PB0

@@ -18,7 +18,7 @@
 /* The frame is over before the reading begins; a restart's pulse, 64 µs ahead of its sub-slot, begins
  * after the line was released. */
 static const struct node_limits limits = {
-    .order = BOARD_ORDER, .chip_ns = BOARD_CHIP_NS, .measuring_us = 900, .restart_us = 80};
+    .order = BOARD_ORDER, .chip_ns = BOARD_CHIP_NS, .measuring_us = 900, .restart_us = 96};
 
 static struct tp_node_record record;
 static uint8_t row[BOARD_ORDER / 8];

@@ -64,12 +64,12 @@ def specs(draw: st.DrawFn) -> FrameSpec:
     order = draw(st.sampled_from(ORDERS))
     first_row = draw(st.integers(0, order - 1))
     resync = draw(st.one_of(st.just(0), st.integers(1, 4000)))
-    guard = draw(st.integers(3, 255)) if resync else 0  # 80 µs at least
+    guard = draw(st.integers(3, 255)) if resync else 0  # 96 µs at least
     spec = FrameSpec(
         nodes=draw(st.integers(1, order - first_row)),
         bits=draw(st.integers(8, 10)),
         order=order,
-        chip_s=draw(st.sampled_from([30e-6, 50e-6, 61.7e-6])),
+        chip_s=draw(st.sampled_from([35e-6, 50e-6, 61.7e-6])),
         frame_period_s=1e6,
         first_row=first_row,
         sign_seed=draw(st.one_of(st.none(), st.integers(0, 2**32 - 1))),

@@ -36,7 +36,7 @@ def specs(draw: st.DrawFn) -> FrameSpec:
     bits, parity = draw(st.integers(8, 10)), draw(st.booleans())
     chip_s = draw(st.integers(40_000, 100_000)) / 1e9
     resync = draw(st.sampled_from([0, 16, 32]))
-    span = 1.2 * (bits + 1) * order * chip_s
+    span = 1.3 * (bits + 1) * order * chip_s
     return FrameSpec(
         nodes=nodes,
         bits=bits,
@@ -47,7 +47,7 @@ def specs(draw: st.DrawFn) -> FrameSpec:
         sign_seed=draw(st.one_of(st.none(), st.integers(0, 2**32 - 1))),
         parity=parity,
         resync_chips=resync,
-        guard_chips=2 if resync else 0,
+        guard_chips=3 if resync else 0,
     )
 
 
@@ -125,7 +125,7 @@ def test_heartbeat_is_a_second_unless_told_otherwise(frame_period_s: float, hear
         ({}, {"mcu": "z80"}, "mcu is 'z80'; it must be one of atmega328p, attiny85"),
         ({"bits": 11}, {}, "bits is 11; it must lie within 8…10: a node's converter has 10 bits"),
         ({"order": 4160, "frame_period_s": 5.0}, {}, "order is 4160; it must lie within 1…4096"),
-        ({"chip_s": 19e-6}, {}, "chip_ns is 19000; it must lie within 30000…1000000"),
+        ({"chip_s": 19e-6}, {}, "chip_ns is 19000; it must lie within 35000…1000000"),
         ({"chip_s": 50.0001e-6}, {}, "whole nanoseconds"),
         ({"frame_period_s": 11.0}, {}, "frame_period_us is 11000000; it must lie within 1000…"),
         (
@@ -145,7 +145,7 @@ def test_heartbeat_is_a_second_unless_told_otherwise(frame_period_s: float, hear
             "guard_chips is 1, but to start anew within the frame a node takes at least 2 of",
         ),
         (
-            {"chip_s": 30e-6, "resync_chips": 32, "guard_chips": 2},
+            {"chip_s": 35e-6, "resync_chips": 32, "guard_chips": 2},
             {},
             "guard_chips is 2, but to start anew within the frame a node takes at least 3",
         ),
@@ -163,8 +163,8 @@ def test_what_a_node_cannot_do_is_refused_by_name(
 def test_the_limits_themselves_are_allowed() -> None:
     tightest = FrameSpec(frame_period_s=FrameSpec().frame_s + MEASURING_S)
     assert read_node_memory(node_memory(tightest, 16))[0].frame_period_us == 11_000
-    longest = FrameSpec(nodes=4095, order=4096, chip_s=30e-6, frame_period_s=1.3)
-    assert node_memory(FrameSpec(chip_s=30e-6, resync_chips=32, guard_chips=3), 1)
+    longest = FrameSpec(nodes=4095, order=4096, chip_s=35e-6, frame_period_s=1.5)
+    assert node_memory(FrameSpec(chip_s=35e-6, resync_chips=32, guard_chips=3), 1)
     memory = node_memory(longest, 4095, threshold=1023, heartbeat=65_535, rest=1023)
     assert len(memory) == 552
     assert read_node_memory(memory)[0].turn == 4094 * 65_535 // 4095
