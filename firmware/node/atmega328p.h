@@ -23,6 +23,7 @@
 #define BOARD_LINE PB1
 #define BOARD_SYNC PB0
 #define BOARD_LED PD7
+#define BOARD_LED_PORT PORTD
 
 extern volatile uint16_t board_overflows;
 

@@ -1,6 +1,5 @@
 #include "board.h"
 
-#include <avr/eeprom.h>
 #include <avr/power.h>
 #include <avr/sleep.h>
 #include <avr/wdt.h>
@@ -19,8 +18,6 @@ ISR(TIMER0_COMPA_vect)
 {
     rang = true;
 }
-
-EMPTY_INTERRUPT(ADC_vect)
 
 /* Notes time and level before anything else; talk.c goes on from there. */
 ISR(INT0_vect, ISR_NAKED)
@@ -97,44 +94,4 @@ void board_sleep(uint32_t when, const volatile uint8_t *event)
     }
     TIMSK &= (uint8_t)~_BV(OCIE0A);
     sei();
-}
-
-/* One conversion, asleep: 8 MHz / 64 = 125 kHz. */
-static uint16_t convert(void)
-{
-    ADCSRA = _BV(ADEN) | _BV(ADSC) | _BV(ADIE) | _BV(ADPS2) | _BV(ADPS1);
-    for (;;) {
-        cli();
-        if (!(ADCSRA & _BV(ADSC)))
-            break;
-        sleep_enable();
-        sei();
-        sleep_cpu();
-        sleep_disable();
-    }
-    sei();
-    return ADC;
-}
-
-uint16_t board_measure(void)
-{
-    uint16_t reading;
-
-    convert(); /* the first one after the converter was off is not good */
-    reading = convert();
-    ADCSRA = 0;
-    return reading;
-}
-
-void board_led(bool on)
-{
-    if (on)
-        PORTB |= _BV(BOARD_LED);
-    else
-        PORTB &= (uint8_t)~_BV(BOARD_LED);
-}
-
-uint8_t board_memory_byte(uint16_t address)
-{
-    return eeprom_read_byte((const uint8_t *)address);
 }

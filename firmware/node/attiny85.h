@@ -28,6 +28,7 @@
 #define BOARD_SYNC PB2
 #define BOARD_SENSOR PB3
 #define BOARD_LED PB4
+#define BOARD_LED_PORT PORTB
 
 /* Ticks from an edge to its interrupt's reading of Timer1: 4 cycles to wake, 4 to enter, 4 of
  * instructions. (The pin's synchroniser takes 2 or 3 more, as an ATmega328P's does.) */

@@ -33,6 +33,7 @@ uint8_t board_memory_byte(uint16_t address);
  *   BOARD_MATCH_vect     interrupt of the latch's match
  *   BOARD_SYNC_vect      interrupt of the sync line's edges
  *   BOARD_SPIN_TICKS     least way to what board_spin waits for
+ *   BOARD_LED, BOARD_LED_PORT    for avr.c
  */
 
 /* The latch gets a level when the timer gets to `at`. False: it is too late for that. */

@@ -1,7 +1,7 @@
 # Images of the sensing nodes: one main, one board each.
 NODE_BUILD := $(BUILD)/node
 NODE_CORE := crc32 discipline event node_memory sequencer
-NODE_OWN := main talk
+NODE_OWN := avr main talk
 NODE_MCUS := atmega328p attiny85
 NODE_FLAGS := $(STRICT) -Os -flto -ffreestanding -DCRC32_SMALL -DF_CPU=8000000UL \
 	-ffunction-sections -fdata-sections -Wl,--gc-sections

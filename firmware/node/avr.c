@@ -1,0 +1,47 @@
+/* What both microcontrollers do alike: the converter, the LED, the EEPROM. */
+#include "board.h"
+
+#include <avr/eeprom.h>
+#include <avr/sleep.h>
+
+EMPTY_INTERRUPT(ADC_vect)
+
+/* One conversion, asleep: 8 MHz / 64 = 125 kHz. */
+static uint16_t convert(void)
+{
+    ADCSRA = _BV(ADEN) | _BV(ADSC) | _BV(ADIE) | _BV(ADPS2) | _BV(ADPS1);
+    for (;;) {
+        cli();
+        if (!(ADCSRA & _BV(ADSC)))
+            break;
+        sleep_enable();
+        sei();
+        sleep_cpu();
+        sleep_disable();
+    }
+    sei();
+    return ADC;
+}
+
+uint16_t board_measure(void)
+{
+    uint16_t reading;
+
+    convert(); /* the first one after the converter was off is not good */
+    reading = convert();
+    ADCSRA = 0;
+    return reading;
+}
+
+void board_led(bool on)
+{
+    if (on)
+        BOARD_LED_PORT |= _BV(BOARD_LED);
+    else
+        BOARD_LED_PORT &= (uint8_t)~_BV(BOARD_LED);
+}
+
+uint8_t board_memory_byte(uint16_t address)
+{
+    return eeprom_read_byte((const uint8_t *)address);
+}
