@@ -193,11 +193,15 @@ def live(viewer: Viewer, max_pa: float) -> None:
 
 
 def report(viewer: Viewer, seconds: float) -> None:
-    """A line per second for so many seconds, counted from the first frame."""
+    """A line per second for so many seconds, counted from the first frame.
+
+    What the driver complains of for more than a line goes to stderr, once.
+    """
     patience = time.monotonic() + PATIENCE_S
     while viewer.latest is None and time.monotonic() < patience:
         viewer.spin_for(0.05)
     start = time.monotonic()
+    complaint = said = ""
     while viewer.latest is not None and (left := start + seconds - time.monotonic()) > 0:
         before = viewer.tally.received
         viewer.spin_for(min(1.0, left))
@@ -212,6 +216,11 @@ def report(viewer: Viewer, seconds: float) -> None:
             f"{known.size}/{pressure.size} taxels valid",
             flush=True,
         )
+        lasting = complaint if complaint == viewer.complaint else ""
+        if lasting and lasting != said:
+            print(f"driver: {lasting}", file=sys.stderr, flush=True)
+            said = lasting
+        complaint = viewer.complaint
 
 
 def summary(tally: Tally) -> str:

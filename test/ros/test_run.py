@@ -115,6 +115,20 @@ def test_the_viewer_tells_why_nothing_comes(tmp_path: Path) -> None:
     assert f"no frame on /skin/tactile: {tmp_path / 'nothing'}: no such port" in done.stderr
 
 
+def test_the_viewer_passes_on_what_the_driver_complains_of() -> None:
+    done = subprocess.run(
+        [*RUN, "--seconds", "5", "--port", "sim://?scene=idle&heartbeat=0"],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 0
+    assert "0/16 taxels valid" in done.stdout
+    complaint = "driver: frames arrive, but no node was heard: is the skin powered?"
+    assert done.stderr.splitlines().count(complaint) == 1
+
+
 def test_a_parameter_file_with_a_wrong_key_is_reported_and_the_node_lives(tmp_path: Path) -> None:
     path = tmp_path / "wrong.yaml"
     path.write_text("/**:\n  ros__parameters:\n    chip_uss: 40.0\n")
