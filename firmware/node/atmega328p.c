@@ -1,7 +1,7 @@
 #include "board.h"
+#include "doze.h"
 
 #include <avr/power.h>
-#include <avr/sleep.h>
 #include <avr/wdt.h>
 #include <util/atomic.h>
 
@@ -65,10 +65,7 @@ void board_sleep(uint32_t when, const volatile uint8_t *event)
         cli();
         if (rang || *event)
             break;
-        sleep_enable();
-        sei();
-        sleep_cpu();
-        sleep_disable();
+        doze();
     }
     TIMSK1 &= (uint8_t)~_BV(OCIE1B);
     sei();

@@ -163,14 +163,4 @@ static BOARD_INLINE void board_spin(uint16_t at)
                      : [count] "n"(_SFR_MEM_ADDR(TCNT1L)));
 }
 
-static BOARD_INLINE void board_drive(void)
-{
-    DDRB |= _BV(BOARD_LINE);
-}
-
-static BOARD_INLINE void board_release(void)
-{
-    DDRB &= (uint8_t)~_BV(BOARD_LINE);
-}
-
 #endif

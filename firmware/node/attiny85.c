@@ -1,7 +1,7 @@
 #include "board.h"
+#include "doze.h"
 
 #include <avr/power.h>
-#include <avr/sleep.h>
 #include <avr/wdt.h>
 #include <util/atomic.h>
 
@@ -87,10 +87,7 @@ void board_sleep(uint32_t when, const volatile uint8_t *event)
         cli();
         if (rang || *event)
             break;
-        sleep_enable();
-        sei();
-        sleep_cpu();
-        sleep_disable();
+        doze();
     }
     TIMSK &= (uint8_t)~_BV(OCIE0A);
     sei();

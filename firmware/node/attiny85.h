@@ -206,14 +206,4 @@ static BOARD_INLINE void board_spin(uint16_t at)
                      : [count] "I"(_SFR_IO_ADDR(TCNT1)));
 }
 
-static BOARD_INLINE void board_drive(void)
-{
-    DDRB |= _BV(BOARD_LINE);
-}
-
-static BOARD_INLINE void board_release(void)
-{
-    DDRB &= (uint8_t)~_BV(BOARD_LINE);
-}
-
 #endif

@@ -1,8 +1,8 @@
 /* What both microcontrollers do alike: the converter, the LED, the EEPROM. */
 #include "board.h"
+#include "doze.h"
 
 #include <avr/eeprom.h>
-#include <avr/sleep.h>
 
 EMPTY_INTERRUPT(ADC_vect)
 
@@ -14,10 +14,7 @@ static uint16_t convert(void)
         cli();
         if (!(ADCSRA & _BV(ADSC)))
             break;
-        sleep_enable();
-        sei();
-        sleep_cpu();
-        sleep_disable();
+        doze();
     }
     sei();
     return ADC;

@@ -33,6 +33,7 @@ uint8_t board_memory_byte(uint16_t address);
  *   BOARD_MATCH_vect     interrupt of the latch's match
  *   BOARD_SYNC_vect      interrupt of the sync line's edges
  *   BOARD_SPIN_TICKS     least way to what board_spin waits for
+ *   BOARD_LINE           pin of the line, on port B
  *   BOARD_LED, BOARD_LED_PORT    for avr.c
  */
 
@@ -51,7 +52,7 @@ static BOARD_INLINE void board_matches_off(void);
 /* The latch, and the next match, get a level at once. */
 static BOARD_INLINE void board_latch(bool high);
 
-/* The switch. */
+/* The switch: below. */
 static BOARD_INLINE void board_drive(void);
 static BOARD_INLINE void board_release(void);
 /* Ticks until a near time, and since one. */
@@ -78,5 +79,15 @@ static BOARD_INLINE bool board_sync_fell(uint16_t rise, uint16_t *length);
 #else
 #error "no such board"
 #endif
+
+static BOARD_INLINE void board_drive(void)
+{
+    DDRB |= _BV(BOARD_LINE);
+}
+
+static BOARD_INLINE void board_release(void)
+{
+    DDRB &= (uint8_t)~_BV(BOARD_LINE);
+}
 
 #endif

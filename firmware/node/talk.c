@@ -10,7 +10,7 @@
 #define LONGEST_PULSE_TICKS (TP_SYNC_CALL * UNIT_TICKS + UNIT_TICKS / 2u)
 /* The interrupt that ends a sub-slot comes so long before its end: others may be running,
  * and what follows is worked out. */
-#define RELEASE_LEAD_TICKS (40u * BOARD_TICKS_PER_US)
+#define RELEASE_LEAD_TICKS (46u * BOARD_TICKS_PER_US)
 /* A last chip shorter than this is waited for by the interrupt that began it. */
 #define SHORT_CHIP_TICKS (60u * BOARD_TICKS_PER_US)
 

@@ -312,6 +312,29 @@ def test_restart_pulses_at_any_time_of_the_timers(build: Path, mcu: str) -> None
             skin.skin.forget(start)
 
 
+@pytest.mark.parametrize("error", [-0.1, 0.0, 0.1])
+def test_sub_slots_of_one_chip_at_any_time_of_the_timer(build: Path, error: float) -> None:
+    """What follows a guard is worked out in time, also where the timer's overflow comes between."""
+    spec = SHAPES["a restart for each chip"]
+    memory = node_memory(spec, 1, **SPEECH)
+    nodes = [
+        Node(
+            image(build, "atmega328p"),
+            memory=memory,
+            clock_hz=8e6 * (1 + error),
+            start_ns=1373 * phase,
+        )
+        for phase in range(24)
+    ]
+    with EmulatedNodes(nodes) as emulated:
+        emulated.press(volts(REST, spec.bits))
+        skin = Bench(emulated, spec)
+        for number in range(listen(skin), 9):
+            start = skin.frame(number)
+            for node in range(len(nodes)):
+                assert_says(skin, start, REST, node=node)
+
+
 @pytest.mark.parametrize("mcu", MCUS)
 def test_missing_restart_ends_the_frame(build: Path, mcu: str) -> None:
     spec = SHAPES["restarts"]
