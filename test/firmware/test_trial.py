@@ -1,0 +1,65 @@
+"""`make firmware-test`: sixteen nodes that differ, pressed and decoded; and that it can fail."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from conftest import need
+
+from check import PARAMS, on_rp2040, on_virtual_board, press
+from emulated import EmulatedSkin
+from skin import reference_amplifier, reference_nodes
+from tactile_cdma.parameters import SkinConfig, read_file
+
+CONFIG = SkinConfig.of(read_file(PARAMS))
+FRAMES = 60
+MOST_US = 0.5
+
+
+@pytest.fixture(scope="module", autouse=True)
+def images(built: Callable[[str], Path], emulator: None) -> None:
+    need("avr-gcc")
+    built("node")
+
+
+def figure(measured: str, name: str) -> float:
+    """A number out of a trial's line."""
+    found = re.search(rf"{name}=([\d.]+)", measured)
+    assert found, measured
+    return float(found[1])
+
+
+@pytest.mark.parametrize("mcu", ["atmega328p", "attiny85"])
+def test_every_code_and_every_edge_is_right(mcu: str) -> None:
+    trial, measured = on_virtual_board(CONFIG, mcu, FRAMES)
+    assert trial.frames >= FRAMES
+    assert (trial.wrong, trial.silent, trial.lost_samples) == (0, 0, 0)
+    assert 0 < figure(measured, "edge_us_max") <= MOST_US
+    assert 0 < figure(measured, "jitter_us_max") <= MOST_US
+
+
+def test_so_they_are_with_the_rp2040(rp2040_image: Path) -> None:
+    trial, measured = on_rp2040(CONFIG, FRAMES)
+    assert trial.frames >= FRAMES
+    assert (trial.wrong, trial.silent, trial.lost_samples) == (0, 0, 0)
+    assert 0 < figure(measured, "edge_us_max") <= MOST_US
+
+
+def test_nodes_by_clocks_of_their_own_are_counted_as_wrong() -> None:
+    nodes = reference_nodes(CONFIG, threshold=0, discipline=False)
+    with EmulatedSkin(nodes, reference_amplifier(CONFIG)) as skin:
+        trial = press(skin, skin, CONFIG, FRAMES)
+    assert trial.frames < FRAMES or trial.wrong > FRAMES
+
+
+def test_a_sensor_that_says_something_else_is_counted_as_wrong() -> None:
+    class Shorted(EmulatedSkin):
+        def press(self, volts: object) -> None:
+            super().press([0.0, *list(volts)[1:]])  # type: ignore[call-overload]
+
+    with Shorted(reference_nodes(CONFIG, threshold=0), reference_amplifier(CONFIG)) as skin:
+        trial = press(skin, skin, CONFIG, FRAMES)
+    assert (trial.wrong, trial.silent) == (trial.frames, 0)
