@@ -3,6 +3,7 @@
 # make test    lint and tests
 # make firmware         the images of nodes and digitizer, in firmware/build
 # make firmware-test    runs them in emulators, 16 nodes on one wire; the last line counts
+# make firmware-figures what they take: share of time awake, load of the digitizer
 # make setup   the environment in .venv only; everything else does this first
 # make bench-error, -speed, -skip, -timing, -scale, -ros, -crest    QUICK=1: within 40 s each, else up to 7 min
 # make lint    ruff and mypy;  make clean: remove .venv and what tests leave
@@ -18,7 +19,7 @@ export LC_ALL ?= C.UTF-8
 
 BIN = $(VENV)/bin
 .DEFAULT_GOAL := help
-.PHONY: help run test lint setup bench-setup clean firmware firmware-test firmware-tools
+.PHONY: help run test lint setup bench-setup clean firmware firmware-test firmware-figures firmware-tools
 
 help:
 	@sed -n 's/^# //p' Makefile
@@ -49,6 +50,9 @@ firmware: firmware-tools
 
 firmware-test: firmware
 	@"$(BIN)/python" firmware/sim/check.py
+
+firmware-figures: firmware
+	@"$(BIN)/python" firmware/sim/figures.py
 
 bench-setup:
 	@command -v $(PYTHON) >/dev/null || { echo "setup: error: no $(PYTHON); apt install python3-venv"; exit 1; }

@@ -19,6 +19,7 @@ $(RP2040_OUT)/linked.bin: $(RP2040_OUT)/digitizer.elf
 $(RP2040_OUT)/digitizer.elf: $(RP2040_OBJECTS) $(RP2040_DIR)/rp2040.ld
 	$(RP2040_CC) $(RP2040_FLAGS) -nostartfiles -Wl,--gc-sections -Wl,--fatal-warnings \
 	    -T $(RP2040_DIR)/rp2040.ld $(RP2040_OBJECTS) -o $@
+	@arm-none-eabi-size $@
 
 $(RP2040_OUT)/core/%.o: $(CORE)/%.c $(wildcard $(CORE)/*.h) $(RP2040_DIR)/rules.mk
 	@mkdir -p $(@D)

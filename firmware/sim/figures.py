@@ -1,0 +1,87 @@
+"""What the images take, for docs/firmware.md: `make firmware-figures`."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+from numpy.typing import NDArray
+
+from check import PARAMS
+from emulated import EmulatedSkin, EmulationError
+from rp2040 import CPU_HZ, EmulatorError, Rp2040
+from rp2040_skin import IMAGE
+from skin import reference_amplifier, reference_nodes
+from tactile_cdma.driver import Session
+from tactile_cdma.frame import FrameSpec
+from tactile_cdma.messages import Configure, FrameLayout, Samples, Start, Status
+from tactile_cdma.node_memory import MCUS
+from tactile_cdma.parameters import SkinConfig, read_file
+from tactile_cdma.protocol import PacketParser, PacketWriter
+
+SETTLED_NS, SPAN_NS = 300_000_000, 1_000_000_000
+READY_S, SPAN_S = 0.1, 1.2
+LINKS = {  # name: chip, s; samples per chip; whether over USB
+    "USB, 80 kS/s": (50e-6, 4, True),
+    "USB, 500 kS/s": (8e-6, 4, True),
+    "UART, 80 kS/s": (50e-6, 4, False),
+    "UART, 90 kS/s": (33.33e-6, 3, False),
+}
+
+
+def share_awake(config: SkinConfig, mcu: str, threshold: int) -> float:
+    """Mean share of the time that nodes at rest are awake; threshold 0: they talk all the same."""
+    nodes = reference_nodes(config, mcu=mcu, threshold=threshold, heartbeat=0)
+    with EmulatedSkin(nodes, reference_amplifier(config)) as skin:
+        skin.press([node.supply_v for node in nodes])
+        skin.write(Session(config).open())
+        skin.run(SETTLED_NS)
+        before = [skin.counters(node) for node in range(len(nodes))]
+        skin.run(SETTLED_NS + SPAN_NS)
+        after = [skin.counters(node) for node in range(len(nodes))]
+    awake = sum(a.cycles_awake - b.cycles_awake for a, b in zip(after, before, strict=True))
+    asleep = sum(a.cycles_asleep - b.cycles_asleep for a, b in zip(after, before, strict=True))
+    return awake / (awake + asleep)
+
+
+def digitizer(chip_s: float, samples_per_chip: int, usb: bool) -> tuple[float, int, int]:
+    """Load of the RP2040 while it streams; samples that came, and that were lost or dropped."""
+    spec = FrameSpec(chip_s=chip_s, frame_period_s=round(1.2 * 200 * chip_s, 6))
+    commands = Configure(FrameLayout.of(spec, samples_per_chip)), Start()
+    parser, writer = PacketParser(), PacketWriter()
+    with Rp2040(IMAGE, _noise) as chip:
+        if usb:
+            chip.plug_usb()
+        chip.run(READY_S)
+        (chip.write_usb if usb else chip.write_uart)(b"".join(map(writer.encode, commands)))
+        cycles = chip.cycles
+        chip.run(READY_S + SPAN_S)
+        load = (chip.cycles - cycles) / (SPAN_S * CPU_HZ)
+        packets = parser.feed(chip.read_usb() if usb else chip.read_uart())
+    samples = sum(packet.counts.size for packet in packets if isinstance(packet, Samples))
+    status = [packet for packet in packets if isinstance(packet, Status)][-1]
+    return load, samples, status.samples_lost + status.packets_dropped
+
+
+def _noise(times_ns: NDArray[np.float64]) -> NDArray[np.uint16]:
+    return np.random.default_rng(1).integers(0, 4096, times_ns.size).astype(np.uint16)
+
+
+def main() -> int:
+    """Print a line per figure."""
+    config = SkinConfig.of(read_file(PARAMS))
+    try:
+        for mcu in MCUS:
+            silent, talking = (share_awake(config, mcu, threshold) for threshold in (1, 0))
+            print(f"{mcu}: awake_silent={silent:.3f} awake_talking={talking:.3f}", flush=True)
+        for name, how in LINKS.items():
+            load, samples, lost = digitizer(*how)
+            print(f"{name}: cpu_load={load:.3f} samples={samples} lost={lost}", flush=True)
+    except (EmulationError, EmulatorError) as error:
+        print(f"firmware-figures: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
