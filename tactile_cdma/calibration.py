@@ -1,8 +1,10 @@
-"""ADC code → voltage → pressure."""
+"""ADC code → voltage → pressure: one sensor's curve, and the curves of a whole skin."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,8 +36,12 @@ class AdcScale:
         return np.asarray(code, dtype=np.float64) * self.lsb_v
 
     def code(self, voltage_v: ArrayLike) -> NDArray[np.int64]:
-        """The code that the converter gives for a voltage: rounded down, clamped to its range."""
-        counts = np.floor(np.asarray(voltage_v, dtype=np.float64) / self.lsb_v)
+        """The code that the converter gives for a voltage: the nearest, clamped to its range.
+
+        An ideal ATmega328P changes from code 0 to 1 at half a count (data sheet, "ADC accuracy
+        definitions"), so that `voltage` is in the middle of what a code stands for.
+        """
+        counts = np.floor(np.asarray(voltage_v, dtype=np.float64) / self.lsb_v + 0.5)
         return np.clip(counts, 0, (1 << self.bits) - 1).astype(np.int64)
 
 
@@ -114,6 +120,105 @@ class PressureCurve:
     def saturated(self, voltage_v: ArrayLike) -> NDArray[np.bool_]:
         """Where the voltage lies beyond the end of the range, so that the pressure is clamped."""
         return np.asarray(voltage_v) < self.voltage_v[-1]
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """The curves of n sensors, evaluated all at once.
+
+    pressure_pa, voltage_v: (c, n) float64, Pa and V, corner by corner as in PressureCurve; a curve
+        of fewer corners repeats its last one.
+    """
+
+    pressure_pa: NDArray[np.float64]
+    voltage_v: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, curves: Sequence[PressureCurve]) -> Curves:
+        """One curve per sensor, in their order."""
+        corners = max(len(curve.pressure_pa) for curve in curves)
+
+        def column(values: tuple[float, ...]) -> tuple[float, ...]:
+            return values + values[-1:] * (corners - len(values))
+
+        return cls(
+            np.array([column(curve.pressure_pa) for curve in curves]).T,
+            np.array([column(curve.voltage_v) for curve in curves]).T,
+        )
+
+    @classmethod
+    def uniform(cls, curve: PressureCurve, count: int) -> Curves:
+        """The same curve for all."""
+        return cls.of([curve] * count)
+
+    def __len__(self) -> int:
+        return int(self.pressure_pa.shape[1])
+
+    @property
+    def range_pa(self) -> NDArray[np.float64]:
+        """(n,) the highest pressure that each curve covers, Pa."""
+        return np.asarray(self.pressure_pa[-1])
+
+    def pressure(self, voltage_v: NDArray[np.float32]) -> NDArray[np.float32]:
+        """V to Pa, (n,) float32 both, clamped to each curve's ends.
+
+        Every piece adds its gain times the part of the voltage's fall that lies in it, so no piece
+        has to be looked up.
+        """
+        result = np.zeros(len(self), dtype=np.float32)
+        for begin_v, width_v, gain in self._pieces:
+            fall_v = begin_v - voltage_v
+            np.clip(fall_v, 0.0, width_v, out=fall_v)
+            fall_v *= gain
+            result += fall_v
+        return result
+
+    def voltage(self, pressure_pa: ArrayLike) -> NDArray[np.float64]:
+        """Pa to V, (n,) float64, clamped to each curve's ends."""
+        pressure = np.broadcast_to(np.asarray(pressure_pa, dtype=np.float64), (len(self),))
+        result = np.array(self.voltage_v[0])
+        for low_pa, high_pa, low_v, high_v in zip(
+            self.pressure_pa, self.pressure_pa[1:], self.voltage_v, self.voltage_v[1:], strict=False
+        ):
+            width_pa = np.where(high_pa > low_pa, high_pa - low_pa, 1.0)
+            result += np.clip((pressure - low_pa) / width_pa, 0.0, 1.0) * (high_v - low_v)
+        return result
+
+    def saturated(self, voltage_v: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """(n,) where the voltage lies beyond the end of the range: the pressure is clamped."""
+        return np.asarray(voltage_v < self._end_v)
+
+    @cached_property
+    def _end_v(self) -> NDArray[np.float32]:
+        return np.asarray(self.voltage_v[-1], dtype=np.float32)
+
+    @cached_property
+    def _pieces(self) -> list[tuple[NDArray[np.float32], ...]]:
+        """Per piece: where it begins (V), how wide it is (V) and its gain (Pa/V), (n,) each."""
+        width_v = -np.diff(self.voltage_v, axis=0)
+        gain = np.diff(self.pressure_pa, axis=0) / np.where(width_v > 0, width_v, 1.0)
+        pieces = zip(self.voltage_v, width_v, gain, strict=False)
+        return [tuple(values.astype(np.float32) for values in piece) for piece in pieces]
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """What turns the voltages of a skin's n nodes into pressures.
+
+    curves: of nodes 1…n, in this order.
+    uncalibrated: (n,) bool, nodes that have no curve of their own and take the default one, though
+        others have.
+    identity: short hash of what was measured; empty where all nodes take the default curve.
+    """
+
+    curves: Curves
+    uncalibrated: NDArray[np.bool_]
+    identity: str = ""
+
+    @classmethod
+    def default(cls, curve: PressureCurve, nodes: int) -> Calibration:
+        """The same curve for all nodes."""
+        return cls(Curves.uniform(curve, nodes), np.zeros(nodes, dtype=bool))
 
 
 def _points(values: tuple[float, ...], scale: float, unit: str) -> str:

@@ -1,9 +1,10 @@
-"""Where the taxels are: their places on the skin and in a picture."""
+"""Where the taxels are: their places on the skin, the nodes behind them, who is beside whom."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,22 +12,39 @@ from numpy.typing import NDArray
 from .errors import SpecError
 
 
-@dataclass(frozen=True, slots=True)
-class GridLayout:
-    """A flat grid, row-major: node 1 is row 0, column 0; x grows with columns, y with rows.
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """The taxels of one skin patch, t of them, in the order of all arrays that are published.
 
-    pitch_m: distance of neighbouring taxels, m. taxel_m: edge of a taxel's sensing area, m.
+    name: of the layout; shown to people. rows, columns: t = rows · columns, row-major; an
+        irregular skin is one row.
+    positions_m: (t, 3) float32, centres, m, in the frame of the patch.
+    normals: (t, 3) float32, unit vectors out of the surface.
+    areas_m2: (t,) float32, the share of the surface that each taxel stands for, m²: force is
+        pressure times this area.
+    flat_m: (t, 2) float32, the places on the unrolled surface, m.
+    nodes: (t,) int32, 1-based number of the node behind each taxel; 0: none.
+    pitch_m: usual distance of neighbouring taxels, m.
+    masked: nodes that are out of service.
     """
 
+    name: str
     rows: int
     columns: int
+    positions_m: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    areas_m2: NDArray[np.float32]
+    flat_m: NDArray[np.float32]
+    nodes: NDArray[np.int32]
     pitch_m: float
-    taxel_m: float
+    masked: tuple[int, ...] = ()
 
     @classmethod
-    def of(cls, nodes: int, rows: int, columns: int, pitch_m: float, taxel_m: float) -> GridLayout:
-        """A grid for n nodes; 0 rows or columns are chosen, as square as a full grid allows.
+    def grid(cls, nodes: int, rows: int, columns: int, pitch_m: float, taxel_m: float) -> Layout:
+        """A flat grid for n nodes, row-major, about the centre of the skin.
 
+        Node 1 is row 0, column 0; x grows with columns, y with rows. 0 rows or columns are chosen,
+        as square as a full grid allows. taxel_m: edge of a taxel's sensing area, m.
         Raises SpecError where rows × columns is not the number of nodes.
         """
         if not rows and not columns:
@@ -42,18 +60,34 @@ class GridLayout:
             raise SpecError(
                 f"taxels of {taxel_m * 1e3:g} mm overlap at a pitch of {pitch_m * 1e3:g} mm"
             )
-        return cls(rows, columns, pitch_m, taxel_m)
-
-    @property
-    def positions_m(self) -> NDArray[np.float32]:
-        """Centre of every taxel, (n, 3) float32, m, about the centre of the skin."""
-        y, x = np.mgrid[: self.rows, : self.columns].astype(np.float32)
-        centred = [x.ravel() - (self.columns - 1) / 2, y.ravel() - (self.rows - 1) / 2]
-        return np.stack([*centred, np.zeros(x.size)], axis=1).astype(np.float32) * np.float32(
-            self.pitch_m
+        flat_m = grid_places(rows, columns, pitch_m)
+        return cls(
+            name=f"grid of {rows} × {columns}",
+            rows=rows,
+            columns=columns,
+            positions_m=np.pad(flat_m, ((0, 0), (0, 1))),
+            normals=np.tile(np.array([0, 0, 1], dtype=np.float32), (nodes, 1)),
+            areas_m2=np.full(nodes, pitch_m**2, dtype=np.float32),
+            flat_m=flat_m,
+            nodes=np.arange(1, nodes + 1, dtype=np.int32),
+            pitch_m=pitch_m,
         )
 
-    @property
-    def area_m2(self) -> float:
-        """Sensing area of one taxel, m²."""
-        return self.taxel_m**2
+    def __len__(self) -> int:
+        return len(self.nodes)
+
+    @cached_property
+    def source(self) -> NDArray[np.intp] | None:
+        """(t,) index of each taxel's node in arrays of all nodes; −1: no node.
+
+        None where taxel i has node i + 1 throughout, so that nothing has to be moved.
+        """
+        index = self.nodes.astype(np.intp) - 1
+        return None if np.array_equal(index, np.arange(len(index))) else index
+
+
+def grid_places(rows: int, columns: int, pitch_m: float) -> NDArray[np.float32]:
+    """Row-major places of a flat grid about its centre, (rows · columns, 2) float32, m."""
+    y, x = np.mgrid[:rows, :columns].astype(np.float64)
+    centred = np.stack([x.ravel() - (columns - 1) / 2, y.ravel() - (rows - 1) / 2], axis=1)
+    return (centred * pitch_m).astype(np.float32)

@@ -15,10 +15,10 @@ from typing import Any
 
 import yaml
 
-from .calibration import AdcScale, PressureCurve
+from .calibration import AdcScale, Calibration, PressureCurve
 from .errors import ParameterError, SpecError
 from .frame import BIPOLAR, DEFAULT_AMPLITUDE_V, MAX_STRETCH, UNIPOLAR, FrameSpec
-from .layout import GridLayout
+from .layout import Layout
 
 Value = bool | int | float | str
 NATURAL_SIGNS = -1
@@ -153,6 +153,58 @@ PARAMETERS: tuple[Parameter, ...] = (
         (0.1, 86_400.0),
         live=True,
     ),
+    Parameter(
+        "skin",
+        "",
+        "name of this very skin; files made for another one are refused; empty: not checked",
+    ),
+    Parameter(
+        "calibration_file",
+        "",
+        "curves of the single taxels, from tactile-cdma calibrate; set it again to read it again; "
+        "empty: the curve above for all",
+        live=True,
+    ),
+    Parameter(
+        "compensation",
+        False,
+        "undo hysteresis and lag as the calibration file describes them",
+        live=True,
+    ),
+    Parameter(
+        "drift_pa_per_min",
+        60.0,
+        "fastest drift of a taxel at rest that is followed; 0: none",
+        "Pa/min",
+        (0.0, 1e5),
+        live=True,
+    ),
+    Parameter(
+        "state_folder",
+        "",
+        "where tare and drift are kept; empty: $ROS_HOME/tactile_cdma, ~/.ros/tactile_cdma",
+    ),
+    Parameter(
+        "contact_kpa",
+        1.0,
+        "a contact begins where a taxel exceeds this",
+        "kPa",
+        (0.01, 1e5),
+        live=True,
+    ),
+    Parameter(
+        "release_kpa",
+        0.5,
+        "and takes in the taxels beside it that exceed this, until none does",
+        "kPa",
+        (0.01, 1e5),
+        live=True,
+    ),
+    Parameter(
+        "layout_file",
+        "",
+        "places of the taxels, for skins that are no flat grid; empty: rows, columns, pitch_mm",
+    ),
     Parameter("rows", 0, "taxel rows of the skin; 0: as square as fits", "", (0, 4_096)),
     Parameter("columns", 0, "taxel columns of the skin; 0: as square as fits", "", (0, 4_096)),
     Parameter("pitch_mm", 7.0, "distance of neighbouring taxels", "mm", (0.01, 1_000.0)),
@@ -194,7 +246,8 @@ class SkinConfig:
     roll_call: bool
     adc: AdcScale
     curve: PressureCurve
-    layout: GridLayout
+    calibration: Calibration
+    layout: Layout
     threshold: float
     stale_after_s: float
 
@@ -239,7 +292,8 @@ class SkinConfig:
             roll_call=get["roll_call"],
             adc=AdcScale(get["bits"], get["vref_v"]),
             curve=curve,
-            layout=GridLayout.of(
+            calibration=Calibration.default(curve, get["nodes"]),
+            layout=Layout.grid(
                 get["nodes"],
                 get["rows"],
                 get["columns"],

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, fields
 import numpy as np
 
 from ._protocol import VERSION, PacketType, Result, SyncMode
+from .baseline import Baseline
 from .clock import DeviceClock
 from .clock_keeper import ClockReport
 from .decode import Words, decode, silent
@@ -27,6 +28,7 @@ from .messages import (
 )
 from .node_timing import NodeTiming
 from .parameters import GAP, SkinConfig
+from .pressure import PressureChain
 from .protocol import PacketParser
 from .silence import quiet_uv
 from .taxels import Readings, Taxels
@@ -91,7 +93,9 @@ class Pipeline:
         self._background = background
         self.counters = PipelineCounters()
         self.parser = PacketParser()
-        self.taxels = Taxels(config.spec.nodes, config.adc, config.curve, config.stale_after_s)
+        nodes = config.spec.nodes
+        chain = PressureChain(config.calibration, Baseline(nodes))
+        self.taxels = Taxels(nodes, config.adc, chain, config.layout, config.stale_after_s)
         self.health = NodeHealth(config.spec)
         self.threshold = config.threshold
         self.info: Info | None = None

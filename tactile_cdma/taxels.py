@@ -8,9 +8,11 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
-from .calibration import AdcScale, PressureCurve
+from .calibration import AdcScale
 from .decode import Words
 from .health import NodeHealth, NodeState
+from .layout import Layout
+from .pressure import PressureChain
 
 
 class Status(IntFlag):
@@ -29,9 +31,9 @@ class Status(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """The skin at one frame.
+    """The skin at one frame, taxel by taxel in the order of the layout.
 
-    pressure_pa, voltage_v: (n,) float32, NaN where there is no valid reading. status: (n,) uint8,
+    pressure_pa, voltage_v: (t,) float32, NaN where there is no valid reading. status: (t,) uint8,
     bits of Status. Treat them as read-only: frames without news share them.
     """
 
@@ -46,19 +48,25 @@ class Taxels:
     A node that says nothing has not changed by more than its own threshold, so its last value
     stands (flag SILENT). Nodes also speak at a slow heartbeat; one unheard for stale_after_s gives
     NaN (flag STALE), as does one that was never heard, and one whose words contradict the code
-    (flag FAULTY).
+    (flag FAULTY). Nodes that the layout masks, and places without a node, have no reading (flag
+    MASKED).
     """
 
     def __init__(
-        self, nodes: int, adc: AdcScale, curve: PressureCurve, stale_after_s: float
+        self,
+        nodes: int,
+        adc: AdcScale,
+        chain: PressureChain,
+        layout: Layout,
+        stale_after_s: float,
     ) -> None:
+        self.chain = chain
+        self._layout = layout
+        self._masked = np.zeros(nodes, dtype=bool)
+        self._masked[[node - 1 for node in layout.masked]] = True
         self._stale_after_s = stale_after_s
         # A word has few values: every one is converted once, here.
-        voltage_v = adc.voltage(np.arange(1 << adc.bits))
-        self._voltage_of = voltage_v.astype(np.float32)
-        self._pressure_of = curve.pressure(voltage_v).astype(np.float32)
-        self._flags_of = np.where(curve.saturated(voltage_v), Status.SATURATED, Status.OK)
-        self._flags_of = self._flags_of.astype(np.uint8)
+        self._voltage_of = adc.voltage(np.arange(1 << adc.bits)).astype(np.float32)
         self._codes = np.zeros(nodes, dtype=np.int32)
         self._flags = np.zeros(nodes, dtype=np.uint8)
         self._heard_s = np.full(nodes, -np.inf)
@@ -95,18 +103,21 @@ class Taxels:
         if anybody:
             np.copyto(self._codes, words.codes, where=spoke)
             np.copyto(self._heard_s, t_device, where=spoke)
-            flags = self._flags_of[words.codes] | (words.doubtful * _LOW_SNR)
-            np.copyto(self._flags, flags, where=spoke)
-        elif self._silence is not None and t_device <= self._stale_from_s:
+            np.copyto(self._flags, words.doubtful * _LOW_SNR, where=spoke)
+        elif self._silence is not None and self._holds(t_device):
             return self._silence
         readings = self._read(spoke, t_device, health)
         self._silence = None if anybody else readings
         return readings
 
+    def _holds(self, t_device: float) -> bool:
+        """Whether another silent frame reads as the last one did."""
+        return t_device <= self._stale_from_s and self.chain.steady(t_device)
+
     def _read(self, spoke: NDArray[np.bool_], t_device: float, health: NodeHealth) -> Readings:
-        pressure_pa, voltage_v = self._pressure_of[self._codes], self._voltage_of[self._codes]
+        voltage_v = self._voltage_of[self._codes]
         status = self._flags | ~spoke * _SILENT | _FLAGS_OF[health.state]
-        invalid = health.invalid
+        invalid = health.invalid | self._masked
         self._stale_from_s = float(self._heard_s.min()) + self._stale_after_s
         if t_device > self._stale_from_s:
             stale = t_device - self._heard_s > self._stale_after_s
@@ -114,12 +125,30 @@ class Taxels:
             fresh_s = self._heard_s[~stale]
             self._stale_from_s = float(fresh_s.min(initial=np.inf)) + self._stale_after_s
             invalid = stale | invalid
+        pressure_pa, saturated = self.chain.update(voltage_v, ~invalid, t_device)
+        uncalibrated = self.chain.calibration.uncalibrated
+        status |= (saturated & ~invalid) * _SATURATED | uncalibrated * _UNCALIBRATED
+        status[self._masked] = Status.MASKED
         if invalid.any():
             pressure_pa[invalid] = voltage_v[invalid] = np.nan
+        return self._placed(Readings(pressure_pa, voltage_v, status))
+
+    def _placed(self, readings: Readings) -> Readings:
+        """From the order of the nodes to that of the taxels."""
+        source = self._layout.source
+        if source is None:
+            return readings
+        pressure_pa, voltage_v = readings.pressure_pa[source], readings.voltage_v[source]
+        status = readings.status[source]
+        nobody = source < 0
+        pressure_pa[nobody] = voltage_v[nobody] = np.nan
+        status[nobody] = Status.MASKED
         return Readings(pressure_pa, voltage_v, status)
 
 
 _LOW_SNR = np.uint8(Status.LOW_SNR)
+_SATURATED = np.uint8(Status.SATURATED)
+_UNCALIBRATED = np.uint8(Status.UNCALIBRATED)
 _SILENT = np.uint8(Status.SILENT)
 _FLAGS_OF = np.zeros(len(NodeState), dtype=np.uint8)
 _FLAGS_OF[NodeState.WEAK] = Status.WEAK

@@ -114,7 +114,7 @@ class PressedSkin:
         self._nodes, self._digitizer = nodes, digitizer
         self._supplies_v = np.array([node.supply_v for node in nodes.nodes])
         layout = config.layout
-        self._place = Skin(layout.positions_m[:, :2].astype(np.float64), layout.pitch_m)
+        self._place = Skin(layout.flat_m.astype(np.float64), layout.pitch_m)
         self._pressed_ns: list[int] = []
         self._codes: list[NDArray[np.int64]] = []
         self._next_ns = 0

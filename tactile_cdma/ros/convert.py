@@ -60,15 +60,17 @@ def skin_info(config: SkinConfig, header: Header, info_id: int) -> TactileSkinIn
     message.nodes = spec.nodes
     message.height, message.width = layout.rows, layout.columns
     message.positions = [_point(place) for place in layout.positions_m]
-    message.normals = [Point32(x=0.0, y=0.0, z=1.0)] * spec.nodes
-    message.area = ros_array(np.full(spec.nodes, layout.area_m2, dtype=np.float32))
-    message.node = ros_array(np.arange(1, spec.nodes + 1, dtype=np.uint16))
-    message.code_row = ros_array(spec.rows.astype(np.uint32))
+    message.normals = [_point(normal) for normal in layout.normals]
+    message.area = ros_array(layout.areas_m2)
+    message.node = ros_array(layout.nodes.astype(np.uint16))
+    code_rows = np.append(spec.rows, 0)  # 0 for a taxel without a node
+    message.code_row = ros_array(code_rows[layout.nodes - 1].astype(np.uint32))
     message.code_order = spec.order
     message.bits = spec.bits
     message.frame_period = spec.frame_period_s
     message.pressure_min = 0.0
-    message.pressure_max = config.curve.range_pa
+    message.pressure_max = float(config.calibration.curves.range_pa.max())
+    message.calibration_id = config.calibration.identity
     return message
 
 

@@ -8,11 +8,13 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
 
+import numpy as np
+
 from .._protocol import SyncMode
 from ..codes import default_order
 from ..errors import ParameterError, SpecError
 from ..frame import DEFAULT_AMPLITUDE_V, MAX_STRETCH, FrameSpec
-from ..layout import GridLayout
+from ..layout import Layout
 from ..parameters import BY_NAME, GAP, NATURAL_SIGNS, Parameter, Value
 from ..roll_call import LARGEST_RATE_ERROR, LATEST
 from .channel import MAX_JITTER, Channel
@@ -190,8 +192,8 @@ class SimOptions:
     def skin(self, nodes: int) -> Skin:
         """The taxels; raises SpecError where rows and columns do not fit the nodes."""
         pitch_m = self.pitch_mm * 1e-3
-        grid = GridLayout.of(nodes, self.rows, self.columns, pitch_m, pitch_m)
-        return Skin(grid.positions_m[:, :2].astype(float), pitch_m, self.seed)
+        grid = Layout.grid(nodes, self.rows, self.columns, pitch_m, pitch_m)
+        return Skin(grid.flat_m.astype(np.float64), pitch_m, self.seed)
 
     def setup(self, asked: Setup | None = None) -> Setup:
         """The digitizer's set-up when a host asks for one; None: before any CONFIGURE.

@@ -7,13 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactile_cdma.calibration import AdcScale, PressureCurve
 from tactile_cdma.decode import Words, decode
 from tactile_cdma.encode import line_chips, with_parity, word_bits
 from tactile_cdma.frame import FrameSpec
 from tactile_cdma.health import JUDGE_FRAMES, NodeHealth, NodeState
+from tactile_cdma.parameters import SkinConfig
+from tactile_cdma.pipeline import Pipeline
 from tactile_cdma.separate import NodeLevels, separate
-from tactile_cdma.taxels import Status, Taxels
+from tactile_cdma.taxels import Status
 
 SPEC = FrameSpec()
 PARITY = FrameSpec(parity=True)
@@ -155,7 +156,7 @@ def test_a_node_that_only_tells_that_it_lives_is_sound() -> None:
 
 def test_a_node_that_died_is_missing() -> None:
     health = NodeHealth(SPEC)
-    skin = Taxels(16, AdcScale(), PressureCurve.two_stage(), stale_after_s=1.0)
+    skin = Pipeline(SkinConfig.of({"stale_after_s": 1.0})).taxels
     for number, levels in enumerate(scenes("none") + scenes("missing")):
         skin.update(feed(health, [levels]), number / 32, health)
         assert skin.missing == ([5] if number / 32 > 3 - 1 / 32 else [])
@@ -193,7 +194,7 @@ def test_status_tells_and_contradictory_words_are_no_pressure() -> None:
         ("broken", Status.FAULTY, False),
     ):
         health = NodeHealth(SPEC)
-        skin = Taxels(16, AdcScale(), PressureCurve.two_stage(), stale_after_s=1.0)
+        skin = Pipeline(SkinConfig.of({"stale_after_s": 1.0})).taxels
         words = feed(health, scenes(change))
         readings = skin.update(words, 1.0, health)
         assert readings.status[4] & flag

@@ -75,7 +75,7 @@ def test_a_node_talks_while_pressed_and_once_after_release() -> None:
 
 
 def test_changes_within_the_threshold_are_not_told() -> None:
-    one_lsb_pa = 1.1 * AdcScale(10).lsb_v / 0.033e-3
+    one_lsb_pa = 1.6 * AdcScale(10).lsb_v / 0.033e-3
     for threshold, told in ((1, False), (0, True)):
         frames = frames_of({2: one_lsb_pa}, NodeRules(threshold, heartbeat=0), 3)
         assert frames[2].codes[0] < 1023

@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactile_cdma.calibration import AdcScale, PressureCurve
 from tactile_cdma.decode import Words, silent
 from tactile_cdma.errors import SpecError
 from tactile_cdma.frame import FrameSpec
 from tactile_cdma.health import NodeHealth
 from tactile_cdma.heatmap import NO_READING_RGB, colours, heatmap
-from tactile_cdma.layout import GridLayout
+from tactile_cdma.layout import Layout
+from tactile_cdma.parameters import SkinConfig
+from tactile_cdma.pipeline import Pipeline
 from tactile_cdma.taxels import Status, Taxels
 
 SPEC = FrameSpec(nodes=4)
@@ -28,7 +29,7 @@ def words(codes: dict[int, int], doubtful: tuple[int, ...] = ()) -> Words:
 
 
 def taxels() -> Taxels:
-    return Taxels(4, AdcScale(), PressureCurve.two_stage(), stale_after_s=1.0)
+    return Pipeline(SkinConfig.of({"nodes": 4, "stale_after_s": 1.0})).taxels
 
 
 def test_taxels_never_heard_have_no_reading() -> None:
@@ -61,7 +62,7 @@ def test_saturation_and_doubt_are_flagged_and_stay_with_the_held_value() -> None
     skin = taxels()
     readings = skin.update(words({0: 100, 1: 600}, doubtful=(1,)), 0.0, HEALTH)
     assert readings.status[0] == Status.SATURATED
-    assert readings.pressure_pa[0] == 140e3
+    assert readings.pressure_pa[0] == pytest.approx(140e3)
     assert readings.status[1] == Status.LOW_SNR
     assert (
         skin.update(silent(SPEC.nodes, 0.0), 0.1, HEALTH).status[0]
@@ -79,12 +80,12 @@ def test_earlier_readings_are_not_changed_by_later_frames() -> None:
 
 @pytest.mark.parametrize(("nodes", "shape"), [(16, (4, 4)), (12, (3, 4)), (7, (1, 7)), (1, (1, 1))])
 def test_grids_are_as_square_as_they_can_be(nodes: int, shape: tuple[int, int]) -> None:
-    grid = GridLayout.of(nodes, 0, 0, 7e-3, 5.5e-3)
+    grid = Layout.grid(nodes, 0, 0, 7e-3, 5.5e-3)
     assert (grid.rows, grid.columns) == shape
 
 
 def test_grid_positions_are_centred_row_major() -> None:
-    positions = GridLayout.of(6, 2, 3, 10e-3, 5e-3).positions_m
+    positions = Layout.grid(6, 2, 3, 10e-3, 5e-3).positions_m
     assert np.allclose(positions.mean(axis=0), 0, atol=1e-9)
     assert np.allclose(positions[1] - positions[0], [10e-3, 0, 0])
     assert np.allclose(positions[3] - positions[0], [0, 10e-3, 0])
@@ -92,9 +93,9 @@ def test_grid_positions_are_centred_row_major() -> None:
 
 def test_impossible_grids_are_refused() -> None:
     with pytest.raises(SpecError, match="3 rows × 5 columns has 15 places for 16 nodes"):
-        GridLayout.of(16, 3, 0, 7e-3, 5e-3)
+        Layout.grid(16, 3, 0, 7e-3, 5e-3)
     with pytest.raises(SpecError, match="overlap"):
-        GridLayout.of(16, 4, 4, 5e-3, 7e-3)
+        Layout.grid(16, 4, 4, 5e-3, 7e-3)
 
 
 def test_colours_rise_with_pressure_on_a_fixed_scale() -> None:
