@@ -73,7 +73,7 @@ def set_up(venv: Path) -> None:
     installed = [*CHECKOUT.glob("launch/*.py"), *CHECKOUT.glob("config/**/*")]
     message_key = digest(
         sorted(str(path.relative_to(CHECKOUT)) for path in installed),
-        sorted(CHECKOUT.glob("msg/*.msg")),
+        sorted([*CHECKOUT.glob("msg/*.msg"), *CHECKOUT.glob("srv/*.srv")]),
         sorted([*CHECKOUT.glob("scripts/*")]),
         [CHECKOUT / "CMakeLists.txt", CHECKOUT / "package.xml"],
     )

@@ -28,6 +28,7 @@ COME_WITH_OTHER_WHEELS = {
     "std-msgs",
 }
 PACKAGES_OF_KEYS = {
+    "python3-matplotlib": "matplotlib",
     "python3-numpy": "numpy",
     "python3-serial": "pyserial",
     "python3-yaml": "pyyaml",
