@@ -86,7 +86,10 @@ class Dynamics:
 
     @property
     def noise_gain(self) -> float:
-        """Bound of what compensation makes of a small error of the pressure."""
+        """Bound of what compensation makes of white noise on a pressure, rms to rms.
+
+        It holds while the lead is on; without it noise grows by 1/share.
+        """
         return self.most_gain / self.share
 
 
@@ -198,7 +201,7 @@ class Compensator:
     this filter alone. The lead sets in once a pressure has risen by more than the last digit and
     ends when it falls, so a resting sensor does not flicker.
 
-    The result lies within 0…range whatever comes in, and an error of the pressure grows at most by
+    The result lies within 0…range whatever comes in, and noise grows at most by
     dynamics.noise_gain.
     """
 

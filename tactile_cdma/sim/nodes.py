@@ -117,7 +117,10 @@ def node_frames(
     sensor = Sensor(sensors, spec.nodes)
     adc = AdcScale(spec.bits)
     rest = adc.code(sensor.rest_v)
-    dead, stuck = np.array(sensors.dead, int) - 1, np.array(sensors.stuck, int) - 1
+    dead, stuck = (
+        np.array([number - 1 for number in numbers if number <= spec.nodes], dtype=int)
+        for numbers in (sensors.dead, sensors.stuck)
+    )
     rest[stuck] = np.random.default_rng([sensors.seed, 3]).integers(1 << spec.bits, size=len(stuck))
     last_sent = rest.copy()
     turn = np.arange(spec.nodes) * rules.heartbeat // spec.nodes

@@ -176,6 +176,9 @@ class SimOptions:
             value = getattr(self, item.name)
             if value is not None:
                 object.__setattr__(self, item.name, _check(item.metadata["parameter"], value))
+        for name, numbers in (("dead", self.sensors.dead), ("stuck", self.sensors.stuck)):
+            for number in numbers:
+                _check(Parameter(name, 1, "", "", (1, self.nodes or 65_535)), number)
         self.setup()
 
     @classmethod
@@ -251,7 +254,6 @@ class SimOptions:
                 f"clocks of nodes is longer than its period of {spec.frame_period_s * 1e3:g} ms"
             )
         self.skin(spec.nodes)
-        self.sensors.check(spec.nodes)
         sync, integrated = asked.sync, asked.integrated
         if self.timing is not None:
             sync = SyncMode.NONE if self.timing == GAP else SyncMode.DRIVE

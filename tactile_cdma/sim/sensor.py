@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from ..calibration import Curves, PressureCurve
 from ..dynamics import Dynamics, Hysteresis, Lag
-from ..errors import SpecError
 
 IDEAL, PAPER = "ideal", "paper"
 MOST_HYSTERESIS = 7.0
@@ -35,8 +34,8 @@ class SensorModel:
     kind: "ideal", the curve alone, or "paper", with lag and hysteresis. hysteresis: factor to the
     paper's loops, 0…7. mismatch: spread of the taxels' curves, rms, as a share, 0…0.1. warming_v:
     largest drift of a voltage, V. noise_v: rms, V. dead, stuck: numbers, from 1 on, of nodes that
-    never speak and of nodes that always measure the same. seed: of everything random.
-    curve: of a taxel without mismatch.
+    never speak and of nodes that always measure the same; those beyond the skin are left out.
+    seed: of everything random. curve: of a taxel without mismatch.
     """
 
     kind: str = IDEAL
@@ -89,15 +88,6 @@ class SensorModel:
         steps_v = falls[:, None] * (1 + errors(len(falls))) * np.diff(pressure_pa, axis=0)
         rest_v = self.curve.voltage_v[0] * (1 - 0.5 * np.abs(errors(1)))
         return Curves(pressure_pa, np.concatenate((rest_v, rest_v + np.cumsum(steps_v, axis=0))))
-
-    def check(self, nodes: int) -> None:
-        """Raises SpecError where dead or stuck nodes are not on the skin."""
-        for name, numbers in (("dead", self.dead), ("stuck", self.stuck)):
-            for number in numbers:
-                if not 1 <= number <= nodes:
-                    raise SpecError(
-                        f"option {name} names node {number}; the skin has nodes 1…{nodes}"
-                    )
 
 
 class Sensor:

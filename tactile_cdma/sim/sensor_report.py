@@ -130,7 +130,7 @@ def _settling_s(model: SensorModel, pressure_kpa: NDArray[np.float64]) -> float:
     """From the first pressure until the voltage stays within SETTLED of its change, s."""
     voltage_v = _run(model, pressure_kpa[:, None])[:, 0]
     left = np.abs(voltage_v - voltage_v[-1]) / abs(voltage_v[0] - voltage_v[-1])
-    return float(np.flatnonzero(left > SETTLED)[-1] + 1) * _STEP_S
+    return float(np.flatnonzero(left > SETTLED + 1e-9)[-1] + 1) * _STEP_S
 
 
 def _run(
