@@ -30,6 +30,7 @@ from .protocol import PacketParser, diagnose
 from .sim.digitizer import VirtualDigitizer
 from .sim.options import SimOptions
 from .sim.pty import serve
+from .sim.sensor_report import describe as describe_sensor
 from .source import Port
 
 _SKIN_OPTIONS = {
@@ -143,6 +144,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     _add_skin_options(amplifier, "the driver's; the frame period plays no part")
     amplifier.set_defaults(run=_amplifier)
+
+    sensor = commands.add_parser("sensor", help="the simulated sensor beside the paper's")
+    sensor.set_defaults(run=_sensor)
     return parser
 
 
@@ -361,6 +365,11 @@ def _amplifier(arguments: argparse.Namespace) -> int:
         print(json.dumps(report(config.spec, front)))
     else:
         print(describe(config.spec, front))
+    return 0
+
+
+def _sensor(_arguments: argparse.Namespace) -> int:
+    print(describe_sensor())
     return 0
 
 

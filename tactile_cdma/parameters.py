@@ -16,6 +16,7 @@ from typing import Any
 import yaml
 
 from .calibration import AdcScale, Calibration, PressureCurve
+from .dynamics import Compensator
 from .errors import ParameterError, SpecError
 from .frame import BIPOLAR, DEFAULT_AMPLITUDE_V, MAX_STRETCH, UNIPOLAR, FrameSpec
 from .layout import Layout
@@ -247,6 +248,7 @@ class SkinConfig:
     adc: AdcScale
     curve: PressureCurve
     calibration: Calibration
+    compensation: bool
     layout: Layout
     threshold: float
     stale_after_s: float
@@ -285,6 +287,13 @@ class SkinConfig:
             stage1_v_per_pa=get["sensitivity1_v_per_kpa"] * 1e-3,
             stage2_v_per_pa=get["sensitivity2_v_per_kpa"] * 1e-3,
         )
+        calibration = Calibration.default(curve, get["nodes"])
+        if get["compensation"] and calibration.dynamics is None:
+            raise SpecError(
+                f"no dynamics in {get['calibration_file'] or 'the default curve'}, which "
+                "compensation undoes: run tactile-cdma calibrate --dynamics, or set compensation "
+                "to false"
+            )
         return cls(
             spec=spec,
             timing=get["timing"],
@@ -292,7 +301,8 @@ class SkinConfig:
             roll_call=get["roll_call"],
             adc=AdcScale(get["bits"], get["vref_v"]),
             curve=curve,
-            calibration=Calibration.default(curve, get["nodes"]),
+            calibration=calibration,
+            compensation=get["compensation"],
             layout=Layout.grid(
                 get["nodes"],
                 get["rows"],
@@ -303,6 +313,13 @@ class SkinConfig:
             threshold=get["threshold"],
             stale_after_s=get["stale_after_s"],
         )
+
+    def compensator(self) -> Compensator | None:
+        """What undoes the sensors' dynamics; None where that is not asked."""
+        dynamics = self.calibration.dynamics
+        if not self.compensation or dynamics is None:
+            return None
+        return Compensator(dynamics, self.calibration.curves.range_pa)
 
 
 def check_values(values: Mapping[str, object]) -> dict[str, Value]:

@@ -94,7 +94,7 @@ class Pipeline:
         self.counters = PipelineCounters()
         self.parser = PacketParser()
         nodes = config.spec.nodes
-        chain = PressureChain(config.calibration, Baseline(nodes))
+        chain = PressureChain(config.calibration, Baseline(nodes), config.compensator())
         self.taxels = Taxels(nodes, config.adc, chain, config.layout, config.stale_after_s)
         self.health = NodeHealth(config.spec)
         self.threshold = config.threshold

@@ -18,8 +18,10 @@ from ..layout import Layout
 from ..parameters import BY_NAME, GAP, NATURAL_SIGNS, Parameter, Value
 from ..roll_call import LARGEST_RATE_ERROR, LATEST
 from .channel import MAX_JITTER, Channel
+from .loads import LOADS
 from .nodes import ClockModel, NodeRules
 from .scene import SCENES, Skin
+from .sensor import IDEAL, MOST_HYSTERESIS, MOST_MISMATCH, PAPER, SensorModel
 
 SCHEME = "sim"
 
@@ -81,7 +83,7 @@ class SimOptions:
     Raises SpecError, naming option, value and limits, for a bad value or combination.
     """
 
-    scene: str = _option("scene", "moving", "what touches the skin", choices=tuple(SCENES))
+    scene: str = _option("scene", "moving", "what touches the skin", choices=(*SCENES, *LOADS))
     nodes: int | None = _pin("nodes")
     bits: int | None = _pin("bits")
     parity: bool | None = _pin("parity")
@@ -124,6 +126,28 @@ class SimOptions:
     drift: float = _option(
         "drift", 0.0, "fastest change of a node's clock error", "1/s", (0.0, 5e-5)
     )
+    sensor: str = _option(
+        "sensor",
+        IDEAL,
+        "ideal: the curve alone; paper: lag and hysteresis too",
+        "",
+        None,
+        (IDEAL, PAPER),
+    )
+    hysteresis: float = _option(
+        "hysteresis", 1.0, "factor to the loops of sensor 'paper'", "", (0.0, MOST_HYSTERESIS)
+    )
+    mismatch: float = _option(
+        "mismatch", 0.0, "spread of the taxels' curves, rms", "", (0.0, MOST_MISMATCH)
+    )
+    warming: float = _option(
+        "warming", 0.0, "largest drift of a sensor's voltage, over minutes", "mV", (0.0, 1e3)
+    )
+    sensor_noise: float = _option(
+        "sensor_noise", 0.0, "noise at a node's converter, rms", "V", (0.0, 1.0)
+    )
+    dead: str = _option("dead", "", "nodes that never speak: 3,17")
+    stuck: str = _option("stuck", "", "nodes that always measure the same: 3,17")
     rail: float = _option(
         "rail", 0.0, "amplifier's rails about the offset; 0: out of reach", "V", (0.0, 1e4)
     )
@@ -152,6 +176,9 @@ class SimOptions:
             value = getattr(self, item.name)
             if value is not None:
                 object.__setattr__(self, item.name, _check(item.metadata["parameter"], value))
+        for name, numbers in (("dead", self.sensors.dead), ("stuck", self.sensors.stuck)):
+            for number in numbers:
+                _check(Parameter(name, 1, "", "", (1, self.nodes or 65_535)), number)
         self.setup()
 
     @classmethod
@@ -183,6 +210,20 @@ class SimOptions:
     def clocks(self) -> ClockModel:
         """The nodes' clocks."""
         return ClockModel(self.clock_spread, self.delay_spread, self.drift, self.seed)
+
+    @property
+    def sensors(self) -> SensorModel:
+        """The sensors of the skin; its `curves` are the true ones."""
+        return SensorModel(
+            kind=self.sensor,
+            hysteresis=self.hysteresis,
+            mismatch=self.mismatch,
+            warming_v=self.warming * 1e-3,
+            noise_v=self.sensor_noise,
+            dead=_numbers("dead", self.dead),
+            stuck=_numbers("stuck", self.stuck),
+            seed=self.seed,
+        )
 
     @property
     def rules(self) -> NodeRules:
@@ -286,6 +327,16 @@ def _parse(parameter: Parameter, text: str) -> Value:
     except (ValueError, KeyError):
         wanted = {bool: "0 or 1", int: "an integer", float: "a number"}[kind]
         raise SpecError(f"option {parameter.name} is {text!r}; it must be {wanted}") from None
+
+
+def _numbers(name: str, text: str) -> tuple[int, ...]:
+    """Node numbers from 1 on, from a list with commas."""
+    try:
+        return tuple(int(part) for part in text.split(",")) if text else ()
+    except ValueError:
+        raise SpecError(
+            f"option {name} is {text!r}; it must be numbers of nodes with commas between: 3,17"
+        ) from None
 
 
 def _check(parameter: Parameter, value: Value) -> Value:
