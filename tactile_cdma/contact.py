@@ -95,7 +95,7 @@ class ContactTracker:
     begin with ids of their own; no id is given twice. Such a change makes centres jump: it does
     not count as motion.
 
-    thresholds may be changed at any time.
+    thresholds may be changed at any time, from other threads too.
     """
 
     def __init__(self, layout: Layout, thresholds: ContactThresholds, first_id: int = 1) -> None:
@@ -106,6 +106,7 @@ class ContactTracker:
         self._contacts = self._nothing = _nothing()
         self._place = np.full(len(layout), -1)  # of each taxel's contact in _contacts; -1: none
         self._readings: Readings | None = None
+        self._used = thresholds
         self._t_s = math.nan
 
     def forget(self) -> None:
@@ -118,17 +119,17 @@ class ContactTracker:
         if t_s < self._t_s:  # the device's clock starts anew
             self.forget()
         passed_s, self._t_s = t_s - self._t_s, t_s
-        if readings is self._readings:
+        if readings is self._readings and self.thresholds is self._used:
             self._contacts = _at_rest(self._contacts, passed_s)
         else:
-            self._readings = readings
+            self._readings, self._used = readings, self.thresholds
             self._contacts = self._find(readings, passed_s)
         return self._contacts
 
     def _find(self, readings: Readings, passed_s: float) -> Contacts:
         pressure_pa, last = readings.pressure_pa, self._contacts
         # NaN exceeds nothing.
-        if not len(last) and not (pressure_pa > self.thresholds.contact_pa).any():
+        if not len(last) and not (pressure_pa > self._used.contact_pa).any():
             return last
         taxels, labels = self._touched(pressure_pa)
         origin, torn = _origins(self._place[taxels], labels, len(last))
@@ -164,9 +165,9 @@ class ContactTracker:
 
     def _touched(self, pressure_pa: NDArray[np.float32]) -> tuple[NDArray[np.intp], ...]:
         """The taxels in contact, (k,), rising, and the place of each one's contact, 0…c − 1."""
-        taxels = np.flatnonzero(pressure_pa > self.thresholds.release_pa)
+        taxels = np.flatnonzero(pressure_pa > self._used.release_pa)
         labels = connected(taxels, self._beside)
-        begins = pressure_pa[taxels] > self.thresholds.contact_pa
+        begins = pressure_pa[taxels] > self._used.contact_pa
         lasts = self._place[taxels] >= 0
         load = np.bincount(labels, pressure_pa[taxels] * self._moments[taxels, 0])
         load[np.bincount(labels, begins | lasts) == 0] = 0.0
@@ -177,7 +178,7 @@ class ContactTracker:
 
     def _rim(self, pressure_pa: NDArray[np.float32]) -> tuple[NDArray[np.intp], ...]:
         """Taxels beside contacts that feel them, and these contacts' places."""
-        weak = np.flatnonzero((pressure_pa > RIM * self.thresholds.release_pa) & (self._place < 0))
+        weak = np.flatnonzero((pressure_pa > RIM * self._used.release_pa) & (self._place < 0))
         place = self._place[self._beside[:, weak]].max(axis=0)
         return weak[place >= 0], place[place >= 0]
 

@@ -123,6 +123,15 @@ def test_a_contact_with_a_taxel_beyond_its_range_says_so() -> None:
     assert contacts.saturated.tolist() == [True, False]
 
 
+def test_thresholds_take_effect_also_where_no_reading_changes() -> None:
+    tracker, touch = ContactTracker(GRID, THRESHOLDS), pressed({(0, 0): 2.0})
+    assert len(tracker.update(touch, 0.0)) == 1
+    tracker.thresholds = ContactThresholds(3000.0, 2500.0)
+    assert len(tracker.update(touch, PERIOD_S)) == 0
+    tracker.thresholds = THRESHOLDS
+    assert len(tracker.update(touch, 2 * PERIOD_S)) == 1
+
+
 def test_a_release_above_the_contact_is_refused() -> None:
     with pytest.raises(SpecError, match=r"release_kpa is 0.5 kPa, above contact_kpa.* 0.4 kPa"):
         SkinConfig.of({"contact_kpa": 0.4})
