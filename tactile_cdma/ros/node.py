@@ -279,6 +279,7 @@ class SkinNode(LifecycleNode):
         """In the driver's thread: the way from a decoded frame to the wire is one publish long."""
         assert self._config is not None
         self._latest = frame
+        info_id = self._info_id
         array_asked = self._array_publisher.get_subscription_count() > 0
         header = None
         if self._is_news(frame) and (array_asked or self._contacts.asked):
@@ -286,10 +287,10 @@ class SkinNode(LifecycleNode):
         if header and array_asked:
             self._array_publisher.publish(
                 convert.tactile_array(
-                    frame, self._config, header, self._info_id, bool(self._live["publish_voltage"])
+                    frame, self._config, header, info_id, bool(self._live["publish_voltage"])
                 )
             )
-        self._contacts.take(frame, header, self._info_id)
+        self._contacts.take(frame, header, info_id)
 
     def _header_of(self, frame: TactileFrame) -> Header:
         stamp_ns = self._stamp_ns(frame.t_host)

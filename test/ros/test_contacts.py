@@ -93,6 +93,18 @@ def test_an_untouched_skin_has_an_empty_list_in_every_frame() -> None:
     assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
 
 
+def test_frames_that_are_left_out_are_left_out_of_all_topics() -> None:
+    with running(port="sim://?scene=idle&heartbeat=0", idle_rate_hz=10.0) as (_, client):
+        lists = subscribed(client, TactileContacts, "contacts")
+        wait_for(lambda: len(lists) > 10)
+        last = lists[-1].sequence
+        wait_for(lambda: client.arrays[-1].sequence >= last)
+    span = range(lists[0].sequence, last + 1)
+    published = [array.sequence for array in client.arrays if array.sequence in span]
+    assert [message.sequence for message in lists if message.sequence in span] == published
+    assert min(b - a for a, b in pairwise(published)) > 5
+
+
 def test_contacts_are_followed_only_while_somebody_subscribes() -> None:
     """Ids and ages would tell if contacts that came and went before had been counted."""
     with running(port="sim://?scene=press&threshold=0") as (_, client):
