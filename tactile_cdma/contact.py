@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from .components import connected
 from .errors import SpecError
 from .layout import Layout
 from .taxels import Readings, Status
@@ -205,36 +206,6 @@ class ContactTracker:
         age_s[known] = last.age_s[origin[known]] + passed_s
         self.next_id += len(origin) - int(np.count_nonzero(known))
         return ids, age_s
-
-
-def connected(taxels: NDArray[np.intp], beside: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Which of some taxels hang together: (k,) labels, 0…c − 1 in the order of first taxels.
-
-    taxels: (k,) int, rising. beside: (m, t) int, the neighbours of all t taxels, a column each,
-    filled up with the taxel itself.
-
-    Trees of taxels grow together along the links between them: in each round every root that is
-    linked to lower ones hangs itself below the lowest, the trees are flattened, and links now
-    within a tree are dropped. (A form of Shiloach & Vishkin, An O(log n) parallel connectivity
-    algorithm, 1982.)
-    """
-    own = np.arange(len(taxels))
-    among = np.full(beside.shape[1], -1)
-    among[taxels] = own
-    low = among[beside[:, taxels]]
-    links = (low >= 0) & (low < own)  # each from one end
-    high, low = np.broadcast_to(own, low.shape)[links], low[links]
-    root = own
-    while len(low):
-        above = root.copy()
-        np.minimum.at(above, high, low)
-        while not np.array_equal(root, above):
-            root, above = above, above[above]
-        first, second = root[low], root[high]
-        apart = first != second
-        first, second = first[apart], second[apart]
-        low, high = np.minimum(first, second), np.maximum(first, second)
-    return np.asarray((np.cumsum(root == own) - 1)[root])
 
 
 def _moments(layout: Layout) -> NDArray[np.float64]:

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tactile_cdma.contact import SMOOTHING_S, Contacts, ContactThresholds, ContactTracker, connected
+from tactile_cdma.components import connected
+from tactile_cdma.contact import SMOOTHING_S, Contacts, ContactThresholds, ContactTracker
 from tactile_cdma.decode import silent
 from tactile_cdma.errors import SpecError
 from tactile_cdma.health import NodeHealth
