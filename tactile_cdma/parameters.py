@@ -16,6 +16,7 @@ from typing import Any
 import yaml
 
 from .calibration import AdcScale, Calibration, PressureCurve
+from .contact import ContactThresholds
 from .errors import ParameterError, SpecError
 from .frame import BIPOLAR, DEFAULT_AMPLITUDE_V, MAX_STRETCH, UNIPOLAR, FrameSpec
 from .layout import Layout
@@ -250,6 +251,7 @@ class SkinConfig:
     layout: Layout
     threshold: float
     stale_after_s: float
+    contact: ContactThresholds
 
     @classmethod
     def of(cls, values: Mapping[str, Value]) -> SkinConfig:
@@ -302,7 +304,13 @@ class SkinConfig:
             ),
             threshold=get["threshold"],
             stale_after_s=get["stale_after_s"],
+            contact=contact_thresholds(get),
         )
+
+
+def contact_thresholds(values: Mapping[str, Any]) -> ContactThresholds:
+    """From all parameters' values; raises SpecError where they contradict each other."""
+    return ContactThresholds(values["contact_kpa"] * 1e3, values["release_kpa"] * 1e3)
 
 
 def check_values(values: Mapping[str, object]) -> dict[str, Value]:
