@@ -11,8 +11,9 @@ from .errors import LayoutError
 from .layout import Layout
 
 _INCHES_PER_PITCH = 0.6
-_LEAST_INCHES, _MOST_INCHES = 3.0, 40.0
-_MARGIN_INCHES = 1.2
+_MOST_INCHES = 40.0
+_SHAPE_INCHES, _HEADING_INCHES = 4.5, 3.0
+_LEFT_INCHES, _RIGHT_INCHES, _BOTTOM_INCHES, _TOP_INCHES = 0.8, 0.4, 0.6, 0.8
 _DPI = 100
 _GAP = 0.92
 """Edge of a drawn taxel over that of its area, so that neighbours stand apart."""
@@ -25,35 +26,38 @@ _MASKED_COLOUR, _EMPTY_COLOUR = (0.85, 0.3, 0.25), (1.0, 1.0, 1.0)
 def draw_layout(layout: Layout, path: Path, first_row: int) -> None:
     """Write a PNG: the unrolled skin to scale, and its shape in space where it is not flat.
 
-    Every taxel shows its index, its node and its node's code row; colours are its normal's
-    direction, (n + 1)/2 as red, green and blue. Raises LayoutError where the file cannot be
-    written.
+    Seen from outside, as it lies on the bench: x to the right, y up. Every taxel shows its index,
+    its node and its node's code row; colours are its normal's direction, (n + 1)/2 as red, green
+    and blue. Raises LayoutError where the file cannot be written.
     """
     from matplotlib.figure import Figure  # slow to load, and needed here only
 
-    size, inches_per_m = _size_inches(layout)
-    flat = bool(np.ptp(layout.positions_m[:, 2]) < 1e-6 and np.ptp(layout.normals) <= 1)
-    panels = 1 if flat else 2
-    figure = Figure(figsize=(size[0] * panels, size[1]), dpi=_DPI, layout="constrained")
-    _draw_flat(figure.add_subplot(1, panels, 1), layout, inches_per_m, first_row)
-    if not flat:
-        _draw_shape(figure.add_subplot(1, panels, 2, projection="3d"), layout)
-    figure.suptitle(
-        f"{layout.name}: {np.count_nonzero(layout.nodes)} taxels, pitch "
-        f"{layout.pitch_m * 1e3:.3g} mm, as seen from outside"
-    )
+    extent_m = np.ptp(layout.flat_m, axis=0) + layout.pitch_m
+    inches_per_m = min(_INCHES_PER_PITCH / layout.pitch_m, _MOST_INCHES / float(extent_m.max()))
+    flat_width, flat_height = (extent_m * inches_per_m).tolist()
+    bent = bool(np.ptp(layout.positions_m[:, 2]) > 1e-6 or (layout.normals[:, 2] < 1).any())
+    body_width = max(flat_width, _HEADING_INCHES)
+    width = _LEFT_INCHES + body_width + _RIGHT_INCHES + bent * _SHAPE_INCHES
+    height = _BOTTOM_INCHES + max(flat_height, bent * _SHAPE_INCHES) + _TOP_INCHES
+    figure = Figure(figsize=(width, height), dpi=_DPI)
+
+    def axes(left: float, across: float, down: float, projection: str | None = None) -> Any:
+        bottom = height - _TOP_INCHES - down
+        share = (left / width, bottom / height, across / width, down / height)
+        return figure.add_axes(share, projection=projection)
+
+    labelled = inches_per_m * layout.pitch_m >= _LABELLED_INCHES
+    _draw_flat(axes(_LEFT_INCHES, flat_width, flat_height), layout, labelled, first_row)
+    if bent:
+        left = _LEFT_INCHES + body_width + _RIGHT_INCHES / 2
+        _draw_shape(axes(left, _SHAPE_INCHES, _SHAPE_INCHES, "3d"), layout)
+    heading = f"{layout.name}, {layout.pitch_m * 1e3:.3g} mm pitch, seen from outside"
+    numbers = "taxel, n: node, r: code row" if labelled else "too many taxels for numbers"
+    figure.text(0.1 / width, 1 - 0.1 / height, f"{heading}\n{numbers}", va="top")
     try:
         figure.savefig(path, format="png", metadata={"Software": None})
     except OSError as error:
         raise LayoutError(f"{path}: {error.strerror}") from None
-
-
-def _size_inches(layout: Layout) -> tuple[tuple[float, float], float]:
-    """Width and height of a panel, and its scale in inches per m."""
-    extent_m = np.ptp(layout.flat_m, axis=0) + layout.pitch_m
-    scale = min(_INCHES_PER_PITCH / layout.pitch_m, _MOST_INCHES / float(extent_m.max()))
-    width, height = np.maximum(extent_m * scale, _LEAST_INCHES) + _MARGIN_INCHES
-    return (float(width), float(height)), scale
 
 
 def _colours(layout: Layout) -> Any:
@@ -63,7 +67,7 @@ def _colours(layout: Layout) -> Any:
     return colours
 
 
-def _draw_flat(axes: Any, layout: Layout, inches_per_m: float, first_row: int) -> None:
+def _draw_flat(axes: Any, layout: Layout, labelled: bool, first_row: int) -> None:
     from matplotlib.collections import PolyCollection
 
     edge_mm = np.sqrt(layout.areas_m2) * 1e3 * _GAP
@@ -74,22 +78,15 @@ def _draw_flat(axes: Any, layout: Layout, inches_per_m: float, first_row: int) -
         PolyCollection(list(squares), facecolors=_colours(layout), edgecolors="0.5", linewidths=0.5)
     )
     half_mm = layout.pitch_m * 500
-    axes.set_xlim(flat_mm[:, 0].min() - half_mm, flat_mm[:, 0].max() + half_mm)
-    axes.set_ylim(flat_mm[:, 1].max() + half_mm, flat_mm[:, 1].min() - half_mm)  # row 0 on top
-    axes.set_aspect("equal")
-    axes.set_xlabel("x on the surface, mm")
-    axes.set_ylabel("y on the surface, mm")
-    axes.set_title("taxel, node, code row", fontsize="small")
-    if inches_per_m * layout.pitch_m < _LABELLED_INCHES:
-        axes.set_title("too many taxels for numbers", fontsize="small")
-        return
-    for taxel in np.flatnonzero(layout.nodes):
-        x, y = flat_mm[taxel].tolist()
-        node = int(layout.nodes[taxel])
-        off = " off" if node in layout.masked else ""
-        axes.annotate(str(taxel), (x, y), ha="center", va="bottom", fontsize=9, weight="bold")
-        text = f"n{node} r{node + first_row - 1}{off}"
-        axes.annotate(text, (x, y), ha="center", va="top", fontsize=5.5)
+    low_mm, high_mm = flat_mm.min(axis=0) - half_mm, flat_mm.max(axis=0) + half_mm
+    axes.set(xlim=(low_mm[0], high_mm[0]), ylim=(low_mm[1], high_mm[1]))
+    axes.set(xlabel="x along the surface, mm", ylabel="y along the surface, mm")
+    for taxel in np.flatnonzero(layout.nodes) if labelled else ():
+        node, place = int(layout.nodes[taxel]), flat_mm[taxel]
+        out = " out" if node in layout.masked else ""
+        axes.annotate(str(taxel), place, ha="center", va="bottom", fontsize=9, weight="bold")
+        text = f"n{node} r{node + first_row - 1}{out}"
+        axes.annotate(text, place, ha="center", va="top", fontsize=5.5)
 
 
 def _draw_shape(axes: Any, layout: Layout) -> None:
@@ -104,8 +101,6 @@ def _draw_shape(axes: Any, layout: Layout) -> None:
         color="0.4",
         linewidth=0.7,
     )
-    axes.set_aspect("equal")
-    axes.set_xlabel("x, mm")
-    axes.set_ylabel("y, mm")
-    axes.set_zlabel("z, mm")
-    axes.set_title("places and normals", fontsize="small")
+    limits = np.array([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])
+    axes.set_box_aspect(np.ptp(limits, axis=1), zoom=0.8)  # to scale
+    axes.set(xlabel="x, mm", ylabel="y, mm", zlabel="z, mm")
