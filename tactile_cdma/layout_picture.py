@@ -103,4 +103,5 @@ def _draw_shape(axes: Any, layout: Layout) -> None:
     )
     limits = np.array([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])
     axes.set_box_aspect(np.ptp(limits, axis=1), zoom=0.8)  # to scale
+    axes.locator_params(axis="z", nbins=4)
     axes.set(xlabel="x, mm", ylabel="y, mm", zlabel="z, mm")
