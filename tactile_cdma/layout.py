@@ -126,7 +126,7 @@ class Layout:
         first, second, _ = beside(self.positions_m[placed], self.normals[placed], reach_m)
         counts = np.bincount(first, minlength=len(placed))
         column = np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)
-        table = np.arange(len(self), dtype=np.int32)[:, None].repeat(max(1, counts.max()), axis=1)
+        table = np.arange(len(self), dtype=np.int32)[:, None].repeat(counts.max(initial=1), axis=1)
         table[placed[first], column] = placed[second]
         return table
 

@@ -106,7 +106,8 @@ def _regular(content: Mapping, shape: str, first_row: int) -> _Skin:
         raise content["radius_mm"].refuse(str(error)) from None
     if area := content.get("area_mm2"):
         cell_mm2 = float(surface.areas_m2.min()) * 1e6
-        area_mm2 = area.number("area_mm2", _LEAST_MM2, cell_mm2 * 1.001, "mm²")
+        most_mm2 = float(f"{cell_mm2 * 1.001:.4g}")  # what is rounded fits
+        area_mm2 = area.number("area_mm2", _LEAST_MM2, most_mm2, "mm²")
         surface = replace(surface, areas_m2=np.full_like(surface.areas_m2, area_mm2 * 1e-6))
     places = nodes_of_grid(content, rows, columns, first_row)
     return _Skin(surface, rows, columns, pitch_m, places)

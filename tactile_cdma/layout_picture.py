@@ -84,9 +84,8 @@ def _draw_flat(axes: Any, layout: Layout, labelled: bool, first_row: int) -> Non
     for taxel in np.flatnonzero(layout.nodes) if labelled else ():
         node, place = int(layout.nodes[taxel]), flat_mm[taxel]
         out = " out" if node in layout.masked else ""
-        axes.annotate(str(taxel), place, ha="center", va="bottom", fontsize=9, weight="bold")
-        text = f"n{node} r{node + first_row - 1}{out}"
-        axes.annotate(text, place, ha="center", va="top", fontsize=5.5)
+        text = f"{taxel}{out}\nn{node} r{node + first_row - 1}"
+        axes.text(*place, text, ha="center", va="center", fontsize=6.5)
 
 
 def _draw_shape(axes: Any, layout: Layout) -> None:
