@@ -63,9 +63,7 @@ class Taxels:
         self.chain = chain
         self._layout = layout
         self._masked = np.zeros(nodes, dtype=bool)
-        self._masked[[node - 1 for node in layout.masked]] = True
-        self._awaited = ~self._masked
-        self._awaited[[node - 1 for node in layout.unplaced]] = False
+        self._masked[[node - 1 for node in layout.masked + layout.unplaced]] = True
         self._stale_after_s = stale_after_s
         # A word has few values: every one is converted once, here.
         self._voltage_of = adc.voltage(np.arange(1 << adc.bits)).astype(np.float32)
@@ -88,7 +86,7 @@ class Taxels:
     @property
     def nobody_heard(self) -> bool:
         """Whether every node that is awaited is missing."""
-        awaited = int(np.count_nonzero(self._awaited))
+        awaited = len(self._masked) - int(np.count_nonzero(self._masked))
         return 0 < awaited == len(self.missing)
 
     @property
@@ -97,7 +95,7 @@ class Taxels:
 
         Nodes that the layout masks, or has no place for, are not missed.
         """
-        unheard = (self._now_s - self._heard_s > self._stale_after_s) & self._awaited
+        unheard = (self._now_s - self._heard_s > self._stale_after_s) & ~self._masked
         numbers: list[int] = (np.flatnonzero(unheard) + 1).tolist()
         return numbers
 
