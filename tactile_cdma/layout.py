@@ -109,10 +109,12 @@ class Layout:
     def source(self) -> NDArray[np.intp] | None:
         """(t,) index of each taxel's node in arrays of all nodes; −1: no node.
 
-        None where taxel i has node i + 1 throughout, so that nothing has to be moved.
+        None where taxel i has node i + 1 and every node has a taxel, so that nothing has to be
+        moved.
         """
         index = self.nodes.astype(np.intp) - 1
-        return None if np.array_equal(index, np.arange(len(index))) else index
+        in_order = np.array_equal(index, np.arange(len(index))) and not self.unplaced
+        return None if in_order else index
 
     @cached_property
     def neighbours(self) -> NDArray[np.int32]:

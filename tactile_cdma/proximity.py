@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 from .errors import SpecError
 
-MOST_CANDIDATES = 1024
-"""Per place. Where more lie in cells side by side, places are heaped up or the radius is wrong."""
+MOST_CANDIDATES = 1 << 22
+"""Pairs to measure, 64 for each of as many taxels as there can be; a grid has 20. More of them
+mean that places are heaped up, or that the radius is wrong.
+"""
 _CELL_BITS = 21
 """Per axis. Cells that share a key only cost time: distances are looked at anyway."""
 _FACING_AWAY = -1e-3
@@ -71,7 +73,7 @@ def _candidates(
         begins.append(np.searchsorted(ordered, wanted, "left"))
         counts.append(np.searchsorted(ordered, wanted, "right") - begins[-1])
     begin, count = np.concatenate(begins), np.concatenate(counts)
-    if count.sum() > MOST_CANDIDATES * len(keys):
+    if count.sum() > MOST_CANDIDATES:
         raise SpecError(
             f"taxels lie on top of each other: {count.sum() // len(keys)} of them, on average, "
             f"about {radius_m * 1e3:.3g} mm from each other; are positions in mm, is the pitch "

@@ -64,6 +64,7 @@ def test_an_irregular_skin_is_one_row_and_still_a_picture() -> None:
         wait_for(lambda: client.infos and client.images and len(client.arrays) > 10)
     info, message, image = client.infos[-1], client.arrays[-1], client.images[-1]
     assert (info.height, info.width, message.height, message.width) == (1, 19, 1, 19)
+    assert len(message.pressure) == len(message.status) == 19
     assert not np.isnan(message.pressure).any()
     raster = read_layout(path, Wiring(nodes=20)).raster
     assert (image.height, image.width) == (raster.shape[0] * 4, raster.shape[1] * 4)

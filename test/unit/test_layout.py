@@ -180,7 +180,7 @@ def test_the_usual_distance_is_the_median_of_the_nearest(seed: int, count: int) 
 
 def test_heaps_of_places_are_refused_instead_of_compared() -> None:
     with pytest.raises(SpecError, match="on top of each other"):
-        beside(np.zeros((2000, 3)), np.tile([0.0, 0.0, 1.0], (2000, 1)), 1e-3)
+        beside(np.zeros((3000, 3)), np.tile([0.0, 0.0, 1.0], (3000, 1)), 1e-3)
 
 
 def test_a_list_that_is_a_grid_is_drawn_as_that_grid() -> None:

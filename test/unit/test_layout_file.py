@@ -133,6 +133,23 @@ def test_the_simulator_presses_on_the_unrolled_skin(tmp_path: Path) -> None:
             SimOptions.from_url(f"sim://?{query}&layout={tmp_path / 'skin.yaml'}")
 
 
+def test_the_simulator_has_its_middle_in_that_of_the_skin(tmp_path: Path) -> None:
+    path = written(
+        tmp_path,
+        LIST + taxels(*(f"position_mm: [{100 + 7 * n}, 50, 0], node: {4 - n}" for n in range(4))),
+    )
+    skin = SimOptions.from_url(f"sim://?layout={path}").skin(4)
+    assert np.allclose(skin.positions_m * 1e3, [[10.5, 0], [3.5, 0], [-3.5, 0], [-10.5, 0]])
+    assert skin.pitch_m == pytest.approx(7e-3)
+
+
+def test_nodes_without_a_place_take_none_in_the_arrays(tmp_path: Path) -> None:
+    path = written(tmp_path, GRID + "unplaced: [7]\n")
+    pipeline = Pipeline(SkinConfig.of({"nodes": 7, "layout_file": str(path)}))
+    readings = pipeline.taxels.update(silent(7, 0.0), 0.0, pipeline.health)
+    assert len(readings.pressure_pa) == len(readings.voltage_v) == len(readings.status) == 6
+
+
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_the_examples_are_for_skins_that_exist(path: Path) -> None:
     layout = read_layout(path, Wiring())
