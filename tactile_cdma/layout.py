@@ -136,11 +136,12 @@ class Layout:
     def raster(self) -> NDArray[np.int32]:
         """(h, w) int32, the taxel in each cell of a picture of the unrolled skin; −1: none.
 
-        Of a grid the cells are its taxels; of an irregular skin they are cell_m wide and hold the
+        Of a grid the cells are its taxels with a node; of an irregular skin they are cell_m wide and hold the
         nearest taxel, row 0 at the least y.
         """
         if not self.irregular:
-            return np.arange(len(self), dtype=np.int32).reshape(self.rows, self.columns)
+            taxels = np.where(self.nodes > 0, np.arange(len(self)), -1)
+            return taxels.astype(np.int32).reshape(self.rows, self.columns)
         place = (self.flat_m - self.flat_m.min(axis=0) + self.pitch_m / 2) / self.cell_m
         width, height = self._cells(self.cell_m)
         reach = COVER_PITCHES * self.pitch_m / self.cell_m

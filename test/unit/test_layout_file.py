@@ -1,10 +1,14 @@
 """Layout files: what they become, on the way from a node to its taxel, and what is refused."""
 
+import re
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
 import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from test_pipeline import run, stream
 
 from tactile_cdma.decode import silent
@@ -155,7 +159,7 @@ def test_the_examples_are_for_skins_that_exist(path: Path) -> None:
     layout = read_layout(path, Wiring())
     assert layout.name != path.stem
     assert layout.neighbours.shape[1] > 3
-    assert len(layout.raster[layout.raster >= 0]) >= len(layout)
+    assert set(layout.raster.ravel()) - {-1} == set(np.flatnonzero(layout.nodes))
     assert yaml.safe_load(path.read_text())["shape"] == path.stem
 
 
@@ -288,6 +292,39 @@ def test_bad_files_are_refused_with_line_taxel_and_cause(name: str, tmp_path: Pa
         read_layout(path, Wiring(nodes=nodes, skin="right"))
     for word in [str(path), *words]:
         assert word in str(caught.value)
+
+
+TEXTS = [path.read_text() for path in EXAMPLES]
+VALUES = ["", "~", "0", "-1", "1e9", "0.001", "nan", "[]", "[[0]]", "{}", "'1'", "x", "99999"]
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.sampled_from(TEXTS), st.data())
+def test_whatever_stands_in_a_file_it_is_taken_or_refused(text: str, data: st.DataObject) -> None:
+    """Values, lines and characters in wrong places: never another error, never a wrong layout."""
+    numbers = list(re.finditer(r"-?[\d.]+|\w+$", text, re.MULTILINE))
+    for _ in range(data.draw(st.integers(1, 2))):
+        place = data.draw(st.sampled_from(numbers))
+        text = text[: place.start()] + data.draw(st.sampled_from(VALUES)) + text[place.end() :]
+    lines = text.splitlines(keepends=True)
+    if data.draw(st.booleans()):
+        lines.insert(data.draw(st.integers(0, len(lines))), data.draw(st.sampled_from(lines)))
+    if data.draw(st.booleans()):
+        lines.pop(data.draw(st.integers(0, len(lines) - 1)))
+    with TemporaryDirectory() as folder:
+        path = written(Path(folder), "".join(lines))
+        try:
+            layout = read_layout(path, Wiring())
+        except LayoutError as error:
+            assert str(error).startswith(str(path))
+            return
+    real = layout.nodes[layout.nodes > 0].tolist()
+    assert sorted([*real, *layout.unplaced]) == list(range(1, layout.wired + 1))
+    assert set(layout.masked) <= set(real)
+    assert np.isfinite(layout.positions_m).all()
+    assert np.allclose(np.linalg.norm(layout.normals, axis=1), 1, atol=1e-5)
+    assert (layout.areas_m2 > 0).all()
+    assert len(layout.neighbours) == len(layout) == layout.rows * layout.columns
 
 
 def test_a_heap_of_taxels_is_refused(tmp_path: Path) -> None:
