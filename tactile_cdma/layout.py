@@ -136,8 +136,8 @@ class Layout:
     def raster(self) -> NDArray[np.int32]:
         """(h, w) int32, the taxel in each cell of a picture of the unrolled skin; −1: none.
 
-        Of a grid the cells are its taxels with a node; of an irregular skin they are cell_m wide and hold the
-        nearest taxel, row 0 at the least y.
+        Of a grid the cells are its taxels with a node; of an irregular skin they are cell_m wide
+        and hold the nearest taxel, row 0 at the least y.
         """
         if not self.irregular:
             taxels = np.where(self.nodes > 0, np.arange(len(self)), -1)
