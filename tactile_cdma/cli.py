@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from . import __version__
+from . import __version__, layout_command
 from .amplifier import design
 from .amplifier_report import describe, report
 from .capture import is_text, read_scope_csv
@@ -143,6 +143,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     _add_skin_options(amplifier, "the driver's; the frame period plays no part")
     amplifier.set_defaults(run=_amplifier)
+
+    layout_command.add_to(commands)
     return parser
 
 

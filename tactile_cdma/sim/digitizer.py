@@ -80,7 +80,7 @@ def truth(
     return node_frames(
         spec,
         SCENES[options.scene],
-        options.skin(spec.nodes),
+        options.skin(spec.nodes, spec.first_row),
         options.rules,
         start_phase=options.start_phase,
         roll_calls=roll_calls,
