@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from . import __version__
+from . import __version__, layout_command
 from .amplifier import design
 from .amplifier_report import describe, report
 from .capture import is_text, read_scope_csv
@@ -147,6 +147,7 @@ def _parser() -> argparse.ArgumentParser:
 
     sensor = commands.add_parser("sensor", help="the simulated sensor beside the paper's")
     sensor.set_defaults(run=_sensor)
+    layout_command.add_to(commands)
     return parser
 
 
