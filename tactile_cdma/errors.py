@@ -6,7 +6,8 @@ TactileError
 ├── PortError         the port cannot be opened, was lost, or carries something else
 ├── ProtocolError     the digitizer speaks another protocol version or refuses a command
 ├── CaptureError      a capture file that is empty, truncated or not what it should be
-└── NodeMemoryError   a node's memory that is blank, damaged or not for this firmware
+├── NodeMemoryError   a node's memory that is blank, damaged or not for this firmware
+└── RestError         a tare that cannot be taken now; a file of tare and drift that is of no use
 """
 
 
@@ -36,3 +37,7 @@ class CaptureError(TactileError):
 
 class NodeMemoryError(TactileError, ValueError):
     """A node's memory that is blank, damaged or not for this firmware."""
+
+
+class RestError(TactileError):
+    """A tare that cannot be taken now, or a file of tare and drift that is of no use."""

@@ -85,6 +85,22 @@ class Layout:
         index = self.nodes.astype(np.intp) - 1
         return None if np.array_equal(index, np.arange(len(index))) else index
 
+    @cached_property
+    def neighbours(self) -> NDArray[np.int32]:
+        """(t, m) int32, the taxels within 1.5 pitches of each one, padded with its own index."""
+        close = [
+            np.flatnonzero(
+                (np.linalg.norm(self.positions_m - place, axis=1) < 1.5 * self.pitch_m)
+                & (self.nodes > 0)
+                & (number > 0)
+            )
+            for place, number in zip(self.positions_m, self.nodes, strict=True)
+        ]
+        table = np.arange(len(self), dtype=np.int32)[:, None].repeat(max(map(len, close)), axis=1)
+        for own, taxels in enumerate(close):
+            table[own, : len(taxels)] = taxels
+        return table
+
 
 def grid_places(rows: int, columns: int, pitch_m: float) -> NDArray[np.float32]:
     """Row-major places of a flat grid about its centre, (rows · columns, 2) float32, m."""

@@ -9,12 +9,13 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from .baseline import RestRules
 from .calibration import AdcScale, Calibration, PressureCurve
 from .errors import ParameterError, SpecError
 from .frame import BIPOLAR, DEFAULT_AMPLITUDE_V, MAX_STRETCH, UNIPOLAR, FrameSpec
@@ -248,6 +249,8 @@ class SkinConfig:
     curve: PressureCurve
     calibration: Calibration
     layout: Layout
+    skin: str
+    rest: RestRules
     threshold: float
     stale_after_s: float
 
@@ -300,9 +303,29 @@ class SkinConfig:
                 get["pitch_mm"] * 1e-3,
                 get["taxel_mm"] * 1e-3,
             ),
+            skin=get["skin"],
+            rest=rest_rules(get),
             threshold=get["threshold"],
             stale_after_s=get["stale_after_s"],
         )
+
+    def adjusted(self, values: Mapping[str, Value]) -> SkinConfig:
+        """With the live ones of these values, all of them; files are not read again."""
+        return replace(
+            self,
+            rest=rest_rules(values),
+            threshold=float(values["threshold"]),
+            stale_after_s=float(values["stale_after_s"]),
+        )
+
+
+def rest_rules(values: Mapping[str, Any]) -> RestRules:
+    """From all parameters' values."""
+    return RestRules(
+        drift_pa_per_min=values["drift_pa_per_min"],
+        contact_pa=values["contact_kpa"] * 1e3,
+        release_pa=values["release_kpa"] * 1e3,
+    )
 
 
 def check_values(values: Mapping[str, object]) -> dict[str, Value]:

@@ -5,19 +5,27 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .baseline import Baseline
+from .baseline import LOOK_S, Baseline
 from .calibration import Calibration
+from .drift import DriftTracker
 
 
 class PressureChain:
     """Turns the nodes' voltages into pressures, frame by frame.
 
-    voltage + drift → curve → pressure − tare.
+    voltage + drift → curve → pressure − tare. A few times a second it looks whether drift is to be
+    followed; what that changes shows in the next update.
     """
 
-    def __init__(self, calibration: Calibration, baseline: Baseline) -> None:
+    def __init__(
+        self, calibration: Calibration, baseline: Baseline, tracker: DriftTracker | None = None
+    ) -> None:
+        """tracker: follows the drift; None: nothing does."""
         self.calibration = calibration
         self.baseline = baseline
+        self.tracker = tracker
+        self._looked_s: float | None = None
+        self._settled = self._moved = False
 
     def update(
         self, voltage_v: NDArray[np.float32], valid: NDArray[np.bool_], t_s: float
@@ -29,8 +37,44 @@ class PressureChain:
         """
         curves, baseline = self.calibration.curves, self.baseline
         corrected_v = voltage_v + baseline.drift_v
-        return curves.pressure(corrected_v) - baseline.tare_pa, curves.saturated(corrected_v)
+        pressure_pa = curves.pressure(corrected_v)
+        reading_pa = pressure_pa - baseline.tare_pa
+        saturated = curves.saturated(corrected_v)
+        self._settled = self._moved = False
+        if self._looked_s is None or not 0 <= t_s - self._looked_s < LOOK_S:
+            self._look(voltage_v, pressure_pa, reading_pa, valid, t_s)
+        return reading_pa, saturated
 
     def steady(self, t_s: float) -> bool:
         """Whether the same voltages at t_s (s) give the pressures of the last update."""
-        return True
+        if self._settled or self._looked_s is None:
+            return self._settled
+        return not self._moved and 0 <= t_s - self._looked_s < LOOK_S
+
+    def forget(self) -> None:
+        """The device's clock starts anew."""
+        self.baseline.forget()
+        if self.tracker is not None:
+            self.tracker.forget()
+        self.unsettle()
+
+    def unsettle(self) -> None:
+        """Something else than the voltages has changed."""
+        self._looked_s, self._settled = None, False
+
+    def _look(
+        self,
+        voltage_v: NDArray[np.float32],
+        pressure_pa: NDArray[np.float32],
+        reading_pa: NDArray[np.float32],
+        valid: NDArray[np.bool_],
+        t_s: float,
+    ) -> None:
+        self._looked_s = t_s
+        self._settled = self.baseline.look(voltage_v, pressure_pa, valid)
+        if self.tracker is None or not self.tracker.rules.drift_pa_per_min:
+            return
+        before_v, curves = self.baseline.drift_v, self.calibration.curves
+        if self.tracker.follow(self.baseline, curves, voltage_v, reading_pa, valid, t_s):
+            self._settled = False
+        self._moved = self.baseline.drift_v is not before_v
