@@ -168,14 +168,17 @@ class Pipeline:
                     self._acknowledged(packet)
         return frames
 
-    def adjust(self, config: SkinConfig) -> None:
-        """Take over of another configuration what may change while the stream goes on."""
+    def adjust(self, config: SkinConfig) -> bool:
+        """Take over of another configuration what may change while the stream goes on.
+
+        Returns whether tare and drift stay: they do unless the curves are others.
+        """
         self.config = config
         self.threshold = config.threshold
         self.taxels.stale_after_s = config.stale_after_s
         if self.taxels.chain.tracker is not None:
             self.taxels.chain.tracker.rules = config.rest
-        self.taxels.refresh()
+        return self.taxels.calibrate(config.calibration)
 
     def flush(self) -> list[TactileFrame]:
         """At the end of a recording: a last frame that nothing followed."""

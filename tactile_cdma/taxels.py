@@ -116,6 +116,17 @@ class Taxels:
         self.refresh()
         return unheard
 
+    def restore(
+        self, tare_pa: NDArray[np.float32] | None, drift_v: NDArray[np.float32] | None
+    ) -> None:
+        """Take over a tare, Pa, and a drift, V, (n,) float32 both; None: none."""
+        self.baseline.clear()
+        if tare_pa is not None:
+            self.baseline.tare_pa, self.baseline.tared = tare_pa, True
+        if drift_v is not None:
+            self.baseline.drift_v = drift_v
+        self.refresh()
+
     def calibrate(self, calibration: Calibration) -> bool:
         """Read voltages by another calibration from now on.
 
