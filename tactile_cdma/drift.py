@@ -1,9 +1,10 @@
 """Slow drift of resting nodes: told from contacts, and followed.
 
-Nothing in one reading tells a light steady touch from drift. So drift is what is small and slow: a
-node's drift is followed while its voltage is within BAND_LSB of its voltage at rest and of where
-it has lately been, and has been so for SETTLE_S, and neither it nor a node beside it is in contact.
-A touch takes a node out of the band at once, and there nothing is followed, however long it lasts.
+Nothing in one reading tells a light steady touch from drift. But a touch comes and goes at once,
+and drift is small and slow. So a node's drift is followed while its voltage is within BAND_LSB of
+its voltage at rest and of where it has lately been, and has been so for SETTLE_S. A node that has
+left that band is touched; it rests again when it is back in the band by a jump, or close to rest.
+Neither touched nodes nor those beside a contact are followed, however long it lasts.
 """
 
 from __future__ import annotations
@@ -17,8 +18,10 @@ from .layout import Layout
 
 BAND_LSB = 1.5
 """Farther from rest than this is no drift. A node that falls by one count is within, by two not."""
+CLOSE_LSB = 0.75
+"""A touched node that comes back slowly rests when it is so close to rest: no whole count off."""
 SETTLE_S = 10.0
-"""So long a node must have rested. It may change by one count in this time."""
+"""So long a node must have rested. Slower than a count in this time is no jump."""
 LONGEST_S = 1.0
 """Where nothing was seen for longer, no more than this is made up for."""
 STRAY_S = 60.0
@@ -44,6 +47,8 @@ class DriftTracker:
         self._rest_v = self._slope = np.zeros(nodes, dtype=np.float32)
         self._deviation_v = np.zeros(nodes, dtype=np.float32)
         self._usual_v = np.full(nodes, np.inf, dtype=np.float32)  # where it lately was at rest
+        self._trail_v = np.full(nodes, np.inf, dtype=np.float32)  # behind the voltage, at all times
+        self._touched = np.zeros(nodes, dtype=bool)
         self._away_s = np.zeros(nodes)  # when it last was not at rest
         self._straight_s = np.zeros(nodes)  # when it last was no stray
         self._last_s: float | None = None
@@ -51,7 +56,7 @@ class DriftTracker:
     def forget(self) -> None:
         """The device's clock starts anew."""
         self._last_s = None
-        self._usual_v[:] = np.inf
+        self._begin()
 
     def follow(
         self,
@@ -72,28 +77,54 @@ class DriftTracker:
             self._away_s[:] = self._straight_s[:] = self._last_s = t_s
         passed_s = min(max(t_s - self._last_s, 0.0), LONGEST_S)
         self._last_s = t_s
-        band_v, nothing_v = BAND_LSB * self._lsb_v, _NOTHING_LSB * self._lsb_v
         deviation_v = self._rest_v - voltage_v - baseline.drift_v
-        distance_v = np.abs(deviation_v)
-        near = valid & (distance_v < band_v)
-        np.copyto(self._usual_v, np.inf, where=~valid)
-        np.copyto(self._usual_v, voltage_v, where=near & np.isinf(self._usual_v))
-        change_v = voltage_v - self._usual_v
-        resting = near & (np.abs(change_v) < band_v) & ~self._held(valid, reading_pa)
+        self._deviation_v = deviation_v
+        near = valid & (np.abs(deviation_v) < BAND_LSB * self._lsb_v)
+        resting = self._untouched(voltage_v, near, valid, passed_s)
+        resting &= ~self._in_contact(valid & ~near & (reading_pa > self.rules.release_pa))
         np.copyto(self._away_s, t_s, where=~resting)
         stray = valid & ~near & (reading_pa < self.rules.contact_pa)
         np.copyto(self._straight_s, t_s, where=~stray)
-        self._deviation_v = deviation_v
 
-        usual_step_v = self._lsb_v * passed_s / SETTLE_S
-        self._usual_v[resting] += np.clip(change_v[resting], -usual_step_v, usual_step_v)
-        due = resting & (distance_v > nothing_v)
+        nothing_v = _NOTHING_LSB * self._lsb_v
+        due = resting & (np.abs(deviation_v) > nothing_v)
         now = due & (t_s - self._away_s >= SETTLE_S)
         if now.any():
             most_v = self._slope * np.float32(self.rules.drift_pa_per_min / 60 * passed_s)
             step_v = np.clip(deviation_v, -most_v, most_v) * now
             baseline.drift_v = baseline.drift_v + step_v
-        return bool(due.any() or (resting & (np.abs(change_v) > nothing_v)).any())
+        usual_v = self._usual_v[resting]
+        change_v = np.clip(voltage_v[resting] - usual_v, *self._slowly(passed_s))
+        self._usual_v[resting] = usual_v + change_v
+        return bool(due.any() or (np.abs(change_v) > 0).any())
+
+    def _untouched(
+        self,
+        voltage_v: NDArray[np.float32],
+        near: NDArray[np.bool_],
+        valid: NDArray[np.bool_],
+        passed_s: float,
+    ) -> NDArray[np.bool_]:
+        """(n,) bool, who is near rest and has not been touched since it was there before."""
+        band_v = np.float32(BAND_LSB * self._lsb_v)
+        np.copyto(self._trail_v, voltage_v, where=np.isinf(self._trail_v))
+        behind_v = np.clip(voltage_v - self._trail_v, -2 * band_v, 2 * band_v)
+        self._trail_v = voltage_v - behind_v + np.clip(behind_v, *self._slowly(passed_s))
+        np.copyto(self._usual_v, np.inf, where=~valid)
+        np.copyto(self._usual_v, voltage_v, where=near & np.isinf(self._usual_v))
+        home = near & (np.abs(voltage_v - self._usual_v) < band_v)
+        back = (behind_v > band_v) | (np.abs(self._deviation_v) < CLOSE_LSB * self._lsb_v)
+        self._touched = valid & np.where(home, self._touched & ~back, True)
+        return np.asarray(home & ~self._touched)
+
+    def _in_contact(self, pressed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Nodes that are pressed, and those beside them."""
+        return pressed | pressed[self._beside].any(axis=1) if pressed.any() else pressed
+
+    def _slowly(self, passed_s: float) -> tuple[np.float32, np.float32]:
+        """The most that a voltage may change to be no jump, either way, V."""
+        most_v = np.float32(self._lsb_v * passed_s / SETTLE_S)
+        return -most_v, most_v
 
     def strays_lsb(self, t_s: float) -> dict[int, float]:
         """By number, the nodes that have been off their rest for STRAY_S, and how far, LSB.
@@ -105,11 +136,6 @@ class DriftTracker:
         strays = np.flatnonzero(t_s - self._straight_s > STRAY_S)
         return {int(i) + 1: float(self._deviation_v[i] / self._lsb_v) for i in strays}
 
-    def _held(self, valid: NDArray[np.bool_], reading_pa: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Nodes in contact, and those beside them."""
-        touched = valid & (reading_pa > self.rules.release_pa)
-        return touched | touched[self._beside].any(axis=1) if touched.any() else touched
-
     def _zero_at(self, curves: Curves, tare_pa: NDArray[np.float32]) -> None:
         """Rest is where these curves have the tare."""
         if curves is self._curves and tare_pa is self._tare_pa:
@@ -118,7 +144,12 @@ class DriftTracker:
         self._rest_v = curves.voltage(tare_pa).astype(np.float32)
         fall_v = curves.voltage_v[0] - curves.voltage_v[1]
         self._slope = (fall_v / (curves.pressure_pa[1] - curves.pressure_pa[0])).astype(np.float32)
-        self._usual_v[:] = np.inf
+        self._begin()
+
+    def _begin(self) -> None:
+        """Nothing is known of where the nodes were."""
+        self._usual_v[:] = self._trail_v[:] = np.inf
+        self._touched[:] = False
 
 
 def nodes_beside(layout: Layout, nodes: int) -> NDArray[np.int32]:

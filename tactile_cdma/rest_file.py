@@ -111,7 +111,7 @@ def set_aside(path: Path) -> Path | None:
     aside = path.with_name(f"{path.name}.old")
     try:
         os.replace(path, aside)
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as error:
         raise RestError(f"{path}: cannot be set aside: {error.strerror}") from None

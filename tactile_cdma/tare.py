@@ -10,8 +10,8 @@ from .calibration import Curves
 from .errors import RestError
 from .layout import Layout
 
-MOVING_LSB = 1.5
-"""A node whose voltage changed by more within the last second moves."""
+MOVING_LSB = 2.5
+"""A node whose voltage changed by more within the last second moves: not if a code flickers."""
 _MOST_NAMES = 8
 
 

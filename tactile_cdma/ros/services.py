@@ -23,6 +23,8 @@ TELL_S = 10.0
 """Drift is told of at most so often."""
 SAVE_S = 60.0
 """Drift is saved at most so often."""
+_TOLD_LSB = 0.9
+"""A drift of a count is told of, however it is rounded."""
 _SAVED_LSB = 0.1
 """A drift that moved by less is not worth writing."""
 
@@ -112,7 +114,7 @@ class RestKeeper:
             return
         config, now_s = self._driver.pipeline.config, time.monotonic()
         moved_v = np.abs(self._driver.pipeline.taxels.baseline.drift_v - self._told_drift_v).max()
-        if moved_v > config.adc.lsb_v and now_s - self._told_s >= TELL_S:
+        if moved_v > _TOLD_LSB * config.adc.lsb_v and now_s - self._told_s >= TELL_S:
             with self._driver.between_frames():
                 self.tell()
         if now_s - self._saved_s >= SAVE_S:
