@@ -93,10 +93,9 @@ class DriftTracker:
             most_v = self._slope * np.float32(self.rules.drift_pa_per_min / 60 * passed_s)
             step_v = np.clip(deviation_v, -most_v, most_v) * now
             baseline.drift_v = baseline.drift_v + step_v
-        usual_v = self._usual_v[resting]
-        change_v = np.clip(voltage_v[resting] - usual_v, *self._slowly(passed_s))
-        self._usual_v[resting] = usual_v + change_v
-        return bool(due.any() or (np.abs(change_v) > 0).any())
+        change_v = np.clip(voltage_v - self._usual_v, *self._slowly(passed_s)) * resting
+        self._usual_v += change_v
+        return bool(due.any() or change_v.any())
 
     def _untouched(
         self,
@@ -119,7 +118,9 @@ class DriftTracker:
 
     def _in_contact(self, pressed: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Nodes that are pressed, and those beside them."""
-        return pressed | pressed[self._beside].any(axis=1) if pressed.any() else pressed
+        contact = pressed.copy()
+        contact[self._beside[np.flatnonzero(pressed)]] = True
+        return contact
 
     def _slowly(self, passed_s: float) -> tuple[np.float32, np.float32]:
         """The most that a voltage may change to be no jump, either way, V."""
