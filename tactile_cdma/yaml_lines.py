@@ -38,6 +38,7 @@ class LinedYaml:
         try:
             for event in yaml.parse(text, _LOADER):
                 if isinstance(event, yaml.AliasEvent):
+                    assert event.start_mark is not None
                     raise error(f"{path}: line {event.start_mark.line + 1}: aliases are not taken")
             root = yaml.compose(text, _LOADER)
         except (yaml.YAMLError, RecursionError) as problem:

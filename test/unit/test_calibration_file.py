@@ -1,4 +1,4 @@
-"""Calibration files: what is written is read, and everything else is refused with line and cause."""
+"""Calibration files: what is written is read, all else is refused with line and cause."""
 
 import os
 import time
