@@ -31,7 +31,7 @@ _GOOD_SHARE, _GOOD_SIGMAS = 0.8, 1.28
 """So many points are taken to be no outliers; those of a normal distribution lie within 1.28 σ."""
 _TRIMS = 3
 _RIDGE = 1e-14
-_CHUNK = 20_000
+_CHUNK = 50_000
 """Points that are fitted at once: as many as keep the arrays within a cache or two."""
 
 
@@ -196,7 +196,7 @@ class _Points:
         """
         size = np.sort(np.where(self.given, np.abs(residual), np.inf), axis=1)
         place = np.ceil(_GOOD_SHARE * self.given.sum(axis=1)).astype(int) - 1
-        return np.maximum(size[np.arange(len(size)), place] / _GOOD_SIGMAS, noise_v)
+        return np.asarray(np.maximum(size[np.arange(len(size)), place] / _GOOD_SIGMAS, noise_v))
 
     def _descend(self, knees: Floats, used: Mask, limit: Floats, levels: Floats) -> _Solution:
         """Gauss–Newton steps in the knees; a step that does not help is halved."""
@@ -272,12 +272,16 @@ def _level_at(levels: Floats, low: Floats, high: Floats, share: float) -> Floats
     above = np.minimum(below + 1, count - 1)
     rows = np.arange(len(levels))
     between = levels[rows, below] + (place - below) * (levels[rows, above] - levels[rows, below])
-    return np.clip(between, low, np.maximum(low, high))
+    return np.asarray(np.clip(between, low, np.maximum(low, high)))
 
 
 def _choose(where: Mask, one: _Solution, other: _Solution) -> _Solution:
-    def pick(a: NDArray[np.generic], b: NDArray[np.generic]) -> NDArray[np.generic]:
-        return np.where(where.reshape(-1, *[1] * (a.ndim - 1)), a, b)
-
-    names = _Solution.__dataclass_fields__
-    return _Solution(**{name: pick(getattr(one, name), getattr(other, name)) for name in names})
+    """Sensor by sensor, where: (n,)."""
+    column = where[:, None]
+    return _Solution(
+        knees=np.where(column, one.knees, other.knees),
+        beta=np.where(column, one.beta, other.beta),
+        residual=np.where(column, one.residual, other.residual),
+        used=np.where(column, one.used, other.used),
+        cost=np.where(where, one.cost, other.cost),
+    )

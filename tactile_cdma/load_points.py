@@ -87,8 +87,8 @@ def check_pressures(table: Table) -> None:
     if (pressure_pa < 0).any():
         row = int(np.argmax(pressure_pa < 0))
         raise table.refusal(
-            f"{heading} is {pressure_pa[row] / table.factors['pressure']:g}; loads are pressures above "
-            "ambient, 0 or more",
+            f"{heading} is {pressure_pa[row] / table.factors['pressure']:g}; loads are pressures "
+            "above ambient, 0 or more",
             row,
         )
     largest_pa = float(pressure_pa.max())
@@ -119,4 +119,3 @@ def point_lines(nodes: list[int], pressure_pa: float, voltage_v: NDArray[np.floa
         for node, volts in zip(nodes, voltage_v.tolist(), strict=True)
         if np.isfinite(volts)
     )
-

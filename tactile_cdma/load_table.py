@@ -73,9 +73,7 @@ def read_table(path: Path, area_m2: float | None = None) -> Table:
         raise CalibrationError(f"{path}: there is a heading, but no numbers below it")
     values = np.array(rows).T
     factors = {kind: KINDS[kind][_unit(name)] for kind, name in headings.items()}
-    columns = {
-        kind: column * factors[kind] for kind, column in zip(headings, values, strict=True)
-    }
+    columns = {kind: column * factors[kind] for kind, column in zip(headings, values, strict=True)}
     table = Table(path, columns, headings, factors, np.array([number for number, _ in used]))
     return _with_pressure(table, area_m2)
 
