@@ -111,9 +111,8 @@ def describe(fit: SkinFit) -> str:
         + ", ".join(f"node {node} ({fit.sigma_v[node] / fit.adc.lsb_v:.2f} LSB)" for node in worst)
     )
     if fit.outlier.any():
-        where = sorted(set(fit.points.line[fit.outlier].tolist()))
-        shown = ", ".join(map(str, where[:10])) + (", …" if len(where) > 10 else "")
-        lines.append(f"outliers are in {fit.points.source}, lines {shown}")
+        where = fit.points.lines(fit.outlier)
+        lines.append(f"outliers: {fit.points.source}, {where}")
     return "\n".join(lines)
 
 

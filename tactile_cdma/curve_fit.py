@@ -27,9 +27,9 @@ KNEE_EVIDENCE = 20.0
 _CANDIDATES = 24
 _ABSOLUTE_STEPS = 8
 _NEWTON_STEPS = 12
-_GOOD_SHARE, _GOOD_SIGMAS = 0.8, 1.28
-"""So many points are taken to be no outliers; those of a normal distribution lie within 1.28 σ."""
-_TRIMS = 3
+_GOOD_SHARE, _GOOD_SIGMAS = 0.7, 1.04
+"""So many points are taken to be no outliers; those of a normal distribution lie within 1.04 σ."""
+_TRIMS = 5
 _RIDGE = 1e-14
 _CHUNK = 50_000
 """Points that are fitted at once: as many as keep the arrays within a cache or two."""
@@ -96,10 +96,10 @@ def _fit(pressure_pa: Floats, voltage_v: Floats, pieces: int, noise_v: float) ->
     )
     n = len(given)
     knees, found = np.empty((n, 0)), np.ones(n, dtype=bool)
-    solution = points.settled(knees, levels, noise_v)
+    solution = points.settled(knees, np.zeros(n), levels, noise_v)
     for _ in range(1, pieces):
-        simpler, knees = knees, points.with_another(knees, levels, noise_v)
-        solution = points.settled(knees, levels, noise_v)
+        simpler, (knees, unsure) = knees, points.with_another(knees, levels, noise_v)
+        solution = points.settled(knees, unsure, levels, noise_v)
         knees = solution.knees
         gain = points.squares(simpler, solution.used) - points.squares(knees, solution.used)
         sigma_v = np.maximum(points.sigma(solution), noise_v)
@@ -136,31 +136,38 @@ class _Points:
     y: Floats
     given: Mask
 
-    def with_another(self, knees: Floats, levels: Floats, noise_v: float) -> Floats:
-        """Knees (n, k) and the one more that lowers the sum of |residuals| most, (n, k + 1)."""
-        low, high = _knee_limits(levels)
-        best_cost, best = np.full(len(self.x), np.inf), low
-        for share in np.linspace(0, 1, _CANDIDATES):
-            candidate = _level_at(levels, low, high, share)
+    def with_another(self, knees: Floats, levels: Floats, noise_v: float) -> tuple[Floats, Floats]:
+        """Knees (n, k) and the one more that lowers the sum of |residuals| most, (n, k + 1).
+
+        Also how far apart the candidates for it are, (n,).
+        """
+        best_cost, best = np.full(len(self.x), np.inf), np.zeros(len(self.x))
+        candidates = _candidates(levels)
+        for candidate in candidates:
             trial = np.column_stack((knees, candidate))
             residual = self.residual(trial, self.least_absolute(trial, noise_v))
             cost = np.abs(residual).sum(axis=1, where=self.given)
             best = np.where(cost < best_cost, candidate, best)
             best_cost = np.minimum(cost, best_cost)
-        return np.sort(np.column_stack((knees, best)), axis=1)
+        unsure = np.diff(candidates, axis=0).max(axis=0)
+        return np.sort(np.column_stack((knees, best)), axis=1), unsure
 
-    def settled(self, knees: Floats, levels: Floats, noise_v: float) -> _Solution:
+    def settled(self, knees: Floats, unsure: Floats, levels: Floats, noise_v: float) -> _Solution:
         """The least squares fit near these knees, outliers left out.
 
-        What is an outlier follows from the spread about the start, whose knees are but roughly
-        right, then from that about what came of it.
+        What is an outlier follows from the spread about the start, then from that about what came
+        of it. The start's knees are off by up to `unsure`, (n,), which is nobody's fault.
         """
-        residual = self.residual(knees, self.least_absolute(knees, noise_v))
+        beta = self.least_absolute(knees, noise_v)
+        residual = self.residual(knees, beta)
+        slack = unsure * np.abs(beta[:, 2:]).max(axis=1, initial=0.0)
+        limit = np.full(len(slack), np.inf)
         for _ in range(_TRIMS):
-            limit = OUTLIER * self._spread(residual, noise_v)
+            # Never wider again: an outlier that bends the curve would let in the next one.
+            limit = np.minimum(limit, OUTLIER * self._spread(residual, noise_v) + slack)
             used = self.given & (np.abs(residual) <= limit[:, None])
             solution = self._descend(knees, used, limit, levels)
-            knees, residual = solution.knees, solution.residual
+            knees, residual, slack = solution.knees, solution.residual, np.zeros_like(slack)
         return solution
 
     def least_absolute(self, knees: Floats, noise_v: float) -> Floats:
@@ -261,18 +268,22 @@ def _knee_limits(levels: Floats) -> tuple[Floats, Floats]:
     return levels[:, LEAST_LEVELS - 1], last
 
 
-def _level_at(levels: Floats, low: Floats, high: Floats, share: float) -> Floats:
-    """The load in the middle of, or at, two levels, that share of the levels on from low to high.
+def _candidates(levels: Floats) -> Floats:
+    """Places for a knee between the limits, (_CANDIDATES, n) rising.
 
-    By levels, not by loads, for these may be close to each other where the knee is expected.
+    Evenly by number of levels, not by load: these may be close to each other where the knee is
+    expected.
     """
-    count = np.isfinite(levels).sum(axis=1)
-    place = LEAST_LEVELS - 1 + share * np.maximum(count - 2 * LEAST_LEVELS + 1, 0)
-    below = np.floor(place).astype(int)
-    above = np.minimum(below + 1, count - 1)
-    rows = np.arange(len(levels))
-    between = levels[rows, below] + (place - below) * (levels[rows, above] - levels[rows, below])
-    return np.asarray(np.clip(between, low, np.maximum(low, high)))
+    low, high = _knee_limits(levels)
+    count, rows = np.isfinite(levels).sum(axis=1), np.arange(len(levels))
+    places = []
+    for share in np.linspace(0, 1, _CANDIDATES):
+        place = LEAST_LEVELS - 1 + share * np.maximum(count - 2 * LEAST_LEVELS + 1, 0)
+        below = np.floor(place).astype(int)
+        above = np.minimum(below + 1, count - 1)
+        step = levels[rows, above] - levels[rows, below]
+        places.append(np.clip(levels[rows, below] + (place - below) * step, low, high))
+    return np.array(places)
 
 
 def _choose(where: Mask, one: _Solution, other: _Solution) -> _Solution:

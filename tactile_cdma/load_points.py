@@ -13,6 +13,7 @@ from .load_table import Table, read_table
 HEADING = "node,pressure_kpa,voltage_v"
 PLAUSIBLE_PA = (200.0, 1e8)
 """A largest load outside of this is taken for one in a wrong unit."""
+_SHOWN = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +32,12 @@ class LoadPoints:
 
     def __len__(self) -> int:
         return len(self.node)
+
+    def lines(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> str:
+        """Where points come from, in words: "lines 3, 5, 9"."""
+        lines = sorted(set(self.line[rows].tolist()))
+        shown = ", ".join(map(str, lines[:_SHOWN])) + (", …" if len(lines) > _SHOWN else "")
+        return f"line{'s' if len(lines) != 1 else ''} {shown}"
 
 
 def read_points(path: Path, nodes: int, vref_v: float, area_m2: float | None = None) -> LoadPoints:

@@ -23,7 +23,7 @@ LEAST_FALL = 8.0
 """LSB that a voltage must fall by."""
 MOST_OUTLIERS = 0.2
 """Share of a node's points; if more contradict the others, it is not clear which are right."""
-MOST_NOISE = 0.15
+MOST_NOISE = 0.12
 """Of a curve's fall, standard deviation of the points."""
 
 
@@ -147,7 +147,7 @@ def _unfit(
     if len(at_end) > 0.5 * len(own):
         return (
             f"{len(at_end)} of {len(own)} voltages are at an end of the converter's range "
-            f"({_lines(points, at_end)}): is the sensor connected?"
+            f"({points.lines(at_end)}): is the sensor connected?"
         )
     own = own[usable[own]]
     load_pa = points.pressure_pa[own]
@@ -169,7 +169,7 @@ def _unfit(
             f"no load between {levels_pa[gap] / 1e3:g} and {levels_pa[gap + 1] / 1e3:g} kPa: "
             "add some there"
         )
-    fall_v = -_rise_v(points, own)
+    fall_v = 0.0 - _rise_v(points, own)
     if fall_v < LEAST_FALL * adc.lsb_v:
         return (
             f"the voltage falls by {fall_v * 1e3:.0f} mV only, between loads below and above "
@@ -187,7 +187,7 @@ def _unsound(
     if np.count_nonzero(~used) > MOST_OUTLIERS * len(own):
         return (
             f"{np.count_nonzero(~used)} of {len(own)} points contradict the others "
-            f"({_lines(points, own[~used])})"
+            f"({points.lines(own[~used])})"
         )
     fall_v = corner_v[0] - corner_v[-1]
     if fit.sigma_v[index] > MOST_NOISE * abs(fall_v):
@@ -203,7 +203,7 @@ def _unsound(
         if begin_v - end_v < 2 * adc.lsb_v:
             return (
                 f"the voltage does not fall from {begin_pa / 1e3:.1f} to {end_pa / 1e3:.1f} kPa "
-                f"({_lines(points, within)}): saturated, or loads mixed up?"
+                f"({points.lines(within)}): saturated, or loads mixed up?"
             )
     if not fit.knee_found[index]:
         return (
@@ -245,10 +245,3 @@ def _loop_v(pressure_pa: Floats, residual_v: Floats) -> float:
     order = np.argsort(pressure_pa[up], kind="stable")
     loading_v = np.interp(pressure_pa[down], pressure_pa[up][order], residual_v[up][order])
     return float(np.max(np.abs(residual_v[down] - loading_v)))
-
-
-def _lines(points: LoadPoints, rows: NDArray[np.intp], most: int = 8) -> str:
-    """Where points come from: "lines 3, 5, 9"."""
-    lines = sorted(set(points.line[rows].tolist()))
-    shown = ", ".join(map(str, lines[:most])) + (", …" if len(lines) > most else "")
-    return f"line{'s' if len(lines) != 1 else ''} {shown}"
