@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -167,6 +167,12 @@ class Curves:
         corners = np.rint(np.stack([self.pressure_pa * 1e3, self.voltage_v * 1e6]))
         return f"{zlib.crc32(corners.astype('<i8').tobytes()):08x}"
 
+    def __getitem__(self, index: int) -> PressureCurve:
+        """One sensor's curve, without repeated corners."""
+        pressure_pa, voltage_v = self.pressure_pa[:, index], self.voltage_v[:, index]
+        new = np.append(True, np.diff(pressure_pa) > 0)
+        return PressureCurve(tuple(pressure_pa[new].tolist()), tuple(voltage_v[new].tolist()))
+
     @property
     def range_pa(self) -> NDArray[np.float64]:
         """(n,) the highest pressure that each curve covers, Pa."""
@@ -232,6 +238,17 @@ class Calibration:
     def default(cls, curve: PressureCurve, nodes: int) -> Calibration:
         """The same curve for all nodes."""
         return cls(Curves.uniform(curve, nodes), np.zeros(nodes, dtype=bool))
+
+    @classmethod
+    def of_nodes(
+        cls, curves: Mapping[int, PressureCurve], default: PressureCurve, nodes: int
+    ) -> Calibration:
+        """Curves by the nodes' numbers 1…nodes; those without one are uncalibrated."""
+        numbers = range(1, nodes + 1)
+        return cls(
+            Curves.of([curves.get(number, default) for number in numbers]),
+            np.array([number not in curves for number in numbers]),
+        )
 
 
 def _points(values: tuple[float, ...], scale: float, unit: str) -> str:

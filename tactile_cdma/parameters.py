@@ -17,6 +17,7 @@ import yaml
 
 from .baseline import RestRules
 from .calibration import AdcScale, Calibration, PressureCurve
+from .calibration_file import read_calibration
 from .errors import ParameterError, SpecError
 from .frame import BIPOLAR, DEFAULT_AMPLITUDE_V, MAX_STRETCH, UNIPOLAR, FrameSpec
 from .layout import Layout
@@ -258,7 +259,8 @@ class SkinConfig:
     def of(cls, values: Mapping[str, Value]) -> SkinConfig:
         """From parameter values; missing ones take their defaults.
 
-        Raises ParameterError for a single bad value, SpecError for an impossible combination.
+        Raises ParameterError for a single bad value, SpecError for an impossible combination,
+        CalibrationError for a calibration file that cannot be used.
         """
         checked = check_values(values)
         get: dict[str, Any] = {p.name: checked.get(p.name, p.default) for p in PARAMETERS}
@@ -288,14 +290,15 @@ class SkinConfig:
             stage1_v_per_pa=get["sensitivity1_v_per_kpa"] * 1e-3,
             stage2_v_per_pa=get["sensitivity2_v_per_kpa"] * 1e-3,
         )
+        adc = AdcScale(get["bits"], get["vref_v"])
         return cls(
             spec=spec,
             timing=get["timing"],
             samples_per_chip=get["samples_per_chip"],
             roll_call=get["roll_call"],
-            adc=AdcScale(get["bits"], get["vref_v"]),
+            adc=adc,
             curve=curve,
-            calibration=Calibration.default(curve, get["nodes"]),
+            calibration=_calibration(get["calibration_file"], spec, adc, curve, get["skin"]),
             layout=Layout.grid(
                 get["nodes"],
                 get["rows"],
@@ -381,6 +384,15 @@ def _sections(content: object) -> Iterable[Mapping[str, object]]:
                 }
             else:
                 yield from _sections(below)
+
+
+def _calibration(
+    file: str, spec: FrameSpec, adc: AdcScale, curve: PressureCurve, skin: str
+) -> Calibration:
+    """From a file, a path from the working folder or the home folder (~) on; none: the default."""
+    if not file:
+        return Calibration.default(curve, spec.nodes)
+    return read_calibration(Path(file), spec.nodes, adc, curve, skin)
 
 
 def _check_roll_call(spec: FrameSpec, timing: str, samples_per_chip: int) -> None:
