@@ -155,12 +155,6 @@ class Curves:
     def __len__(self) -> int:
         return int(self.pressure_pa.shape[1])
 
-    def same(self, other: Curves) -> bool:
-        """Whether another skin's sensors have these very curves."""
-        return np.array_equal(self.pressure_pa, other.pressure_pa) and np.array_equal(
-            self.voltage_v, other.voltage_v
-        )
-
     @cached_property
     def checksum(self) -> str:
         """Eight digits that other curves hardly share; of corners in whole mPa and µV."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from datetime import datetime
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +14,9 @@ from std_srvs.srv import Trigger
 
 from tactile_cdma.srv import Tare
 
+from ..calibration_file import write_calibration
 from ..driver import Driver
-from ..errors import RestError
+from ..errors import RestError, TactileError
 from ..parameters import SkinConfig
 from ..rest_file import RestState, read_rest, rest_path, set_aside, write_rest
 from . import convert
@@ -163,9 +165,14 @@ class RestKeeper:
         if self._config is None:
             response.message = "not saved: the node is not configured; configure it first"
             return response
-        error = self._save()
-        response.success = error is None
-        response.message = error or f"saved {self._path}"
+        try:
+            self._write()
+            calibration = self._write_calibration()
+        except TactileError as error:
+            response.message = str(error)
+        else:
+            response.success = True
+            response.message = f"saved {self._path} and {calibration}"
         return response
 
     # The file
@@ -191,21 +198,32 @@ class RestKeeper:
         if retared or moved_v > _SAVED_LSB * self._driver.pipeline.config.adc.lsb_v:
             self._save()
 
-    def _save(self) -> str | None:
-        """Write what is in force; why not, where that fails, which is logged once."""
-        state = self._present_state()
+    def _save(self) -> None:
+        """Write what is in force; that this fails is logged once."""
         try:
-            if self._others_file and (aside := set_aside(self._path)):
-                self._log.info(f"what was in {self._path} is in {aside} now")
-            self._others_file = False
-            write_rest(self._path, state)
+            self._write()
         except RestError as error:
             if self._writable:
                 self._log.warning(str(error))
             self._writable = False
-            return str(error)
+
+    def _write(self) -> None:
+        """Write what is in force; raises RestError."""
+        state = self._present_state()
+        if self._others_file and (aside := set_aside(self._path)):
+            self._log.info(f"what was in {self._path} is in {aside} now")
+        self._others_file = False
+        write_rest(self._path, state)
         self._state, self._writable, self._saved_s = state, True, time.monotonic()
-        return None
+
+    def _write_calibration(self) -> Path:
+        """Write the curves in force beside tare and drift; raises CalibrationError."""
+        assert self._config is not None
+        config = self._config
+        path = self._path.with_name(self._path.name.replace(".rest.", ".calibration."))
+        source = f"the calibration {config.calibration.identity or 'by default'} of a running skin"
+        write_calibration(path, config.calibration, config.adc, config.skin, source)
+        return path
 
     def _present_state(self) -> RestState:
         """What is in force; while nothing streams, what was last."""

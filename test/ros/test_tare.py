@@ -17,6 +17,8 @@ from lifecycle_msgs.msg import Transition  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 from skin_client import Client, running, wait_for  # noqa: E402
+from tactile_cdma.calibration import AdcScale, Calibration, PressureCurve  # noqa: E402
+from tactile_cdma.calibration_file import write_calibration  # noqa: E402
 from tactile_cdma.msg import TactileArray  # noqa: E402
 from tactile_cdma.ros import services  # noqa: E402
 from tactile_cdma.sim.digitizer import VirtualDigitizer  # noqa: E402
@@ -148,8 +150,10 @@ def test_services_answer_in_every_state(tmp_path: Path) -> None:
         assert "not tared" in response.message
         (tmp_path / "skin.rest.yaml").unlink()
         saved = save()
-        assert saved.success and str(tmp_path / "skin.rest.yaml") in saved.message
-        assert (tmp_path / "skin.rest.yaml").exists()
+        assert saved.success
+        for name in ("skin.rest.yaml", "skin.calibration.yaml"):
+            assert str(tmp_path / name) in saved.message
+            assert (tmp_path / name).exists()
         assert client.change(Transition.TRANSITION_DEACTIVATE)
         assert "not active" in tare(client).message
 
@@ -252,14 +256,48 @@ def test_drift_is_followed_told_of_and_kept(
 def test_the_calibration_is_read_again_while_frames_go_on(
     preload: Callable[[float], None], tmp_path: Path
 ) -> None:
+    """The file saved of the curves in force, read five times: the tare stays, no frame is lost."""
     preload(800.0)
     with running(port=IDLE, state_folder=str(tmp_path)) as (_, client):
         assert tare_at_last(client).success
+        assert client.call(Trigger, "save_calibration", Trigger.Request()).success
         for _ in range(5):
             before = len(client.arrays)
-            assert client.set(calibration_file="") == (True, "")
+            assert client.set(calibration_file=str(tmp_path / "skin.calibration.yaml")) == (
+                True,
+                "",
+            )
             wait_for(lambda before=before: len(client.arrays) > before + 10)
         wait_for(lambda: len(client.infos) == 7)
     assert has_no_gap(client.arrays)
     assert client.arrays[-1].info_id == client.infos[-1].info_id == 7
-    assert np.allclose(client.arrays[-1].pressure, 0, atol=15)  # the same curves: the tare stays
+    assert client.infos[-1].calibration_id != client.infos[0].calibration_id == ""
+    assert np.allclose(client.arrays[-1].pressure, 0, atol=15)
+    assert np.allclose(client.infos[-1].tare, 781.25, atol=1)
+
+
+def test_other_curves_forget_the_tare_and_a_bad_file_changes_nothing(
+    preload: Callable[[float], None], tmp_path: Path
+) -> None:
+    preload(800.0)
+    steep = Calibration.default(PressureCurve.two_stage(stage1_v_per_pa=0.066e-3, knee_pa=24e3), 16)
+    path, bad = tmp_path / "steep.yaml", tmp_path / "bad.yaml"
+    identity = write_calibration(path, steep, AdcScale())
+    bad.write_text(path.read_text().replace("nodes: 16", "nodes: 17"))
+    with running(port=IDLE, state_folder=str(tmp_path)) as (_, client):
+        assert tare_at_last(client).success
+        for file, reason in ((bad, "line"), (tmp_path / "none.yaml", "No such file")):
+            taken, why = client.set(calibration_file=str(file))
+            assert not taken and str(file) in why and reason in why
+        assert client.arrays[-1].info_id == 2
+        assert client.set(calibration_file=str(path)) == (True, "")
+        wait_for(lambda: len(client.infos) == 3 and client.arrays[-1].info_id == 3)
+        assert np.allclose(client.arrays[-1].pressure, 781.25 / 2, atol=15)
+        assert list(client.infos[-1].tare) == []
+        assert client.infos[-1].calibration_id == identity
+        before = len(client.arrays)
+        wait_for(lambda: len(client.arrays) > before + 90)
+        assert tare(client).success
+    assert has_no_gap(client.arrays)
+    kept = yaml.safe_load((tmp_path / "skin.rest.yaml.old").read_text())
+    assert np.allclose(kept["tare_pa"], 781.25, atol=1)  # for when the curves before come back
