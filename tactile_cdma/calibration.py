@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import zlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -155,6 +156,18 @@ class Curves:
     def __len__(self) -> int:
         return int(self.pressure_pa.shape[1])
 
+    @cached_property
+    def checksum(self) -> str:
+        """Eight digits that other curves hardly share; of corners in whole mPa and µV."""
+        corners = np.rint(np.stack([self.pressure_pa * 1e3, self.voltage_v * 1e6]))
+        return f"{zlib.crc32(corners.astype('<i8').tobytes()):08x}"
+
+    def __getitem__(self, index: int) -> PressureCurve:
+        """One sensor's curve, without repeated corners."""
+        pressure_pa, voltage_v = self.pressure_pa[:, index], self.voltage_v[:, index]
+        new = np.append(True, np.diff(pressure_pa) > 0)
+        return PressureCurve(tuple(pressure_pa[new].tolist()), tuple(voltage_v[new].tolist()))
+
     @property
     def range_pa(self) -> NDArray[np.float64]:
         """(n,) the highest pressure that each curve covers, Pa."""
@@ -222,6 +235,17 @@ class Calibration:
     def default(cls, curve: PressureCurve, nodes: int) -> Calibration:
         """The same curve for all nodes."""
         return cls(Curves.uniform(curve, nodes), np.zeros(nodes, dtype=bool))
+
+    @classmethod
+    def of_nodes(
+        cls, curves: Mapping[int, PressureCurve], default: PressureCurve, nodes: int
+    ) -> Calibration:
+        """Curves by the nodes' numbers 1…nodes; those without one are uncalibrated."""
+        numbers = range(1, nodes + 1)
+        return cls(
+            Curves.of([curves.get(number, default) for number in numbers]),
+            np.array([number not in curves for number in numbers]),
+        )
 
 
 def _points(values: tuple[float, ...], scale: float, unit: str) -> str:

@@ -14,16 +14,17 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from . import __version__, layout_command
+from . import __version__, calibrate, layout_command
 from .amplifier import design
 from .amplifier_report import describe, report
+from .arguments import add_skin_options, given, positive
 from .capture import is_text, read_scope_csv
 from .driver import Session
 from .errors import CaptureError, PortError, SpecError, TactileError
 from .messages import Info
 from .node_memory import MCUS, check_timing, describe_memory, node_memory, usual_heartbeat
 from .offline import decode_raw, decode_scope, describe_frame, described_parameters
-from .parameters import BY_NAME, GAP, NATURAL_SIGNS, SkinConfig, Value, read_file
+from .parameters import BY_NAME, GAP, SkinConfig, Value
 from .pipeline import Pipeline
 from .programmer import avrdude, burn, node_files, read_memory, write_memory
 from .protocol import PacketParser, diagnose
@@ -33,21 +34,6 @@ from .sim.pty import serve
 from .sim.sensor_report import describe as describe_sensor
 from .source import Port
 
-_SKIN_OPTIONS = {
-    "--nodes": "nodes",
-    "--bits": "bits",
-    "--chip-us": "chip_us",
-    "--frame-period-ms": "frame_period_ms",
-    "--order": "order",
-    "--first-row": "first_row",
-    "--sign-seed": "sign_seed",
-    "--drive": "drive",
-    "--polarity": "polarity",
-    "--amplitude-mv": "amplitude_mv",
-    "--timing": "timing",
-    "--samples-per-chip": "samples_per_chip",
-    "--vref": "vref_v",
-}
 ALL = "all"
 """Instead of a node's number."""
 
@@ -74,22 +60,22 @@ def _parser() -> argparse.ArgumentParser:
     decode = commands.add_parser("decode", help="decode a raw or an oscilloscope capture")
     decode.add_argument("file", type=Path, help="raw capture, or CSV of time in s and voltage in V")
     decode.add_argument("--json", action="store_true", help="one JSON object per frame")
-    _add_skin_options(decode)
+    add_skin_options(decode)
     decode.set_defaults(run=_decode)
 
     record = commands.add_parser("record", help="write the bytes of a port to a file")
     record.add_argument("port", help="pyserial URL: /dev/ttyACM0, sim://?scene=press, …")
     record.add_argument("file", type=Path)
-    record.add_argument("--seconds", type=_positive, help="end after so long; else on Ctrl-C")
+    record.add_argument("--seconds", type=positive, help="end after so long; else on Ctrl-C")
     record.add_argument("--baud", type=int, default=BY_NAME["baud"].default)
     record.add_argument("--force", action="store_true", help="overwrite the file")
-    _add_skin_options(record)
+    add_skin_options(record)
     record.set_defaults(run=_record)
 
     simulate = commands.add_parser("simulate", help="a virtual digitizer behind a real tty")
     simulate.add_argument("--pty", action="store_true", required=True, help="serve on a pty")
     simulate.add_argument("--link", type=Path, help="also make a symbolic link to the tty")
-    simulate.add_argument("--seconds", type=_positive, help="end after so long; else on Ctrl-C")
+    simulate.add_argument("--seconds", type=positive, help="end after so long; else on Ctrl-C")
     simulate.add_argument(
         "url", nargs="?", default="sim://", help="options as in a port: 'sim://?scene=press&seed=1'"
     )
@@ -127,7 +113,7 @@ def _parser() -> argparse.ArgumentParser:
     node.add_argument(
         "--programmer", metavar="NAME", help="also write it to the node, by avrdude: usbasp, …"
     )
-    _add_skin_options(node, "the driver's")
+    add_skin_options(node, "the driver's")
     node.set_defaults(run=_node)
 
     amplifier = commands.add_parser("amplifier", help="the parts between nodes and digitizer")
@@ -142,41 +128,14 @@ def _parser() -> argparse.ArgumentParser:
     amplifier.add_argument(
         "--active", type=float, default=1.0, help="largest share of nodes that talk at once (1)"
     )
-    _add_skin_options(amplifier, "the driver's; the frame period plays no part")
+    add_skin_options(amplifier, "the driver's; the frame period plays no part")
     amplifier.set_defaults(run=_amplifier)
 
     sensor = commands.add_parser("sensor", help="the simulated sensor beside the paper's")
     sensor.set_defaults(run=_sensor)
     layout_command.add_to(commands)
+    calibrate.add_to(commands)
     return parser
-
-
-def _add_skin_options(
-    parser: argparse.ArgumentParser,
-    default: str = "what a raw capture says, else the driver's; amplitude: learnt",
-) -> None:
-    group = parser.add_argument_group(f"the skin (default: {default})")
-    group.add_argument("--params", type=Path, metavar="FILE", help="ROS 2 parameter file")
-    for option, name in _SKIN_OPTIONS.items():
-        parameter = BY_NAME[name]
-        unit = f" [{parameter.unit}]" if parameter.unit else ""
-        kind = type(parameter.default)
-        text = f"{parameter.text}{unit}".replace("%", "%%")  # argparse formats it
-        group.add_argument(option, type=kind, dest=name, help=text)
-    group.add_argument(
-        "--natural-signs",
-        action="store_const",
-        const=NATURAL_SIGNS,
-        dest="sign_seed",
-        help="no row signs, as in the paper",
-    )
-
-
-def _positive(text: str) -> float:
-    seconds = float(text)
-    if not 0 < seconds <= threading.TIMEOUT_MAX:
-        raise argparse.ArgumentTypeError(f"{text} is no positive time in s")
-    return seconds
 
 
 def _node_number(text: str) -> int | str:
@@ -185,24 +144,17 @@ def _node_number(text: str) -> int | str:
     return text if text == ALL else int(text)
 
 
-def _given(arguments: argparse.Namespace) -> dict[str, Value]:
-    """Parameters from the file, overridden by those from options."""
-    values = read_file(arguments.params) if arguments.params else {}
-    options = {name: getattr(arguments, name) for name in _SKIN_OPTIONS.values()}
-    return values | {name: value for name, value in options.items() if value is not None}
-
-
 def _decode(arguments: argparse.Namespace) -> int:
     path: Path = arguments.file
     values: dict[str, Value] = {"amplitude_mv": 0.0}
     if is_text(path):
-        given = _given(arguments)
-        if given.get("timing", GAP) != GAP:
+        asked = given(arguments)
+        if asked.get("timing", GAP) != GAP:
             raise SpecError(
                 "an oscilloscope capture holds nothing but the waveform: use --timing gap"
             )
         # Only a digitizer integrates chips; the capture's own rate is what counts here.
-        values |= {**given, "timing": GAP, "samples_per_chip": BY_NAME["samples_per_chip"].default}
+        values |= {**asked, "timing": GAP, "samples_per_chip": BY_NAME["samples_per_chip"].default}
         config = SkinConfig.of(values)
         capture = read_scope_csv(path)
         for note in capture.notes:
@@ -210,7 +162,7 @@ def _decode(arguments: argparse.Namespace) -> int:
         frames = decode_scope(capture, config)
         pipeline = None
     else:
-        values |= described_parameters(path) | _given(arguments)
+        values |= described_parameters(path) | given(arguments)
         config = SkinConfig.of(values)
         pipeline = Pipeline(config, background=False)
         frames = decode_raw(path, pipeline)
@@ -253,7 +205,7 @@ def _conclude(path: Path, frames: int, pipeline: Pipeline | None) -> int:
 
 
 def _record(arguments: argparse.Namespace) -> int:
-    given, path = _given(arguments), arguments.file
+    asked, path = given(arguments), arguments.file
     if path.exists() and not arguments.force:
         raise CaptureError(f"{path}: exists already; --force overwrites it")
     parser, start = PacketParser(), time.monotonic()
@@ -263,7 +215,7 @@ def _record(arguments: argparse.Namespace) -> int:
             file = path.open("wb")
         except OSError as error:
             raise CaptureError(f"{path}: {error.strerror}") from None
-        session = Session(SkinConfig.of(given)) if given else Session()
+        session = Session(SkinConfig.of(asked)) if asked else Session()
         with file:
             try:
                 port.write(session.open())
@@ -309,7 +261,7 @@ def _node(arguments: argparse.Namespace) -> int:
         raise SpecError("-o is missing: the file to write, or with --node all the directory")
     if programmer and arguments.node == ALL:
         raise SpecError("--programmer writes one node, the one that is connected: --node is all")
-    config = SkinConfig.of(_given(arguments))
+    config = SkinConfig.of(given(arguments))
     check_timing(config.timing)
     nodes = range(1, config.spec.nodes + 1) if arguments.node == ALL else [arguments.node]
     memories = [
@@ -353,7 +305,7 @@ def _warn_of_silence(arguments: argparse.Namespace, config: SkinConfig) -> None:
 
 def _amplifier(arguments: argparse.Namespace) -> int:
     longest_ms = 1e5  # or the default period would refuse larger skins
-    config = SkinConfig.of({**_given(arguments), "frame_period_ms": longest_ms})
+    config = SkinConfig.of({**given(arguments), "frame_period_ms": longest_ms})
     front = design(
         config.spec,
         config.samples_per_chip,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import TracebackType
 
 from ._protocol import SyncMode
@@ -57,6 +58,7 @@ class Driver:
         self._url, self._baud = url, baud
         self._on_frame, self._on_problem = on_frame, on_problem
         self._stop = threading.Event()
+        self._busy = threading.Lock()
         self._thread = threading.Thread(target=self._run, name=f"skin {url}", daemon=True)
 
     def start(self, port: Port | None = None) -> None:
@@ -69,6 +71,15 @@ class Driver:
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
+
+    @contextmanager
+    def between_frames(self) -> Iterator[Pipeline]:
+        """The pipeline while no frame is decoded or handed on, for calls from other threads.
+
+        Bytes wait in the port meanwhile, so nothing is lost if this is short.
+        """
+        with self._busy:
+            yield self.pipeline
 
     def __enter__(self) -> Driver:
         self.start()
@@ -105,16 +116,18 @@ class Driver:
         """Handshake, then decode until stopped; raises PortError when the port is lost."""
         pipeline = self.pipeline
         session = Session(pipeline.config)
-        pipeline.reconnected()
+        with self._busy:
+            pipeline.reconnected()
         if not self.problem:
             self._report(WAITING)
         port.write(session.open())
         try:
             while not self._stop.is_set():
                 data, t_host = port.read()
-                frames = pipeline.feed(data, t_host)
-                for frame in frames:
-                    self._on_frame(frame)
+                with self._busy:
+                    frames = pipeline.feed(data, t_host)
+                    for frame in frames:
+                        self._on_frame(frame)
                 if frames and self.problem:
                     self._report(None)
                 if request := session.watch(pipeline, t_host):

@@ -7,7 +7,9 @@ TactileError
 ├── PortError         the port cannot be opened, was lost, or carries something else
 ├── ProtocolError     the digitizer speaks another protocol version or refuses a command
 ├── CaptureError      a capture file that is empty, truncated or not what it should be
-└── NodeMemoryError   a node's memory that is blank, damaged or not for this firmware
+├── CalibrationError  a calibration file, or loads to calibrate from, that cannot be used
+├── NodeMemoryError   a node's memory that is blank, damaged or not for this firmware
+└── RestError         a tare that cannot be taken now; a file of tare and drift that is of no use
 """
 
 
@@ -39,5 +41,13 @@ class CaptureError(TactileError):
     """A capture file that is empty, truncated or not what it should be."""
 
 
+class CalibrationError(TactileError, ValueError):
+    """A calibration file, or recorded loads to calibrate from, that cannot be used."""
+
+
 class NodeMemoryError(TactileError, ValueError):
     """A node's memory that is blank, damaged or not for this firmware."""
+
+
+class RestError(TactileError):
+    """A tare that cannot be taken now, or a file of tare and drift that is of no use."""

@@ -17,7 +17,7 @@ from .errors import CaptureError
 from .gap_timing import GapTiming
 from .messages import Info
 from .parameters import GAP, LINE, NATURAL_SIGNS, SkinConfig, Value
-from .pipeline import Pipeline
+from .pipeline import Pipeline, TactileFrame
 from .protocol import PacketParser, diagnose
 from .timing import SampleBlock
 
@@ -80,12 +80,16 @@ def described_parameters(path: Path) -> dict[str, Value]:
 
 def decode_raw(path: Path, pipeline: Pipeline) -> Iterator[tuple[float, Words]]:
     """Frames of a raw capture: start of the first chip in device time (s), words."""
+    for frame in raw_frames(path, pipeline):
+        yield frame.t_start, frame.words
+
+
+def raw_frames(path: Path, pipeline: Pipeline) -> Iterator[TactileFrame]:
+    """Frames of a raw capture, with readings."""
     with path.open("rb") as file:
         while data := file.read(_CHUNK_BYTES):
-            for frame in pipeline.feed(data, 0.0):
-                yield frame.t_start, frame.words
-    for frame in pipeline.flush():
-        yield frame.t_start, frame.words
+            yield from pipeline.feed(data, 0.0)
+    yield from pipeline.flush()
 
 
 def describe_frame(t_start: float, words: Words, config: SkinConfig) -> dict[str, Any]:

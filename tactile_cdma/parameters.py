@@ -9,13 +9,15 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from .baseline import RestRules
 from .calibration import AdcScale, Calibration, PressureCurve
+from .calibration_file import read_calibration
 from .contact import ContactThresholds
 from .dynamics import Compensator
 from .errors import ParameterError, SpecError
@@ -253,6 +255,8 @@ class SkinConfig:
     calibration: Calibration
     compensation: bool
     layout: Layout
+    skin: str
+    rest: RestRules
     threshold: float
     stale_after_s: float
     contact: ContactThresholds
@@ -261,7 +265,8 @@ class SkinConfig:
     def of(cls, values: Mapping[str, Value]) -> SkinConfig:
         """From parameter values; missing ones take their defaults.
 
-        Raises ParameterError for a single bad value, SpecError for an impossible combination.
+        Raises ParameterError for a single bad value, SpecError for an impossible combination,
+        CalibrationError for a calibration file that cannot be used.
         """
         checked = check_values(values)
         get: dict[str, Any] = {p.name: checked.get(p.name, p.default) for p in PARAMETERS}
@@ -291,7 +296,8 @@ class SkinConfig:
             stage1_v_per_pa=get["sensitivity1_v_per_kpa"] * 1e-3,
             stage2_v_per_pa=get["sensitivity2_v_per_kpa"] * 1e-3,
         )
-        calibration = Calibration.default(curve, get["nodes"])
+        adc = AdcScale(get["bits"], get["vref_v"])
+        calibration = _calibration(get["calibration_file"], spec, adc, curve, get["skin"])
         if get["compensation"] and calibration.dynamics is None:
             raise SpecError(
                 f"no dynamics in {get['calibration_file'] or 'the default curve'}, which "
@@ -303,11 +309,13 @@ class SkinConfig:
             timing=get["timing"],
             samples_per_chip=get["samples_per_chip"],
             roll_call=get["roll_call"],
-            adc=AdcScale(get["bits"], get["vref_v"]),
+            adc=adc,
             curve=curve,
             calibration=calibration,
             compensation=get["compensation"],
             layout=_layout(get),
+            skin=get["skin"],
+            rest=rest_rules(get),
             threshold=get["threshold"],
             stale_after_s=get["stale_after_s"],
             contact=contact_thresholds(get),
@@ -320,10 +328,29 @@ class SkinConfig:
             return None
         return Compensator(dynamics, self.calibration.curves.range_pa)
 
+    def adjusted(self, values: Mapping[str, Value]) -> SkinConfig:
+        """With the live ones of these values, all of them; files are not read again."""
+        return replace(
+            self,
+            rest=rest_rules(values),
+            contact=contact_thresholds(values),
+            threshold=float(values["threshold"]),
+            stale_after_s=float(values["stale_after_s"]),
+        )
+
 
 def contact_thresholds(values: Mapping[str, Any]) -> ContactThresholds:
     """From all parameters' values; raises SpecError where they contradict each other."""
     return ContactThresholds(values["contact_kpa"] * 1e3, values["release_kpa"] * 1e3)
+
+
+def rest_rules(values: Mapping[str, Any]) -> RestRules:
+    """From all parameters' values."""
+    return RestRules(
+        drift_pa_per_min=values["drift_pa_per_min"],
+        contact_pa=values["contact_kpa"] * 1e3,
+        release_pa=values["release_kpa"] * 1e3,
+    )
 
 
 def check_values(values: Mapping[str, object]) -> dict[str, Value]:
@@ -401,6 +428,15 @@ def _layout(get: Mapping[str, Any]) -> Layout:
                 f"{name} at {BY_NAME[name].default:g}, the file says it"
             )
     return layout
+
+
+def _calibration(
+    file: str, spec: FrameSpec, adc: AdcScale, curve: PressureCurve, skin: str
+) -> Calibration:
+    """From a file, a path from the working folder or the home folder (~) on; none: the default."""
+    if not file:
+        return Calibration.default(curve, spec.nodes)
+    return read_calibration(Path(file), spec.nodes, adc, curve, skin)
 
 
 def _check_roll_call(spec: FrameSpec, timing: str, samples_per_chip: int) -> None:

@@ -13,6 +13,7 @@ from .baseline import Baseline
 from .clock import DeviceClock
 from .clock_keeper import ClockReport
 from .decode import Words, decode, silent
+from .drift import DriftTracker, nodes_beside
 from .errors import SpecError
 from .gap_timing import GapTiming
 from .health import NodeHealth
@@ -94,7 +95,9 @@ class Pipeline:
         self.counters = PipelineCounters()
         self.parser = PacketParser()
         nodes = config.spec.nodes
-        chain = PressureChain(config.calibration, Baseline(nodes), config.compensator())
+        beside = nodes_beside(config.layout, nodes)
+        tracker = DriftTracker(config.adc.lsb_v, beside, config.rest)
+        chain = PressureChain(config.calibration, Baseline(nodes), tracker, config.compensator())
         self.taxels = Taxels(nodes, config.adc, chain, config.layout, config.stale_after_s)
         self.health = NodeHealth(config.spec)
         self.threshold = config.threshold
@@ -164,6 +167,23 @@ class Pipeline:
                 case Ack():
                     self._acknowledged(packet)
         return frames
+
+    def adjust(self, config: SkinConfig) -> bool:
+        """Take over of another configuration what may change while the stream goes on.
+
+        Returns whether tare and drift stay: they do unless the curves are others.
+        """
+        before, self.config = self.config, config
+        if (
+            config.calibration is not before.calibration
+            or config.compensation != before.compensation
+        ):
+            self.taxels.chain.compensator = config.compensator()
+        self.threshold = config.threshold
+        self.taxels.stale_after_s = config.stale_after_s
+        if self.taxels.chain.tracker is not None:
+            self.taxels.chain.tracker.rules = config.rest
+        return self.taxels.calibrate(config.calibration)
 
     def flush(self) -> list[TactileFrame]:
         """At the end of a recording: a last frame that nothing followed."""

@@ -5,27 +5,33 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .baseline import Baseline
+from .baseline import LOOK_S, Baseline
 from .calibration import Calibration
+from .drift import DriftTracker
 from .dynamics import Compensator
 
 
 class PressureChain:
     """Turns the nodes' voltages into pressures, frame by frame.
 
-    voltage + drift → curve → lag and hysteresis undone → pressure − tare.
+    voltage + drift → curve → lag and hysteresis undone → pressure − tare. A few times a second it
+    looks whether drift is to be followed; what that changes shows in the next update.
     """
 
     def __init__(
         self,
         calibration: Calibration,
         baseline: Baseline,
+        tracker: DriftTracker | None = None,
         compensator: Compensator | None = None,
     ) -> None:
-        """compensator: undoes lag and hysteresis; None: they are left as they are."""
+        """tracker follows the drift, compensator undoes lag and hysteresis; None: nothing does."""
         self.calibration = calibration
         self.baseline = baseline
+        self.tracker = tracker
         self.compensator = compensator
+        self._looked_s: float | None = None
+        self._settled = self._moved = False
 
     def update(
         self, voltage_v: NDArray[np.float32], valid: NDArray[np.bool_], t_s: float
@@ -40,8 +46,45 @@ class PressureChain:
         pressure_pa = curves.pressure(corrected_v)
         if self.compensator is not None:
             pressure_pa = self.compensator.update(pressure_pa, valid, t_s)
-        return pressure_pa - baseline.tare_pa, curves.saturated(corrected_v)
+        reading_pa = pressure_pa - baseline.tare_pa
+        saturated = curves.saturated(corrected_v)
+        self._settled = self._moved = False
+        if self._looked_s is None or not 0 <= t_s - self._looked_s < LOOK_S:
+            self._look(voltage_v, pressure_pa, reading_pa, valid, t_s)
+        return reading_pa, saturated
 
     def steady(self, t_s: float) -> bool:
         """Whether the same voltages at t_s (s) give the pressures of the last update."""
-        return self.compensator is None or self.compensator.steady(t_s)
+        if self.compensator is not None and not self.compensator.steady(t_s):
+            return False
+        if self._settled or self._looked_s is None:
+            return self._settled
+        return not self._moved and 0 <= t_s - self._looked_s < LOOK_S
+
+    def forget(self) -> None:
+        """The device's clock starts anew."""
+        self.baseline.forget()
+        if self.tracker is not None:
+            self.tracker.forget()
+        self.unsettle()
+
+    def unsettle(self) -> None:
+        """Something else than the voltages has changed."""
+        self._looked_s, self._settled = None, False
+
+    def _look(
+        self,
+        voltage_v: NDArray[np.float32],
+        pressure_pa: NDArray[np.float32],
+        reading_pa: NDArray[np.float32],
+        valid: NDArray[np.bool_],
+        t_s: float,
+    ) -> None:
+        self._looked_s = t_s
+        self._settled = self.baseline.look(voltage_v, pressure_pa, valid)
+        if self.tracker is None or not self.tracker.rules.drift_pa_per_min:
+            return
+        before_v, curves = self.baseline.drift_v, self.calibration.curves
+        if self.tracker.follow(self.baseline, curves, voltage_v, reading_pa, valid, t_s):
+            self._settled = False
+        self._moved = self.baseline.drift_v is not before_v

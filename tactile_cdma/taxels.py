@@ -8,11 +8,13 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
-from .calibration import AdcScale
+from .baseline import Baseline
+from .calibration import AdcScale, Calibration
 from .decode import Words
 from .health import NodeHealth, NodeState
 from .layout import Layout
 from .pressure import PressureChain
+from .tare import take_tare
 
 
 class Status(IntFlag):
@@ -67,6 +69,7 @@ class Taxels:
         self._stale_after_s = stale_after_s
         # A word has few values: every one is converted once, here.
         self._voltage_of = adc.voltage(np.arange(1 << adc.bits)).astype(np.float32)
+        self._lsb_v = adc.lsb_v
         self._codes = np.zeros(nodes, dtype=np.int32)
         self._flags = np.zeros(nodes, dtype=np.uint8)
         self._heard_s = np.full(nodes, -np.inf)
@@ -90,6 +93,11 @@ class Taxels:
         return 0 < awaited == len(self.missing)
 
     @property
+    def now_s(self) -> float:
+        """Device time of the last frame, s."""
+        return self._now_s
+
+    @property
     def missing(self) -> list[int]:
         """Numbers, from 1 on, of the nodes not heard for stale_after_s, as of the last frame.
 
@@ -103,6 +111,48 @@ class Taxels:
         """The device's clock starts anew: nobody was heard on it."""
         self._heard_s[:] = -np.inf
         self._silence, self._stale_from_s = None, -np.inf
+        self.chain.forget()
+
+    @property
+    def baseline(self) -> Baseline:
+        """Tare and drift of the nodes."""
+        return self.chain.baseline
+
+    def tare(self, contact_pa: float, force: bool = False) -> list[int]:
+        """Take what the skin reads now for zero; see take_tare."""
+        curves = self.chain.calibration.curves
+        unheard = take_tare(self.baseline, curves, self._layout, self._lsb_v, contact_pa, force)
+        self.refresh()
+        return unheard
+
+    def restore(
+        self, tare_pa: NDArray[np.float32] | None, drift_v: NDArray[np.float32] | None
+    ) -> None:
+        """Take over a tare, Pa, and a drift, V, (n,) float32 both; None: none."""
+        self.baseline.clear()
+        if tare_pa is not None:
+            self.baseline.tare_pa, self.baseline.tared = tare_pa, True
+        if drift_v is not None:
+            self.baseline.drift_v = drift_v
+        self.refresh()
+
+    def calibrate(self, calibration: Calibration) -> bool:
+        """Read voltages by another calibration from now on.
+
+        Tare and drift were found with the curves before: where these change both are forgotten.
+        Returns whether they stay.
+        """
+        stay = calibration.curves.checksum == self.chain.calibration.curves.checksum
+        self.chain.calibration = calibration
+        if not stay:
+            self.baseline.clear()
+        self.refresh()
+        return stay
+
+    def refresh(self) -> None:
+        """Something else than the words has changed what they mean."""
+        self._silence = None
+        self.chain.unsettle()
 
     def update(self, words: Words, t_device: float, health: NodeHealth) -> Readings:
         """Take one frame's words, spoken at t_device (s)."""
@@ -134,13 +184,21 @@ class Taxels:
             fresh_s = self._heard_s[~stale]
             self._stale_from_s = float(fresh_s.min(initial=np.inf)) + self._stale_after_s
             invalid = stale | invalid
-        pressure_pa, saturated = self.chain.update(voltage_v, ~invalid, t_device)
+        pressure_pa, saturated = self.chain.update(self._at_least(voltage_v), ~invalid, t_device)
         uncalibrated = self.chain.calibration.uncalibrated
         status |= (saturated & ~invalid) * _SATURATED | uncalibrated * _UNCALIBRATED
         status[self._masked] = Status.MASKED
         if invalid.any():
             pressure_pa[invalid] = voltage_v[invalid] = np.nan
         return self._placed(Readings(pressure_pa, voltage_v, status))
+
+    def _at_least(self, voltage_v: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The highest code says "so much or more": a node that rests above it is at rest, then."""
+        full = self._codes == len(self._voltage_of) - 1
+        if not full.any():
+            return voltage_v
+        rest_v = self.chain.calibration.curves.voltage_v[0].astype(np.float32)
+        return np.where(full, np.maximum(voltage_v, rest_v), voltage_v)
 
     def _placed(self, readings: Readings) -> Readings:
         """From the order of the nodes to that of the taxels."""

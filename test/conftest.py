@@ -1,9 +1,10 @@
-"""Keeps concurrent tests, and other people's robots, out of each other's ROS domain."""
+"""Keeps concurrent tests, and other people's robots, out of each other's ROS domain and home."""
 
 from __future__ import annotations
 
 import os
 import zlib
+from tempfile import TemporaryDirectory
 
 import pytest
 
@@ -16,6 +17,9 @@ def pytest_configure(config: pytest.Config) -> None:
     worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
     os.environ["ROS_DOMAIN_ID"] = str(1 + (zlib.crc32(run.encode()) + worker) % DOMAINS)
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    home = TemporaryDirectory(prefix="ros-home-")
+    os.environ["ROS_HOME"] = home.name  # drivers keep tare and drift there
+    config.add_cleanup(home.cleanup)
 
 
 @pytest.fixture(scope="session")

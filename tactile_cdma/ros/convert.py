@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from array import array
+from collections.abc import Sequence
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -14,7 +15,9 @@ from std_msgs.msg import Header
 
 from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
+from ..baseline import Baseline
 from ..heatmap import heatmap
+from ..layout import Layout
 from ..parameters import SkinConfig
 from ..pipeline import TactileFrame
 
@@ -24,6 +27,13 @@ def ros_array(values: NDArray[np.generic]) -> array[float] | array[int]:
     result: array[float] = array(_TYPE_CODES[values.dtype.str[1:]])
     result.frombytes(np.ascontiguousarray(values).tobytes())
     return result
+
+
+def by_taxel(layout: Layout, of_node: NDArray[np.float32]) -> array[float] | array[int]:
+    """Values of the nodes (n,) in the order of the taxels; 0 for a taxel without a node."""
+    if layout.source is None:
+        return ros_array(of_node)
+    return ros_array(np.where(layout.source < 0, np.float32(0), of_node[layout.source]))
 
 
 _TYPE_CODES = {"f4": "f", "u1": "B", "u2": "H", "u4": "I"}
@@ -51,7 +61,9 @@ def tactile_array(
     return message
 
 
-def skin_info(config: SkinConfig, header: Header, info_id: int) -> TactileSkinInfo:
+def skin_info(
+    config: SkinConfig, baseline: Baseline, header: Header, info_id: int
+) -> TactileSkinInfo:
     """What does not change from frame to frame."""
     spec, layout = config.spec, config.layout
     message = TactileSkinInfo()
@@ -71,6 +83,10 @@ def skin_info(config: SkinConfig, header: Header, info_id: int) -> TactileSkinIn
     message.pressure_min = 0.0
     message.pressure_max = float(config.calibration.curves.range_pa.max())
     message.calibration_id = config.calibration.identity
+    if baseline.tared:
+        message.tare = by_taxel(layout, baseline.tare_pa)
+    if baseline.drift_v.any():
+        message.drift = by_taxel(layout, baseline.drift_v)
     return message
 
 
@@ -98,6 +114,15 @@ def diagnostic(name: str, level: bytes, text: str, values: dict[str, object]) ->
     return DiagnosticStatus(
         level=level, name=name, message=text, hardware_id=name.split(":")[0], values=pairs
     )
+
+
+def listed(items: Sequence[object]) -> str:
+    """Node numbers, and the like, for people: not thousands of them."""
+    text = ", ".join(map(str, items[:_MOST_LISTED]))
+    return f"{text}, … {len(items)} in all" if len(items) > _MOST_LISTED else text
+
+
+_MOST_LISTED = 20
 
 
 def stamp(nanoseconds: int) -> Time:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import fields
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from ..driver import WAITING, Driver
@@ -12,6 +13,7 @@ from ..health import NodeState
 from ..messages import Status
 from ..pipeline import TactileFrame
 from ..protocol import Counters
+from .convert import listed
 
 _COMPLAINTS = {
     NodeState.FAULTY: "words of some nodes contradict the code: check their supply and clock",
@@ -24,7 +26,6 @@ _LOSSES = {
     "command_errors": "commands reach the digitizer broken: check cable and baud",
 }
 """What it means that a count of STATUS rises."""
-_MOST_NUMBERS = 20
 _SLOW = 0.5
 """Share of the expected rate below which something is wrong."""
 
@@ -51,7 +52,7 @@ class StreamReport:
             "connections": driver.connections,
             "rejected bursts": driver.pipeline.rejected,
         }
-        values |= {**_health(driver), **_clocks(driver), **_counts(driver)}
+        values |= {**_health(driver), **_rest(driver), **_clocks(driver), **_counts(driver)}
         values["clipped samples (%)"] = f"{100 * latest.clipped:.1f}" if latest else ""
         return level, text, values
 
@@ -100,8 +101,21 @@ def _health(driver: Driver) -> dict[str, object]:
     health = driver.pipeline.health
     states = (NodeState.WEAK, NodeState.FAULTY, NodeState.DOUBLED)
     return {
-        "missing nodes": _numbers(driver.pipeline.taxels.missing),
-        **{f"{state.name.lower()} nodes": _numbers(health.nodes(state)) for state in states},
+        "missing nodes": listed(driver.pipeline.taxels.missing),
+        **{f"{state.name.lower()} nodes": listed(health.nodes(state)) for state in states},
+    }
+
+
+def _rest(driver: Driver) -> dict[str, object]:
+    """Drift, and the nodes whose rest is too far off to be drift."""
+    taxels, tracker = driver.pipeline.taxels, driver.pipeline.taxels.chain.tracker
+    drift_v = taxels.baseline.drift_v
+    node = int(np.abs(drift_v).argmax())
+    strays = tracker.strays_lsb(taxels.now_s) if tracker is not None else {}
+    off = [f"{node} ({lsb:+.1f} LSB)" for node, lsb in strays.items()]
+    return {
+        "largest drift (mV)": f"{drift_v[node] * 1e3:.2f}, node {node + 1}",
+        "nodes off their rest": listed(off) + ("; tare if nothing touches them" if off else ""),
     }
 
 
@@ -113,7 +127,7 @@ def _clocks(driver: Driver) -> dict[str, object]:
         "node clocks heard": clocks.heard,
         "node clocks apart (chips)": f"{clocks.spread_chips:.2f}",
         "nodes taken apart by": "least squares" if clocks.decorrelated else "correlation",
-        "nodes not told apart": _numbers(list(clocks.unresolved)),
+        "nodes not told apart": listed(list(clocks.unresolved)),
     }
 
 
@@ -130,12 +144,6 @@ def _counts(driver: Driver) -> dict[str, object]:
     for count in fields(status) if status else ():
         values["digitizer " + _words(count.name)] = getattr(status, count.name)
     return values
-
-
-def _numbers(nodes: list[int]) -> str:
-    """Node numbers for people: not thousands of them."""
-    text = ", ".join(map(str, nodes[:_MOST_NUMBERS]))
-    return f"{text}, … {len(nodes)} in all" if len(nodes) > _MOST_NUMBERS else text
 
 
 def _words(name: str) -> str:

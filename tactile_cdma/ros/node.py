@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -41,7 +42,6 @@ from ..parameters import (
     SkinConfig,
     Value,
     check_values,
-    contact_thresholds,
     unknown,
 )
 from ..pipeline import TactileFrame
@@ -49,8 +49,11 @@ from ..source import Port
 from . import convert
 from .contacts import ContactPublishers
 from .diagnostics import StreamReport
+from .services import RestKeeper
 
 NODE_NAME = "skin"
+CALIBRATING = {"calibration_file", "compensation"}
+"""Setting one of these makes the calibration be read again."""
 RETRY_S = 2.0
 STAMP_JITTER_NS = 1_000_000
 LATCHED = QoSProfile(
@@ -85,6 +88,7 @@ class SkinNode(LifecycleNode):
         self._drawn: TactileFrame | None = None
         self._last_failure = ""
         self._stream_report = StreamReport()
+        self._rest = RestKeeper(self, self._publish_info)
         self._last_stamp_ns = 0
         self._silence_due_s = 0.0  # device time from which a frame without words is published again
         # rclpy lets a transition that is impossible in the present state end the executor.
@@ -160,7 +164,7 @@ class SkinNode(LifecycleNode):
                         f"up first (ros2 lifecycle set {self.get_fully_qualified_name()} "
                         "deactivate, then cleanup)"
                     )
-                self._contacts.change(contact_thresholds({**self._live, **new}))
+                self._config = self._adjusted(new)
         except TactileError as error:
             return SetParametersResult(successful=False, reason=str(error))
         others = {name: fault for name, fault in self._faults.items() if name not in new}
@@ -173,11 +177,20 @@ class SkinNode(LifecycleNode):
                 self.get_logger().warning(f"not configurable as it is now: {error}")
         self._faults = others
         self._live.update(new)
-        if self._driver is not None:
-            pipeline = self._driver.pipeline
-            pipeline.threshold = new.get("threshold", pipeline.threshold)
-            pipeline.taxels.stale_after_s = new.get("stale_after_s", pipeline.taxels.stale_after_s)
+        if self._config is not None:
+            self._rest.adjust(self._config)
+            self._contacts.change(self._config.contact)
         return SetParametersResult(successful=True)
+
+    def _adjusted(self, new: dict[str, Value]) -> SkinConfig:
+        """The configuration with new values of live parameters; raises TactileError."""
+        assert self._config is not None
+        values = {**self._values(), **new}
+        config = self._config.adjusted(values)
+        if CALIBRATING & new.keys():
+            read = SkinConfig.of(values)
+            config = replace(config, calibration=read.calibration, compensation=read.compensation)
+        return config
 
     # Lifecycle. rclpy swallows exceptions of these callbacks, so each says what went wrong itself.
 
@@ -196,16 +209,13 @@ class SkinNode(LifecycleNode):
             return TransitionCallbackReturn.FAILURE
         self._last_failure = ""
         self._config = config
+        self._rest.configure(config, str(self._value("state_folder")))
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stream."""
         assert self._config is not None
-        self._info_id += 1  # the sequence begins anew
         result = super().on_activate(state)
-        self._info_publisher.publish(
-            convert.skin_info(self._config, self._header_now(), self._info_id)
-        )
         self._driver = Driver(
             self._config,
             str(self._value("port")),
@@ -218,8 +228,9 @@ class SkinNode(LifecycleNode):
             f"opened {self._value('port')} for {spec.nodes} nodes: order {spec.order}, "
             f"{spec.bits} bits, a frame every {spec.frame_period_s * 1e3:g} ms"
         )
+        self._rest.activate(self._driver)
         port, self._port = self._port, None
-        self._contacts.start(self._config.layout, contact_thresholds(self._live))
+        self._contacts.start(self._config.layout, self._config.contact)
         self._driver.start(port)
         self._stream_report = StreamReport()
         self._heatmap_timer.timer_period_ns = round(1e9 / float(self._value("heatmap_rate_hz")))
@@ -262,6 +273,7 @@ class SkinNode(LifecycleNode):
         self._heatmap_timer.cancel()
         if self._driver is not None:
             self._driver.stop()
+            self._rest.deactivate()
             self._driver = None
         self._latest = self._drawn = None
 
@@ -272,8 +284,18 @@ class SkinNode(LifecycleNode):
             self._port.close()
             self._port = None
         self._config = None
+        self._rest.release()
 
     # Publishing
+
+    def _publish_info(self) -> None:
+        """What frames from now on are to be read with; there are none on their way."""
+        assert self._config is not None and self._driver is not None
+        self._info_id += 1
+        baseline = self._driver.pipeline.taxels.baseline
+        self._info_publisher.publish(
+            convert.skin_info(self._config, baseline, self._header_now(), self._info_id)
+        )
 
     def _publish_frame(self, frame: TactileFrame) -> None:
         """In the driver's thread: the way from a decoded frame to the wire is one publish long."""
@@ -339,6 +361,8 @@ class SkinNode(LifecycleNode):
         else:
             level, text, values = self._stream_report.of(driver, self._latest)
             values["port"] = self._value("port")
+            values["tared"] = self._rest.tared or "not"
+            self._rest.tick()
         message = DiagnosticArray(status=[convert.diagnostic(name, level, text, values)])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_publisher.publish(message)

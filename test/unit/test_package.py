@@ -17,7 +17,15 @@ from tactile_cdma.taxels import Status
 
 ROOT = Path(__file__).resolve().parents[2]
 MODULES = sorted(path.stem for path in (ROOT / "tactile_cdma").glob("*.py"))
-OUTER = {"__init__", "__main__", "source", "cli", "driver"}  # these may do I/O
+OUTER = {
+    "__init__",
+    "__main__",
+    "source",
+    "cli",
+    "driver",
+    "calibrate",
+    "load_session",
+}  # these may do I/O
 OTHER_ROS_PACKAGES = {"ament_index_python", "launch", "launch_ros", "rclpy"}
 COME_WITH_OTHER_WHEELS = {
     "ament-index-python",

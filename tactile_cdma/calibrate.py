@@ -1,0 +1,220 @@
+"""The command `tactile-cdma calibrate`: recorded loads, or a skin on a port → calibration file."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .arguments import add_skin_options, given, positive
+from .calibration import Calibration
+from .calibration_file import numbers, seal_calibration, write_calibration
+from .calibration_report import describe, draw, results
+from .errors import CalibrationError, CaptureError
+from .load_points import LoadPoints, read_points
+from .load_session import LiveSkin, LoadSession
+from .offline import described_parameters, raw_frames
+from .parameters import BY_NAME, SkinConfig, Value
+from .pipeline import Pipeline
+from .plateaus import Recording, find_offset, plateau_points, read_reference
+from .skin_fit import SkinFit, fit_skin
+
+NODE_ORDER: dict[str, Value] = {"calibration_file": "", "layout_file": "", "rows": 0, "columns": 0}
+"""Parameters under which taxel i is node i + 1, and no earlier calibration takes part."""
+SETTLE_S = 2.0
+"""The paper's sensor takes 0.74 s to follow a load."""
+STEP_S = 1.0
+
+
+def add_to(commands: Any) -> None:
+    """Add the command to those of the program (what argparse's add_subparsers returns)."""
+    parser = commands.add_parser(
+        "calibrate", help="fit the nodes' curves to known loads", description=__doc__
+    )
+    parser.add_argument(
+        "loads",
+        type=Path,
+        nargs="?",
+        metavar="LOADS.csv",
+        help="points (node,pressure_kpa,voltage_v); with --capture the reference's readings "
+        "(time_s,pressure_kpa and, if not all nodes are loaded alike, node); with --port the "
+        "file that the points are kept in",
+    )
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="calibration file")
+    parser.add_argument("--png", type=Path, metavar="FILE", help="picture (beside the output)")
+    parser.add_argument("--force", action="store_true", help="overwrite the output")
+    parser.add_argument("--skin", help="name of this very skin (the parameter skin)")
+    parser.add_argument("--pieces", type=_pieces, default=2, help="of every curve (2)")
+    parser.add_argument(
+        "--allow-missing",
+        action="store_true",
+        help="nodes without a sound curve become uncalibrated; else nothing is written",
+    )
+    parser.add_argument(
+        "--area-mm2", type=positive, metavar="MM2", help="that a force_n of the loads acts on"
+    )
+    parser.add_argument(
+        "--seal", type=Path, metavar="FILE", help="accept a calibration file edited by hand"
+    )
+    capture = parser.add_argument_group("loads beside a capture")
+    capture.add_argument("--capture", type=Path, metavar="RAW", help="from tactile-cdma record")
+    capture.add_argument(
+        "--offset", type=float, help="device time minus the reference's time [s] (found)"
+    )
+    capture.add_argument(
+        "--settle",
+        type=positive,
+        default=SETTLE_S,
+        help=f"left out after a load came to rest [s] ({SETTLE_S:g})",
+    )
+    live = parser.add_argument_group("loads taken step by step")
+    live.add_argument("--port", help="pyserial URL of the digitizer")
+    live.add_argument("--baud", type=int, default=BY_NAME["baud"].default)
+    live.add_argument("--steps", type=_steps, default=(), metavar="0,10,…", help="loads [kPa]")
+    live.add_argument("--node", type=int, help="the one that is loaded (all, alike)")
+    live.add_argument(
+        "--seconds", type=positive, default=STEP_S, help=f"that a load is measured ({STEP_S:g})"
+    )
+    live.add_argument("--append", action="store_true", help="go on with a file of points")
+    add_skin_options(parser, "what a capture says, else the driver's")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; returns the exit code."""
+    if arguments.seal:
+        print(f"identity={seal_calibration(arguments.seal)}")
+        return 0
+    output, loads = _files(arguments)
+    values = given(arguments) | NODE_ORDER
+    if arguments.skin is not None:
+        values["skin"] = arguments.skin
+    area_m2 = arguments.area_mm2 and arguments.area_mm2 * 1e-6
+    if arguments.capture:
+        try:
+            values = described_parameters(arguments.capture) | values
+        except OSError as error:
+            raise CaptureError(f"{arguments.capture}: {error.strerror}") from None
+        config = SkinConfig.of(values)
+        points = _beside_capture(arguments, loads, area_m2, config)
+    else:
+        config = SkinConfig.of(values)
+        if arguments.port and not _take_loads(arguments, loads, config):
+            return 1
+        points = read_points(loads, config.spec.nodes, config.adc.vref_v, area_m2)
+    fit = fit_skin(points, config.spec.nodes, config.adc, arguments.pieces)
+    print(describe(fit))
+    _check_missing(fit, arguments.allow_missing)
+    calibration = Calibration.of_nodes(fit.curves, config.curve, config.spec.nodes)
+    skin = str(values.get("skin", BY_NAME["skin"].default))
+    identity = write_calibration(output, calibration, config.adc, skin, points.source)
+    picture = arguments.png or output.with_suffix(".png")
+    draw(fit, picture)
+    print(f"written: {output}, {picture}")
+    pairs = {**results(fit), "identity": identity}
+    print(" ".join(f"{key}={value}" for key, value in pairs.items()))
+    return 0
+
+
+def _files(arguments: argparse.Namespace) -> tuple[Path, Path]:
+    """Output and loads; what cannot be meant is refused before anything is done."""
+    output: Path | None = arguments.output
+    if output is None:
+        raise CalibrationError("-o is missing: the calibration file to write")
+    if output.exists() and not arguments.force:
+        raise CalibrationError(f"{output}: exists already; --force overwrites it")
+    if not output.parent.is_dir():
+        raise CalibrationError(f"{output}: there is no such folder")
+    if arguments.port and arguments.capture:
+        raise CalibrationError("--port and --capture: loads come from one of the two")
+    loads: Path | None = arguments.loads
+    if loads is None:
+        if not arguments.port:
+            raise CalibrationError("which loads? Give a CSV file, or --port to take them now")
+        loads = output.with_suffix(".points.csv")
+    return output, loads
+
+
+def _beside_capture(
+    arguments: argparse.Namespace, loads: Path, area_m2: float | None, config: SkinConfig
+) -> LoadPoints:
+    reference = read_reference(loads, config.spec.nodes, area_m2)
+    recording = read_recording(arguments.capture, config)
+    offset_s = arguments.offset
+    if offset_s is None:
+        found = find_offset(reference, recording)
+        offset_s = found.offset_s
+        print(
+            f"offset of the clocks: {found.offset_s:.2f} ± {found.error_s:.2f} s (match "
+            f"{found.match:.3f})"
+        )
+    return plateau_points(reference, recording, offset_s, arguments.settle, config.adc)
+
+
+def read_recording(path: Path, config: SkinConfig) -> Recording:
+    """What the nodes measured in a raw capture; config: with taxels in the order of the nodes.
+
+    Raises CaptureError where there is no frame in it.
+    """
+    pipeline = Pipeline(config, background=False)
+    times_s, rows = [], []
+    for frame in raw_frames(path, pipeline):
+        times_s.append(frame.t_middle)
+        rows.append(frame.readings.voltage_v)
+    if not rows:
+        raise CaptureError(f"{path}: {pipeline.problem or 'no frame found'}")
+    return Recording(np.array(times_s), np.array(rows))
+
+
+def _take_loads(arguments: argparse.Namespace, path: Path, config: SkinConfig) -> bool:
+    """Whether loads were taken until their end."""
+    nodes = config.spec.nodes
+    if arguments.node is not None and not 1 <= arguments.node <= nodes:
+        raise CalibrationError(f"--node is {arguments.node}; the skin has nodes 1…{nodes}")
+    loaded = range(1, nodes + 1) if arguments.node is None else [arguments.node]
+    with LiveSkin(config, arguments.port, arguments.baud) as skin:
+        session = LoadSession(
+            skin, input, lambda text: print(text, flush=True), loaded, arguments.seconds
+        )
+        try:
+            taken = session.run(path, arguments.steps, arguments.append)
+        except KeyboardInterrupt:
+            print(
+                f"\ntactile-cdma: interrupted; {path} has the loads taken so far: --append goes "
+                "on with it, without --port it is fitted",
+                file=sys.stderr,
+            )
+            return False
+    print(f"{taken} loads taken, kept in {path}")
+    return True
+
+
+def _check_missing(fit: SkinFit, allow_missing: bool) -> None:
+    source = fit.points.source
+    if not fit.curves:
+        raise CalibrationError(f"{source}: no node has a sound curve; nothing is written")
+    if fit.refused and not allow_missing:
+        raise CalibrationError(
+            f"{source}: no sound curve for {numbers(list(fit.refused))} (see above); nothing is "
+            "written: mend the loads, or --allow-missing takes the default curve for them"
+        )
+
+
+def _pieces(text: str) -> int:
+    if not (text.isdecimal() and 1 <= int(text) <= 8):
+        raise argparse.ArgumentTypeError(f"{text!r}: a curve has 1 to 8 pieces")
+    return int(text)
+
+
+def _steps(text: str) -> tuple[float, ...]:
+    try:
+        steps = tuple(float(step) for step in text.split(","))
+    except ValueError:
+        steps = (math.nan,)
+    if not all(0 <= step < math.inf for step in steps):
+        raise argparse.ArgumentTypeError(f"{text!r}: loads in kPa, as in 0,10,20")
+    return steps

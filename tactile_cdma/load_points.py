@@ -1,0 +1,128 @@
+"""Points to calibrate from: known pressures on nodes, and the voltages that the nodes gave."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .load_table import Table, read_table
+
+HEADING = "node,pressure_kpa,voltage_v"
+PLAUSIBLE_PA = (200.0, 1e8)
+"""A largest load outside of this is taken for one in a wrong unit."""
+_SHOWN = 8
+
+
+@dataclass(frozen=True, eq=False)
+class LoadPoints:
+    """m points in the order in which they were taken.
+
+    node: (m,) int64, from 1 on. pressure_pa, voltage_v: (m,) float64. line: (m,) int64, of the
+    file `source` that tells of the load.
+    """
+
+    node: NDArray[np.int64]
+    pressure_pa: NDArray[np.float64]
+    voltage_v: NDArray[np.float64]
+    line: NDArray[np.int64]
+    source: str
+
+    def __len__(self) -> int:
+        return len(self.node)
+
+    def lines(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> str:
+        """Where points come from, in words: "lines 3, 5, 9"."""
+        lines = sorted(set(self.line[rows].tolist()))
+        shown = ", ".join(map(str, lines[:_SHOWN])) + (", …" if len(lines) > _SHOWN else "")
+        return f"line{'s' if len(lines) != 1 else ''} {shown}"
+
+
+def read_points(path: Path, nodes: int, vref_v: float, area_m2: float | None = None) -> LoadPoints:
+    """Points from a CSV with the columns node, pressure (or force, with area_m2) and voltage.
+
+    Raises CalibrationError, naming file, line and likely cause, for unknown nodes, negative
+    pressures, voltages outside the converter's range, swapped columns and wrong units.
+    """
+    table = read_table(path, area_m2)
+    for kind, example in (
+        ("node", "node"),
+        ("pressure", "pressure_kpa"),
+        ("voltage", "voltage_v"),
+    ):
+        if kind not in table.columns:
+            hint = " (with times instead, give --capture)" if "time" in table.columns else ""
+            raise table.refusal(f"there is no column {example}{hint}")
+    pressure_pa, voltage_v = table.columns["pressure"], table.columns["voltage"]
+    check_swapped(table, pressure_pa, voltage_v, vref_v)
+    check_pressures(table)
+    outside = (voltage_v < 0) | (voltage_v > vref_v)
+    if outside.any():
+        row = int(np.argmax(outside))
+        millivolts = table.headings["voltage"] == "voltage_v" and voltage_v[row] > 10 * vref_v
+        raise table.refusal(
+            f"{voltage_v[row]:g} V; a node measures 0…{vref_v:g} V"
+            + (": are these mV? Name the column voltage_mv" if millivolts else ""),
+            row,
+        )
+    return LoadPoints(
+        node_numbers(table, nodes), pressure_pa, voltage_v, table.line, source=path.name
+    )
+
+
+def check_swapped(
+    table: Table,
+    pressure_pa: NDArray[np.float64],
+    voltage_v: NDArray[np.float64],
+    vref_v: float,
+) -> None:
+    """Raises CalibrationError where pressures stand under voltage and voltages under pressure."""
+    pressure, voltage = pressure_pa / table.factors["pressure"], voltage_v
+    within = (pressure >= 0) & (pressure <= vref_v)
+    if within.all() and voltage.max() > vref_v and voltage.min() >= 0:
+        raise table.refusal(
+            f"all of {table.headings['pressure']} lies within 0…{vref_v:g}, "
+            f"{table.headings['voltage']} reaches {voltage.max():g}: are the columns swapped?"
+        )
+
+
+def check_pressures(table: Table) -> None:
+    """Raises CalibrationError for pressures that are negative or in another unit than is said."""
+    pressure_pa, heading = table.columns["pressure"], table.headings["pressure"]
+    if (pressure_pa < 0).any():
+        row = int(np.argmax(pressure_pa < 0))
+        raise table.refusal(
+            f"{heading} is {pressure_pa[row] / table.factors['pressure']:g}; loads are pressures "
+            "above ambient, 0 or more",
+            row,
+        )
+    largest_pa = float(pressure_pa.max())
+    if not PLAUSIBLE_PA[0] <= largest_pa <= PLAUSIBLE_PA[1]:
+        size = "only" if largest_pa < PLAUSIBLE_PA[0] else "as much as"
+        raise table.refusal(
+            f"the largest load is {size} {largest_pa:g} Pa: is {heading} the right unit?"
+        )
+
+
+def node_numbers(table: Table, nodes: int) -> NDArray[np.int64]:
+    """The column node as integers; raises CalibrationError for nodes that there are not."""
+    column = table.columns["node"]
+    wrong = (column != np.floor(column)) | (column < 1) | (column > nodes)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise table.refusal(f"node {column[row]:g}; the skin has nodes 1…{nodes}", row)
+    return column.astype(np.int64)
+
+
+def point_lines(nodes: list[int], pressure_pa: float, voltage_v: NDArray[np.float64]) -> str:
+    """The voltages (n,) of nodes under one load, as lines of a CSV below HEADING.
+
+    A node without a voltage (NaN) is left out.
+    """
+    return "".join(
+        f"{node},{pressure_pa / 1e3:.9g},{volts:.6f}\n"
+        for node, volts in zip(nodes, voltage_v.tolist(), strict=True)
+        if np.isfinite(volts)
+    )

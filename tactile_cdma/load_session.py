@@ -1,0 +1,187 @@
+"""Loads taken from a live skin, step by step: load it, say by how much, press Enter."""
+
+from __future__ import annotations
+
+import queue
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .driver import Driver
+from .errors import CalibrationError, PortError
+from .load_points import HEADING, point_lines
+from .parameters import SkinConfig
+from .pipeline import TactileFrame
+from .plateaus import LEAST_FRAMES, Floats, steady_voltage
+
+PATIENCE_S = 5.0
+"""Without a frame for so long, a step is given up."""
+MOVED = 2.0
+"""LSB by which a node must change to have moved: more than a code that flickers."""
+_SHOWN = 12
+
+
+class LiveSkin:
+    """Readings of a skin on a port, from now on for a while. A context manager."""
+
+    def __init__(self, config: SkinConfig, url: str, baud: int) -> None:
+        self.config = config
+        self._frames: queue.SimpleQueue[TactileFrame] = queue.SimpleQueue()
+        self._driver = Driver(config, url, baud, self._frames.put, lambda problem: None)
+
+    def __enter__(self) -> LiveSkin:
+        self._driver.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._driver.stop()
+
+    def collect(self, seconds: float) -> NDArray[np.float32]:
+        """Voltages of the frames of so many seconds from now on, (f, n) V, NaN where not heard.
+
+        Raises PortError, with the driver's reason, where too few frames come.
+        """
+        begin_s = time.monotonic()
+        deadline_s, rows = begin_s + seconds + PATIENCE_S, list[NDArray[np.float32]]()
+        while time.monotonic() < deadline_s:
+            with suppress(queue.Empty):
+                frame = self._frames.get(timeout=0.1)
+                if frame.t_host >= begin_s:
+                    rows.append(frame.readings.voltage_v)
+                if frame.t_host >= begin_s + seconds and len(rows) >= LEAST_FRAMES:
+                    return np.array(rows)
+        raise PortError(self._driver.problem or "too few frames come; is the skin connected?")
+
+
+@dataclass(frozen=True)
+class LoadSession:
+    """The dialogue: every load that is accepted is in the file at once.
+
+    ask: shows a question and returns the answer; raises EOFError where there are no more.
+    say: shows a line. nodes: numbers of those that are loaded.
+    """
+
+    skin: LiveSkin
+    ask: Callable[[str], str]
+    say: Callable[[str], None]
+    nodes: Sequence[int]
+    seconds: float
+
+    def run(self, path: Path, steps_kpa: Sequence[float], append: bool) -> int:
+        """Take loads until the steps, or the answers, are at an end; returns how many were taken.
+
+        steps_kpa: loads to ask for; empty: whatever is answered.
+        Raises CalibrationError where the file exists already or cannot be written, PortError where
+        the skin is not heard.
+        """
+        try:
+            with path.open("a" if append else "x", encoding="utf-8") as file:
+                if not file.tell():
+                    file.write(HEADING + "\n")
+                return self._take(file.write, file.flush, steps_kpa)
+        except FileExistsError:
+            raise CalibrationError(
+                f"{path}: exists already; --append goes on with it, without a port it is fitted"
+            ) from None
+        except PortError:
+            raise
+        except OSError as error:
+            raise CalibrationError(f"{path}: {error.strerror}") from None
+
+    def _take(
+        self,
+        write: Callable[[str], object],
+        flush: Callable[[], object],
+        steps_kpa: Sequence[float],
+    ) -> int:
+        before_v: Floats | None = None
+        taken = 0
+        while (load_kpa := self._next(taken, steps_kpa)) is not None:
+            voltage_v = self._settled()
+            if voltage_v is None:
+                continue
+            write(point_lines(list(self.nodes), load_kpa * 1e3, voltage_v))
+            flush()
+            taken += 1
+            self.say(f"{load_kpa:g} kPa: {self._summary(voltage_v, before_v)}")
+            before_v = voltage_v
+        return taken
+
+    def _next(self, taken: int, steps_kpa: Sequence[float]) -> float | None:
+        """The load that is on the skin now, kPa; None: no more."""
+        who = f"node {self.nodes[0]}" if len(self.nodes) == 1 else "all nodes"
+        if steps_kpa:
+            if taken == len(steps_kpa):
+                return None
+            load_kpa = steps_kpa[taken]
+            question = (
+                f"load {taken + 1} of {len(steps_kpa)}: apply {load_kpa:g} kPa to {who}, then "
+                "Enter (e: end) "
+            )
+        else:
+            load_kpa, question = None, f"load {taken + 1}, in kPa, applied to {who} (Enter: end) "
+        while True:
+            try:
+                answer = self.ask(question).strip().lower()
+            except EOFError:
+                return None
+            if steps_kpa and answer in ("", "e"):
+                return None if answer else load_kpa
+            if not answer:
+                return None
+            try:
+                value = float(answer.replace(",", "."))
+            except ValueError:
+                value = np.nan
+            if 0 <= value < np.inf:
+                return value
+            self.say(f"{answer!r} is no pressure in kPa")
+
+    def _settled(self) -> Floats | None:
+        """Voltages of the nodes, (k,) V, NaN where not heard; None where they still move."""
+        lsb_v = self.skin.config.adc.lsb_v
+        frames = self.skin.collect(self.seconds)[:, np.array(self.nodes) - 1]
+        half = len(frames) // 2
+        change_v = steady_voltage(frames[half:], lsb_v) - steady_voltage(frames[:half], lsb_v)
+        moving = np.abs(change_v) > MOVED * lsb_v  # False for a node that was not heard
+        if moving.any():
+            worst = int(np.nanargmax(np.abs(change_v)))
+            self.say(
+                f"not taken: {np.count_nonzero(moving)} of {len(self.nodes)} nodes still move, "
+                f"node {self.nodes[worst]} by {abs(change_v[worst]) * 1e3:.0f} mV within "
+                f"{self.seconds / 2:g} s; wait, then answer again"
+            )
+            return None
+        voltage_v = steady_voltage(frames, lsb_v)
+        if not np.isfinite(voltage_v).any():
+            self.say("not taken: no node is heard")
+            return None
+        return voltage_v
+
+    def _summary(self, voltage_v: Floats, before_v: Floats | None) -> str:
+        low_v, high_v = np.nanmin(voltage_v), np.nanmax(voltage_v)
+        parts = [f"{low_v:.3f} V" if len(self.nodes) == 1 else f"{low_v:.3f} to {high_v:.3f} V"]
+        if before_v is not None:
+            moved = np.abs(voltage_v - before_v) > MOVED * self.skin.config.adc.lsb_v
+            heard = np.isfinite(voltage_v)
+            parts.append(f"{np.count_nonzero(moved)} of {len(self.nodes)} nodes moved")
+            parts += self._list("not moved", heard & ~moved)
+        parts += self._list("not heard", ~np.isfinite(voltage_v))
+        return ", ".join(parts)
+
+    def _list(self, what: str, where: NDArray[np.bool_]) -> list[str]:
+        """At most one entry: which nodes."""
+        found = [str(self.nodes[i]) for i in np.flatnonzero(where).tolist()]
+        more = f" and {len(found) - _SHOWN} more" if len(found) > _SHOWN else ""
+        return [f"{what}: {' '.join(found[:_SHOWN])}{more}"] if found else []

@@ -1,0 +1,241 @@
+"""A reference's pressure over time beside a skin's voltages → points, where both stood still."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .calibration import AdcScale
+from .errors import CalibrationError
+from .load_points import LoadPoints, check_pressures, node_numbers
+from .load_table import read_table
+
+Floats = NDArray[np.float64]
+STEADY = 0.005
+"""A load that changes by less than this share of the largest stands still."""
+LEAST_FRAMES = 5
+"""Of a plateau."""
+LEAST_PLATEAUS = 3
+MATCH = 0.85
+"""Correlation of reference and skin below which their clocks are not taken to be found."""
+_RASTER_S = 0.01
+_MOST_RASTER = 1 << 21
+_OVERLAP = 0.5
+"""Share of the shorter recording that must lie within the other."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """What a reference sensor said: m readings at rising times.
+
+    t_s, pressure_pa: (m,) float64. node: (m,) int64, the node that was loaded; None: all alike.
+    line: (m,) int64, of the file.
+    """
+
+    path: Path
+    t_s: Floats
+    pressure_pa: Floats
+    node: NDArray[np.int64] | None
+    line: NDArray[np.int64]
+
+    def refusal(self, cause: str, row: int | None = None) -> CalibrationError:
+        """The error to raise for this file, or one reading of it."""
+        where = "" if row is None else f"line {self.line[row]}: "
+        return CalibrationError(f"{self.path}: {where}{cause}")
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What the nodes of a skin measured: t_s (f,) float64, device time, s; voltage_v (f, n)
+    float32, V, NaN where a node had no valid reading.
+    """
+
+    t_s: Floats
+    voltage_v: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class ClockOffset:
+    """offset_s: to add to the reference's times for the recording's, s. error_s: how sure that is.
+
+    match: correlation of the two at this offset.
+    """
+
+    offset_s: float
+    error_s: float
+    match: float
+
+
+def read_reference(path: Path, nodes: int, area_m2: float | None = None) -> Reference:
+    """A CSV with the columns time, pressure (or force, with area_m2), and node where not all nodes
+    are loaded alike.
+
+    Raises CalibrationError, naming file, line and cause.
+    """
+    table = read_table(path, area_m2)
+    for kind, example in (("time", "time_s"), ("pressure", "pressure_kpa")):
+        if kind not in table.columns:
+            raise table.refusal(f"there is no column {example}, which goes with a capture")
+    check_pressures(table)
+    t_s = table.columns["time"]
+    if (np.diff(t_s) < 0).any():
+        raise table.refusal("time runs backwards", int(np.argmax(np.diff(t_s) < 0)) + 1)
+    node = node_numbers(table, nodes) if "node" in table.columns else None
+    return Reference(path, t_s, table.columns["pressure"], node, table.line)
+
+
+def plateau_points(
+    reference: Reference, recording: Recording, offset_s: float, settle_s: float, adc: AdcScale
+) -> LoadPoints:
+    """One point for every node on every plateau of the reference.
+
+    offset_s: see ClockOffset. settle_s: so long after a load came to rest its readings are left
+    out, for the sensor creeps; the load has to rest for longer than that.
+    Raises CalibrationError where there are too few plateaus.
+    """
+    nodes = recording.voltage_v.shape[1]
+    found: list[tuple[NDArray[np.int64], float, Floats, int]] = []
+    for first, last in _plateaus(reference):
+        begin_s = reference.t_s[first] + offset_s + settle_s
+        end_s = reference.t_s[last] + offset_s
+        start, stop = np.searchsorted(recording.t_s, [begin_s, end_s])
+        if stop - start < LEAST_FRAMES:
+            continue
+        voltage_v = steady_voltage(recording.voltage_v[start:stop], adc.lsb_v)
+        pressure_pa = float(np.median(reference.pressure_pa[first : last + 1]))
+        loaded = np.arange(1, nodes + 1) if reference.node is None else reference.node[[first]]
+        heard = loaded[np.isfinite(voltage_v[loaded - 1])]
+        found.append((heard, pressure_pa, voltage_v[heard - 1], int(reference.line[first])))
+    if len(found) < LEAST_PLATEAUS:
+        raise reference.refusal(
+            f"{len(found)} loads rest for longer than the {settle_s:g} s left out for settling, "
+            f"and lie within the capture; {LEAST_PLATEAUS} or more are needed: hold loads for "
+            "longer, or lower --settle"
+        )
+    counts = [len(node) for node, *_ in found]
+    return LoadPoints(
+        node=np.concatenate([node for node, *_ in found]),
+        pressure_pa=np.repeat([pressure_pa for _, pressure_pa, *_ in found], counts),
+        voltage_v=np.concatenate([voltage_v for _, _, voltage_v, _ in found]),
+        line=np.repeat([line for *_, line in found], counts),
+        source=reference.path.name,
+    )
+
+
+def steady_voltage(voltage_v: NDArray[np.float32], lsb_v: float) -> Floats:
+    """What nodes read while nothing changes: (f, n) frames → (n,) V, NaN for a node not heard.
+
+    The mean of what lies near the median: outliers do not count, and where noise lets the code
+    flicker the mean is finer than one count.
+    """
+    heard = np.isfinite(voltage_v)
+    result = np.full(voltage_v.shape[1], np.nan)
+    known = heard.any(axis=0)
+    values = voltage_v[:, known].astype(np.float64)
+    centre = np.nanmedian(values, axis=0)
+    off = np.abs(values - centre)
+    near = off <= np.maximum(2 * lsb_v, 3 * np.nanmedian(off, axis=0))  # False for NaN
+    result[known] = np.where(near, values, 0.0).sum(axis=0) / near.sum(axis=0)
+    return result
+
+
+def find_offset(reference: Reference, recording: Recording) -> ClockOffset:
+    """The offset of the two clocks at which voltages fall as the reference rises.
+
+    By the normalised correlation of the reference with the mean fall of all nodes, both on one
+    raster, at every offset at which they overlap by half.
+    Raises CalibrationError where they match nowhere, or in several places.
+    """
+    ends_s = [series[[0, -1]] for series in (reference.t_s, recording.t_s)]
+    longest_s = max(float(end - begin) for begin, end in ends_s)
+    raster_s = max(_RASTER_S, longest_s / _MOST_RASTER)
+    load = _on_raster(reference.t_s, reference.pressure_pa, raster_s)
+    fall = _on_raster(recording.t_s, _mean_fall(recording.voltage_v), raster_s)
+    lags, match = _correlation(load, fall)
+    best = int(np.argmax(match))
+    offset_s = float(ends_s[1][0] - ends_s[0][0] + lags[best] * raster_s)
+    if match[best] < MATCH:
+        raise reference.refusal(
+            f"these loads are nowhere in the capture (best match {match[best]:.2f}, at an offset "
+            f"of {offset_s:.2f} s): is it the right one? If so, give --offset"
+        )
+    near = _hill(match, best)
+    rivals = np.delete(match, np.arange(near[0], near[1] + 1))
+    if len(rivals) and rivals.max() > match[best] - 0.01:
+        raise reference.refusal(
+            "these loads fit the capture in several places, they repeat themselves: give --offset"
+        )
+    # As far as a loss of a hundredth of what is not yet explained, and one raster step.
+    drop = match[best] - 0.1 * (1 - match[best]) - 1e-4
+    width = np.count_nonzero(match[near[0] : near[1] + 1] >= drop)
+    return ClockOffset(offset_s, 0.5 * width * raster_s, float(match[best]))
+
+
+def _plateaus(reference: Reference) -> list[tuple[int, int]]:
+    """First and last reading of every stretch over which the load stands still on one node."""
+    pressure_pa, node = reference.pressure_pa, reference.node
+    slack_pa = STEADY * float(pressure_pa.max())
+    found, first = [], 0
+    low = high = pressure_pa[0]
+    for i in range(1, len(pressure_pa) + 1):
+        if i < len(pressure_pa):
+            low, high = min(low, pressure_pa[i]), max(high, pressure_pa[i])
+            if high - low <= 2 * slack_pa and (node is None or node[i] == node[first]):
+                continue
+        if reference.t_s[i - 1] > reference.t_s[first]:
+            found.append((first, i - 1))
+        if i < len(pressure_pa):
+            first, low, high = i, pressure_pa[i], pressure_pa[i]
+    return found
+
+
+def _mean_fall(voltage_v: NDArray[np.float32]) -> Floats:
+    """Mean over the nodes heard of how far they are below their usual voltage, (f,) V."""
+    voltage_v = voltage_v[:, np.isfinite(voltage_v).any(axis=0)]
+    heard = np.isfinite(voltage_v)
+    fall_v = np.where(heard, np.nanmedian(voltage_v, axis=0) - voltage_v, 0.0)
+    return np.asarray(fall_v.sum(axis=1, dtype=np.float64) / np.maximum(heard.sum(axis=1), 1))
+
+
+def _on_raster(t_s: Floats, values: Floats, raster_s: float) -> Floats:
+    count = max(2, math.ceil((t_s[-1] - t_s[0]) / raster_s))
+    return np.asarray(np.interp(t_s[0] + raster_s * np.arange(count), t_s, values))
+
+
+def _correlation(load: Floats, fall: Floats) -> tuple[NDArray[np.int64], Floats]:
+    """Pearson's correlation of load[i] and fall[i + lag] over their overlap, for every lag."""
+    size = 1 << (len(load) + len(fall) - 1).bit_length()
+    load, fall = load - load.mean(), fall - fall.mean()
+
+    def slide(a: Floats, b: Floats) -> Floats:
+        spectrum = np.conj(np.fft.rfft(a, size)) * np.fft.rfft(b, size)
+        product = np.fft.irfft(spectrum, size)
+        return np.concatenate((product[size - len(a) + 1 :], product[: len(b)]))
+
+    ones_load, ones_fall = np.ones(len(load)), np.ones(len(fall))
+    count = slide(ones_load, ones_fall).round()
+    sum_load, sum_fall = slide(load, ones_fall), slide(ones_load, fall)
+    count = np.maximum(count, 1)
+    covariance = slide(load, fall) - sum_load * sum_fall / count
+    of_load = slide(load**2, ones_fall) - sum_load**2 / count
+    of_fall = slide(ones_load, fall**2) - sum_fall**2 / count
+    # Where one of the two does not change within the overlap there is nothing to compare.
+    changes = (of_load > 0.1 * load.var() * count) & (of_fall > 0.1 * fall.var() * count)
+    enough = changes & (count >= _OVERLAP * min(len(load), len(fall)))
+    match = np.full(len(count), -1.0)
+    match[enough] = covariance[enough] / np.sqrt(of_load[enough] * of_fall[enough])
+    return np.arange(1 - len(load), len(fall)), match
+
+
+def _hill(match: Floats, top: int) -> tuple[int, int]:
+    """First and last lag of the hill about its top, down to where it has lost a tenth."""
+    foot = match[top] - 0.1
+    left = np.flatnonzero(match[:top] < foot)
+    right = np.flatnonzero(match[top:] < foot)
+    first = int(left[-1]) + 1 if len(left) else 0
+    last = top + int(right[0]) - 1 if len(right) else len(match) - 1
+    return first, last

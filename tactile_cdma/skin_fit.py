@@ -1,0 +1,247 @@
+"""The points of a whole skin → a curve for every node, or the reason why there is none."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .calibration import AdcScale, PressureCurve
+from .calibration_file import HEADROOM
+from .curve_fit import LEAST_LEVELS, Fit, Floats, Mask, fit_curves, levels_of
+from .errors import CalibrationError
+from .load_points import LoadPoints
+
+FIRST_LOAD = 0.25
+"""The smallest load must lie below this share of the largest: the curve begins at 0."""
+WIDEST_GAP = 0.5
+"""Of the largest load, between neighbouring loads."""
+LEAST_FALL = 8.0
+"""LSB that a voltage must fall by."""
+MOST_OUTLIERS = 0.2
+"""Share of a node's points; if more contradict the others, it is not clear which are right."""
+MOST_NOISE = 0.12
+"""Of a curve's fall, standard deviation of the points."""
+
+
+@dataclass(frozen=True, eq=False)
+class SkinFit:
+    """What m points say of a skin's nodes.
+
+    curves: by node. refused: why a node has none, by node. pieces: of every curve.
+    residual_v: (m,) voltage minus curve, V, NaN where a node was refused or the converter at its
+        end. outlier: (m,) bool.
+    sigma_v, loop: by node: standard deviation of its points, V; widest difference of unloading
+        and loading as a share of the fall, NaN where loads only rose.
+    """
+
+    points: LoadPoints
+    adc: AdcScale
+    pieces: int
+    curves: dict[int, PressureCurve]
+    refused: dict[int, str]
+    residual_v: Floats
+    outlier: Mask
+    sigma_v: dict[int, float]
+    loop: dict[int, float]
+
+
+def fit_skin(points: LoadPoints, nodes: int, adc: AdcScale, pieces: int = 2) -> SkinFit:
+    """Fit the curves of nodes 1…nodes.
+
+    Raises CalibrationError where the voltages of most nodes rise with the pressure. All else that
+    is wrong is wrong with single nodes, and in `refused`.
+    """
+    # The converter says "this or more" there, which is no value to fit.
+    usable = points.voltage_v < adc.vref_v - 1.5 * adc.lsb_v
+    usable &= points.voltage_v > 0.5 * adc.lsb_v
+    rows = _rows_by_node(points, nodes)
+    _check_direction(points, rows, adc)
+    refused: dict[int, str] = {}
+    good: dict[int, NDArray[np.intp]] = {}
+    for node, own in rows.items():
+        reason = _unfit(points, own, usable, adc, pieces)
+        if reason:
+            refused[node] = reason
+        else:
+            good[node] = own[usable[own]]
+    curves: dict[int, PressureCurve] = {}
+    sigma_v: dict[int, float] = {}
+    loop: dict[int, float] = {}
+    residual_v = np.full(len(points), np.nan)
+    outlier = np.zeros(len(points), dtype=bool)
+    if good:
+        fit = _fit(points, good, adc, pieces)
+        for index, (node, own) in enumerate(good.items()):
+            reason = _unsound(points, own, fit, index, adc)
+            if reason:
+                refused[node] = reason
+                continue
+            curves[node] = PressureCurve(
+                tuple(fit.corner_pa[index].tolist()), tuple(fit.corner_v[index].tolist())
+            )
+            residual_v[own] = fit.residual_v[index, : len(own)]
+            outlier[own] = ~fit.used[index, : len(own)]
+            sigma_v[node] = float(fit.sigma_v[index])
+            inliers = own[~outlier[own]]
+            fall_v = float(fit.corner_v[index, 0] - fit.corner_v[index, -1])
+            loop[node] = _loop_v(points.pressure_pa[inliers], residual_v[inliers]) / fall_v
+    refused = dict(sorted(refused.items()))
+    return SkinFit(
+        points, adc, pieces, curves, refused, residual_v, outlier, sigma_v=sigma_v, loop=loop
+    )
+
+
+def _rows_by_node(points: LoadPoints, nodes: int) -> dict[int, NDArray[np.intp]]:
+    """Each node's points, in the order in which they were taken."""
+    order = np.argsort(points.node, kind="stable")
+    ends = np.searchsorted(points.node[order], np.arange(1, nodes + 2))
+    return {node: order[ends[node - 1] : ends[node]] for node in range(1, nodes + 1)}
+
+
+def _fit(points: LoadPoints, rows: dict[int, NDArray[np.intp]], adc: AdcScale, pieces: int) -> Fit:
+    """The nodes' points side by side, shorter rows filled up with NaN, and fitted."""
+    longest = max(map(len, rows.values()))
+    pressure_pa = np.full((len(rows), longest), np.nan)
+    voltage_v = pressure_pa.copy()
+    for index, own in enumerate(rows.values()):
+        pressure_pa[index, : len(own)] = points.pressure_pa[own]
+        voltage_v[index, : len(own)] = points.voltage_v[own]
+    return fit_curves(pressure_pa, voltage_v, pieces, adc.lsb_v / math.sqrt(12))
+
+
+def _check_direction(points: LoadPoints, rows: dict[int, NDArray[np.intp]], adc: AdcScale) -> None:
+    rises = [
+        rise_v > LEAST_FALL * adc.lsb_v
+        for own in rows.values()
+        if len(own) and np.isfinite(rise_v := _rise_v(points, own))
+    ]
+    if rises and np.mean(rises) > 0.5:
+        raise CalibrationError(
+            f"{points.source}: voltages rise with the pressure on {sum(rises)} of {len(rises)} "
+            "nodes, they should fall: are the columns swapped, or is the sensor on the other side "
+            "of its divider?"
+        )
+
+
+def _rise_v(points: LoadPoints, own: NDArray[np.intp]) -> float:
+    """From the lighter to the heavier half of a node's loads, V: outliers do not turn it round."""
+    pressure_pa, voltage_v = points.pressure_pa[own], points.voltage_v[own]
+    middle_pa = 0.5 * (pressure_pa.min() + pressure_pa.max())
+    heavy = pressure_pa > middle_pa
+    if not heavy.any():
+        return math.nan
+    return float(np.median(voltage_v[heavy]) - np.median(voltage_v[~heavy]))
+
+
+def _unfit(
+    points: LoadPoints, own: NDArray[np.intp], usable: Mask, adc: AdcScale, pieces: int
+) -> str | None:
+    """Why a node's points cannot be fitted, or None."""
+    if not len(own):
+        return "no points"
+    at_end = own[~usable[own]]
+    if len(at_end) > 0.5 * len(own):
+        return (
+            f"{len(at_end)} of {len(own)} voltages are at an end of the converter's range "
+            f"({points.lines(at_end)}): is the sensor connected?"
+        )
+    own = own[usable[own]]
+    load_pa = points.pressure_pa[own]
+    largest_pa = float(load_pa.max())
+    if largest_pa == 0:
+        return "no load but 0"
+    levels_pa = levels_of(load_pa[None, :])[0]
+    levels_pa = levels_pa[np.isfinite(levels_pa)]
+    if len(levels_pa) < LEAST_LEVELS * pieces:
+        return (
+            f"{len(levels_pa)} different loads; a curve of {pieces} pieces needs "
+            f"{LEAST_LEVELS * pieces}"
+        )
+    if levels_pa[0] > FIRST_LOAD * largest_pa:
+        return f"no load below {levels_pa[0] / 1e3:g} kPa: the curve begins at 0, add light loads"
+    gap = int(np.argmax(np.diff(levels_pa)))
+    if levels_pa[gap + 1] - levels_pa[gap] > WIDEST_GAP * largest_pa:
+        return (
+            f"no load between {levels_pa[gap] / 1e3:g} and {levels_pa[gap + 1] / 1e3:g} kPa: "
+            "add some there"
+        )
+    fall_v = 0.0 - _rise_v(points, own)
+    if fall_v < LEAST_FALL * adc.lsb_v:
+        return (
+            f"the voltage falls by {fall_v * 1e3:.0f} mV only, between loads below and above "
+            f"{largest_pa / 2e3:g} kPa: was the load on this node?"
+        )
+    return None
+
+
+def _unsound(
+    points: LoadPoints, own: NDArray[np.intp], fit: Fit, index: int, adc: AdcScale
+) -> str | None:
+    """Why the curve that fits a node's points best is none to rely on, or None."""
+    corner_pa, corner_v = fit.corner_pa[index], fit.corner_v[index]
+    used = fit.used[index, : len(own)]
+    if np.count_nonzero(~used) > MOST_OUTLIERS * len(own):
+        return (
+            f"{np.count_nonzero(~used)} of {len(own)} points contradict the others "
+            f"({points.lines(own[~used])})"
+        )
+    fall_v = corner_v[0] - corner_v[-1]
+    if fit.sigma_v[index] > MOST_NOISE * abs(fall_v):
+        return (
+            f"too noisy: points are {fit.sigma_v[index]:.3f} V rms off a curve that falls by "
+            f"{fall_v:.3f} V; do pressures and voltages belong together?"
+        )
+    load_pa = points.pressure_pa[own]
+    for begin_pa, end_pa, begin_v, end_v in zip(
+        corner_pa, corner_pa[1:], corner_v, corner_v[1:], strict=False
+    ):
+        within = own[(load_pa >= begin_pa) & (load_pa <= end_pa) & used]
+        if begin_v - end_v < 2 * adc.lsb_v:
+            return (
+                f"the voltage does not fall from {begin_pa / 1e3:.1f} to {end_pa / 1e3:.1f} kPa "
+                f"({points.lines(within)}): saturated, or loads mixed up?"
+            )
+    if not fit.knee_found[index]:
+        return (
+            f"no knee up to {corner_pa[-1] / 1e3:g} kPa: the loads do not reach it; go higher, or "
+            f"fit a curve of {len(corner_pa) - 2} pieces"
+        )
+    for begin_pa, end_pa in pairwise(corner_pa):
+        slack_pa = 1e-6 * corner_pa[-1]
+        inside = (load_pa >= begin_pa - slack_pa) & (load_pa <= end_pa + slack_pa) & used
+        levels = levels_of(load_pa[inside][None, :]) if inside.any() else np.empty(0)
+        if np.count_nonzero(np.isfinite(levels)) < LEAST_LEVELS:
+            return (
+                f"fewer than {LEAST_LEVELS} loads between the corners at {begin_pa / 1e3:.1f} and "
+                f"{end_pa / 1e3:.1f} kPa: add some there"
+            )
+    if corner_v[-1] < 0 or corner_v[0] > HEADROOM * adc.vref_v:
+        return (
+            f"the curve runs from {corner_v[0]:.2f} to {corner_v[-1]:.2f} V, the converter's range "
+            f"is 0…{adc.vref_v:g} V"
+        )
+    return None
+
+
+def _loop_v(pressure_pa: Floats, residual_v: Floats) -> float:
+    """Widest difference between unloading and loading at one load, V; NaN where none came twice.
+
+    pressure_pa, residual_v: (m,), in the order in which they were taken. Residuals of loads that
+    were reached from below and from above are compared, so that equal loads need not be the same.
+    """
+    least_pa = 0.005 * pressure_pa.max()
+    change_pa = np.diff(pressure_pa, prepend=pressure_pa[0])
+    direction = np.sign(np.where(np.abs(change_pa) > least_pa, change_pa, 0.0))
+    # A load that is held goes on as it came.
+    moved = np.maximum.accumulate(np.where(direction != 0, np.arange(len(direction)), 0))
+    direction = direction[moved]
+    up, down = direction >= 0, direction < 0
+    if np.count_nonzero(down) < 2 or np.count_nonzero(up) < 2:
+        return math.nan
+    order = np.argsort(pressure_pa[up], kind="stable")
+    loading_v = np.interp(pressure_pa[down], pressure_pa[up][order], residual_v[up][order])
+    return float(np.max(np.abs(residual_v[down] - loading_v)))

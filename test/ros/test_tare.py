@@ -1,0 +1,303 @@
+"""Tare, drift and calibration of a running driver: services, info, file, over real DDS."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+
+from lifecycle_msgs.msg import Transition  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
+
+from skin_client import Client, running, wait_for  # noqa: E402
+from tactile_cdma.calibration import AdcScale, Calibration, PressureCurve  # noqa: E402
+from tactile_cdma.calibration_file import write_calibration  # noqa: E402
+from tactile_cdma.msg import TactileArray  # noqa: E402
+from tactile_cdma.ros import services  # noqa: E402
+from tactile_cdma.sim.digitizer import VirtualDigitizer  # noqa: E402
+from tactile_cdma.sim.options import SimOptions  # noqa: E402
+from tactile_cdma.sim.pty import serve  # noqa: E402
+from tactile_cdma.sim.scene import SCENES, Skin  # noqa: E402
+from tactile_cdma.srv import Tare  # noqa: E402
+
+pytestmark = pytest.mark.ros
+IDLE = "sim://?scene=idle"
+ALL = "sim://?scene=all"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ros() -> Iterator[None]:
+    rclpy.init()
+    yield
+    rclpy.shutdown()
+
+
+@pytest.fixture
+def preload(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
+    """Mounts the idle skin under a pressure, Pa; may be called again while it runs."""
+
+    load_pa = [0.0]
+
+    def scene(t_s: float, skin: Skin) -> np.ndarray:
+        return np.full(len(skin.positions_m), load_pa[0])
+
+    def mount(pressure_pa: float) -> None:
+        load_pa[0] = pressure_pa
+
+    monkeypatch.setitem(SCENES, "idle", scene)
+    return mount
+
+
+def tare(client: Client, **request: bool) -> Tare.Response:
+    response: Tare.Response = client.call(Tare, "tare", Tare.Request(**request))
+    return response
+
+
+def tare_at_last(client: Client) -> Tare.Response:
+    """As soon as the skin has been read for a second."""
+    wait_for(lambda: len(client.arrays) > 90)
+    return tare(client)
+
+
+def has_no_gap(arrays: list[TactileArray]) -> bool:
+    sequences = [message.sequence for message in arrays]
+    return sequences == list(range(sequences[0], sequences[0] + len(sequences)))
+
+
+def test_a_tare_shows_in_readings_info_and_file_and_no_frame_is_lost(
+    preload: Callable[[float], None], tmp_path: Path
+) -> None:
+    preload(800.0)
+    with running(port=IDLE, state_folder=str(tmp_path)) as (_, client):
+        response = tare_at_last(client)
+        assert response.success, response.message
+        wait_for(lambda: client.arrays[-1].info_id == 2)
+        wait_for(lambda: len(client.infos) == 2)
+        later = len(client.arrays) + 20
+        wait_for(lambda: len(client.arrays) > later)
+    assert "0.78 to 0.78 kPa are taken off" in response.message
+    assert np.allclose(response.offset, 781.25, atol=1)  # eight counts
+    assert list(client.infos[0].tare) == []
+    assert client.infos[1].info_id == 2
+    assert np.allclose(client.infos[1].tare, response.offset)
+    for message in client.arrays[30:]:
+        expected = 781.25 if message.info_id == 1 else 0.0
+        assert np.allclose(message.pressure, expected, atol=15), message.sequence
+    assert {message.info_id for message in client.arrays} == {1, 2}
+    assert has_no_gap(client.arrays)
+    [path] = tmp_path.iterdir()
+    assert path.name == "skin.rest.yaml"
+    assert np.allclose(yaml.safe_load(path.read_text())["tare_pa"], 781.25, atol=1)
+
+
+def test_a_tare_outlives_the_driver(preload: Callable[[float], None], tmp_path: Path) -> None:
+    preload(800.0)
+    with running(port=IDLE, state_folder=str(tmp_path)) as (_, client):
+        assert tare_at_last(client).success
+    with running(port=IDLE, state_folder=str(tmp_path), autostart=False) as (_, client):
+        assert client.change(Transition.TRANSITION_CONFIGURE)
+        for _ in range(2):
+            assert client.change(Transition.TRANSITION_ACTIVATE)
+            before = len(client.arrays)
+            wait_for(lambda before=before: len(client.arrays) > before + 30)
+            assert client.change(Transition.TRANSITION_DEACTIVATE)
+            assert np.allclose(client.arrays[-1].pressure, 0, atol=15)
+            wait_for(lambda: np.allclose(client.infos[-1].tare, 781.25, atol=1))
+
+
+def test_a_tare_under_load_is_refused_unless_forced_and_can_be_cleared(tmp_path: Path) -> None:
+    with running(port=ALL, state_folder=str(tmp_path)) as (_, client):
+        refused = tare_at_last(client)
+        assert not refused.success
+        assert "node 16 (row 3, column 3)" in refused.message
+        assert "force: true" in refused.message
+        assert not any(refused.offset)
+        assert list(tmp_path.iterdir()) == []
+        forced = tare(client, force=True)
+        assert forced.success and min(forced.offset) > 10e3
+        wait_for(lambda: client.arrays[-1].info_id == 2)
+        assert min(client.arrays[-1].pressure) < 10e3
+        cleared = tare(client, clear=True)
+        assert cleared.success and not any(cleared.offset)
+        wait_for(lambda: client.arrays[-1].info_id == 3)
+        assert min(client.arrays[-1].pressure) > 10e3
+        wait_for(lambda: len(client.infos) == 3)
+    assert [len(info.tare) for info in client.infos] == [0, 16, 0]
+    assert yaml.safe_load((tmp_path / "skin.rest.yaml").read_text())["tare_pa"] is None
+
+
+def test_services_answer_in_every_state(tmp_path: Path) -> None:
+    def save() -> Trigger.Response:
+        response: Trigger.Response = client.call(Trigger, "save_calibration", Trigger.Request())
+        return response
+
+    with running(port=IDLE, state_folder=str(tmp_path), autostart=False) as (_, client):
+        assert "not active" in tare(client).message
+        assert "not configured" in save().message
+        assert client.change(Transition.TRANSITION_CONFIGURE)
+        assert "not active" in tare(client).message
+        assert save().success
+        assert client.change(Transition.TRANSITION_ACTIVATE)
+        response = tare(client)
+        assert not response.success
+        assert "not tared" in response.message
+        (tmp_path / "skin.rest.yaml").unlink()
+        saved = save()
+        assert saved.success
+        for name in ("skin.rest.yaml", "skin.calibration.yaml"):
+            assert str(tmp_path / name) in saved.message
+            assert (tmp_path / name).exists()
+        assert client.change(Transition.TRANSITION_DEACTIVATE)
+        assert "not active" in tare(client).message
+
+
+def test_a_tare_while_the_port_is_gone_is_refused(tmp_path: Path) -> None:
+    path, stop, ready = tmp_path / "skin", threading.Event(), threading.Event()
+    plugged = threading.Thread(
+        target=serve,
+        args=(
+            lambda: VirtualDigitizer(SimOptions.from_url(IDLE)),
+            path,
+            stop,
+            lambda _: ready.set(),
+        ),
+    )
+    plugged.start()
+    assert ready.wait(5)
+    with running(port=str(path), state_folder=str(tmp_path)) as (node, client):
+        wait_for(lambda: len(client.arrays) > 90)
+        stop.set()
+        plugged.join()
+        wait_for(lambda: node._driver is not None and node._driver.problem)
+        response = tare(client, force=True)
+        assert not response.success
+        assert "not tared: no frames arrive: " in response.message
+        assert str(path) in response.message
+
+
+@pytest.mark.parametrize("content", ["nonsense: [", "other nodes"])
+def test_a_file_that_does_not_fit_is_left_and_set_aside_only_when_there_is_another(
+    tmp_path: Path, content: str, preload: Callable[[float], None]
+) -> None:
+    path = tmp_path / "skin.rest.yaml"
+    if content == "other nodes":
+        with running(port=IDLE, state_folder=str(tmp_path), nodes=9) as (_, client):
+            assert tare_at_last(client).success
+        content = path.read_text()
+    path.write_text(content)
+    preload(800.0)
+    with running(port=IDLE, state_folder=str(tmp_path)) as (_, client):
+        wait_for(lambda: len(client.arrays) > 30)
+        assert np.allclose(client.arrays[-1].pressure, 781.25, atol=1)
+    assert path.read_text() == content
+    with running(port=IDLE, state_folder=str(tmp_path)) as (_, client):
+        assert tare_at_last(client).success
+    assert path.with_name("skin.rest.yaml.old").read_text() == content
+    assert yaml.safe_load(path.read_text())["nodes"] == 16
+
+
+def test_without_a_folder_to_write_to_the_driver_goes_on(
+    preload: Callable[[float], None], tmp_path: Path
+) -> None:
+    preload(800.0)
+    (tmp_path / "file").write_text("")
+    with running(port=IDLE, state_folder=str(tmp_path / "file")) as (_, client):
+        assert tare_at_last(client).success
+        saved = client.call(Trigger, "save_calibration", Trigger.Request())
+        assert not saved.success and "not kept" in saved.message
+        assert client.change(Transition.TRANSITION_DEACTIVATE)
+        assert client.change(Transition.TRANSITION_ACTIVATE)
+        before = len(client.arrays)
+        wait_for(lambda: len(client.arrays) > before + 30)
+        assert np.allclose(client.arrays[-1].pressure, 0, atol=15)
+
+
+def test_drift_is_followed_told_of_and_kept(
+    preload: Callable[[float], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The skin rests a count off where it was tared, then two; at this rate that takes no time."""
+    monkeypatch.setattr(services, "TELL_S", 0.1)
+    monkeypatch.setattr("tactile_cdma.drift.SETTLE_S", 1.0)
+    preload(800.0)
+    options = {"port": IDLE, "state_folder": str(tmp_path), "drift_pa_per_min": 0.0}
+    with running(**options) as (_, client):
+        assert tare_at_last(client).success
+    count_v, count_pa = 3.3 / 1024, 97.66
+    preload(920.0)
+    with running(**options) as (_, client):
+        wait_for(lambda: len(client.arrays) > 90)
+        assert np.allclose(client.arrays[-1].pressure, count_pa, atol=1)
+        assert client.set(drift_pa_per_min=1e4) == (True, "")
+        wait_for(lambda: np.allclose(client.arrays[-1].pressure, 0, atol=2))
+        wait_for(lambda: len(client.infos) == 2)
+        assert np.allclose(client.infos[1].drift, count_v, rtol=0.1)
+        time.sleep(1.5)
+        assert len(client.infos) == 2  # nothing has changed
+        preload(1020.0)
+        wait_for(lambda: len(client.infos) == 3)
+        assert np.allclose(client.infos[2].drift, 2 * count_v, rtol=0.1)
+        wait_for(lambda: client.arrays[-1].info_id == client.infos[2].info_id == 3)
+        wait_for(lambda: np.allclose(client.arrays[-1].pressure, 0, atol=2))
+    state = yaml.safe_load((tmp_path / "skin.rest.yaml").read_text())
+    assert np.allclose(state["drift_v"], 2 * count_v, rtol=0.02)
+    with running(**options) as (_, client):
+        wait_for(lambda: len(client.arrays) > 30 and client.infos)
+        assert np.allclose(client.arrays[-1].pressure, 0, atol=3)
+    assert np.allclose(client.infos[-1].drift, 2 * count_v, rtol=0.02)
+
+
+def test_the_calibration_is_read_again_while_frames_go_on(
+    preload: Callable[[float], None], tmp_path: Path
+) -> None:
+    """The file saved of the curves in force, read five times: the tare stays, no frame is lost."""
+    preload(800.0)
+    with running(port=IDLE, state_folder=str(tmp_path)) as (_, client):
+        assert tare_at_last(client).success
+        assert client.call(Trigger, "save_calibration", Trigger.Request()).success
+        for _ in range(5):
+            before = len(client.arrays)
+            assert client.set(calibration_file=str(tmp_path / "skin.calibration.yaml")) == (
+                True,
+                "",
+            )
+            wait_for(lambda before=before: len(client.arrays) > before + 10)
+        wait_for(lambda: len(client.infos) == 7)
+    assert has_no_gap(client.arrays)
+    assert client.arrays[-1].info_id == client.infos[-1].info_id == 7
+    assert client.infos[-1].calibration_id != client.infos[0].calibration_id == ""
+    assert np.allclose(client.arrays[-1].pressure, 0, atol=15)
+    assert np.allclose(client.infos[-1].tare, 781.25, atol=1)
+
+
+def test_other_curves_forget_the_tare_and_a_bad_file_changes_nothing(
+    preload: Callable[[float], None], tmp_path: Path
+) -> None:
+    preload(800.0)
+    steep = Calibration.default(PressureCurve.two_stage(stage1_v_per_pa=0.066e-3, knee_pa=24e3), 16)
+    path, bad = tmp_path / "steep.yaml", tmp_path / "bad.yaml"
+    identity = write_calibration(path, steep, AdcScale())
+    bad.write_text(path.read_text().replace("nodes: 16", "nodes: 17"))
+    with running(port=IDLE, state_folder=str(tmp_path)) as (_, client):
+        assert tare_at_last(client).success
+        for file, reason in ((bad, "line"), (tmp_path / "none.yaml", "No such file")):
+            taken, why = client.set(calibration_file=str(file))
+            assert not taken and str(file) in why and reason in why
+        assert client.arrays[-1].info_id == 2
+        assert client.set(calibration_file=str(path)) == (True, "")
+        wait_for(lambda: len(client.infos) == 3 and client.arrays[-1].info_id == 3)
+        assert np.allclose(client.arrays[-1].pressure, 781.25 / 2, atol=15)
+        assert list(client.infos[-1].tare) == []
+        assert client.infos[-1].calibration_id == identity
+        before = len(client.arrays)
+        wait_for(lambda: len(client.arrays) > before + 90)
+        assert tare(client).success
+    assert has_no_gap(client.arrays)
+    kept = yaml.safe_load((tmp_path / "skin.rest.yaml.old").read_text())
+    assert np.allclose(kept["tare_pa"], 781.25, atol=1)  # for when the curves before come back
