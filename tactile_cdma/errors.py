@@ -6,6 +6,7 @@ TactileError
 ├── PortError         the port cannot be opened, was lost, or carries something else
 ├── ProtocolError     the digitizer speaks another protocol version or refuses a command
 ├── CaptureError      a capture file that is empty, truncated or not what it should be
+├── CalibrationError  a calibration file, or loads to calibrate from, that cannot be used
 └── NodeMemoryError   a node's memory that is blank, damaged or not for this firmware
 """
 
@@ -32,6 +33,10 @@ class ProtocolError(TactileError):
 
 class CaptureError(TactileError):
     """A capture file that is empty, truncated or not what it should be."""
+
+
+class CalibrationError(TactileError, ValueError):
+    """A calibration file, or recorded loads to calibrate from, that cannot be used."""
 
 
 class NodeMemoryError(TactileError, ValueError):
