@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from . import __version__
+from . import __version__, layout_command
 from .amplifier import design
 from .amplifier_report import describe, report
 from .capture import is_text, read_scope_csv
@@ -27,10 +27,10 @@ from .parameters import BY_NAME, GAP, NATURAL_SIGNS, SkinConfig, Value, read_fil
 from .pipeline import Pipeline
 from .programmer import avrdude, burn, node_files, read_memory, write_memory
 from .protocol import PacketParser, diagnose
+from .sim import sensor_report
 from .sim.digitizer import VirtualDigitizer
 from .sim.options import SimOptions
 from .sim.pty import serve
-from .sim.sensor_report import describe as describe_sensor
 from .source import Port
 
 _SKIN_OPTIONS = {
@@ -145,8 +145,8 @@ def _parser() -> argparse.ArgumentParser:
     _add_skin_options(amplifier, "the driver's; the frame period plays no part")
     amplifier.set_defaults(run=_amplifier)
 
-    sensor = commands.add_parser("sensor", help="the simulated sensor beside the paper's")
-    sensor.set_defaults(run=_sensor)
+    layout_command.add_to(commands)
+    sensor_report.add_to(commands)
     return parser
 
 
@@ -365,11 +365,6 @@ def _amplifier(arguments: argparse.Namespace) -> int:
         print(json.dumps(report(config.spec, front)))
     else:
         print(describe(config.spec, front))
-    return 0
-
-
-def _sensor(_arguments: argparse.Namespace) -> int:
-    print(describe_sensor())
     return 0
 
 

@@ -91,7 +91,7 @@ def decode_raw(path: Path, pipeline: Pipeline) -> Iterator[tuple[float, Words]]:
 def describe_frame(t_start: float, words: Words, config: SkinConfig) -> dict[str, Any]:
     """One frame for people and JSON: active nodes only, nodes counted from 1 as in the paper."""
     voltage_v = config.adc.voltage(words.codes)
-    pressure_pa = config.curve.pressure(voltage_v)
+    pressure_pa = config.calibration.curves.pressure(voltage_v.astype(np.float32))
     bits = word_bits(words.codes, config.spec.bits)
     confidence = words.confidence
     return {

@@ -16,10 +16,13 @@ from typing import Any
 import yaml
 
 from .calibration import AdcScale, Calibration, PressureCurve
+from .contact import ContactThresholds
 from .dynamics import Compensator
 from .errors import ParameterError, SpecError
 from .frame import BIPOLAR, DEFAULT_AMPLITUDE_V, MAX_STRETCH, UNIPOLAR, FrameSpec
 from .layout import Layout
+from .layout_file import read_layout
+from .layout_nodes import Wiring
 
 Value = bool | int | float | str
 NATURAL_SIGNS = -1
@@ -252,6 +255,7 @@ class SkinConfig:
     layout: Layout
     threshold: float
     stale_after_s: float
+    contact: ContactThresholds
 
     @classmethod
     def of(cls, values: Mapping[str, Value]) -> SkinConfig:
@@ -303,15 +307,10 @@ class SkinConfig:
             curve=curve,
             calibration=calibration,
             compensation=get["compensation"],
-            layout=Layout.grid(
-                get["nodes"],
-                get["rows"],
-                get["columns"],
-                get["pitch_mm"] * 1e-3,
-                get["taxel_mm"] * 1e-3,
-            ),
+            layout=_layout(get),
             threshold=get["threshold"],
             stale_after_s=get["stale_after_s"],
+            contact=contact_thresholds(get),
         )
 
     def compensator(self) -> Compensator | None:
@@ -320,6 +319,11 @@ class SkinConfig:
         if not self.compensation or dynamics is None:
             return None
         return Compensator(dynamics, self.calibration.curves.range_pa)
+
+
+def contact_thresholds(values: Mapping[str, Any]) -> ContactThresholds:
+    """From all parameters' values; raises SpecError where they contradict each other."""
+    return ContactThresholds(values["contact_kpa"] * 1e3, values["release_kpa"] * 1e3)
 
 
 def check_values(values: Mapping[str, object]) -> dict[str, Value]:
@@ -375,6 +379,28 @@ def _sections(content: object) -> Iterable[Mapping[str, object]]:
                 }
             else:
                 yield from _sections(below)
+
+
+def _layout(get: Mapping[str, Any]) -> Layout:
+    """The layout file's; without one a flat grid."""
+    pitch_m = get["pitch_mm"] * 1e-3
+    if not get["layout_file"]:
+        taxel_m = get["taxel_mm"] * 1e-3
+        return Layout.grid(get["nodes"], get["rows"], get["columns"], pitch_m, taxel_m)
+    path = Path(get["layout_file"]).expanduser()
+    layout = read_layout(path, Wiring(get["nodes"], get["first_row"], get["skin"]))
+    # Defaults say nothing: ROS gives every parameter a value.
+    for name, theirs in (
+        ("rows", layout.rows),
+        ("columns", layout.columns),
+        ("pitch_mm", layout.pitch_m * 1e3),
+    ):
+        if get[name] != BY_NAME[name].default and not math.isclose(get[name], theirs, rel_tol=1e-3):
+            raise SpecError(
+                f"{name} is {get[name]:g}, but {theirs:g} in layout_file {path}: leave "
+                f"{name} at {BY_NAME[name].default:g}, the file says it"
+            )
+    return layout
 
 
 def _check_roll_call(spec: FrameSpec, timing: str, samples_per_chip: int) -> None:

@@ -81,7 +81,7 @@ def truth(
     return node_frames(
         spec,
         (SCENES | LOADS)[options.scene],
-        options.skin(spec.nodes),
+        options.skin(spec.nodes, spec.first_row),
         options.rules,
         options.sensors,
         start_phase=options.start_phase,

@@ -5,16 +5,17 @@ from __future__ import annotations
 import difflib
 import math
 from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
-
-import numpy as np
 
 from .._protocol import SyncMode
 from ..codes import default_order
 from ..errors import ParameterError, SpecError
 from ..frame import DEFAULT_AMPLITUDE_V, MAX_STRETCH, FrameSpec
 from ..layout import Layout
+from ..layout_file import read_layout
+from ..layout_nodes import Wiring
 from ..parameters import BY_NAME, GAP, NATURAL_SIGNS, Parameter, Value
 from ..roll_call import LARGEST_RATE_ERROR, LATEST
 from .channel import MAX_JITTER, Channel
@@ -170,6 +171,7 @@ class SimOptions:
     pitch_mm: float = _option(
         "pitch_mm", 7.0, "distance of neighbouring taxels", "mm", (0.01, 1_000.0)
     )
+    layout: str = _option("layout", "", "layout file of the skin; empty: rows, columns, pitch_mm")
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -230,11 +232,19 @@ class SimOptions:
         """When nodes talk."""
         return NodeRules(self.threshold, self.heartbeat)
 
-    def skin(self, nodes: int) -> Skin:
-        """The taxels; raises SpecError where rows and columns do not fit the nodes."""
+    def skin(self, nodes: int, first_row: int = FrameSpec.first_row) -> Skin:
+        """The taxels; raises SpecError where layout, or rows and columns, do not fit the nodes."""
         pitch_m = self.pitch_mm * 1e-3
-        grid = Layout.grid(nodes, self.rows, self.columns, pitch_m, pitch_m)
-        return Skin(grid.flat_m.astype(np.float64), pitch_m, self.seed)
+        if self.layout:
+            layout = self._read_layout(nodes, first_row)
+        else:
+            layout = Layout.grid(nodes, self.rows, self.columns, pitch_m, pitch_m)
+        return Skin.of(layout, nodes, self.seed)
+
+    def _read_layout(self, nodes: int | None, first_row: int) -> Layout:
+        if self.rows or self.columns:
+            raise SpecError("options rows and columns say what layout says: leave them out")
+        return read_layout(Path(self.layout).expanduser(), Wiring(nodes, first_row))
 
     def setup(self, asked: Setup | None = None) -> Setup:
         """The digitizer's set-up when a host asks for one; None: before any CONFIGURE.
@@ -243,8 +253,11 @@ class SimOptions:
         grow, unless pinned themselves, so that INFO can show the host what contradicts it.
         Raises SpecError where the result cannot work.
         """
-        asked = asked or Setup()
         pins = self._pinned_fields()
+        if asked is None and self.layout:
+            first_row = pins.get("first_row", FrameSpec.first_row)
+            pins = {"nodes": self._read_layout(pins.get("nodes"), first_row).wired} | pins
+        asked = asked or Setup()
         spec = replace(asked.spec, amplitude_v=self.amplitude_mv * 1e-3)
         if pins:
             spec = replace(spec, **self._room(spec, pins), **pins)
@@ -253,7 +266,7 @@ class SimOptions:
                 f"a frame of {spec.frame_s * 1e3:g} ms stretched by {self.stretch:g} and by slow "
                 f"clocks of nodes is longer than its period of {spec.frame_period_s * 1e3:g} ms"
             )
-        self.skin(spec.nodes)
+        self.skin(spec.nodes, spec.first_row)
         sync, integrated = asked.sync, asked.integrated
         if self.timing is not None:
             sync = SyncMode.NONE if self.timing == GAP else SyncMode.DRIVE
