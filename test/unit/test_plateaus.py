@@ -108,7 +108,7 @@ def test_loads_that_are_not_in_the_capture_are_refused() -> None:
         np.arange(0, END_S, FRAME_S), np.arange(0, END_S + 3, 3), rng.uniform(1, 3, 15)
     )
     stranger = Recording(FRAME_S * np.arange(len(other)), other[:, None].astype(np.float32))
-    with pytest.raises(CalibrationError, match="nowhere in the capture .*give --offset"):
+    with pytest.raises(CalibrationError, match=r"nowhere in the capture .*give --offset"):
         find_offset(reference(), stranger)
     silent = Recording(stranger.t_s, np.full_like(stranger.voltage_v, 3.0))
     with pytest.raises(CalibrationError, match="nowhere in the capture"):
