@@ -171,8 +171,8 @@ def identified(model: SensorModel, calibration: Calibration, seed: int) -> Dynam
     """From cycles that load all taxels alike, on the calibrated skin."""
     loads_pa = cycles(CYCLES_S, 1, np.random.default_rng([seed, 2]))
     voltage_v = recorded(model, np.repeat(loads_pa, len(calibration.curves), axis=1))
-    pressure_pa = np.array([calibration.curves.pressure(v.astype(np.float32)) for v in voltage_v])
-    t_s = np.arange(len(loads_pa)) * PERIOD_S
+    pressure_pa = np.array([calibration.curves.pressure(v) for v in voltage_v.astype(np.float32)])
+    t_s = np.arange(len(loads_pa), dtype=np.float64) * PERIOD_S
     return identify(t_s, loads_pa[:, 0], pressure_pa).dynamics
 
 
@@ -299,7 +299,7 @@ def used(seconds: float, rng: np.random.Generator) -> Floats:
     """(m, n) Pa: a skin that is handled for a quarter of a minute, and rests for as long."""
     t_s = np.arange(0, seconds, PERIOD_S)
     handled = np.clip(np.sin(2 * np.pi * (t_s - 10.0) / 30.0) * 8, 0, 1) * (t_s > 10.0)
-    return cycles(seconds, NODES, rng) * handled[:, None]
+    return np.asarray(cycles(seconds, NODES, rng) * handled[:, None])
 
 
 def chains(report: Report) -> tuple[dict[str, float], dict[str, float]]:
