@@ -146,7 +146,7 @@ def _beside_capture(
     recording = read_recording(arguments.capture, config)
     offset_s = arguments.offset
     if offset_s is None:
-        found = find_offset(reference, recording)
+        found = find_offset(reference, recording, config.curve)
         offset_s = found.offset_s
         print(
             f"offset of the clocks: {found.offset_s:.2f} ± {found.error_s:.2f} s (match "

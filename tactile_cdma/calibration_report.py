@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .calibration_file import numbers
 from .curve_fit import Floats
 from .errors import CalibrationError
 from .skin_fit import SkinFit
 
 WORST = 5
 """Nodes that are named."""
+_MOST_REFUSALS = 40
 _DRAWN_NODES = 64
 _DRAWN_POINTS = 20_000
 
@@ -82,7 +85,7 @@ def describe(fit: SkinFit) -> str:
         f"{len(fit.curves)} nodes fitted from {len(fit.points)} points, curves of "
         f"{fit.pieces} pieces; {np.count_nonzero(fit.outlier)} outliers left out"
     ]
-    lines += [f"  node {node}: no curve: {reason}" for node, reason in fit.refused.items()]
+    lines += _refusals(fit.refused)
     if not fit.curves:
         return "\n".join(lines)
     lines.append("stage  sensitivity (least to most)     1 LSB    LSB/√12   residual  over LSB/√12")
@@ -114,6 +117,16 @@ def describe(fit: SkinFit) -> str:
         where = fit.points.lines(fit.outlier)
         lines.append(f"outliers: {fit.points.source}, {where}")
     return "\n".join(lines)
+
+
+def _refusals(refused: Mapping[int, str]) -> list[str]:
+    """A line for each reason, with the nodes that share it."""
+    nodes_of: dict[str, list[int]] = {}
+    for node, reason in refused.items():
+        nodes_of.setdefault(reason, []).append(node)
+    lines = [f"  {numbers(nodes)}: no curve: {reason}" for reason, nodes in nodes_of.items()]
+    more = len(lines) - _MOST_REFUSALS
+    return lines[:_MOST_REFUSALS] + ([f"  and {more} reasons more"] if more > 0 else [])
 
 
 def results(fit: SkinFit) -> dict[str, str]:
