@@ -29,7 +29,7 @@ HEADROOM = 1.25
 """A curve may begin above vref by this factor: its first corner is extrapolated to no load."""
 _PRESSURE_DIGITS, _VOLTAGE_DIGITS = 3, 7
 """Decimals of Pa and V that are kept: far below any converter's resolution."""
-_ENTRIES = (
+_REQUIRED = (
     "schema",
     "version",
     "identity",
@@ -38,10 +38,10 @@ _ENTRIES = (
     "bits",
     "vref_v",
     "units",
-    "made",
     "uncalibrated",
     "curves",
 )
+_OPTIONAL = ("made",)
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,8 +161,8 @@ def _parse(file: LinedYaml) -> tuple[CalibrationContent, str]:
         found = f"its schema is {schema!r}" if "schema" in root else "it names no schema"
         raise file.refusal(file.root, f"not a calibration file: {found}, not {SCHEMA!r}")
     _check_version(file, root)
-    root = file.mapping(file.root, "the file", _ENTRIES)
-    if missing := [name for name in _ENTRIES if name not in root and name != "made"]:
+    root = file.mapping(file.root, "the file", _REQUIRED + _OPTIONAL)
+    if missing := [name for name in _REQUIRED if name not in root]:
         raise file.refusal(file.root, f"{', '.join(missing)} is missing: is the file cut short?")
     units = file.mapping(root["units"], "units", tuple(UNITS))
     for name, unit in UNITS.items():

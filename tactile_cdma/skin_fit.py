@@ -154,8 +154,7 @@ def _unfit(
     largest_pa = float(load_pa.max())
     if largest_pa == 0:
         return "no load but 0"
-    levels_pa = levels_of(load_pa[None, :])[0]
-    levels_pa = levels_pa[np.isfinite(levels_pa)]
+    levels_pa = levels_of(load_pa)
     if len(levels_pa) < LEAST_LEVELS * pieces:
         return (
             f"{len(levels_pa)} different loads; a curve of {pieces} pieces needs "
@@ -213,8 +212,7 @@ def _unsound(
     for begin_pa, end_pa in pairwise(corner_pa):
         slack_pa = 1e-6 * corner_pa[-1]
         inside = (load_pa >= begin_pa - slack_pa) & (load_pa <= end_pa + slack_pa) & used
-        levels = levels_of(load_pa[inside][None, :]) if inside.any() else np.empty(0)
-        if np.count_nonzero(np.isfinite(levels)) < LEAST_LEVELS:
+        if not inside.any() or len(levels_of(load_pa[inside])) < LEAST_LEVELS:
             return (
                 f"fewer than {LEAST_LEVELS} loads between the corners at {begin_pa / 1e3:.1f} and "
                 f"{end_pa / 1e3:.1f} kPa: add some there"
