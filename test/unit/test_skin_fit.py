@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from tactile_cdma.calibration import AdcScale, PressureCurve
 from tactile_cdma.calibration_report import describe, results, stages
@@ -173,3 +175,31 @@ def test_outliers_are_named_by_their_lines() -> None:
     assert np.flatnonzero(fit.outlier).tolist() == [22]
     assert "outliers: loads.csv, line 24" in describe(fit)
     assert results(fit)["outliers"] == "1"
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 4), st.integers(1, 60))
+def test_any_points_give_falling_curves_or_reasons(seed: int, pieces: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    loads_pa = rng.choice([0.0, 1.0, 30e3, 60e3, 140e3, rng.uniform(0, 1e6)], (3, count))
+    loads_pa += rng.choice([0.0, 1e3, 1e5]) * rng.random((3, count))
+    volts = np.clip(
+        3.0 - loads_pa * 1e-5 + rng.choice([0, 0.01, 1]) * rng.normal(size=(3, count)), 0, 3.3
+    )
+    points = LoadPoints(
+        node=np.repeat([1, 2, 3], count),
+        pressure_pa=loads_pa.ravel(),
+        voltage_v=rng.choice([1.0, -1.0], p=[0.8, 0.2]) * (volts.ravel() - 1.65) + 1.65,
+        line=np.arange(3 * count),
+        source="any.csv",
+    )
+    try:
+        fit = fit_skin(points, NODES, ADC, pieces)
+    except CalibrationError as error:
+        assert "rise" in str(error)
+        return
+    assert sorted([*fit.curves, *fit.refused]) == [1, 2, 3]
+    for curve in fit.curves.values():
+        assert (np.diff(curve.voltage_v) < 0).all()
+        assert len(curve.pressure_pa) == pieces + 1
+    assert describe(fit)
