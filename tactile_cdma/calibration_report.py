@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -163,41 +164,8 @@ def draw(fit: SkinFit, path: Path) -> None:
     figure = Figure(figsize=(15, 4.5), layout="constrained")
     FigureCanvasAgg(figure)
     curve_axes, residual_axes, knee_axes = figure.subplots(1, 3)
-    drawn = list(fit.curves)[:: math.ceil(len(fit.curves) / _DRAWN_NODES)]
-    for node in drawn:
-        curve = fit.curves[node]
-        curve_axes.plot(np.array(curve.pressure_pa) / 1e3, curve.voltage_v, lw=0.7, color="C0")
-    shown = np.isin(fit.points.node, drawn)
-    for mask, style, label in (
-        (shown & ~fit.outlier, "k.", "points"),
-        (shown & fit.outlier, "rx", "outliers"),
-    ):
-        if mask.any():
-            pressure_kpa, volts = fit.points.pressure_pa[mask] / 1e3, fit.points.voltage_v[mask]
-            curve_axes.plot(pressure_kpa, volts, style, ms=3, label=label)
-    of = f" of {len(fit.curves)}" if len(drawn) < len(fit.curves) else ""
-    curve_axes.set(
-        xlabel="pressure / kPa", ylabel="voltage / V", title=f"curves of {len(drawn)}{of} nodes"
-    )
-    curve_axes.legend()
-
-    residual_pa, _ = residuals_pa(fit)
-    known = np.flatnonzero(np.isfinite(residual_pa) & ~fit.outlier)
-    known = known[:: math.ceil(len(known) / _DRAWN_POINTS)]
-    residual_axes.plot(
-        fit.points.pressure_pa[known] / 1e3, residual_pa[known] / 1e3, "k.", ms=2, alpha=0.5
-    )
-    begin_pa = 0.0
-    ends_pa = [*np.median(_knees_pa(fit), axis=0), fit.points.pressure_pa.max()]
-    for stage, end_pa in zip(stages(fit), ends_pa, strict=True):
-        for sign in (-0.5, 0.5):
-            edge = sign * stage.lsb_pa / 1e3
-            residual_axes.plot([begin_pa / 1e3, end_pa / 1e3], [edge, edge], "C1", lw=1)
-        begin_pa = end_pa
-    residual_axes.set(
-        xlabel="pressure / kPa", ylabel="off by / kPa", title="residuals; orange: ±½ LSB"
-    )
-
+    _draw_curves(fit, curve_axes)
+    _draw_residuals(fit, residual_axes)
     for number, knees in enumerate(_knees_pa(fit).T, 1):
         knee_axes.plot(list(fit.curves), knees / 1e3, ".", label=f"knee {number}")
     knee_axes.set(xlabel="node", ylabel="knee / kPa", title="where the slope changes")
@@ -205,6 +173,41 @@ def draw(fit: SkinFit, path: Path) -> None:
         figure.savefig(path, dpi=110)
     except OSError as error:
         raise CalibrationError(f"{path}: {error.strerror}") from None
+
+
+def _draw_curves(fit: SkinFit, axes: Any) -> None:
+    drawn = list(fit.curves)[:: math.ceil(len(fit.curves) / _DRAWN_NODES)]
+    for node in drawn:
+        curve = fit.curves[node]
+        axes.plot(np.array(curve.pressure_pa) / 1e3, curve.voltage_v, lw=0.7, color="C0")
+    shown = np.isin(fit.points.node, drawn)
+    for mask, style, label in (
+        (shown & ~fit.outlier, "k.", "points"),
+        (shown & fit.outlier, "rx", "outliers"),
+    ):
+        if mask.any():
+            pressure_kpa, volts = fit.points.pressure_pa[mask] / 1e3, fit.points.voltage_v[mask]
+            axes.plot(pressure_kpa, volts, style, ms=3, label=label)
+    of = f" of {len(fit.curves)}" if len(drawn) < len(fit.curves) else ""
+    axes.set(
+        xlabel="pressure / kPa", ylabel="voltage / V", title=f"curves of {len(drawn)}{of} nodes"
+    )
+    axes.legend()
+
+
+def _draw_residuals(fit: SkinFit, axes: Any) -> None:
+    residual_pa, _ = residuals_pa(fit)
+    known = np.flatnonzero(np.isfinite(residual_pa) & ~fit.outlier)
+    known = known[:: math.ceil(len(known) / _DRAWN_POINTS)]
+    axes.plot(fit.points.pressure_pa[known] / 1e3, residual_pa[known] / 1e3, "k.", ms=2, alpha=0.5)
+    begin_pa = 0.0
+    ends_pa = [*np.median(_knees_pa(fit), axis=0), fit.points.pressure_pa.max()]
+    for stage, end_pa in zip(stages(fit), ends_pa, strict=True):
+        for sign in (-0.5, 0.5):
+            edge = sign * stage.lsb_pa / 1e3
+            axes.plot([begin_pa / 1e3, end_pa / 1e3], [edge, edge], "C1", lw=1)
+        begin_pa = end_pa
+    axes.set(xlabel="pressure / kPa", ylabel="off by / kPa", title="residuals; orange: ±½ LSB")
 
 
 def _slope(fit: SkinFit, node: int, number: int) -> float:

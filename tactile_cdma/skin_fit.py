@@ -194,29 +194,24 @@ def _unsound(
             f"too noisy: points are {fit.sigma_v[index]:.3f} V rms off a curve that falls by "
             f"{fall_v:.3f} V; do pressures and voltages belong together?"
         )
-    load_pa = points.pressure_pa[own]
-    for begin_pa, end_pa, begin_v, end_v in zip(
-        corner_pa, corner_pa[1:], corner_v, corner_v[1:], strict=False
-    ):
-        within = own[(load_pa >= begin_pa) & (load_pa <= end_pa) & used]
-        if begin_v - end_v < 2 * adc.lsb_v:
+    used_rows = own[used]
+    load_pa = points.pressure_pa[used_rows]
+    slack_pa = 1e-6 * corner_pa[-1]
+    for piece, (begin_pa, end_pa) in enumerate(pairwise(corner_pa)):
+        within = (load_pa >= begin_pa - slack_pa) & (load_pa <= end_pa + slack_pa)
+        where = f"from {begin_pa / 1e3:.1f} to {end_pa / 1e3:.1f} kPa"
+        if corner_v[piece] - corner_v[piece + 1] < 2 * adc.lsb_v:
             return (
-                f"the voltage does not fall from {begin_pa / 1e3:.1f} to {end_pa / 1e3:.1f} kPa "
-                f"({points.lines(within)}): saturated, or loads mixed up?"
+                f"the voltage does not fall {where} ({points.lines(used_rows[within])}): "
+                "saturated, or loads mixed up?"
             )
+        if not within.any() or len(levels_of(load_pa[within])) < LEAST_LEVELS:
+            return f"fewer than {LEAST_LEVELS} loads on the piece {where}: add some there"
     if not fit.knee_found[index]:
         return (
             f"no knee up to {corner_pa[-1] / 1e3:g} kPa: the loads do not reach it; go higher, or "
             f"fit a curve of {len(corner_pa) - 2} pieces"
         )
-    for begin_pa, end_pa in pairwise(corner_pa):
-        slack_pa = 1e-6 * corner_pa[-1]
-        inside = (load_pa >= begin_pa - slack_pa) & (load_pa <= end_pa + slack_pa) & used
-        if not inside.any() or len(levels_of(load_pa[inside])) < LEAST_LEVELS:
-            return (
-                f"fewer than {LEAST_LEVELS} loads between the corners at {begin_pa / 1e3:.1f} and "
-                f"{end_pa / 1e3:.1f} kPa: add some there"
-            )
     if corner_v[-1] < 0 or corner_v[0] > HEADROOM * adc.vref_v:
         return (
             f"the curve runs from {corner_v[0]:.2f} to {corner_v[-1]:.2f} V, the converter's range "

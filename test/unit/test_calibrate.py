@@ -332,9 +332,13 @@ def test_answers_are_loads_and_none_is_lost(
     assert not output.exists()
 
 
-def test_a_port_that_gives_no_frames_is_said(
+def test_nothing_taken_is_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("builtins.input", lambda question: "")
+    nothing = ["--port", "sim://", "-o", tmp_path / "nothing.yaml"]
+    assert "no load was taken" in refusal(capsys, *nothing)
+    assert not list(tmp_path.iterdir())
     monkeypatch.setattr("builtins.input", lambda question: "10")
     monkeypatch.setattr("tactile_cdma.load_session.PATIENCE_S", 0.5)
     missing = ["--port", tmp_path / "no-tty", "-o", tmp_path / "skin.yaml"]
