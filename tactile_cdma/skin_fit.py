@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -63,36 +63,41 @@ def fit_skin(points: LoadPoints, nodes: int, adc: AdcScale, pieces: int = 2) -> 
     refused: dict[int, str] = {}
     good: dict[int, NDArray[np.intp]] = {}
     for node, own in rows.items():
-        reason = _unfit(points, own, usable, adc, pieces)
-        if reason:
+        if reason := _unfit(points, own, usable, adc, pieces):
             refused[node] = reason
         else:
             good[node] = own[usable[own]]
-    curves: dict[int, PressureCurve] = {}
-    sigma_v: dict[int, float] = {}
-    loop: dict[int, float] = {}
-    residual_v = np.full(len(points), np.nan)
-    outlier = np.zeros(len(points), dtype=bool)
+    result = SkinFit(
+        points,
+        adc,
+        pieces,
+        curves={},
+        refused=refused,
+        residual_v=np.full(len(points), np.nan),
+        outlier=np.zeros(len(points), dtype=bool),
+        sigma_v={},
+        loop={},
+    )
     if good:
         fit = _fit(points, good, adc, pieces)
         for index, (node, own) in enumerate(good.items()):
-            reason = _unsound(points, own, fit, index, adc)
-            if reason:
+            if reason := _unsound(points, own, fit, index, adc):
                 refused[node] = reason
-                continue
-            curves[node] = PressureCurve(
-                tuple(fit.corner_pa[index].tolist()), tuple(fit.corner_v[index].tolist())
-            )
-            residual_v[own] = fit.residual_v[index, : len(own)]
-            outlier[own] = ~fit.used[index, : len(own)]
-            sigma_v[node] = float(fit.sigma_v[index])
-            inliers = own[~outlier[own]]
-            fall_v = float(fit.corner_v[index, 0] - fit.corner_v[index, -1])
-            loop[node] = _loop_v(points.pressure_pa[inliers], residual_v[inliers]) / fall_v
-    refused = dict(sorted(refused.items()))
-    return SkinFit(
-        points, adc, pieces, curves, refused, residual_v, outlier, sigma_v=sigma_v, loop=loop
-    )
+            else:
+                _accept(result, node, own, fit, index)
+    return replace(result, refused=dict(sorted(refused.items())))
+
+
+def _accept(result: SkinFit, node: int, own: NDArray[np.intp], fit: Fit, index: int) -> None:
+    """Enter what was found for one node."""
+    corner_pa, corner_v = fit.corner_pa[index], fit.corner_v[index]
+    result.curves[node] = PressureCurve(tuple(corner_pa.tolist()), tuple(corner_v.tolist()))
+    result.residual_v[own] = fit.residual_v[index, : len(own)]
+    result.outlier[own] = ~fit.used[index, : len(own)]
+    result.sigma_v[node] = float(fit.sigma_v[index])
+    inliers = own[~result.outlier[own]]
+    loop_v = _loop_v(result.points.pressure_pa[inliers], result.residual_v[inliers])
+    result.loop[node] = loop_v / float(corner_v[0] - corner_v[-1])
 
 
 def _rows_by_node(points: LoadPoints, nodes: int) -> dict[int, NDArray[np.intp]]:

@@ -15,11 +15,15 @@ import pytest
 from tactile_cdma.calibration import AdcScale, PressureCurve
 from tactile_cdma.calibration_file import read_calibration
 from tactile_cdma.cli import main
+from tactile_cdma.driver import Session
+from tactile_cdma.offline import raw_frames
 from tactile_cdma.parameters import SkinConfig
+from tactile_cdma.pipeline import Pipeline
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import serve
 from tactile_cdma.sim.scene import SCENES, Skin
+from tactile_cdma.taxels import Status
 
 ROOT = Path(__file__).resolve().parents[2]
 ADC = AdcScale()
@@ -87,9 +91,15 @@ def test_a_bad_node_stops_all_unless_it_may_be_missing(
     assert not output.exists()
     assert main(["calibrate", str(loads), "-o", str(output), "--allow-missing"]) == 0
     assert "node 5: no curve: the voltage falls by 0 mV only" in capsys.readouterr().out
-    calibration = read_calibration(output, NODES, ADC, SIMULATED)
-    assert np.flatnonzero(calibration.uncalibrated).tolist() == [4]
-    assert calibration.curves[4] == SIMULATED
+    config = SkinConfig.of({"calibration_file": str(output)})
+    assert config.calibration.curves[4] == SIMULATED
+    capture = tmp_path / "skin.raw"
+    record_until(capture, seconds_of_skin=0.2)
+    readings = list(raw_frames(capture, Pipeline(config, background=False)))[-1].readings
+    assert np.flatnonzero(readings.status & Status.UNCALIBRATED).tolist() == [4]
+    for index in range(NODES):
+        pressure_pa = config.calibration.curves[index].pressure(readings.voltage_v[index])
+        assert readings.pressure_pa[index] == pytest.approx(pressure_pa, rel=1e-4, abs=1)
 
 
 def test_what_cannot_be_meant_is_refused_before_anything_is_done(
@@ -164,8 +174,6 @@ def test_a_reference_beside_a_capture(
 
 def record_until(path: Path, seconds_of_skin: float) -> None:
     """A raw capture of so many seconds of the simulated skin, made as fast as it can be."""
-    from tactile_cdma.driver import Session
-
     clock = Clock()
     digitizer = VirtualDigitizer(SimOptions(scene="all", speed=1.0, threshold=0), clock)
     digitizer.receive(Session(SkinConfig.of({})).open())
