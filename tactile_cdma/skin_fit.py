@@ -23,8 +23,8 @@ LEAST_FALL = 8.0
 """LSB that a voltage must fall by."""
 MOST_OUTLIERS = 0.2
 """Share of a node's points; if more contradict the others, it is not clear which are right."""
-MOST_NOISE = 0.12
-"""Of a curve's fall, standard deviation of the points."""
+MOST_NOISE = 0.1
+"""Share of a curve's fall. Noise is what differs from point to point: hysteresis is none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,9 +194,11 @@ def _unsound(
             f"({points.lines(own[~used])})"
         )
     fall_v = corner_v[0] - corner_v[-1]
-    if fit.sigma_v[index] > MOST_NOISE * abs(fall_v):
+    residual_v = fit.residual_v[index, : len(own)][used]
+    noise_v = math.sqrt(np.mean(np.square(np.diff(residual_v))) / 2)
+    if noise_v > MOST_NOISE * abs(fall_v):
         return (
-            f"too noisy: points are {fit.sigma_v[index]:.3f} V rms off a curve that falls by "
+            f"too noisy: {noise_v:.3f} V rms from point to point on a curve that falls by "
             f"{fall_v:.3f} V; do pressures and voltages belong together?"
         )
     used_rows = own[used]

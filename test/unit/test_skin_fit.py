@@ -54,7 +54,7 @@ def test_every_node_gets_its_curve() -> None:
 
 
 def _noisy() -> np.ndarray:
-    return np.clip(read(LOADS_PA) + np.random.default_rng(0).normal(0, 0.6, len(LOADS_PA)), 0.1, 3)
+    return np.clip(read(LOADS_PA) + np.random.default_rng(0).normal(0, 0.4, len(LOADS_PA)), 0.1, 3)
 
 
 def _contradicting() -> np.ndarray:
@@ -73,7 +73,7 @@ def _rising_at_the_end() -> np.ndarray:
         (np.full(len(LOADS_PA), 3.0), "falls by 0 mV only.*was the load on this node"),
         (np.full(len(LOADS_PA), 3.3 - ADC.lsb_v), "41 of 41 voltages are at an end.*connected"),
         (np.zeros(len(LOADS_PA)), "41 of 41 voltages are at an end"),
-        (_noisy(), "too noisy|contradict"),
+        (_noisy(), "too noisy: .* V rms from point to point"),
         (_contradicting(), r"10 of 41 points contradict the others \(lines 3, 15, 27, 39"),
         (_rising_at_the_end(), "does not fall from 50.* to 140.0 kPa .lines "),
         (3.0 - 0.01e-3 * LOADS_PA, "no knee up to 140 kPa: the loads do not reach it"),
@@ -139,15 +139,21 @@ def test_what_the_converter_cuts_off_does_not_bend_the_curve() -> None:
     assert cut_off.any()
 
 
-def test_the_loop_of_hysteresis_is_measured_and_its_middle_fitted() -> None:
-    loop_v = 0.08
-    offset = np.where(np.arange(len(LOADS_PA)) > 20, loop_v / 2, -loop_v / 2)
+@pytest.mark.parametrize("loop_v", [0.08, 0.7])
+def test_the_loop_of_hysteresis_is_measured_and_its_middle_fitted(loop_v: float) -> None:
+    """The paper's is up to 34 % of the fall."""
+    width_v = loop_v * np.sin(np.pi * LOADS_PA / LOADS_PA[20])  # a loop closes at its ends
+    offset = np.where(np.arange(len(LOADS_PA)) > 20, width_v / 2, -width_v / 2)
     volts = CURVE.voltage(LOADS_PA) + offset
     fit = fit_with(volts)
     fall_v = CURVE.voltage_v[0] - CURVE.voltage_v[-1]
+    assert not fit.refused
     assert fit.loop[2] == pytest.approx(loop_v / fall_v, rel=0.15)
     assert fit.loop[1] < 0.01
-    assert np.abs(fit.curves[2].voltage(UP_PA[1:-1]) - CURVE.voltage(UP_PA[1:-1])).max() < 0.01
+    assert (
+        np.abs(fit.curves[2].voltage(UP_PA[1:-1]) - CURVE.voltage(UP_PA[1:-1])).max()
+        < 0.05 * loop_v + 0.01
+    )
     rising_only = fit_with(CURVE.voltage(UP_PA), UP_PA)
     assert math.isnan(rising_only.loop[2])
     assert "loop" not in results(rising_only)
