@@ -59,13 +59,13 @@ RESTED_S = 60.0
 MISMATCH = 0.05
 
 SIZES = (16, 256, 1024, 4096)
-ROUNDS = 9 if QUICK else 31
+ROUNDS = 7 if QUICK else 31
 IDLE, FEW, ALL = "idle", "few", "all"
 SCENE_OF = {IDLE: "idle", FEW: "presses", ALL: "all"}
 
 FORCES_N = (10.0,) if QUICK else (3.0, 10.0, 30.0)
 SPEEDS_MM_S = (2, 5, 10, 20, 50)
-GRIPS, SLIDES = (20, 10) if QUICK else (60, 30)
+GRIPS, SLIDES = (20, 8) if QUICK else (40, 20)
 GRIP_S, SLIDE_S, BEFORE_S = 2.0, 0.4, 0.5
 SETTLED_S = 0.25
 FALSE_SHARE = 0.05
@@ -75,14 +75,14 @@ CUES = (CENTRE, ENERGY)
 
 
 def hertz(rho: Floats) -> Floats:
-    return np.sqrt(np.clip(1 - np.square(rho), 0, None))
+    return np.asarray(np.sqrt(np.clip(1 - np.square(rho), 0, None)))
 
 
 def soft(rho: Floats) -> Floats:
     return hertz(rho) ** 3
 
 
-SHARE = {hertz: 2 / 3, soft: 2 / 5}
+SHARE: dict[Profile, float] = {hertz: 2 / 3, soft: 2 / 5}
 """Mean pressure over peak pressure: ∫ profile(ρ) 2ρ dρ."""
 
 
@@ -107,7 +107,10 @@ class Feeling:
         self.curves = curves or Curves.uniform(CONFIG.curve, NODES)
         self.taxels = Pipeline(CONFIG).taxels
         self.taxels.calibrate(Calibration(self.curves, np.zeros(NODES, dtype=bool)))
-        self._health, self._tracker = NodeHealth(CONFIG.spec), ContactTracker(LAYOUT, CONFIG.contact)
+        self._health, self._tracker = (
+            NodeHealth(CONFIG.spec),
+            ContactTracker(LAYOUT, CONFIG.contact),
+        )
         self._words = replace(silent(NODES, 0.0), active=np.ones(NODES, dtype=bool))
         self._now_s = 0.0
 
