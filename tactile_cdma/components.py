@@ -16,17 +16,17 @@ def connected(taxels: NDArray[np.intp], beside: NDArray[np.intp]) -> NDArray[np.
     touches lower ones hangs itself below the lowest, and the trees are flattened. (A form of
     Shiloach & Vishkin, An O(log n) parallel connectivity algorithm, 1982.)
     """
-    own = np.arange(len(taxels))
-    among = np.full(beside.shape[1], -1)
-    among[taxels] = own
+    count = len(taxels)
+    own = np.arange(count + 1)  # the last one stands for all that is not among the taxels
+    among = np.full(beside.shape[1], count)
+    among[taxels] = own[:-1]
     near = among[beside[:, taxels]]
-    near = np.where(near < 0, own, near)
     root, lowest = own, near.min(axis=0)
     while True:
         above = root.copy()
-        np.minimum.at(above, root, lowest)
+        np.minimum.at(above, root[:-1], lowest)
         while (root != above).any():
             root, above = above, above[above]
         lowest = root[near].min(axis=0)
-        if not (lowest < root).any():
-            return np.asarray(((root == own).cumsum() - 1)[root])
+        if not (lowest < root[:-1]).any():
+            return np.asarray(((root == own).cumsum() - 1)[root[:-1]])
