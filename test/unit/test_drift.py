@@ -167,7 +167,29 @@ def test_drift_is_followed_again_after_a_contact_even_if_the_rest_moved_by_a_cou
     rig = Rig(1)
     rig.run(60)
     rig.run(600, 5e3, lambda t_s: -ADC.lsb_v * min(1.0, (t_s - 60) / 300))
+    rig.run(9, 0.0, -ADC.lsb_v)  # the sensor may have to settle
     assert rig.baseline.drift_v[0] == 0
+    rig.run(300, 0.0, -ADC.lsb_v)
+    assert abs(rig.read(0.0, -ADC.lsb_v)[0]) < 0.02 * LSB_PA
+
+
+def test_two_counts_are_a_contact_while_a_count_of_drift_is_still_being_followed() -> None:
+    """The rest has just risen by a count: with the contact the node is a count off, as in drift."""
+    rig = Rig(1)
+    rig.run(60)
+    rig.run(30, 0.0, ADC.lsb_v)
+    begun = rig.read(2 * LSB_PA, ADC.lsb_v)
+    assert begun[0] > 0.9 * LSB_PA
+    assert np.array_equal(rig.run(HOUR_S, 2 * LSB_PA, ADC.lsb_v)[-1], begun)
+
+
+def test_where_a_node_was_before_it_fell_silent_does_not_count() -> None:
+    rig = Rig(1)
+    rig.run(60)
+    rig.run(12, 0.0, ADC.lsb_v)
+    rig.valid[:] = False
+    rig.run(60)
+    rig.valid[:] = True
     rig.run(300, 0.0, -ADC.lsb_v)
     assert abs(rig.read(0.0, -ADC.lsb_v)[0]) < 0.02 * LSB_PA
 
