@@ -25,6 +25,8 @@ from .skin_fit import SkinFit, fit_skin
 
 NODE_ORDER: dict[str, Value] = {"calibration_file": "", "layout_file": "", "rows": 0, "columns": 0}
 """Parameters under which taxel i is node i + 1, and no earlier calibration takes part."""
+LONGEST_MS = 1e5
+"""Points have no frames: a large skin need not fit into the default period."""
 SETTLE_S = 2.0
 """The paper's sensor takes 0.74 s to follow a load."""
 STEP_S = 1.0
@@ -102,6 +104,8 @@ def run(arguments: argparse.Namespace) -> int:
         config = SkinConfig.of(values)
         points = _beside_capture(arguments, loads, area_m2, config)
     else:
+        if not arguments.port:
+            values["frame_period_ms"] = LONGEST_MS
         config = SkinConfig.of(values)
         if arguments.port and not _take_loads(arguments, loads, config):
             return 1
@@ -146,7 +150,7 @@ def _beside_capture(
     recording = read_recording(arguments.capture, config)
     offset_s = arguments.offset
     if offset_s is None:
-        found = find_offset(reference, recording)
+        found = find_offset(reference, recording, config.curve)
         offset_s = found.offset_s
         print(
             f"offset of the clocks: {found.offset_s:.2f} ± {found.error_s:.2f} s (match "

@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ HEADROOM = 1.25
 """A curve may begin above vref by this factor: its first corner is extrapolated to no load."""
 _PRESSURE_DIGITS, _VOLTAGE_DIGITS = 3, 7
 """Decimals of Pa and V that are kept: far below any converter's resolution."""
-_ENTRIES = (
+_REQUIRED = (
     "schema",
     "version",
     "identity",
@@ -38,10 +39,10 @@ _ENTRIES = (
     "bits",
     "vref_v",
     "units",
-    "made",
     "uncalibrated",
     "curves",
 )
+_OPTIONAL = ("made",)
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,8 +162,8 @@ def _parse(file: LinedYaml) -> tuple[CalibrationContent, str]:
         found = f"its schema is {schema!r}" if "schema" in root else "it names no schema"
         raise file.refusal(file.root, f"not a calibration file: {found}, not {SCHEMA!r}")
     _check_version(file, root)
-    root = file.mapping(file.root, "the file", _ENTRIES)
-    if missing := [name for name in _ENTRIES if name not in root and name != "made"]:
+    root = file.mapping(file.root, "the file", _REQUIRED + _OPTIONAL)
+    if missing := [name for name in _REQUIRED if name not in root]:
         raise file.refusal(file.root, f"{', '.join(missing)} is missing: is the file cut short?")
     units = file.mapping(root["units"], "units", tuple(UNITS))
     for name, unit in UNITS.items():
@@ -232,27 +233,29 @@ def _curve(file: LinedYaml, key: yaml.Node, node: yaml.Node, vref_v: float) -> P
     voltage_v = [file.number(item, f"{what}: voltage") for item in voltages]
     if pressure_pa[0] != 0:
         raise file.refusal(pressures[0], f"{what}: begins at {pressure_pa[0]:g} Pa, not at 0")
-    for corner in range(len(pressures)):
-        volts, most_v = voltage_v[corner], vref_v if corner else HEADROOM * vref_v
+    for corner, volts in enumerate(voltage_v):
+        most_v = vref_v if corner else HEADROOM * vref_v
         if not 0 <= volts <= most_v:
             raise file.refusal(
                 voltages[corner],
                 f"{what}, corner {corner + 1}: {volts:g} V; it must lie within 0…{most_v:g} V",
             )
-        if not corner:
-            continue
-        for values, unit, items, falls in (
-            (pressure_pa, "Pa", pressures, False),
-            (voltage_v, "V", voltages, True),
-        ):
-            before, now = values[corner - 1], values[corner]
-            if (now >= before) if falls else (now <= before):
-                raise file.refusal(
-                    items[corner],
-                    f"{what}, corner {corner + 1}: {now:g} {unit} after {before:g} {unit}; "
-                    "pressures must rise and voltages fall from corner to corner",
-                )
+    _check_order(file, what, pressures, pressure_pa, "Pa")
+    _check_order(file, what, voltages, [-volts for volts in voltage_v], "V")
     return PressureCurve(tuple(pressure_pa), tuple(voltage_v))
+
+
+def _check_order(
+    file: LinedYaml, what: str, items: list[yaml.Node], rising: list[float], unit: str
+) -> None:
+    """Corners follow one another: rising, or negative and rising, that is falling."""
+    for corner, (before, now) in enumerate(pairwise(rising), 2):
+        if now <= before:
+            raise file.refusal(
+                items[corner - 1],
+                f"{what}, corner {corner}: {abs(now):g} {unit} after {abs(before):g} {unit}; "
+                "pressures must rise and voltages fall from corner to corner",
+            )
 
 
 def _check_complete(

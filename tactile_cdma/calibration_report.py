@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .calibration_file import numbers
 from .curve_fit import Floats
 from .errors import CalibrationError
 from .skin_fit import SkinFit
 
 WORST = 5
 """Nodes that are named."""
+_MOST_REFUSALS = 40
 _DRAWN_NODES = 64
 _DRAWN_POINTS = 20_000
 
@@ -82,7 +86,7 @@ def describe(fit: SkinFit) -> str:
         f"{len(fit.curves)} nodes fitted from {len(fit.points)} points, curves of "
         f"{fit.pieces} pieces; {np.count_nonzero(fit.outlier)} outliers left out"
     ]
-    lines += [f"  node {node}: no curve: {reason}" for node, reason in fit.refused.items()]
+    lines += _refusals(fit.refused)
     if not fit.curves:
         return "\n".join(lines)
     lines.append("stage  sensitivity (least to most)     1 LSB    LSB/√12   residual  over LSB/√12")
@@ -114,6 +118,16 @@ def describe(fit: SkinFit) -> str:
         where = fit.points.lines(fit.outlier)
         lines.append(f"outliers: {fit.points.source}, {where}")
     return "\n".join(lines)
+
+
+def _refusals(refused: Mapping[int, str]) -> list[str]:
+    """A line for each reason, with the nodes that share it."""
+    nodes_of: dict[str, list[int]] = {}
+    for node, reason in refused.items():
+        nodes_of.setdefault(reason, []).append(node)
+    lines = [f"  {numbers(nodes)}: no curve: {reason}" for reason, nodes in nodes_of.items()]
+    more = len(lines) - _MOST_REFUSALS
+    return lines[:_MOST_REFUSALS] + ([f"  and {more} reasons more"] if more > 0 else [])
 
 
 def results(fit: SkinFit) -> dict[str, str]:
@@ -150,41 +164,8 @@ def draw(fit: SkinFit, path: Path) -> None:
     figure = Figure(figsize=(15, 4.5), layout="constrained")
     FigureCanvasAgg(figure)
     curve_axes, residual_axes, knee_axes = figure.subplots(1, 3)
-    drawn = list(fit.curves)[:: math.ceil(len(fit.curves) / _DRAWN_NODES)]
-    for node in drawn:
-        curve = fit.curves[node]
-        curve_axes.plot(np.array(curve.pressure_pa) / 1e3, curve.voltage_v, lw=0.7, color="C0")
-    shown = np.isin(fit.points.node, drawn)
-    for mask, style, label in (
-        (shown & ~fit.outlier, "k.", "points"),
-        (shown & fit.outlier, "rx", "outliers"),
-    ):
-        if mask.any():
-            pressure_kpa, volts = fit.points.pressure_pa[mask] / 1e3, fit.points.voltage_v[mask]
-            curve_axes.plot(pressure_kpa, volts, style, ms=3, label=label)
-    of = f" of {len(fit.curves)}" if len(drawn) < len(fit.curves) else ""
-    curve_axes.set(
-        xlabel="pressure / kPa", ylabel="voltage / V", title=f"curves of {len(drawn)}{of} nodes"
-    )
-    curve_axes.legend()
-
-    residual_pa, _ = residuals_pa(fit)
-    known = np.flatnonzero(np.isfinite(residual_pa) & ~fit.outlier)
-    known = known[:: math.ceil(len(known) / _DRAWN_POINTS)]
-    residual_axes.plot(
-        fit.points.pressure_pa[known] / 1e3, residual_pa[known] / 1e3, "k.", ms=2, alpha=0.5
-    )
-    begin_pa = 0.0
-    ends_pa = [*np.median(_knees_pa(fit), axis=0), fit.points.pressure_pa.max()]
-    for stage, end_pa in zip(stages(fit), ends_pa, strict=True):
-        for sign in (-0.5, 0.5):
-            edge = sign * stage.lsb_pa / 1e3
-            residual_axes.plot([begin_pa / 1e3, end_pa / 1e3], [edge, edge], "C1", lw=1)
-        begin_pa = end_pa
-    residual_axes.set(
-        xlabel="pressure / kPa", ylabel="off by / kPa", title="residuals; orange: ±½ LSB"
-    )
-
+    _draw_curves(fit, curve_axes)
+    _draw_residuals(fit, residual_axes)
     for number, knees in enumerate(_knees_pa(fit).T, 1):
         knee_axes.plot(list(fit.curves), knees / 1e3, ".", label=f"knee {number}")
     knee_axes.set(xlabel="node", ylabel="knee / kPa", title="where the slope changes")
@@ -192,6 +173,41 @@ def draw(fit: SkinFit, path: Path) -> None:
         figure.savefig(path, dpi=110)
     except OSError as error:
         raise CalibrationError(f"{path}: {error.strerror}") from None
+
+
+def _draw_curves(fit: SkinFit, axes: Any) -> None:
+    drawn = list(fit.curves)[:: math.ceil(len(fit.curves) / _DRAWN_NODES)]
+    for node in drawn:
+        curve = fit.curves[node]
+        axes.plot(np.array(curve.pressure_pa) / 1e3, curve.voltage_v, lw=0.7, color="C0")
+    shown = np.isin(fit.points.node, drawn)
+    for mask, style, label in (
+        (shown & ~fit.outlier, "k.", "points"),
+        (shown & fit.outlier, "rx", "outliers"),
+    ):
+        if mask.any():
+            pressure_kpa, volts = fit.points.pressure_pa[mask] / 1e3, fit.points.voltage_v[mask]
+            axes.plot(pressure_kpa, volts, style, ms=3, label=label)
+    of = f" of {len(fit.curves)}" if len(drawn) < len(fit.curves) else ""
+    axes.set(
+        xlabel="pressure / kPa", ylabel="voltage / V", title=f"curves of {len(drawn)}{of} nodes"
+    )
+    axes.legend()
+
+
+def _draw_residuals(fit: SkinFit, axes: Any) -> None:
+    residual_pa, _ = residuals_pa(fit)
+    known = np.flatnonzero(np.isfinite(residual_pa) & ~fit.outlier)
+    known = known[:: math.ceil(len(known) / _DRAWN_POINTS)]
+    axes.plot(fit.points.pressure_pa[known] / 1e3, residual_pa[known] / 1e3, "k.", ms=2, alpha=0.5)
+    begin_pa = 0.0
+    ends_pa = [*np.median(_knees_pa(fit), axis=0), fit.points.pressure_pa.max()]
+    for stage, end_pa in zip(stages(fit), ends_pa, strict=True):
+        for sign in (-0.5, 0.5):
+            edge = sign * stage.lsb_pa / 1e3
+            axes.plot([begin_pa / 1e3, end_pa / 1e3], [edge, edge], "C1", lw=1)
+        begin_pa = end_pa
+    axes.set(xlabel="pressure / kPa", ylabel="off by / kPa", title="residuals; orange: ±½ LSB")
 
 
 def _slope(fit: SkinFit, node: int, number: int) -> float:

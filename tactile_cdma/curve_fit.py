@@ -71,26 +71,22 @@ def fit_curves(pressure_pa: Floats, voltage_v: Floats, pieces: int, noise_v: flo
 
 
 def levels_of(load: Floats) -> Floats:
-    """The different loads of each sensor, (n, m) rising, NaN at the end; load: (n, m), or NaN.
-
-    Two loads closer than LEVEL of the largest are one.
-    """
-    rising = np.sort(load, axis=1)
-    least = LEVEL * np.nanmax(rising, axis=1)
-    result = np.full_like(rising, np.nan)
-    count, last = np.zeros(len(rising), dtype=int), np.full(len(rising), -np.inf)
-    for column in rising.T:
-        new = np.flatnonzero(column - last > least)
-        result[new, count[new]] = last[new] = column[new]
-        count[new] += 1
-    return result
+    """The different loads among (m,), rising: closer than LEVEL of the largest are one."""
+    rising: list[float] = np.sort(load).tolist()
+    least, levels = LEVEL * rising[-1], rising[:1]
+    for value in rising:
+        if value - levels[-1] > least:
+            levels.append(value)
+    return np.array(levels)
 
 
 def _fit(pressure_pa: Floats, voltage_v: Floats, pieces: int, noise_v: float) -> Fit:
     given = np.isfinite(pressure_pa) & np.isfinite(voltage_v)
-    load_pa = np.where(given, pressure_pa, np.nan)
-    scale_pa = np.nanmax(load_pa, axis=1, keepdims=True)
-    levels = levels_of(load_pa / scale_pa)
+    scale_pa = np.max(pressure_pa, axis=1, keepdims=True, where=given, initial=0.0)
+    levels = np.full(given.shape, np.nan)
+    for row, load, there in zip(levels, pressure_pa / scale_pa, given, strict=True):
+        own = levels_of(load[there])
+        row[: len(own)] = own
     points = _Points(
         np.where(given, pressure_pa / scale_pa, 0.0), np.where(given, voltage_v, 0.0), given
     )

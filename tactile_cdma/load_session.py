@@ -9,6 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,14 +83,14 @@ class LoadSession:
         """Take loads until the steps, or the answers, are at an end; returns how many were taken.
 
         steps_kpa: loads to ask for; empty: whatever is answered.
-        Raises CalibrationError where the file exists already or cannot be written, PortError where
-        the skin is not heard.
+        Raises CalibrationError where the file exists already or cannot be written, or no load was
+        taken; PortError where the skin is not heard.
         """
         try:
             with path.open("a" if append else "x", encoding="utf-8") as file:
+                taken = self._take(file, steps_kpa)
                 if not file.tell():
-                    file.write(HEADING + "\n")
-                return self._take(file.write, file.flush, steps_kpa)
+                    path.unlink()
         except FileExistsError:
             raise CalibrationError(
                 f"{path}: exists already; --append goes on with it, without a port it is fitted"
@@ -98,21 +99,21 @@ class LoadSession:
             raise
         except OSError as error:
             raise CalibrationError(f"{path}: {error.strerror}") from None
+        if not taken:
+            raise CalibrationError("no load was taken")
+        return taken
 
-    def _take(
-        self,
-        write: Callable[[str], object],
-        flush: Callable[[], object],
-        steps_kpa: Sequence[float],
-    ) -> int:
+    def _take(self, file: TextIO, steps_kpa: Sequence[float]) -> int:
         before_v: Floats | None = None
         taken = 0
         while (load_kpa := self._next(taken, steps_kpa)) is not None:
             voltage_v = self._settled()
             if voltage_v is None:
                 continue
-            write(point_lines(list(self.nodes), load_kpa * 1e3, voltage_v))
-            flush()
+            if not file.tell():
+                file.write(HEADING + "\n")
+            file.write(point_lines(list(self.nodes), load_kpa * 1e3, voltage_v))
+            file.flush()
             taken += 1
             self.say(f"{load_kpa:g} kPa: {self._summary(voltage_v, before_v)}")
             before_v = voltage_v

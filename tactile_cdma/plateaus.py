@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from .calibration import AdcScale
+from .calibration import AdcScale, PressureCurve
 from .errors import CalibrationError
 from .load_points import LoadPoints, check_pressures, node_numbers
 from .load_table import read_table
@@ -22,8 +22,12 @@ LEAST_FRAMES = 5
 LEAST_PLATEAUS = 3
 MATCH = 0.85
 """Correlation of reference and skin below which their clocks are not taken to be found."""
+RIVAL = 0.02
+"""A match that another offset reaches to within this leaves open which of them is right."""
 _RASTER_S = 0.01
 _MOST_RASTER = 1 << 21
+_LEAST_SHARE = 1e-3
+"""Of all that changes: where less overlaps there is nothing to compare."""
 _OVERLAP = 0.5
 """Share of the shorter recording that must lie within the other."""
 
@@ -143,35 +147,35 @@ def steady_voltage(voltage_v: NDArray[np.float32], lsb_v: float) -> Floats:
     return result
 
 
-def find_offset(reference: Reference, recording: Recording) -> ClockOffset:
-    """The offset of the two clocks at which voltages fall as the reference rises.
+def find_offset(reference: Reference, recording: Recording, curve: PressureCurve) -> ClockOffset:
+    """The offset of the two clocks at which the skin feels what the reference says.
 
-    By the normalised correlation of the reference with the mean fall of all nodes, both on one
-    raster, at every offset at which they overlap by half.
+    curve: what is known of the sensors so far; it makes pressures of voltages that are roughly
+    right, or a part of the loads could match another one better than itself. Reference and mean
+    pressure of all nodes are correlated on one raster at every offset.
     Raises CalibrationError where they match nowhere, or in several places.
     """
-    ends_s = [series[[0, -1]] for series in (reference.t_s, recording.t_s)]
-    longest_s = max(float(end - begin) for begin, end in ends_s)
+    longest_s = max(float(t_s[-1] - t_s[0]) for t_s in (reference.t_s, recording.t_s))
     raster_s = max(_RASTER_S, longest_s / _MOST_RASTER)
     load = _on_raster(reference.t_s, reference.pressure_pa, raster_s)
-    fall = _on_raster(recording.t_s, _mean_fall(recording.voltage_v), raster_s)
-    lags, match = _correlation(load, fall)
-    best = int(np.argmax(match))
-    offset_s = float(ends_s[1][0] - ends_s[0][0] + lags[best] * raster_s)
+    felt_pa = _mean_pressure(recording.voltage_v, curve)
+    lags, match, score = _match(load, _on_raster(recording.t_s, felt_pa, raster_s))
+    best = int(np.argmax(score))
+    offset_s = float(recording.t_s[0] - reference.t_s[0] + lags[best] * raster_s)
     if match[best] < MATCH:
         raise reference.refusal(
             f"these loads are nowhere in the capture (best match {match[best]:.2f}, at an offset "
             f"of {offset_s:.2f} s): is it the right one? If so, give --offset"
         )
-    near = _hill(match, best)
-    rivals = np.delete(match, np.arange(near[0], near[1] + 1))
-    if len(rivals) and rivals.max() > match[best] - 0.01:
+    first, last = _hill(score, best)
+    rivals = np.delete(score, np.arange(first, last + 1))
+    if rivals.max(initial=0.0) > score[best] - RIVAL:
         raise reference.refusal(
             "these loads fit the capture in several places, they repeat themselves: give --offset"
         )
-    # As far as a loss of a hundredth of what is not yet explained, and one raster step.
-    drop = match[best] - 0.1 * (1 - match[best]) - 1e-4
-    width = np.count_nonzero(match[near[0] : near[1] + 1] >= drop)
+    # As far as a tenth more than what the best offset leaves unexplained, and one raster step.
+    enough = match[best] - 0.1 * (1 - match[best]) - 1e-4
+    width = np.count_nonzero(match[first : last + 1] >= enough)
     return ClockOffset(offset_s, 0.5 * width * raster_s, float(match[best]))
 
 
@@ -193,12 +197,20 @@ def _plateaus(reference: Reference) -> list[tuple[int, int]]:
     return found
 
 
-def _mean_fall(voltage_v: NDArray[np.float32]) -> Floats:
-    """Mean over the nodes heard of how far they are below their usual voltage, (f,) V."""
+def _mean_pressure(voltage_v: NDArray[np.float32], curve: PressureCurve) -> Floats:
+    """Mean over the nodes heard of what they felt, (f,) Pa, roughly.
+
+    Every node's highest voltage is taken for that without a load, and the curve's last piece goes
+    on below its end, so that a curve that is somewhat wrong still tells heavy loads apart.
+    """
     voltage_v = voltage_v[:, np.isfinite(voltage_v).any(axis=0)]
     heard = np.isfinite(voltage_v)
-    fall_v = np.where(heard, np.nanmedian(voltage_v, axis=0) - voltage_v, 0.0)
-    return np.asarray(fall_v.sum(axis=1, dtype=np.float64) / np.maximum(heard.sum(axis=1), 1))
+    fall_v = np.where(heard, np.nanmax(voltage_v, axis=0) - voltage_v, 0.0)
+    falls_v = curve.voltage_v[0] - np.array(curve.voltage_v)
+    last_gain = (curve.pressure_pa[-1] - curve.pressure_pa[-2]) / (falls_v[-1] - falls_v[-2])
+    beyond_pa = np.maximum(fall_v - falls_v[-1], 0.0) * last_gain
+    felt_pa = np.interp(fall_v, falls_v, curve.pressure_pa) + beyond_pa
+    return np.asarray(felt_pa.sum(axis=1) / np.maximum(heard.sum(axis=1), 1))
 
 
 def _on_raster(t_s: Floats, values: Floats, raster_s: float) -> Floats:
@@ -206,36 +218,42 @@ def _on_raster(t_s: Floats, values: Floats, raster_s: float) -> Floats:
     return np.asarray(np.interp(t_s[0] + raster_s * np.arange(count), t_s, values))
 
 
-def _correlation(load: Floats, fall: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """Pearson's correlation of load[i] and fall[i + lag] over their overlap, for every lag."""
-    size = 1 << (len(load) + len(fall) - 1).bit_length()
-    load, fall = load - load.mean(), fall - fall.mean()
+def _match(load: Floats, felt: Floats) -> tuple[NDArray[np.int64], Floats, Floats]:
+    """How well load[i] and felt[i + lag] match, for every lag.
+
+    Returns the lags, the correlations where the two overlap, and these reduced by the share of
+    what happens that is left out there: the more of both is explained, the better.
+    """
+    size = 1 << (len(load) + len(felt) - 1).bit_length()
+    load, felt = load - load.mean(), felt - felt.mean()
 
     def slide(a: Floats, b: Floats) -> Floats:
-        spectrum = np.conj(np.fft.rfft(a, size)) * np.fft.rfft(b, size)
-        product = np.fft.irfft(spectrum, size)
+        product = np.fft.irfft(np.conj(np.fft.rfft(a, size)) * np.fft.rfft(b, size), size)
         return np.concatenate((product[size - len(a) + 1 :], product[: len(b)]))
 
-    ones_load, ones_fall = np.ones(len(load)), np.ones(len(fall))
-    count = slide(ones_load, ones_fall).round()
-    sum_load, sum_fall = slide(load, ones_fall), slide(ones_load, fall)
-    count = np.maximum(count, 1)
-    covariance = slide(load, fall) - sum_load * sum_fall / count
-    of_load = slide(load**2, ones_fall) - sum_load**2 / count
-    of_fall = slide(ones_load, fall**2) - sum_fall**2 / count
-    # Where one of the two does not change within the overlap there is nothing to compare.
-    changes = (of_load > 0.1 * load.var() * count) & (of_fall > 0.1 * fall.var() * count)
-    enough = changes & (count >= _OVERLAP * min(len(load), len(fall)))
-    match = np.full(len(count), -1.0)
-    match[enough] = covariance[enough] / np.sqrt(of_load[enough] * of_fall[enough])
-    return np.arange(1 - len(load), len(fall)), match
+    ones_load, ones_felt = np.ones(len(load)), np.ones(len(felt))
+    count = np.maximum(slide(ones_load, ones_felt).round(), 1)
+    sum_load, sum_felt = slide(load, ones_felt), slide(ones_load, felt)
+    covariance = slide(load, felt) - sum_load * sum_felt / count
+    energies = []
+    for energy, total in (
+        (slide(load**2, ones_felt) - sum_load**2 / count, np.square(load).sum()),
+        (slide(ones_load, felt**2) - sum_felt**2 / count, np.square(felt).sum()),
+    ):
+        energies.append((energy, energy / total if total > 0 else np.zeros(len(count))))
+    (of_load, share_load), (of_felt, share_felt) = energies
+    enough = (share_load > _LEAST_SHARE) & (share_felt > _LEAST_SHARE)
+    enough &= count >= _OVERLAP * min(len(load), len(felt))
+    match = np.zeros(len(count))
+    match[enough] = covariance[enough] / np.sqrt(of_load[enough] * of_felt[enough])
+    score = match * np.sqrt(np.clip(np.maximum(share_load, share_felt), 0.0, 1.0))
+    return np.arange(1 - len(load), len(felt)), match, score
 
 
-def _hill(match: Floats, top: int) -> tuple[int, int]:
-    """First and last lag of the hill about its top, down to where it has lost a tenth."""
-    foot = match[top] - 0.1
-    left = np.flatnonzero(match[:top] < foot)
-    right = np.flatnonzero(match[top:] < foot)
+def _hill(heights: Floats, top: int) -> tuple[int, int]:
+    """First and last index of the hill about its top, down to where it has lost a tenth."""
+    foot = heights[top] - 0.1
+    left, right = np.flatnonzero(heights[:top] < foot), np.flatnonzero(heights[top:] < foot)
     first = int(left[-1]) + 1 if len(left) else 0
-    last = top + int(right[0]) - 1 if len(right) else len(match) - 1
+    last = top + int(right[0]) - 1 if len(right) else len(heights) - 1
     return first, last

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -23,8 +23,8 @@ LEAST_FALL = 8.0
 """LSB that a voltage must fall by."""
 MOST_OUTLIERS = 0.2
 """Share of a node's points; if more contradict the others, it is not clear which are right."""
-MOST_NOISE = 0.12
-"""Of a curve's fall, standard deviation of the points."""
+MOST_NOISE = 0.1
+"""Share of a curve's fall. Noise is what differs from point to point: hysteresis is none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,36 +63,41 @@ def fit_skin(points: LoadPoints, nodes: int, adc: AdcScale, pieces: int = 2) -> 
     refused: dict[int, str] = {}
     good: dict[int, NDArray[np.intp]] = {}
     for node, own in rows.items():
-        reason = _unfit(points, own, usable, adc, pieces)
-        if reason:
+        if reason := _unfit(points, own, usable, adc, pieces):
             refused[node] = reason
         else:
             good[node] = own[usable[own]]
-    curves: dict[int, PressureCurve] = {}
-    sigma_v: dict[int, float] = {}
-    loop: dict[int, float] = {}
-    residual_v = np.full(len(points), np.nan)
-    outlier = np.zeros(len(points), dtype=bool)
+    result = SkinFit(
+        points,
+        adc,
+        pieces,
+        curves={},
+        refused=refused,
+        residual_v=np.full(len(points), np.nan),
+        outlier=np.zeros(len(points), dtype=bool),
+        sigma_v={},
+        loop={},
+    )
     if good:
         fit = _fit(points, good, adc, pieces)
         for index, (node, own) in enumerate(good.items()):
-            reason = _unsound(points, own, fit, index, adc)
-            if reason:
+            if reason := _unsound(points, own, fit, index, adc):
                 refused[node] = reason
-                continue
-            curves[node] = PressureCurve(
-                tuple(fit.corner_pa[index].tolist()), tuple(fit.corner_v[index].tolist())
-            )
-            residual_v[own] = fit.residual_v[index, : len(own)]
-            outlier[own] = ~fit.used[index, : len(own)]
-            sigma_v[node] = float(fit.sigma_v[index])
-            inliers = own[~outlier[own]]
-            fall_v = float(fit.corner_v[index, 0] - fit.corner_v[index, -1])
-            loop[node] = _loop_v(points.pressure_pa[inliers], residual_v[inliers]) / fall_v
-    refused = dict(sorted(refused.items()))
-    return SkinFit(
-        points, adc, pieces, curves, refused, residual_v, outlier, sigma_v=sigma_v, loop=loop
-    )
+            else:
+                _accept(result, node, own, fit, index)
+    return replace(result, refused=dict(sorted(refused.items())))
+
+
+def _accept(result: SkinFit, node: int, own: NDArray[np.intp], fit: Fit, index: int) -> None:
+    """Enter what was found for one node."""
+    corner_pa, corner_v = fit.corner_pa[index], fit.corner_v[index]
+    result.curves[node] = PressureCurve(tuple(corner_pa.tolist()), tuple(corner_v.tolist()))
+    result.residual_v[own] = fit.residual_v[index, : len(own)]
+    result.outlier[own] = ~fit.used[index, : len(own)]
+    result.sigma_v[node] = float(fit.sigma_v[index])
+    inliers = own[~result.outlier[own]]
+    loop_v = _loop_v(result.points.pressure_pa[inliers], result.residual_v[inliers])
+    result.loop[node] = loop_v / float(corner_v[0] - corner_v[-1])
 
 
 def _rows_by_node(points: LoadPoints, nodes: int) -> dict[int, NDArray[np.intp]]:
@@ -154,8 +159,7 @@ def _unfit(
     largest_pa = float(load_pa.max())
     if largest_pa == 0:
         return "no load but 0"
-    levels_pa = levels_of(load_pa[None, :])[0]
-    levels_pa = levels_pa[np.isfinite(levels_pa)]
+    levels_pa = levels_of(load_pa)
     if len(levels_pa) < LEAST_LEVELS * pieces:
         return (
             f"{len(levels_pa)} different loads; a curve of {pieces} pieces needs "
@@ -190,35 +194,31 @@ def _unsound(
             f"({points.lines(own[~used])})"
         )
     fall_v = corner_v[0] - corner_v[-1]
-    if fit.sigma_v[index] > MOST_NOISE * abs(fall_v):
+    residual_v = fit.residual_v[index, : len(own)][used]
+    noise_v = math.sqrt(np.mean(np.square(np.diff(residual_v))) / 2)
+    if noise_v > MOST_NOISE * abs(fall_v):
         return (
-            f"too noisy: points are {fit.sigma_v[index]:.3f} V rms off a curve that falls by "
+            f"too noisy: {noise_v:.3f} V rms from point to point on a curve that falls by "
             f"{fall_v:.3f} V; do pressures and voltages belong together?"
         )
-    load_pa = points.pressure_pa[own]
-    for begin_pa, end_pa, begin_v, end_v in zip(
-        corner_pa, corner_pa[1:], corner_v, corner_v[1:], strict=False
-    ):
-        within = own[(load_pa >= begin_pa) & (load_pa <= end_pa) & used]
-        if begin_v - end_v < 2 * adc.lsb_v:
+    used_rows = own[used]
+    load_pa = points.pressure_pa[used_rows]
+    slack_pa = 1e-6 * corner_pa[-1]
+    for piece, (begin_pa, end_pa) in enumerate(pairwise(corner_pa)):
+        within = (load_pa >= begin_pa - slack_pa) & (load_pa <= end_pa + slack_pa)
+        where = f"from {begin_pa / 1e3:.1f} to {end_pa / 1e3:.1f} kPa"
+        if corner_v[piece] - corner_v[piece + 1] < 2 * adc.lsb_v:
             return (
-                f"the voltage does not fall from {begin_pa / 1e3:.1f} to {end_pa / 1e3:.1f} kPa "
-                f"({points.lines(within)}): saturated, or loads mixed up?"
+                f"the voltage does not fall {where} ({points.lines(used_rows[within])}): "
+                "saturated, or loads mixed up?"
             )
+        if not within.any() or len(levels_of(load_pa[within])) < LEAST_LEVELS:
+            return f"fewer than {LEAST_LEVELS} loads on the piece {where}: add some there"
     if not fit.knee_found[index]:
         return (
             f"no knee up to {corner_pa[-1] / 1e3:g} kPa: the loads do not reach it; go higher, or "
             f"fit a curve of {len(corner_pa) - 2} pieces"
         )
-    for begin_pa, end_pa in pairwise(corner_pa):
-        slack_pa = 1e-6 * corner_pa[-1]
-        inside = (load_pa >= begin_pa - slack_pa) & (load_pa <= end_pa + slack_pa) & used
-        levels = levels_of(load_pa[inside][None, :]) if inside.any() else np.empty(0)
-        if np.count_nonzero(np.isfinite(levels)) < LEAST_LEVELS:
-            return (
-                f"fewer than {LEAST_LEVELS} loads between the corners at {begin_pa / 1e3:.1f} and "
-                f"{end_pa / 1e3:.1f} kPa: add some there"
-            )
     if corner_v[-1] < 0 or corner_v[0] > HEADROOM * adc.vref_v:
         return (
             f"the curve runs from {corner_v[0]:.2f} to {corner_v[-1]:.2f} V, the converter's range "

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactile_cdma.calibration import AdcScale, Calibration, PressureCurve
@@ -193,6 +193,27 @@ def test_what_is_no_calibration_file_is_refused(path: Path) -> None:
     assert "MB are more than such a file can have" in refusal(path)
     path.unlink()
     assert "No such file" in refusal(path)
+
+
+@settings(deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 10_000), st.binary(max_size=6)), min_size=1, max_size=4))
+def test_a_damaged_file_is_refused_and_nothing_else(
+    tmp_path_factory: pytest.TempPathFactory, damage: list[tuple[int, bytes]]
+) -> None:
+    path = tmp_path_factory.mktemp("damage") / "skin.yaml"
+    write_calibration(path, Calibration.of_nodes(CURVES, DEFAULT, NODES), ADC, "palm")
+    before, content = read(path), bytearray(path.read_bytes())
+    for place, new in damage:
+        place %= len(content)
+        content[place : place + 3] = new
+    path.write_bytes(content)
+    try:
+        after = read(path)
+    except CalibrationError as error:
+        assert str(error).startswith(f"{path}: ")
+    else:  # what was hit does not matter
+        assert after.identity == before.identity
+        assert np.array_equal(after.curves.voltage_v, before.curves.voltage_v)
 
 
 def test_an_edited_file_can_be_sealed_anew(path: Path) -> None:

@@ -4,6 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from tactile_cdma.errors import CalibrationError
 from tactile_cdma.load_points import HEADING, LoadPoints, point_lines, read_points
@@ -83,6 +85,23 @@ def test_mistakes_are_named(path: Path, text: str, cause: str) -> None:
     with pytest.raises(CalibrationError, match=cause) as caught:
         read(path, text)
     assert str(caught.value).startswith(f"{path}: ")
+
+
+@settings(deadline=None)
+@given(st.one_of(st.text(), st.text("0123456789.,;-e\n\t naif_"), st.binary()), st.booleans())
+def test_any_text_is_a_table_or_refused(
+    tmp_path_factory: pytest.TempPathFactory, body: str | bytes, heading: bool
+) -> None:
+    path = tmp_path_factory.mktemp("any") / "loads.csv"
+    content = body if isinstance(body, bytes) else body.encode("utf-8", "replace")
+    path.write_bytes((HEADING + "\n").encode() * heading + content)
+    try:
+        points = read_points(path, nodes=16, vref_v=3.3)
+    except CalibrationError as error:
+        assert str(error).startswith(f"{path}: ")
+    else:
+        assert np.isfinite(points.pressure_pa).all()
+        assert ((points.voltage_v >= 0) & (points.voltage_v <= 3.3)).all()
 
 
 def test_files_that_are_no_tables(path: Path) -> None:

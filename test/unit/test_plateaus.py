@@ -20,6 +20,8 @@ from tactile_cdma.plateaus import (
 
 ADC = AdcScale()
 CURVE = PressureCurve.two_stage(v0_v=3.0)
+KNOWN = PressureCurve.two_stage(v0_v=3.2, knee_pa=45e3, stage1_v_per_pa=0.03e-3)
+"""What is taken for the curve before it is calibrated."""
 FRAME_S = 0.0128
 LEVELS_PA = np.array([0, 20, 40, 60, 90, 140, 75, 30, 0]) * 1e3
 DWELL_S, RAMP_S = 4.0, 0.5
@@ -89,17 +91,33 @@ def test_the_offset_of_the_clocks_is_found(offset_s: float, step_s: float, seed:
     heard = recording(offset_s)
     noise = np.random.default_rng(seed).normal(0, 0.01, heard.voltage_v.shape)
     noisy = Recording(heard.t_s, (heard.voltage_v + noise).astype(np.float32))
-    found = find_offset(reference(step_s), noisy)
+    found = find_offset(reference(step_s), noisy, KNOWN)
     assert found.offset_s == pytest.approx(offset_s, abs=found.error_s + 0.1)
     assert found.match > 0.9
     assert found.error_s < 0.5
 
 
-def test_a_capture_that_began_late_or_nodes_heard_late_do_not_mislead() -> None:
+@pytest.mark.parametrize(("begin_s", "end_s"), [(0, END_S), (0, 30), (5, 40)])
+@pytest.mark.parametrize("cut", [0, 200, 600])
+def test_a_reference_or_a_capture_in_part_does_not_mislead(
+    begin_s: float, end_s: float, cut: int
+) -> None:
+    whole = recording(100.0)
+    part = Recording(whole.t_s[cut:], whole.voltage_v[cut:])
+    found = find_offset(reference(begin_s=begin_s, end_s=end_s), part, KNOWN)
+    assert found.offset_s == pytest.approx(100.0, abs=0.2)
+
+
+def test_a_part_that_looks_like_another_is_refused() -> None:
+    with pytest.raises(CalibrationError, match="in several places"):
+        find_offset(reference(begin_s=10, end_s=25), recording(100.0), CURVE)
+
+
+def test_nodes_heard_late_do_not_mislead() -> None:
     whole = recording(100.0)
     late = Recording(whole.t_s[600:], whole.voltage_v[600:].copy())
     late.voltage_v[:300, 1:] = np.nan
-    assert find_offset(reference(), late).offset_s == pytest.approx(100.0, abs=0.15)
+    assert find_offset(reference(), late, KNOWN).offset_s == pytest.approx(100.0, abs=0.15)
 
 
 def test_loads_that_are_not_in_the_capture_are_refused() -> None:
@@ -108,11 +126,11 @@ def test_loads_that_are_not_in_the_capture_are_refused() -> None:
         np.arange(0, END_S, FRAME_S), np.arange(0, END_S + 3, 3), rng.uniform(1, 3, 15)
     )
     stranger = Recording(FRAME_S * np.arange(len(other)), other[:, None].astype(np.float32))
-    with pytest.raises(CalibrationError, match="nowhere in the capture .*give --offset"):
-        find_offset(reference(), stranger)
+    with pytest.raises(CalibrationError, match=r"nowhere in the capture .*give --offset"):
+        find_offset(reference(), stranger, KNOWN)
     silent = Recording(stranger.t_s, np.full_like(stranger.voltage_v, 3.0))
     with pytest.raises(CalibrationError, match="nowhere in the capture"):
-        find_offset(reference(), silent)
+        find_offset(reference(), silent, KNOWN)
 
 
 def test_loads_that_repeat_themselves_are_refused() -> None:
@@ -122,7 +140,7 @@ def test_loads_that_repeat_themselves_are_refused() -> None:
     short = once_s[: len(once_s) // 2 : 8]
     cycles = Reference(Path("ref.csv"), short, load[: len(once_s) // 2 : 8], None, short)
     with pytest.raises(CalibrationError, match="in several places"):
-        find_offset(cycles, Recording(once_s, volts))
+        find_offset(cycles, Recording(once_s, volts), KNOWN)
 
 
 def test_steady_voltage_is_finer_than_a_count_and_blind_to_outliers() -> None:

@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from tactile_cdma.calibration import AdcScale, PressureCurve
 from tactile_cdma.calibration_report import describe, results, stages
@@ -52,7 +54,7 @@ def test_every_node_gets_its_curve() -> None:
 
 
 def _noisy() -> np.ndarray:
-    return np.clip(read(LOADS_PA) + np.random.default_rng(0).normal(0, 0.6, len(LOADS_PA)), 0.1, 3)
+    return np.clip(read(LOADS_PA) + np.random.default_rng(0).normal(0, 0.4, len(LOADS_PA)), 0.1, 3)
 
 
 def _contradicting() -> np.ndarray:
@@ -71,7 +73,7 @@ def _rising_at_the_end() -> np.ndarray:
         (np.full(len(LOADS_PA), 3.0), "falls by 0 mV only.*was the load on this node"),
         (np.full(len(LOADS_PA), 3.3 - ADC.lsb_v), "41 of 41 voltages are at an end.*connected"),
         (np.zeros(len(LOADS_PA)), "41 of 41 voltages are at an end"),
-        (_noisy(), "too noisy|contradict"),
+        (_noisy(), "too noisy: .* V rms from point to point"),
         (_contradicting(), r"10 of 41 points contradict the others \(lines 3, 15, 27, 39"),
         (_rising_at_the_end(), "does not fall from 50.* to 140.0 kPa .lines "),
         (3.0 - 0.01e-3 * LOADS_PA, "no knee up to 140 kPa: the loads do not reach it"),
@@ -137,15 +139,21 @@ def test_what_the_converter_cuts_off_does_not_bend_the_curve() -> None:
     assert cut_off.any()
 
 
-def test_the_loop_of_hysteresis_is_measured_and_its_middle_fitted() -> None:
-    loop_v = 0.08
-    offset = np.where(np.arange(len(LOADS_PA)) > 20, loop_v / 2, -loop_v / 2)
+@pytest.mark.parametrize("loop_v", [0.08, 0.7])
+def test_the_loop_of_hysteresis_is_measured_and_its_middle_fitted(loop_v: float) -> None:
+    """The paper's is up to 34 % of the fall."""
+    width_v = loop_v * np.sin(np.pi * LOADS_PA / LOADS_PA[20])  # a loop closes at its ends
+    offset = np.where(np.arange(len(LOADS_PA)) > 20, width_v / 2, -width_v / 2)
     volts = CURVE.voltage(LOADS_PA) + offset
     fit = fit_with(volts)
     fall_v = CURVE.voltage_v[0] - CURVE.voltage_v[-1]
+    assert not fit.refused
     assert fit.loop[2] == pytest.approx(loop_v / fall_v, rel=0.15)
     assert fit.loop[1] < 0.01
-    assert np.abs(fit.curves[2].voltage(UP_PA[1:-1]) - CURVE.voltage(UP_PA[1:-1])).max() < 0.01
+    assert (
+        np.abs(fit.curves[2].voltage(UP_PA[1:-1]) - CURVE.voltage(UP_PA[1:-1])).max()
+        < 0.05 * loop_v + 0.01
+    )
     rising_only = fit_with(CURVE.voltage(UP_PA), UP_PA)
     assert math.isnan(rising_only.loop[2])
     assert "loop" not in results(rising_only)
@@ -173,3 +181,30 @@ def test_outliers_are_named_by_their_lines() -> None:
     assert np.flatnonzero(fit.outlier).tolist() == [22]
     assert "outliers: loads.csv, line 24" in describe(fit)
     assert results(fit)["outliers"] == "1"
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 4), st.integers(1, 60))
+def test_any_points_give_falling_curves_or_reasons(seed: int, pieces: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    loads_pa = rng.choice([0.0, 30e3, 60e3, 140e3], (3, count))
+    loads_pa += rng.choice([0.0, 1e3, 1e5]) * rng.random((3, count))
+    volts = CURVE.voltage(loads_pa) + rng.choice([0, 0.01, 1]) * rng.normal(size=(3, count))
+    mirrored = rng.random((3, count)) < rng.choice([0.0, 0.1, 0.4])
+    points = LoadPoints(
+        node=np.repeat([1, 2, 3], count),
+        pressure_pa=loads_pa.ravel(),
+        voltage_v=np.clip(np.where(mirrored, 3.3 - volts, volts), 0, 3.3).ravel(),
+        line=np.arange(3 * count),
+        source="any.csv",
+    )
+    try:
+        fit = fit_skin(points, NODES, ADC, pieces)
+    except CalibrationError as error:
+        assert "rise" in str(error)
+        return
+    assert sorted([*fit.curves, *fit.refused]) == [1, 2, 3]
+    for curve in fit.curves.values():
+        assert (np.diff(curve.voltage_v) < 0).all()
+        assert len(curve.pressure_pa) == pieces + 1
+    assert describe(fit)
