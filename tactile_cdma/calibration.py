@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .dynamics import Dynamics
 from .errors import SpecError
 
 
@@ -222,11 +223,13 @@ class Calibration:
     uncalibrated: (n,) bool, nodes that have no curve of their own and take the default one, though
         others have.
     identity: short hash of what was measured; empty where all nodes take the default curve.
+    dynamics: lag and hysteresis of the sensors; None where they were not measured.
     """
 
     curves: Curves
     uncalibrated: NDArray[np.bool_]
     identity: str = ""
+    dynamics: Dynamics | None = None
 
     @classmethod
     def default(cls, curve: PressureCurve, nodes: int) -> Calibration:

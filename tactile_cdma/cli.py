@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from . import __version__, calibrate
+from . import __version__, calibrate, layout_command
 from .amplifier import design
 from .amplifier_report import describe, report
 from .arguments import add_skin_options, given, positive
@@ -31,6 +31,7 @@ from .protocol import PacketParser, diagnose
 from .sim.digitizer import VirtualDigitizer
 from .sim.options import SimOptions
 from .sim.pty import serve
+from .sim.sensor_report import describe as describe_sensor
 from .source import Port
 
 ALL = "all"
@@ -130,6 +131,9 @@ def _parser() -> argparse.ArgumentParser:
     add_skin_options(amplifier, "the driver's; the frame period plays no part")
     amplifier.set_defaults(run=_amplifier)
 
+    sensor = commands.add_parser("sensor", help="the simulated sensor beside the paper's")
+    sensor.set_defaults(run=_sensor)
+    layout_command.add_to(commands)
     calibrate.add_to(commands)
     return parser
 
@@ -314,6 +318,11 @@ def _amplifier(arguments: argparse.Namespace) -> int:
         print(json.dumps(report(config.spec, front)))
     else:
         print(describe(config.spec, front))
+    return 0
+
+
+def _sensor(_arguments: argparse.Namespace) -> int:
+    print(describe_sensor())
     return 0
 
 

@@ -2,6 +2,7 @@
 
 TactileError
 ├── SpecError         a parameter, or a combination of parameters, that cannot work
+│   └── LayoutError   a layout file that is not one, or that cannot be this skin's
 ├── ParameterError    an unknown parameter name, a wrong type or a value out of range
 ├── PortError         the port cannot be opened, was lost, or carries something else
 ├── ProtocolError     the digitizer speaks another protocol version or refuses a command
@@ -18,6 +19,10 @@ class TactileError(Exception):
 
 class SpecError(TactileError, ValueError):
     """A parameter, or a combination of parameters, that cannot work."""
+
+
+class LayoutError(SpecError):
+    """A layout file that is not one, or that contradicts itself or the skin's parameters."""
 
 
 class ParameterError(TactileError, ValueError):

@@ -7,6 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from .layout import Layout
+
 _STOPS = (
     (0.00, (6, 8, 30)),
     (0.20, (65, 18, 105)),
@@ -17,6 +19,7 @@ _STOPS = (
 )
 """A dark-to-light scale whose brightness rises evenly, so it also reads in grey."""
 NO_READING_RGB = (70, 78, 86)
+NO_TAXEL_RGB = (24, 26, 30)
 MAX_PIXELS = 1 << 20
 
 
@@ -29,6 +32,7 @@ def _scale() -> NDArray[np.uint8]:
 
 
 _COLOURS = _scale()
+_NO_TAXEL = np.array([NO_TAXEL_RGB], dtype=np.uint8)
 
 
 def colours(pressure_pa: NDArray[np.float32], max_pa: float) -> NDArray[np.uint8]:
@@ -39,12 +43,15 @@ def colours(pressure_pa: NDArray[np.float32], max_pa: float) -> NDArray[np.uint8
 
 
 def heatmap(
-    pressure_pa: NDArray[np.float32], rows: int, columns: int, max_pa: float, pixels: int
+    pressure_pa: NDArray[np.float32], layout: Layout, max_pa: float, pixels: int
 ) -> NDArray[np.uint8]:
-    """The skin as a picture, (rows·pixels, columns·pixels, 3) uint8 RGB, row 0 on top.
+    """The unrolled skin as a picture, (height, width, 3) uint8 RGB, row 0 on top.
 
-    Taxels are drawn smaller than asked for where the picture would pass MAX_PIXELS.
+    pressure_pa: (t,) float32, Pa. pixels: edge length of a square of one pitch; less is drawn
+    where the picture would pass MAX_PIXELS.
     """
-    pixels = max(1, min(pixels, math.isqrt(MAX_PIXELS // (rows * columns))))
-    picture = colours(pressure_pa, max_pa).reshape(rows, columns, 3)
-    return picture.repeat(pixels, axis=0).repeat(pixels, axis=1)
+    raster = layout.raster
+    pixels_per_cell = round(pixels * layout.cell_m / layout.pitch_m)
+    edge = max(1, min(pixels_per_cell, math.isqrt(MAX_PIXELS // raster.size)))
+    paint = np.vstack([colours(pressure_pa, max_pa), _NO_TAXEL])
+    return paint[raster].repeat(edge, axis=0).repeat(edge, axis=1)

@@ -10,6 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import SpecError
+from .layout_shapes import Surface, plane
+from .proximity import beside
+
+NEIGHBOUR_PITCHES = 1.5
+"""Neighbours' centres are so many pitches apart at most: the eight about a taxel of a grid."""
+COVER_PITCHES = 0.75
+"""In pictures an irregular skin's taxel covers what is nearest to it, up to so far."""
+MAX_CELLS = 1 << 18
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +33,8 @@ class Layout:
     flat_m: (t, 2) float32, the places on the unrolled surface, m.
     nodes: (t,) int32, 1-based number of the node behind each taxel; 0: none.
     pitch_m: usual distance of neighbouring taxels, m.
-    masked: nodes that are out of service.
+    masked: nodes that are out of service. unplaced: nodes on the wire that are behind no taxel.
+    irregular: rows and columns say nothing of where taxels are.
     """
 
     name: str
@@ -38,6 +47,31 @@ class Layout:
     nodes: NDArray[np.int32]
     pitch_m: float
     masked: tuple[int, ...] = ()
+    unplaced: tuple[int, ...] = ()
+    irregular: bool = False
+
+    @classmethod
+    def on(
+        cls,
+        surface: Surface,
+        name: str,
+        rows: int,
+        columns: int,
+        nodes: NDArray[np.int32],
+        pitch_m: float,
+    ) -> Layout:
+        """Taxels at the places of a surface, all in service."""
+        return cls(
+            name=name,
+            rows=rows,
+            columns=columns,
+            positions_m=surface.positions_m,
+            normals=surface.normals,
+            areas_m2=surface.areas_m2,
+            flat_m=surface.flat_m,
+            nodes=nodes,
+            pitch_m=pitch_m,
+        )
 
     @classmethod
     def grid(cls, nodes: int, rows: int, columns: int, pitch_m: float, taxel_m: float) -> Layout:
@@ -60,50 +94,87 @@ class Layout:
             raise SpecError(
                 f"taxels of {taxel_m * 1e3:g} mm overlap at a pitch of {pitch_m * 1e3:g} mm"
             )
-        flat_m = grid_places(rows, columns, pitch_m)
-        return cls(
-            name=f"grid of {rows} × {columns}",
-            rows=rows,
-            columns=columns,
-            positions_m=np.pad(flat_m, ((0, 0), (0, 1))),
-            normals=np.tile(np.array([0, 0, 1], dtype=np.float32), (nodes, 1)),
-            areas_m2=np.full(nodes, pitch_m**2, dtype=np.float32),
-            flat_m=flat_m,
-            nodes=np.arange(1, nodes + 1, dtype=np.int32),
-            pitch_m=pitch_m,
-        )
+        surface, numbers = plane(rows, columns, pitch_m), np.arange(1, nodes + 1, dtype=np.int32)
+        return cls.on(surface, f"grid of {rows} × {columns}", rows, columns, numbers, pitch_m)
 
     def __len__(self) -> int:
         return len(self.nodes)
+
+    @property
+    def wired(self) -> int:
+        """Nodes on the wire: the highest number that the layout knows."""
+        return max((int(self.nodes.max()), *self.unplaced))
 
     @cached_property
     def source(self) -> NDArray[np.intp] | None:
         """(t,) index of each taxel's node in arrays of all nodes; −1: no node.
 
-        None where taxel i has node i + 1 throughout, so that nothing has to be moved.
+        None where taxel i has node i + 1 and every node has a taxel, so that nothing has to be
+        moved.
         """
         index = self.nodes.astype(np.intp) - 1
-        return None if np.array_equal(index, np.arange(len(index))) else index
+        in_order = np.array_equal(index, np.arange(len(index))) and not self.unplaced
+        return None if in_order else index
 
     @cached_property
     def neighbours(self) -> NDArray[np.int32]:
-        """(t, m) int32, the taxels within 1.5 pitches of each one, padded with its own index."""
-        close = [
-            np.flatnonzero(
-                (np.linalg.norm(self.positions_m - place, axis=1) < 1.5 * self.pitch_m)
-                & (self.nodes > 0)
-                & (number > 0)
-            )
-            for place, number in zip(self.positions_m, self.nodes, strict=True)
-        ]
-        table = np.arange(len(self), dtype=np.int32)[:, None].repeat(max(map(len, close)), axis=1)
-        for own, taxels in enumerate(close):
-            table[own, : len(taxels)] = taxels
+        """(t, m) int32, the taxels beside each one, padded with its own index.
+
+        Two are neighbours where their centres are within NEIGHBOUR_PITCHES of each other and they
+        do not face away from each other. Taxels without a node neither have nor are neighbours.
+        """
+        placed = np.flatnonzero(self.nodes)
+        reach_m = NEIGHBOUR_PITCHES * self.pitch_m
+        first, second, _ = beside(self.positions_m[placed], self.normals[placed], reach_m)
+        counts = np.bincount(first, minlength=len(placed))
+        column = np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)
+        table = np.arange(len(self), dtype=np.int32)[:, None].repeat(counts.max(initial=1), axis=1)
+        table[placed[first], column] = placed[second]
         return table
 
+    @cached_property
+    def raster(self) -> NDArray[np.int32]:
+        """(h, w) int32, the taxel in each cell of a picture of the unrolled skin; −1: none.
 
-def grid_places(rows: int, columns: int, pitch_m: float) -> NDArray[np.float32]:
-    """Row-major places of a flat grid about its centre, (rows · columns, 2) float32, m."""
-    y, x = np.mgrid[:rows, :columns].astype(np.float64)
-    centred = np.stack([x.ravel() - (columns - 1) / 2, y.ravel() - (rows - 1) / 2], axis=1)
-    return (centred * pitch_m).astype(np.float32)
+        Of a grid the cells are its taxels with a node; of an irregular skin they are cell_m wide
+        and hold the nearest taxel, row 0 at the least y.
+        """
+        if not self.irregular:
+            taxels = np.where(self.nodes > 0, np.arange(len(self)), -1)
+            return taxels.astype(np.int32).reshape(self.rows, self.columns)
+        place = (self.flat_m - self.flat_m.min(axis=0) + self.pitch_m / 2) / self.cell_m
+        width, height = self._cells(self.cell_m)
+        reach = COVER_PITCHES * self.pitch_m / self.cell_m
+        steps = np.arange(-math.ceil(reach), math.ceil(reach) + 1)
+        offsets = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+        cells = np.floor(place).astype(np.int64)[:, None] + offsets
+        distance = np.linalg.norm(cells + 0.5 - place[:, None], axis=2)
+        own = (offsets == 0).all(axis=1)
+        inside = ((cells >= 0) & (cells < [width, height])).all(axis=2)
+        taxel, offset = np.nonzero(inside & ((distance <= reach) | own))
+        # The nearest is written last, so it stays.
+        order = np.argsort(-distance[taxel, offset], kind="stable")
+        x, y = cells[taxel, offset][order].T
+        raster = np.full((height, width), -1, dtype=np.int32)
+        raster[y, x] = taxel[order]
+        return raster
+
+    @cached_property
+    def cell_m(self) -> float:
+        """Edge length of a cell of the raster, m.
+
+        The pitch of a grid; half of it, or what MAX_CELLS allow, on an irregular skin.
+        """
+        if not self.irregular:
+            return self.pitch_m
+        cell_m = self.pitch_m / 2
+        while math.prod(self._cells(cell_m)) > MAX_CELLS:
+            cell_m *= 2
+        return cell_m
+
+    def _cells(self, cell_m: float) -> tuple[int, int]:
+        """Width and height of an irregular skin with half a pitch of border, in cells."""
+        extent_m = np.ptp(self.flat_m.astype(np.float64), axis=0) + self.pitch_m
+        # What float32 places are off by is no cell more.
+        width, height = np.ceil(extent_m / cell_m - 0.01).astype(int).tolist()
+        return max(1, width), max(1, height)

@@ -18,9 +18,13 @@ import yaml
 from .baseline import RestRules
 from .calibration import AdcScale, Calibration, PressureCurve
 from .calibration_file import read_calibration
+from .contact import ContactThresholds
+from .dynamics import Compensator
 from .errors import ParameterError, SpecError
 from .frame import BIPOLAR, DEFAULT_AMPLITUDE_V, MAX_STRETCH, UNIPOLAR, FrameSpec
 from .layout import Layout
+from .layout_file import read_layout
+from .layout_nodes import Wiring
 
 Value = bool | int | float | str
 NATURAL_SIGNS = -1
@@ -249,11 +253,13 @@ class SkinConfig:
     adc: AdcScale
     curve: PressureCurve
     calibration: Calibration
+    compensation: bool
     layout: Layout
     skin: str
     rest: RestRules
     threshold: float
     stale_after_s: float
+    contact: ContactThresholds
 
     @classmethod
     def of(cls, values: Mapping[str, Value]) -> SkinConfig:
@@ -291,6 +297,13 @@ class SkinConfig:
             stage2_v_per_pa=get["sensitivity2_v_per_kpa"] * 1e-3,
         )
         adc = AdcScale(get["bits"], get["vref_v"])
+        calibration = _calibration(get["calibration_file"], spec, adc, curve, get["skin"])
+        if get["compensation"] and calibration.dynamics is None:
+            raise SpecError(
+                f"no dynamics in {get['calibration_file'] or 'the default curve'}, which "
+                "compensation undoes: run tactile-cdma calibrate --dynamics, or set compensation "
+                "to false"
+            )
         return cls(
             spec=spec,
             timing=get["timing"],
@@ -298,28 +311,37 @@ class SkinConfig:
             roll_call=get["roll_call"],
             adc=adc,
             curve=curve,
-            calibration=_calibration(get["calibration_file"], spec, adc, curve, get["skin"]),
-            layout=Layout.grid(
-                get["nodes"],
-                get["rows"],
-                get["columns"],
-                get["pitch_mm"] * 1e-3,
-                get["taxel_mm"] * 1e-3,
-            ),
+            calibration=calibration,
+            compensation=get["compensation"],
+            layout=_layout(get),
             skin=get["skin"],
             rest=rest_rules(get),
             threshold=get["threshold"],
             stale_after_s=get["stale_after_s"],
+            contact=contact_thresholds(get),
         )
+
+    def compensator(self) -> Compensator | None:
+        """What undoes the sensors' dynamics; None where that is not asked."""
+        dynamics = self.calibration.dynamics
+        if not self.compensation or dynamics is None:
+            return None
+        return Compensator(dynamics, self.calibration.curves.range_pa)
 
     def adjusted(self, values: Mapping[str, Value]) -> SkinConfig:
         """With the live ones of these values, all of them; files are not read again."""
         return replace(
             self,
             rest=rest_rules(values),
+            contact=contact_thresholds(values),
             threshold=float(values["threshold"]),
             stale_after_s=float(values["stale_after_s"]),
         )
+
+
+def contact_thresholds(values: Mapping[str, Any]) -> ContactThresholds:
+    """From all parameters' values; raises SpecError where they contradict each other."""
+    return ContactThresholds(values["contact_kpa"] * 1e3, values["release_kpa"] * 1e3)
 
 
 def rest_rules(values: Mapping[str, Any]) -> RestRules:
@@ -384,6 +406,28 @@ def _sections(content: object) -> Iterable[Mapping[str, object]]:
                 }
             else:
                 yield from _sections(below)
+
+
+def _layout(get: Mapping[str, Any]) -> Layout:
+    """The layout file's; without one a flat grid."""
+    pitch_m = get["pitch_mm"] * 1e-3
+    if not get["layout_file"]:
+        taxel_m = get["taxel_mm"] * 1e-3
+        return Layout.grid(get["nodes"], get["rows"], get["columns"], pitch_m, taxel_m)
+    path = Path(get["layout_file"]).expanduser()
+    layout = read_layout(path, Wiring(get["nodes"], get["first_row"], get["skin"]))
+    # Defaults say nothing: ROS gives every parameter a value.
+    for name, theirs in (
+        ("rows", layout.rows),
+        ("columns", layout.columns),
+        ("pitch_mm", layout.pitch_m * 1e3),
+    ):
+        if get[name] != BY_NAME[name].default and not math.isclose(get[name], theirs, rel_tol=1e-3):
+            raise SpecError(
+                f"{name} is {get[name]:g}, but {theirs:g} in layout_file {path}: leave "
+                f"{name} at {BY_NAME[name].default:g}, the file says it"
+            )
+    return layout
 
 
 def _calibration(

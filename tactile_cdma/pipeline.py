@@ -97,7 +97,7 @@ class Pipeline:
         nodes = config.spec.nodes
         beside = nodes_beside(config.layout, nodes)
         tracker = DriftTracker(config.adc.lsb_v, beside, config.rest)
-        chain = PressureChain(config.calibration, Baseline(nodes), tracker)
+        chain = PressureChain(config.calibration, Baseline(nodes), tracker, config.compensator())
         self.taxels = Taxels(nodes, config.adc, chain, config.layout, config.stale_after_s)
         self.health = NodeHealth(config.spec)
         self.threshold = config.threshold
@@ -173,7 +173,12 @@ class Pipeline:
 
         Returns whether tare and drift stay: they do unless the curves are others.
         """
-        self.config = config
+        before, self.config = self.config, config
+        if (
+            config.calibration is not before.calibration
+            or config.compensation != before.compensation
+        ):
+            self.taxels.chain.compensator = config.compensator()
         self.threshold = config.threshold
         self.taxels.stale_after_s = config.stale_after_s
         if self.taxels.chain.tracker is not None:

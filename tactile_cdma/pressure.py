@@ -1,4 +1,4 @@
-"""Voltages → pressures of a whole skin: curve, then tare."""
+"""Voltages → pressures of a whole skin: curve, dynamics undone, then tare."""
 
 from __future__ import annotations
 
@@ -8,22 +8,28 @@ from numpy.typing import NDArray
 from .baseline import LOOK_S, Baseline
 from .calibration import Calibration
 from .drift import DriftTracker
+from .dynamics import Compensator
 
 
 class PressureChain:
     """Turns the nodes' voltages into pressures, frame by frame.
 
-    voltage + drift → curve → pressure − tare. A few times a second it looks whether drift is to be
-    followed; what that changes shows in the next update.
+    voltage + drift → curve → lag and hysteresis undone → pressure − tare. A few times a second it
+    looks whether drift is to be followed; what that changes shows in the next update.
     """
 
     def __init__(
-        self, calibration: Calibration, baseline: Baseline, tracker: DriftTracker | None = None
+        self,
+        calibration: Calibration,
+        baseline: Baseline,
+        tracker: DriftTracker | None = None,
+        compensator: Compensator | None = None,
     ) -> None:
-        """tracker: follows the drift; None: nothing does."""
+        """tracker follows the drift, compensator undoes lag and hysteresis; None: nothing does."""
         self.calibration = calibration
         self.baseline = baseline
         self.tracker = tracker
+        self.compensator = compensator
         self._looked_s: float | None = None
         self._settled = self._moved = False
 
@@ -38,6 +44,8 @@ class PressureChain:
         curves, baseline = self.calibration.curves, self.baseline
         corrected_v = voltage_v + baseline.drift_v
         pressure_pa = curves.pressure(corrected_v)
+        if self.compensator is not None:
+            pressure_pa = self.compensator.update(pressure_pa, valid, t_s)
         reading_pa = pressure_pa - baseline.tare_pa
         saturated = curves.saturated(corrected_v)
         self._settled = self._moved = False
@@ -47,6 +55,8 @@ class PressureChain:
 
     def steady(self, t_s: float) -> bool:
         """Whether the same voltages at t_s (s) give the pressures of the last update."""
+        if self.compensator is not None and not self.compensator.steady(t_s):
+            return False
         if self._settled or self._looked_s is None:
             return self._settled
         return not self._moved and 0 <= t_s - self._looked_s < LOOK_S

@@ -65,7 +65,7 @@ class Taxels:
         self.chain = chain
         self._layout = layout
         self._masked = np.zeros(nodes, dtype=bool)
-        self._masked[[node - 1 for node in layout.masked]] = True
+        self._masked[[node - 1 for node in layout.masked + layout.unplaced]] = True
         self._stale_after_s = stale_after_s
         # A word has few values: every one is converted once, here.
         self._voltage_of = adc.voltage(np.arange(1 << adc.bits)).astype(np.float32)
@@ -87,14 +87,23 @@ class Taxels:
         self._stale_after_s, self._silence = seconds, None
 
     @property
+    def nobody_heard(self) -> bool:
+        """Whether every node that is awaited is missing."""
+        awaited = len(self._masked) - int(np.count_nonzero(self._masked))
+        return 0 < awaited == len(self.missing)
+
+    @property
     def now_s(self) -> float:
         """Device time of the last frame, s."""
         return self._now_s
 
     @property
     def missing(self) -> list[int]:
-        """Numbers, from 1 on, of the nodes not heard for stale_after_s, as of the last frame."""
-        unheard = self._now_s - self._heard_s > self._stale_after_s
+        """Numbers, from 1 on, of the nodes not heard for stale_after_s, as of the last frame.
+
+        Nodes that the layout masks, or has no place for, are not missed.
+        """
+        unheard = (self._now_s - self._heard_s > self._stale_after_s) & ~self._masked
         numbers: list[int] = (np.flatnonzero(unheard) + 1).tolist()
         return numbers
 

@@ -113,8 +113,7 @@ class PressedSkin:
         self._config, self._scene = config, scene
         self._nodes, self._digitizer = nodes, digitizer
         self._supplies_v = np.array([node.supply_v for node in nodes.nodes])
-        layout = config.layout
-        self._place = Skin(layout.flat_m.astype(np.float64), layout.pitch_m)
+        self._place = Skin.of(config.layout, config.spec.nodes)
         self._pressed_ns: list[int] = []
         self._codes: list[NDArray[np.int64]] = []
         self._next_ns = 0

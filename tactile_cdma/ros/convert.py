@@ -98,7 +98,7 @@ def heatmap_image(
     pixels: int,
 ) -> Image:
     """The skin as an rgb8 picture on a fixed scale of 0…max_pa."""
-    picture = heatmap(pressure_pa, config.layout.rows, config.layout.columns, max_pa, pixels)
+    picture = heatmap(pressure_pa, config.layout, max_pa, pixels)
     message = Image()
     message.header = header
     message.height, message.width = picture.shape[:2]

@@ -85,7 +85,7 @@ def _verdict(driver: Driver, rate: float) -> tuple[bytes, str]:
             f"frames come at {rate:.0%} of their rate: is the digitizer or this computer too slow, "
             "or is the line disturbed (see rejected bursts and lost samples)?"
         )
-    if len(driver.pipeline.taxels.missing) == driver.pipeline.config.spec.nodes:
+    if driver.pipeline.taxels.nobody_heard:
         return DiagnosticStatus.WARN, "frames arrive, but no node was heard: is the skin powered?"
     if clocks is not None and clocks.unresolved:
         return DiagnosticStatus.WARN, "clocks of some nodes leave them not told apart"

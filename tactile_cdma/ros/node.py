@@ -47,6 +47,7 @@ from ..parameters import (
 from ..pipeline import TactileFrame
 from ..source import Port
 from . import convert
+from .contacts import ContactPublishers
 from .diagnostics import StreamReport
 from .services import RestKeeper
 
@@ -99,6 +100,7 @@ class SkinNode(LifecycleNode):
         )
         self._info_publisher = self.create_lifecycle_publisher(TactileSkinInfo, "~/info", LATCHED)
         self._image_publisher = self.create_lifecycle_publisher(Image, "~/heatmap", PICTURE)
+        self._contacts = ContactPublishers(self)
         self._diagnostics_publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on where simulated time stands
         self._diagnostics_timer = self.create_timer(1.0, self._publish_diagnostics, clock=steady)
@@ -177,6 +179,7 @@ class SkinNode(LifecycleNode):
         self._live.update(new)
         if self._config is not None:
             self._rest.adjust(self._config)
+            self._contacts.change(self._config.contact)
         return SetParametersResult(successful=True)
 
     def _adjusted(self, new: dict[str, Value]) -> SkinConfig:
@@ -185,7 +188,8 @@ class SkinNode(LifecycleNode):
         values = {**self._values(), **new}
         config = self._config.adjusted(values)
         if CALIBRATING & new.keys():
-            config = replace(config, calibration=SkinConfig.of(values).calibration)
+            read = SkinConfig.of(values)
+            config = replace(config, calibration=read.calibration, compensation=read.compensation)
         return config
 
     # Lifecycle. rclpy swallows exceptions of these callbacks, so each says what went wrong itself.
@@ -226,6 +230,7 @@ class SkinNode(LifecycleNode):
         )
         self._rest.activate(self._driver)
         port, self._port = self._port, None
+        self._contacts.start(self._config.layout, self._config.contact)
         self._driver.start(port)
         self._stream_report = StreamReport()
         self._heatmap_timer.timer_period_ns = round(1e9 / float(self._value("heatmap_rate_hz")))
@@ -296,19 +301,26 @@ class SkinNode(LifecycleNode):
         """In the driver's thread: the way from a decoded frame to the wire is one publish long."""
         assert self._config is not None
         self._latest = frame
-        if not self._is_news(frame) or not self._array_publisher.get_subscription_count():
-            return
+        info_id = self._info_id
+        array_asked = self._array_publisher.get_subscription_count() > 0
+        header = None
+        if self._is_news(frame) and (array_asked or self._contacts.asked):
+            header = self._header_of(frame)
+        if header and array_asked:
+            self._array_publisher.publish(
+                convert.tactile_array(
+                    frame, self._config, header, info_id, bool(self._live["publish_voltage"])
+                )
+            )
+        self._contacts.take(frame, header, info_id)
+
+    def _header_of(self, frame: TactileFrame) -> Header:
         stamp_ns = self._stamp_ns(frame.t_host)
         # Two clocks are read for that, some µs apart: stamps rise all the same.
         if 0 <= self._last_stamp_ns - stamp_ns < STAMP_JITTER_NS:
             stamp_ns = self._last_stamp_ns + 1
         self._last_stamp_ns = stamp_ns
-        header = self._header(stamp_ns)
-        self._array_publisher.publish(
-            convert.tactile_array(
-                frame, self._config, header, self._info_id, bool(self._live["publish_voltage"])
-            )
-        )
+        return self._header(stamp_ns)
 
     def _is_news(self, frame: TactileFrame) -> bool:
         """Whether a node spoke, or the last frame without words is long enough ago."""

@@ -125,17 +125,20 @@ def draw(
     message: TactileArray, tally: Tally, complaint: str, max_pa: float, size: os.terminal_size
 ) -> str:
     """One screen: a coloured cell per taxel, its pressure in kPa, and lines of state."""
-    rows, columns = message.height, message.width
     pressure = np.array(message.pressure, dtype=np.float32)
     status = np.array(message.status, dtype=np.uint8)
     paint = colours(pressure, max_pa)
-    width = next((w for w in (_CELL, 2, 1) if w * columns <= size.columns), 1)
+    rows, columns, width = _arrange(message.height, message.width, size)
     tall = 3 if width == _CELL and 3 * rows + 6 <= size.lines else 1
-    lines = [f"tactile_cdma  {message.header.frame_id}  {rows} x {columns} taxels, kPa", ""]
+    lines = [
+        f"tactile_cdma  {message.header.frame_id}  {message.height} x {message.width} taxels, kPa",
+        "",
+    ]
     for row in range(min(rows, size.lines - 6)):
         for line in range(tall):
             cells = []
-            for i in range(row * columns, row * columns + min(columns, size.columns // width)):
+            begin = row * columns
+            for i in range(begin, min(begin + columns, begin + size.columns // width, len(paint))):
                 labelled = line == tall // 2 and width == _CELL
                 text = _label(pressure[i], status[i]) if labelled else ""
                 cells.append(_paint(text.center(width), paint[i]))
@@ -157,6 +160,19 @@ def draw(
     # Only lines of cells hold escape sequences, and those are not longer than the terminal.
     fitted = [line if "\x1b" in line else line[: size.columns] for line in lines]
     return _HOME + "".join(line + _CLEAR_LINE + "\n" for line in fitted) + _CLEAR_BELOW
+
+
+def _arrange(height: int, taxels: int, size: os.terminal_size) -> tuple[int, int, int]:
+    """Rows and columns to draw, and the width of a cell; a single row is wrapped to the screen."""
+    widths = (_CELL, 2, 1)
+    if height > 1:
+        return height, taxels, next((w for w in widths if w * taxels <= size.columns), 1)
+    for width in widths:
+        columns = max(1, min(taxels, size.columns // width))
+        rows = -(-taxels // columns)
+        if rows <= size.lines - 6:
+            break
+    return rows, columns, width
 
 
 def _label(pressure_pa: float, status: int) -> str:

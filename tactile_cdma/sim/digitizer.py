@@ -34,6 +34,7 @@ from ..messages import (
 )
 from ..protocol import PacketParser, PacketWriter
 from .channel import chip_means, first_sample, point_samples, waveforms
+from .loads import LOADS
 from .nodes import NodeFrame, RollCalls, frame_start_s, node_frames
 from .options import Setup, SimOptions
 from .packets import Cutter
@@ -79,9 +80,10 @@ def truth(
     spec = setup.spec
     return node_frames(
         spec,
-        SCENES[options.scene],
-        options.skin(spec.nodes),
+        (SCENES | LOADS)[options.scene],
+        options.skin(spec.nodes, spec.first_row),
         options.rules,
+        options.sensors,
         start_phase=options.start_phase,
         roll_calls=roll_calls,
     )

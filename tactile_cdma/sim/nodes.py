@@ -9,13 +9,11 @@ from itertools import count
 import numpy as np
 from numpy.typing import NDArray
 
-from ..calibration import AdcScale, PressureCurve
+from ..calibration import AdcScale
 from ..frame import FrameSpec
 from ..node_clocks import NodeClocks
 from .scene import Scene, Skin
-
-WANDER_S = 600.0
-"""Period of the slow wandering of clocks, like that of a room's temperature."""
+from .sensor import WANDER_S, Sensor, SensorModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +21,8 @@ class NodeFrame:
     """Ground truth of one frame. Arrays have one entry per node, (n,).
 
     number: frames since START. start_s: when its first chip begins, s since START.
-    pressure_pa, voltage_v: float64, at start_s. codes: int64 ADC words. active: bool, who talks.
+    pressure_pa: float64, what truly presses; voltage_v: float64, what the sensors make of it; both
+    at start_s. codes: int64 ADC words. active: bool, who talks.
     called: the frame belongs to a roll call, in which one node speaks.
     """
 
@@ -104,25 +103,33 @@ def node_frames(
     scene: Scene,
     skin: Skin,
     rules: NodeRules,
-    curve: PressureCurve | None = None,
+    sensors: SensorModel | None = None,
     start_phase: float = 0.0,
     roll_calls: RollCalls | None = None,
 ) -> Iterator[NodeFrame]:
     """All frames since START, endlessly; the same arguments give the same frames.
 
-    start_phase: share of frame 0's period that has passed at START. roll_calls: may be asked for
-    meanwhile; nodes then say what they measure when it is their turn, and nothing else.
+    sensors: ideal ones if None. start_phase: share of frame 0's period that has passed at START.
+    roll_calls: may be asked for meanwhile; nodes then say what they measure when it is their turn,
+    and nothing else.
     """
-    curve = curve or PressureCurve.two_stage()
+    sensors = sensors or SensorModel()
+    sensor = Sensor(sensors, spec.nodes)
     adc = AdcScale(spec.bits)
-    rest = adc.code(curve.voltage(np.zeros(spec.nodes)))
+    rest = adc.code(sensor.rest_v)
+    dead, stuck = (
+        np.array([number - 1 for number in numbers if number <= spec.nodes], dtype=int)
+        for numbers in (sensors.dead, sensors.stuck)
+    )
+    rest[stuck] = np.random.default_rng([sensors.seed, 3]).integers(1 << spec.bits, size=len(stuck))
     last_sent = rest.copy()
     turn = np.arange(spec.nodes) * rules.heartbeat // spec.nodes
     for number in count():
         start_s = frame_start_s(spec, number, start_phase)
         pressure_pa = scene(start_s, skin)
-        voltage_v = curve.voltage(pressure_pa)
+        voltage_v = sensor.step(pressure_pa, start_s)
         codes = adc.code(voltage_v)
+        codes[stuck] = rest[stuck]
         active = np.abs(codes - rest) > rules.threshold
         active |= np.abs(codes - last_sent) > rules.threshold
         if rules.heartbeat:
@@ -132,6 +139,7 @@ def node_frames(
         speaker = roll_calls.speaker(number, spec.nodes) if roll_calls else None
         if speaker is not None:
             active = np.arange(spec.nodes) == speaker
+        active[dead] = False
         last_sent[active] = codes[active]
         called = speaker is not None
         yield NodeFrame(number, start_s, pressure_pa, voltage_v, codes, active, called)

@@ -5,21 +5,24 @@ from __future__ import annotations
 import difflib
 import math
 from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
-
-import numpy as np
 
 from .._protocol import SyncMode
 from ..codes import default_order
 from ..errors import ParameterError, SpecError
 from ..frame import DEFAULT_AMPLITUDE_V, MAX_STRETCH, FrameSpec
 from ..layout import Layout
+from ..layout_file import read_layout
+from ..layout_nodes import Wiring
 from ..parameters import BY_NAME, GAP, NATURAL_SIGNS, Parameter, Value
 from ..roll_call import LARGEST_RATE_ERROR, LATEST
 from .channel import MAX_JITTER, Channel
+from .loads import LOADS
 from .nodes import ClockModel, NodeRules
 from .scene import SCENES, Skin
+from .sensor import IDEAL, MOST_HYSTERESIS, MOST_MISMATCH, PAPER, SensorModel
 
 SCHEME = "sim"
 
@@ -81,7 +84,7 @@ class SimOptions:
     Raises SpecError, naming option, value and limits, for a bad value or combination.
     """
 
-    scene: str = _option("scene", "moving", "what touches the skin", choices=tuple(SCENES))
+    scene: str = _option("scene", "moving", "what touches the skin", choices=(*SCENES, *LOADS))
     nodes: int | None = _pin("nodes")
     bits: int | None = _pin("bits")
     parity: bool | None = _pin("parity")
@@ -124,6 +127,28 @@ class SimOptions:
     drift: float = _option(
         "drift", 0.0, "fastest change of a node's clock error", "1/s", (0.0, 5e-5)
     )
+    sensor: str = _option(
+        "sensor",
+        IDEAL,
+        "ideal: the curve alone; paper: lag and hysteresis too",
+        "",
+        None,
+        (IDEAL, PAPER),
+    )
+    hysteresis: float = _option(
+        "hysteresis", 1.0, "factor to the loops of sensor 'paper'", "", (0.0, MOST_HYSTERESIS)
+    )
+    mismatch: float = _option(
+        "mismatch", 0.0, "spread of the taxels' curves, rms", "", (0.0, MOST_MISMATCH)
+    )
+    warming: float = _option(
+        "warming", 0.0, "largest drift of a sensor's voltage, over minutes", "mV", (0.0, 1e3)
+    )
+    sensor_noise: float = _option(
+        "sensor_noise", 0.0, "noise at a node's converter, rms", "V", (0.0, 1.0)
+    )
+    dead: str = _option("dead", "", "nodes that never speak: 3,17")
+    stuck: str = _option("stuck", "", "nodes that always measure the same: 3,17")
     rail: float = _option(
         "rail", 0.0, "amplifier's rails about the offset; 0: out of reach", "V", (0.0, 1e4)
     )
@@ -146,12 +171,16 @@ class SimOptions:
     pitch_mm: float = _option(
         "pitch_mm", 7.0, "distance of neighbouring taxels", "mm", (0.01, 1_000.0)
     )
+    layout: str = _option("layout", "", "layout file of the skin; empty: rows, columns, pitch_mm")
 
     def __post_init__(self) -> None:
         for item in fields(self):
             value = getattr(self, item.name)
             if value is not None:
                 object.__setattr__(self, item.name, _check(item.metadata["parameter"], value))
+        for name, numbers in (("dead", self.sensors.dead), ("stuck", self.sensors.stuck)):
+            for number in numbers:
+                _check(Parameter(name, 1, "", "", (1, self.nodes or 65_535)), number)
         self.setup()
 
     @classmethod
@@ -185,15 +214,37 @@ class SimOptions:
         return ClockModel(self.clock_spread, self.delay_spread, self.drift, self.seed)
 
     @property
+    def sensors(self) -> SensorModel:
+        """The sensors of the skin; its `curves` are the true ones."""
+        return SensorModel(
+            kind=self.sensor,
+            hysteresis=self.hysteresis,
+            mismatch=self.mismatch,
+            warming_v=self.warming * 1e-3,
+            noise_v=self.sensor_noise,
+            dead=_numbers("dead", self.dead),
+            stuck=_numbers("stuck", self.stuck),
+            seed=self.seed,
+        )
+
+    @property
     def rules(self) -> NodeRules:
         """When nodes talk."""
         return NodeRules(self.threshold, self.heartbeat)
 
-    def skin(self, nodes: int) -> Skin:
-        """The taxels; raises SpecError where rows and columns do not fit the nodes."""
+    def skin(self, nodes: int, first_row: int = FrameSpec.first_row) -> Skin:
+        """The taxels; raises SpecError where layout, or rows and columns, do not fit the nodes."""
         pitch_m = self.pitch_mm * 1e-3
-        grid = Layout.grid(nodes, self.rows, self.columns, pitch_m, pitch_m)
-        return Skin(grid.flat_m.astype(np.float64), pitch_m, self.seed)
+        if self.layout:
+            layout = self._read_layout(nodes, first_row)
+        else:
+            layout = Layout.grid(nodes, self.rows, self.columns, pitch_m, pitch_m)
+        return Skin.of(layout, nodes, self.seed)
+
+    def _read_layout(self, nodes: int | None, first_row: int) -> Layout:
+        if self.rows or self.columns:
+            raise SpecError("options rows and columns say what layout says: leave them out")
+        return read_layout(Path(self.layout).expanduser(), Wiring(nodes, first_row))
 
     def setup(self, asked: Setup | None = None) -> Setup:
         """The digitizer's set-up when a host asks for one; None: before any CONFIGURE.
@@ -202,8 +253,11 @@ class SimOptions:
         grow, unless pinned themselves, so that INFO can show the host what contradicts it.
         Raises SpecError where the result cannot work.
         """
-        asked = asked or Setup()
         pins = self._pinned_fields()
+        if asked is None and self.layout:
+            first_row = pins.get("first_row", FrameSpec.first_row)
+            pins = {"nodes": self._read_layout(pins.get("nodes"), first_row).wired} | pins
+        asked = asked or Setup()
         spec = replace(asked.spec, amplitude_v=self.amplitude_mv * 1e-3)
         if pins:
             spec = replace(spec, **self._room(spec, pins), **pins)
@@ -212,7 +266,7 @@ class SimOptions:
                 f"a frame of {spec.frame_s * 1e3:g} ms stretched by {self.stretch:g} and by slow "
                 f"clocks of nodes is longer than its period of {spec.frame_period_s * 1e3:g} ms"
             )
-        self.skin(spec.nodes)
+        self.skin(spec.nodes, spec.first_row)
         sync, integrated = asked.sync, asked.integrated
         if self.timing is not None:
             sync = SyncMode.NONE if self.timing == GAP else SyncMode.DRIVE
@@ -286,6 +340,16 @@ def _parse(parameter: Parameter, text: str) -> Value:
     except (ValueError, KeyError):
         wanted = {bool: "0 or 1", int: "an integer", float: "a number"}[kind]
         raise SpecError(f"option {parameter.name} is {text!r}; it must be {wanted}") from None
+
+
+def _numbers(name: str, text: str) -> tuple[int, ...]:
+    """Node numbers from 1 on, from a list with commas."""
+    try:
+        return tuple(int(part) for part in text.split(",")) if text else ()
+    except ValueError:
+        raise SpecError(
+            f"option {name} is {text!r}; it must be numbers of nodes with commas between: 3,17"
+        ) from None
 
 
 def _check(parameter: Parameter, value: Value) -> Value:

@@ -10,21 +10,36 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ..layout import Layout
+
 PEAK_PA = 120e3
 """Peak pressure of a firm contact: well inside the second stage of the paper's sensor."""
 
 
 @dataclass(frozen=True)
 class Skin:
-    """The taxels that a scene presses on.
+    """What a scene presses on: the nodes under a skin, unrolled.
 
-    positions_m: (n, 2) float64, centre of every taxel about the centre of the skin, m.
+    positions_m: (n, 2) float64, place of every node about the centre of the skin, m.
     pitch_m: distance of neighbouring taxels, m. seed: places the contacts of random scenes.
     """
 
     positions_m: NDArray[np.float64]
     pitch_m: float
     seed: int = 0
+
+    @classmethod
+    def of(cls, layout: Layout, nodes: int, seed: int = 0) -> Skin:
+        """The nodes 1…n at the places that a layout gives them.
+
+        What a node without a place feels nobody sees: it is put where the first taxel's is.
+        """
+        placed = np.flatnonzero(layout.nodes)
+        flat_m = layout.flat_m[placed].astype(np.float64)
+        flat_m -= (flat_m.min(axis=0) + flat_m.max(axis=0)) / 2
+        positions_m = flat_m[:1].repeat(nodes, axis=0)
+        positions_m[layout.nodes[placed] - 1] = flat_m
+        return cls(positions_m, layout.pitch_m, seed)
 
     @property
     def half_extent_m(self) -> NDArray[np.float64]:

@@ -7,6 +7,7 @@ from tactile_cdma.errors import SpecError
 from tactile_cdma.frame import FrameSpec
 from tactile_cdma.messages import FrameLayout
 from tactile_cdma.sim.options import OPTIONS, Setup, SimOptions
+from tactile_cdma.sim.sensor import SensorModel
 
 
 def test_without_options_the_host_decides_the_layout() -> None:
@@ -22,6 +23,7 @@ def test_every_option_can_be_given() -> None:
         "&samples_per_chip=8&timing=line&integrated=0&offset=-0.2&jitter=0.05&threshold=3"
         "&heartbeat=10&speed=0&adc_bits=10&rail=2.5&rows=3&columns=4&pitch_mm=5&start_phase=0.5"
         "&parity=1&resync_chips=32&guard_chips=1&clock_spread=0.01&delay_spread=0.5&drift=1e-6"
+        "&sensor=paper&hysteresis=2&mismatch=0.05&warming=20&sensor_noise=0.002&dead=3,12&stuck=5&layout="
     )
     options = SimOptions.from_url(url)
     setup = options.setup()
@@ -42,6 +44,16 @@ def test_every_option_can_be_given() -> None:
     )
     assert (setup.samples_per_chip, setup.sync, setup.integrated) == (8, SyncMode.DRIVE, False)
     assert (options.rules.threshold, options.rules.heartbeat) == (3, 10)
+    assert options.sensors == SensorModel(
+        kind="paper",
+        hysteresis=2.0,
+        mismatch=0.05,
+        warming_v=0.02,
+        noise_v=0.002,
+        dead=(3, 12),
+        stuck=(5,),
+        seed=7,
+    )
     assert url.count("=") == len(OPTIONS)
 
 
@@ -85,6 +97,11 @@ def test_pinned_sampling_wins() -> None:
         ("nodes=64&frame_period_ms=12.8", ["12.8 ms"]),
         ("stretch=0.1&chip_us=60&frame_period_ms=12.8", ["stretched by 0.1", "12.8 ms"]),
         ("first_row=0&drive=unipolar", ["row 0"]),
+        ("sensor=papr", ["'papr'", "ideal, paper", "did you mean paper"]),
+        ("mismatch=0.2", ["mismatch is 0.2", "0…0.1"]),
+        ("dead=3;4", ["dead is '3;4'", "commas"]),
+        ("stuck=0", ["stuck is 0", "1…65535"]),
+        ("nodes=16&dead=3,17", ["dead is 17", "1…16"]),
     ],
 )
 def test_bad_options_are_refused_by_name(query: str, words: list[str]) -> None:

@@ -110,8 +110,9 @@ def test_colours_rise_with_pressure_on_a_fixed_scale() -> None:
 def test_heatmap_puts_taxel_row_zero_on_top() -> None:
     pressure = np.zeros(6, np.float32)
     pressure[5] = 1e5
-    picture = heatmap(pressure, 2, 3, 1e5, pixels=8)
+    picture = heatmap(pressure, Layout.grid(6, 2, 3, 7e-3, 5e-3), 1e5, pixels=8)
     assert picture.shape == (16, 24, 3)
     assert picture[15, 23].sum() > picture[0, 0].sum()
     assert (picture[8:, 16:] == picture[15, 23]).all()
-    assert heatmap(np.zeros(4096, np.float32), 64, 64, 1e5, pixels=256).size <= 3 << 20
+    large = Layout.grid(4096, 64, 64, 7e-3, 5e-3)
+    assert heatmap(np.zeros(4096, np.float32), large, 1e5, pixels=256).size <= 3 << 20

@@ -1,0 +1,64 @@
+"""Known loads, the same on all taxels: what a skin is calibrated with."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .scene import Scene, Skin
+
+_RISING_KPA = (
+    0,
+    5,
+    10,
+    15,
+    20,
+    25,
+    30,
+    35,
+    40,
+    45,
+    50,
+    55,
+    60,
+    70,
+    80,
+    90,
+    100,
+    110,
+    120,
+    130,
+    140,
+)
+STEPS_KPA = (*_RISING_KPA, *_RISING_KPA[-2:0:-1])
+"""The staircase of "steps": up to the range's end and down again, over and over."""
+DWELL_S = 2.0
+"""So long does each of these loads stay."""
+TURNS_KPA = (0, 140, 20, 90, 0, 55, 10, 120, 40, 75, 0, 110, 60, 140, 0, 40)
+"""The loads at which "cycles" turns, over and over."""
+TURN_S = 2.0
+"""From one turn to the next."""
+
+
+def steps(t_s: float, skin: Skin) -> NDArray[np.float64]:
+    """The loads STEPS_KPA one after the other, DWELL_S each."""
+    return _everywhere(skin, STEPS_KPA[int(t_s / DWELL_S) % len(STEPS_KPA)])
+
+
+def cycles(t_s: float, skin: Skin) -> NDArray[np.float64]:
+    """Half a cosine in TURN_S from each load of TURNS_KPA to the next."""
+    turn, share = divmod(t_s / TURN_S, 1.0)
+    begin, end = _SWINGS[int(turn) % len(_SWINGS)]
+    return _everywhere(skin, begin + (end - begin) * (0.5 - 0.5 * math.cos(math.pi * share)))
+
+
+LOADS: dict[str, Scene] = {"steps": steps, "cycles": cycles}
+
+_SWINGS = tuple(pairwise((*TURNS_KPA, TURNS_KPA[0])))
+
+
+def _everywhere(skin: Skin, load_kpa: float) -> NDArray[np.float64]:
+    return np.full(len(skin.positions_m), load_kpa * 1e3)

@@ -1,0 +1,125 @@
+"""The sensor between pressure and voltage; docs/sensor.md has where its figures come from."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..calibration import Curves, PressureCurve
+from ..dynamics import Dynamics, Hysteresis, Lag
+
+IDEAL, PAPER = "ideal", "paper"
+MOST_HYSTERESIS = 7.0
+MOST_MISMATCH = 0.1
+WANDER_S = 600.0
+"""Period of all slow wandering, of sensors and of clocks, like that of a room's temperature."""
+PAPER_DYNAMICS = Dynamics(
+    rise_s=0.085,
+    fall_s=0.024 / math.log(100),
+    widths=tuple(round(0.068 * play, 3) for play in range(1, 9)),
+    weights=(0.0375,) * 8,
+)
+"""Fitted to response, recovery, and the hysteresis at 90 and 140 kPa, of Liu et al., IV.A."""
+_FARTHEST = 2.0
+"""Mismatch beyond so many of its rms is cut off, so that every curve stays above 0 V."""
+
+
+@dataclass(frozen=True, slots=True)
+class SensorModel:
+    """What the sensors of a simulated skin are like, apart from their nodes' converters.
+
+    kind: "ideal", the curve alone, or "paper", with lag and hysteresis. hysteresis: factor to the
+    paper's loops, 0…7. mismatch: spread of the taxels' curves, rms, as a share, 0…0.1. warming_v:
+    largest drift of a voltage, V. noise_v: rms, V. dead, stuck: numbers, from 1 on, of nodes that
+    never speak and of nodes that always measure the same; those beyond the skin are left out.
+    seed: of everything random. curve: of a taxel without mismatch.
+    """
+
+    kind: str = IDEAL
+    hysteresis: float = 1.0
+    mismatch: float = 0.0
+    warming_v: float = 0.0
+    noise_v: float = 0.0
+    dead: tuple[int, ...] = ()
+    stuck: tuple[int, ...] = ()
+    seed: int = 0
+    curve: PressureCurve = field(default_factory=PressureCurve.two_stage)
+
+    @property
+    def dynamics(self) -> Dynamics | None:
+        """Lag and hysteresis; None for ideal sensors.
+
+        Weights and widths of plays each take the root of the factor, so that loops open by it, and
+        wide ones are not cut off by the load's own extent.
+        """
+        if self.kind == IDEAL:
+            return None
+        root = math.sqrt(self.hysteresis)
+        if root == 0:
+            return replace(PAPER_DYNAMICS, widths=(), weights=())
+        return replace(
+            PAPER_DYNAMICS,
+            widths=tuple(width * root for width in PAPER_DYNAMICS.widths),
+            weights=tuple(weight * root for weight in PAPER_DYNAMICS.weights),
+        )
+
+    def curves(self, nodes: int) -> Curves:
+        """The true static curves.
+
+        Corners (the knee too) and the falls between them have errors of their own; the voltage at
+        rest has half as much, and only downwards: a node's converter sees nothing above.
+        """
+        if not self.mismatch:
+            return Curves.uniform(self.curve, nodes)
+        rng = np.random.default_rng([self.seed, nodes, 1])
+        corner_pa = np.array(self.curve.pressure_pa)
+        falls = np.diff(self.curve.voltage_v) / np.diff(corner_pa)
+
+        def errors(count: int) -> NDArray[np.float64]:
+            drawn = rng.standard_normal((count, nodes))
+            return self.mismatch * np.clip(drawn, -_FARTHEST, _FARTHEST)
+
+        knees_pa = corner_pa[1:-1, None] * (1 + errors(len(corner_pa) - 2))
+        ends_pa = np.broadcast_to(corner_pa[[0, -1], None], (2, nodes))
+        pressure_pa = np.concatenate((ends_pa[:1], knees_pa, ends_pa[1:]))
+        steps_v = falls[:, None] * (1 + errors(len(falls))) * np.diff(pressure_pa, axis=0)
+        rest_v = self.curve.voltage_v[0] * (1 - 0.5 * np.abs(errors(1)))
+        return Curves(pressure_pa, np.concatenate((rest_v, rest_v + np.cumsum(steps_v, axis=0))))
+
+
+class Sensor:
+    """The n sensors of a skin, with what they remember of their loads."""
+
+    def __init__(self, model: SensorModel, nodes: int) -> None:
+        self._model, self._curves = model, model.curves(nodes)
+        self._lag, self._hysteresis = None, None
+        if model.dynamics is not None:
+            self._lag = Lag.of(model.dynamics)
+            self._hysteresis = Hysteresis.of(model.dynamics, nodes)
+        self._rng = np.random.default_rng([model.seed, nodes, 2])
+        self._warming_v = model.warming_v * self._rng.uniform(0.5, 1.0, nodes)
+        self._last_s: float | None = None
+
+    @property
+    def rest_v(self) -> NDArray[np.float64]:
+        """(n,) V: what a node learns at power-up, before anything touched the skin."""
+        return self._curves.voltage(0.0)
+
+    def step(self, pressure_pa: NDArray[np.float64], t_s: float) -> NDArray[np.float64]:
+        """Voltages (n,), V, at t_s (s), which never goes back, under pressures (n,), Pa.
+
+        The pressures have been there since the last step; the first ones for ever, rising before.
+        """
+        passed_s = 0.0 if self._last_s is None else t_s - self._last_s
+        self._last_s = t_s
+        if self._lag is not None and self._hysteresis is not None:
+            pressure_pa = self._hysteresis.update(self._lag.update(pressure_pa, passed_s))
+        voltage_v = self._curves.voltage(pressure_pa)
+        if self._model.warming_v:
+            voltage_v += self._warming_v * math.sin(2 * math.pi * t_s / WANDER_S)
+        if self._model.noise_v:
+            voltage_v += self._rng.normal(0.0, self._model.noise_v, len(voltage_v))
+        return voltage_v

@@ -1,0 +1,144 @@
+"""Contacts and wrench over real DDS: one with the array of the same frame, and only when asked."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+
+from geometry_msgs.msg import WrenchStamped  # noqa: E402
+
+from skin_client import Client, running, wait_for  # noqa: E402
+from tactile_cdma.msg import TactileArray, TactileContacts  # noqa: E402
+
+pytestmark = pytest.mark.ros
+PITCH_M = 7e-3
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ros() -> Iterator[None]:
+    rclpy.init()
+    yield
+    rclpy.shutdown()
+
+
+def subscribed(client: Client, kind: Any, topic: str) -> list[Any]:
+    """The list that the topic's messages are going to fill."""
+    messages: list[Any] = []
+    client.create_subscription(kind, f"/skin/{topic}", messages.append, 10)
+    return messages
+
+
+def stamp_of(message: Any) -> tuple[int, int]:
+    return message.header.stamp.sec, message.header.stamp.nanosec
+
+
+def components(values: Any) -> np.ndarray:
+    return np.array([values.x, values.y, values.z])
+
+
+def test_contacts_wrench_and_array_of_a_frame_belong_together() -> None:
+    with running(port="sim://?scene=moving&seed=1&threshold=0") as (_, client):
+        lists = subscribed(client, TactileContacts, "contacts")
+        wrenches = subscribed(client, WrenchStamped, "wrench")
+        wait_for(lambda: len(lists) > 60 and len(wrenches) > 60)
+    arrays = {stamp_of(array): array for array in client.arrays}
+    forces = {stamp_of(wrench): wrench for wrench in wrenches}
+    matched = [m for m in lists if stamp_of(m) in arrays and stamp_of(m) in forces]
+    assert len(matched) > 50
+    for message in matched:
+        array, wrench = arrays[stamp_of(message)], forces[stamp_of(message)]
+        assert message.header == array.header == wrench.header
+        assert (message.sequence, message.info_id) == (array.sequence, array.info_id)
+        assert message.wrench == wrench.wrench
+        assert message.touched and message.contacts
+        force = sum(components(contact.force) for contact in message.contacts)
+        assert components(wrench.wrench.force) == pytest.approx(force, abs=1e-9)
+        assert_is_in(message, array)
+
+
+def assert_is_in(message: TactileContacts, array: TactileArray) -> None:
+    """The contacts are what the array's pressures say."""
+    pressure_pa = np.array(array.pressure)
+    touched = sorted(taxel for contact in message.contacts for taxel in contact.taxels)
+    assert touched == np.flatnonzero(pressure_pa > 500).tolist()
+    load_n = pressure_pa[pressure_pa > 150].sum() * PITCH_M**2
+    assert -message.wrench.force.z == pytest.approx(load_n, rel=1e-5)
+    assert message.area == pytest.approx(len(touched) * PITCH_M**2, rel=1e-5)
+    strongest = max(message.contacts, key=lambda contact: -contact.force.z)
+    assert strongest is message.contacts[0]
+    assert strongest.pressure_max == pytest.approx(pressure_pa.max())
+    assert components(strongest.normal) == pytest.approx([0, 0, 1])
+    torque = np.cross(components(message.position), components(message.wrench.force))
+    assert components(message.wrench.torque) == pytest.approx(torque, abs=1e-6)
+
+
+def test_an_untouched_skin_has_an_empty_list_in_every_frame() -> None:
+    with running(port="sim://?scene=idle") as (_, client):
+        lists = subscribed(client, TactileContacts, "contacts")
+        wait_for(lambda: len(lists) > 40)
+    for message in lists:
+        assert not message.touched
+        assert not message.contacts
+        assert math.isnan(message.position.x)
+        assert (message.area, message.wrench.force.z) == (0.0, 0.0)
+    sequences = [message.sequence for message in lists]
+    assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
+
+
+def test_frames_that_are_left_out_are_left_out_of_all_topics() -> None:
+    with running(port="sim://?scene=idle&heartbeat=0", idle_rate_hz=10.0) as (_, client):
+        lists = subscribed(client, TactileContacts, "contacts")
+        wait_for(lambda: len(lists) > 10)
+        last = lists[-1].sequence
+        wait_for(lambda: client.arrays[-1].sequence >= last)
+    span = range(lists[0].sequence, last + 1)
+    published = [array.sequence for array in client.arrays if array.sequence in span]
+    assert [message.sequence for message in lists if message.sequence in span] == published
+    assert min(b - a for a, b in pairwise(published)) > 5
+
+
+def test_contacts_are_followed_only_while_somebody_subscribes() -> None:
+    """Ids and ages would tell if contacts that came and went before had been counted."""
+    with running(port="sim://?scene=press&threshold=0") as (_, client):
+        presses: list[bool] = []
+        wait_for(lambda: _pressed(client, presses) >= 2)
+        for first_id in (1, 2):
+            lists = subscribed(client, TactileContacts, "contacts")
+            wait_for(lambda lists=lists: any(message.touched for message in lists))
+            [contact] = next(message.contacts for message in lists if message.touched)
+            assert contact.id == first_id
+            assert contact.age < 0.4
+            for subscription in list(client.subscriptions):
+                if subscription.topic_name == "/skin/contacts":
+                    client.destroy_subscription(subscription)
+            time.sleep(0.5)  # of a press that lasts 2 s
+
+
+def _pressed(client: Client, history: list[bool]) -> int:
+    """How many times the skin was pressed and let go so far."""
+    history[:] = [bool(np.nanmax(array.pressure) > 2e3) for array in list(client.arrays)]
+    return sum(before and not now for before, now in pairwise(history))
+
+
+def test_thresholds_change_at_once_and_contradictions_are_refused() -> None:
+    with running(port="sim://?scene=all&threshold=0") as (_, client):
+        lists = subscribed(client, TactileContacts, "contacts")
+        wait_for(lambda: lists and lists[-1].touched)
+        taken, reason = client.set(contact_kpa=0.4)
+        assert not taken
+        assert "release_kpa is 0.5 kPa, above contact_kpa" in reason
+        assert client.set(contact_kpa=130.0) == (True, "")
+        assert client.set(release_kpa=129.0) == (True, "")
+        wait_for(lambda: not lists[-1].touched)
+        assert client.set(release_kpa=0.5) == (True, "")
+        assert client.set(contact_kpa=1.0) == (True, "")
+        wait_for(lambda: lists[-1].touched)
+        assert min(contact.id for contact in lists[-1].contacts) > 1

@@ -1,0 +1,80 @@
+"""A layout file on its way to subscribers."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+
+from sensor_msgs.msg import Image  # noqa: E402
+
+from skin_client import running, wait_for  # noqa: E402
+from tactile_cdma.layout_file import read_layout  # noqa: E402
+from tactile_cdma.layout_nodes import Wiring  # noqa: E402
+from tactile_cdma.ros.node import PICTURE  # noqa: E402
+from tactile_cdma.ros.view import Tally, draw  # noqa: E402
+from tactile_cdma.taxels import Status  # noqa: E402
+
+pytestmark = pytest.mark.ros
+LAYOUTS = Path(__file__).resolve().parents[2] / "config" / "layouts"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ros() -> Iterator[None]:
+    rclpy.init()
+    yield
+    rclpy.shutdown()
+
+
+def test_places_and_arrays_are_those_of_the_file() -> None:
+    path = LAYOUTS / "grid.yaml"
+    layout = read_layout(path, Wiring(nodes=12))
+    port = f"sim://?scene=all&threshold=0&layout={path}"
+    with running(port=port, nodes=12, layout_file=str(path)) as (_, client):
+        wait_for(lambda: client.infos and len(client.arrays) > 10)
+    info, message = client.infos[-1], client.arrays[-1]
+    assert (info.height, info.width, info.nodes) == (4, 4, 12)
+    assert (message.height, message.width, len(message.pressure)) == (4, 4, 16)
+    assert list(info.node) == layout.nodes.tolist()
+    assert [row for node, row in zip(info.node, info.code_row, strict=True) if node] == [
+        node for node in info.node if node
+    ]
+    assert np.allclose([(p.x, p.y, p.z) for p in info.positions], layout.positions_m)
+    assert np.allclose([(n.x, n.y, n.z) for n in info.normals], layout.normals)
+    assert np.allclose(info.area, layout.areas_m2)
+    empty = layout.nodes == 0
+    assert (np.isnan(message.pressure) == empty).all()
+    assert (np.array(message.status)[empty] == Status.MASKED).all()
+    # The scene's wave runs along x: on the skin, whatever the order of the nodes, columns agree.
+    pressure = np.array(message.pressure).reshape(4, 4)
+    assert np.nanmax(np.ptp(pressure[1:3], axis=0)) < 1.0
+    assert np.ptp(pressure[1]) > 5e3
+
+
+def test_an_irregular_skin_is_one_row_and_still_a_picture() -> None:
+    path = LAYOUTS / "list.yaml"
+    port = f"sim://?scene=all&threshold=0&layout={path}"
+    with running(port=port, nodes=20, layout_file=str(path), heatmap_pixels=8) as (_, client):
+        client.create_subscription(Image, "/skin/heatmap", client.images.append, PICTURE)
+        wait_for(lambda: client.infos and client.images and len(client.arrays) > 10)
+    info, message, image = client.infos[-1], client.arrays[-1], client.images[-1]
+    assert (info.height, info.width, message.height, message.width) == (1, 19, 1, 19)
+    assert len(message.pressure) == len(message.status) == 19
+    assert not np.isnan(message.pressure).any()
+    raster = read_layout(path, Wiring(nodes=20)).raster
+    assert (image.height, image.width) == (raster.shape[0] * 4, raster.shape[1] * 4)
+    screen = draw(message, Tally(), "", 140e3, os.terminal_size((80, 24)))
+    assert screen.count("\x1b[0m") == 6, "19 taxels are two rows of cells, three lines each"
+    assert all(f"{pressure / 1e3:.1f}" in screen for pressure in message.pressure)
+
+
+def test_a_layout_for_another_skin_is_refused_with_its_line() -> None:
+    with running(layout_file=str(LAYOUTS / "sphere.yaml")) as (_, client):
+        wait_for(lambda: client.diagnostics)
+    assert "sphere.yaml" in client.diagnostics[-1].message
+    assert "node 17, but the skin has 16 nodes" in client.diagnostics[-1].message

@@ -1,0 +1,63 @@
+"""YAML with line numbers: what is read, and what is refused."""
+
+from pathlib import Path
+
+import pytest
+
+from tactile_cdma.errors import LayoutError
+from tactile_cdma.marked_yaml import MOST_BYTES, Marked, read_marked
+
+
+def read(tmp_path: Path, text: str | bytes) -> Marked:
+    path = tmp_path / "file.yaml"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return read_marked(path, LayoutError)
+
+
+def test_values_know_their_lines(tmp_path: Path) -> None:
+    content = read(tmp_path, "# a comment\na: 1.5\nb:\n  - 2\n  - '3'\nc:\n").mapping("it")
+    assert content["a"].number("a", 0, 2) == 1.5
+    assert [value.line for value in content["b"].items("b")] == [4, 5]
+    assert content["b"].items("b")[0].whole("b", 0, 2) == 2
+    assert content["c"].is_null
+    assert content.get("d") is None
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "empty"),
+        ("# nothing\n", "empty"),
+        ("a: [1\n", "line 2: not a YAML file"),
+        ("a: b: c\n", "line 1: not a YAML file"),
+        ("a: 1\nb: 2\na: 3\n", "line 3: 'a' again; it stands in line 1"),
+        ("? [a]\n: 1\n", "line 1: a key is a list"),
+        ("a: 1\n---\nb: 2\n", "line 2: a second document"),
+        ("a: &x [1]\nb: *x\n", "line 2: anchors and aliases"),
+        ("[" * 100_000, "line 1: nested deeper than 16 levels"),
+        (b"a: \xff\xfe", "UTF-8"),
+        ("a: \x01", "not a YAML file"),
+        (b"#" * (MOST_BYTES + 1), "larger than 16 MB"),
+    ],
+)
+def test_what_is_no_plain_yaml_is_refused(tmp_path: Path, text: str | bytes, words: str) -> None:
+    with pytest.raises(LayoutError) as caught:
+        read(tmp_path, text)
+    assert str(caught.value).startswith(str(tmp_path / "file.yaml"))
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["x", "'1'", "nan", "inf", "[1]", "~", "true", "1e99", "-1"])
+def test_what_is_no_number_in_range_is_refused(tmp_path: Path, text: str) -> None:
+    value = read(tmp_path, f"a: {text}").mapping("it")["a"]
+    with pytest.raises(LayoutError, match=r"line 1: a is .*; it must"):
+        value.number("a", 0, 1e9)
+    with pytest.raises(LayoutError, match=r"line 1: a is .*; it must"):
+        value.whole("a", 0, 1)
+
+
+def test_folders_and_missing_files_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(LayoutError, match="No such file"):
+        read_marked(tmp_path / "none.yaml", LayoutError)
+    with pytest.raises(LayoutError, match="Is a directory"):
+        read_marked(tmp_path, LayoutError)
