@@ -43,7 +43,7 @@ class DriftTracker:
         self._beside = beside
         nodes = len(beside)
         self._curves: Curves | None = None
-        self._tare_pa: NDArray[np.float32] | None = None
+        self._tared_v: NDArray[np.float32] | None = None
         self._rest_v = self._slope = np.zeros(nodes, dtype=np.float32)
         self._deviation_v = np.zeros(nodes, dtype=np.float32)
         self._usual_v = np.full(nodes, np.inf, dtype=np.float32)  # where it lately was at rest
@@ -72,7 +72,7 @@ class DriftTracker:
         voltage_v: (n,) V, without drift. reading_pa: (n,) Pa, after the tare. valid: (n,) bool.
         Returns whether there is more to follow, even if the voltages stay as they are.
         """
-        self._zero_at(curves, baseline.tare_pa)
+        self._rest_at(curves, baseline)
         if self._last_s is None:
             self._away_s[:] = self._straight_s[:] = self._last_s = t_s
         passed_s = min(max(t_s - self._last_s, 0.0), LONGEST_S)
@@ -137,12 +137,13 @@ class DriftTracker:
         strays = np.flatnonzero(t_s - self._straight_s > STRAY_S)
         return {int(i) + 1: float(self._deviation_v[i] / self._lsb_v) for i in strays}
 
-    def _zero_at(self, curves: Curves, tare_pa: NDArray[np.float32]) -> None:
-        """Rest is where these curves have the tare."""
-        if curves is self._curves and tare_pa is self._tare_pa:
+    def _rest_at(self, curves: Curves, baseline: Baseline) -> None:
+        """Rest is where the tare was taken; without one, where the curves begin."""
+        if curves is self._curves and baseline.rest_v is self._tared_v:
             return
-        self._curves, self._tare_pa = curves, tare_pa
-        self._rest_v = curves.voltage(tare_pa).astype(np.float32)
+        self._curves, self._tared_v = curves, baseline.rest_v
+        begin_v = curves.voltage_v[0].astype(np.float32)
+        self._rest_v = begin_v if baseline.rest_v is None else baseline.rest_v
         fall_v = curves.voltage_v[0] - curves.voltage_v[1]
         self._slope = (fall_v / (curves.pressure_pa[1] - curves.pressure_pa[0])).astype(np.float32)
         self._begin()
