@@ -70,7 +70,8 @@ class RestKeeper:
         self._driver, state = driver, self._state
         if state is not None:
             driver.pipeline.taxels.restore(state.tare_pa, state.rest_v, state.drift_v)
-            self._log.info(f"tare and drift are those of {state.written}")
+            if state.tare_pa is not None or state.drift_v is not None:
+                self._log.info(f"tare and drift are those of {state.written}")
         self.tell()
 
     def deactivate(self) -> None:

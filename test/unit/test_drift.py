@@ -1,6 +1,7 @@
 """Drift is followed, contacts are not, however light, long or ill-timed."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -284,6 +285,15 @@ def test_strays_are_named_after_a_minute_with_how_far_they_are_off() -> None:
     assert strays[3] == pytest.approx(-3, abs=1)
     rig.run(5, 2e3 * np.array([0, 1, 0]), offset_v)  # pressed: there is a reason
     assert rig.tracker.strays_lsb(rig.t_s).keys() == {3}
+
+
+def test_nobody_is_a_stray_for_not_being_looked_at() -> None:
+    rig = Rig(2)
+    rig.run(STRAY_S, 0.0, np.array([0.0, -4.0]) * ADC.lsb_v)
+    rig.t_s += 2 * STRAY_S
+    assert rig.tracker.strays_lsb(rig.t_s).keys() == {2}
+    rig.tracker.rules = replace(RULES, drift_pa_per_min=0.0)
+    assert rig.tracker.strays_lsb(rig.t_s) == {}
 
 
 def test_steady_means_that_nothing_changes() -> None:
