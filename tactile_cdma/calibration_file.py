@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import collections.abc
 import hashlib
 import json
 import os
 import re
 import tempfile
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
@@ -17,15 +17,15 @@ from typing import Any
 import yaml
 
 from .calibration import AdcScale, Calibration, PressureCurve
-from .errors import CalibrationError
-from .yaml_lines import LinedYaml
+from .dynamics import Dynamics
+from .errors import CalibrationError, SpecError
+from .marked_yaml import Mapping, Marked, read_marked
 
 SCHEMA = "tactile_cdma/calibration"
 VERSION = 1
 UNITS = {"pressure": "Pa", "voltage": "V"}
 MOST_CORNERS = 65
-MOST_BYTES = 16 << 20
-"""65,535 nodes of three corners take 6 MB."""
+MOST_PA = 1e9
 HEADROOM = 1.25
 """A curve may begin above vref by this factor: its first corner is extrapolated to no load."""
 _PRESSURE_DIGITS, _VOLTAGE_DIGITS = 3, 7
@@ -42,7 +42,7 @@ _REQUIRED = (
     "uncalibrated",
     "curves",
 )
-_OPTIONAL = ("made",)
+_OPTIONAL = ("made", "dynamics")
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,13 +50,14 @@ class CalibrationContent:
     """What a calibration file holds.
 
     skin: name of the skin; empty: any. curves: by node, 1…nodes; a node without one is
-    uncalibrated. adc: of the nodes that were calibrated.
+    uncalibrated. adc: of the nodes that were calibrated. dynamics: of all sensors; None: not known.
     """
 
     skin: str
     nodes: int
     adc: AdcScale
-    curves: Mapping[int, PressureCurve]
+    curves: collections.abc.Mapping[int, PressureCurve]
+    dynamics: Dynamics | None = None
 
     @classmethod
     def of(cls, calibration: Calibration, adc: AdcScale, skin: str) -> CalibrationContent:
@@ -66,7 +67,7 @@ class CalibrationContent:
             for index in range(len(calibration.curves))
             if not calibration.uncalibrated[index]
         }
-        return cls(skin, len(calibration.curves), adc, curves)
+        return cls(skin, len(calibration.curves), adc, curves, calibration.dynamics)
 
     @property
     def uncalibrated(self) -> list[int]:
@@ -86,6 +87,7 @@ class CalibrationContent:
                     str(node): [curve.pressure_pa, curve.voltage_v]
                     for node, curve in self.curves.items()
                 },
+                "dynamics": asdict(self.dynamics) if self.dynamics else None,
             },
             sort_keys=True,
         )
@@ -94,7 +96,7 @@ class CalibrationContent:
     def calibration(self, default: PressureCurve) -> Calibration:
         """For the decoding chain; nodes without a curve take the default one."""
         calibration = Calibration.of_nodes(self.curves, default, self.nodes)
-        return replace(calibration, identity=self.identity)
+        return replace(calibration, identity=self.identity, dynamics=self.dynamics)
 
 
 def read_calibration(
@@ -106,9 +108,9 @@ def read_calibration(
     Raises CalibrationError, naming file, line, node and cause, for a file that is not what it
     should be, was changed since it was written, or was made for another skin.
     """
-    file = LinedYaml(path.expanduser(), CalibrationError, MOST_BYTES)
+    file = read_marked(path.expanduser(), CalibrationError)
     content, identity = _parse(file)
-    root = file.mapping(file.root, "the file")
+    root = file.mapping("the file")
     for name, theirs, ours in (
         ("skin", content.skin, skin or content.skin),
         ("nodes", content.nodes, nodes),
@@ -116,17 +118,15 @@ def read_calibration(
         ("vref_v", content.adc.vref_v, adc.vref_v),
     ):
         if theirs != ours:
-            raise file.refusal(
-                root[name],
+            raise root[name].refuse(
                 f"made for {name} {theirs or 'without a name'}, this skin has {name} {ours}: "
-                "is this the file of another one?",
+                "is this the file of another one?"
             )
     if identity != content.identity:
-        raise file.refusal(
-            root["identity"],
+        raise root["identity"].refuse(
             f"the identity is {identity}, the content's is {content.identity}: the file was "
             "damaged, or edited; if that was meant, tactile-cdma calibrate --seal writes the "
-            "identity anew",
+            "identity anew"
         )
     return content.calibration(default)
 
@@ -148,131 +148,143 @@ def seal_calibration(path: Path) -> str:
 
     All else stays as it is. Raises CalibrationError where the content is not valid.
     """
-    content, _ = _parse(LinedYaml(path, CalibrationError, MOST_BYTES))
+    content, _ = _parse(read_marked(path, CalibrationError))
     line = f"identity: '{content.identity}'"
     text = path.read_text(encoding="utf-8")
     _replace_file(path, re.sub(r"^identity:[^#\n]*", line, text, count=1, flags=re.MULTILINE))
     return content.identity
 
 
-def _parse(file: LinedYaml) -> tuple[CalibrationContent, str]:
+def _parse(file: Marked) -> tuple[CalibrationContent, str]:
     """Content and identity of a file that is right by itself."""
-    root = file.mapping(file.root, "the file")
-    if "schema" not in root or (schema := file.text(root["schema"], "schema")) != SCHEMA:
-        found = f"its schema is {schema!r}" if "schema" in root else "it names no schema"
-        raise file.refusal(file.root, f"not a calibration file: {found}, not {SCHEMA!r}")
+    root = file.mapping("the file")
+    schema = root.get("schema")
+    if schema is None or schema.content != SCHEMA:
+        found = f"its schema is {schema.content!r}" if schema else "it names no schema"
+        raise file.refuse(f"not a calibration file: {found}, not {SCHEMA!r}")
     _check_version(file, root)
-    root = file.mapping(file.root, "the file", _REQUIRED + _OPTIONAL)
-    if missing := [name for name in _REQUIRED if name not in root]:
-        raise file.refusal(file.root, f"{', '.join(missing)} is missing: is the file cut short?")
-    units = file.mapping(root["units"], "units", tuple(UNITS))
+    root.check_keys(_REQUIRED + _OPTIONAL)
+    if missing := [name for name in _REQUIRED if root.get(name) is None]:
+        raise file.refuse(f"{', '.join(missing)} is missing: is the file cut short?")
+    units = root["units"].mapping("units")
+    units.check_keys(UNITS)
     for name, unit in UNITS.items():
-        if name not in units or (found := file.text(units[name], name)) != unit:
-            given = found if name in units else "missing"
-            raise file.refusal(root["units"], f"unit of {name} is {given}; it must be {unit}")
-    nodes = file.whole(root["nodes"], "nodes", 1, 65_535)
-    vref_v = file.number(root["vref_v"], "vref_v")
-    if not 0 < vref_v <= 100:
-        raise file.refusal(root["vref_v"], f"vref_v is {vref_v:g} V; it must lie within 0…100 V")
+        given = units.get(name)
+        if given is None or given.content != unit:
+            theirs = given.content if given else "missing"
+            raise root["units"].refuse(f"unit of {name} is {theirs}; it must be {unit}")
+    nodes = root["nodes"].whole("nodes", 1, 65_535)
+    vref_v = root["vref_v"].number("vref_v", 0.1, 100.0, "V")
+    skin, dynamics = root["skin"].content, root.get("dynamics")
     content = CalibrationContent(
-        skin=file.text(root["skin"], "skin"),
+        skin=root["skin"].text("skin") if skin else "",
         nodes=nodes,
-        adc=AdcScale(file.whole(root["bits"], "bits", 1, 16), vref_v),
+        adc=AdcScale(root["bits"].whole("bits", 8, 16), vref_v),
         curves={
-            _node(file, key, nodes): _curve(file, key, value, vref_v)
-            for key, value in _entries(file, root["curves"])
+            _node(name, curve, nodes): _curve(name, curve, vref_v)
+            for name, curve in root["curves"].mapping("curves").entries.items()
         },
+        dynamics=_dynamics(dynamics) if dynamics else None,
     )
-    _check_complete(file, root, content)
-    return content, file.text(root["identity"], "identity")
+    _check_complete(root, content)
+    return content, root["identity"].text("identity")
 
 
-def _check_version(file: LinedYaml, root: Mapping[str, yaml.Node]) -> None:
-    if "version" not in root:
-        raise file.refusal(file.root, f"version is missing; this is version {VERSION}")
-    version = file.whole(root["version"], "version", 0, 10**6)
+def _check_version(file: Marked, root: Mapping) -> None:
+    if root.get("version") is None:
+        raise file.refuse(f"version is missing; this is version {VERSION}")
+    version = root["version"].whole("version", 0, 10**6)
     if version > VERSION:
-        raise file.refusal(
-            root["version"],
+        raise root["version"].refuse(
             f"version {version} was written by a newer program than this one, which reads "
-            f"version {VERSION}: update it, or calibrate again with this one",
+            f"version {VERSION}: update it, or calibrate again with this one"
         )
     if version < VERSION:
-        raise file.refusal(
-            root["version"],
+        raise root["version"].refuse(
             f"version {version} is older than {VERSION}, the one that is read: fit the recorded "
-            "loads again with tactile-cdma calibrate",
+            "loads again with tactile-cdma calibrate"
         )
 
 
-def _entries(file: LinedYaml, curves: yaml.Node) -> list[tuple[yaml.Node, yaml.Node]]:
-    file.mapping(curves, "curves")  # for its complaints: every node once
-    pairs: list[tuple[yaml.Node, yaml.Node]] = curves.value
-    return pairs
+def _node(text: str, where: Marked, nodes: int) -> int:
+    """A node's number; 07 is none, or node 7 might be there twice."""
+    node = int(text) if text.isdecimal() and len(text) < 10 else 0
+    if text != str(node) or not 1 <= node <= nodes:
+        raise where.refuse(f"a node's number must be within 1…{nodes}, not {text[:40]!r}")
+    return node
 
 
-def _node(file: LinedYaml, key: yaml.Node, nodes: int) -> int:
-    return file.whole(key, "a node's number", 1, nodes)
-
-
-def _curve(file: LinedYaml, key: yaml.Node, node: yaml.Node, vref_v: float) -> PressureCurve:
+def _curve(node: str, value: Marked, vref_v: float) -> PressureCurve:
     """One node's curve; the complaint names node, corner, line and cause."""
-    what = f"node {key.value}"
-    columns = file.mapping(node, what, tuple(UNITS))
-    if missing := [name for name in UNITS if name not in columns]:
-        raise file.refusal(node, f"{what}: {' and '.join(missing)} missing")
-    pressures = file.items(columns["pressure"], f"{what}: pressure")
-    voltages = file.items(columns["voltage"], f"{what}: voltage")
+    what = f"node {node}"
+    columns = value.mapping(what)
+    columns.check_keys(UNITS)
+    pressures = columns["pressure"].items(f"{what}: pressure")
+    voltages = columns["voltage"].items(f"{what}: voltage")
     if len(pressures) != len(voltages) or not 2 <= len(pressures) <= MOST_CORNERS:
-        raise file.refusal(
-            node,
+        raise value.refuse(
             f"{what}: {len(pressures)} pressures and {len(voltages)} voltages; a curve needs two "
-            f"or more corners ({MOST_CORNERS} at most), each with both",
+            f"or more corners ({MOST_CORNERS} at most), each with both"
         )
-    pressure_pa = [file.number(item, f"{what}: pressure") for item in pressures]
-    voltage_v = [file.number(item, f"{what}: voltage") for item in voltages]
-    if pressure_pa[0] != 0:
-        raise file.refusal(pressures[0], f"{what}: begins at {pressure_pa[0]:g} Pa, not at 0")
-    for corner, volts in enumerate(voltage_v):
-        most_v = vref_v if corner else HEADROOM * vref_v
-        if not 0 <= volts <= most_v:
-            raise file.refusal(
-                voltages[corner],
-                f"{what}, corner {corner + 1}: {volts:g} V; it must lie within 0…{most_v:g} V",
-            )
-    _check_order(file, what, pressures, pressure_pa, "Pa")
-    _check_order(file, what, voltages, [-volts for volts in voltage_v], "V")
+    pressure_pa = [
+        item.number(f"{what}, corner {corner}", 0.0, MOST_PA if corner > 1 else 0.0, "Pa")
+        for corner, item in enumerate(pressures, 1)
+    ]
+    voltage_v = [
+        item.number(f"{what}, corner {corner}", 0.0, vref_v * (1 if corner > 1 else HEADROOM), "V")
+        for corner, item in enumerate(voltages, 1)
+    ]
+    _check_order(what, pressures, pressure_pa, "Pa")
+    _check_order(what, voltages, [-volts for volts in voltage_v], "V")
     return PressureCurve(tuple(pressure_pa), tuple(voltage_v))
 
 
-def _check_order(
-    file: LinedYaml, what: str, items: list[yaml.Node], rising: list[float], unit: str
-) -> None:
+def _check_order(what: str, items: list[Marked], rising: list[float], unit: str) -> None:
     """Corners follow one another: rising, or negative and rising, that is falling."""
     for corner, (before, now) in enumerate(pairwise(rising), 2):
         if now <= before:
-            raise file.refusal(
-                items[corner - 1],
+            raise items[corner - 1].refuse(
                 f"{what}, corner {corner}: {abs(now):g} {unit} after {abs(before):g} {unit}; "
-                "pressures must rise and voltages fall from corner to corner",
+                "pressures must rise and voltages fall from corner to corner"
             )
 
 
-def _check_complete(
-    file: LinedYaml, root: Mapping[str, yaml.Node], content: CalibrationContent
-) -> None:
+def _dynamics(value: Marked) -> Dynamics:
+    """Lag and hysteresis of all nodes."""
+    entries = value.mapping("dynamics")
+    entries.check_keys([field.name for field in fields(Dynamics)])
+
+    def number(name: str) -> float:
+        return entries[name].number(name, 0.0, MOST_PA)
+
+    def numbers_of(name: str) -> tuple[float, ...]:
+        return tuple(item.number(name, 0.0, 100.0) for item in entries[name].items(name))
+
+    try:
+        return Dynamics(
+            rise_s=number("rise_s"),
+            fall_s=number("fall_s"),
+            widths=numbers_of("widths"),
+            weights=numbers_of("weights"),
+            scale_pa=number("scale_pa"),
+            most_gain=number("most_gain"),
+        )
+    except SpecError as error:
+        raise value.refuse(str(error)) from None
+
+
+def _check_complete(root: Mapping, content: CalibrationContent) -> None:
     """Every node has a curve or is said to have none."""
     listed: set[int] = set()
-    for item in file.items(root["uncalibrated"], "uncalibrated"):
-        node = _node(file, item, content.nodes)
+    for item in root["uncalibrated"].items("uncalibrated"):
+        node = _node(str(item.content), item, content.nodes)
         if node in listed or node in content.curves:
             where = "listed twice" if node in listed else "uncalibrated, but has a curve"
-            raise file.refusal(item, f"node {node} is {where}")
+            raise item.refuse(f"node {node} is {where}")
         listed.add(node)
     if missing := [node for node in content.uncalibrated if node not in listed]:
-        raise file.refusal(
-            root["curves"],
-            f"no curve for {numbers(missing)}; calibrate them, or list them as uncalibrated",
+        raise root["curves"].refuse(
+            f"no curve for {numbers(missing)}; calibrate them, or list them as uncalibrated"
         )
 
 
@@ -311,8 +323,15 @@ def _text(content: CalibrationContent, source: str) -> str:
         for node, curve in content.curves.items()
     ]
     curves = "curves:\n" + "".join(lines) if lines else "curves: {}\n"
+    if content.dynamics:
+        head["dynamics"] = {name: _list(value) for name, value in asdict(content.dynamics).items()}
     top = yaml.safe_dump(head, sort_keys=False, allow_unicode=True, default_flow_style=None)
     return top + curves
+
+
+def _list(value: Any) -> Any:
+    """YAML knows no tuples."""
+    return list(value) if isinstance(value, tuple) else value
 
 
 def _plain(values: tuple[float, ...]) -> str:

@@ -28,10 +28,10 @@ from .parameters import BY_NAME, GAP, SkinConfig, Value
 from .pipeline import Pipeline
 from .programmer import avrdude, burn, node_files, read_memory, write_memory
 from .protocol import PacketParser, diagnose
+from .sim import sensor_report
 from .sim.digitizer import VirtualDigitizer
 from .sim.options import SimOptions
 from .sim.pty import serve
-from .sim.sensor_report import describe as describe_sensor
 from .source import Port
 
 ALL = "all"
@@ -131,10 +131,9 @@ def _parser() -> argparse.ArgumentParser:
     add_skin_options(amplifier, "the driver's; the frame period plays no part")
     amplifier.set_defaults(run=_amplifier)
 
-    sensor = commands.add_parser("sensor", help="the simulated sensor beside the paper's")
-    sensor.set_defaults(run=_sensor)
     layout_command.add_to(commands)
     calibrate.add_to(commands)
+    sensor_report.add_to(commands)
     return parser
 
 
@@ -318,11 +317,6 @@ def _amplifier(arguments: argparse.Namespace) -> int:
         print(json.dumps(report(config.spec, front)))
     else:
         print(describe(config.spec, front))
-    return 0
-
-
-def _sensor(_arguments: argparse.Namespace) -> int:
-    print(describe_sensor())
     return 0
 
 

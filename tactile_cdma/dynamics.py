@@ -258,14 +258,13 @@ class Compensator:
         rising |= ahead_pa > _OPEN_SHARE * delayed_pa + _OPEN_PA
         rising &= ~near
         self._settled = bool(near.all())
-        if self._settled:
-            np.copyto(followed_pa, delayed_pa)
+        if self._settled:  # nothing moves any more, so that frames may be skipped
             return np.minimum(delayed_pa, self._range_pa)
         share, gain = self._filter(passed_s)
         result: NDArray[np.float32] = (gain - 1) * ahead_pa
         result *= rising
         result += delayed_pa
-        ahead_pa *= np.maximum(near.astype(np.float32), share)
+        ahead_pa *= share
         followed_pa += ahead_pa
         np.minimum(result, self._range_pa, out=result)
         return result

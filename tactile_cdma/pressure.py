@@ -55,11 +55,13 @@ class PressureChain:
 
     def steady(self, t_s: float) -> bool:
         """Whether the same voltages at t_s (s) give the pressures of the last update."""
-        if self.compensator is not None and not self.compensator.steady(t_s):
+        if self._looked_s is None:
             return False
-        if self._settled or self._looked_s is None:
-            return self._settled
-        return not self._moved and 0 <= t_s - self._looked_s < LOOK_S
+        due = not 0 <= t_s - self._looked_s < LOOK_S
+        if not self._settled and (due or self._moved):
+            return False
+        # Last, for it takes a yes as an update.
+        return self.compensator is None or self.compensator.steady(t_s)
 
     def forget(self) -> None:
         """The device's clock starts anew."""

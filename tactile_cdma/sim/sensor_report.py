@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import argparse
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,6 +71,18 @@ def matching(load_kpa: float) -> float:
         found = hysteresis(SensorModel(kind=PAPER, hysteresis=option))[load_kpa]
         option = min(option * HYSTERESIS[load_kpa] / found, MOST_HYSTERESIS)
     return option
+
+
+def add_to(commands: Any) -> None:
+    """Add the command to those of the program (what argparse's add_subparsers returns)."""
+    parser = commands.add_parser("sensor", help="the simulated sensor beside the paper's")
+    parser.set_defaults(run=run)
+
+
+def run(_arguments: argparse.Namespace) -> int:
+    """Run the command; returns the exit code."""
+    print(describe())
+    return 0
 
 
 def describe() -> str:

@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 
 from tactile_cdma.calibration import AdcScale, Calibration, PressureCurve
 from tactile_cdma.calibration_file import (
-    MOST_BYTES,
     read_calibration,
     seal_calibration,
     write_calibration,
 )
 from tactile_cdma.errors import CalibrationError, SpecError, TactileError
+from tactile_cdma.marked_yaml import MOST_BYTES
 from tactile_cdma.parameters import SkinConfig
 
 DEFAULT = PressureCurve.two_stage()
@@ -169,7 +169,7 @@ def test_what_is_wrong_is_named_with_its_line(path: Path, old: str, new: str, ca
     if cause not in ("no curve for node 3; calibrate", "damaged, or edited; .* --seal") and (
         "schema" not in cause
     ):
-        assert f"{path}: line {line}: " in refusal(path)
+        assert f"{path}, line {line}: " in refusal(path)
 
 
 def test_what_is_no_calibration_file_is_refused(path: Path) -> None:

@@ -56,6 +56,7 @@ def test_bad_values_are_refused_with_value_and_limit(values: dict, message: str)
         ({"timing": "gap", "frame_period_ms": 11.0}, "silence between frames"),
         ({"rows": 3, "columns": 3}, "9 places for 16 nodes"),
         ({"knee_kpa": 200.0}, "knee"),
+        ({"compensation": True}, "no dynamics in the default curve.*calibrate --dynamics"),
     ],
 )
 def test_impossible_combinations_are_refused(values: dict, message: str) -> None:

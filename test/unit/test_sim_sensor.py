@@ -1,6 +1,7 @@
 """The simulated sensor: the paper's figures, and everything that is wrong with real ones."""
 
 from itertools import islice
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from tactile_cdma.sim.sensor_report import (
     measure,
 )
 
+ROOT = Path(__file__).parents[2]
 PERIOD_S = FrameSpec().frame_period_s
 
 
@@ -53,12 +55,15 @@ def test_an_ideal_sensor_has_nothing_but_its_curve() -> None:
     assert figures.response_s == pytest.approx(0.5, abs=0.01), "the load itself takes so long"
 
 
-def test_the_command_prints_both(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_prints_both_as_the_documentation_shows(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert main(["sensor"]) == 0
     lines = capsys.readouterr().out.splitlines()
     (response,) = (line for line in lines if line.startswith("response"))
-    assert "740" in response and response.endswith("ms")
-    assert len([line for line in lines if line.startswith("hysteresis to")]) == 3
+    assert response.split()[-3:] == ["740", "741", "ms"]
+    shown = (ROOT / "docs" / "sensor.md").read_text(encoding="utf-8")
+    assert "\n".join(f"    {line}" for line in lines) in shown
 
 
 @pytest.mark.parametrize("seed", range(5))

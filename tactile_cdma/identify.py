@@ -1,0 +1,238 @@
+"""Lag and hysteresis of a skin's sensors, from loading cycles with a known pressure.
+
+The static pressures that the sensors show are, on the logarithmic axis of `dynamics`, linear in the
+weights of the plays once the lag is given. So for many time constants at once the plays follow the
+known pressure, non-negative least squares give their weights, and the time constants that leave
+least are refined. The last third of the record takes no part: on it the result has to prove itself,
+through the very compensation that will run.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .dynamics import Compensator, Dynamics, Lag, Plays
+from .errors import CalibrationError
+
+WIDTHS = (0.03, 0.06, 0.1, 0.15, 0.22, 0.32, 0.45, 0.65, 0.9, 1.3)
+"""Of the plays: from a few per cent of the load to more than half of it."""
+MOST_WEIGHT = 0.75
+"""All plays together; more would quadruple noise where pressures turn."""
+LEAST_POINTS, LEAST_CYCLES = 200, 3
+LEAST_LOAD_PA = 5e3
+SCALE_PA = 2e3
+_RISES_S, _FALLS_S = (2e-3, 3.0), (2e-3, 1.0)
+_TRIES = 16
+_SWEEPS = 300
+_PROBE_S = 0.1
+"""A lag that the loads must be quick enough to show."""
+
+
+@dataclass(frozen=True, slots=True)
+class Identified:
+    """Dynamics, and what their compensation leaves on cycles that they were not fitted to.
+
+    cycles: loads and releases in the record. before_pa, after_pa: rms error of the middle one of
+    the nodes on the last third, Pa, without and with compensation.
+    """
+
+    dynamics: Dynamics
+    cycles: int
+    before_pa: float
+    after_pa: float
+
+    @property
+    def removed(self) -> float:
+        """Share of the error that compensation removes."""
+        return 1.0 - self.after_pa / self.before_pa
+
+
+def identify(
+    t_s: NDArray[np.float64], reference_pa: NDArray[np.float64], pressure_pa: NDArray[np.floating]
+) -> Identified:
+    """The dynamics that all sensors of a skin share.
+
+    t_s: (m,) rising, s. reference_pa: (m,) the known pressure on all taxels, Pa. pressure_pa:
+    (m, n) what the static curves make of the voltages of n nodes, Pa; NaN where there is none.
+
+    Raises CalibrationError, with the reason, where the record cannot tell.
+    """
+    _check(t_s, reference_pa, pressure_pa)
+    cycles = _cycles(reference_pa)
+    if cycles < LEAST_CYCLES:
+        raise CalibrationError(
+            f"the loads rise and fall {cycles} times; dynamics take {LEAST_CYCLES} cycles or more"
+        )
+    heard = np.isfinite(pressure_pa).any(axis=1)
+    t_s, reference_pa, pressure_pa = t_s[heard], reference_pa[heard], pressure_pa[heard]
+    fit = _Fit(t_s, reference_pa, np.nanmedian(pressure_pa, axis=1))
+    dynamics = _search(fit)
+    last = slice(fit.fitted, None)
+    before_pa, after_pa = (
+        float(np.nanmedian(_rms((found_pa - reference_pa[:, None])[last])))
+        for found_pa in (pressure_pa, _compensated(dynamics, t_s, pressure_pa))
+    )
+    if not after_pa < before_pa:
+        raise CalibrationError(
+            f"what the first cycles taught makes the last ones no better: {before_pa:.0f} Pa rms "
+            f"before, {after_pa:.0f} Pa after; do the curves and the reference belong together?"
+        )
+    return Identified(dynamics, cycles, before_pa, after_pa)
+
+
+class _Fit:
+    """Weights of the plays for given time constants, many at once."""
+
+    def __init__(
+        self,
+        t_s: NDArray[np.float64],
+        reference_pa: NDArray[np.float64],
+        measured_pa: NDArray[np.float64],
+    ) -> None:
+        self.fitted = len(t_s) * 2 // 3
+        self.reference_pa = reference_pa
+        self._passed_s = np.diff(t_s, prepend=t_s[0])
+        # On the logarithmic axis errors count by what they are in Pa.
+        self._relevance = (SCALE_PA + measured_pa)[: self.fitted, None]
+        self._measured = np.log1p(measured_pa[: self.fitted, None] / SCALE_PA)
+
+    def delayed(
+        self, rise_s: NDArray[np.float64], fall_s: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """(m', k) the known pressure behind lags of k pairs of time constants."""
+        lag = Lag(rise_s, fall_s)
+        course = zip(self.reference_pa[: self.fitted], self._passed_s.tolist(), strict=False)
+        return np.array([lag.update(np.full(len(rise_s), p), passed) for p, passed in course])
+
+    def solve(
+        self, rise_s: NDArray[np.float64], fall_s: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(k, j) weights and (k,) what they leave unexplained, Pa rms, of the fitted part."""
+        levels = np.log1p(self.delayed(rise_s, fall_s) / SCALE_PA)
+        plays = Plays(np.array(WIDTHS), len(rise_s), np.float64)
+        behind = np.array([plays.follow(level) - level for level in levels])  # (m', j, k)
+        behind *= self._relevance[:, :, None]
+        wanted = (self._measured - levels) * self._relevance
+        columns = behind.transpose(2, 1, 0)
+        weights = _non_negative(
+            columns @ columns.transpose(0, 2, 1),
+            np.einsum("kjm,mk->kj", columns, wanted),
+        )
+        return weights, _rms(wanted - np.einsum("kjm,kj->mk", columns, weights))
+
+
+def _search(fit: _Fit) -> Dynamics:
+    """The time constants, and the weights with them, that leave least."""
+    rise_s, fall_s = (math.sqrt(low * high) for low, high in (_RISES_S, _FALLS_S))
+    for shrink in (1.0, 0.15, 0.03):
+        rise_s = _best(fit, _around(rise_s, _RISES_S, shrink), np.array([fall_s]))[0]
+        fall_s = _best(fit, np.array([rise_s]), _around(fall_s, _FALLS_S, shrink))[1]
+    weights, left_pa = fit.solve(np.array([rise_s]), np.array([fall_s]))
+    probe = fit.delayed(np.array([1e-6, _PROBE_S]), np.array([1e-6, 1e-6]))
+    shown_pa = float(_rms(probe[:, 1] - probe[:, 0]))
+    if shown_pa < left_pa[0]:
+        raise CalibrationError(
+            f"a lag of {_PROBE_S:g} s would change the readings by {shown_pa:.0f} Pa rms, but "
+            f"{left_pa[0]:.0f} Pa stay unexplained anyway: the loads change too slowly to tell, or "
+            "capture and reference do not belong together"
+        )
+    return Dynamics(
+        rise_s=float(rise_s),
+        fall_s=float(fall_s),
+        widths=WIDTHS,
+        weights=tuple(weights[0].tolist()),
+        scale_pa=SCALE_PA,
+    )
+
+
+def _around(centre_s: float, limits_s: tuple[float, float], share: float) -> NDArray[np.float64]:
+    """Time constants about one, evenly on a logarithmic axis, over a share of the whole range."""
+    reach = (limits_s[1] / limits_s[0]) ** (share / 2)
+    return np.clip(np.geomspace(centre_s / reach, centre_s * reach, _TRIES), *limits_s)
+
+
+def _best(
+    fit: _Fit, rise_s: NDArray[np.float64], fall_s: NDArray[np.float64]
+) -> tuple[float, float]:
+    """The pair that leaves least, of pairs given along one axis."""
+    rise_s, fall_s = np.broadcast_arrays(rise_s, fall_s)
+    best = np.argmin(fit.solve(rise_s, fall_s)[1])
+    return float(rise_s[best]), float(fall_s[best])
+
+
+def _non_negative(gram: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Minima of wᵀ·G·w/2 − rᵀ·w with w ≥ 0, (k, j), one weight after another, over and over.
+
+    gram: (k, j, j), positive semidefinite; right: (k, j).
+    """
+    weights = np.zeros_like(right)
+    for _ in range(_SWEEPS):
+        for j in range(right.shape[1]):
+            own = gram[:, j, j]
+            pull = right[:, j] - (gram[:, j] * weights).sum(axis=1) + own * weights[:, j]
+            free = np.divide(pull, own, out=np.zeros_like(pull), where=own > 0)
+            weights[:, j] = np.maximum(free, 0.0)
+    total = weights.sum(axis=1, keepdims=True)
+    weights *= MOST_WEIGHT / np.maximum(total, MOST_WEIGHT)
+    return weights
+
+
+def _compensated(
+    dynamics: Dynamics, t_s: NDArray[np.float64], pressure_pa: NDArray[np.floating]
+) -> NDArray[np.float32]:
+    nodes = pressure_pa.shape[1]
+    highest_pa = 2 * float(np.nanmax(pressure_pa))  # out of the way: it is not to help
+    compensator = Compensator(dynamics, np.full(nodes, highest_pa))
+    everywhere = np.ones(nodes, dtype=bool)
+    rows = pressure_pa.astype(np.float32)
+    return np.array(
+        [compensator.update(row, everywhere, t) for row, t in zip(rows, t_s.tolist(), strict=True)]
+    )
+
+
+def _check(
+    t_s: NDArray[np.float64], reference_pa: NDArray[np.float64], pressure_pa: NDArray[np.floating]
+) -> None:
+    points = len(t_s)
+    if reference_pa.shape != (points,) or pressure_pa.ndim != 2 or len(pressure_pa) != points:
+        raise CalibrationError(
+            f"{points} times, {reference_pa.shape} reference pressures and {pressure_pa.shape} "
+            "readings: there must be one of each, and one reading per node, for every frame"
+        )
+    if points < LEAST_POINTS:
+        raise CalibrationError(f"{points} frames; dynamics take {LEAST_POINTS} or more")
+    if not (np.isfinite(t_s).all() and np.all(np.diff(t_s) > 0)):
+        raise CalibrationError("times must rise from frame to frame")
+    if not np.isfinite(reference_pa).all():
+        raise CalibrationError("the reference pressure is not known for every frame")
+    if np.isfinite(pressure_pa).any(axis=1).mean() < 0.5:
+        raise CalibrationError("in more than half of the frames no node has a reading")
+    if (highest_pa := reference_pa.max()) < LEAST_LOAD_PA:
+        raise CalibrationError(
+            f"the loads reach {highest_pa:.0f} Pa; dynamics take {LEAST_LOAD_PA:.0f} Pa or more. "
+            "Is the reference in Pa?"
+        )
+    if np.ptp(reference_pa) < 0.1 * highest_pa:
+        raise CalibrationError("the reference pressure hardly changes; dynamics take cycles")
+    if (lowest_pa := reference_pa.min()) < -0.05 * highest_pa:
+        raise CalibrationError(f"the reference pressure falls to {lowest_pa:.0f} Pa, below zero")
+
+
+def _cycles(reference_pa: NDArray[np.float64]) -> int:
+    """How often the load rises well above its middle after it was well below."""
+    low, high = np.quantile(reference_pa, (0.02, 0.98))
+    share = (reference_pa - low) / (high - low)
+    pressed = share[(share < 0.4) | (share > 0.6)] > 0.5
+    return int(np.count_nonzero(pressed[1:] & ~pressed[:-1]))
+
+
+def _rms(values: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Down the columns, without what is missing; NaN where all is."""
+    known = np.isfinite(values)
+    squares = np.where(known, np.square(values, dtype=np.float64), 0.0).sum(axis=0)
+    counts = np.maximum(known.sum(axis=0), 1)
+    return np.asarray(np.where(known.any(axis=0), np.sqrt(squares / counts), np.nan))
