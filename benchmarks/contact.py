@@ -320,7 +320,8 @@ def picture(
     for state, colour in zip(SCENE_OF, ("C2", "C0", "C1", "C3"), strict=True):
         tracker, plain = np.array([times_s[nodes, state] for nodes in SIZES]).T * 1e6
         middle.loglog(SIZES, tracker, "o-", color=colour, label=f"touched: {state}")
-        middle.loglog(SIZES, plain, "x:", color=colour, label=f"{state}, plain Python")
+        middle.loglog(SIZES, plain, "x:", color=colour)
+    middle.plot([], [], "x:", color="0.5", label="the same in plain Python")
     middle.set_xlabel("taxels")
     middle.set_ylabel("µs per frame")
     middle.set_title("Time per frame")
