@@ -40,9 +40,15 @@ def find_dynamics(
     frames_s = recording.t_s[within]
     reference_pa = np.interp(frames_s, t_s, reference.pressure_pa)
     try:
-        return identify(frames_s, reference_pa, pressure_pa, uncertain_s)
+        found = identify(frames_s, reference_pa, pressure_pa, uncertain_s)
     except CalibrationError as error:
         raise reference.refusal(str(error)) from None
+    if abs(found.late_s) >= uncertain_s > 0:
+        raise reference.refusal(
+            f"the clocks differ by {uncertain_s:g} s or more from the offset found, {offset_s:.2f} "
+            "s: give --offset"
+        )
+    return found
 
 
 def _check(reference: Reference, recording: Recording, within: NDArray[np.bool_]) -> None:
@@ -73,8 +79,8 @@ def describe(found: Identified) -> str:
     opened = np.expm1(np.dot(dynamics.widths, dynamics.weights))
     return "\n".join(
         (
-            f"dynamics from {found.cycles} loading cycles; the lag left out, the reference is "
-            f"{found.late_s * 1e3:+.0f} ms late",
+            f"dynamics from {found.cycles} loading cycles, with an offset of the clocks that is "
+            f"{-found.late_s * 1e3:+.0f} ms different",
             f"lag: rising {dynamics.rise_s * 1e3:.0f} ms, falling {dynamics.fall_s * 1e3:.0f} ms",
             f"hysteresis: falling loads read up to {opened:.1%} more than rising ones",
             f"error on the last third, which was not fitted: {held_out.before_pa:.0f} Pa rms "
