@@ -28,7 +28,6 @@ from .offline import described_parameters, raw_frames
 from .parameters import BY_NAME, SkinConfig, Value
 from .pipeline import Pipeline
 from .plateaus import (
-    ClockOffset,
     Recording,
     Reference,
     find_offset,
@@ -52,8 +51,7 @@ OF_CURVES: dict[str, Any] = {
     "seconds": 1.0,
     "append": False,
 }
-"""Options that have nothing to do with dynamics, and their defaults. The paper's sensor takes
-0.74 s to follow a load."""
+"""Options of the fit of curves, and their defaults. The paper's sensor takes 0.74 s to settle."""
 MISLED_S = 0.3
 """By so much a sensor's lag may shift the offset of the clocks that is found."""
 
@@ -139,8 +137,8 @@ def run(arguments: argparse.Namespace) -> int:
         reference = read_reference(loads, config.spec.nodes, area_m2)
         if arguments.dynamics:
             return _add_dynamics(arguments, output, config, reference)
-        recording, offset = _beside_capture(arguments, reference, config)
-        points = plateau_points(reference, recording, offset.offset_s, arguments.settle, config.adc)
+        recording, offset_s = _beside_capture(arguments, reference, config)
+        points = plateau_points(reference, recording, offset_s, arguments.settle, config.adc)
     else:
         if not arguments.port:
             values["frame_period_ms"] = LONGEST_MS
@@ -173,12 +171,12 @@ def _add_dynamics(
     arguments: argparse.Namespace, output: Path, config: SkinConfig, reference: Reference
 ) -> int:
     content = read_content(arguments.dynamics, config.spec.nodes, config.adc, config.skin)
-    recording, offset = _beside_capture(arguments, reference, config)
+    recording, offset_s = _beside_capture(arguments, reference, config)
     found = calibrate_dynamics.find_dynamics(
         content.calibration(config.curve),
         reference,
         recording,
-        offset.offset_s,
+        offset_s,
         uncertain_s=MISLED_S if arguments.offset is None else 0.0,
     )
     print(calibrate_dynamics.describe(found))
@@ -241,16 +239,17 @@ def _described(capture: Path) -> dict[str, Value]:
 
 def _beside_capture(
     arguments: argparse.Namespace, reference: Reference, config: SkinConfig
-) -> tuple[Recording, ClockOffset]:
+) -> tuple[Recording, float]:
+    """What the nodes measured, and its time minus the reference's, s."""
     recording = read_recording(arguments.capture, config)
     if arguments.offset is not None:
-        return recording, ClockOffset(arguments.offset, 0.0, 1.0)
+        return recording, float(arguments.offset)
     found = find_offset(reference, recording, config.curve)
     print(
         f"offset of the clocks: {found.offset_s:.2f} ± {found.error_s:.2f} s (match "
         f"{found.match:.3f})"
     )
-    return recording, found
+    return recording, found.offset_s
 
 
 def read_recording(path: Path, config: SkinConfig) -> Recording:

@@ -181,9 +181,17 @@ def _search(fit: _Fit) -> Dynamics:
     # The first shifts are too large or too small: the time constants are wrong by as much.
     for shrink in (*([1.0] * _ALIGNMENTS if fit.uncertain_s else []), *_SHRINK):
         rise_s = _best(fit, _around(rise_s, _RISES_S, shrink), np.array([fall_s]))[0]
-        fall_s = _best(fit, np.array([rise_s]), _around(fall_s, _FALLS_S, shrink))[1]
+        falls_s = _around(fall_s, _FALLS_S, shrink)
+        # What both lags have in common looks much like an offset of the clocks.
+        rises_s = rise_s + falls_s - fall_s if fit.uncertain_s else np.array([rise_s])
+        rise_s, fall_s = _best(fit, np.clip(rises_s, *_RISES_S), falls_s)
         if fit.uncertain_s:
             fit.shift(float(fit.solve(np.array([rise_s]), np.array([fall_s])).late_s[0]))
+    if abs(fit.late_s) >= fit.uncertain_s > 0:
+        raise CalibrationError(
+            f"the clocks differ by {fit.uncertain_s:g} s or more from the offset that was found by "
+            "matching the loads: give --offset"
+        )
     found = fit.solve(np.array([rise_s]), np.array([fall_s]))
     probe = fit.delayed(np.array([1e-6, _PROBE_S]), np.array([1e-6, 1e-6]))
     shown_pa = float(_rms(probe[:, 1] - probe[:, 0]))

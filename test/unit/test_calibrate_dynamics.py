@@ -8,12 +8,16 @@ import numpy as np
 import pytest
 from recorded import record
 
-from tactile_cdma.calibration import AdcScale
+from tactile_cdma.calibrate_dynamics import find_dynamics
+from tactile_cdma.calibration import AdcScale, Calibration, PressureCurve
 from tactile_cdma.calibration_file import read_content
 from tactile_cdma.cli import main
+from tactile_cdma.dynamics import Lag
+from tactile_cdma.errors import CalibrationError
 from tactile_cdma.offline import described_parameters, raw_frames
 from tactile_cdma.parameters import SkinConfig
 from tactile_cdma.pipeline import Pipeline
+from tactile_cdma.plateaus import Recording, Reference
 from tactile_cdma.sim.digitizer import truth
 from tactile_cdma.sim.loads import DWELL_S, LOADS, STEPS_KPA
 from tactile_cdma.sim.options import SimOptions
@@ -186,3 +190,20 @@ def test_what_does_not_go_together_is_refused(
     own.write_text("\n".join(lines))
     assert f"{own}: the loads rise and fall" in refusal(own, *at, BEHIND_S)
     assert not (tmp_path / "out.yaml").exists()
+
+
+@pytest.mark.parametrize(("late_s", "sure"), [(0.05, True), (0.32, False)])
+def test_an_offset_that_is_too_far_off_is_refused(late_s: float, sure: bool) -> None:
+    t_s = 0.02 * np.arange(1500)
+    load_pa = 50e3 * (1 - np.cos(2 * t_s)) * (0.6 + 0.4 * np.sin(0.3 * t_s))
+    curve = PressureCurve.two_stage()
+    lag = Lag.of(PAPER_DYNAMICS)
+    felt_pa = np.array([lag.update(load_pa[[i]], 0.02) for i in range(1500)])
+    volts = curve.voltage(felt_pa).astype(np.float32)
+    reference = Reference(Path("cycles.csv"), t_s + late_s, load_pa, None, np.arange(1500) + 2)
+    arguments = Calibration.default(curve, 1), reference, Recording(t_s, volts), 0.0, 0.3
+    if sure:
+        assert find_dynamics(*arguments).late_s == pytest.approx(late_s, abs=0.005)
+    else:
+        with pytest.raises(CalibrationError, match=r"^cycles.csv: the clocks differ by 0\.3 s or"):
+            find_dynamics(*arguments)
