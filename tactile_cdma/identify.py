@@ -30,7 +30,7 @@ SCALE_PA = 2e3
 _RISES_S, _FALLS_S = (2e-3, 3.0), (2e-3, 1.0)
 _TRIES = 16
 _SHRINK = (1.0, 0.15, 0.03)
-_ALIGNMENTS = 3
+_ALIGNMENTS = 4
 _SWEEPS = 300
 _PROBE_S = 0.1
 """A lag that the loads must be quick enough to show."""
