@@ -30,7 +30,7 @@ SCALE_PA = 2e3
 _RISES_S, _FALLS_S = (2e-3, 3.0), (2e-3, 1.0)
 _TRIES = 16
 _SHRINK = (1.0, 0.15, 0.03)
-_ALIGNMENTS = 4
+_REPEATS = 3
 _SWEEPS = 300
 _PROBE_S = 0.1
 """A lag that the loads must be quick enough to show."""
@@ -178,8 +178,8 @@ class _Fit:
 def _search(fit: _Fit) -> Dynamics:
     """The time constants, and the weights with them, that leave least; the reference is shifted."""
     rise_s, fall_s = (math.sqrt(low * high) for low, high in (_RISES_S, _FALLS_S))
-    # The first shifts are too large or too small: the time constants are wrong by as much.
-    for shrink in (*([1.0] * _ALIGNMENTS if fit.uncertain_s else []), *_SHRINK):
+    # An offset of the clocks that is not yet right makes the time constants wrong by as much.
+    for shrink in np.repeat(_SHRINK, _REPEATS if fit.uncertain_s else 1):
         rise_s = _best(fit, _around(rise_s, _RISES_S, shrink), np.array([fall_s]))[0]
         falls_s = _around(fall_s, _FALLS_S, shrink)
         # What both lags have in common looks much like an offset of the clocks.
