@@ -330,7 +330,7 @@ def test_nothing_taken_is_said(
     assert "no load was taken" in refusal(capsys, *nothing)
     assert not list(tmp_path.iterdir())
     monkeypatch.setattr("builtins.input", lambda question: "10")
-    monkeypatch.setattr("tactile_cdma.load_session.PATIENCE_S", 0.5)
+    monkeypatch.setattr("tactile_cdma.calibrating.load_session.PATIENCE_S", 0.5)
     missing = ["--port", tmp_path / "no-tty", "-o", tmp_path / "skin.yaml"]
     assert "no such port" in refusal(capsys, *missing)
     other = ["--port", "sim://?nodes=9", "-o", tmp_path / "other.yaml", "--node", "17"]

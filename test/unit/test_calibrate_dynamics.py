@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from recorded import record
 
-from tactile_cdma.calibrate_dynamics import find_dynamics
+from tactile_cdma.calibrating.dynamics_fit import find_dynamics
+from tactile_cdma.calibrating.plateaus import Recording, Reference
 from tactile_cdma.calibration import AdcScale, Calibration, PressureCurve
 from tactile_cdma.calibration_file import read_content
 from tactile_cdma.cli import main
@@ -17,7 +18,6 @@ from tactile_cdma.errors import CalibrationError
 from tactile_cdma.offline import described_parameters, raw_frames
 from tactile_cdma.parameters import SkinConfig
 from tactile_cdma.pipeline import Pipeline
-from tactile_cdma.plateaus import Recording, Reference
 from tactile_cdma.sim.digitizer import truth
 from tactile_cdma.sim.loads import DWELL_S, LOADS, STEPS_KPA
 from tactile_cdma.sim.options import SimOptions

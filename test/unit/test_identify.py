@@ -6,10 +6,10 @@ from itertools import islice
 import numpy as np
 import pytest
 
+from tactile_cdma.calibrating.identify import LEAST_POINTS, Identified, identify
 from tactile_cdma.calibration import AdcScale, Calibration
 from tactile_cdma.dynamics import Compensator, Dynamics, Hysteresis, Lag
 from tactile_cdma.errors import CalibrationError
-from tactile_cdma.identify import LEAST_POINTS, Identified, identify
 from tactile_cdma.sim.digitizer import truth
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.sensor import PAPER_DYNAMICS

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tactile_cdma.calibrating.load_points import HEADING, LoadPoints, point_lines, read_points
+from tactile_cdma.calibrating.load_table import read_table
 from tactile_cdma.errors import CalibrationError
-from tactile_cdma.load_points import HEADING, LoadPoints, point_lines, read_points
-from tactile_cdma.load_table import read_table
 
 
 def read(path: Path, text: str, area_m2: float | None = None) -> LoadPoints:

@@ -11,22 +11,22 @@ from typing import Any
 
 import numpy as np
 
-from . import calibrate_dynamics, calibration_report
-from .arguments import add_skin_options, given, positive
-from .calibration import Calibration
-from .calibration_file import (
+from ..arguments import add_skin_options, given, positive
+from ..calibration import Calibration
+from ..calibration_file import (
     numbers,
     read_content,
     seal_calibration,
     write_calibration,
     write_content,
 )
-from .errors import CalibrationError, CaptureError
+from ..errors import CalibrationError, CaptureError
+from ..offline import described_parameters, raw_frames
+from ..parameters import BY_NAME, SkinConfig, Value
+from ..pipeline import Pipeline
+from . import dynamics_fit, report
 from .load_points import LoadPoints, read_points
 from .load_session import LiveSkin, LoadSession
-from .offline import described_parameters, raw_frames
-from .parameters import BY_NAME, SkinConfig, Value
-from .pipeline import Pipeline
 from .plateaus import (
     Recording,
     Reference,
@@ -157,13 +157,13 @@ def _fit(
         taken, points = len(points), points.rising(nodes)
         print(f"{len(points)} of {taken} points are of rising loads")
     fit = fit_skin(points, nodes, config.adc, arguments.pieces)
-    print(calibration_report.describe(fit))
+    print(report.describe(fit))
     _check_missing(fit, arguments.allow_missing)
     calibration = Calibration.of_nodes(fit.curves, config.curve, nodes)
     identity = write_calibration(output, calibration, config.adc, config.skin, points.source)
     picture = _picture(arguments, output)
-    calibration_report.draw(fit, picture)
-    _conclude(output, picture, calibration_report.results(fit) | {"identity": identity})
+    report.draw(fit, picture)
+    _conclude(output, picture, report.results(fit) | {"identity": identity})
     return 0
 
 
@@ -172,19 +172,19 @@ def _add_dynamics(
 ) -> int:
     content = read_content(arguments.dynamics, config.spec.nodes, config.adc, config.skin)
     recording, offset_s = _beside_capture(arguments, reference, config)
-    found = calibrate_dynamics.find_dynamics(
+    found = dynamics_fit.find_dynamics(
         content.calibration(config.curve),
         reference,
         recording,
         offset_s,
         uncertain_s=MISLED_S if arguments.offset is None else 0.0,
     )
-    print(calibrate_dynamics.describe(found))
+    print(dynamics_fit.describe(found))
     source = ", ".join(filter(None, (content.source, f"dynamics: {reference.path.name}")))
     identity = write_content(output, replace(content, dynamics=found.dynamics, source=source))
     picture = _picture(arguments, output)
-    calibrate_dynamics.draw(found, picture)
-    _conclude(output, picture, calibrate_dynamics.results(found) | {"identity": identity})
+    dynamics_fit.draw(found, picture)
+    _conclude(output, picture, dynamics_fit.results(found) | {"identity": identity})
     return 0
 
 

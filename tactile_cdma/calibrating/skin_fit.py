@@ -9,10 +9,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from .calibration import AdcScale, PressureCurve
-from .calibration_file import HEADROOM
+from ..calibration import AdcScale, PressureCurve
+from ..calibration_file import HEADROOM
+from ..errors import CalibrationError
 from .curve_fit import LEAST_LEVELS, Fit, Floats, Mask, fit_curves, levels_of
-from .errors import CalibrationError
 from .load_points import LoadPoints, directions
 
 FIRST_LOAD = 0.25

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from .calibration import Calibration
-from .errors import CalibrationError
+from ..calibration import Calibration
+from ..errors import CalibrationError
 from .identify import Identified, identify
 from .plateaus import Recording, Reference
 

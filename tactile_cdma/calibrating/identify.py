@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .dynamics import Compensator, Dynamics, Lag, Plays
-from .errors import CalibrationError
+from ..dynamics import Compensator, Dynamics, Lag, Plays
+from ..errors import CalibrationError
 
 Floats = NDArray[np.float64]
 WIDTHS = (0.03, 0.06, 0.1, 0.15, 0.22, 0.32, 0.45, 0.65, 0.9, 1.3)
