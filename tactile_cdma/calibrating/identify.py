@@ -31,6 +31,7 @@ _RISES_S, _FALLS_S = (2e-3, 3.0), (2e-3, 1.0)
 _TRIES = 16
 _SHRINK = (1.0, 0.15, 0.03)
 _REPEATS = 3
+"""Of each of these steps, where the clock is to be found, too."""
 _SWEEPS = 300
 _PROBE_S = 0.1
 """A lag that the loads must be quick enough to show."""
@@ -164,9 +165,11 @@ class _Fit:
             columns @ columns.transpose(0, 2, 1),
             np.einsum("kjm,mk->kj", columns, wanted),
         )
+        weights = found[:, : len(WIDTHS)]
+        weights *= MOST_WEIGHT / np.maximum(weights.sum(axis=1, keepdims=True), MOST_WEIGHT)
         left_pa = _rms(wanted - np.einsum("kjm,kj->mk", columns, found))
         late_s = found[:, len(WIDTHS) :] @ [1, -1] if self.uncertain_s else np.zeros(len(found))
-        return _Solution(found[:, : len(WIDTHS)], late_s, left_pa)
+        return _Solution(weights, late_s, left_pa)
 
     def shift(self, late_s: float) -> None:
         """The reference was so much later still than it should have been."""
@@ -210,22 +213,20 @@ def _search(fit: _Fit) -> Dynamics:
     )
 
 
-def _around(centre_s: float, limits_s: tuple[float, float], share: float) -> NDArray[np.float64]:
+def _around(centre_s: float, limits_s: tuple[float, float], share: float) -> Floats:
     """Time constants about one, evenly on a logarithmic axis, over a share of the whole range."""
     reach = (limits_s[1] / limits_s[0]) ** (share / 2)
     return np.clip(np.geomspace(centre_s / reach, centre_s * reach, _TRIES), *limits_s)
 
 
-def _best(
-    fit: _Fit, rise_s: NDArray[np.float64], fall_s: NDArray[np.float64]
-) -> tuple[float, float]:
+def _best(fit: _Fit, rise_s: Floats, fall_s: Floats) -> tuple[float, float]:
     """The pair that leaves least, of pairs given along one axis."""
     rise_s, fall_s = np.broadcast_arrays(rise_s, fall_s)
     best = np.argmin(fit.solve(rise_s, fall_s).left_pa)
     return float(rise_s[best]), float(fall_s[best])
 
 
-def _non_negative(gram: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
+def _non_negative(gram: Floats, right: Floats) -> Floats:
     """Minima of wᵀ·G·w/2 − rᵀ·w with w ≥ 0, (k, j), one weight after another, over and over.
 
     gram: (k, j, j), positive semidefinite; right: (k, j).
@@ -237,13 +238,11 @@ def _non_negative(gram: NDArray[np.float64], right: NDArray[np.float64]) -> NDAr
             pull = right[:, j] - (gram[:, j] * weights).sum(axis=1) + own * weights[:, j]
             free = np.divide(pull, own, out=np.zeros_like(pull), where=own > 0)
             weights[:, j] = np.maximum(free, 0.0)
-    total = weights[:, : len(WIDTHS)].sum(axis=1, keepdims=True)
-    weights[:, : len(WIDTHS)] *= MOST_WEIGHT / np.maximum(total, MOST_WEIGHT)
     return weights
 
 
 def _compensated(
-    dynamics: Dynamics, t_s: NDArray[np.float64], pressure_pa: NDArray[np.floating]
+    dynamics: Dynamics, t_s: Floats, pressure_pa: NDArray[np.floating]
 ) -> NDArray[np.float32]:
     nodes = pressure_pa.shape[1]
     highest_pa = 2 * float(np.nanmax(pressure_pa))  # out of the way: it is not to help
@@ -255,9 +254,7 @@ def _compensated(
     )
 
 
-def _check(
-    t_s: NDArray[np.float64], reference_pa: NDArray[np.float64], pressure_pa: NDArray[np.floating]
-) -> None:
+def _check(t_s: Floats, reference_pa: Floats, pressure_pa: NDArray[np.floating]) -> None:
     points = len(t_s)
     if reference_pa.shape != (points,) or pressure_pa.ndim != 2 or len(pressure_pa) != points:
         raise CalibrationError(
@@ -283,7 +280,7 @@ def _check(
         raise CalibrationError(f"the reference pressure falls to {lowest_pa:.0f} Pa, below zero")
 
 
-def _cycles(reference_pa: NDArray[np.float64]) -> int:
+def _cycles(reference_pa: Floats) -> int:
     """How often the load rises well above its middle after it was well below."""
     low, high = np.quantile(reference_pa, (0.02, 0.98))
     share = (reference_pa - low) / (high - low)
@@ -291,7 +288,7 @@ def _cycles(reference_pa: NDArray[np.float64]) -> int:
     return int(np.count_nonzero(pressed[1:] & ~pressed[:-1]))
 
 
-def _rms(values: NDArray[np.floating]) -> NDArray[np.float64]:
+def _rms(values: NDArray[np.floating]) -> Floats:
     """Down the columns, without what is missing; NaN where all is."""
     known = np.isfinite(values)
     squares = np.where(known, np.square(values, dtype=np.float64), 0.0).sum(axis=0)
