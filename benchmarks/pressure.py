@@ -10,12 +10,13 @@ converters. What is judged was not used to calibrate or to identify anything.
   loops or both are wrong by 10 %, as when sensors have changed since ("drifted").
 - tare: contacts that stay for an hour while drift is followed; one is swallowed if it reads less
   than half of its load at the end. And what drift is left on a warming skin that nothing touches.
-- chains: everything at once, for each chain from the plain curve to compensation: error, and time
-  of a frame in which every node spoke.
+- chains: everything at once, on skins that are mounted with up to 3 kPa of preload, for each chain
+  from the plain curve to compensation: error, and time of a frame in which every node spoke.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -36,6 +37,7 @@ from tactile_cdma.pressure import PressureChain
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES
 from tactile_cdma.sim.sensor import PAPER_DYNAMICS, Sensor, SensorModel
+from tactile_cdma.tare import take_tare
 from tactile_cdma.taxels import Readings
 
 from .report import QUICK, Report, medians_s
@@ -47,10 +49,14 @@ PERIOD_S = 12.8e-3
 NODES = 16 if QUICK else 64
 SKINS = 2 if QUICK else 8
 CYCLES_S = 30.0 if QUICK else 120.0
+TAUGHT_S = 90.0
 MISMATCH = 0.05
 CALIBRATION_PA = np.concatenate([np.arange(0.0, 50e3, 2.5e3), np.arange(50e3, 140.1e3, 5e3)])
-CONTACTS_PA = (200.0, 300.0, 500.0, 1e3, 5e3, 20e3, 49e3, 70e3, 130e3)
+CONTACTS_PA = (250.0, 350.0, 500.0, 1e3, 5e3, 20e3, 49e3, 70e3, 130e3)
 WARMING_V = 0.003
+PRELOAD_PA = 3e3
+TARE_S, REST_S = 5.0, 10.0
+"""A mounted skin is tared, and first touched."""
 DRIFTED = (0.9, 1.1)
 BIG = 4096
 ROUNDS = 9 if QUICK else 31
@@ -156,20 +162,22 @@ def recorded(model: SensorModel, loads_pa: Floats) -> Floats:
     return np.array([quantised(sensor.step(p, i * PERIOD_S)) for i, p in enumerate(loads_pa)])
 
 
-def read(chain: PressureChain, voltage_v: Floats) -> Floats:
-    """(m, n) Pa: what a chain makes of them."""
-    valid = np.ones(voltage_v.shape[1], dtype=bool)
-    return np.array(
-        [
-            chain.update(v.astype(np.float32), valid, i * PERIOD_S)[0]
-            for i, v in enumerate(voltage_v)
-        ]
-    )
+def read(chain: PressureChain, voltage_v: Floats, tare_s: float = math.inf) -> Floats:
+    """(m, n) Pa: what a chain makes of them, tared at a time if it can be."""
+    nodes = voltage_v.shape[1]
+    valid, curves = np.ones(nodes, dtype=bool), chain.calibration.curves
+    layout, tare_frame = Layout.grid(nodes, 0, 0, 7e-3, 5.5e-3), tare_s / PERIOD_S
+    rows = []
+    for i, v in enumerate(voltage_v.astype(np.float32)):
+        rows.append(chain.update(v, valid, i * PERIOD_S)[0])
+        if i >= tare_frame and chain.tracker and not chain.baseline.tared:
+            take_tare(chain.baseline, curves, layout, ADC.lsb_v, RULES.contact_pa, force=True)
+    return np.array(rows)
 
 
 def identified(model: SensorModel, calibration: Calibration, seed: int) -> Dynamics:
     """From cycles that load all taxels alike, on the calibrated skin."""
-    loads_pa = cycles(CYCLES_S, 1, np.random.default_rng([seed, 2]))
+    loads_pa = cycles(TAUGHT_S, 1, np.random.default_rng([seed, 2]))
     voltage_v = recorded(model, np.repeat(loads_pa, len(calibration.curves), axis=1))
     pressure_pa = np.array([calibration.curves.pressure(v) for v in voltage_v.astype(np.float32)])
     t_s = np.arange(len(loads_pa), dtype=np.float64) * PERIOD_S
@@ -298,7 +306,7 @@ def chain_of(
 def used(seconds: float, rng: np.random.Generator) -> Floats:
     """(m, n) Pa: a skin that is handled for a quarter of a minute, and rests for as long."""
     t_s = np.arange(0, seconds, PERIOD_S)
-    handled = np.clip(np.sin(2 * np.pi * (t_s - 10.0) / 30.0) * 8, 0, 1) * (t_s > 10.0)
+    handled = np.clip(np.sin(2 * np.pi * (t_s - REST_S) / 30.0) * 8, 0, 1) * (t_s > REST_S)
     return np.asarray(cycles(seconds, NODES, rng) * handled[:, None])
 
 
@@ -311,10 +319,13 @@ def chains(report: Report) -> tuple[dict[str, float], dict[str, float]]:
         )
         calibration = calibrated(model)
         known = identified(model, calibration, seed)
-        loads_pa = used(2 * CYCLES_S, np.random.default_rng([seed, 4]))
-        voltage_v = recorded(model, loads_pa)
+        rng = np.random.default_rng([seed, 4])
+        loads_pa, preload_pa = used(2 * CYCLES_S, rng), rng.uniform(0, PRELOAD_PA, NODES)
+        voltage_v = recorded(model, loads_pa + preload_pa)
         for name in CHAINS:
-            errors[name].append(rms(read(chain_of(name, calibration, known), voltage_v) - loads_pa))
+            read_pa = read(chain_of(name, calibration, known), voltage_v, TARE_S)
+            after = round(REST_S / PERIOD_S)
+            errors[name].append(rms((read_pa - loads_pa)[after:]))
     error_pa = {name: rms(np.array(values)) for name, values in errors.items()}
 
     layout = Layout.grid(BIG, 0, 0, 7e-3, 5.5e-3)

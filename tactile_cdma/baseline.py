@@ -32,7 +32,7 @@ class Baseline:
 
     tare_pa: (n,) float32, Pa, pressure at rest (mounting, preload), subtracted from readings.
     drift_v: (n,) float32, V, added to measured voltages to undo what temperature and age do.
-    tared: whether there is a tare.
+    rest_v: (n,) float32, V, the voltage, drift added, at which the tare was taken; None: no tare.
 
     The arrays are replaced, never written to: who holds one holds a snapshot.
     """
@@ -40,7 +40,7 @@ class Baseline:
     def __init__(self, nodes: int) -> None:
         self.tare_pa = np.zeros(nodes, dtype=np.float32)
         self.drift_v = np.zeros(nodes, dtype=np.float32)
-        self.tared = False
+        self.rest_v: NDArray[np.float32] | None = None
         self._looks = 0
         self._voltage_v = np.zeros((LOOKS, nodes), dtype=np.float32)
         self._pressure_pa = np.zeros((LOOKS, nodes), dtype=np.float32)
@@ -50,7 +50,12 @@ class Baseline:
         """Forget tare and drift."""
         self.tare_pa = np.zeros_like(self.tare_pa)
         self.drift_v = np.zeros_like(self.drift_v)
-        self.tared = False
+        self.rest_v = None
+
+    @property
+    def tared(self) -> bool:
+        """Whether there is a tare."""
+        return self.rest_v is not None
 
     def forget(self) -> None:
         """What was seen is too long ago."""

@@ -43,19 +43,21 @@ class DriftTracker:
         self._beside = beside
         nodes = len(beside)
         self._curves: Curves | None = None
-        self._tare_pa: NDArray[np.float32] | None = None
+        self._tared_v: NDArray[np.float32] | None = None
         self._rest_v = self._slope = np.zeros(nodes, dtype=np.float32)
         self._deviation_v = np.zeros(nodes, dtype=np.float32)
         self._usual_v = np.full(nodes, np.inf, dtype=np.float32)  # where it lately was at rest
         self._trail_v = np.full(nodes, np.inf, dtype=np.float32)  # behind the voltage, at all times
         self._touched = np.zeros(nodes, dtype=bool)
         self._away_s = np.zeros(nodes)  # when it last was not at rest
-        self._straight_s = np.zeros(nodes)  # when it last was no stray
+        self._stray = np.zeros(nodes, dtype=bool)  # off its rest, and no contact explains it
+        self._stray_s = np.zeros(nodes)  # since when
         self._last_s: float | None = None
 
     def forget(self) -> None:
         """The device's clock starts anew."""
         self._last_s = None
+        self._stray[:] = False
         self._begin()
 
     def follow(
@@ -72,9 +74,9 @@ class DriftTracker:
         voltage_v: (n,) V, without drift. reading_pa: (n,) Pa, after the tare. valid: (n,) bool.
         Returns whether there is more to follow, even if the voltages stay as they are.
         """
-        self._zero_at(curves, baseline.tare_pa)
+        self._rest_at(curves, baseline)
         if self._last_s is None:
-            self._away_s[:] = self._straight_s[:] = self._last_s = t_s
+            self._away_s[:] = self._last_s = t_s
         passed_s = min(max(t_s - self._last_s, 0.0), LONGEST_S)
         self._last_s = t_s
         deviation_v = self._rest_v - voltage_v - baseline.drift_v
@@ -84,7 +86,8 @@ class DriftTracker:
         resting &= ~self._in_contact(valid & ~near & (reading_pa > self.rules.release_pa))
         np.copyto(self._away_s, t_s, where=~resting)
         stray = valid & ~near & (reading_pa < self.rules.contact_pa)
-        np.copyto(self._straight_s, t_s, where=~stray)
+        np.copyto(self._stray_s, t_s, where=stray & ~self._stray)
+        self._stray = stray
 
         nothing_v = _NOTHING_LSB * self._lsb_v
         due = resting & (np.abs(deviation_v) > nothing_v)
@@ -132,17 +135,18 @@ class DriftTracker:
 
         Below 0: they read less than nothing. t_s: device time of the newest frame, s.
         """
-        if self._last_s is None:
-            return {}
-        strays = np.flatnonzero(t_s - self._straight_s > STRAY_S)
+        if not self.rules.drift_pa_per_min:
+            return {}  # nobody looks
+        strays = np.flatnonzero(self._stray & (t_s - self._stray_s > STRAY_S))
         return {int(i) + 1: float(self._deviation_v[i] / self._lsb_v) for i in strays}
 
-    def _zero_at(self, curves: Curves, tare_pa: NDArray[np.float32]) -> None:
-        """Rest is where these curves have the tare."""
-        if curves is self._curves and tare_pa is self._tare_pa:
+    def _rest_at(self, curves: Curves, baseline: Baseline) -> None:
+        """Rest is where the tare was taken; without one, where the curves begin."""
+        if curves is self._curves and baseline.rest_v is self._tared_v:
             return
-        self._curves, self._tare_pa = curves, tare_pa
-        self._rest_v = curves.voltage(tare_pa).astype(np.float32)
+        self._curves, self._tared_v = curves, baseline.rest_v
+        begin_v = curves.voltage_v[0].astype(np.float32)
+        self._rest_v = begin_v if baseline.rest_v is None else baseline.rest_v
         fall_v = curves.voltage_v[0] - curves.voltage_v[1]
         self._slope = (fall_v / (curves.pressure_pa[1] - curves.pressure_pa[0])).astype(np.float32)
         self._begin()

@@ -19,7 +19,7 @@ SCHEMA = "tactile_cdma/rest"
 VERSION = 1
 MOST_BYTES = 4 << 20
 """65,535 nodes take 1.5 MB."""
-_TARE_DIGITS, _DRIFT_DIGITS = 2, 8
+_PRESSURE_DIGITS, _VOLTAGE_DIGITS = 2, 8
 """Decimals of Pa and V that are kept."""
 _HEAD = "# Written by the driver: what it takes off readings. Delete it to start anew.\n"
 
@@ -32,7 +32,7 @@ class RestState:
     empty for the default one; for people. curves: checksum of its curves; tare and drift mean
     nothing without them.
     written: when, in ISO 8601. tared: when the tare was taken; empty: never, or not known.
-    tare_pa, drift_v: (n,) float32, Pa and V, see Baseline; None: none.
+    tare_pa, rest_v, drift_v: (n,) float32, see Baseline; None: no tare, no drift.
     """
 
     skin: str
@@ -42,6 +42,7 @@ class RestState:
     written: str
     tared: str
     tare_pa: NDArray[np.float32] | None
+    rest_v: NDArray[np.float32] | None
     drift_v: NDArray[np.float32] | None
 
     def misfit(self, skin: str, nodes: int, curves: str) -> str | None:
@@ -82,8 +83,9 @@ def write_rest(path: Path, state: RestState) -> None:
         "calibration": state.calibration,
         "curves": state.curves,
         "tared": state.tared,
-        "tare_pa": _numbers(state.tare_pa, _TARE_DIGITS),
-        "drift_v": _numbers(state.drift_v, _DRIFT_DIGITS),
+        "tare_pa": _numbers(state.tare_pa, _PRESSURE_DIGITS),
+        "rest_v": _numbers(state.rest_v, _VOLTAGE_DIGITS),
+        "drift_v": _numbers(state.drift_v, _VOLTAGE_DIGITS),
     }
     text = _HEAD + yaml.dump(content, Dumper=_DUMPER, sort_keys=False, allow_unicode=True)
     try:
@@ -169,6 +171,9 @@ def _state(content: object) -> RestState:
             "written by another driver?"
         )
     nodes = _field(content, "nodes", int)
+    tare_pa, rest_v = _array(content, "tare_pa", nodes), _array(content, "rest_v", nodes)
+    if (tare_pa is None) != (rest_v is None):
+        raise RestError("tare_pa and rest_v belong together; one of them is null")
     return RestState(
         skin=_field(content, "skin", str),
         nodes=nodes,
@@ -176,7 +181,8 @@ def _state(content: object) -> RestState:
         curves=_field(content, "curves", str),
         written=_field(content, "written", str),
         tared=_field(content, "tared", str),
-        tare_pa=_array(content, "tare_pa", nodes),
+        tare_pa=tare_pa,
+        rest_v=rest_v,
         drift_v=_array(content, "drift_v", nodes),
     )
 
@@ -206,7 +212,7 @@ def _array(content: dict[str, Any], name: str, nodes: int) -> NDArray[np.float32
     return np.array(values, dtype=np.float32)
 
 
-_MOST = {"tare_pa": 1e9, "drift_v": 100.0}
+_MOST = {"tare_pa": 1e9, "rest_v": 100.0, "drift_v": 100.0}
 
 
 def _numbers(values: NDArray[np.float32] | None, digits: int) -> list[float] | None:

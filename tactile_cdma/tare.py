@@ -45,11 +45,13 @@ def take_tare(
         _refuse("moving", moving, above_pa, layout, "wait until nothing moves them")
         loaded = valid & (above_pa > contact_pa)
         _refuse("under load", loaded, above_pa, layout, "take away what touches them")
-    above_v = baseline.voltage_v + baseline.drift_v - curves.voltage_v[0].astype(np.float32)
-    too_high = valid & (above_v > 0)
-    baseline.drift_v = baseline.drift_v - np.where(too_high, above_v, np.float32(0))
+    begin_v = curves.voltage_v[0].astype(np.float32)
+    rest_v = baseline.voltage_v + baseline.drift_v
+    above_v = np.where(valid, np.maximum(rest_v - begin_v, 0), np.float32(0))
+    before_v = begin_v if baseline.rest_v is None else baseline.rest_v
+    baseline.drift_v = baseline.drift_v - above_v
     baseline.tare_pa = np.where(valid, pressure_pa, baseline.tare_pa)
-    baseline.tared = True
+    baseline.rest_v = np.where(valid, rest_v - above_v, before_v)
     unheard: list[int] = (np.flatnonzero(~valid) + 1).tolist()
     return unheard
 

@@ -126,12 +126,15 @@ class Taxels:
         return unheard
 
     def restore(
-        self, tare_pa: NDArray[np.float32] | None, drift_v: NDArray[np.float32] | None
+        self,
+        tare_pa: NDArray[np.float32] | None = None,
+        rest_v: NDArray[np.float32] | None = None,
+        drift_v: NDArray[np.float32] | None = None,
     ) -> None:
-        """Take over a tare, Pa, and a drift, V, (n,) float32 both; None: none."""
+        """Take over what a Baseline had, (n,) float32 each; None: no tare, no drift."""
         self.baseline.clear()
-        if tare_pa is not None:
-            self.baseline.tare_pa, self.baseline.tared = tare_pa, True
+        if tare_pa is not None and rest_v is not None:
+            self.baseline.tare_pa, self.baseline.rest_v = tare_pa, rest_v
         if drift_v is not None:
             self.baseline.drift_v = drift_v
         self.refresh()

@@ -69,8 +69,9 @@ class RestKeeper:
         """Apply what was found before; the driver does not run yet."""
         self._driver, state = driver, self._state
         if state is not None:
-            driver.pipeline.taxels.restore(state.tare_pa, state.drift_v)
-            self._log.info(f"tare and drift are those of {state.written}")
+            driver.pipeline.taxels.restore(state.tare_pa, state.rest_v, state.drift_v)
+            if state.tare_pa is not None or state.drift_v is not None:
+                self._log.info(f"tare and drift are those of {state.written}")
         self.tell()
 
     def deactivate(self) -> None:
@@ -140,7 +141,7 @@ class RestKeeper:
             taxels, config = pipeline.taxels, pipeline.config
             try:
                 if request.clear:
-                    taxels.restore(None, None)
+                    taxels.restore()
                     response.message = "tare and drift are forgotten"
                 else:
                     unheard = taxels.tare(config.rest.contact_pa, request.force)
@@ -229,13 +230,13 @@ class RestKeeper:
         """What is in force; while nothing streams, what was last."""
         assert self._config is not None
         config, kept, curves = self._config, self._state, self._config.calibration.curves
-        tare_pa = drift_v = None
+        tare_pa = rest_v = drift_v = None
         if self._driver is not None:
             baseline = self._driver.pipeline.taxels.baseline
-            tare_pa = baseline.tare_pa if baseline.tared else None
+            tare_pa, rest_v = baseline.tare_pa if baseline.tared else None, baseline.rest_v
             drift_v = baseline.drift_v if baseline.drift_v.any() else None
         elif kept is not None:
-            tare_pa, drift_v = kept.tare_pa, kept.drift_v
+            tare_pa, rest_v, drift_v = kept.tare_pa, kept.rest_v, kept.drift_v
         return RestState(
             skin=config.skin,
             nodes=config.spec.nodes,
@@ -244,6 +245,7 @@ class RestKeeper:
             written=_now(),
             tared=self._tared,
             tare_pa=tare_pa,
+            rest_v=rest_v,
             drift_v=drift_v,
         )
 

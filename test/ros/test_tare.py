@@ -30,6 +30,7 @@ from tactile_cdma.srv import Tare  # noqa: E402
 pytestmark = pytest.mark.ros
 IDLE = "sim://?scene=idle"
 ALL = "sim://?scene=all"
+OFF = "nodes off their rest"
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -251,6 +252,25 @@ def test_drift_is_followed_told_of_and_kept(
         wait_for(lambda: len(client.arrays) > 30 and client.infos)
         assert np.allclose(client.arrays[-1].pressure, 0, atol=3)
     assert np.allclose(client.infos[-1].drift, 2 * count_v, rtol=0.02)
+
+
+def test_diagnostics_name_drift_tare_and_what_is_off_its_rest(
+    preload: Callable[[float], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tactile_cdma.drift.STRAY_S", 0.5)
+
+    def values() -> dict[str, str]:
+        return {pair.key: pair.value for pair in client.diagnostics[-1].values}
+
+    preload(800.0)
+    with running(port=IDLE, state_folder=str(tmp_path)) as (_, client):
+        wait_for(lambda: client.diagnostics and "1 (+8.0 LSB), 2" in values()[OFF])
+        assert values()[OFF].endswith("16 (+8.0 LSB); tare if nothing touches them")
+        assert values()["tared"] == "not"
+        assert tare_at_last(client).success
+        wait_for(lambda: values()[OFF] == "")
+        assert values()["tared"].startswith("20")
+        assert values()["largest drift (mV)"] == "0.00, node 1"
 
 
 def test_the_calibration_is_read_again_while_frames_go_on(

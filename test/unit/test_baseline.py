@@ -8,6 +8,7 @@ import pytest
 from tactile_cdma.baseline import LOOKS
 from tactile_cdma.calibration import AdcScale, Calibration, PressureCurve
 from tactile_cdma.decode import Words, silent
+from tactile_cdma.dynamics import Dynamics
 from tactile_cdma.errors import RestError
 from tactile_cdma.health import NodeHealth
 from tactile_cdma.layout import Layout
@@ -59,7 +60,7 @@ def test_a_tare_makes_what_the_skin_reads_zero_and_keeps_differences() -> None:
     assert np.array_equal(patch.read(1, PRELOAD_PA).pressure_pa, np.zeros(6))
     more = patch.read(2, PRELOAD_PA + 10e3).pressure_pa
     assert np.allclose(more, 10e3, atol=110)
-    patch.taxels.restore(None, None)
+    patch.taxels.restore()
     assert np.array_equal(patch.read(2, PRELOAD_PA).pressure_pa, before)
 
 
@@ -235,7 +236,8 @@ def test_other_curves_forget_tare_and_drift_the_same_ones_keep_them() -> None:
     patch.read(SECOND, 500.0)
     patch.taxels.tare(1000.0)
     drift_v = np.full(6, 1e-4, np.float32)
-    patch.taxels.restore(patch.taxels.baseline.tare_pa, drift_v)
+    baseline = patch.taxels.baseline
+    patch.taxels.restore(baseline.tare_pa, baseline.rest_v, drift_v)
     before = patch.read(1, 700.0).pressure_pa
     assert patch.taxels.calibrate(Calibration.default(CURVE, 6))
     assert np.array_equal(patch.read(1, 700.0).pressure_pa, before)
@@ -244,6 +246,24 @@ def test_other_curves_forget_tare_and_drift_the_same_ones_keep_them() -> None:
     assert not patch.taxels.baseline.tared
     assert (patch.taxels.baseline.drift_v == 0).all()
     assert np.allclose(patch.read(1, 5e3).pressure_pa, 5e3 * 33 / 40, atol=90)
+
+
+def test_a_tare_of_what_compensation_makes_of_a_preload_leaves_drift_alone() -> None:
+    """Rest is the voltage that was tared, though the curve alone has another pressure there."""
+    config = SkinConfig.of({"nodes": 6, "rows": 2, "columns": 3})
+    dynamics = Dynamics(0.2, 0.0109, (0.1,), (0.2,))
+    calibration = replace(config.calibration, dynamics=dynamics)
+    patch = Patch()
+    patch.pipeline = Pipeline(replace(config, calibration=calibration, compensation=True))
+    patch.taxels = patch.pipeline.taxels
+    patch.read(SECOND, 20e3)
+    patch.read(3 * SECOND, 9e3)  # on the way down: hysteresis
+    patch.taxels.tare(1000.0, force=True)
+    tared_pa = patch.taxels.baseline.tare_pa
+    assert np.abs(tared_pa - 9e3).min() > 200
+    readings = patch.read(round(120 / FRAME_S), 9e3)
+    assert np.abs(readings.pressure_pa).max() < 5
+    assert (patch.taxels.baseline.drift_v == 0).all()
 
 
 def test_tares_follow_nodes_not_places() -> None:

@@ -1,6 +1,7 @@
 """Drift is followed, contacts are not, however light, long or ill-timed."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -167,7 +168,29 @@ def test_drift_is_followed_again_after_a_contact_even_if_the_rest_moved_by_a_cou
     rig = Rig(1)
     rig.run(60)
     rig.run(600, 5e3, lambda t_s: -ADC.lsb_v * min(1.0, (t_s - 60) / 300))
+    rig.run(9, 0.0, -ADC.lsb_v)  # the sensor may have to settle
     assert rig.baseline.drift_v[0] == 0
+    rig.run(300, 0.0, -ADC.lsb_v)
+    assert abs(rig.read(0.0, -ADC.lsb_v)[0]) < 0.02 * LSB_PA
+
+
+def test_two_counts_are_a_contact_while_a_count_of_drift_is_still_being_followed() -> None:
+    """The rest has just risen by a count: with the contact the node is a count off, as in drift."""
+    rig = Rig(1)
+    rig.run(60)
+    rig.run(30, 0.0, ADC.lsb_v)
+    begun = rig.read(2 * LSB_PA, ADC.lsb_v)
+    assert begun[0] > 0.9 * LSB_PA
+    assert np.array_equal(rig.run(HOUR_S, 2 * LSB_PA, ADC.lsb_v)[-1], begun)
+
+
+def test_where_a_node_was_before_it_fell_silent_does_not_count() -> None:
+    rig = Rig(1)
+    rig.run(60)
+    rig.run(12, 0.0, ADC.lsb_v)
+    rig.valid[:] = False
+    rig.run(60)
+    rig.valid[:] = True
     rig.run(300, 0.0, -ADC.lsb_v)
     assert abs(rig.read(0.0, -ADC.lsb_v)[0]) < 0.02 * LSB_PA
 
@@ -192,9 +215,10 @@ def test_nodes_are_beside_each_other_by_their_places_not_their_numbers() -> None
         "", 3, 3, grid.positions_m, grid.normals, grid.areas_m2, grid.flat_m, shuffled, 7e-3
     )
     table = nodes_beside(layout, 9)
-    assert set(table[3 - 1] + 1) == {5, 9, 1, 7, 8, 2, 6}  # in the middle
-    assert set(table[6 - 1] + 1) == {6, 3, 8, 2}  # in the corner
-    assert set(table[4 - 1] + 1) == {4}  # node 4 has no place
+    beside = [set(numbers.tolist()) - {own} for own, numbers in enumerate(table + 1, start=1)]
+    assert beside[3 - 1] == {5, 9, 1, 7, 8, 2, 6}  # in the middle
+    assert beside[6 - 1] == {3, 8, 2}  # in the corner
+    assert beside[4 - 1] == set()  # it has no place
 
 
 def test_nodes_without_a_valid_reading_are_frozen_and_settle_first_when_they_are_back() -> None:
@@ -213,7 +237,8 @@ def test_nodes_without_a_valid_reading_are_frozen_and_settle_first_when_they_are
 def test_rest_is_where_the_tare_is() -> None:
     """A preload of 60 kPa, in the flat second stage, tared: its drift is followed about there."""
     rig = Rig(1)
-    rig.baseline.tare_pa = rig.curve.pressure(rig.measure(60e3, 0.0)).astype(np.float32)
+    rig.baseline.rest_v = rig.measure(60e3, 0.0)
+    rig.baseline.tare_pa = rig.curve.pressure(rig.baseline.rest_v).astype(np.float32)
     rig.run(60, 60e3)
     rig.run(600, 60e3, -ADC.lsb_v)
     assert rig.baseline.drift_v[0] == pytest.approx(ADC.lsb_v, rel=0.02)
@@ -260,6 +285,15 @@ def test_strays_are_named_after_a_minute_with_how_far_they_are_off() -> None:
     assert strays[3] == pytest.approx(-3, abs=1)
     rig.run(5, 2e3 * np.array([0, 1, 0]), offset_v)  # pressed: there is a reason
     assert rig.tracker.strays_lsb(rig.t_s).keys() == {3}
+
+
+def test_nobody_is_a_stray_for_not_being_looked_at() -> None:
+    rig = Rig(2)
+    rig.run(STRAY_S, 0.0, np.array([0.0, -4.0]) * ADC.lsb_v)
+    rig.t_s += 2 * STRAY_S
+    assert rig.tracker.strays_lsb(rig.t_s).keys() == {2}
+    rig.tracker.rules = replace(RULES, drift_pa_per_min=0.0)
+    assert rig.tracker.strays_lsb(rig.t_s) == {}
 
 
 def test_steady_means_that_nothing_changes() -> None:

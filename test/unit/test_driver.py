@@ -282,3 +282,21 @@ def test_simulated_port_is_found_by_pyserial_itself() -> None:
     with serial.serial_for_url("sim://?speed=0", timeout=1) as port:
         port.write(PacketWriter().encode(Start()))
         assert PacketParser().feed(port.read(8000))
+
+
+def test_calls_between_frames_cost_none() -> None:
+    """Tares, and calibrations read anew, from another thread, as fast as they get in."""
+    watch, calls = Watch(), 0
+    with watch.driver("sim://?scene=all&seed=2&speed=0") as driver:
+        while len(watch.frames) < 2000:
+            with driver.between_frames() as pipeline:
+                assert pipeline.adjust(CONFIG)
+                if pipeline.taxels.baseline.seen:
+                    pipeline.taxels.tare(1000.0, force=True)
+            calls += 1
+            time.sleep(1e-3)
+        counters = driver.pipeline.counters
+        assert (counters.lost_frames, counters.lost_samples, counters.restarts) == (0, 0, 0)
+    assert calls > 20
+    assert [frame.sequence for frame in watch.frames] == list(range(len(watch.frames)))
+    assert all(frame.words.active.all() for frame in watch.frames[1:])

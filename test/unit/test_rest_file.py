@@ -24,6 +24,7 @@ STATE = RestState(
     written="2026-11-21T16:00:00+01:00",
     tared="2026-11-21T15:00:00+01:00",
     tare_pa=np.array([0.0, 1234.5, 60e3], np.float32),
+    rest_v=np.array([3.0, 2.9, 1.5], np.float32),
     drift_v=np.array([1e-3, -2e-6, 0.0], np.float32),
 )
 
@@ -39,12 +40,17 @@ def test_what_is_written_is_read_to_far_below_a_count(
     drift_v: np.ndarray | None,
 ) -> None:
     path = tmp_path_factory.mktemp("rest") / "skin.rest.yaml"
-    write_rest(path, replace(STATE, tare_pa=tare_pa, drift_v=drift_v))
+    rest_v = None if tare_pa is None else STATE.rest_v
+    write_rest(path, replace(STATE, tare_pa=tare_pa, rest_v=rest_v, drift_v=drift_v))
     back = read_rest(path)
     assert back is not None
     for name in ("skin", "nodes", "calibration", "curves", "written", "tared"):
         assert getattr(back, name) == getattr(STATE, name)
-    for ours, theirs, error in ((tare_pa, back.tare_pa, 0.01), (drift_v, back.drift_v, 1e-8)):
+    for ours, theirs, error in (
+        (tare_pa, back.tare_pa, 0.01),
+        (rest_v, back.rest_v, 1e-8),
+        (drift_v, back.drift_v, 1e-8),
+    ):
         assert (ours is None) == (theirs is None)
         if ours is not None and theirs is not None:
             assert theirs.dtype == np.float32
@@ -70,7 +76,7 @@ def test_files_are_named_after_their_node_below_ros_home(
 def test_writing_replaces_the_file_and_leaves_nothing_else(tmp_path: Path) -> None:
     path = tmp_path / "deep" / "folder" / "skin.rest.yaml"
     write_rest(path, STATE)
-    write_rest(path, replace(STATE, tare_pa=None))
+    write_rest(path, replace(STATE, tare_pa=None, rest_v=None))
     back = read_rest(path)
     assert back is not None and back.tare_pa is None
     assert os.listdir(path.parent) == [path.name]
@@ -116,6 +122,7 @@ GOOD = {
     "curves": "",
     "tared": "",
     "tare_pa": [1, 2.5],
+    "rest_v": [3.0, 2.9],
     "drift_v": None,
 }
 
@@ -130,6 +137,8 @@ GOOD = {
         ({"nodes": True}, "nodes is True"),
         ({"skin": 5}, "skin is 5; it must be a text"),
         ({"tare_pa": [1.0]}, "tare_pa must hold a number for each of 2 nodes"),
+        ({"tare_pa": None}, "tare_pa and rest_v belong together"),
+        ({"rest_v": None}, "tare_pa and rest_v belong together"),
         ({"tare_pa": "12"}, "tare_pa must hold a number for each"),
         ({"tare_pa": [1.0, "x"]}, "tare_pa of node 2 is 'x'"),
         ({"tare_pa": [True, 1.0]}, "tare_pa of node 1 is True"),
