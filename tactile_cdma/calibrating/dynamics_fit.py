@@ -73,8 +73,8 @@ def describe(found: Identified) -> str:
     opened = np.expm1(np.dot(dynamics.widths, dynamics.weights))
     return "\n".join(
         (
-            f"dynamics from {found.cycles} loading cycles, with an offset of the clocks that is "
-            f"{-found.late_s * 1e3:+.0f} ms different",
+            f"dynamics from {found.cycles} loading cycles, which move the offset of the clocks by "
+            f"{-found.late_s * 1e3:+.0f} ms",
             f"lag: rising {dynamics.rise_s * 1e3:.0f} ms, falling {dynamics.fall_s * 1e3:.0f} ms",
             f"hysteresis: falling loads read up to {opened:.1%} more than rising ones",
             f"error on the last third, which was not fitted: {held_out.before_pa:.0f} Pa rms "

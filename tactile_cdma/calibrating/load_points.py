@@ -88,6 +88,11 @@ def read_points(path: Path, nodes: int, vref_v: float, area_m2: float | None = N
             + (": are these mV? Name the column voltage_mv" if millivolts else ""),
             row,
         )
+    if table.headings["voltage"] == "voltage_mv" and voltage_v.max() * 1e3 <= vref_v:
+        raise table.refusal(
+            f"the largest voltage is {voltage_v.max() * 1e3:g} mV: are these V? "
+            "Name the column voltage_v"
+        )
     return LoadPoints(
         node_numbers(table, nodes), pressure_pa, voltage_v, table.line, source=path.name
     )

@@ -88,9 +88,11 @@ class LoadSession:
         """
         try:
             with path.open("a" if append else "x", encoding="utf-8") as file:
-                taken = self._take(file, steps_kpa)
-                if not file.tell():
-                    path.unlink()
+                try:
+                    taken = self._take(file, steps_kpa)
+                finally:
+                    if not file.tell():
+                        path.unlink()
         except FileExistsError:
             raise CalibrationError(
                 f"{path}: exists already; --append goes on with it, without a port it is fitted"
@@ -104,6 +106,7 @@ class LoadSession:
         return taken
 
     def _take(self, file: TextIO, steps_kpa: Sequence[float]) -> int:
+        self.skin.collect(0.0)  # a skin that is not heard is told of before anybody loads it
         before_v: Floats | None = None
         taken = 0
         while (load_kpa := self._next(taken, steps_kpa)) is not None:

@@ -104,7 +104,7 @@ def _unknown(cell: str, name: str, kind: str) -> str:
     if kind in KINDS:
         units = ", ".join(f"{kind}_{unit}".rstrip("_") for unit in KINDS[kind])
         return f"column {cell!r} has no unit that is known; use {units}"
-    close = difflib.get_close_matches(name, _HEADINGS, n=1)
+    close = difflib.get_close_matches(name, _HEADINGS, n=1, cutoff=0.8)
     hint = f"did you mean {close[0]}?" if close else f"known are {', '.join(_HEADINGS)}"
     return f"unknown column {cell!r}; {hint}"
 

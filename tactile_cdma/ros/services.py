@@ -71,7 +71,10 @@ class RestKeeper:
         if state is not None:
             driver.pipeline.taxels.restore(state.tare_pa, state.rest_v, state.drift_v)
             if state.tare_pa is not None or state.drift_v is not None:
-                self._log.info(f"tare and drift are those of {state.written}")
+                self._log.info(
+                    f"{self._path}, written {state.written}: "
+                    + _report(driver.pipeline.taxels.baseline.tare_pa, [])
+                )
         self.tell()
 
     def deactivate(self) -> None:

@@ -329,6 +329,19 @@ def test_nothing_taken_is_said(
     nothing = ["--port", "sim://", "-o", tmp_path / "nothing.yaml"]
     assert "no load was taken" in refusal(capsys, *nothing)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_port_that_is_not_there_is_told_of_before_a_load_and_leaves_no_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unasked(question: str) -> str:
+        raise AssertionError(question)
+
+    monkeypatch.setattr("builtins.input", unasked)
+    nowhere = ["--port", tmp_path / "none", "-o", tmp_path / "skin.yaml"]
+    assert "no such port" in refusal(capsys, *nowhere)
+    assert not list(tmp_path.iterdir())
+    assert not list(tmp_path.iterdir())
     monkeypatch.setattr("builtins.input", lambda question: "10")
     monkeypatch.setattr("tactile_cdma.calibrating.load_session.PATIENCE_S", 0.5)
     missing = ["--port", tmp_path / "no-tty", "-o", tmp_path / "skin.yaml"]

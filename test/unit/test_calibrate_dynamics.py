@@ -113,7 +113,7 @@ def test_what_two_recordings_teach_holds_for_loads_never_seen(
     values = pairs(out)
     assert float(values["rise_ms"]) == pytest.approx(PAPER_DYNAMICS.rise_s * 1e3, rel=0.1)
     assert float(values["hysteresis_removed"]) >= 0.7
-    assert "dynamics from 8 loading cycles, with an offset of the clocks that is -" in out
+    assert "dynamics from 8 loading cycles, which move the offset of the clocks by -" in out
     assert output.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
 
     before, after = (read_content(path, NODES, ADC) for path in (curves, output))
