@@ -66,19 +66,14 @@ class Baseline:
         voltage_v: NDArray[np.float32],
         pressure_pa: NDArray[np.float32],
         valid: NDArray[np.bool_],
-    ) -> bool:
-        """Remember what the skin reads now; whether all of the last looks were the same.
+    ) -> None:
+        """Remember what the skin reads now.
 
         voltage_v: (n,) V, without drift_v. pressure_pa: (n,) Pa, before the tare. valid: (n,) bool.
         """
         at = self._looks % LOOKS
         self._voltage_v[at], self._pressure_pa[at], self._valid[at] = voltage_v, pressure_pa, valid
         self._looks += 1
-        return (
-            self._looks >= LOOKS
-            and bool((self._voltage_v == voltage_v).all())
-            and bool((self._valid == valid).all())
-        )
 
     @property
     def seen(self) -> bool:
