@@ -28,19 +28,19 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from tactile_cdma.baseline import LOOK_S, Baseline, RestRules
+from tactile_cdma.calibrating.identify import identify
+from tactile_cdma.calibrating.load_points import LoadPoints
+from tactile_cdma.calibrating.skin_fit import fit_skin
 from tactile_cdma.calibration import AdcScale, Calibration, Curves, PressureCurve
 from tactile_cdma.contact import ContactThresholds, ContactTracker
 from tactile_cdma.drift import DriftTracker, nodes_beside
 from tactile_cdma.dynamics import Compensator, Dynamics
 from tactile_cdma.errors import CalibrationError
-from tactile_cdma.identify import identify
 from tactile_cdma.layout import Layout
-from tactile_cdma.load_points import LoadPoints
 from tactile_cdma.pressure import PressureChain
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES
 from tactile_cdma.sim.sensor import PAPER_DYNAMICS, Sensor, SensorModel
-from tactile_cdma.skin_fit import fit_skin
 from tactile_cdma.tare import take_tare
 from tactile_cdma.taxels import Readings
 

@@ -16,15 +16,20 @@ import tactile_cdma
 from tactile_cdma.taxels import Status
 
 ROOT = Path(__file__).resolve().parents[2]
-MODULES = sorted(path.stem for path in (ROOT / "tactile_cdma").glob("*.py"))
+PACKAGE = ROOT / "tactile_cdma"
+MODULES = sorted(
+    ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
+    for path in (*PACKAGE.glob("*.py"), *PACKAGE.glob("calibrating/*.py"))
+)
 OUTER = {
     "__init__",
     "__main__",
     "source",
     "cli",
     "driver",
-    "calibrate",
-    "load_session",
+    "calibrating.__init__",
+    "calibrating.command",
+    "calibrating.load_session",
 }  # these may do I/O
 OTHER_ROS_PACKAGES = {"ament_index_python", "launch", "launch_ros", "rclpy"}
 COME_WITH_OTHER_WHEELS = {
