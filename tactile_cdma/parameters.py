@@ -414,7 +414,7 @@ def _layout(get: Mapping[str, Any]) -> Layout:
     if not get["layout_file"]:
         taxel_m = get["taxel_mm"] * 1e-3
         return Layout.grid(get["nodes"], get["rows"], get["columns"], pitch_m, taxel_m)
-    path = Path(get["layout_file"]).expanduser()
+    path = _path("layout_file", get["layout_file"])
     layout = read_layout(path, Wiring(get["nodes"], get["first_row"], get["skin"]))
     # Defaults say nothing: ROS gives every parameter a value.
     for name, theirs in (
@@ -433,10 +433,19 @@ def _layout(get: Mapping[str, Any]) -> Layout:
 def _calibration(
     file: str, spec: FrameSpec, adc: AdcScale, curve: PressureCurve, skin: str
 ) -> Calibration:
-    """From a file, a path from the working folder or the home folder (~) on; none: the default."""
+    """From a file; without one the default."""
     if not file:
         return Calibration.default(curve, spec.nodes)
-    return read_calibration(Path(file), spec.nodes, adc, curve, skin)
+    path = _path("calibration_file", file)
+    return read_calibration(path, spec.nodes, adc, curve, skin)
+
+
+def _path(name: str, text: str) -> Path:
+    """A parameter's path, from the working folder or the home folder (~) on."""
+    try:
+        return Path(text).expanduser()
+    except RuntimeError:
+        raise SpecError(f"{name} is {text}: no such user's home") from None
 
 
 def _check_roll_call(spec: FrameSpec, timing: str, samples_per_chip: int) -> None:

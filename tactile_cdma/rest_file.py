@@ -21,6 +21,7 @@ MOST_BYTES = 4 << 20
 """65,535 nodes take 1.5 MB."""
 _PRESSURE_DIGITS, _VOLTAGE_DIGITS = 2, 8
 """Decimals of Pa and V that are kept."""
+_SUFFIX = ".rest.yaml"
 _HEAD = "# Written by the driver: what it takes off readings. Delete it to start anew.\n"
 
 
@@ -63,10 +64,19 @@ def rest_path(folder: str, node: str) -> Path:
     """The file of a ROS node, by its fully qualified name.
 
     folder: may begin with ~; empty: $ROS_HOME/tactile_cdma, or ~/.ros/tactile_cdma.
+    Raises RestError where ~ is of a user that there is not.
     """
-    home = Path(os.environ.get("ROS_HOME") or "~/.ros").expanduser()
-    parent = Path(folder).expanduser() if folder else home / "tactile_cdma"
-    return parent / f"{node.strip('/').replace('/', '.')}.rest.yaml"
+    parent = Path(folder or Path(os.environ.get("ROS_HOME") or "~/.ros", "tactile_cdma"))
+    try:
+        parent = parent.expanduser()
+    except RuntimeError:
+        raise RestError(f"no folder for tare and drift: {parent}: no such user's home") from None
+    return parent / f"{node.strip('/').replace('/', '.')}{_SUFFIX}"
+
+
+def calibration_path(rest: Path) -> Path:
+    """Beside a node's file, that of the calibration it was found with."""
+    return rest.with_name(rest.name.removesuffix(_SUFFIX) + ".calibration.yaml")
 
 
 def write_rest(path: Path, state: RestState) -> None:

@@ -18,7 +18,7 @@ from ..calibration_file import write_calibration
 from ..driver import Driver
 from ..errors import RestError, TactileError
 from ..parameters import SkinConfig
-from ..rest_file import RestState, read_rest, rest_path, set_aside, write_rest
+from ..rest_file import RestState, calibration_path, read_rest, set_aside, write_rest
 from . import convert
 
 TELL_S = 10.0
@@ -42,7 +42,7 @@ class RestKeeper:
         self._node, self._log, self._tell = node, node.get_logger(), tell
         self._driver: Driver | None = None
         self._config: SkinConfig | None = None
-        self._path = rest_path("", node.get_fully_qualified_name())
+        self._path = Path()
         self._state: RestState | None = None  # as it was read or written last
         self._others_file = False  # what is on disk is not ours to overwrite
         self._writable = True
@@ -54,10 +54,10 @@ class RestKeeper:
 
     # Lifecycle
 
-    def configure(self, config: SkinConfig, folder: str) -> None:
-        """Read the file of this skin, if there is one."""
-        self._config, self._writable, self._others_file = config, True, False
-        self._path = rest_path(folder, self._node.get_fully_qualified_name())
+    def configure(self, config: SkinConfig, path: Path) -> None:
+        """Read the file of this skin, if there is one; path: see rest_path."""
+        self._path, self._config = path, config
+        self._writable, self._others_file = True, False
         try:
             self._state = read_rest(self._path)
         except RestError as error:
@@ -221,7 +221,7 @@ class RestKeeper:
         """Write the curves in force beside tare and drift; raises CalibrationError."""
         assert self._config is not None
         config = self._config
-        path = self._path.with_name(self._path.name.replace(".rest.", ".calibration."))
+        path = calibration_path(self._path)
         source = f"the calibration {config.calibration.identity or 'by default'} of a running skin"
         write_calibration(path, config.calibration, config.adc, config.skin, source)
         return path

@@ -220,6 +220,14 @@ def test_without_a_folder_to_write_to_the_driver_goes_on(
         assert np.allclose(client.arrays[-1].pressure, 0, atol=15)
 
 
+@pytest.mark.parametrize("parameter", ["state_folder", "calibration_file", "layout_file"])
+def test_a_home_that_nobody_has_is_a_reason_not_to_start(parameter: str) -> None:
+    with running(port=IDLE, **{parameter: "~nobody-of-that-name/skin"}) as (_, client):
+        wait_for(lambda: client.diagnostics)
+    assert "~nobody-of-that-name/skin" in client.diagnostics[-1].message
+    assert "no such user's home" in client.diagnostics[-1].message
+
+
 def test_drift_is_followed_told_of_and_kept(
     preload: Callable[[float], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -306,7 +314,11 @@ def test_other_curves_forget_the_tare_and_a_bad_file_changes_nothing(
     bad.write_text(path.read_text().replace("nodes: 16", "nodes: 17"))
     with running(port=IDLE, state_folder=str(tmp_path)) as (_, client):
         assert tare_at_last(client).success
-        for file, reason in ((bad, "line"), (tmp_path / "none.yaml", "No such file")):
+        for file, reason in (
+            (bad, "line"),
+            (tmp_path / "none.yaml", "No such file"),
+            ("~nobody-of-that-name/skin.yaml", "no such user's home"),
+        ):
             taken, why = client.set(calibration_file=str(file))
             assert not taken and str(file) in why and reason in why
         assert client.arrays[-1].info_id == 2

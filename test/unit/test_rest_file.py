@@ -14,7 +14,14 @@ from hypothesis.extra.numpy import arrays
 
 from tactile_cdma.calibration import Curves, PressureCurve
 from tactile_cdma.errors import RestError
-from tactile_cdma.rest_file import RestState, read_rest, rest_path, set_aside, write_rest
+from tactile_cdma.rest_file import (
+    RestState,
+    calibration_path,
+    read_rest,
+    rest_path,
+    set_aside,
+    write_rest,
+)
 
 STATE = RestState(
     skin="left palm",
@@ -71,6 +78,21 @@ def test_files_are_named_after_their_node_below_ros_home(
     below_home = tmp_path / "home" / ".ros" / "tactile_cdma"
     assert rest_path("", "/left/hand/skin") == below_home / "left.hand.skin.rest.yaml"
     assert rest_path("~/skins", "/skin") == tmp_path / "home" / "skins" / "skin.rest.yaml"
+
+
+def test_no_two_nodes_share_a_file() -> None:
+    nodes = ("/skin", "/a/rest/skin", "/a/calibration/skin", "/rest", "/calibration")
+    rests = [rest_path("/state", node) for node in nodes]
+    assert calibration_path(rests[0]) == Path("/state/skin.calibration.yaml")
+    assert len({*rests, *map(calibration_path, rests)}) == 2 * len(nodes)
+
+
+def test_a_home_that_nobody_has_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(RestError, match=r"~nobody-of-that-name/skins: no such user's home"):
+        rest_path("~nobody-of-that-name/skins", "/skin")
+    monkeypatch.setenv("ROS_HOME", "~nobody-of-that-name")
+    with pytest.raises(RestError, match="~nobody-of-that-name/tactile_cdma"):
+        rest_path("", "/skin")
 
 
 def test_writing_replaces_the_file_and_leaves_nothing_else(tmp_path: Path) -> None:
