@@ -47,7 +47,8 @@ class Baseline:
         self._valid = np.zeros((LOOKS, nodes), dtype=bool)
 
     def clear(self) -> None:
-        """Forget tare and drift."""
+        """Forget tare and drift, and what was seen while they were in force."""
+        self.forget()
         self.tare_pa = np.zeros_like(self.tare_pa)
         self.drift_v = np.zeros_like(self.drift_v)
         self.rest_v = None

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .baseline import Baseline
 from .calibration import AdcScale, Calibration
 from .decode import Words
+from .dynamics import Compensator
 from .health import NodeHealth, NodeState
 from .layout import Layout
 from .pressure import PressureChain
@@ -123,33 +124,35 @@ class Taxels:
         curves = self.chain.calibration.curves
         unheard = take_tare(self.baseline, curves, self._layout, self._lsb_v, contact_pa, force)
         self.refresh()
-        return unheard
+        return [number for number in unheard if not self._masked[number - 1]]
 
     def restore(
         self,
-        tare_pa: NDArray[np.float32] | None = None,
         rest_v: NDArray[np.float32] | None = None,
         drift_v: NDArray[np.float32] | None = None,
     ) -> None:
-        """Take over what a Baseline had, (n,) float32 each; None: no tare, no drift."""
+        """Take over what a Baseline had, (n,) float32 each; None: no tare, no drift.
+
+        The tare is what the curves make of rest_v: so does a compensation that knows of no load.
+        """
         self.baseline.clear()
-        if tare_pa is not None and rest_v is not None:
-            self.baseline.tare_pa, self.baseline.rest_v = tare_pa, rest_v
+        if rest_v is not None:
+            self.baseline.rest_v = rest_v
+            self.baseline.tare_pa = self.chain.calibration.curves.pressure(rest_v)
         if drift_v is not None:
             self.baseline.drift_v = drift_v
         self.refresh()
 
-    def calibrate(self, calibration: Calibration) -> bool:
-        """Read voltages by another calibration from now on.
+    def calibrate(self, calibration: Calibration, compensator: Compensator | None = None) -> bool:
+        """Read voltages by another calibration from now on; see PressureChain.
 
         Tare and drift were found with the curves before: where these change both are forgotten.
         Returns whether they stay.
         """
-        stay = calibration.curves.checksum == self.chain.calibration.curves.checksum
-        self.chain.calibration = calibration
-        if not stay:
-            self.baseline.clear()
-        self.refresh()
+        baseline, chain = self.baseline, self.chain
+        stay = calibration.curves.checksum == chain.calibration.curves.checksum
+        chain.calibration, chain.compensator = calibration, compensator
+        self.restore(*(baseline.rest_v, baseline.drift_v) if stay else ())
         return stay
 
     def refresh(self) -> None:

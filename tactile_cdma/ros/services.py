@@ -69,8 +69,8 @@ class RestKeeper:
         """Apply what was found before; the driver does not run yet."""
         self._driver, state = driver, self._state
         if state is not None:
-            driver.pipeline.taxels.restore(state.tare_pa, state.rest_v, state.drift_v)
-            if state.tare_pa is not None or state.drift_v is not None:
+            driver.pipeline.taxels.restore(state.rest_v, state.drift_v)
+            if state.rest_v is not None or state.drift_v is not None:
                 self._log.info(f"tare and drift are those of {state.written}")
         self.tell()
 
@@ -230,13 +230,13 @@ class RestKeeper:
         """What is in force; while nothing streams, what was last."""
         assert self._config is not None
         config, kept, curves = self._config, self._state, self._config.calibration.curves
-        tare_pa = rest_v = drift_v = None
+        rest_v = drift_v = None
         if self._driver is not None:
             baseline = self._driver.pipeline.taxels.baseline
-            tare_pa, rest_v = baseline.tare_pa if baseline.tared else None, baseline.rest_v
+            rest_v = baseline.rest_v
             drift_v = baseline.drift_v if baseline.drift_v.any() else None
         elif kept is not None:
-            tare_pa, rest_v, drift_v = kept.tare_pa, kept.rest_v, kept.drift_v
+            rest_v, drift_v = kept.rest_v, kept.drift_v
         return RestState(
             skin=config.skin,
             nodes=config.spec.nodes,
@@ -244,7 +244,6 @@ class RestKeeper:
             curves=curves.checksum,
             written=_now(),
             tared=self._tared,
-            tare_pa=tare_pa,
             rest_v=rest_v,
             drift_v=drift_v,
         )

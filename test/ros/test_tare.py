@@ -30,6 +30,7 @@ from tactile_cdma.srv import Tare  # noqa: E402
 pytestmark = pytest.mark.ros
 IDLE = "sim://?scene=idle"
 ALL = "sim://?scene=all"
+REST_V = 3.3 - 781.25 * 0.033e-3
 OFF = "nodes off their rest"
 
 
@@ -95,7 +96,7 @@ def test_a_tare_shows_in_readings_info_and_file_and_no_frame_is_lost(
     assert has_no_gap(client.arrays)
     [path] = tmp_path.iterdir()
     assert path.name == "skin.rest.yaml"
-    assert np.allclose(yaml.safe_load(path.read_text())["tare_pa"], 781.25, atol=1)
+    assert np.allclose(yaml.safe_load(path.read_text())["rest_v"], REST_V)
 
 
 def test_a_tare_outlives_the_driver(preload: Callable[[float], None], tmp_path: Path) -> None:
@@ -131,7 +132,7 @@ def test_a_tare_under_load_is_refused_unless_forced_and_can_be_cleared(tmp_path:
         assert min(client.arrays[-1].pressure) > 10e3
         wait_for(lambda: len(client.infos) == 3)
     assert [len(info.tare) for info in client.infos] == [0, 16, 0]
-    assert yaml.safe_load((tmp_path / "skin.rest.yaml").read_text())["tare_pa"] is None
+    assert yaml.safe_load((tmp_path / "skin.rest.yaml").read_text())["rest_v"] is None
 
 
 def test_services_answer_in_every_state(tmp_path: Path) -> None:
@@ -332,4 +333,4 @@ def test_other_curves_forget_the_tare_and_a_bad_file_changes_nothing(
         assert tare(client).success
     assert has_no_gap(client.arrays)
     kept = yaml.safe_load((tmp_path / "skin.rest.yaml.old").read_text())
-    assert np.allclose(kept["tare_pa"], 781.25, atol=1)  # for when the curves before come back
+    assert np.allclose(kept["rest_v"], REST_V)  # for when the curves before come back
