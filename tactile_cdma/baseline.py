@@ -92,6 +92,11 @@ class Baseline:
         return np.asarray(self._valid.all(axis=0))
 
     @property
+    def ever_valid(self) -> NDArray[np.bool_]:
+        """(n,) bool, nodes with a valid reading in any of the last looks."""
+        return np.asarray(self._valid.any(axis=0))
+
+    @property
     def voltage_v(self) -> NDArray[np.float32]:
         """(n,) float32, V, median of the last looks, without drift_v."""
         return np.asarray(np.median(self._voltage_v, axis=0))

@@ -77,6 +77,7 @@ class Taxels:
         self._silence: Readings | None = None  # what silent frames read, until somebody speaks
         self._stale_from_s = -np.inf  # when the next node goes stale
         self._now_s = 0.0
+        self._began_s = np.inf  # the first frame's time
 
     @property
     def stale_after_s(self) -> float:
@@ -110,7 +111,7 @@ class Taxels:
 
     def forget(self) -> None:
         """The device's clock starts anew: nobody was heard on it."""
-        self._heard_s[:] = -np.inf
+        self._heard_s[:], self._began_s = -np.inf, np.inf
         self._silence, self._stale_from_s = None, -np.inf
         self.chain.forget()
 
@@ -122,7 +123,16 @@ class Taxels:
     def tare(self, contact_pa: float, force: bool = False) -> list[int]:
         """Take what the skin reads now for zero; see take_tare."""
         curves = self.chain.calibration.curves
-        unheard = take_tare(self.baseline, curves, self._layout, self._lsb_v, contact_pa, force)
+        begun = self._now_s - self._began_s <= self._stale_after_s
+        unheard = take_tare(
+            self.baseline,
+            curves,
+            self._layout,
+            self._lsb_v,
+            contact_pa,
+            begun & ~self._masked,
+            force,
+        )
         self.refresh()
         return [number for number in unheard if not self._masked[number - 1]]
 
@@ -162,7 +172,7 @@ class Taxels:
 
     def update(self, words: Words, t_device: float, health: NodeHealth) -> Readings:
         """Take one frame's words, spoken at t_device (s)."""
-        self._now_s = t_device
+        self._now_s, self._began_s = t_device, min(self._began_s, t_device)
         spoke = words.active
         anybody = bool(spoke.any())
         if anybody:

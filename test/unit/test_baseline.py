@@ -170,6 +170,26 @@ def test_a_tare_needs_a_second_of_readings() -> None:
         patch.taxels.tare(1000.0)
 
 
+def test_a_tare_waits_for_nodes_that_are_still_to_be_heard() -> None:
+    """Those that have yet to speak after a start, and those that spoke only just now."""
+    patch = Patch(drift_pa_per_min=0.0, stale_after_s=3.0)
+    patch.mute = (1, 4)
+    patch.read(SECOND, 500.0)
+    with pytest.raises(RestError, match="not yet heard for 1 s: nodes 2, 5; try again, or"):
+        patch.taxels.tare(1000.0)
+    patch.mute = (4,)
+    patch.read(2 * SECOND, 500.0)  # 4.5 s after the start node 5 is awaited no longer
+    assert patch.taxels.tare(1000.0) == [5]
+    patch.mute = ()
+    patch.read(SECOND // 2, 500.0)
+    with pytest.raises(RestError, match="not yet heard for 1 s: nodes 5;"):
+        patch.taxels.tare(1000.0)
+    assert patch.taxels.tare(1000.0, force=True) == [5]
+    patch.read(SECOND, 500.0)
+    assert patch.taxels.tare(1000.0) == []
+    assert np.array_equal(patch.read(1, 500.0).pressure_pa, np.zeros(6))
+
+
 def test_a_skin_that_nobody_heard_is_not_tared() -> None:
     patch = Patch()
     patch.mute = tuple(range(6))
@@ -307,7 +327,7 @@ def test_nodes_out_of_service_are_not_named() -> None:
     patch.pipeline = Pipeline(replace(config, layout=layout))
     patch.taxels = patch.pipeline.taxels
     patch.mute = (2, 5)
-    patch.read(SECOND)
+    patch.read(3 * SECOND)
     assert patch.taxels.tare(1000.0) == [6]
 
 
