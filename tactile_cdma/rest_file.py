@@ -140,7 +140,7 @@ def read_rest(path: Path) -> RestState | None:
         if len(data) > MOST_BYTES:
             raise RestError(f"{path}: larger than {MOST_BYTES >> 20} MB; is it something else?")
         text = data.decode("utf-8")
-        _check_depth(text)
+        _check_plain(text)
         content = yaml.load(text, Loader=_LOADER)
     except FileNotFoundError:
         return None
@@ -158,10 +158,15 @@ _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # 10 times as quick, where it is built in
 
 
-def _check_depth(text: str) -> None:
-    """Raises YAMLError for deep nesting: the loader in C then ends the whole process."""
+def _check_plain(text: str) -> None:
+    """Raises YAMLError for deep nesting, with which the loader in C ends the whole process.
+
+    And for aliases, with which a few lines make lists that no memory holds once they are shown.
+    """
     depth = 0
     for event in yaml.parse(text, Loader=_LOADER):
+        if isinstance(event, yaml.AliasEvent):
+            raise yaml.YAMLError("aliases are not taken here")
         depth += isinstance(event, yaml.CollectionStartEvent)
         depth -= isinstance(event, yaml.CollectionEndEvent)
         if depth > _DEPTH:

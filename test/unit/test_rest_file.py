@@ -173,6 +173,13 @@ def test_damaged_content_is_refused_with_the_file_and_the_cause(
     assert str(path) in str(refused.value)
 
 
+LAUGHS = b"schema: tactile_cdma/rest\na: &a [1]\n" + b"".join(
+    b"%c: &%c [%s]\n" % (name, name, b", ".join([b"*%c" % (name - 1)] * 9))
+    for name in b"bcdefghijkl"
+) + b"version: *l\n"
+"""Its version is a list of lists … of 9¹¹ ones."""
+
+
 @pytest.mark.parametrize(
     ("data", "reason"),
     [
@@ -182,6 +189,7 @@ def test_damaged_content_is_refused_with_the_file_and_the_cause(
         (b"\xff\xfe\x00", "not a YAML file"),
         (b"a: [1, 2", "not a YAML file"),
         (b"[" * 100_000, "nested deeper"),
+        (LAUGHS, "aliases"),
         (b"!!python/object/apply:os.system ['true']", "not a YAML file"),
         (b"x" * (5 << 20), "larger than 4 MB"),
     ],
