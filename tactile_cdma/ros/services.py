@@ -14,9 +14,9 @@ from std_srvs.srv import Trigger
 
 from tactile_cdma.srv import Tare
 
-from ..calibration_file import write_calibration
+from ..calibration_file import CalibrationContent, read_calibration, write_calibration
 from ..driver import Driver
-from ..errors import RestError, TactileError
+from ..errors import CalibrationError, RestError, TactileError
 from ..parameters import SkinConfig
 from ..rest_file import RestState, calibration_path, read_rest, set_aside, write_rest
 from . import convert
@@ -211,17 +211,29 @@ class RestKeeper:
     def _write(self) -> None:
         """Write what is in force; raises RestError."""
         state = self._present_state()
-        if self._others_file and (aside := set_aside(self._path)):
-            self._log.info(f"what was in {self._path} is in {aside} now")
+        if self._others_file:
+            self._set_aside(self._path)
         self._others_file = False
         write_rest(self._path, state)
         self._state, self._writable, self._saved_s = state, True, time.monotonic()
 
+    def _set_aside(self, path: Path) -> None:
+        """Keep what is in a file that is about to be written; raises RestError."""
+        if aside := set_aside(path):
+            self._log.info(f"what was in {path} is in {aside} now")
+
     def _write_calibration(self) -> Path:
-        """Write the curves in force beside tare and drift; raises CalibrationError."""
+        """Write the curves in force beside tare and drift, if they are not; raises TactileError."""
         assert self._config is not None
-        config = self._config
-        path = calibration_path(self._path)
+        config, path = self._config, calibration_path(self._path)
+        content = CalibrationContent.of(config.calibration, config.adc, config.skin)
+        try:
+            kept = read_calibration(path, content.nodes, config.adc, config.curve, config.skin)
+            if kept.identity == content.identity:
+                return path
+        except CalibrationError:
+            pass  # not there, or not ours
+        self._set_aside(path)
         source = f"the calibration {config.calibration.identity or 'by default'} of a running skin"
         write_calibration(path, config.calibration, config.adc, config.skin, source)
         return path

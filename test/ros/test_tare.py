@@ -162,6 +162,21 @@ def test_services_answer_in_every_state(tmp_path: Path) -> None:
         assert "not active" in tare(client).message
 
 
+def test_a_calibration_that_was_put_there_is_not_overwritten(tmp_path: Path) -> None:
+    """The one in force stays as it is, with its comments; another one is set aside."""
+    kept, lab = tmp_path / "skin.calibration.yaml", "# the lab's, of May\n"
+    other = Calibration.default(PressureCurve.two_stage(knee_pa=40e3), 16)
+    for calibration in (Calibration.default(PressureCurve.two_stage(), 16), other):
+        write_calibration(kept, calibration, AdcScale())
+        kept.write_text(lab + kept.read_text())
+        with running(port=IDLE, state_folder=str(tmp_path), autostart=False) as (_, client):
+            assert client.change(Transition.TRANSITION_CONFIGURE)
+            saved = client.call(Trigger, "save_calibration", Trigger.Request())
+        assert saved.success, saved.message
+        assert kept.read_text().startswith(lab) == (calibration is not other)
+    assert (tmp_path / "skin.calibration.yaml.old").read_text().startswith(lab)
+
+
 def test_a_tare_while_the_port_is_gone_is_refused(tmp_path: Path) -> None:
     path, stop, ready = tmp_path / "skin", threading.Event(), threading.Event()
     plugged = threading.Thread(

@@ -173,10 +173,14 @@ def test_damaged_content_is_refused_with_the_file_and_the_cause(
     assert str(path) in str(refused.value)
 
 
-LAUGHS = b"schema: tactile_cdma/rest\na: &a [1]\n" + b"".join(
-    b"%c: &%c [%s]\n" % (name, name, b", ".join([b"*%c" % (name - 1)] * 9))
-    for name in b"bcdefghijkl"
-) + b"version: *l\n"
+LAUGHS = (
+    b"schema: tactile_cdma/rest\na: &a [1]\n"
+    + b"".join(
+        b"%c: &%c [%s]\n" % (name, name, b", ".join([b"*%c" % (name - 1)] * 9))
+        for name in b"bcdefghijkl"
+    )
+    + b"version: *l\n"
+)
 """Its version is a list of lists … of 9¹¹ ones."""
 
 
