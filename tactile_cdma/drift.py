@@ -98,7 +98,7 @@ class DriftTracker:
             baseline.drift_v = baseline.drift_v + step_v
         change_v = np.clip(voltage_v - self._usual_v, *self._slowly(passed_s)) * resting
         self._usual_v += change_v
-        return bool(due.any() or change_v.any())
+        return bool(due.any() or change_v.any() or (voltage_v != self._trail_v).any())
 
     def _untouched(
         self,

@@ -306,6 +306,23 @@ def test_a_tare_holds_whatever_becomes_of_the_compensation() -> None:
     assert np.abs(patch.read(SECOND, 9e3).pressure_pa).max() < 1
 
 
+def test_a_tare_of_a_silent_skin_is_of_its_settled_pressure() -> None:
+    """Nobody speaks while the compensation of a rise dies away, nor later."""
+    config = SkinConfig.of({"nodes": 6, "rows": 2, "columns": 3, "stale_after_s": 60.0})
+    calibration = replace(config.calibration, dynamics=Dynamics(0.74, 0.0109, (0.1,), (0.2,)))
+    pipeline = Pipeline(replace(config, calibration=calibration, compensation=True))
+    health, everybody = NodeHealth(config.spec), np.ones(6, bool)
+    for frame in range(10 * SECOND):
+        words, spoken = silent(6, 0.0), {0: 0.0, SECOND: 20e3}
+        if frame in spoken:
+            codes = ADC.code(CURVE.voltage(np.full(6, spoken[frame])))
+            words = replace(words, active=everybody, codes=codes)
+        pipeline.taxels.update(words, frame * FRAME_S, health)
+    pipeline.taxels.tare(1000.0, force=True)
+    readings = pipeline.taxels.update(silent(6, 0.0), 10 * SECOND * FRAME_S, health)
+    assert np.abs(readings.pressure_pa).max() < 1
+
+
 def test_a_tare_is_of_what_was_seen_with_the_curves_in_force() -> None:
     patch = Patch(drift_pa_per_min=0.0)
     patch.read(SECOND, 5e3)

@@ -296,6 +296,29 @@ def test_nobody_is_a_stray_for_not_being_looked_at() -> None:
     assert rig.tracker.strays_lsb(rig.t_s) == {}
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_frames_that_are_skipped_change_nothing(seed: int) -> None:
+    """Beyond what is too little to be followed; touches and drift come and go."""
+    rng = np.random.default_rng(seed)
+    whole, thrifty = Rig(6), Rig(6)
+    load_pa, offset_v = np.zeros(6), rng.uniform(-1, 1, 6) * ADC.lsb_v
+    before_v, skipped = np.full(6, np.nan), 0
+    for _ in range(6000):
+        if rng.random() < 0.004:
+            load_pa[rng.integers(6)] = rng.choice([0.0, 0.0, 0.0, 250.0, 400.0, 3e3])
+        if rng.random() < 0.01:
+            offset_v = offset_v + rng.normal(0, 0.3, 6) * ADC.lsb_v
+        expected = whole.read(load_pa, offset_v)
+        voltage_v = thrifty.measure(load_pa, offset_v)
+        if np.array_equal(voltage_v, before_v) and thrifty.chain.steady(thrifty.t_s):
+            skipped += 1
+        else:
+            readings, before_v = thrifty.read(load_pa, offset_v), voltage_v
+        assert np.abs(readings - expected).max() < 0.01 * LSB_PA
+        whole.t_s = thrifty.t_s = whole.t_s + 0.1
+    assert skipped > 100
+
+
 def test_steady_means_that_nothing_changes() -> None:
     """The chain asks to be updated until a resting node reads nothing, then no more."""
     rig = Rig(4)
