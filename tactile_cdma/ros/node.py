@@ -7,7 +7,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -188,10 +187,7 @@ class SkinNode(LifecycleNode):
         assert self._config is not None
         values = {**self._values(), **new}
         config = self._config.adjusted(values)
-        if CALIBRATING & new.keys():
-            read = SkinConfig.of(values)
-            config = replace(config, calibration=read.calibration, compensation=read.compensation)
-        return config
+        return config.recalibrated(values) if CALIBRATING & new.keys() else config
 
     # Lifecycle. rclpy swallows exceptions of these callbacks, so each says what went wrong itself.
 
