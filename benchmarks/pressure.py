@@ -177,7 +177,7 @@ def read(chain: PressureChain, voltage_v: Floats, tare_s: float = math.inf) -> F
     for i, v in enumerate(voltage_v.astype(np.float32)):
         rows.append(chain.update(v, valid, i * PERIOD_S)[0])
         if i >= tare_frame and chain.tracker and not chain.baseline.tared:
-            take_tare(chain.baseline, curves, layout, ADC.lsb_v, RULES.contact_pa, force=True)
+            take_tare(chain.baseline, curves, layout, ADC.lsb_v, RULES.contact_pa, ~valid, True)
     return np.array(rows)
 
 

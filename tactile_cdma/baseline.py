@@ -47,7 +47,8 @@ class Baseline:
         self._valid = np.zeros((LOOKS, nodes), dtype=bool)
 
     def clear(self) -> None:
-        """Forget tare and drift."""
+        """Forget tare and drift, and what was seen while they were in force."""
+        self.forget()
         self.tare_pa = np.zeros_like(self.tare_pa)
         self.drift_v = np.zeros_like(self.drift_v)
         self.rest_v = None
@@ -84,6 +85,11 @@ class Baseline:
     def valid(self) -> NDArray[np.bool_]:
         """(n,) bool, nodes with a valid reading in every one of the last looks."""
         return np.asarray(self._valid.all(axis=0))
+
+    @property
+    def ever_valid(self) -> NDArray[np.bool_]:
+        """(n,) bool, nodes with a valid reading in any of the last looks."""
+        return np.asarray(self._valid.any(axis=0))
 
     @property
     def voltage_v(self) -> NDArray[np.float32]:
