@@ -15,7 +15,7 @@ PORT ?=
 PARAMS ?=
 SECONDS ?=
 FIRMWARE ?=
-PYTEST ?= -n 4
+PYTEST ?= -n 4 --dist loadgroup
 export LC_ALL ?= C.UTF-8
 
 BIN = $(VENV)/bin

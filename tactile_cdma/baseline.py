@@ -47,7 +47,8 @@ class Baseline:
         self._valid = np.zeros((LOOKS, nodes), dtype=bool)
 
     def clear(self) -> None:
-        """Forget tare and drift."""
+        """Forget tare and drift, and what was seen while they were in force."""
+        self.forget()
         self.tare_pa = np.zeros_like(self.tare_pa)
         self.drift_v = np.zeros_like(self.drift_v)
         self.rest_v = None
@@ -66,19 +67,14 @@ class Baseline:
         voltage_v: NDArray[np.float32],
         pressure_pa: NDArray[np.float32],
         valid: NDArray[np.bool_],
-    ) -> bool:
-        """Remember what the skin reads now; whether all of the last looks were the same.
+    ) -> None:
+        """Remember what the skin reads now.
 
         voltage_v: (n,) V, without drift_v. pressure_pa: (n,) Pa, before the tare. valid: (n,) bool.
         """
         at = self._looks % LOOKS
         self._voltage_v[at], self._pressure_pa[at], self._valid[at] = voltage_v, pressure_pa, valid
         self._looks += 1
-        return (
-            self._looks >= LOOKS
-            and bool((self._voltage_v == voltage_v).all())
-            and bool((self._valid == valid).all())
-        )
 
     @property
     def seen(self) -> bool:
@@ -89,6 +85,11 @@ class Baseline:
     def valid(self) -> NDArray[np.bool_]:
         """(n,) bool, nodes with a valid reading in every one of the last looks."""
         return np.asarray(self._valid.all(axis=0))
+
+    @property
+    def ever_valid(self) -> NDArray[np.bool_]:
+        """(n,) bool, nodes with a valid reading in any of the last looks."""
+        return np.asarray(self._valid.any(axis=0))
 
     @property
     def voltage_v(self) -> NDArray[np.float32]:

@@ -90,7 +90,9 @@ class Dynamics:
     def noise_gain(self) -> float:
         """Bound of what compensation makes of white noise on a pressure, rms to rms.
 
-        It holds while the lead is on; without it noise grows by 1/share.
+        It holds while the lead is on; without it noise grows by 1/share. Peaks of a small
+        disturbance of any course grow by (2·most_gain − 1)·(2/share − 1) at most: plays, and what
+        the lead follows, never move by more than what moves them.
         """
         return self.most_gain / self.share
 
@@ -203,8 +205,8 @@ class Compensator:
     this filter alone. The lead sets in once a pressure has risen by more than the last digit and
     ends when it falls, so a resting sensor does not flicker.
 
-    The result lies within 0…range whatever comes in, and noise grows at most by
-    dynamics.noise_gain.
+    The result lies within 0…range whatever comes in, and white noise grows at most by
+    dynamics.noise_gain. Where the lead sets in or ends the result jumps.
     """
 
     def __init__(self, dynamics: Dynamics, range_pa: NDArray[Any]) -> None:

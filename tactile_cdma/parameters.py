@@ -297,13 +297,6 @@ class SkinConfig:
             stage2_v_per_pa=get["sensitivity2_v_per_kpa"] * 1e-3,
         )
         adc = AdcScale(get["bits"], get["vref_v"])
-        calibration = _calibration(get["calibration_file"], spec, adc, curve, get["skin"])
-        if get["compensation"] and calibration.dynamics is None:
-            raise SpecError(
-                f"no dynamics in {get['calibration_file'] or 'the default curve'}, which "
-                "compensation undoes: run tactile-cdma calibrate --dynamics, or set compensation "
-                "to false"
-            )
         return cls(
             spec=spec,
             timing=get["timing"],
@@ -311,7 +304,7 @@ class SkinConfig:
             roll_call=get["roll_call"],
             adc=adc,
             curve=curve,
-            calibration=calibration,
+            calibration=_calibration(get, spec, adc, curve),
             compensation=get["compensation"],
             layout=_layout(get),
             skin=get["skin"],
@@ -327,6 +320,18 @@ class SkinConfig:
         if not self.compensation or dynamics is None:
             return None
         return Compensator(dynamics, self.calibration.curves.range_pa)
+
+    def recalibrated(self, values: Mapping[str, Any]) -> SkinConfig:
+        """With calibration_file, of all parameters' values, read anew, and compensation as there.
+
+        Raises CalibrationError for a file that cannot be used, SpecError where it does not hold
+        what compensation takes.
+        """
+        return replace(
+            self,
+            calibration=_calibration(values, self.spec, self.adc, self.curve),
+            compensation=values["compensation"],
+        )
 
     def adjusted(self, values: Mapping[str, Value]) -> SkinConfig:
         """With the live ones of these values, all of them; files are not read again."""
@@ -414,7 +419,7 @@ def _layout(get: Mapping[str, Any]) -> Layout:
     if not get["layout_file"]:
         taxel_m = get["taxel_mm"] * 1e-3
         return Layout.grid(get["nodes"], get["rows"], get["columns"], pitch_m, taxel_m)
-    path = Path(get["layout_file"]).expanduser()
+    path = _path("layout_file", get["layout_file"])
     layout = read_layout(path, Wiring(get["nodes"], get["first_row"], get["skin"]))
     # Defaults say nothing: ROS gives every parameter a value.
     for name, theirs in (
@@ -431,12 +436,27 @@ def _layout(get: Mapping[str, Any]) -> Layout:
 
 
 def _calibration(
-    file: str, spec: FrameSpec, adc: AdcScale, curve: PressureCurve, skin: str
+    get: Mapping[str, Any], spec: FrameSpec, adc: AdcScale, curve: PressureCurve
 ) -> Calibration:
-    """From a file, a path from the working folder or the home folder (~) on; none: the default."""
-    if not file:
-        return Calibration.default(curve, spec.nodes)
-    return read_calibration(Path(file), spec.nodes, adc, curve, skin)
+    """From a file; without one the default."""
+    calibration, file = Calibration.default(curve, spec.nodes), get["calibration_file"]
+    if file:
+        path = _path("calibration_file", file)
+        calibration = read_calibration(path, spec.nodes, adc, curve, get["skin"])
+    if get["compensation"] and calibration.dynamics is None:
+        raise SpecError(
+            f"no dynamics in {file or 'the default curve'}, which compensation undoes: run "
+            "tactile-cdma calibrate --dynamics, or set compensation to false"
+        )
+    return calibration
+
+
+def _path(name: str, text: str) -> Path:
+    """A parameter's path, from the working folder or the home folder (~) on."""
+    try:
+        return Path(text).expanduser()
+    except RuntimeError:
+        raise SpecError(f"{name} is {text}: no such user's home") from None
 
 
 def _check_roll_call(spec: FrameSpec, timing: str, samples_per_chip: int) -> None:

@@ -174,16 +174,14 @@ class Pipeline:
         Returns whether tare and drift stay: they do unless the curves are others.
         """
         before, self.config = self.config, config
-        if (
-            config.calibration is not before.calibration
-            or config.compensation != before.compensation
-        ):
-            self.taxels.chain.compensator = config.compensator()
         self.threshold = config.threshold
         self.taxels.stale_after_s = config.stale_after_s
         if self.taxels.chain.tracker is not None:
             self.taxels.chain.tracker.rules = config.rest
-        return self.taxels.calibrate(config.calibration)
+        self.taxels.refresh()
+        if config.calibration is before.calibration and config.compensation == before.compensation:
+            return True
+        return self.taxels.calibrate(config.calibration, config.compensator())
 
     def flush(self) -> list[TactileFrame]:
         """At the end of a recording: a last frame that nothing followed."""

@@ -19,8 +19,10 @@ SCHEMA = "tactile_cdma/rest"
 VERSION = 1
 MOST_BYTES = 4 << 20
 """65,535 nodes take 1.5 MB."""
-_PRESSURE_DIGITS, _VOLTAGE_DIGITS = 2, 8
-"""Decimals of Pa and V that are kept."""
+_DIGITS = 8
+"""Decimals of V that are kept."""
+_MOST_V = 100.0
+_SUFFIX = ".rest.yaml"
 _HEAD = "# Written by the driver: what it takes off readings. Delete it to start anew.\n"
 
 
@@ -32,7 +34,7 @@ class RestState:
     empty for the default one; for people. curves: checksum of its curves; tare and drift mean
     nothing without them.
     written: when, in ISO 8601. tared: when the tare was taken; empty: never, or not known.
-    tare_pa, rest_v, drift_v: (n,) float32, see Baseline; None: no tare, no drift.
+    rest_v, drift_v: (n,) float32, see Baseline; None: no tare, no drift.
     """
 
     skin: str
@@ -41,7 +43,6 @@ class RestState:
     curves: str
     written: str
     tared: str
-    tare_pa: NDArray[np.float32] | None
     rest_v: NDArray[np.float32] | None
     drift_v: NDArray[np.float32] | None
 
@@ -63,10 +64,19 @@ def rest_path(folder: str, node: str) -> Path:
     """The file of a ROS node, by its fully qualified name.
 
     folder: may begin with ~; empty: $ROS_HOME/tactile_cdma, or ~/.ros/tactile_cdma.
+    Raises RestError where ~ is of a user that there is not.
     """
-    home = Path(os.environ.get("ROS_HOME") or "~/.ros").expanduser()
-    parent = Path(folder).expanduser() if folder else home / "tactile_cdma"
-    return parent / f"{node.strip('/').replace('/', '.')}.rest.yaml"
+    parent = Path(folder or Path(os.environ.get("ROS_HOME") or "~/.ros", "tactile_cdma"))
+    try:
+        parent = parent.expanduser()
+    except RuntimeError:
+        raise RestError(f"no folder for tare and drift: {parent}: no such user's home") from None
+    return parent / f"{node.strip('/').replace('/', '.')}{_SUFFIX}"
+
+
+def calibration_path(rest: Path) -> Path:
+    """Beside a node's file, that of the calibration it was found with."""
+    return rest.with_name(rest.name.removesuffix(_SUFFIX) + ".calibration.yaml")
 
 
 def write_rest(path: Path, state: RestState) -> None:
@@ -83,9 +93,8 @@ def write_rest(path: Path, state: RestState) -> None:
         "calibration": state.calibration,
         "curves": state.curves,
         "tared": state.tared,
-        "tare_pa": _numbers(state.tare_pa, _PRESSURE_DIGITS),
-        "rest_v": _numbers(state.rest_v, _VOLTAGE_DIGITS),
-        "drift_v": _numbers(state.drift_v, _VOLTAGE_DIGITS),
+        "rest_v": _numbers(state.rest_v),
+        "drift_v": _numbers(state.drift_v),
     }
     text = _HEAD + yaml.dump(content, Dumper=_DUMPER, sort_keys=False, allow_unicode=True)
     try:
@@ -131,7 +140,7 @@ def read_rest(path: Path) -> RestState | None:
         if len(data) > MOST_BYTES:
             raise RestError(f"{path}: larger than {MOST_BYTES >> 20} MB; is it something else?")
         text = data.decode("utf-8")
-        _check_depth(text)
+        _check_plain(text)
         content = yaml.load(text, Loader=_LOADER)
     except FileNotFoundError:
         return None
@@ -149,10 +158,15 @@ _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # 10 times as quick, where it is built in
 
 
-def _check_depth(text: str) -> None:
-    """Raises YAMLError for deep nesting: the loader in C then ends the whole process."""
+def _check_plain(text: str) -> None:
+    """Raises YAMLError for deep nesting, with which the loader in C ends the whole process.
+
+    And for aliases, with which a few lines make lists that no memory holds once they are shown.
+    """
     depth = 0
     for event in yaml.parse(text, Loader=_LOADER):
+        if isinstance(event, yaml.AliasEvent):
+            raise yaml.YAMLError("aliases are not taken here")
         depth += isinstance(event, yaml.CollectionStartEvent)
         depth -= isinstance(event, yaml.CollectionEndEvent)
         if depth > _DEPTH:
@@ -171,9 +185,6 @@ def _state(content: object) -> RestState:
             "written by another driver?"
         )
     nodes = _field(content, "nodes", int)
-    tare_pa, rest_v = _array(content, "tare_pa", nodes), _array(content, "rest_v", nodes)
-    if (tare_pa is None) != (rest_v is None):
-        raise RestError("tare_pa and rest_v belong together; one of them is null")
     return RestState(
         skin=_field(content, "skin", str),
         nodes=nodes,
@@ -181,8 +192,7 @@ def _state(content: object) -> RestState:
         curves=_field(content, "curves", str),
         written=_field(content, "written", str),
         tared=_field(content, "tared", str),
-        tare_pa=tare_pa,
-        rest_v=rest_v,
+        rest_v=_array(content, "rest_v", nodes),
         drift_v=_array(content, "drift_v", nodes),
     )
 
@@ -203,17 +213,13 @@ def _array(content: dict[str, Any], name: str, nodes: int) -> NDArray[np.float32
         return None
     if not isinstance(values, list) or len(values) != nodes:
         raise RestError(f"{name} must hold a number for each of {nodes} nodes, or null")
-    most = _MOST[name]
     for number, value in enumerate(values, start=1):
-        if type(value) not in (int, float) or not -most <= value <= most:
+        if type(value) not in (int, float) or not -_MOST_V <= value <= _MOST_V:
             raise RestError(
-                f"{name} of node {number} is {value!r}; it must be a number within ±{most:g}"
+                f"{name} of node {number} is {value!r}; it must be a number within ±{_MOST_V:g}"
             )
     return np.array(values, dtype=np.float32)
 
 
-_MOST = {"tare_pa": 1e9, "rest_v": 100.0, "drift_v": 100.0}
-
-
-def _numbers(values: NDArray[np.float32] | None, digits: int) -> list[float] | None:
-    return None if values is None else np.round(values.astype(np.float64), digits).tolist()
+def _numbers(values: NDArray[np.float32] | None) -> list[float] | None:
+    return None if values is None else np.round(values.astype(np.float64), _DIGITS).tolist()

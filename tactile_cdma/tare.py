@@ -21,16 +21,19 @@ def take_tare(
     layout: Layout,
     lsb_v: float,
     contact_pa: float,
+    awaited: NDArray[np.bool_],
     force: bool = False,
 ) -> list[int]:
     """Make the median of the last second the zero of every node with valid readings.
 
     Pressure goes into the tare. A voltage above the curve's beginning is no pressure: what is
-    above goes into the drift. lsb_v: one count of the nodes' converters, V.
+    above goes into the drift.
+    lsb_v: one count of the nodes' converters, V. awaited: (n,) bool, nodes that may be heard soon.
     Returns the numbers of the nodes without valid readings, which keep what they had.
 
-    Raises RestError, naming the taxels, where a node moves, or reads more than contact_pa (Pa)
-    above its present zero, unless forced; and where there is nothing to take a tare from.
+    Raises RestError, naming the taxels, where a node moves, reads more than contact_pa (Pa) above
+    its present zero, or has yet to be heard for a second, unless forced; and where there is nothing
+    to take a tare from.
     """
     if not baseline.seen:
         raise RestError(
@@ -40,6 +43,7 @@ def take_tare(
     if not valid.any():
         raise RestError("not tared: no node has a valid reading; is the skin powered?")
     if not force:
+        _refuse_early(np.flatnonzero(~valid & (awaited | baseline.ever_valid)) + 1)
         above_pa = pressure_pa - baseline.tare_pa
         moving = valid & (baseline.span_v > MOVING_LSB * lsb_v)
         _refuse("moving", moving, above_pa, layout, "wait until nothing moves them")
@@ -54,6 +58,19 @@ def take_tare(
     baseline.rest_v = np.where(valid, rest_v - above_v, before_v)
     unheard: list[int] = (np.flatnonzero(~valid) + 1).tolist()
     return unheard
+
+
+def _refuse_early(numbers: NDArray[np.intp]) -> None:
+    """Raises RestError where there are nodes, which would be left with another zero."""
+    if not len(numbers):
+        return
+    names = ", ".join(map(str, numbers[:_MOST_NAMES]))
+    if len(numbers) > _MOST_NAMES:
+        names += f", … {len(numbers)} in all"
+    raise RestError(
+        f"not tared: not yet heard for {LOOKS * LOOK_S:g} s: nodes {names}; try again, or tare the "
+        "others with force: true"
+    )
 
 
 def _refuse(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .baseline import Baseline
 from .calibration import AdcScale, Calibration
 from .decode import Words
+from .dynamics import Compensator
 from .health import NodeHealth, NodeState
 from .layout import Layout
 from .pressure import PressureChain
@@ -76,6 +77,7 @@ class Taxels:
         self._silence: Readings | None = None  # what silent frames read, until somebody speaks
         self._stale_from_s = -np.inf  # when the next node goes stale
         self._now_s = 0.0
+        self._began_s = np.inf  # the first frame's time
 
     @property
     def stale_after_s(self) -> float:
@@ -109,7 +111,7 @@ class Taxels:
 
     def forget(self) -> None:
         """The device's clock starts anew: nobody was heard on it."""
-        self._heard_s[:] = -np.inf
+        self._heard_s[:], self._began_s = -np.inf, np.inf
         self._silence, self._stale_from_s = None, -np.inf
         self.chain.forget()
 
@@ -121,35 +123,46 @@ class Taxels:
     def tare(self, contact_pa: float, force: bool = False) -> list[int]:
         """Take what the skin reads now for zero; see take_tare."""
         curves = self.chain.calibration.curves
-        unheard = take_tare(self.baseline, curves, self._layout, self._lsb_v, contact_pa, force)
+        begun = self._now_s - self._began_s <= self._stale_after_s
+        unheard = take_tare(
+            self.baseline,
+            curves,
+            self._layout,
+            self._lsb_v,
+            contact_pa,
+            begun & ~self._masked,
+            force,
+        )
         self.refresh()
-        return unheard
+        return [number for number in unheard if not self._masked[number - 1]]
 
     def restore(
         self,
-        tare_pa: NDArray[np.float32] | None = None,
         rest_v: NDArray[np.float32] | None = None,
         drift_v: NDArray[np.float32] | None = None,
     ) -> None:
-        """Take over what a Baseline had, (n,) float32 each; None: no tare, no drift."""
+        """Take over what a Baseline had, (n,) float32 each; None: no tare, no drift.
+
+        The tare is what the curves make of rest_v: so does a compensation that knows of no load.
+        """
         self.baseline.clear()
-        if tare_pa is not None and rest_v is not None:
-            self.baseline.tare_pa, self.baseline.rest_v = tare_pa, rest_v
+        if rest_v is not None:
+            self.baseline.rest_v = rest_v
+            self.baseline.tare_pa = self.chain.calibration.curves.pressure(rest_v)
         if drift_v is not None:
             self.baseline.drift_v = drift_v
         self.refresh()
 
-    def calibrate(self, calibration: Calibration) -> bool:
-        """Read voltages by another calibration from now on.
+    def calibrate(self, calibration: Calibration, compensator: Compensator | None = None) -> bool:
+        """Read voltages by another calibration from now on; see PressureChain.
 
         Tare and drift were found with the curves before: where these change both are forgotten.
         Returns whether they stay.
         """
-        stay = calibration.curves.checksum == self.chain.calibration.curves.checksum
-        self.chain.calibration = calibration
-        if not stay:
-            self.baseline.clear()
-        self.refresh()
+        baseline, chain = self.baseline, self.chain
+        stay = calibration.curves.checksum == chain.calibration.curves.checksum
+        chain.calibration, chain.compensator = calibration, compensator
+        self.restore(*(baseline.rest_v, baseline.drift_v) if stay else ())
         return stay
 
     def refresh(self) -> None:
@@ -159,7 +172,7 @@ class Taxels:
 
     def update(self, words: Words, t_device: float, health: NodeHealth) -> Readings:
         """Take one frame's words, spoken at t_device (s)."""
-        self._now_s = t_device
+        self._now_s, self._began_s = t_device, min(self._began_s, t_device)
         spoke = words.active
         anybody = bool(spoke.any())
         if anybody:

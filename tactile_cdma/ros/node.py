@@ -7,7 +7,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -45,6 +44,7 @@ from ..parameters import (
     unknown,
 )
 from ..pipeline import TactileFrame
+from ..rest_file import rest_path
 from ..source import Port
 from . import convert
 from .contacts import ContactPublishers
@@ -187,10 +187,7 @@ class SkinNode(LifecycleNode):
         assert self._config is not None
         values = {**self._values(), **new}
         config = self._config.adjusted(values)
-        if CALIBRATING & new.keys():
-            read = SkinConfig.of(values)
-            config = replace(config, calibration=read.calibration, compensation=read.compensation)
-        return config
+        return config.recalibrated(values) if CALIBRATING & new.keys() else config
 
     # Lifecycle. rclpy swallows exceptions of these callbacks, so each says what went wrong itself.
 
@@ -201,6 +198,7 @@ class SkinNode(LifecycleNode):
                 raise ParameterError("; ".join(self._faults.values()))
             config = SkinConfig.of(self._values())
             Session(config)  # refuses what a digitizer cannot be told
+            path = rest_path(str(self._value("state_folder")), self.get_fully_qualified_name())
             self._port = Port(str(self._value("port")), int(self._value("baud")))
         except TactileError as error:
             if str(error) != self._last_failure:
@@ -209,7 +207,7 @@ class SkinNode(LifecycleNode):
             return TransitionCallbackReturn.FAILURE
         self._last_failure = ""
         self._config = config
-        self._rest.configure(config, str(self._value("state_folder")))
+        self._rest.configure(config, path)
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:

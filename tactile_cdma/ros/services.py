@@ -14,11 +14,11 @@ from std_srvs.srv import Trigger
 
 from tactile_cdma.srv import Tare
 
-from ..calibration_file import write_calibration
+from ..calibration_file import CalibrationContent, read_calibration, write_calibration
 from ..driver import Driver
-from ..errors import RestError, TactileError
+from ..errors import CalibrationError, RestError, TactileError
 from ..parameters import SkinConfig
-from ..rest_file import RestState, read_rest, rest_path, set_aside, write_rest
+from ..rest_file import RestState, calibration_path, read_rest, set_aside, write_rest
 from . import convert
 
 TELL_S = 10.0
@@ -42,7 +42,7 @@ class RestKeeper:
         self._node, self._log, self._tell = node, node.get_logger(), tell
         self._driver: Driver | None = None
         self._config: SkinConfig | None = None
-        self._path = rest_path("", node.get_fully_qualified_name())
+        self._path = Path()
         self._state: RestState | None = None  # as it was read or written last
         self._others_file = False  # what is on disk is not ours to overwrite
         self._writable = True
@@ -54,10 +54,10 @@ class RestKeeper:
 
     # Lifecycle
 
-    def configure(self, config: SkinConfig, folder: str) -> None:
-        """Read the file of this skin, if there is one."""
-        self._config, self._writable, self._others_file = config, True, False
-        self._path = rest_path(folder, self._node.get_fully_qualified_name())
+    def configure(self, config: SkinConfig, path: Path) -> None:
+        """Read the file of this skin, if there is one; path: see rest_path."""
+        self._path, self._config = path, config
+        self._writable, self._others_file = True, False
         try:
             self._state = read_rest(self._path)
         except RestError as error:
@@ -69,11 +69,11 @@ class RestKeeper:
         """Apply what was found before; the driver does not run yet."""
         self._driver, state = driver, self._state
         if state is not None:
-            driver.pipeline.taxels.restore(state.tare_pa, state.rest_v, state.drift_v)
-            if state.tare_pa is not None or state.drift_v is not None:
+            driver.pipeline.taxels.restore(state.rest_v, state.drift_v)
+            if state.rest_v is not None or state.drift_v is not None:
+                taken_off = _taken_off(driver.pipeline.taxels.baseline.tare_pa)
                 self._log.info(
-                    f"{self._path}, written {state.written}: "
-                    + _report(driver.pipeline.taxels.baseline.tare_pa, [])
+                    f"tare and drift are those of {state.written} in {self._path}: {taken_off}"
                 )
         self.tell()
 
@@ -214,17 +214,29 @@ class RestKeeper:
     def _write(self) -> None:
         """Write what is in force; raises RestError."""
         state = self._present_state()
-        if self._others_file and (aside := set_aside(self._path)):
-            self._log.info(f"what was in {self._path} is in {aside} now")
+        if self._others_file:
+            self._set_aside(self._path)
         self._others_file = False
         write_rest(self._path, state)
         self._state, self._writable, self._saved_s = state, True, time.monotonic()
 
+    def _set_aside(self, path: Path) -> None:
+        """Keep what is in a file that is about to be written; raises RestError."""
+        if aside := set_aside(path):
+            self._log.info(f"what was in {path} is in {aside} now")
+
     def _write_calibration(self) -> Path:
-        """Write the curves in force beside tare and drift; raises CalibrationError."""
+        """Write the curves in force beside tare and drift, if they are not; raises TactileError."""
         assert self._config is not None
-        config = self._config
-        path = self._path.with_name(self._path.name.replace(".rest.", ".calibration."))
+        config, path = self._config, calibration_path(self._path)
+        content = CalibrationContent.of(config.calibration, config.adc, config.skin)
+        try:
+            kept = read_calibration(path, content.nodes, config.adc, config.curve, config.skin)
+            if kept.identity == content.identity:
+                return path
+        except CalibrationError:
+            pass  # not there, or not ours
+        self._set_aside(path)
         source = f"the calibration {config.calibration.identity or 'by default'} of a running skin"
         write_calibration(path, config.calibration, config.adc, config.skin, source)
         return path
@@ -233,13 +245,13 @@ class RestKeeper:
         """What is in force; while nothing streams, what was last."""
         assert self._config is not None
         config, kept, curves = self._config, self._state, self._config.calibration.curves
-        tare_pa = rest_v = drift_v = None
+        rest_v = drift_v = None
         if self._driver is not None:
             baseline = self._driver.pipeline.taxels.baseline
-            tare_pa, rest_v = baseline.tare_pa if baseline.tared else None, baseline.rest_v
+            rest_v = baseline.rest_v
             drift_v = baseline.drift_v if baseline.drift_v.any() else None
         elif kept is not None:
-            tare_pa, rest_v, drift_v = kept.tare_pa, kept.rest_v, kept.drift_v
+            rest_v, drift_v = kept.rest_v, kept.drift_v
         return RestState(
             skin=config.skin,
             nodes=config.spec.nodes,
@@ -247,16 +259,19 @@ class RestKeeper:
             curves=curves.checksum,
             written=_now(),
             tared=self._tared,
-            tare_pa=tare_pa,
             rest_v=rest_v,
             drift_v=drift_v,
         )
 
 
+def _taken_off(tare_pa: NDArray[np.float32]) -> str:
+    low, high = float(tare_pa.min()) / 1e3, float(tare_pa.max()) / 1e3
+    return f"{low:.2f} to {high:.2f} kPa are taken off"
+
+
 def _report(tare_pa: NDArray[np.float32], unheard: list[int]) -> str:
     """What a tare did, for people."""
-    low, high = float(tare_pa.min()) / 1e3, float(tare_pa.max()) / 1e3
-    text = f"tared: {low:.2f} to {high:.2f} kPa are taken off"
+    text = f"tared: {_taken_off(tare_pa)}"
     if unheard:
         text += f"; without a valid reading and as before: nodes {convert.listed(unheard)}"
     return text

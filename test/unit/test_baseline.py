@@ -170,6 +170,26 @@ def test_a_tare_needs_a_second_of_readings() -> None:
         patch.taxels.tare(1000.0)
 
 
+def test_a_tare_waits_for_nodes_that_are_still_to_be_heard() -> None:
+    """Those that have yet to speak after a start, and those that spoke only just now."""
+    patch = Patch(drift_pa_per_min=0.0, stale_after_s=3.0)
+    patch.mute = (1, 4)
+    patch.read(SECOND, 500.0)
+    with pytest.raises(RestError, match="not yet heard for 1 s: nodes 2, 5; try again, or"):
+        patch.taxels.tare(1000.0)
+    patch.mute = (4,)
+    patch.read(2 * SECOND, 500.0)  # 4.5 s after the start node 5 is awaited no longer
+    assert patch.taxels.tare(1000.0) == [5]
+    patch.mute = ()
+    patch.read(SECOND // 2, 500.0)
+    with pytest.raises(RestError, match="not yet heard for 1 s: nodes 5;"):
+        patch.taxels.tare(1000.0)
+    assert patch.taxels.tare(1000.0, force=True) == [5]
+    patch.read(SECOND, 500.0)
+    assert patch.taxels.tare(1000.0) == []
+    assert np.array_equal(patch.read(1, 500.0).pressure_pa, np.zeros(6))
+
+
 def test_a_skin_that_nobody_heard_is_not_tared() -> None:
     patch = Patch()
     patch.mute = tuple(range(6))
@@ -237,7 +257,7 @@ def test_other_curves_forget_tare_and_drift_the_same_ones_keep_them() -> None:
     patch.taxels.tare(1000.0)
     drift_v = np.full(6, 1e-4, np.float32)
     baseline = patch.taxels.baseline
-    patch.taxels.restore(baseline.tare_pa, baseline.rest_v, drift_v)
+    patch.taxels.restore(baseline.rest_v, drift_v)
     before = patch.read(1, 700.0).pressure_pa
     assert patch.taxels.calibrate(Calibration.default(CURVE, 6))
     assert np.array_equal(patch.read(1, 700.0).pressure_pa, before)
@@ -264,6 +284,68 @@ def test_a_tare_of_what_compensation_makes_of_a_preload_leaves_drift_alone() -> 
     readings = patch.read(round(120 / FRAME_S), 9e3)
     assert np.abs(readings.pressure_pa).max() < 5
     assert (patch.taxels.baseline.drift_v == 0).all()
+
+
+def test_a_tare_holds_whatever_becomes_of_the_compensation() -> None:
+    """What it makes of a preload depends on earlier loads; begun anew, it knows of none."""
+    config = SkinConfig.of({"nodes": 6, "rows": 2, "columns": 3})
+    calibration = replace(config.calibration, dynamics=Dynamics(0.2, 0.0109, (0.1,), (0.2,)))
+    on = replace(config, calibration=calibration, compensation=True)
+    patch = Patch()
+    patch.pipeline = Pipeline(on)
+    patch.taxels = patch.pipeline.taxels
+    patch.read(SECOND, 20e3)
+    patch.read(3 * SECOND, 9e3)
+    patch.taxels.tare(1000.0, force=True)
+    for other in (replace(on, compensation=False), on):
+        assert patch.pipeline.adjust(other)
+        assert np.abs(patch.read(SECOND, 9e3).pressure_pa).max() < 1
+    rest_v = patch.taxels.baseline.rest_v
+    patch.taxels = Pipeline(on).taxels  # the driver was started again
+    patch.taxels.restore(rest_v)
+    assert np.abs(patch.read(SECOND, 9e3).pressure_pa).max() < 1
+
+
+def test_a_tare_of_a_silent_skin_is_of_its_settled_pressure() -> None:
+    """Nobody speaks while the compensation of a rise dies away, nor later."""
+    config = SkinConfig.of({"nodes": 6, "rows": 2, "columns": 3, "stale_after_s": 60.0})
+    calibration = replace(config.calibration, dynamics=Dynamics(0.74, 0.0109, (0.1,), (0.2,)))
+    pipeline = Pipeline(replace(config, calibration=calibration, compensation=True))
+    health, everybody = NodeHealth(config.spec), np.ones(6, bool)
+    for frame in range(10 * SECOND):
+        words, spoken = silent(6, 0.0), {0: 0.0, SECOND: 20e3}
+        if frame in spoken:
+            codes = ADC.code(CURVE.voltage(np.full(6, spoken[frame])))
+            words = replace(words, active=everybody, codes=codes)
+        pipeline.taxels.update(words, frame * FRAME_S, health)
+    pipeline.taxels.tare(1000.0, force=True)
+    readings = pipeline.taxels.update(silent(6, 0.0), 10 * SECOND * FRAME_S, health)
+    assert np.abs(readings.pressure_pa).max() < 1
+
+
+def test_a_tare_is_of_what_was_seen_with_the_curves_in_force() -> None:
+    patch = Patch(drift_pa_per_min=0.0)
+    patch.read(SECOND, 5e3)
+    curve = PressureCurve.two_stage(stage1_v_per_pa=0.04e-3)
+    patch.taxels.calibrate(Calibration.default(curve, 6))
+    patch.read(SECOND // 2, 5e3)
+    with pytest.raises(RestError, match="less than 1 s"):
+        patch.taxels.tare(1000.0, force=True)
+    patch.read(SECOND // 2, 5e3)
+    patch.taxels.tare(1000.0, force=True)
+    assert np.array_equal(patch.read(1, 5e3).pressure_pa, np.zeros(6))
+
+
+def test_nodes_out_of_service_are_not_named() -> None:
+    """Their readings are not awaited; that of node 6, which is, is."""
+    config = SkinConfig.of({"nodes": 6, "rows": 2, "columns": 3})
+    layout = replace(config.layout, masked=(2, 3))
+    patch = Patch()
+    patch.pipeline = Pipeline(replace(config, layout=layout))
+    patch.taxels = patch.pipeline.taxels
+    patch.mute = (2, 5)
+    patch.read(3 * SECOND)
+    assert patch.taxels.tare(1000.0) == [6]
 
 
 def test_tares_follow_nodes_not_places() -> None:

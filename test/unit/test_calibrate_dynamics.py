@@ -24,6 +24,7 @@ from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES, Skin
 from tactile_cdma.sim.sensor import PAPER_DYNAMICS
 
+pytestmark = pytest.mark.xdist_group("recordings")  # they are made once
 ADC = AdcScale()
 NODES, STUCK = 4, 3
 SKIN = (

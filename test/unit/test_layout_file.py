@@ -131,7 +131,7 @@ def test_the_simulator_presses_on_the_unrolled_skin(tmp_path: Path) -> None:
     skin = options.skin(7)
     x, y = skin.positions_m.T * 1e3
     assert np.allclose(x[[5, 4, 3, 0, 1]], [-7, 0, 7, -7, 0])
-    assert np.allclose(y[[5, 4, 3, 0, 1]], [-3.5, -3.5, -3.5, 3.5, 3.5])
+    assert np.allclose(y[[5, 4, 3, 0, 1]], [3.5, 3.5, 3.5, -3.5, -3.5])
     for query in ("rows=2", "nodes=8"):
         with pytest.raises(SpecError):
             SimOptions.from_url(f"sim://?{query}&layout={tmp_path / 'skin.yaml'}")

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
+from tactile_cdma.calibration_file import write_calibration
 from tactile_cdma.errors import ParameterError, SpecError
 from tactile_cdma.parameters import PARAMETERS, SkinConfig, check_values, read_file
 
@@ -20,6 +21,21 @@ def test_every_default_lies_within_its_own_limits() -> None:
     for parameter in PARAMETERS:
         assert parameter.check(parameter.default) == parameter.default
     assert SkinConfig.of({}).spec.nodes == 16
+
+
+def test_a_calibration_is_read_anew_without_the_other_files(tmp_path: Path) -> None:
+    layout, calibration = tmp_path / "layout.yaml", tmp_path / "calibration.yaml"
+    layout.write_text((ROOT / "config/layouts/grid.yaml").read_text())
+    files = {"layout_file": str(layout), "calibration_file": str(calibration)}
+    values = {parameter.name: parameter.default for parameter in PARAMETERS}
+    config = SkinConfig.of({"nodes": 12, "layout_file": str(layout)})
+    identity = write_calibration(calibration, config.calibration, config.adc)
+    layout.write_text("being edited: [")
+    again = config.recalibrated({**values, "nodes": 12, **files})
+    assert again.calibration.identity == identity
+    assert again.layout is config.layout
+    with pytest.raises(SpecError, match=r"no dynamics in .*calibration\.yaml"):
+        config.recalibrated({**values, "nodes": 12, **files, "compensation": True})
 
 
 def test_the_shipped_file_is_the_default_configuration() -> None:

@@ -14,7 +14,14 @@ from hypothesis.extra.numpy import arrays
 
 from tactile_cdma.calibration import Curves, PressureCurve
 from tactile_cdma.errors import RestError
-from tactile_cdma.rest_file import RestState, read_rest, rest_path, set_aside, write_rest
+from tactile_cdma.rest_file import (
+    RestState,
+    calibration_path,
+    read_rest,
+    rest_path,
+    set_aside,
+    write_rest,
+)
 
 STATE = RestState(
     skin="left palm",
@@ -23,7 +30,6 @@ STATE = RestState(
     curves="89abcdef",
     written="2026-11-21T16:00:00+01:00",
     tared="2026-11-21T15:00:00+01:00",
-    tare_pa=np.array([0.0, 1234.5, 60e3], np.float32),
     rest_v=np.array([3.0, 2.9, 1.5], np.float32),
     drift_v=np.array([1e-3, -2e-6, 0.0], np.float32),
 )
@@ -33,28 +39,23 @@ def values(limit: float) -> st.SearchStrategy[np.ndarray | None]:
     return st.none() | arrays(np.float32, 3, elements=st.floats(-limit, limit, width=32))
 
 
-@given(tare_pa=values(1e6), drift_v=values(8.0))
+@given(rest_v=values(8.0), drift_v=values(8.0))
 def test_what_is_written_is_read_to_far_below_a_count(
     tmp_path_factory: pytest.TempPathFactory,
-    tare_pa: np.ndarray | None,
+    rest_v: np.ndarray | None,
     drift_v: np.ndarray | None,
 ) -> None:
     path = tmp_path_factory.mktemp("rest") / "skin.rest.yaml"
-    rest_v = None if tare_pa is None else STATE.rest_v
-    write_rest(path, replace(STATE, tare_pa=tare_pa, rest_v=rest_v, drift_v=drift_v))
+    write_rest(path, replace(STATE, rest_v=rest_v, drift_v=drift_v))
     back = read_rest(path)
     assert back is not None
     for name in ("skin", "nodes", "calibration", "curves", "written", "tared"):
         assert getattr(back, name) == getattr(STATE, name)
-    for ours, theirs, error in (
-        (tare_pa, back.tare_pa, 0.01),
-        (rest_v, back.rest_v, 1e-8),
-        (drift_v, back.drift_v, 1e-8),
-    ):
+    for ours, theirs in ((rest_v, back.rest_v), (drift_v, back.drift_v)):
         assert (ours is None) == (theirs is None)
         if ours is not None and theirs is not None:
             assert theirs.dtype == np.float32
-            assert np.allclose(ours, theirs, rtol=1e-6, atol=error)
+            assert np.allclose(ours, theirs, rtol=1e-6, atol=1e-8)
 
 
 def test_no_file_is_no_state(tmp_path: Path) -> None:
@@ -73,12 +74,27 @@ def test_files_are_named_after_their_node_below_ros_home(
     assert rest_path("~/skins", "/skin") == tmp_path / "home" / "skins" / "skin.rest.yaml"
 
 
+def test_no_two_nodes_share_a_file() -> None:
+    nodes = ("/skin", "/a/rest/skin", "/a/calibration/skin", "/rest", "/calibration")
+    rests = [rest_path("/state", node) for node in nodes]
+    assert calibration_path(rests[0]) == Path("/state/skin.calibration.yaml")
+    assert len({*rests, *map(calibration_path, rests)}) == 2 * len(nodes)
+
+
+def test_a_home_that_nobody_has_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(RestError, match=r"~nobody-of-that-name/skins: no such user's home"):
+        rest_path("~nobody-of-that-name/skins", "/skin")
+    monkeypatch.setenv("ROS_HOME", "~nobody-of-that-name")
+    with pytest.raises(RestError, match="~nobody-of-that-name/tactile_cdma"):
+        rest_path("", "/skin")
+
+
 def test_writing_replaces_the_file_and_leaves_nothing_else(tmp_path: Path) -> None:
     path = tmp_path / "deep" / "folder" / "skin.rest.yaml"
     write_rest(path, STATE)
-    write_rest(path, replace(STATE, tare_pa=None, rest_v=None))
+    write_rest(path, replace(STATE, rest_v=None))
     back = read_rest(path)
-    assert back is not None and back.tare_pa is None
+    assert back is not None and back.rest_v is None
     assert os.listdir(path.parent) == [path.name]
 
 
@@ -121,8 +137,7 @@ GOOD = {
     "calibration": "",
     "curves": "",
     "tared": "",
-    "tare_pa": [1, 2.5],
-    "rest_v": [3.0, 2.9],
+    "rest_v": [3, 2.9],
     "drift_v": None,
 }
 
@@ -136,14 +151,12 @@ GOOD = {
         ({"nodes": "2"}, "nodes is '2'; it must be an integer"),
         ({"nodes": True}, "nodes is True"),
         ({"skin": 5}, "skin is 5; it must be a text"),
-        ({"tare_pa": [1.0]}, "tare_pa must hold a number for each of 2 nodes"),
-        ({"tare_pa": None}, "tare_pa and rest_v belong together"),
-        ({"rest_v": None}, "tare_pa and rest_v belong together"),
-        ({"tare_pa": "12"}, "tare_pa must hold a number for each"),
-        ({"tare_pa": [1.0, "x"]}, "tare_pa of node 2 is 'x'"),
-        ({"tare_pa": [True, 1.0]}, "tare_pa of node 1 is True"),
-        ({"tare_pa": [1.0, float("nan")]}, "tare_pa of node 2 is nan"),
-        ({"tare_pa": [10**400, 1.0]}, "tare_pa of node 1 is 1000"),
+        ({"rest_v": [1.0]}, "rest_v must hold a number for each of 2 nodes"),
+        ({"rest_v": "12"}, "rest_v must hold a number for each"),
+        ({"rest_v": [1.0, "x"]}, "rest_v of node 2 is 'x'"),
+        ({"rest_v": [True, 1.0]}, "rest_v of node 1 is True"),
+        ({"rest_v": [1.0, float("nan")]}, "rest_v of node 2 is nan"),
+        ({"rest_v": [10**400, 1.0]}, "rest_v of node 1 is 1000"),
         ({"drift_v": [0.0, 101.0]}, "drift_v of node 2 is 101.0; it must be a number within ±100"),
     ],
 )
@@ -160,6 +173,17 @@ def test_damaged_content_is_refused_with_the_file_and_the_cause(
     assert str(path) in str(refused.value)
 
 
+LAUGHS = (
+    b"schema: tactile_cdma/rest\na: &a [1]\n"
+    + b"".join(
+        b"%c: &%c [%s]\n" % (name, name, b", ".join([b"*%c" % (name - 1)] * 9))
+        for name in b"bcdefghijkl"
+    )
+    + b"version: *l\n"
+)
+"""Its version is a list of lists … of 9¹¹ ones."""
+
+
 @pytest.mark.parametrize(
     ("data", "reason"),
     [
@@ -169,6 +193,7 @@ def test_damaged_content_is_refused_with_the_file_and_the_cause(
         (b"\xff\xfe\x00", "not a YAML file"),
         (b"a: [1, 2", "not a YAML file"),
         (b"[" * 100_000, "nested deeper"),
+        (LAUGHS, "aliases"),
         (b"!!python/object/apply:os.system ['true']", "not a YAML file"),
         (b"x" * (5 << 20), "larger than 4 MB"),
     ],
