@@ -222,6 +222,26 @@ def test_a_file_that_does_not_fit_is_left_and_set_aside_only_when_there_is_anoth
     assert yaml.safe_load(path.read_text())["nodes"] == 16
 
 
+def test_a_calibration_tried_while_inactive_costs_no_tare(
+    preload: Callable[[float], None], tmp_path: Path
+) -> None:
+    preload(800.0)
+    other = tmp_path / "other.yaml"
+    write_calibration(
+        other, Calibration.default(PressureCurve.two_stage(knee_pa=40e3), 16), AdcScale()
+    )
+    with running(port=IDLE, state_folder=str(tmp_path / "state")) as (_, client):
+        assert tare_at_last(client).success
+        assert client.change(Transition.TRANSITION_DEACTIVATE)
+        for file in (str(other), ""):
+            assert client.set(calibration_file=file) == (True, "")
+        before = len(client.arrays)
+        assert client.change(Transition.TRANSITION_ACTIVATE)
+        wait_for(lambda: len(client.arrays) > before + 30)
+        assert np.allclose(client.arrays[-1].pressure, 0, atol=15)
+        wait_for(lambda: np.allclose(client.infos[-1].tare, 781.25, atol=1))
+
+
 def test_without_a_folder_to_write_to_the_driver_goes_on(
     preload: Callable[[float], None], tmp_path: Path
 ) -> None:
