@@ -41,7 +41,7 @@ class Baseline:
         self.tare_pa = np.zeros(nodes, dtype=np.float32)
         self.drift_v = np.zeros(nodes, dtype=np.float32)
         self.rest_v: NDArray[np.float32] | None = None
-        self._looks = self._alike = 0
+        self._looks = 0
         self._voltage_v = np.zeros((LOOKS, nodes), dtype=np.float32)
         self._pressure_pa = np.zeros((LOOKS, nodes), dtype=np.float32)
         self._valid = np.zeros((LOOKS, nodes), dtype=bool)
@@ -67,22 +67,14 @@ class Baseline:
         voltage_v: NDArray[np.float32],
         pressure_pa: NDArray[np.float32],
         valid: NDArray[np.bool_],
-    ) -> bool:
-        """Remember what the skin reads now; whether all of the last looks were the same.
+    ) -> None:
+        """Remember what the skin reads now.
 
         voltage_v: (n,) V, without drift_v. pressure_pa: (n,) Pa, before the tare. valid: (n,) bool.
         """
-        before, at = (self._looks - 1) % LOOKS, self._looks % LOOKS
-        # While a compensation settles the same voltages are other pressures; some may be NaN.
-        same = (
-            np.array_equal(valid, self._valid[before])
-            and np.array_equal(voltage_v, self._voltage_v[before])
-            and bool((~valid | (pressure_pa == self._pressure_pa[before])).all())
-        )
-        self._alike = self._alike + 1 if same and self._looks else 1
+        at = self._looks % LOOKS
         self._voltage_v[at], self._pressure_pa[at], self._valid[at] = voltage_v, pressure_pa, valid
         self._looks += 1
-        return self._alike >= LOOKS
 
     @property
     def seen(self) -> bool:

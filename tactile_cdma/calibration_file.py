@@ -5,26 +5,27 @@ from __future__ import annotations
 import collections.abc
 import hashlib
 import json
-import os
 import re
-import tempfile
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from .calibration import AdcScale, Calibration, PressureCurve
-from .dynamics import Dynamics
+from .dynamics import LIMITS, Dynamics
 from .errors import CalibrationError, SpecError
 from .marked_yaml import Mapping, Marked, read_marked
+from .whole_file import replace_file
 
 SCHEMA = "tactile_cdma/calibration"
 VERSION = 1
 UNITS = {"pressure": "Pa", "voltage": "V"}
 MOST_CORNERS = 65
+MOST_PLAYS = 64
 MOST_PA = 1e9
 HEADROOM = 1.25
 """A curve may begin above vref by this factor: its first corner is extrapolated to no load."""
@@ -43,6 +44,8 @@ _REQUIRED = (
     "curves",
 )
 _OPTIONAL = ("made", "dynamics")
+_PLAYS = ("widths", "weights")
+_IDENTITY = re.compile(r"^identity: *('[^'\n]*'|\"[^\"\n]*\"|[^#\n]*[^#\s])", re.MULTILINE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +54,7 @@ class CalibrationContent:
 
     skin: name of the skin; empty: any. curves: by node, 1…nodes; a node without one is
     uncalibrated. adc: of the nodes that were calibrated. dynamics: of all sensors; None: not known.
+    source: what it was made from, for people.
     """
 
     skin: str
@@ -58,16 +62,19 @@ class CalibrationContent:
     adc: AdcScale
     curves: collections.abc.Mapping[int, PressureCurve]
     dynamics: Dynamics | None = None
+    source: str = ""
 
     @classmethod
-    def of(cls, calibration: Calibration, adc: AdcScale, skin: str) -> CalibrationContent:
+    def of(
+        cls, calibration: Calibration, adc: AdcScale, skin: str = "", source: str = ""
+    ) -> CalibrationContent:
         """What is to be kept of a calibration; numbers as they will be written."""
         curves = {
             index + 1: _rounded(calibration.curves[index])
             for index in range(len(calibration.curves))
             if not calibration.uncalibrated[index]
         }
-        return cls(skin, len(calibration.curves), adc, curves, calibration.dynamics)
+        return cls(skin, len(calibration.curves), adc, curves, calibration.dynamics, source)
 
     @property
     def uncalibrated(self) -> list[int]:
@@ -87,7 +94,7 @@ class CalibrationContent:
                     str(node): [curve.pressure_pa, curve.voltage_v]
                     for node, curve in self.curves.items()
                 },
-                "dynamics": asdict(self.dynamics) if self.dynamics else None,
+                "dynamics": _entries(self.dynamics) if self.dynamics else None,
             },
             sort_keys=True,
         )
@@ -108,6 +115,11 @@ def read_calibration(
     Raises CalibrationError, naming file, line, node and cause, for a file that is not what it
     should be, was changed since it was written, or was made for another skin.
     """
+    return read_content(path, nodes, adc, skin).calibration(default)
+
+
+def read_content(path: Path, nodes: int, adc: AdcScale, skin: str = "") -> CalibrationContent:
+    """All that is in a file; see read_calibration."""
     file = read_marked(path.expanduser(), CalibrationError)
     content, identity = _parse(file)
     root = file.mapping("the file")
@@ -124,11 +136,11 @@ def read_calibration(
             )
     if identity != content.identity:
         raise root["identity"].refuse(
-            f"the identity is {identity}, the content's is {content.identity}: the file was "
+            f"the identity is {identity[:40]}, the content's is {content.identity}: the file was "
             "damaged, or edited; if that was meant, tactile-cdma calibrate --seal writes the "
             "identity anew"
         )
-    return content.calibration(default)
+    return content
 
 
 def write_calibration(
@@ -138,8 +150,12 @@ def write_calibration(
 
     source: what it was made from, for people. Raises CalibrationError where it cannot be written.
     """
-    content = CalibrationContent.of(calibration, adc, skin)
-    _replace_file(path, _text(content, source))
+    return write_content(path, CalibrationContent.of(calibration, adc, skin, source))
+
+
+def write_content(path: Path, content: CalibrationContent) -> str:
+    """As write_calibration does."""
+    _replace(path, _text(content))
     return content.identity
 
 
@@ -148,10 +164,13 @@ def seal_calibration(path: Path) -> str:
 
     All else stays as it is. Raises CalibrationError where the content is not valid.
     """
-    content, _ = _parse(read_marked(path, CalibrationError))
+    file = read_marked(path, CalibrationError)
+    content, _ = _parse(file)
     line = f"identity: '{content.identity}'"
-    text = path.read_text(encoding="utf-8")
-    _replace_file(path, re.sub(r"^identity:[^#\n]*", line, text, count=1, flags=re.MULTILINE))
+    text, found = _IDENTITY.subn(line, path.read_text(encoding="utf-8"), count=1)
+    if not found:
+        raise file.refuse("no line begins with 'identity: …': write one, with any text")
+    _replace(path, text)
     return content.identity
 
 
@@ -159,25 +178,20 @@ def _parse(file: Marked) -> tuple[CalibrationContent, str]:
     """Content and identity of a file that is right by itself."""
     root = file.mapping("the file")
     schema = root.get("schema")
-    if schema is None or schema.content != SCHEMA:
-        found = f"its schema is {schema.content!r}" if schema else "it names no schema"
-        raise file.refuse(f"not a calibration file: {found}, not {SCHEMA!r}")
+    if schema is None:
+        raise file.refuse(f"not a calibration file: it names no schema, not {SCHEMA!r}")
+    if (found := schema.text("schema")) != SCHEMA:
+        raise schema.refuse(f"not a calibration file: its schema is {found!r}, not {SCHEMA!r}")
     _check_version(file, root)
     root.check_keys(_REQUIRED + _OPTIONAL)
     if missing := [name for name in _REQUIRED if root.get(name) is None]:
         raise file.refuse(f"{', '.join(missing)} is missing: is the file cut short?")
-    units = root["units"].mapping("units")
-    units.check_keys(UNITS)
-    for name, unit in UNITS.items():
-        given = units.get(name)
-        if given is None or given.content != unit:
-            theirs = given.content if given else "missing"
-            raise root["units"].refuse(f"unit of {name} is {theirs}; it must be {unit}")
+    _check_units(root["units"].mapping("units"))
     nodes = root["nodes"].whole("nodes", 1, 65_535)
     vref_v = root["vref_v"].number("vref_v", 0.1, 100.0, "V")
-    skin, dynamics = root["skin"].content, root.get("dynamics")
+    made, dynamics = root.get("made"), root.get("dynamics")
     content = CalibrationContent(
-        skin=root["skin"].text("skin") if skin else "",
+        skin=root["skin"].text("skin"),
         nodes=nodes,
         adc=AdcScale(root["bits"].whole("bits", 8, 16), vref_v),
         curves={
@@ -185,9 +199,17 @@ def _parse(file: Marked) -> tuple[CalibrationContent, str]:
             for name, curve in root["curves"].mapping("curves").entries.items()
         },
         dynamics=_dynamics(dynamics) if dynamics else None,
+        source=_source(made) if made else "",
     )
     _check_complete(root, content)
     return content, root["identity"].text("identity")
+
+
+def _check_units(units: Mapping) -> None:
+    units.check_keys(UNITS)
+    for name, unit in UNITS.items():
+        if (theirs := units[name].text(f"the unit of {name}")) != unit:
+            raise units[name].refuse(f"the unit of {name} is {theirs[:40]}; it must be {unit}")
 
 
 def _check_version(file: Marked, root: Mapping) -> None:
@@ -206,12 +228,9 @@ def _check_version(file: Marked, root: Mapping) -> None:
         )
 
 
-def _node(text: str, where: Marked, nodes: int) -> int:
-    """A node's number; 07 is none, or node 7 might be there twice."""
-    node = int(text) if text.isdecimal() and len(text) < 10 else 0
-    if text != str(node) or not 1 <= node <= nodes:
-        raise where.refuse(f"a node's number must be within 1…{nodes}, not {text[:40]!r}")
-    return node
+def _node(name: str, value: Marked, nodes: int) -> int:
+    """The number of the node that an entry is of."""
+    return replace(value, content=name, quoted=False).whole("a node's number", 1, nodes)
 
 
 def _curve(node: str, value: Marked, vref_v: float) -> PressureCurve:
@@ -227,12 +246,16 @@ def _curve(node: str, value: Marked, vref_v: float) -> PressureCurve:
             f"or more corners ({MOST_CORNERS} at most), each with both"
         )
     pressure_pa = [
-        item.number(f"{what}, corner {corner}", 0.0, MOST_PA if corner > 1 else 0.0, "Pa")
+        item.number(f"{what}, corner {corner}: pressure", 0.0, MOST_PA, "Pa")
         for corner, item in enumerate(pressures, 1)
     ]
+    if pressure_pa[0]:
+        raise pressures[0].refuse(f"{what} begins at {pressure_pa[0]:g} Pa, not at 0")
     voltage_v = [
-        item.number(f"{what}, corner {corner}", 0.0, vref_v * (1 if corner > 1 else HEADROOM), "V")
-        for corner, item in enumerate(voltages, 1)
+        item.number(f"{what}, corner {corner}: voltage", 0.0, most_v, "V")
+        for corner, (item, most_v) in enumerate(
+            zip(voltages, [HEADROOM * vref_v] + [vref_v] * len(voltages), strict=False), 1
+        )
     ]
     _check_order(what, pressures, pressure_pa, "Pa")
     _check_order(what, voltages, [-volts for volts in voltage_v], "V")
@@ -252,32 +275,36 @@ def _check_order(what: str, items: list[Marked], rising: list[float], unit: str)
 def _dynamics(value: Marked) -> Dynamics:
     """Lag and hysteresis of all nodes."""
     entries = value.mapping("dynamics")
-    entries.check_keys([field.name for field in fields(Dynamics)])
-
-    def number(name: str) -> float:
-        return entries[name].number(name, 0.0, MOST_PA)
-
-    def numbers_of(name: str) -> tuple[float, ...]:
-        return tuple(item.number(name, 0.0, 100.0) for item in entries[name].items(name))
-
+    entries.check_keys((*LIMITS, *_PLAYS))
+    values: dict[str, Any] = {
+        name: entries[name].number(name, *limits) for name, limits in LIMITS.items()
+    }
+    values |= {name: _shares(entries[name], name) for name in _PLAYS}
     try:
-        return Dynamics(
-            rise_s=number("rise_s"),
-            fall_s=number("fall_s"),
-            widths=numbers_of("widths"),
-            weights=numbers_of("weights"),
-            scale_pa=number("scale_pa"),
-            most_gain=number("most_gain"),
-        )
+        return Dynamics(**values)
     except SpecError as error:
-        raise value.refuse(str(error)) from None
+        raise entries[_PLAYS[0]].refuse(str(error)) from None
+
+
+def _shares(value: Marked, name: str) -> tuple[float, ...]:
+    """One number per play."""
+    items = value.items(name)
+    if len(items) > MOST_PLAYS:
+        raise value.refuse(f"{name} has {len(items)} numbers; {MOST_PLAYS} plays are possible")
+    return tuple(item.number(f"each of {name}", 0.0, 20.0) for item in items)
+
+
+def _source(made: Marked) -> str:
+    """What a file was made from; whoever edits that may write what he likes."""
+    source = made.mapping("made").get("from")
+    return source.text("from") if source else ""
 
 
 def _check_complete(root: Mapping, content: CalibrationContent) -> None:
     """Every node has a curve or is said to have none."""
     listed: set[int] = set()
     for item in root["uncalibrated"].items("uncalibrated"):
-        node = _node(str(item.content), item, content.nodes)
+        node = item.whole("a node's number", 1, content.nodes)
         if node in listed or node in content.curves:
             where = "listed twice" if node in listed else "uncalibrated, but has a curve"
             raise item.refuse(f"node {node} is {where}")
@@ -297,12 +324,12 @@ def numbers(nodes: list[int], most: int = 10) -> str:
 
 def _rounded(curve: PressureCurve) -> PressureCurve:
     return PressureCurve(
-        tuple(round(value, _PRESSURE_DIGITS) for value in curve.pressure_pa),
-        tuple(round(value, _VOLTAGE_DIGITS) for value in curve.voltage_v),
+        tuple(round(float(value), _PRESSURE_DIGITS) for value in curve.pressure_pa),
+        tuple(round(float(value), _VOLTAGE_DIGITS) for value in curve.voltage_v),
     )
 
 
-def _text(content: CalibrationContent, source: str) -> str:
+def _text(content: CalibrationContent) -> str:
     head: dict[str, Any] = {
         "schema": SCHEMA,
         "version": VERSION,
@@ -314,7 +341,7 @@ def _text(content: CalibrationContent, source: str) -> str:
         "units": UNITS,
         "made": {
             "at": datetime.now().astimezone().isoformat(timespec="seconds"),
-            "from": source,
+            "from": content.source,
         },
         "uncalibrated": content.uncalibrated,
     }
@@ -324,34 +351,22 @@ def _text(content: CalibrationContent, source: str) -> str:
     ]
     curves = "curves:\n" + "".join(lines) if lines else "curves: {}\n"
     if content.dynamics:
-        head["dynamics"] = {name: _list(value) for name, value in asdict(content.dynamics).items()}
+        head["dynamics"] = _entries(content.dynamics)
     top = yaml.safe_dump(head, sort_keys=False, allow_unicode=True, default_flow_style=None)
     return top + curves
 
 
-def _list(value: Any) -> Any:
-    """YAML knows no tuples."""
-    return list(value) if isinstance(value, tuple) else value
+def _entries(dynamics: Dynamics) -> dict[str, float | list[float]]:
+    """As YAML and JSON know them."""
+    return {name: np.array(value, float).tolist() for name, value in asdict(dynamics).items()}
 
 
 def _plain(values: tuple[float, ...]) -> str:
     return "[" + ", ".join(repr(value) for value in values) + "]"
 
 
-def _replace_file(path: Path, text: str) -> None:
-    """All or nothing: a crash while writing leaves the old file."""
+def _replace(path: Path, text: str) -> None:
     try:
-        # mkstemp's file is for its owner only; this one is for whoever may read the folder.
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(text)
-                os.fchmod(file.fileno(), 0o644)
-                file.flush()
-                os.fsync(file.fileno())
-            Path(name).replace(path)
-        except BaseException:
-            Path(name).unlink()
-            raise
+        replace_file(path, text)
     except OSError as error:
         raise CalibrationError(f"{path}: cannot be written: {error.strerror}") from None

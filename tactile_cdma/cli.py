@@ -14,10 +14,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from . import __version__, calibrate, layout_command
+from . import __version__, layout_command
 from .amplifier import design
 from .amplifier_report import describe, report
 from .arguments import add_skin_options, given, positive
+from .calibrating import command as calibrate
 from .capture import is_text, read_scope_csv
 from .driver import Session
 from .errors import CaptureError, PortError, SpecError, TactileError

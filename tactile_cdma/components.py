@@ -12,25 +12,21 @@ def connected(taxels: NDArray[np.intp], beside: NDArray[np.intp]) -> NDArray[np.
     taxels: (k,) int, rising. beside: (m, t) int, the neighbours of all t taxels, a column each,
     filled up with the taxel itself.
 
-    Trees of taxels grow together along the links between them: in each round every root that is
-    linked to lower ones hangs itself below the lowest, the trees are flattened, and links now
-    within a tree are dropped. (A form of Shiloach & Vishkin, An O(log n) parallel connectivity
-    algorithm, 1982.)
+    Trees of taxels grow together along the links between them: in each round every root whose tree
+    touches lower ones hangs itself below the lowest, and the trees are flattened. (A form of
+    Shiloach & Vishkin, An O(log n) parallel connectivity algorithm, 1982.)
     """
-    own = np.arange(len(taxels))
-    among = np.full(beside.shape[1], -1)
-    among[taxels] = own
-    low = among[beside[:, taxels]]
-    links = (low >= 0) & (low < own)  # each from one end
-    high, low = links.nonzero()[1], low[links]
-    root = own
-    while len(low):
+    count = len(taxels)
+    own = np.arange(count + 1)  # the last one stands for all that is not among the taxels
+    among = np.full(beside.shape[1], count)
+    among[taxels] = own[:-1]
+    near = among[beside[:, taxels]]
+    root, lowest = own, near.min(axis=0)
+    while True:
         above = root.copy()
-        np.minimum.at(above, high, low)
-        while not np.array_equal(root, above):
+        np.minimum.at(above, root[:-1], lowest)
+        while (root != above).any():
             root, above = above, above[above]
-        first, second = root[low], root[high]
-        apart = first != second
-        first, second = first[apart], second[apart]
-        low, high = np.minimum(first, second), np.maximum(first, second)
-    return np.asarray((np.cumsum(root == own) - 1)[root])
+        lowest = root[near].min(axis=0)
+        if not (lowest < root[:-1]).any():
+            return np.asarray(((root == own).cumsum() - 1)[root[:-1]])

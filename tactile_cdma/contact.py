@@ -18,8 +18,8 @@ SMOOTHING_S = 0.05
 RIM = 0.3
 """Share of the release threshold above which taxels beside a contact count for its force.
 
-Without them a soft contact of 6 kPa loses 3 % of its force; with all that read anything it gains as
-much, for a taxel at rest may read one count.
+Without them a soft contact of 6 kPa loses 3 % of its force. With all that are beside it, a skin
+whose rest is off by a count would add 8 % instead of 5 % (`make bench-contact`).
 """
 
 
@@ -106,6 +106,8 @@ class ContactTracker:
         self._moments = _moments(layout)
         self._contacts = self._nothing = _nothing()
         self._place = np.full(len(layout), -1)  # of each taxel's contact in _contacts; -1: none
+        nobody = np.zeros(0, dtype=np.intp)
+        self._linked = nobody, nobody  # taxels above the release threshold, and their labels
         self._readings: Readings | None = None
         self._used = thresholds
         self._t_s = math.nan
@@ -132,23 +134,21 @@ class ContactTracker:
         # NaN exceeds nothing.
         if not len(last) and not (pressure_pa > self._used.contact_pa).any():
             return last
-        taxels, labels = self._touched(pressure_pa)
-        origin, torn = _origins(self._place[taxels], labels, len(last))
+        taxels, labels, starts = self._touched(pressure_pa)
+        origin, torn = _origins(self._place[taxels], labels, len(last), len(starts))
         self._place[:] = -1
         self._place[taxels] = labels
         if not len(taxels):
             return self._nothing
+        felt_pa, moments = pressure_pa[taxels], self._moments[taxels]
         rim, labels_of_rim = self._rim(pressure_pa)
-        sums = self._sums(
-            pressure_pa, np.concatenate([taxels, rim]), np.concatenate([labels, labels_of_rim])
-        )
+        sums = np.add.reduceat(moments * felt_pa[:, None], starts)
+        np.add.at(sums, labels_of_rim, self._moments[rim] * pressure_pa[rim, None])
         position_m, force_n = sums[:, 1:4] / sums[:, :1], -sums[:, 4:7]
         ids, age_s = self._identities(origin, passed_s)
         velocity, rate = _motion(position_m, force_n, last, origin, torn, passed_s)
-        order = np.argsort(labels, kind="stable")
-        taxels, starts = taxels[order], _starts(labels[order], len(origin))
-        ends = [*starts[1:], len(taxels)]
-        saturated = readings.status[taxels] & np.uint8(Status.SATURATED) > 0
+        ends = [*starts[1:].tolist(), len(taxels)]
+        saturated = readings.status[taxels] & _SATURATED
         return Contacts(
             ids=ids,
             age_s=age_s,
@@ -156,55 +156,53 @@ class ContactTracker:
             position_m=position_m,
             force_n=force_n,
             torque_nm=-sums[:, 7:10],
-            area_m2=np.add.reduceat(self._moments[taxels, 0], starts),
-            pressure_max_pa=np.maximum.reduceat(pressure_pa[taxels], starts),
-            saturated=np.logical_or.reduceat(saturated, starts),
+            area_m2=np.add.reduceat(moments[:, 0], starts),
+            pressure_max_pa=np.maximum.reduceat(felt_pa, starts),
+            saturated=np.maximum.reduceat(saturated, starts) > 0,
             velocity_m_s=velocity,
             force_rate_n_s=rate,
-            taxels=[taxels[start:end] for start, end in zip(starts, ends, strict=True)],
+            taxels=[taxels[i:j] for i, j in zip(starts.tolist(), ends, strict=True)],
         )
 
     def _touched(self, pressure_pa: NDArray[np.float32]) -> tuple[NDArray[np.intp], ...]:
-        """The taxels in contact, (k,), rising, and the place of each one's contact, 0…c − 1."""
-        taxels = np.flatnonzero(pressure_pa > self._used.release_pa)
-        labels = connected(taxels, self._beside)
-        begins = pressure_pa[taxels] > self._used.contact_pa
-        lasts = self._place[taxels] >= 0
-        load = np.bincount(labels, pressure_pa[taxels] * self._moments[taxels, 0])
-        load[np.bincount(labels, begins | lasts) == 0] = 0.0
-        place = np.empty(len(load), dtype=np.intp)  # the strongest first, the others last
-        place[np.argsort(-load, kind="stable")] = np.arange(len(load))
-        kept = load[labels] > 0
-        return taxels[kept], place[labels[kept]]
+        """Who is in contact, contact by contact, the strongest first.
+
+        Returns the taxels, (k,), rising within each contact; the place of each one's contact,
+        (k,), 0…c − 1; and where in these each contact begins, (c,).
+        """
+        taxels = (pressure_pa > self._used.release_pa).nonzero()[0]
+        if not np.array_equal(taxels, self._linked[0]):
+            self._linked = taxels, connected(taxels, self._beside)
+        labels, felt_pa = self._linked[1], pressure_pa[taxels]
+        alive = (felt_pa > self._used.contact_pa) | (self._place[taxels] >= 0)
+        load = np.bincount(labels, felt_pa * self._moments[taxels, 0])
+        load *= np.bincount(labels, alive) > 0
+        strongest = (-load).argsort(kind="stable")
+        place = np.empty_like(strongest)
+        place[strongest] = np.arange(len(load))
+        places = place[labels]
+        order = places.argsort(kind="stable")
+        places = places[order]
+        starts = places.searchsorted(np.arange(np.count_nonzero(load) + 1))
+        kept = starts[-1]  # what has not begun is last
+        return taxels[order[:kept]], places[:kept], starts[:-1]
 
     def _rim(self, pressure_pa: NDArray[np.float32]) -> tuple[NDArray[np.intp], ...]:
         """Taxels beside contacts that feel them, and these contacts' places."""
-        weak = np.flatnonzero((pressure_pa > RIM * self._used.release_pa) & (self._place < 0))
+        weak = ((pressure_pa > RIM * self._used.release_pa) & (self._place < 0)).nonzero()[0]
         place = self._place[self._beside[:, weak]].max(axis=0)
-        return weak[place >= 0], place[place >= 0]
-
-    def _sums(
-        self,
-        pressure_pa: NDArray[np.float32],
-        taxels: NDArray[np.intp],
-        labels: NDArray[np.intp],
-    ) -> NDArray[np.float64]:
-        """(c, 10): load, load·place, force and torque of each contact, as in _moments."""
-        order = np.argsort(labels, kind="stable")
-        taxels = taxels[order]
-        weighted = self._moments[taxels] * pressure_pa[taxels, None]
-        return np.asarray(np.add.reduceat(weighted, _starts(labels[order], labels.max() + 1)))
+        beside = place >= 0
+        return weak[beside], place[beside]
 
     def _identities(
         self, origin: NDArray[np.intp], passed_s: float
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Ids and ages. origin: (c,) places among the last contacts; −1: new."""
-        known, last = origin >= 0, self._contacts
-        ids = self.next_id + np.cumsum(~known) - 1
-        age_s = np.zeros(len(origin))
-        ids[known] = last.ids[origin[known]]
-        age_s[known] = last.age_s[origin[known]] + passed_s
-        self.next_id += len(origin) - int(np.count_nonzero(known))
+        new = (origin < 0).nonzero()[0]
+        ids = np.concatenate([self._contacts.ids, [0]])[origin]
+        age_s = np.concatenate([self._contacts.age_s, [0.0]])[origin] + passed_s
+        ids[new], age_s[new] = np.arange(self.next_id, self.next_id + len(new)), 0.0
+        self.next_id += len(new)
         return ids, age_s
 
 
@@ -219,29 +217,30 @@ def _moments(layout: Layout) -> NDArray[np.float64]:
 
 
 def _origins(
-    places: NDArray[np.intp], labels: NDArray[np.intp], before: int
+    places: NDArray[np.intp], labels: NDArray[np.intp], before: int, count: int
 ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
     """Which contacts of the frame before those of now are.
 
     places: (k,) place of every touched taxel among the contacts of the frame before, of which
-    there were `before`; −1: none. labels: (k,) place among the c of now. Returns (c,) places,
-    −1 for new contacts, and (c,) bool, where contacts merged or split.
+    there were `before`; −1: none. labels: (k,) place among those of now, of which there are
+    `count`. Returns (count,) places, −1 for new contacts, and (count,) bool, where contacts merged
+    or split.
     """
-    count = int(labels.max(initial=-1)) + 1
-    origin, torn = np.full(count, -1), np.zeros(count, dtype=bool)
+    torn = np.zeros(count, dtype=bool)
     held = places >= 0
-    pairs, shared = np.unique(labels[held] * before + places[held], return_counts=True)
+    pairs = np.sort(labels[held] * before + places[held])
     if not len(pairs):
-        return origin, torn
-    new, old = np.divmod(pairs, before)
+        return np.full(count, -1), torn
+    edges = np.concatenate([[True], pairs[1:] > pairs[:-1], [True]]).nonzero()[0]
+    shared = edges[1:] - edges[:-1]
+    new, old = np.divmod(pairs[edges[:-1]], before)
     torn[new] = (np.bincount(new)[new] > 1) | (np.bincount(old)[old] > 1)
-    taken: set[int] = set()
-    for pair in np.argsort(-shared, kind="stable").tolist():
-        heir, ancestor = int(new[pair]), int(old[pair])
+    origin, taken, order = [-1] * count, set(), np.argsort(-shared, kind="stable")
+    for heir, ancestor in zip(new[order].tolist(), old[order].tolist(), strict=True):
         if origin[heir] < 0 and ancestor not in taken:
             origin[heir] = ancestor
             taken.add(ancestor)
-    return origin, torn
+    return np.array(origin), torn
 
 
 def _motion(
@@ -256,25 +255,21 @@ def _motion(
 
     Torn contacts keep what they had. A contact that begins rises from no force.
     """
-    known = origin >= 0
-    velocity, rate, before_n = (
-        np.zeros_like(position_m),
-        np.zeros(len(origin)),
-        np.zeros(len(origin)),
-    )
-    velocity[known] = last.velocity_m_s[origin[known]]
-    rate[known] = last.force_rate_n_s[origin[known]]
-    if not passed_s > 0:  # the first frame of all
-        return velocity, rate
-    gain = np.where(torn, 0.0, 1.0 - _decay(passed_s))
-    force = _length(force_n)
-    before_n[known] = _length(last.force_n[origin[known]])
-    rate += gain * ((force - before_n) / passed_s - rate)
-    step_m = position_m[known] - last.position_m[origin[known]]
-    velocity[known] += gain[known, None] * (step_m / passed_s - velocity[known])
-    normals = force_n / force[:, None]
-    velocity -= (velocity * normals).sum(axis=1, keepdims=True) * normals
-    return velocity, rate
+    before = np.zeros((len(last) + 1, 8))  # place and force, then their changes; none of new ones
+    before[:-1, :3], before[:-1, 3] = last.position_m, _length(last.force_n)
+    before[:-1, 4:7], before[:-1, 7] = last.velocity_m_s, last.force_rate_n_s
+    before = before[origin]
+    then, change = before[:, :4], before[:, 4:]
+    if passed_s > 0:  # not in the first frame of all
+        force = _length(force_n)[:, None]
+        new = origin < 0
+        then[new, :3] = position_m[new]
+        gain = ((1.0 - _decay(passed_s)) * ~torn)[:, None]
+        now = np.concatenate([position_m, force], axis=1)
+        change += gain * ((now - then) / passed_s - change)
+        normals = force_n / force
+        change[:, :3] -= (change[:, :3] * normals).sum(axis=1, keepdims=True) * normals
+    return change[:, :3], change[:, 3]
 
 
 def _at_rest(contacts: Contacts, passed_s: float) -> Contacts:
@@ -314,14 +309,10 @@ def _decay(passed_s: float) -> float:
     return math.exp(-passed_s / SMOOTHING_S)
 
 
-def _starts(labels: NDArray[np.intp], count: int) -> NDArray[np.intp]:
-    """(count,) where each of rising labels 0…count − 1 begins."""
-    return np.searchsorted(labels, np.arange(count))
-
-
 def _length(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Of vectors (c, 3), (c,); never 0, so that one can divide by it."""
     return np.asarray(np.maximum(np.sqrt(np.square(vectors).sum(axis=1)), _TINY))
 
 
 _TINY = np.finfo(np.float64).tiny
+_SATURATED = np.uint8(Status.SATURATED)

@@ -68,11 +68,10 @@ class DriftTracker:
         reading_pa: NDArray[np.float32],
         valid: NDArray[np.bool_],
         t_s: float,
-    ) -> bool:
+    ) -> None:
         """Move the baseline's drift by what is due at t_s (device time, s).
 
         voltage_v: (n,) V, without drift. reading_pa: (n,) Pa, after the tare. valid: (n,) bool.
-        Returns whether there is more to follow, even if the voltages stay as they are.
         """
         self._rest_at(curves, baseline)
         if self._last_s is None:
@@ -98,7 +97,6 @@ class DriftTracker:
             baseline.drift_v = baseline.drift_v + step_v
         change_v = np.clip(voltage_v - self._usual_v, *self._slowly(passed_s)) * resting
         self._usual_v += change_v
-        return bool(due.any() or change_v.any() or (voltage_v != self._trail_v).any())
 
     def _untouched(
         self,

@@ -24,7 +24,13 @@ from .errors import SpecError
 
 LEAST_SHARE = 0.1
 """Share of the pressure, on the logarithmic axis, that follows every turn at once."""
-MOST_GAIN = 20.0
+LIMITS = {
+    "rise_s": (1e-6, 60.0),
+    "fall_s": (1e-6, 60.0),
+    "scale_pa": (1.0, 1e6),
+    "most_gain": (1.0, 20.0),
+}
+"""Least and most of the single values of Dynamics."""
 _OPEN_PA, _OPEN_SHARE = 150.0, 0.01
 """A rise is undone once it exceeds this, 1.5 LSB of the paper's sensor in both of its stages."""
 _CLOSED_PA = 5.0
@@ -51,12 +57,8 @@ class Dynamics:
     most_gain: float = 4.0
 
     def __post_init__(self) -> None:
-        for name, value, low, high in (
-            ("rise_s", self.rise_s, 1e-6, 60.0),
-            ("fall_s", self.fall_s, 1e-6, 60.0),
-            ("scale_pa", self.scale_pa, 1.0, 1e6),
-            ("most_gain", self.most_gain, 1.0, MOST_GAIN),
-        ):
+        for name, (low, high) in LIMITS.items():
+            value = getattr(self, name)
             if not low <= value <= high:
                 raise SpecError(
                     f"dynamics: {name} is {value:g}; it must lie within {low:g}…{high:g}"
@@ -88,7 +90,9 @@ class Dynamics:
     def noise_gain(self) -> float:
         """Bound of what compensation makes of white noise on a pressure, rms to rms.
 
-        It holds while the lead is on; without it noise grows by 1/share.
+        It holds while the lead is on; without it noise grows by 1/share. Peaks of a small
+        disturbance of any course grow by (2·most_gain − 1)·(2/share − 1) at most: plays, and what
+        the lead follows, never move by more than what moves them.
         """
         return self.most_gain / self.share
 
@@ -201,8 +205,8 @@ class Compensator:
     this filter alone. The lead sets in once a pressure has risen by more than the last digit and
     ends when it falls, so a resting sensor does not flicker.
 
-    The result lies within 0…range whatever comes in, and noise grows at most by
-    dynamics.noise_gain.
+    The result lies within 0…range whatever comes in, and white noise grows at most by
+    dynamics.noise_gain. Where the lead sets in or ends the result jumps.
     """
 
     def __init__(self, dynamics: Dynamics, range_pa: NDArray[Any]) -> None:

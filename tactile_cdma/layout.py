@@ -77,8 +77,8 @@ class Layout:
     def grid(cls, nodes: int, rows: int, columns: int, pitch_m: float, taxel_m: float) -> Layout:
         """A flat grid for n nodes, row-major, about the centre of the skin.
 
-        Node 1 is row 0, column 0; x grows with columns, y with rows. 0 rows or columns are chosen,
-        as square as a full grid allows. taxel_m: edge of a taxel's sensing area, m.
+        Node 1 is row 0, column 0; x grows with columns, y falls with rows. 0 rows or columns are
+        chosen, as square as a full grid allows. taxel_m: edge of a taxel's sensing area, m.
         Raises SpecError where rows × columns is not the number of nodes.
         """
         if not rows and not columns:
@@ -136,13 +136,14 @@ class Layout:
     def raster(self) -> NDArray[np.int32]:
         """(h, w) int32, the taxel in each cell of a picture of the unrolled skin; −1: none.
 
-        Of a grid the cells are its taxels with a node; of an irregular skin they are cell_m wide
-        and hold the nearest taxel, row 0 at the least y.
+        Seen from outside, the first row on top, at the greatest y. Of a grid the cells are its
+        taxels with a node; of an irregular skin they are cell_m wide and hold the nearest taxel.
         """
         if not self.irregular:
             taxels = np.where(self.nodes > 0, np.arange(len(self)), -1)
             return taxels.astype(np.int32).reshape(self.rows, self.columns)
-        place = (self.flat_m - self.flat_m.min(axis=0) + self.pitch_m / 2) / self.cell_m
+        down_m = self.flat_m * np.array([1, -1], dtype=np.float32)
+        place = (down_m - down_m.min(axis=0) + self.pitch_m / 2) / self.cell_m
         width, height = self._cells(self.cell_m)
         reach = COVER_PITCHES * self.pitch_m / self.cell_m
         steps = np.arange(-math.ceil(reach), math.ceil(reach) + 1)

@@ -1,7 +1,8 @@
 """Where a regular skin's taxels lie: rows and columns on a plane, a cylinder or a sphere.
 
-The frame is that of the patch: its origin is the middle of the skin, x grows with columns, y with
-rows, z points out of the surface there. A curved patch of large radius is a flat one.
+The frame is that of the patch: its origin is the middle of the skin, z points out of the surface
+there. Seen from outside columns go right, along x, and rows down, against y, as in a picture. A
+curved patch of large radius is a flat one.
 """
 
 from __future__ import annotations
@@ -88,7 +89,7 @@ def sphere(rows: int, columns: int, pitch_m: float, radius_m: float) -> Surface:
 def _grid(rows: int, columns: int, pitch_m: float) -> NDArray[np.float64]:
     """Row-major places of a flat grid about its centre, (rows · columns, 2), m."""
     y, x = np.mgrid[:rows, :columns].astype(np.float64)
-    centred = np.stack([x.ravel() - (columns - 1) / 2, y.ravel() - (rows - 1) / 2], axis=1)
+    centred = np.stack([x.ravel() - (columns - 1) / 2, (rows - 1) / 2 - y.ravel()], axis=1)
     return np.asarray(centred * pitch_m)
 
 

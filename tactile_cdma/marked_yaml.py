@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,7 @@ from .errors import TactileError
 
 MOST_BYTES = 1 << 24
 MOST_DEPTH = 16
+_WHOLE = re.compile("0|-?[1-9][0-9]{0,17}")
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
@@ -73,26 +75,32 @@ class Marked:
 
     def number(self, what: str, low: float, high: float, unit: str = "") -> float:
         """A finite number within limits, both inclusive."""
-        return float(self._within(what, float, "a number", low, high, unit))
+        try:
+            value = float(self._plain.lower().replace(".nan", "nan").replace(".inf", "inf"))
+        except ValueError:
+            raise self.refuse(f"{what} is {self._kind}; it must be a number") from None
+        if not math.isfinite(value):
+            raise self.refuse(f"{what} is {self._plain[:40]}; it must be finite")
+        return self._within(what, value, low, high, unit)
 
     def whole(self, what: str, low: int, high: int) -> int:
         """A whole number within limits, both inclusive."""
-        return int(self._within(what, int, "a whole number", low, high, ""))
+        # Not every way to write one: 010 is eight elsewhere, and 07 would be another key than 7.
+        if not _WHOLE.fullmatch(self._plain):
+            raise self.refuse(f"{what} is {self._kind}; it must be a whole number")
+        return int(self._within(what, int(self._plain), low, high, ""))
 
-    def _within(
-        self, what: str, kind: type[int | float], name: str, low: float, high: float, unit: str
-    ) -> float:
-        try:
-            if not isinstance(self.content, str) or self.quoted:
-                raise ValueError
-            value = kind(self.content)
-        except ValueError:
-            raise self.refuse(f"{what} is {self._kind}; it must be {name}") from None
-        if not (math.isfinite(value) and low <= value <= high):
+    def _within(self, what: str, value: float, low: float, high: float, unit: str) -> float:
+        if not low <= value <= high:
             raise self.refuse(
                 f"{what} is {value:.10g}; it must lie within {low:.10g}…{high:.10g} {unit}".rstrip()
             )
         return value
+
+    @property
+    def _plain(self) -> str:
+        """A scalar without quotes; empty for anything else."""
+        return self.content if isinstance(self.content, str) and not self.quoted else ""
 
     @property
     def _kind(self) -> str:
@@ -139,7 +147,8 @@ def read_marked(path: Path, error: type[TactileError]) -> Marked:
         with path.open("rb") as file:
             raw = file.read(MOST_BYTES + 1)
     except OSError as problem:
-        raise origin.refuse(problem.strerror or str(problem)) from None
+        # Where a relative path begins is what may be wrong with it.
+        raise Origin(path.absolute(), error).refuse(problem.strerror or str(problem)) from None
     if len(raw) > MOST_BYTES:
         raise origin.refuse(f"is larger than {MOST_BYTES >> 20} MB; is it the right file?")
     try:

@@ -31,7 +31,7 @@ class PressureChain:
         self.tracker = tracker
         self.compensator = compensator
         self._looked_s: float | None = None
-        self._settled = self._moved = False
+        self._moved = False
 
     def update(
         self, voltage_v: NDArray[np.float32], valid: NDArray[np.bool_], t_s: float
@@ -48,17 +48,14 @@ class PressureChain:
             pressure_pa = self.compensator.update(pressure_pa, valid, t_s)
         reading_pa = pressure_pa - baseline.tare_pa
         saturated = curves.saturated(corrected_v)
-        self._settled = self._moved = False
-        if self._looked_s is None or not 0 <= t_s - self._looked_s < LOOK_S:
+        self._moved = False
+        if self._due(t_s):
             self._look(voltage_v, pressure_pa, reading_pa, valid, t_s)
         return reading_pa, saturated
 
     def steady(self, t_s: float) -> bool:
         """Whether the same voltages at t_s (s) give the pressures of the last update."""
-        if self._looked_s is None:
-            return False
-        due = not 0 <= t_s - self._looked_s < LOOK_S
-        if not self._settled and (due or self._moved):
+        if self._moved or self._due(t_s):
             return False
         # Last, for it takes a yes as an update.
         return self.compensator is None or self.compensator.steady(t_s)
@@ -72,7 +69,11 @@ class PressureChain:
 
     def unsettle(self) -> None:
         """Something else than the voltages has changed."""
-        self._looked_s, self._settled = None, False
+        self._looked_s = None
+
+    def _due(self, t_s: float) -> bool:
+        """Whether it is time for another look."""
+        return self._looked_s is None or not 0 <= t_s - self._looked_s < LOOK_S
 
     def _look(
         self,
@@ -83,10 +84,9 @@ class PressureChain:
         t_s: float,
     ) -> None:
         self._looked_s = t_s
-        self._settled = self.baseline.look(voltage_v, pressure_pa, valid)
+        self.baseline.look(voltage_v, pressure_pa, valid)
         if self.tracker is None or not self.tracker.rules.drift_pa_per_min:
             return
         before_v, curves = self.baseline.drift_v, self.calibration.curves
-        if self.tracker.follow(self.baseline, curves, voltage_v, reading_pa, valid, t_s):
-            self._settled = False
+        self.tracker.follow(self.baseline, curves, voltage_v, reading_pa, valid, t_s)
         self._moved = self.baseline.drift_v is not before_v

@@ -438,7 +438,7 @@ void node_run(struct avr_node *node, int64_t t_ns)
 
 void node_sense(struct avr_node *node, double volts)
 {
-    double code = floor(volts / node->supply_v * CODES);
+    double code = floor(volts / node->supply_v * CODES + 0.5); /* ideal: 0 to 1 at half a count */
     uint32_t clipped = code <= 0 ? 0 : code >= CODES - 1 ? CODES - 1 : (uint32_t)code;
 
     avr_raise_irq(avr_io_getirq(node->avr, AVR_IOCTL_ADC_GETIRQ,

@@ -102,8 +102,8 @@ def expected(
 
 
 def volts(code: int, bits: int) -> float:
-    """A sensor's voltage in the middle of a code."""
-    return (code + 0.5) / (1 << bits) * VREF
+    """A sensor's voltage in the middle of a code, which is the first bits of the converter's 10."""
+    return ((code + 0.5) / (1 << bits) - 0.5 / 1024) * VREF
 
 
 def image(build: Path, mcu: str) -> Path:

@@ -13,6 +13,7 @@ import pytest
 from conftest import Specimen
 
 from emulated import Amplifier, EmulatedNodes, EmulationError, Node
+from tactile_cdma.calibration import AdcScale
 
 CYCLE_NS = 125
 MS = 1_000_000
@@ -131,7 +132,7 @@ def test_the_converter_is_ideal(specimen: Specimen, mcu: str) -> None:
     lsb = supply_v / 1024
     volts = [-0.1, 0.0]
     for code in range(1, 1024):
-        volts += [code * lsb * (1 - 1e-9), code * lsb * (1 + 1e-9)]
+        volts += [(code - 0.5) * lsb * (1 - 1e-9), (code - 0.5) * lsb * (1 + 1e-9)]
     volts += [supply_v, supply_v + 1]
     with EmulatedNodes([node] * 8) as skin:
         shares = np.resize(volts, (-(-len(volts) // 8), 8))
@@ -142,7 +143,7 @@ def test_the_converter_is_ideal(specimen: Specimen, mcu: str) -> None:
         shown = np.stack([widths(skin, node) for node in range(8)], axis=1)
         assert all(skin.counters(node).faults == 0 for node in range(8))
     codes = (shown - shown[0, 0]) / 4
-    expected = np.clip(np.floor(shares / lsb), 0, 1023)
+    expected = AdcScale(10, supply_v).code(shares)
     assert (codes == expected).all()
     assert set(expected.ravel()) == set(range(1024))
 

@@ -51,7 +51,7 @@ def skin_of(images: Path, config: SkinConfig, clocks: np.ndarray, threshold: int
 
 
 def volts(codes: np.ndarray) -> np.ndarray:
-    return (codes + 0.5) * SUPPLY_V / 1024
+    return codes * SUPPLY_V / 1024
 
 
 class Host:

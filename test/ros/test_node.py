@@ -87,7 +87,7 @@ def test_info_is_latched_and_complete() -> None:
     assert list(info.node) == list(range(1, 17))
     assert list(info.code_row) == list(range(1, 17))
     assert info.positions[1].x - info.positions[0].x == pytest.approx(0.010)
-    assert info.positions[4].y - info.positions[0].y == pytest.approx(0.010)
+    assert info.positions[4].y - info.positions[0].y == pytest.approx(-0.010)
     assert info.pressure_max == pytest.approx(140e3)
     assert info.frame_period == pytest.approx(12.8e-3)
     assert client.arrays[-1].info_id == info.info_id

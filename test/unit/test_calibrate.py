@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recorded import record
 
 from tactile_cdma.calibration import AdcScale, PressureCurve
 from tactile_cdma.calibration_file import read_calibration
 from tactile_cdma.cli import main
-from tactile_cdma.driver import Session
 from tactile_cdma.offline import raw_frames
 from tactile_cdma.parameters import SkinConfig
 from tactile_cdma.pipeline import Pipeline
@@ -95,7 +95,7 @@ def test_a_bad_node_stops_all_unless_it_may_be_missing(
     config = SkinConfig.of({"calibration_file": str(output)})
     assert config.calibration.curves[4] == SIMULATED
     capture = tmp_path / "skin.raw"
-    record_until(capture, seconds_of_skin=0.2)
+    record(capture, SimOptions(scene="all", threshold=0), 0.2)
     readings = list(raw_frames(capture, Pipeline(config, background=False)))[-1].readings
     assert np.flatnonzero(readings.status & Status.UNCALIBRATED).tolist() == [4]
     for index in range(NODES):
@@ -150,7 +150,7 @@ def test_a_reference_beside_a_capture(
         SCENES, "all", lambda t_s, skin: np.full(len(skin.positions_m), 1e3 * staircase(t_s))
     )
     capture = tmp_path / "touch.raw"
-    record_until(capture, seconds_of_skin=1 + 3.0 * len(LOADS_KPA))
+    record(capture, SimOptions(scene="all", threshold=0), 1 + 3.0 * len(LOADS_KPA))
     t_s = np.arange(1.0, 1 + 3.0 * len(LOADS_KPA), 0.05)
     rows = [f"{t - 1000:.3f},{staircase(t):.4f}" for t in t_s]
     reference = tmp_path / "reference.csv"
@@ -171,27 +171,6 @@ def test_a_reference_beside_a_capture(
     capsys.readouterr()
     wrong = "0 loads rest for longer"
     assert wrong in refusal(capsys, *arguments, "--force", "--offset", 0)
-
-
-def record_until(path: Path, seconds_of_skin: float) -> None:
-    """A raw capture of so many seconds of the simulated skin, made as fast as it can be."""
-    clock = Clock()
-    digitizer = VirtualDigitizer(SimOptions(scene="all", speed=1.0, threshold=0), clock)
-    digitizer.receive(Session(SkinConfig.of({})).open())
-    with path.open("wb") as file:
-        while clock.now_s < seconds_of_skin:
-            clock.now_s += 0.02
-            digitizer.advance()
-            file.write(digitizer.take(1 << 20))
-    assert digitizer.packets_dropped == 0
-
-
-@dataclass
-class Clock:
-    now_s: float = 0.0
-
-    def __call__(self) -> float:
-        return self.now_s
 
 
 @dataclass
@@ -351,7 +330,7 @@ def test_nothing_taken_is_said(
     assert "no load was taken" in refusal(capsys, *nothing)
     assert not list(tmp_path.iterdir())
     monkeypatch.setattr("builtins.input", lambda question: "10")
-    monkeypatch.setattr("tactile_cdma.load_session.PATIENCE_S", 0.5)
+    monkeypatch.setattr("tactile_cdma.calibrating.load_session.PATIENCE_S", 0.5)
     missing = ["--port", tmp_path / "no-tty", "-o", tmp_path / "skin.yaml"]
     assert "no such port" in refusal(capsys, *missing)
     other = ["--port", "sim://?nodes=9", "-o", tmp_path / "other.yaml", "--node", "17"]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_cdma.calibration import AdcScale, PressureCurve
+from tactile_cdma.calibration import AdcScale, Curves, PressureCurve
 from tactile_cdma.errors import SpecError
 
 CURVE = PressureCurve.two_stage()
@@ -79,3 +79,46 @@ def test_a_curve_must_fall() -> None:
         PressureCurve((0.0, 1e3), (1.0, 2.0))
     with pytest.raises(SpecError, match="two or more corners"):
         PressureCurve((0.0,), (1.0,))
+
+
+@st.composite
+def any_curve(draw: st.DrawFn) -> PressureCurve:
+    pieces = draw(st.integers(1, 64))
+    widths_pa = draw(st.lists(st.floats(10.0, 5e3), min_size=pieces, max_size=pieces))
+    falls_v = draw(st.lists(st.floats(1e-4, 0.05), min_size=pieces, max_size=pieces))
+    pressure_pa = np.append(0.0, np.cumsum(widths_pa))
+    return PressureCurve(tuple(pressure_pa), tuple(3.3 - np.append(0.0, np.cumsum(falls_v))))
+
+
+@given(st.lists(any_curve(), min_size=1, max_size=5), st.floats(0.0, 1.0))
+def test_the_curves_of_a_skin_are_those_of_its_sensors(
+    curves: list[PressureCurve], share: float
+) -> None:
+    """Of any number of pieces, at corners and between them, but for the rounding of float32."""
+    skin = Curves.of(curves)
+    assert [skin[i] for i in range(len(curves))] == curves
+    steepest = max(np.max(np.diff(c.pressure_pa) / -np.diff(c.voltage_v)) for c in curves)
+    range_pa = skin.range_pa
+    np.testing.assert_allclose(
+        skin.voltage(share * range_pa),
+        [c.voltage(share * c.range_pa) for c in curves],
+        atol=1e-12,
+    )
+    for voltage_v in (*skin.voltage_v, skin.voltage(share * range_pa)):
+        rounded_v = voltage_v.astype(np.float32)
+        expected = [float(c.pressure(v)) for c, v in zip(curves, rounded_v, strict=True)]
+        np.testing.assert_allclose(
+            skin.pressure(rounded_v), expected, rtol=1e-5, atol=5e-7 * steepest
+        )
+
+
+@pytest.mark.parametrize("bits", [10, 12, 16])
+def test_float32_is_fine_enough_for_every_converter(bits: int) -> None:
+    """Rounding makes less than a hundredth of the error of quantisation, LSB/√12, up to 5 V."""
+    scale, curve = AdcScale(bits, 5.0), PressureCurve.two_stage(v0_v=5.0)
+    voltage_v = scale.voltage(np.arange(1 << bits))
+    exact_pa = curve.pressure(voltage_v)
+    read_pa = Curves.uniform(curve, 1 << bits).pressure(voltage_v.astype(np.float32))
+    for stage, slope in ((exact_pa < 50e3, 0.033e-3), (exact_pa >= 50e3, 0.0059e-3)):
+        error_pa = np.sqrt(np.mean(np.square(read_pa - exact_pa)[stage]))
+        assert error_pa < 0.01 * scale.lsb_v / slope / np.sqrt(12)

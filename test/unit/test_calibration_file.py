@@ -17,6 +17,7 @@ from tactile_cdma.calibration_file import (
     seal_calibration,
     write_calibration,
 )
+from tactile_cdma.dynamics import Dynamics
 from tactile_cdma.errors import CalibrationError, SpecError, TactileError
 from tactile_cdma.marked_yaml import MOST_BYTES
 from tactile_cdma.parameters import SkinConfig
@@ -24,6 +25,7 @@ from tactile_cdma.parameters import SkinConfig
 DEFAULT = PressureCurve.two_stage()
 ADC = AdcScale()
 NODES = 4
+DYNAMICS = Dynamics(rise_s=0.085, fall_s=0.1 / 3, widths=(0.05, 0.3), weights=(0.1, 0.2))
 CURVES = {
     1: PressureCurve((0.0, 50e3, 140e3), (3.2, 1.6, 1.0)),
     2: PressureCurve((0.0, 48e3, 140e3), (3.25, 1.7, 1.1)),
@@ -47,7 +49,7 @@ def read(path: Path, **changes: object) -> Calibration:
 def refusal(path: Path, **changes: object) -> str:
     with pytest.raises(CalibrationError) as caught:
         read(path, **changes)
-    assert str(caught.value).startswith(f"{path}: ")
+    assert str(caught.value).startswith((f"{path}: ", f"{path}, line "))
     return str(caught.value)
 
 
@@ -66,6 +68,51 @@ def test_what_is_written_is_read(path: Path) -> None:
         assert curve == CURVES.get(node, DEFAULT)
     assert calibration.uncalibrated.tolist() == [False, False, True, False]
     assert len(calibration.identity) == 12
+
+
+def test_dynamics_are_kept_to_the_last_bit(path: Path) -> None:
+    calibration = replace(read(path), dynamics=DYNAMICS)
+    identity = write_calibration(path, calibration, ADC, "palm")
+    assert read(path).dynamics == DYNAMICS
+    assert read(path).identity == identity
+    content = yaml.safe_load(path.read_text())["dynamics"]
+    assert content["rise_s"] == DYNAMICS.rise_s and content["weights"] == [*DYNAMICS.weights]
+
+
+def test_whole_numbers_are_numbers(path: Path) -> None:
+    curve = PressureCurve((0, 100_000), (3, 1))
+    whole = replace(Calibration.of_nodes({1: curve}, DEFAULT, 1), dynamics=Dynamics(1, 1))
+    write_calibration(path, whole, ADC)
+    assert read(path, nodes=1, skin="").curves[0] == curve
+    assert read(path, nodes=1, skin="").dynamics == Dynamics(1.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "cause"),
+    [
+        ("rise_s: 0.085", "rise_s: 0", "rise_s is 0; it must lie within 1e-06…60"),
+        ("rise_s: 0.085", "rise_s: soon", "rise_s is 'soon'; it must be a number"),
+        ("rise_s: 0.085", "ris_s: 0.085", "unknown key 'ris_s' in dynamics; did you mean 'rise_s'"),
+        ("weights: [0.1, 0.2]", "weights: [0.1, -0.2]", "each of weights is -0.2"),
+        ("weights: [0.1, 0.2]", f"weights: {[0.01] * 65}", "weights has 65 numbers; 64 plays"),
+        ("weights: [0.1, 0.2]", "weights: 0.3", "weights is '0.3'; it must be a list"),
+        ("widths: [0.05, 0.3]", "widths: [0.3, 0.05]", "widths must rise"),
+        ("widths: [0.05, 0.3]", "widths: [0.05]", "1 widths but 2 weights"),
+    ],
+)
+def test_dynamics_that_cannot_be_are_refused(path: Path, old: str, new: str, cause: str) -> None:
+    write_calibration(path, replace(read(path), dynamics=DYNAMICS), ADC, "palm")
+    line = edit(path, old, new)
+    assert cause in (text := refusal(path))
+    assert f"{path}, line {line}: " in text
+
+
+def test_a_play_too_strong_and_a_value_left_out_are_refused(path: Path) -> None:
+    write_calibration(path, replace(read(path), dynamics=DYNAMICS), ADC, "palm")
+    edit(path, "weights: [0.1, 0.2]", "weights: [0.1, 0.9]")
+    assert "weights add up to 1; above 0.9" in refusal(path)
+    edit(path, "  scale_pa: 2000.0\n", "")
+    assert "dynamics has no 'scale_pa'" in refusal(path)
 
 
 @st.composite
@@ -106,8 +153,10 @@ def test_identity_is_of_what_matters(path: Path) -> None:
         write_calibration(path, whole, ADC, "thumb"),
         write_calibration(path, whole, replace(ADC, vref_v=3.31), "palm"),
         write_calibration(path, Calibration.of_nodes(CURVES, DEFAULT, NODES + 1), ADC, "palm"),
+        write_calibration(path, replace(whole, dynamics=DYNAMICS), ADC, "palm"),
+        write_calibration(path, replace(whole, dynamics=Dynamics(0.08, 0.1)), ADC, "palm"),
     ]
-    assert len({identity, *others}) == 5
+    assert len({identity, *others}) == 7
 
 
 def test_the_skins_parameters_take_it(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -136,26 +185,33 @@ def test_a_file_for_another_skin_is_refused(path: Path) -> None:
         ("tactile_cdma/calibration", "other/file", "its schema is 'other/file'"),
         ("version: 1", "version: 2", "newer program"),
         ("version: 1", "version: 0", "older than 1"),
-        ("version: 1", "version: one", "version must be an integer"),
-        ("pressure: Pa", "pressure: kPa", "unit of pressure is kPa; it must be Pa"),
-        ("voltage: V}", "volt: V}", "did you mean voltage"),
-        ("bits: 10", "bits: ten", "bits must be an integer within 1…16"),
-        ("bits: 10", "bitz: 10", "unknown entry 'bitz'; did you mean bits"),
-        ("vref_v: 3.3", "vref_v: .nan", "finite|number"),
-        ("vref_v: 3.3", "vref_v: -1", "must lie within 0…100 V"),
-        ("3.25", "1.65", "node 2, corner 3|node 2, corner 2: 1.7 V after 1.65 V"),
+        ("version: 1", "version: one", "version is 'one'; it must be a whole number"),
+        ("pressure: Pa", "pressure: kPa", "the unit of pressure is kPa; it must be Pa"),
+        ("voltage: V}", "volt: V}", "unknown key 'volt' in units; did you mean 'voltage'"),
+        ("bits: 10", "bits: ten", "bits is 'ten'; it must be a whole number"),
+        ("bits: 10", "bits: 17", "bits is 17; it must lie within 8…16"),
+        ("bits: 10", "bits: 010", "bits is '010'; it must be a whole number"),
+        ("bits: 10", "bitz: 10", "unknown key 'bitz' in the file; did you mean 'bits'"),
+        ("skin: palm", "skin:", "skin is empty; it must be text"),
+        ("skin: palm", "skin: [palm]", "skin is a list; it must be text"),
+        ("vref_v: 3.3", "vref_v: .nan", r"vref_v is \.nan; it must be finite"),
+        ("vref_v: 3.3", "vref_v: -1", r"vref_v is -1; it must lie within 0\.1…100 V"),
+        ("3.25", "1.65", "node 2, corner 2: 1.7 V after 1.65 V"),
         ("48000.0", "148000.0", "node 2, corner 3: 140000 Pa after 148000 Pa"),
-        ("48000.0", "inf", "node 2: pressure is inf; it must be finite"),
-        ("48000.0", "'many'", "node 2: pressure must be a number, not 'many'"),
-        ("[0.0, 48000.0", "[5.0, 48000.0", "node 2: begins at 5 Pa, not at 0"),
+        ("48000.0", "inf", "node 2, corner 2: pressure is inf; it must be finite"),
+        ("48000.0", "-.INF", r"node 2, corner 2: pressure is -\.INF; it must be finite"),
+        ("48000.0", "'many'", "node 2, corner 2: pressure is 'many'; it must be a number"),
+        ("[0.0, 48000.0", "[5.0, 48000.0", "node 2 begins at 5 Pa, not at 0"),
         ("[0.0, 48000.0, 140000.0]", "[0.0, 48000.0]", "node 2: 2 pressures and 3 voltages"),
-        ("[0.0, 48000.0, 140000.0]", "high", "node 2: pressure must be a list"),
-        (", 1.1]", ", -0.1]", "node 2, corner 3: -0.1 V; it must lie within 0…3.3 V"),
-        ("3.25", "4.25", "node 2, corner 1: 4.25 V; it must lie within 0…4.125 V"),
-        ("  2: {", "  1: {", "1 is there twice, first in line"),
-        ("  2: {", "  02: {", "a node's number must be an integer"),
-        ("  2: {", "  5: {", "a node's number must be an integer within 1…4, not '5'"),
+        ("[0.0, 48000.0, 140000.0]", "high", "node 2: pressure is 'high'; it must be a list"),
+        (", 1.1]", ", -0.1]", r"corner 3: voltage is -0\.1; it must lie within 0…3\.3 V"),
+        ("3.25", "4.25", r"corner 1: voltage is 4\.25; it must lie within 0…4\.125 V"),
+        ("pressure: [0.0, 48000.0", "pressur: [0.0, 48000.0", "did you mean 'pressure'"),
+        ("  2: {", "  1: {", "'1' again; it stands in line 1[0-9] already"),
+        ("  2: {", "  02: {", "a node's number is '02'; it must be a whole number"),
+        ("  2: {", "  5: {", "a node's number is 5; it must lie within 1…4"),
         ("uncalibrated: [3]", "uncalibrated: []", "no curve for node 3; calibrate"),
+        ("uncalibrated: [3]", "uncalibrated: [03]", "a node's number is '03'; it must be"),
         ("uncalibrated: [3]", "uncalibrated: [3, 3]", "node 3 is listed twice"),
         ("uncalibrated: [3]", "uncalibrated: [2, 3]", "node 2 is uncalibrated, but has a curve"),
         ("3.25", "3.24", "damaged, or edited; .* --seal"),
@@ -166,9 +222,7 @@ def test_what_is_wrong_is_named_with_its_line(path: Path, old: str, new: str, ca
     with pytest.raises(CalibrationError, match=cause):
         read(path)
     # Where something is missing, or contradicts the identity, the line is another one.
-    if cause not in ("no curve for node 3; calibrate", "damaged, or edited; .* --seal") and (
-        "schema" not in cause
-    ):
+    if cause not in ("no curve for node 3; calibrate", "damaged, or edited; .* --seal"):
         assert f"{path}, line {line}: " in refusal(path)
 
 
@@ -177,20 +231,20 @@ def test_what_is_no_calibration_file_is_refused(path: Path) -> None:
     for content, cause in (
         ("", "empty"),
         ("[1, 2", "not a YAML file"),
-        ("[" * 50_000, "not a YAML file"),
-        ("just words", "must be entries"),
+        ("[" * 50_000, "nested deeper than"),
+        ("just words", "it must be keys with values"),
         ("a: 1", "names no schema"),
         (text[: text.index("curves")], "curves is missing: is the file cut short"),
-        ("a: &a [x, x]\nb: [*a, *a]\n", "line 2: aliases are not taken"),
+        ("a: &a [x, x]\nb: [*a, *a]\n", "line 2: anchors and aliases (& and *) are not taken"),
         (text.replace("schema", "# schema"), "names no schema"),
     ):
         path.write_text(content)
         assert cause in refusal(path)
     path.write_bytes(b"\xff\xfe\x00")
-    assert "not a text file" in refusal(path)
+    assert "not a text file in UTF-8" in refusal(path)
     with path.open("wb") as file:
         file.truncate(MOST_BYTES + 1)
-    assert "MB are more than such a file can have" in refusal(path)
+    assert "larger than 16 MB" in refusal(path)
     path.unlink()
     assert "No such file" in refusal(path)
 
@@ -210,7 +264,7 @@ def test_a_damaged_file_is_refused_and_nothing_else(
     try:
         after = read(path)
     except CalibrationError as error:
-        assert str(error).startswith(f"{path}: ")
+        assert str(error).startswith((f"{path}: ", f"{path}, line "))
     else:  # what was hit does not matter
         assert after.identity == before.identity
         assert np.array_equal(after.curves.voltage_v, before.curves.voltage_v)
@@ -225,6 +279,14 @@ def test_an_edited_file_can_be_sealed_anew(path: Path) -> None:
     assert calibration.identity == identity != before
     assert calibration.curves[1].voltage_v[0] == 3.24
     assert "corrected by hand" in path.read_text()
+    text = path.read_text()
+    for written in ("'x y'  # by hand", '"x"', "x y", "x # by hand"):
+        path.write_text(text.replace(f"identity: '{identity}'", f"identity: {written}"))
+        assert seal_calibration(path) == read(path).identity == identity
+    path.write_text(text.replace("identity: ", "identity:\n  "))
+    with pytest.raises(CalibrationError, match="no line begins with 'identity: …'"):
+        seal_calibration(path)
+    path.write_text(text)
     edit(path, "3.24", "1.24")
     with pytest.raises(CalibrationError, match="node 2, corner 2"):
         seal_calibration(path)

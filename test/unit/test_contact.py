@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -85,6 +85,26 @@ def test_taxels_that_hang_together_on_a_large_skin(density: float) -> None:
     labels = connected(touched, layout.neighbours.T.astype(np.intp))
     expected = components(touched.tolist(), layout.neighbours)
     assert {frozenset(touched[labels == i].tolist()) for i in range(labels.max() + 1)} == expected
+
+
+TOUCHES = st.lists(
+    st.lists(st.tuples(st.integers(0, ROWS - 1), st.integers(0, COLUMNS - 1)), max_size=20),
+    max_size=8,
+)
+"""Places touched, frame by frame."""
+
+
+@given(TOUCHES)
+@example([[(0, 0), (0, 1)], [(0, 0), (5, 5)]])
+@settings(max_examples=60)
+def test_contacts_are_what_hangs_together_in_each_frame(
+    frames: list[list[tuple[int, int]]],
+) -> None:
+    twice = [frame for frame in frames for _ in range(2)]
+    found = contacts_of(*({place: 2.0 for place in frame} for frame in twice))
+    for frame, contacts in zip(twice, found, strict=True):
+        touched = sorted({row * COLUMNS + column for row, column in frame})
+        assert set(map(frozenset, taxels(contacts))) == components(touched, GRID.neighbours)
 
 
 def test_a_contact_begins_above_one_threshold_and_lasts_above_another() -> None:
@@ -302,12 +322,7 @@ def test_torque_is_that_of_the_force_at_the_centre_of_pressure_on_a_flat_skin() 
 # Lives
 
 
-@given(
-    st.lists(
-        st.lists(st.tuples(st.integers(0, ROWS - 1), st.integers(0, COLUMNS - 1)), max_size=20),
-        max_size=8,
-    )
-)
+@given(TOUCHES)
 @settings(max_examples=60)
 def test_ids_are_never_used_twice(frames: list[list[tuple[int, int]]]) -> None:
     ended: set[int] = set()

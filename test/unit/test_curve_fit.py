@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tactile_cdma.calibrating.curve_fit import Fit, fit_curves, levels_of
 from tactile_cdma.calibration import AdcScale, Curves, PressureCurve
-from tactile_cdma.curve_fit import Fit, fit_curves, levels_of
 
 ADC = AdcScale()
 NOISE_V = ADC.lsb_v / math.sqrt(12)

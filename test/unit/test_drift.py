@@ -8,11 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactile_cdma.baseline import LOOK_S, Baseline, RestRules
+from tactile_cdma.baseline import Baseline, RestRules
 from tactile_cdma.calibration import AdcScale, Calibration, PressureCurve
 from tactile_cdma.drift import BAND_LSB, SETTLE_S, STRAY_S, DriftTracker, nodes_beside
+from tactile_cdma.dynamics import Compensator, Dynamics
 from tactile_cdma.layout import Layout
 from tactile_cdma.pressure import PressureChain
+from tactile_cdma.sim.sensor import PAPER_DYNAMICS
 
 ADC = AdcScale()
 REST_V = 930 * ADC.lsb_v
@@ -296,45 +298,33 @@ def test_nobody_is_a_stray_for_not_being_looked_at() -> None:
     assert rig.tracker.strays_lsb(rig.t_s) == {}
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_frames_that_are_skipped_change_nothing(seed: int) -> None:
-    """Beyond what is too little to be followed; touches and drift come and go."""
+@pytest.mark.parametrize("dynamics", [None, PAPER_DYNAMICS], ids=["static", "compensated"])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_frames_that_are_skipped_while_steady_change_nothing(
+    dynamics: Dynamics | None, seed: int
+) -> None:
+    """Neither readings nor drift, however long voltages stay and whatever comes afterwards."""
     rng = np.random.default_rng(seed)
-    whole, thrifty = Rig(6), Rig(6)
-    load_pa, offset_v = np.zeros(6), rng.uniform(-1, 1, 6) * ADC.lsb_v
-    before_v, skipped = np.full(6, np.nan), 0
-    for _ in range(6000):
-        if rng.random() < 0.004:
-            load_pa[rng.integers(6)] = rng.choice([0.0, 0.0, 0.0, 250.0, 400.0, 3e3])
-        if rng.random() < 0.01:
-            offset_v = offset_v + rng.normal(0, 0.3, 6) * ADC.lsb_v
-        expected = whole.read(load_pa, offset_v)
-        voltage_v = thrifty.measure(load_pa, offset_v)
-        if np.array_equal(voltage_v, before_v) and thrifty.chain.steady(thrifty.t_s):
-            skipped += 1
-        else:
-            readings, before_v = thrifty.read(load_pa, offset_v), voltage_v
-        assert np.abs(readings - expected).max() < 0.01 * LSB_PA
-        whole.t_s = thrifty.t_s = whole.t_s + 0.1
-    assert skipped > 100
-
-
-def test_steady_means_that_nothing_changes() -> None:
-    """The chain asks to be updated until a resting node reads nothing, then no more."""
-    rig = Rig(4)
-    voltage_v = rig.measure(0.0, -0.8 * ADC.lsb_v)
-    reading, updates, t_s = rig.chain.update(voltage_v, rig.valid, 0.0)[0], 0, 0.0
-    while t_s < 300:
-        t_s += 0.0128
-        if rig.chain.steady(t_s):
-            continue
-        updates += 1
-        reading = rig.chain.update(voltage_v, rig.valid, t_s)[0]
-    assert np.abs(reading).max() < 0.02 * LSB_PA
-    assert rig.chain.steady(1e6)
-    assert updates < 2.1 * 150 / LOOK_S
-    fresh = rig.chain.update(voltage_v, rig.valid, 1e6)[0]
-    assert np.array_equal(fresh, reading)
+    beside = nodes_beside(Layout.grid(9, 3, 3, 7e-3, 5e-3), 9)
+    every, some = Rig(9, beside=beside), Rig(9, beside=beside)
+    if dynamics is not None:
+        for rig in (every, some):
+            rig.chain.compensator = Compensator(dynamics, rig.calibration.curves.range_pa)
+    t_s, skipped, frames = 0.0, 0, 0
+    for stays_s in rng.choice([0.1, 1.0, 5.0, 15.0, 40.0], 25):
+        codes = 930 - rng.integers(-3, 8, 9) * (rng.random(9) < 0.5)
+        voltage_v, valid = ADC.voltage(codes).astype(np.float32), rng.random(9) < 0.97
+        for frame in range(round(stays_s / 0.05)):
+            t_s += 0.05
+            expected = every.chain.update(voltage_v, valid, t_s)[0]
+            if frame and some.chain.steady(t_s):
+                skipped += 1
+            else:
+                read = some.chain.update(voltage_v, valid, t_s)[0]
+            frames += 1
+            assert np.array_equal(read, expected, equal_nan=True)
+        assert np.array_equal(some.baseline.drift_v, every.baseline.drift_v)
+    assert skipped > frames / 3
 
 
 @settings(max_examples=60, deadline=None)

@@ -213,6 +213,47 @@ def test_noise_grows_no_more_than_promised(most_gain: float, step_s: float) -> N
     assert grown > 0.8, "noise is not swallowed either"
 
 
+def test_no_disturbance_grows_beyond_its_bound() -> None:
+    """Not white noise but the worst of many courses between two values: peaks, small ones.
+
+    Plays, and what the lead follows, move by no more than what moves them: what is taken from
+    what adds up to (2·G − 1)·(2/share − 1), without the lead to the second factor.
+    """
+    rng = np.random.default_rng(5)
+    t_s = 1e-3 * np.arange(800)
+    flips = rng.random((800, 300)) < rng.uniform(0.003, 0.3, 300)
+    disturbance_pa = 50.0 * np.cumprod(np.where(flips, -1, 1), axis=0)
+    at_rest = 2 / PAPER_DYNAMICS.share - 1
+    rising = (2 * PAPER_DYNAMICS.most_gain - 1) * at_rest
+    for slope_pa_per_s, bound in ((60e3, rising), (0.0, at_rest)):
+        true_pa = 20e3 + slope_pa_per_s * t_s[:, None] * np.ones(300)
+        found = compensated(PAPER_DYNAMICS, true_pa + disturbance_pa, t_s, 300)
+        found -= compensated(PAPER_DYNAMICS, true_pa, t_s, 300)
+        peak = np.abs(found[200:]).max() / 50.0
+        assert 0.6 * bound < peak < 1.01 * bound
+
+
+@pytest.mark.parametrize(
+    ("period_s", "lost", "removed"),
+    [(0.0128, 0.0, 0.75), (0.0128, 0.5, 0.65), (0.02, 0.1, 0.7), (0.1, 0.0, 0.5), (0.3, 0.1, 0.1)],
+)
+def test_slow_and_lost_frames_leave_more_of_the_error(
+    period_s: float, lost: float, removed: float
+) -> None:
+    """Pressures go on between frames, which no compensation sees."""
+    rng = np.random.default_rng(6)
+    turns_s = np.append(0.0, np.cumsum(rng.uniform(0.3, 3.0, 60)))
+    turns_pa = rng.uniform(0, 120e3, (61, 3)) * np.where(np.arange(61) % 2, 1.0, 0.2)[:, None]
+    fine_s = np.arange(0, turns_s[-1], 1e-3)
+    path_pa = np.stack([np.interp(fine_s, turns_s, turn) for turn in turns_pa.T], axis=1)
+    frames = np.arange(0, len(fine_s), round(period_s * 1e4) / 10).astype(int)
+    frames = frames[rng.random(len(frames)) >= lost]
+    measured = distorted(PAPER_DYNAMICS, path_pa, 1e-3)[frames]
+    found = compensated(PAPER_DYNAMICS, measured, fine_s[frames])
+    before, after = (np.sqrt(np.mean((x - path_pa[frames]) ** 2)) for x in (measured, found))
+    assert 1 - after / before > removed
+
+
 def test_a_resting_reading_does_not_flicker_more_than_its_last_digit() -> None:
     """The converter's code goes to and fro between two values, in both stages of the curve."""
     rng = np.random.default_rng(2)

@@ -79,7 +79,7 @@ def test_columns_of_a_cylinder_are_a_chord_apart_and_rows_a_pitch() -> None:
     places = SURFACES["cylinder"].positions_m.reshape(5, 8, 3).astype(float)
     around = np.linalg.norm(np.diff(places, axis=1), axis=2)
     assert np.allclose(around, 2 * 20e-3 * math.sin(PITCH_M / 20e-3 / 2), rtol=1e-5)
-    assert np.allclose(np.diff(places, axis=0), [0, PITCH_M, 0], atol=1e-9)
+    assert np.allclose(np.diff(places, axis=0), [0, -PITCH_M, 0], atol=1e-9)
 
 
 def test_distances_and_directions_from_the_middle_of_a_sphere_are_kept() -> None:
@@ -193,6 +193,16 @@ def test_a_list_that_is_a_grid_is_drawn_as_that_grid() -> None:
     assert np.array_equal(heatmap(pressure, same, 1e5, pixels=6), expected)
 
 
+@pytest.mark.parametrize("name", [*SURFACES, "list"])
+def test_pictures_show_the_skin_as_it_looks_from_outside(name: str) -> None:
+    """With its normals towards the eye x goes right and y up: no mirror image."""
+    layout = irregular(SURFACES["plane"].flat_m) if name == "list" else on(SURFACES[name])
+    right, up = layout.positions_m[:, 0].argmax(), layout.positions_m[:, 1].argmax()
+    assert np.argwhere(layout.raster == right)[:, 1].max() == layout.raster.shape[1] - 1
+    assert np.argwhere(layout.raster == up)[:, 0].min() == 0
+    assert (layout.normals[:, 2] > 0).all()
+
+
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 60), st.floats(1, 10))
 def test_every_cell_of_a_raster_shows_the_nearest_taxel(
@@ -201,8 +211,9 @@ def test_every_cell_of_a_raster_shows_the_nearest_taxel(
     layout = irregular(np.random.default_rng(seed).uniform(-spread, spread, (count, 2)) * PITCH_M)
     height, width = layout.raster.shape
     y, x = np.mgrid[:height, :width] + 0.5
-    corner = layout.flat_m.min(axis=0) - PITCH_M / 2
-    cells = np.stack([x, y], axis=-1) * layout.cell_m + corner
+    left, top = layout.flat_m.min(axis=0)[0], layout.flat_m.max(axis=0)[1]
+    right_m, down_m = (axis * layout.cell_m - PITCH_M / 2 for axis in (x, y))
+    cells = np.stack([left + right_m, top - down_m], axis=-1)
     distance = np.linalg.norm(cells[:, :, None] - layout.flat_m, axis=3)
     shown = layout.raster >= 0
     chosen = np.take_along_axis(distance, np.maximum(layout.raster, 0)[..., None], axis=2)[..., 0]
@@ -216,4 +227,4 @@ def test_rasters_of_scattered_skins_are_bounded_and_show_everybody() -> None:
     assert far.raster.max() == 2
     picture = heatmap(np.zeros(3, np.float32), far, 1e5, pixels=256)
     assert picture.size <= 3 << 20
-    assert tuple(picture[0, -1]) == NO_TAXEL_RGB
+    assert tuple(picture[0, 0]) == tuple(picture[-1, -1]) == NO_TAXEL_RGB

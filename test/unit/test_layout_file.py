@@ -131,7 +131,7 @@ def test_the_simulator_presses_on_the_unrolled_skin(tmp_path: Path) -> None:
     skin = options.skin(7)
     x, y = skin.positions_m.T * 1e3
     assert np.allclose(x[[5, 4, 3, 0, 1]], [-7, 0, 7, -7, 0])
-    assert np.allclose(y[[5, 4, 3, 0, 1]], [-3.5, -3.5, -3.5, 3.5, 3.5])
+    assert np.allclose(y[[5, 4, 3, 0, 1]], [3.5, 3.5, 3.5, -3.5, -3.5])
     for query in ("rows=2", "nodes=8"):
         with pytest.raises(SpecError):
             SimOptions.from_url(f"sim://?{query}&layout={tmp_path / 'skin.yaml'}")
@@ -185,8 +185,11 @@ REFUSED = {
     "text": (GRID.replace("rows: 2", "rows: two"), ["line 4", "'two'", "whole number"]),
     "fraction": (GRID.replace("rows: 2", "rows: 2.5"), ["line 4", "'2.5'", "whole number"]),
     "none at all": (GRID.replace("rows: 2", "rows: 0"), ["line 4", "rows is 0", "1…65535"]),
-    "infinite": (GRID.replace("pitch_mm: 7", "pitch_mm: .inf"), ["line 6", "a number"]),
-    "not finite": (GRID.replace("pitch_mm: 7", "pitch_mm: 1e999"), ["line 6", "pitch_mm is inf"]),
+    "infinite": (GRID.replace("pitch_mm: 7", "pitch_mm: .inf"), ["line 6", "must be finite"]),
+    "not finite": (
+        GRID.replace("pitch_mm: 7", "pitch_mm: 1e999"),
+        ["line 6", "pitch_mm is 1e999; it must be finite"],
+    ),
     "pitch in metres": (GRID.replace("pitch_mm: 7", "pitch_mm: 0.007"), ["0.01…1000 mm"]),
     "too large": (GRID.replace("rows: 2", "rows: 65000"), ["195000 taxels", "65535"]),
     "area": (GRID + "area_mm2: 50\n", ["line 7", "area_mm2 is 50", "49.05 mm²"]),
@@ -238,7 +241,7 @@ REFUSED = {
     "no position": (LIST + taxels("node: 1"), ["line 5", "taxel 0 has no 'position_mm'"]),
     "not a number": (
         LIST + taxels("position_mm: [0, .nan, 0], node: 1"),
-        ["line 5", "position of taxel 0", "'.nan'"],
+        ["line 5", "position of taxel 0", "is .nan; it must be finite"],
     ),
     "far away": (LIST + taxels("position_mm: [0, 1e6, 0], node: 1"), ["-100000…100000 mm"]),
     "no normal": (

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tactile_cdma.calibrating.load_points import HEADING, LoadPoints, point_lines, read_points
+from tactile_cdma.calibrating.load_table import read_table
 from tactile_cdma.errors import CalibrationError
-from tactile_cdma.load_points import HEADING, LoadPoints, point_lines, read_points
-from tactile_cdma.load_table import read_table
 
 
 def read(path: Path, text: str, area_m2: float | None = None) -> LoadPoints:
@@ -110,3 +110,19 @@ def test_files_that_are_no_tables(path: Path) -> None:
     path.write_bytes(b"\xff\xfe\x00\x01")
     with pytest.raises(CalibrationError, match="not a text file"):
         read_table(path)
+
+
+def test_rising_loads_are_those_above_the_one_before() -> None:
+    """Of each node by itself; what is held goes on as it came, a jitter is no change."""
+    loads_pa = np.array([0, 10, 20, 20.05, 15, 15, 30, 0, 0, 5]) * 1e3
+    node = np.repeat([2, 1], len(loads_pa))
+    both_pa = np.concatenate([loads_pa, loads_pa[::-1]])
+    order = np.arange(len(node)).reshape(2, -1).T.ravel()  # the nodes by turns
+    lines = np.arange(len(node))
+    points = LoadPoints(node[order], both_pa[order], 3.3 - both_pa[order] / 1e5, lines, "x.csv")
+    rising = points.rising(nodes=3)
+    assert rising.pressure_pa[rising.node == 2].tolist() == [0, 10e3, 20e3, 20.05e3, 30e3, 5e3]
+    assert rising.pressure_pa[rising.node == 1].tolist() == [5e3, 30e3, 20.05e3, 20e3]
+    assert rising.voltage_v == pytest.approx(3.3 - rising.pressure_pa / 1e5)
+    assert np.array_equal(points.pressure_pa[rising.line], rising.pressure_pa)
+    assert len(rising.rising(nodes=3)) < len(points)

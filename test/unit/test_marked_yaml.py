@@ -1,5 +1,6 @@
 """YAML with line numbers: what is read, and what is refused."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -56,7 +57,26 @@ def test_what_is_no_number_in_range_is_refused(tmp_path: Path, text: str) -> Non
         value.whole("a", 0, 1)
 
 
-def test_folders_and_missing_files_are_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("text", [".nan", "-.inf", ".INF", "NaN", "1e999"])
+def test_a_number_is_finite(tmp_path: Path, text: str) -> None:
+    value = read(tmp_path, f"a: {text}").mapping("it")["a"]
+    with pytest.raises(LayoutError, match=f"line 1: a is {re.escape(text)}; it must be finite"):
+        value.number("a", 0, 1)
+
+
+@pytest.mark.parametrize("text", ["07", "+7", "1_0", "0x1", "1.0", "-0", "9" * 400, "٣"])
+def test_a_whole_number_is_written_in_one_way(tmp_path: Path, text: str) -> None:
+    value = read(tmp_path, f"a: {text}").mapping("it")["a"]
+    with pytest.raises(LayoutError, match=r"line 1: a is '.*'; it must be a whole number"):
+        value.whole("a", 0, 100)
+
+
+def test_folders_and_missing_files_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(LayoutError, match=re.escape(str(tmp_path / "none.yaml"))):
+        read_marked(Path("none.yaml"), LayoutError)
     with pytest.raises(LayoutError, match="No such file"):
         read_marked(tmp_path / "none.yaml", LayoutError)
     with pytest.raises(LayoutError, match="Is a directory"):

@@ -7,9 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactile_cdma.calibration import AdcScale, PressureCurve
-from tactile_cdma.errors import CalibrationError
-from tactile_cdma.plateaus import (
+from tactile_cdma.calibrating.plateaus import (
     Recording,
     Reference,
     find_offset,
@@ -17,6 +15,8 @@ from tactile_cdma.plateaus import (
     read_reference,
     steady_voltage,
 )
+from tactile_cdma.calibration import AdcScale, PressureCurve
+from tactile_cdma.errors import CalibrationError
 
 ADC = AdcScale()
 CURVE = PressureCurve.two_stage(v0_v=3.0)

@@ -88,7 +88,7 @@ def test_grid_positions_are_centred_row_major() -> None:
     positions = Layout.grid(6, 2, 3, 10e-3, 5e-3).positions_m
     assert np.allclose(positions.mean(axis=0), 0, atol=1e-9)
     assert np.allclose(positions[1] - positions[0], [10e-3, 0, 0])
-    assert np.allclose(positions[3] - positions[0], [0, 10e-3, 0])
+    assert np.allclose(positions[3] - positions[0], [0, -10e-3, 0])
 
 
 def test_impossible_grids_are_refused() -> None:

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tactile_cdma.calibrating.load_points import LoadPoints
+from tactile_cdma.calibrating.report import describe, results, stages
+from tactile_cdma.calibrating.skin_fit import SkinFit, fit_skin
 from tactile_cdma.calibration import AdcScale, PressureCurve
-from tactile_cdma.calibration_report import describe, results, stages
 from tactile_cdma.errors import CalibrationError
-from tactile_cdma.load_points import LoadPoints
-from tactile_cdma.skin_fit import SkinFit, fit_skin
 
 ADC = AdcScale()
 CURVE = PressureCurve.two_stage(v0_v=3.0)

@@ -14,11 +14,11 @@ from typing import TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from .driver import Driver
-from .errors import CalibrationError, PortError
+from ..driver import Driver
+from ..errors import CalibrationError, PortError
+from ..parameters import SkinConfig
+from ..pipeline import TactileFrame
 from .load_points import HEADING, point_lines
-from .parameters import SkinConfig
-from .pipeline import TactileFrame
 from .plateaus import LEAST_FRAMES, Floats, steady_voltage
 
 PATIENCE_S = 5.0

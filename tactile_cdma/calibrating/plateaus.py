@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from .calibration import AdcScale, PressureCurve
-from .errors import CalibrationError
+from ..calibration import AdcScale, PressureCurve
+from ..errors import CalibrationError
 from .load_points import LoadPoints, check_pressures, node_numbers
 from .load_table import read_table
 

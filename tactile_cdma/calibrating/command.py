@@ -1,35 +1,59 @@
-"""The command `tactile-cdma calibrate`: recorded loads, or a skin on a port → calibration file."""
+"""The command `tactile-cdma calibrate`: known loads and what a skin measured → calibration file."""
 
 from __future__ import annotations
 
 import argparse
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from .arguments import add_skin_options, given, positive
-from .calibration import Calibration
-from .calibration_file import numbers, seal_calibration, write_calibration
-from .calibration_report import describe, draw, results
-from .errors import CalibrationError, CaptureError
+from ..arguments import add_skin_options, given, positive
+from ..calibration import Calibration
+from ..calibration_file import (
+    numbers,
+    read_content,
+    seal_calibration,
+    write_calibration,
+    write_content,
+)
+from ..errors import CalibrationError, CaptureError
+from ..offline import described_parameters, raw_frames
+from ..parameters import BY_NAME, SkinConfig, Value
+from ..pipeline import Pipeline
+from . import dynamics_fit, report
 from .load_points import LoadPoints, read_points
 from .load_session import LiveSkin, LoadSession
-from .offline import described_parameters, raw_frames
-from .parameters import BY_NAME, SkinConfig, Value
-from .pipeline import Pipeline
-from .plateaus import Recording, find_offset, plateau_points, read_reference
+from .plateaus import (
+    Recording,
+    Reference,
+    find_offset,
+    plateau_points,
+    read_reference,
+)
 from .skin_fit import SkinFit, fit_skin
 
 NODE_ORDER: dict[str, Value] = {"calibration_file": "", "layout_file": "", "rows": 0, "columns": 0}
 """Parameters under which taxel i is node i + 1, and no earlier calibration takes part."""
 LONGEST_MS = 1e5
 """Points have no frames: a large skin need not fit into the default period."""
-SETTLE_S = 2.0
-"""The paper's sensor takes 0.74 s to follow a load."""
-STEP_S = 1.0
+OF_CURVES: dict[str, Any] = {
+    "pieces": 2,
+    "rising": False,
+    "allow_missing": False,
+    "settle": 2.0,
+    "port": None,
+    "steps": (),
+    "node": None,
+    "seconds": 1.0,
+    "append": False,
+}
+"""Options of the fit of curves, and their defaults. The paper's sensor takes 0.74 s to settle."""
+MISLED_S = 0.3
+"""By so much a sensor's lag may shift the offset of the clocks that is found."""
 
 
 def add_to(commands: Any) -> None:
@@ -50,7 +74,12 @@ def add_to(commands: Any) -> None:
     parser.add_argument("--png", type=Path, metavar="FILE", help="picture (beside the output)")
     parser.add_argument("--force", action="store_true", help="overwrite the output")
     parser.add_argument("--skin", help="name of this very skin (the parameter skin)")
-    parser.add_argument("--pieces", type=_pieces, default=2, help="of every curve (2)")
+    parser.add_argument("--pieces", type=_pieces, help=f"of every curve ({OF_CURVES['pieces']})")
+    parser.add_argument(
+        "--rising",
+        action="store_true",
+        help="only loads above the one before count: for a skin that will be compensated",
+    )
     parser.add_argument(
         "--allow-missing",
         action="store_true",
@@ -70,20 +99,27 @@ def add_to(commands: Any) -> None:
     capture.add_argument(
         "--settle",
         type=positive,
-        default=SETTLE_S,
-        help=f"left out after a load came to rest [s] ({SETTLE_S:g})",
+        help=f"left out after a load came to rest [s] ({OF_CURVES['settle']:g})",
+    )
+    capture.add_argument(
+        "--dynamics",
+        type=Path,
+        metavar="FILE",
+        help="a calibration file that lag and hysteresis, seen in loading cycles, are added to",
     )
     live = parser.add_argument_group("loads taken step by step")
     live.add_argument("--port", help="pyserial URL of the digitizer")
     live.add_argument("--baud", type=int, default=BY_NAME["baud"].default)
-    live.add_argument("--steps", type=_steps, default=(), metavar="0,10,…", help="loads [kPa]")
+    live.add_argument("--steps", type=_steps, metavar="0,10,…", help="loads [kPa]")
     live.add_argument("--node", type=int, help="the one that is loaded (all, alike)")
     live.add_argument(
-        "--seconds", type=positive, default=STEP_S, help=f"that a load is measured ({STEP_S:g})"
+        "--seconds",
+        type=positive,
+        help=f"that a load is measured ({OF_CURVES['seconds']:g})",
     )
     live.add_argument("--append", action="store_true", help="go on with a file of points")
     add_skin_options(parser, "what a capture says, else the driver's")
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, **OF_CURVES)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -97,12 +133,12 @@ def run(arguments: argparse.Namespace) -> int:
         values["skin"] = arguments.skin
     area_m2 = arguments.area_mm2 and arguments.area_mm2 * 1e-6
     if arguments.capture:
-        try:
-            values = described_parameters(arguments.capture) | values
-        except OSError as error:
-            raise CaptureError(f"{arguments.capture}: {error.strerror}") from None
-        config = SkinConfig.of(values)
-        points = _beside_capture(arguments, loads, area_m2, config)
+        config = SkinConfig.of(_described(arguments.capture) | values)
+        reference = read_reference(loads, config.spec.nodes, area_m2)
+        if arguments.dynamics:
+            return _add_dynamics(arguments, output, config, reference)
+        recording, offset_s = _beside_capture(arguments, reference, config)
+        points = plateau_points(reference, recording, offset_s, arguments.settle, config.adc)
     else:
         if not arguments.port:
             values["frame_period_ms"] = LONGEST_MS
@@ -110,18 +146,55 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.port and not _take_loads(arguments, loads, config):
             return 1
         points = read_points(loads, config.spec.nodes, config.adc.vref_v, area_m2)
-    fit = fit_skin(points, config.spec.nodes, config.adc, arguments.pieces)
-    print(describe(fit))
+    return _fit(arguments, output, config, points)
+
+
+def _fit(
+    arguments: argparse.Namespace, output: Path, config: SkinConfig, points: LoadPoints
+) -> int:
+    nodes = config.spec.nodes
+    if arguments.rising:
+        taken, points = len(points), points.rising(nodes)
+        print(f"{len(points)} of {taken} points are of rising loads")
+    fit = fit_skin(points, nodes, config.adc, arguments.pieces)
+    print(report.describe(fit))
     _check_missing(fit, arguments.allow_missing)
-    calibration = Calibration.of_nodes(fit.curves, config.curve, config.spec.nodes)
-    skin = str(values.get("skin", BY_NAME["skin"].default))
-    identity = write_calibration(output, calibration, config.adc, skin, points.source)
-    picture = arguments.png or output.with_suffix(".png")
-    draw(fit, picture)
-    print(f"written: {output}, {picture}")
-    pairs = {**results(fit), "identity": identity}
-    print(" ".join(f"{key}={value}" for key, value in pairs.items()))
+    calibration = Calibration.of_nodes(fit.curves, config.curve, nodes)
+    identity = write_calibration(output, calibration, config.adc, config.skin, points.source)
+    picture = _picture(arguments, output)
+    report.draw(fit, picture)
+    _conclude(output, picture, report.results(fit) | {"identity": identity})
     return 0
+
+
+def _add_dynamics(
+    arguments: argparse.Namespace, output: Path, config: SkinConfig, reference: Reference
+) -> int:
+    content = read_content(arguments.dynamics, config.spec.nodes, config.adc, config.skin)
+    recording, offset_s = _beside_capture(arguments, reference, config)
+    found = dynamics_fit.find_dynamics(
+        content.calibration(config.curve),
+        reference,
+        recording,
+        offset_s,
+        uncertain_s=MISLED_S if arguments.offset is None else 0.0,
+    )
+    print(dynamics_fit.describe(found))
+    source = ", ".join(filter(None, (content.source, f"dynamics: {reference.path.name}")))
+    identity = write_content(output, replace(content, dynamics=found.dynamics, source=source))
+    picture = _picture(arguments, output)
+    dynamics_fit.draw(found, picture)
+    _conclude(output, picture, dynamics_fit.results(found) | {"identity": identity})
+    return 0
+
+
+def _picture(arguments: argparse.Namespace, output: Path) -> Path:
+    return arguments.png or output.with_suffix(".png")
+
+
+def _conclude(output: Path, picture: Path, results: dict[str, str]) -> None:
+    print(f"written: {output}, {picture}")
+    print(" ".join(f"{key}={value}" for key, value in results.items()))
 
 
 def _files(arguments: argparse.Namespace) -> tuple[Path, Path]:
@@ -133,6 +206,8 @@ def _files(arguments: argparse.Namespace) -> tuple[Path, Path]:
         raise CalibrationError(f"{output}: exists already; --force overwrites it")
     if not output.parent.is_dir():
         raise CalibrationError(f"{output}: there is no such folder")
+    if arguments.dynamics:
+        _check_dynamics(arguments)
     if arguments.port and arguments.capture:
         raise CalibrationError("--port and --capture: loads come from one of the two")
     loads: Path | None = arguments.loads
@@ -143,20 +218,38 @@ def _files(arguments: argparse.Namespace) -> tuple[Path, Path]:
     return output, loads
 
 
+def _check_dynamics(arguments: argparse.Namespace) -> None:
+    """Raises CalibrationError for what does not go with --dynamics."""
+    for name, default in OF_CURVES.items():
+        if getattr(arguments, name) != default:
+            raise CalibrationError(
+                f"--{name.replace('_', '-')} is for curves; --dynamics adds to those of "
+                f"{arguments.dynamics}"
+            )
+    if not arguments.capture:
+        raise CalibrationError("--dynamics takes loading cycles: give --capture, too")
+
+
+def _described(capture: Path) -> dict[str, Value]:
+    try:
+        return described_parameters(capture)
+    except OSError as error:
+        raise CaptureError(f"{capture}: {error.strerror}") from None
+
+
 def _beside_capture(
-    arguments: argparse.Namespace, loads: Path, area_m2: float | None, config: SkinConfig
-) -> LoadPoints:
-    reference = read_reference(loads, config.spec.nodes, area_m2)
+    arguments: argparse.Namespace, reference: Reference, config: SkinConfig
+) -> tuple[Recording, float]:
+    """What the nodes measured, and its time minus the reference's, s."""
     recording = read_recording(arguments.capture, config)
-    offset_s = arguments.offset
-    if offset_s is None:
-        found = find_offset(reference, recording, config.curve)
-        offset_s = found.offset_s
-        print(
-            f"offset of the clocks: {found.offset_s:.2f} ± {found.error_s:.2f} s (match "
-            f"{found.match:.3f})"
-        )
-    return plateau_points(reference, recording, offset_s, arguments.settle, config.adc)
+    if arguments.offset is not None:
+        return recording, float(arguments.offset)
+    found = find_offset(reference, recording, config.curve)
+    print(
+        f"offset of the clocks: {found.offset_s:.2f} ± {found.error_s:.2f} s (match "
+        f"{found.match:.3f})"
+    )
+    return recording, found.offset_s
 
 
 def read_recording(path: Path, config: SkinConfig) -> Recording:

@@ -9,11 +9,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from .calibration import AdcScale, PressureCurve
-from .calibration_file import HEADROOM
+from ..calibration import AdcScale, PressureCurve
+from ..calibration_file import HEADROOM
+from ..errors import CalibrationError
 from .curve_fit import LEAST_LEVELS, Fit, Floats, Mask, fit_curves, levels_of
-from .errors import CalibrationError
-from .load_points import LoadPoints
+from .load_points import LoadPoints, directions
 
 FIRST_LOAD = 0.25
 """The smallest load must lie below this share of the largest: the curve begins at 0."""
@@ -58,7 +58,7 @@ def fit_skin(points: LoadPoints, nodes: int, adc: AdcScale, pieces: int = 2) -> 
     # The converter says "this or more" there, which is no value to fit.
     usable = points.voltage_v < adc.vref_v - 1.5 * adc.lsb_v
     usable &= points.voltage_v > 0.5 * adc.lsb_v
-    rows = _rows_by_node(points, nodes)
+    rows = points.by_node(nodes)
     _check_direction(points, rows, adc)
     refused: dict[int, str] = {}
     good: dict[int, NDArray[np.intp]] = {}
@@ -98,13 +98,6 @@ def _accept(result: SkinFit, node: int, own: NDArray[np.intp], fit: Fit, index: 
     inliers = own[~result.outlier[own]]
     loop_v = _loop_v(result.points.pressure_pa[inliers], result.residual_v[inliers])
     result.loop[node] = loop_v / float(corner_v[0] - corner_v[-1])
-
-
-def _rows_by_node(points: LoadPoints, nodes: int) -> dict[int, NDArray[np.intp]]:
-    """Each node's points, in the order in which they were taken."""
-    order = np.argsort(points.node, kind="stable")
-    ends = np.searchsorted(points.node[order], np.arange(1, nodes + 2))
-    return {node: order[ends[node - 1] : ends[node]] for node in range(1, nodes + 1)}
 
 
 def _fit(points: LoadPoints, rows: dict[int, NDArray[np.intp]], adc: AdcScale, pieces: int) -> Fit:
@@ -233,12 +226,7 @@ def _loop_v(pressure_pa: Floats, residual_v: Floats) -> float:
     pressure_pa, residual_v: (m,), in the order in which they were taken. Residuals of loads that
     were reached from below and from above are compared, so that equal loads need not be the same.
     """
-    least_pa = 0.005 * pressure_pa.max()
-    change_pa = np.diff(pressure_pa, prepend=pressure_pa[0])
-    direction = np.sign(np.where(np.abs(change_pa) > least_pa, change_pa, 0.0))
-    # A load that is held goes on as it came.
-    moved = np.maximum.accumulate(np.where(direction != 0, np.arange(len(direction)), 0))
-    direction = direction[moved]
+    direction = directions(pressure_pa)
     up, down = direction >= 0, direction < 0
     if np.count_nonzero(down) < 2 or np.count_nonzero(up) < 2:
         return math.nan

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import CalibrationError
+from ..errors import CalibrationError
 
 MOST_BYTES = 256 << 20
 KINDS: dict[str, dict[str, float]] = {

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .calibration_file import numbers
+from ..calibration_file import numbers
+from ..errors import CalibrationError
 from .curve_fit import Floats
-from .errors import CalibrationError
 from .skin_fit import SkinFit
 
 WORST = 5

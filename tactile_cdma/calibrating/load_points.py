@@ -13,6 +13,7 @@ from .load_table import Table, read_table
 HEADING = "node,pressure_kpa,voltage_v"
 PLAUSIBLE_PA = (200.0, 1e8)
 """A largest load outside of this is taken for one in a wrong unit."""
+_CHANGE = 0.005
 _SHOWN = 8
 
 
@@ -32,6 +33,26 @@ class LoadPoints:
 
     def __len__(self) -> int:
         return len(self.node)
+
+    def by_node(self, nodes: int) -> dict[int, NDArray[np.intp]]:
+        """The rows of each of the nodes 1…nodes, in the order in which they were taken."""
+        order = np.argsort(self.node, kind="stable")
+        ends = np.searchsorted(self.node[order], np.arange(1, nodes + 2))
+        return {node: order[ends[node - 1] : ends[node]] for node in range(1, nodes + 1)}
+
+    def rising(self, nodes: int) -> LoadPoints:
+        """Those of loads that were above the one before on their node."""
+        kept = np.zeros(len(self), dtype=bool)
+        for own in self.by_node(nodes).values():
+            if len(own):
+                kept[own] = directions(self.pressure_pa[own]) >= 0
+        return LoadPoints(
+            self.node[kept],
+            self.pressure_pa[kept],
+            self.voltage_v[kept],
+            self.line[kept],
+            self.source,
+        )
 
     def lines(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> str:
         """Where points come from, in words: "lines 3, 5, 9"."""
@@ -70,6 +91,19 @@ def read_points(path: Path, nodes: int, vref_v: float, area_m2: float | None = N
     return LoadPoints(
         node_numbers(table, nodes), pressure_pa, voltage_v, table.line, source=path.name
     )
+
+
+def directions(pressure_pa: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How loads (m,) of one node were reached, in their order: 1 from below, −1 from above.
+
+    A load that is held goes on as it came; 0 for the first. What is less than half a per cent of
+    the largest is no change.
+    """
+    least_pa = _CHANGE * pressure_pa.max()
+    change_pa = np.diff(pressure_pa, prepend=pressure_pa[0])
+    direction = np.sign(np.where(np.abs(change_pa) > least_pa, change_pa, 0.0))
+    moved = np.maximum.accumulate(np.where(direction != 0, np.arange(len(direction)), 0))
+    return np.asarray(direction[moved])
 
 
 def check_swapped(

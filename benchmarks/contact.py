@@ -1,0 +1,350 @@
+"""Error and run time of contacts, and what their motion says of slip: `make bench-contact`.
+
+Round contacts on a grid of 7 mm and 10-bit words, through the driver's own chain. Hertz: pressure
+√(1 − ρ²) of two elastic bodies; soft: (1 − ρ²)^1.5, the same through a soft cover.
+
+- accuracy: errors of force and centre of single presses, by size and peak of the contact, where
+  taxels average over 5.5 mm, and where they feel nothing but their centres.
+- rest: the same after a tare, and while drift is followed, on the default curve (whose rest is
+  above the highest code) and on curves of the taxels' own. Mean errors of the force: pressures at
+  rest add up over the many taxels of a weak contact.
+- rim: which taxels beside those in contact should count for its force, also where all voltages are
+  a count below those of the calibration.
+- time: per frame, next to a plain search and sums contact by contact in Python, which keeps neither
+  ids nor speeds. The tracker looks anew for what hangs together where other taxels are touched than
+  in the frame before: a few contacts come and go; of all taxels one does, or none.
+- slip: see contact_slip.py.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from tactile_cdma.calibration import Curves
+from tactile_cdma.contact import ContactTracker
+from tactile_cdma.layout import Layout
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.sim.scene import SCENES
+from tactile_cdma.sim.sensor import SensorModel
+from tactile_cdma.taxels import Readings
+
+from .contact_skin import (
+    AREA,
+    CONFIG,
+    LAYOUT,
+    NODES,
+    PITCH_M,
+    POINT,
+    SHARE,
+    TAXEL_M,
+    Feeling,
+    Floats,
+    Profile,
+    felt,
+    hertz,
+    soft,
+)
+from .contact_slip import CENTRE, ENERGY, FORCES_N, SLIDE_S, SPEEDS_MM_S, Slips, slips
+from .report import QUICK, Report, medians_s
+
+RADII = (1.5, 2.0, 2.5, 4.0)
+PEAKS_KPA = (4.0, 8.0, 20.0, 45.0, 120.0)
+FIRM_KPA = 8.0
+"""From this peak on, tables by radius hold all peaks."""
+PRESSES = 15 if QUICK else 150
+RESTED_S = 60.0
+OWN = SensorModel(mismatch=0.05).curves(NODES)
+
+SIZES = (16, 256, 1024, 4096)
+ROUNDS = 7 if QUICK else 31
+IDLE, FEW, ALL, FLICKER = "idle", "few", "all", "all, one flickers"
+SCENE_OF = {IDLE: "idle", FEW: "presses", ALL: "all", FLICKER: "all"}
+
+
+# Accuracy
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Of m presses: of_force as a share, of_centre in pitches, (m,) both."""
+
+    of_force: Floats
+    of_centre: Floats
+
+    @property
+    def percent(self) -> list[float]:
+        """Force: rms, 95 %, worst; centre, in % of a pitch: 95 %, worst."""
+        force, centre = 100 * np.abs(self.of_force), 100 * self.of_centre
+        most = (np.quantile(force, 0.95), force.max(), np.quantile(centre, 0.95), centre.max())
+        return [float(np.sqrt(np.mean(np.square(force)))), *map(float, most)]
+
+
+PERCENT = ["force: rms, %", "95 %", "worst", "centre: 95 %, % of a pitch", "worst"]
+
+
+def presses(
+    skin: Feeling, profile: Profile, pitches: float, peak_kpa: float, sensing: str = AREA
+) -> Errors:
+    """Of presses at random places."""
+    force_n = peak_kpa * 1e3 * SHARE[profile] * math.pi * (pitches * PITCH_M) ** 2
+    of_force, of_centre = [], []
+    for centre_m, pressure_pa in pressed(profile, pitches, peak_kpa, sensing):
+        _, contacts = skin.feel(skin.curves.voltage(pressure_pa))
+        of_force.append(-contacts.force_n[:, 2].sum() / force_n - 1)
+        of_centre.append(np.linalg.norm(contacts.centre_m[:2] - centre_m) / PITCH_M)
+    return Errors(np.array(of_force), np.array(of_centre))
+
+
+def pressed(
+    profile: Profile, pitches: float, peak_kpa: float, sensing: str = AREA
+) -> Iterator[tuple[Floats, Floats]]:
+    """Centres, m, near the middle of the skin, and what the taxels feel, (n,) Pa."""
+    rng = np.random.default_rng([int(10 * pitches), int(peak_kpa)])
+    for _ in range(PRESSES):
+        centre_m = rng.uniform(-2, 2, 2) * PITCH_M
+        yield centre_m, peak_kpa * 1e3 * felt(profile, centre_m, pitches * PITCH_M, sensing)
+
+
+def together(errors: list[Errors]) -> Errors:
+    return Errors(
+        np.concatenate([e.of_force for e in errors]), np.concatenate([e.of_centre for e in errors])
+    )
+
+
+Accuracy = dict[tuple[Profile, str, float], dict[float, Errors]]
+
+
+def accuracy(report: Report) -> Accuracy:
+    """Errors by profile, sensing and radius, for every peak, kPa."""
+    found: Accuracy = {}
+    for sensing in (AREA, POINT):
+        for profile in (hertz, soft):
+            for pitches in RADII:
+                skin = Feeling()
+                found[profile, sensing, pitches] = {
+                    peak: presses(skin, profile, pitches, peak, sensing) for peak in PEAKS_KPA
+                }
+    report.table(
+        ["taxels feel", "contact", "radius, pitches", *PERCENT],
+        [
+            [sensing, profile.__name__, pitches, *firm(by_peak).percent]
+            for (profile, sensing, pitches), by_peak in found.items()
+        ],
+    )
+    report.table(
+        ["taxels feel", "contact", "peak, kPa", *PERCENT],
+        [
+            [AREA, profile.__name__, peak, *found[profile, AREA, 2.5][peak].percent]
+            for profile in (hertz, soft)
+            for peak in PEAKS_KPA
+        ],
+    )
+    return found
+
+
+def firm(by_peak: dict[float, Errors]) -> Errors:
+    return together([errors for peak, errors in by_peak.items() if peak >= FIRM_KPA])
+
+
+def rest(report: Report) -> float:
+    """Worst bias, as a share of the force, of tared skins under contacts of FIRM_KPA and more."""
+    rows, worst = [], 0.0
+    for curves, of in ((None, "the default"), (OWN, "their own")):
+        for state in ("as built", "tared", f"tared, {RESTED_S:g} s of drift followed"):
+            skin = Feeling(curves)
+            if state != "as built":
+                skin.rest(2.0)
+                skin.taxels.tare(CONFIG.contact.contact_pa)
+            if state.endswith("followed"):
+                skin.rest(RESTED_S)
+            found = {peak: presses(skin, soft, 2.5, peak) for peak in (4.0, 8.0, 20.0)}
+            means = {peak: float(errors.of_force.mean()) for peak, errors in found.items()}
+            if state != "as built":
+                worst = max(worst, *(abs(means[peak]) for peak in means if peak >= FIRM_KPA))
+            rows.append([of, state, *(100 * mean for mean in means.values())])
+    report.table(["curves", "skin", *(f"mean error at {p} kPa, %" for p in (4, 8, 20))], rows)
+    return worst
+
+
+def rim(report: Report) -> None:
+    """Mean errors of the force of a soft contact, by which taxels count for it."""
+    rows = []
+    lsb_v = CONFIG.adc.lsb_v
+    for curves, below_v, of in (
+        (None, 0.0, "the default"),
+        (OWN, 0.0, "their own"),
+        (OWN, lsb_v, "their own, one count off"),
+    ):
+        for peak_kpa in (4.0, 6.0, 8.0):
+            skin, loads_n = Feeling(curves), []
+            for _, pressure_pa in pressed(soft, 2.5, peak_kpa):
+                readings, contacts = skin.feel(skin.curves.voltage(pressure_pa) - below_v)
+                [taxels] = contacts.taxels
+                beside = np.unique(LAYOUT.neighbours[taxels])
+                alone, all_n = (
+                    readings.pressure_pa[x].sum() * PITCH_M**2 for x in (taxels, beside)
+                )
+                loads_n.append([alone, contacts.load_n[0], all_n])
+            force_n = peak_kpa * 1e3 * SHARE[soft] * math.pi * (2.5 * PITCH_M) ** 2
+            means = 100 * (np.mean(loads_n, axis=0) / force_n - 1)
+            rows.append([of, peak_kpa, *means.tolist()])
+    ways = ["contact alone: mean error, %", "and the rim", "and all beside"]
+    report.table(["curves", "peak, kPa", *ways], rows)
+
+
+# Run time
+
+
+def frames(nodes: int, scene: str) -> list[Readings]:
+    """What a skin reads in a scene, frame by frame."""
+    skin, curves = SimOptions().skin(nodes), Curves.uniform(CONFIG.curve, nodes)
+    status, result = np.zeros(nodes, dtype=np.uint8), []
+    for t_s in np.arange(64) * 20e-3:
+        code = CONFIG.adc.code(curves.voltage(SCENES[scene](t_s, skin)))
+        voltage_v = CONFIG.adc.voltage(code).astype(np.float32)
+        result.append(Readings(curves.pressure(voltage_v), voltage_v, status))
+    return result
+
+
+def times(report: Report) -> dict[tuple[int, str], tuple[float, float]]:
+    """Median s per frame of the tracker and of the plain way, by size and scene."""
+    result, rows = {}, []
+    for nodes in SIZES:
+        layout = Layout.grid(nodes, 0, 0, PITCH_M, TAXEL_M)
+        for state, scene in SCENE_OF.items():
+            readings = frames(nodes, scene)
+            if state == FLICKER:
+                for every_other in readings[::2]:
+                    every_other.pressure_pa[0] = 0.0
+            found = medians_s(
+                {
+                    "tracker": in_turn(ContactTracker(layout, CONFIG.contact).update, readings),
+                    "plain": in_turn(Plain(layout).update, readings),
+                },
+                ROUNDS,
+                least_s=20e-3,
+            )
+            result[nodes, state] = found["tracker"], found["plain"]
+            rows.append([nodes, state, *(1e6 * value for value in result[nodes, state])])
+    report.table(["taxels", "touched", "µs per frame", "plain Python, µs"], rows)
+    return result
+
+
+def in_turn(
+    update: Callable[[Readings, float], object], readings: list[Readings]
+) -> Callable[[], object]:
+    """A call gives one frame after the other."""
+    number = 0
+
+    def give() -> object:
+        nonlocal number
+        number += 1
+        return update(readings[number % len(readings)], number * 20e-3)
+
+    return give
+
+
+class Plain:
+    """The obvious way: search from taxel to taxel, then sums contact by contact."""
+
+    def __init__(self, layout: Layout) -> None:
+        self._beside = layout.neighbours.tolist()
+        self._areas_m2, self._places_m = layout.areas_m2, layout.positions_m
+        self._normals = layout.normals
+
+    def update(self, readings: Readings, t_s: float) -> list[tuple[Floats, ...]]:
+        """(force, centre, torque) of each contact."""
+        found = []
+        left = set(np.flatnonzero(readings.pressure_pa > CONFIG.contact.release_pa).tolist())
+        while left:
+            taxels = [left.pop()]
+            for taxel in taxels:  # grows meanwhile
+                for other in self._beside[taxel]:
+                    if other in left:
+                        left.remove(other)
+                        taxels.append(other)
+            if readings.pressure_pa[taxels].max() > CONFIG.contact.contact_pa:
+                found.append(self._sums(taxels, readings.pressure_pa[taxels]))
+        return found
+
+    def _sums(self, taxels: list[int], pressure_pa: NDArray[np.float32]) -> tuple[Floats, ...]:
+        load_n = (pressure_pa * self._areas_m2[taxels]).astype(np.float64)
+        forces_n = -self._normals[taxels] * load_n[:, None]
+        places_m = self._places_m[taxels]
+        centre_m = load_n @ places_m / load_n.sum()
+        return forces_n.sum(axis=0), centre_m, np.cross(places_m, forces_n).sum(axis=0)
+
+
+def main() -> None:
+    report = Report("contact", "Contacts: error, run time, and what their motion says of slip")
+    found = accuracy(report)
+    bias = rest(report)
+    rim(report)
+    times_s = times(report)
+    slipped = slips(report)
+    wide = [firm(found[p, AREA, pitches]) for p in (hertz, soft) for pitches in (2.5, 4.0)]
+    of_wide, speed = together(wide), slipped["paper", 10.0, CENTRE, 10]
+    report.finish(
+        picture(found, times_s, slipped),
+        force_error_max=float(np.abs(of_wide.of_force).max()),
+        centre_error_max=float(of_wide.of_centre.max()),
+        tared_bias_max=bias,
+        us_idle_4096=times_s[4096, IDLE][0] * 1e6,
+        us_few_4096=times_s[4096, FEW][0] * 1e6,
+        us_all_4096=times_s[4096, FLICKER][0] * 1e6,
+        slip_10_mm_s_detected=float(np.isfinite(speed).mean()),
+        slip_10_mm_s_delay_ms=float(1e3 * np.median(speed)),
+    )
+
+
+def picture(
+    found: Accuracy, times_s: dict[tuple[int, str], tuple[float, float]], slipped: Slips
+) -> Figure:
+    figure = Figure(figsize=(13, 4.2))
+    left, middle, right = figure.subplots(1, 3)
+    for profile, colour in ((hertz, "C3"), (soft, "C0")):
+        for sensing, style in ((AREA, "-"), (POINT, ":")):
+            most = [firm(found[profile, sensing, pitches]).percent[1] for pitches in RADII]
+            label = f"{profile.__name__}, taxels feel {sensing}"
+            left.plot(RADII, most, style, color=colour, marker="o", label=label)
+    left.set_xlabel("radius, pitches")
+    left.set_ylabel("error of the force, 95 %, in %")
+    left.set_yscale("log")
+    left.set_title(f"Presses with peaks of {PEAKS_KPA[1]:g} to {PEAKS_KPA[-1]:g} kPa")
+    for state, colour in zip(SCENE_OF, ("C2", "C0", "C1", "C3"), strict=True):
+        tracker, plain = np.array([times_s[nodes, state] for nodes in SIZES]).T * 1e6
+        middle.loglog(SIZES, tracker, "o-", color=colour, label=f"touched: {state}")
+        middle.loglog(SIZES, plain, "x:", color=colour)
+    middle.plot([], [], "x:", color="0.5", label="the same in plain Python")
+    middle.set_xlabel("taxels")
+    middle.set_ylabel("µs per frame")
+    middle.set_title("Time per frame")
+    for cue, colour in ((CENTRE, "C0"), (ENERGY, "C3")):
+        for kind, style in (("ideal", "-"), ("paper", "--")):
+            seen = [
+                100 * np.mean([np.isfinite(slipped[kind, f, cue, v]) for f in FORCES_N])
+                for v in SPEEDS_MM_S
+            ]
+            right.semilogx(
+                SPEEDS_MM_S, seen, style, color=colour, marker="o", ms=4, label=f"{cue}, {kind}"
+            )
+    right.set_xticks(SPEEDS_MM_S, [str(speed) for speed in SPEEDS_MM_S])
+    right.set_xticks([], minor=True)
+    right.set_xlabel("speed of the slide, mm/s")
+    right.set_ylabel(f"slides seen within {SLIDE_S:g} s, %")
+    right.set_title("Slip, one false alarm in 20 grips")
+    for axes in (left, middle, right):
+        axes.grid(alpha=0.3, which="both")
+        axes.legend(fontsize=7, handlelength=3.5)
+    figure.tight_layout()
+    return figure
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""`tactile-cdma calibrate`: known loads ──▶ points ──▶ curves; cycles ──▶ dynamics; ──▶ file."""
