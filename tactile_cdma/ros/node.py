@@ -7,7 +7,10 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
+from multiprocessing import get_context
 from typing import Any
 
 import rclpy
@@ -52,6 +55,7 @@ from .diagnostics import StreamReport
 from .services import RestKeeper
 
 NODE_NAME = "skin"
+APART_NODES = 256
 CALIBRATING = {"calibration_file", "compensation"}
 """Setting one of these makes the calibration be read again."""
 RETRY_S = 2.0
@@ -187,7 +191,7 @@ class SkinNode(LifecycleNode):
         assert self._config is not None
         values = {**self._values(), **new}
         config = self._config.adjusted(values)
-        return config.recalibrated(values) if CALIBRATING & new.keys() else config
+        return recalibrated(config, values) if CALIBRATING & new.keys() else config
 
     # Lifecycle. rclpy swallows exceptions of these callbacks, so each says what went wrong itself.
 
@@ -387,6 +391,19 @@ class SkinNode(LifecycleNode):
 
     def _header(self, stamp_ns: int) -> Header:
         return Header(stamp=convert.stamp(stamp_ns), frame_id=str(self._live["frame_id"]))
+
+
+def recalibrated(config: SkinConfig, values: dict[str, Value]) -> SkinConfig:
+    """config.recalibrated(values), without holding up a stream; raises TactileError.
+
+    Thousands of curves are read in a process of their own: a second of Python in this one would
+    have the driver's thread wait for up to 80 ms at a time.
+    """
+    if config.spec.nodes < APART_NODES:
+        return config.recalibrated(values)
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
+        read = process.submit(config.recalibrated, values).result()
+    return replace(config, calibration=read.calibration, compensation=read.compensation)
 
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:

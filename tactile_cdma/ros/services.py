@@ -56,14 +56,8 @@ class RestKeeper:
 
     def configure(self, config: SkinConfig, path: Path) -> None:
         """Read the file of this skin, if there is one; path: see rest_path."""
-        self._path, self._config = path, config
-        self._writable, self._others_file = True, False
-        try:
-            self._state = read_rest(self._path)
-        except RestError as error:
-            self._state, self._others_file = None, True
-            self._log.warning(f"no tare and drift: {error}")
-        self._leave_misfit()
+        self._path, self._config, self._writable = path, config, True
+        self._read()
 
     def activate(self, driver: Driver) -> None:
         """Apply what was found before; the driver does not run yet."""
@@ -98,8 +92,10 @@ class RestKeeper:
     def adjust(self, config: SkinConfig) -> None:
         """Other parameters are in force, maybe another calibration."""
         before, self._config = self._config, config
-        if self._driver is None or before is None:
-            self._leave_misfit()
+        assert before is not None
+        if self._driver is None:
+            if config.calibration is not before.calibration:
+                self._read()
             return
         with self._driver.between_frames() as pipeline:
             stay = pipeline.adjust(config)
@@ -181,15 +177,20 @@ class RestKeeper:
 
     # The file
 
-    def _leave_misfit(self) -> None:
-        """Leave aside what was read if it is not of this skin as it is configured."""
+    def _read(self) -> None:
+        """What the file says, if it is of this skin as it is configured."""
         assert self._config is not None
-        state, config = self._state, self._config
+        config, state, self._others_file = self._config, None, False
+        try:
+            state = read_rest(self._path)
+        except RestError as error:
+            self._others_file = True
+            self._log.warning(f"no tare and drift: {error}")
         curves = config.calibration.curves.checksum
         if state and (misfit := state.misfit(config.skin, config.spec.nodes, curves)):
             self._log.warning(f"{self._path}: tare and drift are left aside: {misfit}")
-            self._state, self._others_file = None, True
-        self._tared = self._state.tared if self._state else ""
+            state, self._others_file = None, True
+        self._state, self._tared = state, state.tared if state else ""
 
     def _save_changes(self) -> None:
         """Save if that makes a difference."""

@@ -21,6 +21,7 @@ from tactile_cdma.calibration import AdcScale, Calibration, PressureCurve  # noq
 from tactile_cdma.calibration_file import write_calibration  # noqa: E402
 from tactile_cdma.msg import TactileArray  # noqa: E402
 from tactile_cdma.ros import services  # noqa: E402
+from tactile_cdma.ros.node import APART_NODES  # noqa: E402
 from tactile_cdma.sim.digitizer import VirtualDigitizer  # noqa: E402
 from tactile_cdma.sim.options import SimOptions  # noqa: E402
 from tactile_cdma.sim.pty import serve  # noqa: E402
@@ -222,6 +223,26 @@ def test_a_file_that_does_not_fit_is_left_and_set_aside_only_when_there_is_anoth
     assert yaml.safe_load(path.read_text())["nodes"] == 16
 
 
+def test_a_calibration_tried_while_inactive_costs_no_tare(
+    preload: Callable[[float], None], tmp_path: Path
+) -> None:
+    preload(800.0)
+    other = tmp_path / "other.yaml"
+    write_calibration(
+        other, Calibration.default(PressureCurve.two_stage(knee_pa=40e3), 16), AdcScale()
+    )
+    with running(port=IDLE, state_folder=str(tmp_path / "state")) as (_, client):
+        assert tare_at_last(client).success
+        assert client.change(Transition.TRANSITION_DEACTIVATE)
+        for file in (str(other), ""):
+            assert client.set(calibration_file=file) == (True, "")
+        before = len(client.arrays)
+        assert client.change(Transition.TRANSITION_ACTIVATE)
+        wait_for(lambda: len(client.arrays) > before + 30)
+        assert np.allclose(client.arrays[-1].pressure, 0, atol=15)
+        wait_for(lambda: np.allclose(client.infos[-1].tare, 781.25, atol=1))
+
+
 def test_without_a_folder_to_write_to_the_driver_goes_on(
     preload: Callable[[float], None], tmp_path: Path
 ) -> None:
@@ -320,6 +341,23 @@ def test_the_calibration_is_read_again_while_frames_go_on(
     assert client.infos[-1].calibration_id != client.infos[0].calibration_id == ""
     assert np.allclose(client.arrays[-1].pressure, 0, atol=15)
     assert np.allclose(client.infos[-1].tare, 781.25, atol=1)
+
+
+def test_thousands_of_curves_are_read_apart_from_the_stream(tmp_path: Path) -> None:
+    nodes = APART_NODES
+    curves = Calibration.default(PressureCurve.two_stage(stage1_v_per_pa=0.03e-3), nodes)
+    path, bad = tmp_path / "curves.yaml", tmp_path / "bad.yaml"
+    identity = write_calibration(path, curves, AdcScale())
+    bad.write_text(path.read_text().replace("curves:", "curvs:"))
+    large = {"nodes": nodes, "chip_us": 4.0, "frame_period_ms": 20.0, "samples_per_chip": 1}
+    with running(port=IDLE, state_folder=str(tmp_path), **large) as (_, client):
+        wait_for(lambda: len(client.arrays) > 10)
+        taken, why = client.set(calibration_file=str(bad))
+        assert not taken and "unknown key 'curvs' in the file; did you mean 'curves'?" in why
+        assert client.set(calibration_file=str(path)) == (True, "")
+        wait_for(lambda: client.arrays[-1].info_id == 2)
+    assert client.infos[-1].calibration_id == identity
+    assert has_no_gap(client.arrays)
 
 
 def test_other_curves_forget_the_tare_and_a_bad_file_changes_nothing(
