@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import os
-import tempfile
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 
 from .errors import RestError
+from .marked_yaml import Mapping, read_marked
+from .whole_file import replace_file
 
 SCHEMA = "tactile_cdma/rest"
 VERSION = 1
-MOST_BYTES = 4 << 20
-"""65,535 nodes take 1.5 MB."""
 _DIGITS = 8
 """Decimals of V that are kept."""
 _MOST_V = 100.0
@@ -30,14 +27,15 @@ _HEAD = "# Written by the driver: what it takes off readings. Delete it to start
 class RestState:
     """What a skin was found to read at rest.
 
-    skin: its name; may be empty. nodes: on the wire. calibration: identity of the calibration,
-    empty for the default one; for people. curves: checksum of its curves; tare and drift mean
-    nothing without them.
+    skin: its name; may be empty. simulated: it is none of hardware. nodes: on the wire.
+    calibration: identity of the calibration, empty for the default one; for people. curves:
+    checksum of its curves; tare and drift mean nothing without them.
     written: when, in ISO 8601. tared: when the tare was taken; empty: never, or not known.
     rest_v, drift_v: (n,) float32, see Baseline; None: no tare, no drift.
     """
 
     skin: str
+    simulated: bool
     nodes: int
     calibration: str
     curves: str
@@ -46,8 +44,11 @@ class RestState:
     rest_v: NDArray[np.float32] | None
     drift_v: NDArray[np.float32] | None
 
-    def misfit(self, skin: str, nodes: int, curves: str) -> str | None:
+    def misfit(self, skin: str, simulated: bool, nodes: int, curves: str) -> str | None:
         """Why this is not for such a skin, or None. A skin without a name is any."""
+        if self.simulated != simulated:
+            kinds = ("a real", "a simulated") if simulated else ("a simulated", "a real")
+            return f"it is of {kinds[0]} skin, this is {kinds[1]} one"
         if self.skin and skin and self.skin != skin:
             return f"it is of skin {self.skin!r}, this is {skin!r}"
         if self.nodes != nodes:
@@ -89,6 +90,7 @@ def write_rest(path: Path, state: RestState) -> None:
         "version": VERSION,
         "written": state.written,
         "skin": state.skin,
+        "simulated": _YES if state.simulated else _NO,
         "nodes": state.nodes,
         "calibration": state.calibration,
         "curves": state.curves,
@@ -99,17 +101,9 @@ def write_rest(path: Path, state: RestState) -> None:
     text = _HEAD + yaml.dump(content, Dumper=_DUMPER, sort_keys=False, allow_unicode=True)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())  # else a power cut may leave the new name on nothing
-            os.replace(name, path)
-        except BaseException:
-            with suppress(OSError):
-                os.unlink(name)
-            raise
+        if path.is_symlink():  # what it points at is not ours
+            path.unlink()
+        replace_file(path, text)
     except OSError as error:
         raise RestError(f"{path}: tare and drift are not kept: {error.strerror}") from None
 
@@ -132,93 +126,48 @@ def set_aside(path: Path) -> Path | None:
 def read_rest(path: Path) -> RestState | None:
     """What is in a file; None where there is none.
 
-    Raises RestError, naming the file and the cause, for anything that is not such a file.
+    Raises RestError, naming file, line and cause, for anything that is not such a file.
     """
-    try:
-        with path.open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
-        if len(data) > MOST_BYTES:
-            raise RestError(f"{path}: larger than {MOST_BYTES >> 20} MB; is it something else?")
-        text = data.decode("utf-8")
-        _check_plain(text)
-        content = yaml.load(text, Loader=_LOADER)
-    except FileNotFoundError:
+    if not os.path.lexists(path):
         return None
-    except OSError as error:
-        raise RestError(f"{path}: {error.strerror}") from None
-    except (yaml.YAMLError, ValueError) as error:
-        raise RestError(f"{path}: not a YAML file: {' '.join(str(error).split())}") from None
-    try:
-        return _state(content)
-    except RestError as error:
-        raise RestError(f"{path}: {error}") from None
-
-
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-_DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # 10 times as quick, where it is built in
-
-
-def _check_plain(text: str) -> None:
-    """Raises YAMLError for deep nesting, with which the loader in C ends the whole process.
-
-    And for aliases, with which a few lines make lists that no memory holds once they are shown.
-    """
-    depth = 0
-    for event in yaml.parse(text, Loader=_LOADER):
-        if isinstance(event, yaml.AliasEvent):
-            raise yaml.YAMLError("aliases are not taken here")
-        depth += isinstance(event, yaml.CollectionStartEvent)
-        depth -= isinstance(event, yaml.CollectionEndEvent)
-        if depth > _DEPTH:
-            raise yaml.YAMLError(f"nested deeper than {_DEPTH} levels")
-
-
-_DEPTH = 2
-
-
-def _state(content: object) -> RestState:
-    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-        raise RestError(f"not a file of tare and drift: its schema is not {SCHEMA}")
-    if content.get("version") != VERSION:
-        raise RestError(
-            f"it has version {content.get('version')!r}, this driver reads {VERSION}: was it "
-            "written by another driver?"
+    file = read_marked(path, RestError).mapping("the file")
+    schema, version = file.get("schema"), file.get("version")
+    if schema is None or schema.content != SCHEMA:
+        raise file.value.refuse(f"not a file of tare and drift: its schema is not {SCHEMA}")
+    if version is None or version.content != str(VERSION):
+        raise file.value.refuse(
+            f"its version is not {VERSION}, the one that is read: was it written by another driver?"
         )
-    nodes = _field(content, "nodes", int)
+    nodes = file["nodes"].whole("nodes", 1, 65_535)
     return RestState(
-        skin=_field(content, "skin", str),
         nodes=nodes,
-        calibration=_field(content, "calibration", str),
-        curves=_field(content, "curves", str),
-        written=_field(content, "written", str),
-        tared=_field(content, "tared", str),
-        rest_v=_array(content, "rest_v", nodes),
-        drift_v=_array(content, "drift_v", nodes),
+        simulated=_text(file, "simulated") == _YES,
+        rest_v=_array(file, "rest_v", nodes),
+        drift_v=_array(file, "drift_v", nodes),
+        **{name: _text(file, name) for name in _TEXTS},
     )
 
 
-def _field(content: dict[str, Any], name: str, kind: type) -> Any:
-    value = content.get(name)
-    if type(value) is not kind:
-        raise RestError(f"{name} is {value!r}; it must be {_KIND_NAMES[kind]}")
-    return value
+_TEXTS = ("skin", "calibration", "curves", "written", "tared")
+_YES, _NO = "yes", "no"
+_DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # 10 times as quick, where it is built in
 
 
-_KIND_NAMES = {int: "an integer", str: "a text"}
+def _text(file: Mapping, name: str) -> str:
+    return "" if file[name].content == "" else file[name].text(name)
 
 
-def _array(content: dict[str, Any], name: str, nodes: int) -> NDArray[np.float32] | None:
-    values = content.get(name)
-    if values is None:
+def _array(file: Mapping, name: str, nodes: int) -> NDArray[np.float32] | None:
+    if file[name].is_null:
         return None
-    if not isinstance(values, list) or len(values) != nodes:
-        raise RestError(f"{name} must hold a number for each of {nodes} nodes, or null")
-    for number, value in enumerate(values, start=1):
-        if type(value) not in (int, float) or not -_MOST_V <= value <= _MOST_V:
-            raise RestError(
-                f"{name} of node {number} is {value!r}; it must be a number within ±{_MOST_V:g}"
-            )
-    return np.array(values, dtype=np.float32)
+    values = file[name].items(name)
+    if len(values) != nodes:
+        raise file[name].refuse(f"{name} must hold a number for each of {nodes} nodes, or null")
+    numbers = [
+        value.number(f"{name} of node {number}", -_MOST_V, _MOST_V, "V")
+        for number, value in enumerate(values, start=1)
+    ]
+    return np.array(numbers, dtype=np.float32)
 
 
 def _numbers(values: NDArray[np.float32] | None) -> list[float] | None:

@@ -48,7 +48,8 @@ def take_tare(
         moving = valid & (baseline.span_v > MOVING_LSB * lsb_v)
         _refuse("moving", moving, above_pa, layout, "wait until nothing moves them")
         loaded = valid & (above_pa > contact_pa)
-        _refuse("under load", loaded, above_pa, layout, "take away what touches them")
+        remedy = "take away what touches them, or, if this is how the skin rests, "
+        _refuse("under load", loaded, above_pa, layout, remedy + "tare with force: true")
     begin_v = curves.voltage_v[0].astype(np.float32)
     rest_v = baseline.voltage_v + baseline.drift_v
     above_v = np.where(valid, np.maximum(rest_v - begin_v, 0), np.float32(0))
@@ -88,10 +89,7 @@ def _refuse(
     names = [f"{_name(i, layout)} {pressure_pa[i] / 1e3:.2f} kPa" for i in numbers[:_MOST_NAMES]]
     if len(numbers) > _MOST_NAMES:
         names.append(f"… {len(numbers)} in all")
-    raise RestError(
-        f"not tared, {state}: {', '.join(names)}; {remedy}, or, if this is how the skin rests, "
-        "tare with force: true"
-    )
+    raise RestError(f"not tared, {state}: {', '.join(names)}; {remedy}")
 
 
 def _name(index: int, layout: Layout) -> str:

@@ -44,8 +44,9 @@ class StreamReport:
         rate_hz, expected_hz = self._rate_hz(driver), 1 / driver.pipeline.config.spec.frame_period_s
         level, text = _verdict(driver, rate_hz / expected_hz)
         loss = self._loss(driver.pipeline.status)
-        if level == DiagnosticStatus.OK and loss:
-            level, text = DiagnosticStatus.WARN, loss
+        wrong_tare = _below_rest(driver, latest)
+        if level == DiagnosticStatus.OK and (loss or wrong_tare):
+            level, text = DiagnosticStatus.WARN, loss or wrong_tare or ""
         values: dict[str, object] = {
             "rate (Hz)": f"{rate_hz:.2f}",
             "expected rate (Hz)": f"{expected_hz:.2f}",
@@ -95,6 +96,21 @@ def _verdict(driver: Driver, rate: float) -> tuple[bytes, str]:
     if clocks is not None and clocks.problem:
         return DiagnosticStatus.WARN, clocks.problem
     return DiagnosticStatus.OK, "receiving"
+
+
+def _below_rest(driver: Driver, latest: TactileFrame | None) -> str | None:
+    """What there is to say of taxels that read less than nothing, as after a tare under load."""
+    if latest is None:
+        return None
+    pressure_pa, layout = latest.readings.pressure_pa, driver.pipeline.config.layout
+    below = np.flatnonzero(pressure_pa < -driver.pipeline.config.rest.contact_pa)
+    if not len(below):
+        return None
+    nodes = listed(np.sort(layout.nodes[below]).tolist())
+    return (
+        f"nodes {nodes} read up to {-pressure_pa[below].min() / 1e3:.1f} kPa less than nothing: "
+        "tare while nothing touches the skin"
+    )
 
 
 def _health(driver: Driver) -> dict[str, object]:

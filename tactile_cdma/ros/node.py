@@ -56,6 +56,7 @@ from .services import RestKeeper
 
 NODE_NAME = "skin"
 APART_NODES = 256
+SIMULATION = "sim://"
 CALIBRATING = {"calibration_file", "compensation"}
 """Setting one of these makes the calibration be read again."""
 RETRY_S = 2.0
@@ -211,7 +212,8 @@ class SkinNode(LifecycleNode):
             return TransitionCallbackReturn.FAILURE
         self._last_failure = ""
         self._config = config
-        self._rest.configure(config, path)
+        simulated = str(self._value("port")).startswith(SIMULATION)
+        self._rest.configure(config, path, simulated)
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:

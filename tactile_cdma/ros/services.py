@@ -44,6 +44,7 @@ class RestKeeper:
         self._config: SkinConfig | None = None
         self._path = Path()
         self._state: RestState | None = None  # as it was read or written last
+        self._simulated = False
         self._others_file = False  # what is on disk is not ours to overwrite
         self._writable = True
         self._tared = ""
@@ -54,9 +55,10 @@ class RestKeeper:
 
     # Lifecycle
 
-    def configure(self, config: SkinConfig, path: Path) -> None:
+    def configure(self, config: SkinConfig, path: Path, simulated: bool) -> None:
         """Read the file of this skin, if there is one; path: see rest_path."""
         self._path, self._config, self._writable = path, config, True
+        self._simulated = simulated
         self._read()
 
     def activate(self, driver: Driver) -> None:
@@ -187,7 +189,8 @@ class RestKeeper:
             self._others_file = True
             self._log.warning(f"no tare and drift: {error}")
         curves = config.calibration.curves.checksum
-        if state and (misfit := state.misfit(config.skin, config.spec.nodes, curves)):
+        misfit = state and state.misfit(config.skin, self._simulated, config.spec.nodes, curves)
+        if misfit:
             self._log.warning(f"{self._path}: tare and drift are left aside: {misfit}")
             state, self._others_file = None, True
         self._state, self._tared = state, state.tared if state else ""
@@ -255,6 +258,7 @@ class RestKeeper:
             rest_v, drift_v = kept.rest_v, kept.drift_v
         return RestState(
             skin=config.skin,
+            simulated=self._simulated,
             nodes=config.spec.nodes,
             calibration=config.calibration.identity,
             curves=curves.checksum,

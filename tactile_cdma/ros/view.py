@@ -222,7 +222,9 @@ def report(viewer: Viewer, seconds: float) -> None:
         before = viewer.tally.received
         viewer.spin_for(min(1.0, left))
         new = viewer.tally.received - before
-        pressure = np.array(viewer.latest.pressure, dtype=np.float32)
+        status = np.array(viewer.latest.status, dtype=np.uint8)
+        in_use = status & TactileArray.STATUS_MASKED == 0
+        pressure = np.array(viewer.latest.pressure, dtype=np.float32)[in_use]
         known = pressure[~np.isnan(pressure)]
         peak = f"{known.max() / 1e3:6.1f}" if known.size else "   --"
         age = f"{viewer.tally.percentile_ms(50, new):.2f}" if new else "--"

@@ -25,6 +25,7 @@ from tactile_cdma.rest_file import (
 
 STATE = RestState(
     skin="left palm",
+    simulated=True,
     nodes=3,
     calibration="0123456789ab",
     curves="89abcdef",
@@ -49,7 +50,7 @@ def test_what_is_written_is_read_to_far_below_a_count(
     write_rest(path, replace(STATE, rest_v=rest_v, drift_v=drift_v))
     back = read_rest(path)
     assert back is not None
-    for name in ("skin", "nodes", "calibration", "curves", "written", "tared"):
+    for name in ("skin", "simulated", "nodes", "calibration", "curves", "written", "tared"):
         assert getattr(back, name) == getattr(STATE, name)
     for ours, theirs in ((rest_v, back.rest_v), (drift_v, back.drift_v)):
         assert (ours is None) == (theirs is None)
@@ -133,6 +134,7 @@ GOOD = {
     "version": 1,
     "written": "",
     "skin": "",
+    "simulated": "no",
     "nodes": 2,
     "calibration": "",
     "curves": "",
@@ -146,18 +148,18 @@ GOOD = {
     ("change", "reason"),
     [
         ({"schema": "something/else"}, "its schema is not tactile_cdma/rest"),
-        ({"version": 2}, "it has version 2, this driver reads 1"),
-        ({"version": None}, "it has version None"),
-        ({"nodes": "2"}, "nodes is '2'; it must be an integer"),
-        ({"nodes": True}, "nodes is True"),
-        ({"skin": 5}, "skin is 5; it must be a text"),
+        ({"version": 2}, "its version is not 1"),
+        ({"version": None}, "its version is not 1"),
+        ({"nodes": "x"}, "line 4: nodes is 'x'; it must be a whole number"),
+        ({"nodes": True}, "nodes is 'true'"),
+        ({"skin": [5]}, "skin is a list; it must be text"),
         ({"rest_v": [1.0]}, "rest_v must hold a number for each of 2 nodes"),
-        ({"rest_v": "12"}, "rest_v must hold a number for each"),
+        ({"rest_v": "12"}, "rest_v is '12'; it must be a list"),
         ({"rest_v": [1.0, "x"]}, "rest_v of node 2 is 'x'"),
-        ({"rest_v": [True, 1.0]}, "rest_v of node 1 is True"),
-        ({"rest_v": [1.0, float("nan")]}, "rest_v of node 2 is nan"),
-        ({"rest_v": [10**400, 1.0]}, "rest_v of node 1 is 1000"),
-        ({"drift_v": [0.0, 101.0]}, "drift_v of node 2 is 101.0; it must be a number within ±100"),
+        ({"rest_v": [True, 1.0]}, "rest_v of node 1 is 'true'"),
+        ({"rest_v": [1.0, float("nan")]}, "rest_v of node 2 is .nan"),
+        ({"rest_v": [10**400, 1.0]}, "rest_v of node 1 is"),
+        ({"drift_v": [0.0, 101.0]}, "drift_v of node 2 is 101; it must lie within -100…100 V"),
     ],
 )
 def test_damaged_content_is_refused_with_the_file_and_the_cause(
@@ -187,15 +189,16 @@ LAUGHS = (
 @pytest.mark.parametrize(
     ("data", "reason"),
     [
-        (b"", "schema"),
-        (b"just text", "schema"),
-        (b"- a\n- b", "schema"),
-        (b"\xff\xfe\x00", "not a YAML file"),
+        (b"", "empty"),
+        (b"just text", "must be keys with values"),
+        (b"- a\n- b", "must be keys with values"),
+        (b"a: b", "schema"),
+        (b"\xff\xfe\x00", "not a text file"),
         (b"a: [1, 2", "not a YAML file"),
         (b"[" * 100_000, "nested deeper"),
         (LAUGHS, "aliases"),
-        (b"!!python/object/apply:os.system ['true']", "not a YAML file"),
-        (b"x" * (5 << 20), "larger than 4 MB"),
+        (b"!!python/object/apply:os.system ['true']", "must be keys with values"),
+        (b"x" * (17 << 20), "larger than 16 MB"),
     ],
 )
 def test_files_of_any_other_kind_are_refused(tmp_path: Path, data: bytes, reason: str) -> None:
@@ -212,15 +215,18 @@ def test_a_folder_in_the_file_s_place_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_state_fits_its_skin_only() -> None:
-    assert STATE.misfit("left palm", 3, "89abcdef") is None
-    assert STATE.misfit("", 3, "89abcdef") is None
-    assert replace(STATE, skin="").misfit("right palm", 3, "89abcdef") is None
+    assert STATE.misfit("left palm", True, 3, "89abcdef") is None
+    assert STATE.misfit("", True, 3, "89abcdef") is None
+    assert replace(STATE, skin="").misfit("right palm", True, 3, "89abcdef") is None
     assert "of skin 'left palm', this is 'right palm'" in (
-        STATE.misfit("right palm", 3, "89abcdef") or ""
+        STATE.misfit("right palm", True, 3, "89abcdef") or ""
     )
-    assert "of 3 nodes, this one has 4" in (STATE.misfit("", 4, "89abcdef") or "")
+    assert "of a simulated skin, this is a real one" in (
+        STATE.misfit("", False, 3, "89abcdef") or ""
+    )
+    assert "of 3 nodes, this one has 4" in (STATE.misfit("", True, 4, "89abcdef") or "")
     assert "other curves (calibration 0123456789ab): tare again" in (
-        STATE.misfit("", 3, "00000000") or ""
+        STATE.misfit("", True, 3, "00000000") or ""
     )
 
 
