@@ -53,7 +53,7 @@ ADC = AdcScale()
 PERIOD_S = 12.8e-3
 NODES = 16 if QUICK else 64
 SKINS = 2 if QUICK else 8
-CYCLES_S = 30.0 if QUICK else 120.0
+CYCLES_S = 20.0 if QUICK else 120.0
 TAUGHT_S = 45.0 if QUICK else 90.0
 MISMATCH = 0.05
 CALIBRATION_PA = np.concatenate([np.arange(0.0, 50e3, 2.5e3), np.arange(50e3, 140.1e3, 5e3)])
@@ -65,7 +65,7 @@ TARE_S, REST_S = 5.0, 10.0
 DRIFTED = (0.9, 1.1)
 BIG = 4096
 ROUNDS = 9 if QUICK else 31
-STEADY_S = 600.0 if QUICK else 3600.0
+STEADY_S = 300.0 if QUICK else 3600.0
 RULES = RestRules(drift_pa_per_min=60.0, contact_pa=1e3, release_pa=500.0)
 MATCHED = "as identified"
 OTHER_SKINS = 1 if QUICK else 4
