@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..calibration import AdcScale, PressureCurve
 from ..errors import CalibrationError
-from .load_points import LoadPoints, check_pressures, node_numbers
+from .load_points import LoadPoints, node_numbers, pressures
 from .load_table import read_table
 
 Floats = NDArray[np.float64]
@@ -84,12 +84,12 @@ def read_reference(path: Path, nodes: int, area_m2: float | None = None) -> Refe
     for kind, example in (("time", "time_s"), ("pressure", "pressure_kpa")):
         if kind not in table.columns:
             raise table.refusal(f"there is no column {example}, which goes with a capture")
-    check_pressures(table)
+    pressure_pa = pressures(table)
     t_s = table.columns["time"]
     if (np.diff(t_s) < 0).any():
         raise table.refusal("time runs backwards", int(np.argmax(np.diff(t_s) < 0)) + 1)
     node = node_numbers(table, nodes) if "node" in table.columns else None
-    return Reference(path, t_s, table.columns["pressure"], node, table.line)
+    return Reference(path, t_s, pressure_pa, node, table.line)
 
 
 def plateau_points(
