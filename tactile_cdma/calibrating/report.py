@@ -170,7 +170,7 @@ def draw(fit: SkinFit, path: Path) -> None:
         knee_axes.plot(list(fit.curves), knees / 1e3, ".", label=f"knee {number}")
     knee_axes.set(xlabel="node", ylabel="knee / kPa", title="where the slope changes")
     try:
-        figure.savefig(path, dpi=110)
+        figure.savefig(path, format="png", dpi=110)
     except OSError as error:
         raise CalibrationError(f"{path}: {error.strerror}") from None
 

@@ -119,9 +119,51 @@ def test_what_cannot_be_meant_is_refused_before_anything_is_done(
     output.write_text("precious")
     assert "--force overwrites it" in refusal(capsys, loads, "-o", output)
     assert output.read_text() == "precious"
-    for bad in (["--steps", "0,ten"], ["--steps", "-1"], ["--pieces", "0"], ["--area-mm2", "0"]):
+    for bad in (
+        ["--steps", "0,ten"],
+        ["--steps", "-1"],
+        ["--pieces", "0"],
+        ["--area-mm2", "0"],
+        ["--offset", "nan"],
+    ):
         with pytest.raises(SystemExit):
             main(["calibrate", str(loads), "-o", str(output), *bad])
+
+
+@pytest.mark.parametrize(
+    ("options", "cause"),
+    [
+        (["--append"], "--append goes with --port only"),
+        (["--steps", "0,10", "--capture", "x.raw"], "--steps goes with --port only"),
+        (["--offset", 3], "--offset goes with --capture only"),
+        (["--settle", 5], "--settle goes with --capture only"),
+        (["--png", "no/skin.png"], "no/skin.png: there is no such folder"),
+        (["-o", "."], "no file that could be overwritten"),
+        (["-o", "loads.csv"], "loads.csv: would overwrite another file of this very command"),
+        (["--png", "./loads.csv"], "loads.csv: would overwrite another"),
+        (["--png", "skin.yaml"], "skin.yaml: would overwrite another"),
+        (["-o", "skin.png"], "skin.png: would overwrite another"),
+    ],
+)
+def test_no_option_is_ignored_and_no_file_lost(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    options: list[object],
+    cause: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_loads(Path("loads.csv"))
+    assert cause in refusal(capsys, "loads.csv", "--force", "-o", "skin.yaml", *options)
+    assert [path.name for path in tmp_path.iterdir()] == ["loads.csv"]
+
+
+def test_the_picture_is_a_png_whatever_its_name(tmp_path: Path) -> None:
+    loads, picture = tmp_path / "loads.csv", tmp_path / "picture.of.palm"
+    write_loads(loads)
+    arguments = [str(loads), "-o", str(tmp_path / "skin.yaml"), "--png", str(picture)]
+    assert main(["calibrate", *arguments]) == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
 
 
 def test_sealing_is_a_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
