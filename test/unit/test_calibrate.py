@@ -377,3 +377,34 @@ def test_nothing_taken_is_said(
     assert "no such port" in refusal(capsys, *missing)
     other = ["--port", "sim://?nodes=9", "-o", tmp_path / "other.yaml", "--node", "17"]
     assert "--node is 17; the skin has nodes 1…16" in refusal(capsys, *other)
+    assert not (tmp_path / "nothing.points.csv").exists()
+    assert "no such port" in refusal(capsys, "--port", tmp_path / "none", *nothing[2:])
+    assert not (tmp_path / "nothing.points.csv").exists()
+
+
+@pytest.mark.parametrize("begun", ["node;pressure_bar;voltage_mv\n1;0;3200\n", "\n", "\ufffd"])
+def test_points_follow_on_points_only(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    begun: str,
+) -> None:
+    monkeypatch.setattr("builtins.input", lambda question: "0")
+    points = tmp_path / "points.csv"
+    points.write_text(begun)
+    live = ["--port", "sim://", "-o", tmp_path / "skin.yaml", points, "--append"]
+    assert "points follow on node,pressure_kpa,voltage_v only" in refusal(capsys, *live)
+    assert points.read_text() == begun
+
+
+def test_points_follow_on_a_line_of_their_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = iter(["0", ""])
+    monkeypatch.setattr("builtins.input", lambda question: next(answers))
+    points = tmp_path / "points.csv"
+    points.write_text("node,pressure_kpa,voltage_v\n1,20,2.64")
+    live = ["--port", "sim://?scene=idle", "--seconds", 0.2, "-o", tmp_path / "skin.yaml"]
+    refusal(capsys, *live, points, "--append")
+    lines = points.read_text().splitlines()
+    assert lines[1:3] == ["1,20,2.64", "1,0,3.296777"]
