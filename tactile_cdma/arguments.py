@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import threading
 from pathlib import Path
 
@@ -59,4 +60,12 @@ def positive(text: str) -> float:
     value = float(text)
     if not 0 < value <= threading.TIMEOUT_MAX:
         raise argparse.ArgumentTypeError(f"{text} is no number above 0")
+    return value
+
+
+def finite(text: str) -> float:
+    """A number that is one."""
+    value = float(text)
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text} is no finite number")
     return value

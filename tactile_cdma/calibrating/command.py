@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..arguments import add_skin_options, given, positive
+from ..arguments import add_skin_options, finite, given, positive
 from ..calibration import Calibration
 from ..calibration_file import (
     numbers,
@@ -97,7 +97,7 @@ def add_to(commands: Any) -> None:
     capture = parser.add_argument_group("loads beside a capture")
     capture.add_argument("--capture", type=Path, metavar="RAW", help="from tactile-cdma record")
     capture.add_argument(
-        "--offset", type=_finite, help="device time minus the reference's time [s] (found)"
+        "--offset", type=finite, help="device time minus the reference's time [s] (found)"
     )
     capture.add_argument(
         "--settle",
@@ -161,6 +161,8 @@ def _fit(
         print(f"{len(points)} of {taken} points are of rising loads")
     fit = fit_skin(points, nodes, config.adc, arguments.pieces)
     print(report.describe(fit))
+    for warning in report.warnings(fit, config.curve):
+        print(f"warning: {warning}")
     _check_missing(fit, arguments.allow_missing)
     calibration = Calibration.of_nodes(fit.curves, config.curve, nodes)
     identity = write_calibration(output, calibration, config.adc, config.skin, points.source)
@@ -211,6 +213,8 @@ def _files(arguments: argparse.Namespace) -> tuple[Path, Path]:
         if not arguments.port:
             raise CalibrationError("which loads? Give a CSV file, or --port to take them now")
         loads = output.with_suffix(".points.csv")
+    if arguments.port:
+        _check_writable(loads, True, ())
     _check_writable(output, arguments.force, (loads, arguments.capture))
     inputs = (loads, arguments.capture, arguments.dynamics)
     _check_writable(_picture(arguments, output), True, (*inputs, output))
@@ -303,9 +307,12 @@ def _take_loads(arguments: argparse.Namespace, path: Path, config: SkinConfig) -
         try:
             taken = session.run(path, arguments.steps, arguments.append)
         except KeyboardInterrupt:
+            kept = (
+                f"{path} has the loads taken so far: --append goes on with it, without --port it "
+                "is fitted"
+            )
             print(
-                f"\ntactile-cdma: interrupted; {path} has the loads taken so far: --append goes "
-                "on with it, without --port it is fitted",
+                f"\ntactile-cdma: interrupted; {kept if path.exists() else 'no load was taken'}",
                 file=sys.stderr,
             )
             return False
@@ -322,13 +329,6 @@ def _check_missing(fit: SkinFit, allow_missing: bool) -> None:
             f"{source}: no sound curve for {numbers(list(fit.refused))} (see above); nothing is "
             "written: mend the loads, or --allow-missing takes the default curve for them"
         )
-
-
-def _finite(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text} is no finite number")
-    return value
 
 
 def _pieces(text: str) -> int:

@@ -81,6 +81,17 @@ def test_points_become_a_file_that_the_driver_takes(
     assert (tmp_path / "skin.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_wrong_area_is_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    loads = tmp_path / "loads.csv"
+    write_loads(loads)
+    loads.write_text(loads.read_text().replace("pressure_kpa", "force_n"))
+    arguments = [str(loads), "-o", str(tmp_path / "skin.yaml"), "--area-mm2"]
+    assert main(["calibrate", *arguments, "1000"]) == 0
+    assert "warning" not in capsys.readouterr().out
+    assert main(["calibrate", *arguments, "10", "--force"]) == 0
+    assert "warning: 0.01 times as sensitive" in capsys.readouterr().out.replace("0.00996", "0.01")
+
+
 def test_a_bad_node_stops_all_unless_it_may_be_missing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -364,12 +375,21 @@ def test_answers_are_loads_and_none_is_lost(
     assert not output.exists()
 
 
+def test_interrupted_before_the_first_load(tmp_path: Path) -> None:
+    with dialogue("--port", "sim://", "-o", tmp_path / "skin.yaml") as cal:
+        hear(cal, "(Enter: end) ")
+        cal.send_signal(2)
+        assert "interrupted; no load was taken" in cal.communicate(timeout=20)[0]
+    assert not list(tmp_path.iterdir())
+
+
 def test_nothing_taken_is_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("builtins.input", lambda question: "")
     nothing = ["--port", "sim://", "-o", tmp_path / "nothing.yaml"]
     assert "no load was taken" in refusal(capsys, *nothing)
+    assert "no file that could" in refusal(capsys, "/dev/full", *nothing, "--append")
     assert not list(tmp_path.iterdir())
     monkeypatch.setattr("builtins.input", lambda question: "10")
     monkeypatch.setattr("tactile_cdma.calibrating.load_session.PATIENCE_S", 0.5)
