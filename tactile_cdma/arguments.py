@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import threading
 from pathlib import Path
 
@@ -55,8 +56,16 @@ def given(arguments: argparse.Namespace) -> dict[str, Value]:
 
 
 def positive(text: str) -> float:
-    """A time in s that threads can wait for."""
-    seconds = float(text)
-    if not 0 < seconds <= threading.TIMEOUT_MAX:
-        raise argparse.ArgumentTypeError(f"{text} is no positive time in s")
-    return seconds
+    """A number above 0; as a time in s, one that threads can wait for."""
+    value = float(text)
+    if not 0 < value <= threading.TIMEOUT_MAX:
+        raise argparse.ArgumentTypeError(f"{text} is no number above 0")
+    return value
+
+
+def finite(text: str) -> float:
+    """A number that is one."""
+    value = float(text)
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text} is no finite number")
+    return value

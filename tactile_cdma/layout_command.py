@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from .errors import LayoutError
 from .layout import Layout
 from .layout_file import read_layout
 from .layout_nodes import Wiring, listed
@@ -30,6 +31,8 @@ def add_to(commands: Any) -> None:
 
 
 def _layout(arguments: argparse.Namespace) -> int:
+    if arguments.png and arguments.png.resolve() == arguments.file.resolve():
+        raise LayoutError(f"{arguments.png}: the picture would overwrite the layout")
     values = read_file(arguments.params) if arguments.params else {}
     get = {name: parameter.default for name, parameter in BY_NAME.items()} | values
     first_row = int(get["first_row"])

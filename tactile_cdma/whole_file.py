@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import tempfile
 from contextlib import suppress
@@ -14,6 +15,8 @@ def replace_file(path: Path, text: str) -> None:
     Raises OSError; whatever was at the path, or at where a link there points, is then untouched.
     """
     path = Path(os.path.realpath(path))
+    if path.exists() and not path.is_file():  # root could put a file where /dev/null was
+        raise OSError(errno.EINVAL, "not a file")
     # mkstemp's file is for its owner only; this one is for whoever may read the folder.
     handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     try:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..arguments import add_skin_options, given, positive
+from ..arguments import add_skin_options, finite, given, positive
 from ..calibration import Calibration
 from ..calibration_file import (
     numbers,
@@ -52,6 +53,8 @@ OF_CURVES: dict[str, Any] = {
     "append": False,
 }
 """Options of the fit of curves, and their defaults. The paper's sensor takes 0.74 s to settle."""
+OPTIONS_OF = {"port": ("steps", "node", "seconds", "append"), "capture": ("offset", "settle")}
+"""Options that go with a source of loads only."""
 MISLED_S = 0.3
 """By so much a sensor's lag may shift the offset of the clocks that is found."""
 
@@ -94,7 +97,7 @@ def add_to(commands: Any) -> None:
     capture = parser.add_argument_group("loads beside a capture")
     capture.add_argument("--capture", type=Path, metavar="RAW", help="from tactile-cdma record")
     capture.add_argument(
-        "--offset", type=float, help="device time minus the reference's time [s] (found)"
+        "--offset", type=finite, help="device time minus the reference's time [s] (found)"
     )
     capture.add_argument(
         "--settle",
@@ -158,6 +161,8 @@ def _fit(
         print(f"{len(points)} of {taken} points are of rising loads")
     fit = fit_skin(points, nodes, config.adc, arguments.pieces)
     print(report.describe(fit))
+    for warning in report.warnings(fit, config.curve):
+        print(f"warning: {warning}")
     _check_missing(fit, arguments.allow_missing)
     calibration = Calibration.of_nodes(fit.curves, config.curve, nodes)
     identity = write_calibration(output, calibration, config.adc, config.skin, points.source)
@@ -202,20 +207,42 @@ def _files(arguments: argparse.Namespace) -> tuple[Path, Path]:
     output: Path | None = arguments.output
     if output is None:
         raise CalibrationError("-o is missing: the calibration file to write")
-    if output.exists() and not arguments.force:
-        raise CalibrationError(f"{output}: exists already; --force overwrites it")
-    if not output.parent.is_dir():
-        raise CalibrationError(f"{output}: there is no such folder")
-    if arguments.dynamics:
-        _check_dynamics(arguments)
-    if arguments.port and arguments.capture:
-        raise CalibrationError("--port and --capture: loads come from one of the two")
+    _check_options(arguments)
     loads: Path | None = arguments.loads
     if loads is None:
         if not arguments.port:
             raise CalibrationError("which loads? Give a CSV file, or --port to take them now")
         loads = output.with_suffix(".points.csv")
+    if arguments.port:
+        _check_writable(loads, True, ())
+    _check_writable(output, arguments.force, (loads, arguments.capture))
+    inputs = (loads, arguments.capture, arguments.dynamics)
+    _check_writable(_picture(arguments, output), True, (*inputs, output))
     return output, loads
+
+
+def _check_writable(path: Path, force: bool, others: Iterable[Path | None]) -> None:
+    """Raises CalibrationError where a file cannot be, or would overwrite what is still needed."""
+    if any(other is not None and path.resolve() == other.resolve() for other in others):
+        raise CalibrationError(f"{path}: would overwrite another file of this very command")
+    if path.exists() and not path.is_file():
+        raise CalibrationError(f"{path}: is no file that could be overwritten")
+    if path.exists() and not force:
+        raise CalibrationError(f"{path}: exists already; --force overwrites it")
+    if not path.parent.is_dir():
+        raise CalibrationError(f"{path}: there is no such folder")
+
+
+def _check_options(arguments: argparse.Namespace) -> None:
+    """Raises CalibrationError for options that do not go with each other."""
+    if arguments.dynamics:
+        _check_dynamics(arguments)
+    if arguments.port and arguments.capture:
+        raise CalibrationError("--port and --capture: loads come from one of the two")
+    for source, names in OPTIONS_OF.items():
+        for name in () if getattr(arguments, source) else names:
+            if getattr(arguments, name) != OF_CURVES.get(name):
+                raise CalibrationError(f"--{name} goes with --{source} only")
 
 
 def _check_dynamics(arguments: argparse.Namespace) -> None:
@@ -280,9 +307,12 @@ def _take_loads(arguments: argparse.Namespace, path: Path, config: SkinConfig) -
         try:
             taken = session.run(path, arguments.steps, arguments.append)
         except KeyboardInterrupt:
+            kept = (
+                f"{path} has the loads taken so far: --append goes on with it, without --port it "
+                "is fitted"
+            )
             print(
-                f"\ntactile-cdma: interrupted; {path} has the loads taken so far: --append goes "
-                "on with it, without --port it is fitted",
+                f"\ntactile-cdma: interrupted; {kept if path.exists() else 'no load was taken'}",
                 file=sys.stderr,
             )
             return False

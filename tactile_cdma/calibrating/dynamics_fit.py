@@ -123,6 +123,6 @@ def draw(found: Identified, path: Path) -> None:
     time_axes.legend()
     loop_axes.set(xlabel="reference / kPa", ylabel="off by / kPa", title="loops")
     try:
-        figure.savefig(path, dpi=110)
+        figure.savefig(path, format="png", dpi=110)
     except OSError as error:
         raise CalibrationError(f"{path}: {error.strerror}") from None

@@ -26,6 +26,10 @@ MOST_WEIGHT = 0.75
 """All plays together; more would quadruple noise where pressures turn."""
 LEAST_POINTS, LEAST_CYCLES = 200, 3
 LEAST_LOAD_PA = 5e3
+LEAST_REMOVED = 0.1
+"""Share of the error that must go; chance takes a few per cent of any."""
+MOST_LEFT = 0.2
+"""Share of the largest load that may be left of the error: less than of any sensor worth it."""
 SCALE_PA = 2e3
 _RISES_S, _FALLS_S = (2e-3, 3.0), (2e-3, 1.0)
 _TRIES = 16
@@ -109,11 +113,16 @@ def identify(
     last = slice(fit.fitted, None)
     compensated_pa = _compensated(dynamics, t_s, pressure_pa)
     held_out = HeldOut(t_s[last], fit.reference_pa[last], pressure_pa[last], compensated_pa[last])
-    if not held_out.after_pa < held_out.before_pa:
+    if not held_out.after_pa < (1 - LEAST_REMOVED) * held_out.before_pa:
         raise CalibrationError(
-            f"what the first cycles taught makes the last ones no better: {held_out.before_pa:.0f} "
-            f"Pa rms before, {held_out.after_pa:.0f} Pa after; do the curves and the reference "
-            "belong together?"
+            "what the first cycles taught makes the last ones hardly better: "
+            f"{held_out.before_pa:.0f} Pa rms before, {held_out.after_pa:.0f} Pa after; do the "
+            "curves and the reference belong together?"
+        )
+    if held_out.after_pa > MOST_LEFT * held_out.reference_pa.max():
+        raise CalibrationError(
+            f"{held_out.after_pa:.0f} Pa rms stay of loads up to {held_out.reference_pa.max():.0f} "
+            "Pa: do the capture, the reference and the curves belong together?"
         )
     return Identified(dynamics, cycles, fit.late_s, held_out)
 

@@ -13,6 +13,8 @@ from .load_table import Table, read_table
 HEADING = "node,pressure_kpa,voltage_v"
 PLAUSIBLE_PA = (200.0, 1e8)
 """A largest load outside of this is taken for one in a wrong unit."""
+NOISE = 0.01
+"""By so much of the largest load a reference that is not loaded may read less than 0."""
 _CHANGE = 0.005
 _SHOWN = 8
 
@@ -78,7 +80,7 @@ def read_points(path: Path, nodes: int, vref_v: float, area_m2: float | None = N
             raise table.refusal(f"there is no column {example}{hint}")
     pressure_pa, voltage_v = table.columns["pressure"], table.columns["voltage"]
     check_swapped(table, pressure_pa, voltage_v, vref_v)
-    check_pressures(table)
+    pressure_pa = pressures(table)
     outside = (voltage_v < 0) | (voltage_v > vref_v)
     if outside.any():
         row = int(np.argmax(outside))
@@ -127,22 +129,26 @@ def check_swapped(
         )
 
 
-def check_pressures(table: Table) -> None:
-    """Raises CalibrationError for pressures that are negative or in another unit than is said."""
+def pressures(table: Table) -> NDArray[np.float64]:
+    """The column pressure, Pa; what a reference's noise takes below 0 is 0.
+
+    Raises CalibrationError for pressures that are negative or in another unit than is said.
+    """
     pressure_pa, heading = table.columns["pressure"], table.headings["pressure"]
-    if (pressure_pa < 0).any():
-        row = int(np.argmax(pressure_pa < 0))
-        raise table.refusal(
-            f"{heading} is {pressure_pa[row] / table.factors['pressure']:g}; loads are pressures "
-            "above ambient, 0 or more",
-            row,
-        )
     largest_pa = float(pressure_pa.max())
+    lowest = int(np.argmin(pressure_pa))
+    if pressure_pa[lowest] < -NOISE * max(largest_pa, 0.0):
+        raise table.refusal(
+            f"{heading} is {pressure_pa[lowest] / table.factors['pressure']:g}; loads are "
+            "pressures above ambient, 0 or more",
+            lowest,
+        )
     if not PLAUSIBLE_PA[0] <= largest_pa <= PLAUSIBLE_PA[1]:
         size = "only" if largest_pa < PLAUSIBLE_PA[0] else "as much as"
         raise table.refusal(
             f"the largest load is {size} {largest_pa:g} Pa: is {heading} the right unit?"
         )
+    return np.maximum(pressure_pa, 0.0)
 
 
 def node_numbers(table: Table, nodes: int) -> NDArray[np.int64]:

@@ -83,15 +83,16 @@ class LoadSession:
         """Take loads until the steps, or the answers, are at an end; returns how many were taken.
 
         steps_kpa: loads to ask for; empty: whatever is answered.
-        Raises CalibrationError where the file exists already or cannot be written, or no load was
-        taken; PortError where the skin is not heard.
+        Raises CalibrationError where the file exists already, is another kind of table or cannot be
+        written, or no load was taken; PortError where the skin is not heard.
         """
         try:
-            with path.open("a" if append else "x", encoding="utf-8") as file:
+            with path.open("a+" if append else "x+", encoding="utf-8", errors="replace") as file:
                 try:
+                    _go_on(file)
                     taken = self._take(file, steps_kpa)
                 finally:
-                    if not file.tell():
+                    if not file.tell() and path.is_file():
                         path.unlink()
         except FileExistsError:
             raise CalibrationError(
@@ -189,3 +190,15 @@ class LoadSession:
         found = [str(self.nodes[i]) for i in np.flatnonzero(where).tolist()]
         more = f" and {len(found) - _SHOWN} more" if len(found) > _SHOWN else ""
         return [f"{what}: {' '.join(found[:_SHOWN])}{more}"] if found else []
+
+
+def _go_on(file: TextIO) -> None:
+    """To the end of a file of points, or an empty one, on a line of its own."""
+    file.seek(0)
+    text = file.read()
+    if text and text.splitlines()[0].strip() != HEADING:
+        raise CalibrationError(
+            f"{file.name}: begins with {text[:40]!r}; points follow on {HEADING} only"
+        )
+    if text and not text.endswith("\n"):
+        file.write("\n")

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from ..errors import CalibrationError
 
 MOST_BYTES = 256 << 20
+MOST = 1e30
+"""No number of a table is larger, in any unit."""
 KINDS: dict[str, dict[str, float]] = {
     "node": {"": 1.0},
     "time": {"s": 1.0, "ms": 1e-3},
@@ -23,6 +25,10 @@ KINDS: dict[str, dict[str, float]] = {
 _HEADINGS = [
     f"{kind}_{unit}".rstrip("_") for kind, units in KINDS.items() for unit in units
 ]  # all there can be
+_SHOWN = 40
+_AROUND = '" \t'
+"""What may stand around a cell: spreadsheets like quotes."""
+_EMPTY = _AROUND + ",;"
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,26 +54,21 @@ def read_table(path: Path, area_m2: float | None = None) -> Table:
     """Read a CSV of loads: a heading, then numbers; lines that begin with # are left out.
 
     Separators are commas, semicolons or tabs; decimal commas are understood where columns are not
-    separated by commas. area_m2: that a force was spread over, which makes it a pressure.
+    separated by commas. Quotes around cells and rows without any number count for nothing.
+    area_m2: that a force was spread over, which makes it a pressure.
     Raises CalibrationError, naming file, line and column.
     """
-    try:
-        if path.stat().st_size > MOST_BYTES:
-            raise CalibrationError(f"{path}: more than {MOST_BYTES >> 20} MB; is this a table?")
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not a text file"
-        raise CalibrationError(f"{path}: {reason}") from None
+    lines = _text(path).splitlines()
     used = [
         (number, line)
         for number, line in enumerate(lines, 1)
-        if line.strip() and not line.lstrip().startswith("#")
+        if line.strip(_EMPTY) and not line.lstrip(_EMPTY).startswith("#")
     ]
     if not used:
         raise CalibrationError(f"{path}: the file is empty")
     first, heading = used.pop(0)
     separator = max(",;\t", key=heading.count)
-    headings = _headings(path, first, [cell.strip() for cell in heading.split(separator)])
+    headings = _headings(path, first, _cells(heading, separator))
     rows = [_numbers(path, number, line, separator, headings) for number, line in used]
     if not rows:
         raise CalibrationError(f"{path}: there is a heading, but no numbers below it")
@@ -76,6 +77,25 @@ def read_table(path: Path, area_m2: float | None = None) -> Table:
     columns = {kind: column * factors[kind] for kind, column in zip(headings, values, strict=True)}
     table = Table(path, columns, headings, factors, np.array([number for number, _ in used]))
     return _with_pressure(table, area_m2)
+
+
+def _text(path: Path) -> str:
+    """All of a file; size and kind are not asked for first, for a pipe has none to tell."""
+    try:
+        with path.open("rb") as file:
+            raw = file.read(MOST_BYTES + 1)
+    except OSError as error:
+        raise CalibrationError(f"{path}: {error.strerror}") from None
+    if len(raw) > MOST_BYTES:
+        raise CalibrationError(f"{path}: more than {MOST_BYTES >> 20} MB; is this a table?")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise CalibrationError(f"{path}: not a text file in UTF-8") from None
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    return [cell.strip(_AROUND) for cell in line.split(separator)]
 
 
 def _headings(path: Path, line: int, cells: list[str]) -> dict[str, str]:
@@ -93,6 +113,7 @@ def _headings(path: Path, line: int, cells: list[str]) -> dict[str, str]:
 
 
 def _unknown(cell: str, name: str, kind: str) -> str:
+    cell, name = cell[:_SHOWN], name[:_SHOWN]
     try:
         float(cell.replace(",", "."))
         return (
@@ -116,7 +137,7 @@ def _unit(heading: str) -> str:
 def _numbers(
     path: Path, number: int, line: str, separator: str, headings: dict[str, str]
 ) -> list[float]:
-    cells = line.split(separator)
+    cells = _cells(line, separator)
     if len(cells) != len(headings):
         raise CalibrationError(
             f"{path}: line {number} has {len(cells)} columns, the heading has {len(headings)}"
@@ -127,9 +148,9 @@ def _numbers(
             value = float(cell if separator == "," else cell.replace(",", "."))
         except ValueError:
             value = np.nan
-        if not np.isfinite(value):
+        if not abs(value) < MOST:  # NaN is not, either
             raise CalibrationError(
-                f"{path}: line {number}: {cell.strip()!r} is no number for {heading}"
+                f"{path}: line {number}: {cell[:_SHOWN]!r} is no number for {heading}"
             )
         values.append(value)
     return values

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..calibration import AdcScale, PressureCurve
 from ..errors import CalibrationError
-from .load_points import LoadPoints, check_pressures, node_numbers
+from .load_points import LoadPoints, node_numbers, pressures
 from .load_table import read_table
 
 Floats = NDArray[np.float64]
@@ -24,6 +24,10 @@ MATCH = 0.85
 """Correlation of reference and skin below which their clocks are not taken to be found."""
 RIVAL = 0.02
 """A match that another offset reaches to within this leaves open which of them is right."""
+APART_S = 1.0
+"""Offsets that differ by more are different ones."""
+WHOLE = 0.7
+"""Share of all changes of load, in reference and capture, that makes it no part only."""
 _RASTER_S = 0.01
 _MOST_RASTER = 1 << 21
 _LEAST_SHARE = 1e-3
@@ -84,12 +88,12 @@ def read_reference(path: Path, nodes: int, area_m2: float | None = None) -> Refe
     for kind, example in (("time", "time_s"), ("pressure", "pressure_kpa")):
         if kind not in table.columns:
             raise table.refusal(f"there is no column {example}, which goes with a capture")
-    check_pressures(table)
+    pressure_pa = pressures(table)
     t_s = table.columns["time"]
     if (np.diff(t_s) < 0).any():
         raise table.refusal("time runs backwards", int(np.argmax(np.diff(t_s) < 0)) + 1)
     node = node_numbers(table, nodes) if "node" in table.columns else None
-    return Reference(path, t_s, table.columns["pressure"], node, table.line)
+    return Reference(path, t_s, pressure_pa, node, table.line)
 
 
 def plateau_points(
@@ -159,7 +163,7 @@ def find_offset(reference: Reference, recording: Recording, curve: PressureCurve
     raster_s = max(_RASTER_S, longest_s / _MOST_RASTER)
     load = _on_raster(reference.t_s, reference.pressure_pa, raster_s)
     felt_pa = _mean_pressure(recording.voltage_v, curve)
-    lags, match, score = _match(load, _on_raster(recording.t_s, felt_pa, raster_s))
+    lags, match, score, whole = _match(load, _on_raster(recording.t_s, felt_pa, raster_s))
     best = int(np.argmax(score))
     offset_s = float(recording.t_s[0] - reference.t_s[0] + lags[best] * raster_s)
     if match[best] < MATCH:
@@ -169,9 +173,13 @@ def find_offset(reference: Reference, recording: Recording, curve: PressureCurve
         )
     first, last = _hill(score, best)
     rivals = np.delete(score, np.arange(first, last + 1))
-    if rivals.max(initial=0.0) > score[best] - RIVAL:
+    apart = np.abs(lags - lags[best]) * raster_s > APART_S
+    # One part of a staircase looks much like another.
+    in_part = whole[best] < WHOLE and (match[apart] > match[best]).any()
+    if in_part or rivals.max(initial=0.0) > score[best] - RIVAL:
         raise reference.refusal(
-            "these loads fit the capture in several places, they repeat themselves: give --offset"
+            "these loads fit the capture in several places: one of the two is a part only, or they "
+            "repeat themselves; give --offset"
         )
     # As far as a tenth more than what the best offset leaves unexplained, and one raster step.
     enough = match[best] - 0.1 * (1 - match[best]) - 1e-4
@@ -218,11 +226,12 @@ def _on_raster(t_s: Floats, values: Floats, raster_s: float) -> Floats:
     return np.asarray(np.interp(t_s[0] + raster_s * np.arange(count), t_s, values))
 
 
-def _match(load: Floats, felt: Floats) -> tuple[NDArray[np.int64], Floats, Floats]:
+def _match(load: Floats, felt: Floats) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
     """How well load[i] and felt[i + lag] match, for every lag.
 
-    Returns the lags, the correlations where the two overlap, and these reduced by the share of
-    what happens that is left out there: the more of both is explained, the better.
+    Returns the lags, the correlations where the two overlap, these reduced by the share of what
+    happens that is left out there, for the more of both is explained, the better; and the share
+    that is not left out of either.
     """
     size = 1 << (len(load) + len(felt) - 1).bit_length()
     load, felt = load - load.mean(), felt - felt.mean()
@@ -247,7 +256,7 @@ def _match(load: Floats, felt: Floats) -> tuple[NDArray[np.int64], Floats, Float
     match = np.zeros(len(count))
     match[enough] = covariance[enough] / np.sqrt(of_load[enough] * of_felt[enough])
     score = match * np.sqrt(np.clip(np.maximum(share_load, share_felt), 0.0, 1.0))
-    return np.arange(1 - len(load), len(felt)), match, score
+    return np.arange(1 - len(load), len(felt)), match, score, np.minimum(share_load, share_felt)
 
 
 def _hill(heights: Floats, top: int) -> tuple[int, int]:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..calibration import PressureCurve
 from ..calibration_file import numbers
 from ..errors import CalibrationError
 from .curve_fit import Floats
@@ -18,6 +19,14 @@ from .skin_fit import SkinFit
 
 WORST = 5
 """Nodes that are named."""
+BENT = 0.3
+"""Variance from load to load, of that of all residuals, below which the curve is too simple."""
+POOR = 0.05
+"""rms residual, of the largest load, that is more than a sensor's noise."""
+UNSEEN = 0.01
+"""Of the largest load: where the lightest is more, what is below was not measured."""
+WRONG_UNIT = 5.0
+"""Factor between a skin's sensitivity and that of the default curve."""
 _MOST_REFUSALS = 40
 _DRAWN_NODES = 64
 _DRAWN_POINTS = 20_000
@@ -55,7 +64,7 @@ def stages(fit: SkinFit) -> list[Stage]:
     row = np.array([index_of.get(node, 0) for node in fit.points.node.tolist()])
     result = []
     for number in range(fit.pieces):
-        sensitivity = np.array([_slope(fit, node, number) for node in fit.curves])
+        sensitivity = np.array([_fall(fit.curves[node], number) for node in fit.curves])
         own = used & (piece == number)
         count = np.bincount(row[own], minlength=len(fit.curves))
         squares = np.bincount(row[own], np.square(residual_pa[own]), minlength=len(fit.curves))
@@ -75,7 +84,7 @@ def residuals_pa(fit: SkinFit) -> tuple[Floats, NDArray[np.int64]]:
     for node, start, stop in zip(fit.curves, ends, stops, strict=False):
         own, corners = order[start:stop], fit.curves[node].pressure_pa
         piece[own] = np.searchsorted(corners[1:-1], fit.points.pressure_pa[own])
-        slopes = np.array([_slope(fit, node, number) for number in range(fit.pieces)])
+        slopes = np.array([_fall(fit.curves[node], number) for number in range(fit.pieces)])
         residual_pa[own] = -fit.residual_v[own] / slopes[piece[own]]
     return residual_pa, piece
 
@@ -109,6 +118,8 @@ def describe(fit: SkinFit) -> str:
             f"loop between loading and unloading: up to {loop:.1%} of the fall (node {node}); the "
             "curve is in its middle"
         )
+    else:
+        lines.append("no falling loads: neither hysteresis nor creep shows")
     worst = sorted(fit.sigma_v, key=lambda node: -fit.sigma_v[node])[:WORST]
     lines.append(
         "farthest off: "
@@ -128,6 +139,55 @@ def _refusals(refused: Mapping[int, str]) -> list[str]:
     lines = [f"  {numbers(nodes)}: no curve: {reason}" for reason, nodes in nodes_of.items()]
     more = len(lines) - _MOST_REFUSALS
     return lines[:_MOST_REFUSALS] + ([f"  and {more} reasons more"] if more > 0 else [])
+
+
+def warnings(fit: SkinFit, default: PressureCurve) -> list[str]:
+    """What was fitted and yet may be wrong, a line each. default: of sensors like these."""
+    if not fit.curves:
+        return []
+    found, pieces = [], stages(fit)
+    largest_pa = float(fit.points.pressure_pa.max())
+    ratio = float(np.median(pieces[0].sensitivity_v_per_pa)) / _fall(default, 0)
+    if not 1 / WRONG_UNIT < ratio < WRONG_UNIT:
+        found.append(
+            f"{ratio:.3g} times as sensitive as the parameters say: is the loads' unit right, and "
+            "the area of forces?"
+        )
+    if (lightest_pa := float(fit.points.pressure_pa.min())) > UNSEEN * largest_pa:
+        found.append(
+            f"no load below {lightest_pa / 1e3:.3g} kPa: curves are extrapolated to 0; does the "
+            "reference read 0 without a load?"
+        )
+    if bent := _bent(fit):
+        found.append(
+            f"{numbers(bent)}: off to one side over whole stretches of load: more --pieces?"
+        )
+    residual_pa = max(stage.rms_pa for stage in pieces)
+    if residual_pa > POOR * largest_pa:
+        found.append(
+            f"off by {residual_pa / 1e3:.1f} kPa rms, {residual_pa / largest_pa:.0%} of the "
+            "largest load: noise, hysteresis, or loads and voltages of different moments?"
+        )
+    return found
+
+
+def _bent(fit: SkinFit) -> list[int]:
+    """Nodes whose residuals go on from load to load, and are more than quantisation.
+
+    The statistic is von Neumann's ratio ("Distribution of the ratio of the mean square successive
+    difference to the variance", Ann. Math. Stat. 12, 1941), halved: 1 for independent residuals.
+    """
+    order = np.argsort(fit.points.pressure_pa, kind="stable")
+    order = order[np.isfinite(fit.residual_v[order]) & ~fit.outlier[order]]
+    order = order[np.argsort(fit.points.node[order], kind="stable")]
+    stops = np.cumsum(np.bincount(fit.points.node[order]))
+    bent = []
+    for node in fit.curves:
+        residual_v = fit.residual_v[order[stops[node - 1] : stops[node]]]
+        successive = 0.5 * float(np.mean(np.square(np.diff(residual_v))))
+        if fit.sigma_v[node] > fit.adc.lsb_v and successive < BENT * np.var(residual_v):
+            bent.append(node)
+    return bent
 
 
 def results(fit: SkinFit) -> dict[str, str]:
@@ -170,7 +230,7 @@ def draw(fit: SkinFit, path: Path) -> None:
         knee_axes.plot(list(fit.curves), knees / 1e3, ".", label=f"knee {number}")
     knee_axes.set(xlabel="node", ylabel="knee / kPa", title="where the slope changes")
     try:
-        figure.savefig(path, dpi=110)
+        figure.savefig(path, format="png", dpi=110)
     except OSError as error:
         raise CalibrationError(f"{path}: {error.strerror}") from None
 
@@ -210,9 +270,8 @@ def _draw_residuals(fit: SkinFit, axes: Any) -> None:
     axes.set(xlabel="pressure / kPa", ylabel="off by / kPa", title="residuals; orange: ±½ LSB")
 
 
-def _slope(fit: SkinFit, node: int, number: int) -> float:
-    """Fall of a piece of a node's curve, V/Pa."""
-    curve = fit.curves[node]
+def _fall(curve: PressureCurve, number: int) -> float:
+    """Fall of a piece, V/Pa."""
     fall_v = curve.voltage_v[number] - curve.voltage_v[number + 1]
     return fall_v / (curve.pressure_pa[number + 1] - curve.pressure_pa[number])
 

@@ -81,6 +81,17 @@ def test_points_become_a_file_that_the_driver_takes(
     assert (tmp_path / "skin.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_wrong_area_is_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    loads = tmp_path / "loads.csv"
+    write_loads(loads)
+    loads.write_text(loads.read_text().replace("pressure_kpa", "force_n"))
+    arguments = [str(loads), "-o", str(tmp_path / "skin.yaml"), "--area-mm2"]
+    assert main(["calibrate", *arguments, "1000"]) == 0
+    assert "warning" not in capsys.readouterr().out
+    assert main(["calibrate", *arguments, "10", "--force"]) == 0
+    assert "warning: 0.01 times as sensitive" in capsys.readouterr().out.replace("0.00996", "0.01")
+
+
 def test_a_bad_node_stops_all_unless_it_may_be_missing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -119,9 +130,51 @@ def test_what_cannot_be_meant_is_refused_before_anything_is_done(
     output.write_text("precious")
     assert "--force overwrites it" in refusal(capsys, loads, "-o", output)
     assert output.read_text() == "precious"
-    for bad in (["--steps", "0,ten"], ["--steps", "-1"], ["--pieces", "0"], ["--area-mm2", "0"]):
+    for bad in (
+        ["--steps", "0,ten"],
+        ["--steps", "-1"],
+        ["--pieces", "0"],
+        ["--area-mm2", "0"],
+        ["--offset", "nan"],
+    ):
         with pytest.raises(SystemExit):
             main(["calibrate", str(loads), "-o", str(output), *bad])
+
+
+@pytest.mark.parametrize(
+    ("options", "cause"),
+    [
+        (["--append"], "--append goes with --port only"),
+        (["--steps", "0,10", "--capture", "x.raw"], "--steps goes with --port only"),
+        (["--offset", 3], "--offset goes with --capture only"),
+        (["--settle", 5], "--settle goes with --capture only"),
+        (["--png", "no/skin.png"], "no/skin.png: there is no such folder"),
+        (["-o", "."], "no file that could be overwritten"),
+        (["-o", "loads.csv"], "loads.csv: would overwrite another file of this very command"),
+        (["--png", "./loads.csv"], "loads.csv: would overwrite another"),
+        (["--png", "skin.yaml"], "skin.yaml: would overwrite another"),
+        (["-o", "skin.png"], "skin.png: would overwrite another"),
+    ],
+)
+def test_no_option_is_ignored_and_no_file_lost(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    options: list[object],
+    cause: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_loads(Path("loads.csv"))
+    assert cause in refusal(capsys, "loads.csv", "--force", "-o", "skin.yaml", *options)
+    assert [path.name for path in tmp_path.iterdir()] == ["loads.csv"]
+
+
+def test_the_picture_is_a_png_whatever_its_name(tmp_path: Path) -> None:
+    loads, picture = tmp_path / "loads.csv", tmp_path / "picture.of.palm"
+    write_loads(loads)
+    arguments = [str(loads), "-o", str(tmp_path / "skin.yaml"), "--png", str(picture)]
+    assert main(["calibrate", *arguments]) == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
 
 
 def test_sealing_is_a_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -322,12 +375,21 @@ def test_answers_are_loads_and_none_is_lost(
     assert not output.exists()
 
 
+def test_interrupted_before_the_first_load(tmp_path: Path) -> None:
+    with dialogue("--port", "sim://", "-o", tmp_path / "skin.yaml") as cal:
+        hear(cal, "(Enter: end) ")
+        cal.send_signal(2)
+        assert "interrupted; no load was taken" in cal.communicate(timeout=20)[0]
+    assert not list(tmp_path.iterdir())
+
+
 def test_nothing_taken_is_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("builtins.input", lambda question: "")
     nothing = ["--port", "sim://", "-o", tmp_path / "nothing.yaml"]
     assert "no load was taken" in refusal(capsys, *nothing)
+    assert "no file that could" in refusal(capsys, "/dev/full", *nothing, "--append")
     assert not list(tmp_path.iterdir())
 
 
@@ -340,11 +402,34 @@ def test_a_port_that_is_not_there_is_told_of_before_a_load_and_leaves_no_file(
     monkeypatch.setattr("builtins.input", unasked)
     nowhere = ["--port", tmp_path / "none", "-o", tmp_path / "skin.yaml"]
     assert "no such port" in refusal(capsys, *nowhere)
-    assert not list(tmp_path.iterdir())
-    assert not list(tmp_path.iterdir())
-    monkeypatch.setattr("builtins.input", lambda question: "10")
-    monkeypatch.setattr("tactile_cdma.calibrating.load_session.PATIENCE_S", 0.5)
-    missing = ["--port", tmp_path / "no-tty", "-o", tmp_path / "skin.yaml"]
-    assert "no such port" in refusal(capsys, *missing)
     other = ["--port", "sim://?nodes=9", "-o", tmp_path / "other.yaml", "--node", "17"]
     assert "--node is 17; the skin has nodes 1…16" in refusal(capsys, *other)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("begun", ["node;pressure_bar;voltage_mv\n1;0;3200\n", "\n", "\ufffd"])
+def test_points_follow_on_points_only(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    begun: str,
+) -> None:
+    monkeypatch.setattr("builtins.input", lambda question: "0")
+    points = tmp_path / "points.csv"
+    points.write_text(begun)
+    live = ["--port", "sim://", "-o", tmp_path / "skin.yaml", points, "--append"]
+    assert "points follow on node,pressure_kpa,voltage_v only" in refusal(capsys, *live)
+    assert points.read_text() == begun
+
+
+def test_points_follow_on_a_line_of_their_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = iter(["0", ""])
+    monkeypatch.setattr("builtins.input", lambda question: next(answers))
+    points = tmp_path / "points.csv"
+    points.write_text("node,pressure_kpa,voltage_v\n1,20,2.64")
+    live = ["--port", "sim://?scene=idle", "--seconds", 0.2, "-o", tmp_path / "skin.yaml"]
+    refusal(capsys, *live, points, "--append")
+    lines = points.read_text().splitlines()
+    assert lines[1:3] == ["1,20,2.64", "1,0,3.296777"]

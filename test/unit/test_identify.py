@@ -192,3 +192,19 @@ def test_loads_that_change_too_slowly_are_refused() -> None:
 def test_a_reference_of_other_loads_is_refused() -> None:
     with pytest.raises(CalibrationError, match="belong together"):
         identify(T_S, LOADS_PA, 50e3 * (1 - np.cos(2.7 * T_S - 1.0))[:, None])
+
+
+def test_a_skin_that_feels_nothing_or_only_noise_has_no_dynamics(record: Record) -> None:
+    """Nothing is explained, a little is removed."""
+    noise_pa = np.abs(np.random.default_rng(0).normal(50e3, 30e3, len(record.t_s)))
+    for reference_pa, felt_pa in (
+        (record.reference_pa, 0.0 * record.pressure_pa),
+        (noise_pa, record.pressure_pa),
+    ):
+        with pytest.raises(CalibrationError, match="belong together"):
+            identify(record.t_s, reference_pa, felt_pa)
+
+
+def test_a_sensor_that_is_right_needs_no_dynamics(record: Record) -> None:
+    with pytest.raises(CalibrationError, match="hardly better: 0 Pa rms before"):
+        identify(record.t_s, record.reference_pa, record.reference_pa[:, None])

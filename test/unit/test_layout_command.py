@@ -69,3 +69,14 @@ def test_an_unwritable_picture_is_an_error(
     out = tmp_path / "none" / "out.png"
     assert main(["layout", str(LAYOUTS / "grid.yaml"), "--png", str(out)]) == 1
     assert f"{out}: No such file or directory" in capsys.readouterr().err
+
+
+def test_a_picture_does_not_replace_its_layout(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    layout = tmp_path / "grid.yaml"
+    text = (LAYOUTS / "grid.yaml").read_text()
+    layout.write_text(text)
+    assert main(["layout", str(layout), "--png", str(tmp_path / "." / "grid.yaml")]) == 1
+    assert "would overwrite the layout" in capsys.readouterr().err
+    assert layout.read_text() == text

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tactile_cdma.calibrating import load_table
 from tactile_cdma.calibrating.load_points import HEADING, LoadPoints, point_lines, read_points
 from tactile_cdma.calibrating.load_table import read_table
 from tactile_cdma.errors import CalibrationError
@@ -30,6 +31,8 @@ def path(tmp_path: Path) -> Path:
         ("node;pressure_bar;voltage_v\n3;0;3,2\n3;0,5;1,65\n", None),
         ("node\tpressure_mpa\tvoltage_v\n3\t0\t3,2\n3\t0.05\t1.65\n", None),
         ("node,force_n,voltage_v\n3,0,3.2\n3,2.5,1.65\n", 50e-6),
+        ('"node","pressure_kpa", "voltage_v"\n"3","0","3.2"\n3,50,"1.65"\n', None),
+        ('"# by hand"\n;;\nnode;pressure_kpa;voltage_v\n3;0;3,2\n3;50;1,65\n', None),
     ],
 )
 def test_units_and_separators(path: Path, text: str, area_m2: float | None) -> None:
@@ -39,6 +42,23 @@ def test_units_and_separators(path: Path, text: str, area_m2: float | None) -> N
     assert points.voltage_v == pytest.approx([3.2, 1.65])
     last = len(text.splitlines())
     assert points.line.tolist() == [last - 1, last]
+
+
+def test_empty_rows_of_a_spreadsheet_are_none(path: Path) -> None:
+    assert read(path, f"{HEADING}\n{GOOD},,\n,,\n").line.tolist() == [2, 3]
+
+
+def test_the_noise_of_a_reference_without_load_is_none(path: Path) -> None:
+    points = read(path, f"{HEADING}\n1,-0.49,3.2\n1,50,1.6\n")
+    assert points.pressure_pa.tolist() == [0, 50e3]
+    with pytest.raises(CalibrationError, match=r"line 2: pressure_kpa is -0\.51"):
+        read(path, f"{HEADING}\n1,-0.51,3.2\n1,50,1.6\n")
+
+
+def test_a_file_without_an_end_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(load_table, "MOST_BYTES", 1000)
+    with pytest.raises(CalibrationError, match="is this a table"):
+        read_table(Path("/dev/zero"))
 
 
 def test_what_a_session_writes_is_read(path: Path) -> None:
@@ -67,6 +87,9 @@ GOOD = "1,0,3.2\n1,50,1.6\n"
         (f"{HEADING}\n{GOOD}1,60\n", "line 4 has 2 columns, the heading has 3"),
         (f"{HEADING}\n{GOOD}1,60,x\n", "line 4: 'x' is no number for voltage_v"),
         (f"{HEADING}\n{GOOD}1,nan,1\n", "line 4: 'nan' is no number for pressure_kpa"),
+        (f"{HEADING}\n{GOOD}1,1e308,1\n", "line 4: '1e308' is no number for pressure_kpa"),
+        (f"{HEADING}\n{GOOD}1,{'x' * 10**6},1\n", "line 4: 'x{40}' is no number"),
+        (f"{'x' * 10**6},1\n{GOOD}", "line 1: unknown column 'x{40}'; known are"),
         (f"{HEADING}\n{GOOD}17,60,1.5\n", r"line 4: node 17; the skin has nodes 1…16"),
         (f"{HEADING}\n{GOOD}0,60,1.5\n", "line 4: node 0"),
         (f"{HEADING}\n{GOOD}1.5,60,1.5\n", "line 4: node 1.5"),
@@ -113,7 +136,7 @@ def test_files_that_are_no_tables(path: Path) -> None:
     with pytest.raises(CalibrationError, match="No such file"):
         read_table(path)
     path.write_bytes(b"\xff\xfe\x00\x01")
-    with pytest.raises(CalibrationError, match="not a text file"):
+    with pytest.raises(CalibrationError, match="not a text file in UTF-8"):
         read_table(path)
 
 

@@ -113,6 +113,23 @@ def test_a_part_that_looks_like_another_is_refused() -> None:
         find_offset(reference(begin_s=10, end_s=25), recording(100.0), CURVE)
 
 
+def staircase_up(begin_s: float, end_s: float) -> tuple[Reference, Recording]:
+    """A reference of rising loads, and a capture of some of it; with the same clock."""
+    levels_pa = np.array([0, 4, 9, 14, 20, 30, 40, 47, 55, 70, 90, 110, 125, 140]) * 1e3
+    t_s = np.arange(1, len(levels_pa) * (DWELL_S + RAMP_S), 0.05)
+    frames_s = np.arange(begin_s, end_s, FRAME_S)
+    volts = CURVE.voltage(load_pa(frames_s, levels_pa))[:, None].astype(np.float32)
+    known = Reference(Path("ref.csv"), t_s, load_pa(t_s, levels_pa), None, np.arange(len(t_s)))
+    return known, Recording(frames_s, volts)
+
+
+def test_a_part_of_a_staircase_is_not_taken_for_another() -> None:
+    whole, part = staircase_up(0, 63), staircase_up(0, 33)
+    assert find_offset(*whole, CURVE).offset_s == pytest.approx(0.0, abs=0.1)
+    with pytest.raises(CalibrationError, match="in several places: one of the two is a part"):
+        find_offset(*part, CURVE)
+
+
 def test_nodes_heard_late_do_not_mislead() -> None:
     whole = recording(100.0)
     late = Recording(whole.t_s[600:], whole.voltage_v[600:].copy())

@@ -1,6 +1,7 @@
 """A skin's points become curves, or reasons; one bad node does not stop the others."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactile_cdma.calibrating.load_points import LoadPoints
-from tactile_cdma.calibrating.report import describe, results, stages
+from tactile_cdma.calibrating.report import describe, results, stages, warnings
 from tactile_cdma.calibrating.skin_fit import SkinFit, fit_skin
 from tactile_cdma.calibration import AdcScale, PressureCurve
 from tactile_cdma.errors import CalibrationError
@@ -172,6 +173,43 @@ def test_the_report_knows_resolution_and_quantisation_of_each_stage() -> None:
     residual_v = fit.residual_v[fit.points.pressure_pa < 49e3]
     own = math.sqrt(np.mean(np.square(residual_v))) / 0.033e-3
     assert stages(fit)[0].rms_pa == pytest.approx(own, rel=0.01)
+
+
+def _loop_of(share: float) -> np.ndarray:
+    """Voltages whose way back is lower by up to a share of the fall."""
+    falling = np.arange(len(LOADS_PA)) >= len(UP_PA)
+    fall_v = share * float(np.ptp(CURVE.voltage(LOADS_PA)))
+    return read(LOADS_PA) - fall_v * falling * np.sin(np.pi * LOADS_PA / 140e3)
+
+
+@pytest.mark.parametrize(
+    ("volts", "loads_pa", "pieces", "words"),
+    [
+        (read(LOADS_PA), LOADS_PA, 1, ["nodes 1, 2, 3: off to one side", "kPa rms"]),
+        (read(LOADS_PA), LOADS_PA / 100, 2, ["100 times as sensitive"]),
+        (read(LOADS_PA), LOADS_PA * 100, 2, [r"0\.01 times as sensitive"]),
+        (read(LOADS_PA), LOADS_PA + 2e3, 2, ["no load below 2 kPa"]),
+        (_loop_of(0.15), LOADS_PA, 2, ["off by .* kPa rms, .* noise, hysteresis"]),
+        (_loop_of(0.02), LOADS_PA, 2, []),
+        (read(LOADS_PA), LOADS_PA, 2, []),
+    ],
+)
+def test_what_may_be_wrong_is_said(
+    volts: np.ndarray, loads_pa: np.ndarray, pieces: int, words: list[str]
+) -> None:
+    nodes = {node: volts for node in range(1, NODES + 1)}
+    fit = fit_skin(points_of(loads_pa, nodes), NODES, ADC, pieces)
+    assert len(fit.curves) == NODES
+    said = warnings(fit, CURVE)
+    assert len(said) == len(words), said
+    for line, word in zip(said, words, strict=True):
+        assert re.search(word, line)
+
+
+def test_without_falling_loads_no_hysteresis_is_seen_and_that_is_said() -> None:
+    rising = fit_skin(points_of(UP_PA, {1: read(UP_PA)}), 1, ADC)
+    assert "no falling loads" in describe(rising)
+    assert "no falling loads" not in describe(fit_with(read(LOADS_PA)))
 
 
 def test_outliers_are_named_by_their_lines() -> None:
