@@ -222,9 +222,7 @@ def report(viewer: Viewer, seconds: float) -> None:
         before = viewer.tally.received
         viewer.spin_for(min(1.0, left))
         new = viewer.tally.received - before
-        status = np.array(viewer.latest.status, dtype=np.uint8)
-        in_use = status & TactileArray.STATUS_MASKED == 0
-        pressure = np.array(viewer.latest.pressure, dtype=np.float32)[in_use]
+        pressure = in_use(viewer.latest)
         known = pressure[~np.isnan(pressure)]
         peak = f"{known.max() / 1e3:6.1f}" if known.size else "   --"
         age = f"{viewer.tally.percentile_ms(50, new):.2f}" if new else "--"
@@ -239,6 +237,12 @@ def report(viewer: Viewer, seconds: float) -> None:
             print(f"driver: {lasting}", file=sys.stderr, flush=True)
             said = lasting
         complaint = viewer.complaint
+
+
+def in_use(message: TactileArray) -> NDArray[np.float32]:
+    """Pressures of the taxels that are not out of service."""
+    status = np.array(message.status, dtype=np.uint8)
+    return np.array(message.pressure, dtype=np.float32)[status & TactileArray.STATUS_MASKED == 0]
 
 
 def summary(tally: Tally) -> str:

@@ -17,7 +17,7 @@ from skin_client import running, wait_for  # noqa: E402
 from tactile_cdma.layout_file import read_layout  # noqa: E402
 from tactile_cdma.layout_nodes import Wiring  # noqa: E402
 from tactile_cdma.ros.node import PICTURE  # noqa: E402
-from tactile_cdma.ros.view import Tally, draw  # noqa: E402
+from tactile_cdma.ros.view import Tally, draw, in_use  # noqa: E402
 from tactile_cdma.taxels import Status  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -50,6 +50,7 @@ def test_places_and_arrays_are_those_of_the_file() -> None:
     empty = layout.nodes == 0
     assert (np.isnan(message.pressure) == empty).all()
     assert (np.array(message.status)[empty] == Status.MASKED).all()
+    assert len(in_use(message)) == 12 and np.isfinite(in_use(message)).all()
     # The scene's wave runs along x: on the skin, whatever the order of the nodes, columns agree.
     pressure = np.array(message.pressure).reshape(4, 4)
     assert np.nanmax(np.ptp(pressure[1:3], axis=0)) < 1.0
