@@ -242,7 +242,8 @@ def report(viewer: Viewer, seconds: float) -> None:
 def in_use(message: TactileArray) -> NDArray[np.float32]:
     """Pressures of the taxels that are not out of service."""
     status = np.array(message.status, dtype=np.uint8)
-    return np.array(message.pressure, dtype=np.float32)[status & TactileArray.STATUS_MASKED == 0]
+    pressure = np.array(message.pressure, dtype=np.float32)
+    return np.asarray(pressure[status & TactileArray.STATUS_MASKED == 0])
 
 
 def summary(tally: Tally) -> str:
