@@ -13,8 +13,8 @@ from tactile_cdma.calibration import Calibration, Curves
 from tactile_cdma.contact import Contacts, ContactTracker
 from tactile_cdma.decode import silent
 from tactile_cdma.health import NodeHealth
-from tactile_cdma.parameters import SkinConfig
 from tactile_cdma.pipeline import Pipeline
+from tactile_cdma.skin_config import SkinConfig
 from tactile_cdma.taxels import Readings
 
 Floats = NDArray[np.float64]

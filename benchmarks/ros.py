@@ -30,10 +30,11 @@ from matplotlib.figure import Figure
 
 from tactile_cdma._protocol import TAIL_CHIPS
 from tactile_cdma.messages import Samples
-from tactile_cdma.parameters import SkinConfig, Value
+from tactile_cdma.parameters import Value
 from tactile_cdma.protocol import PacketParser
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.skin_config import SkinConfig
 
 from .report import QUICK, Report
 

@@ -27,12 +27,12 @@ from benchmarks.report import QUICK, Report
 from tactile_cdma._protocol import SyncMode
 from tactile_cdma.driver import Driver
 from tactile_cdma.frame import FrameSpec
-from tactile_cdma.parameters import SkinConfig
 from tactile_cdma.pipeline import Pipeline, TactileFrame
 from tactile_cdma.protocol import PacketParser
 from tactile_cdma.sim.digitizer import VirtualDigitizer, truth
 from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.sim.pty import serve
+from tactile_cdma.skin_config import SkinConfig
 from tactile_cdma.source import Port
 
 ALL = "scene=all&threshold=0&seed=1"

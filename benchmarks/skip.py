@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 
 from tactile_cdma._protocol import SyncMode
 from tactile_cdma.messages import Configure, FrameLayout, Start
-from tactile_cdma.parameters import SkinConfig, Value
+from tactile_cdma.parameters import Value
 from tactile_cdma.pipeline import Pipeline, TactileFrame
 from tactile_cdma.protocol import PacketWriter
 from tactile_cdma.silence import quiet_uv
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES, Skin
+from tactile_cdma.skin_config import SkinConfig
 
 from .report import QUICK, Report, medians_s
 

@@ -25,7 +25,7 @@ from .errors import CaptureError, PortError, SpecError, TactileError
 from .messages import Info
 from .node_memory import MCUS, check_timing, describe_memory, node_memory, usual_heartbeat
 from .offline import decode_raw, decode_scope, describe_frame, described_parameters
-from .parameters import BY_NAME, GAP, SkinConfig, Value
+from .parameters import BY_NAME, GAP, Value
 from .pipeline import Pipeline
 from .programmer import avrdude, burn, node_files, read_memory, write_memory
 from .protocol import PacketParser, diagnose
@@ -33,6 +33,7 @@ from .sim import sensor_report
 from .sim.digitizer import VirtualDigitizer
 from .sim.options import SimOptions
 from .sim.pty import serve
+from .skin_config import SkinConfig
 from .source import Port
 
 ALL = "all"

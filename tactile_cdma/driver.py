@@ -20,10 +20,11 @@ from .messages import (
     Start,
     Stop,
 )
-from .parameters import GAP, SkinConfig
+from .parameters import GAP
 from .pipeline import Pipeline, TactileFrame
 from .protocol import PacketWriter, diagnose
 from .silence import quiet_uv
+from .skin_config import SkinConfig
 from .source import Port
 
 PATIENCE_S = 1.0

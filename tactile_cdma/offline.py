@@ -16,9 +16,10 @@ from .encode import word_bits
 from .errors import CaptureError
 from .gap_timing import GapTiming
 from .messages import Info
-from .parameters import GAP, LINE, NATURAL_SIGNS, SkinConfig, Value
+from .parameters import GAP, LINE, NATURAL_SIGNS, Value
 from .pipeline import Pipeline, TactileFrame
 from .protocol import PacketParser, diagnose
+from .skin_config import SkinConfig
 from .timing import SampleBlock
 
 _CHUNK_BYTES = 1 << 16

@@ -28,10 +28,11 @@ from .messages import (
     Status,
 )
 from .node_timing import NodeTiming
-from .parameters import GAP, SkinConfig
+from .parameters import GAP
 from .pressure import PressureChain
 from .protocol import PacketParser
 from .silence import quiet_uv
+from .skin_config import SkinConfig
 from .taxels import Readings, Taxels
 from .timing import FrameLevels, QuietBlock, SampleBlock
 

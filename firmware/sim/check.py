@@ -21,8 +21,9 @@ from rp2040 import EmulatorError
 from rp2040_skin import Rp2040Skin
 from skin import Digitized, PressedSkin, reference_amplifier, reference_nodes
 from tactile_cdma._protocol import SYNC_LEAD, SYNC_UNIT_US
-from tactile_cdma.parameters import SkinConfig, read_file
+from tactile_cdma.parameters import read_file
 from tactile_cdma.sim.scene import SCENES
+from tactile_cdma.skin_config import SkinConfig
 from trial import Trial, edge_errors, press_and_decode
 
 PARAMS = Path(__file__).resolve().parents[2] / "config" / "wired_skin.yaml"

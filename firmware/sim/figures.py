@@ -16,8 +16,9 @@ from tactile_cdma.driver import Session
 from tactile_cdma.frame import FrameSpec
 from tactile_cdma.messages import Configure, FrameLayout, Samples, Start, Status
 from tactile_cdma.node_memory import MCUS
-from tactile_cdma.parameters import SkinConfig, read_file
+from tactile_cdma.parameters import read_file
 from tactile_cdma.protocol import PacketParser, PacketWriter
+from tactile_cdma.skin_config import SkinConfig
 
 SETTLED_NS, SPAN_NS = 300_000_000, 1_000_000_000
 READY_S, SPAN_S = 0.1, 1.2

@@ -17,9 +17,10 @@ from pathlib import Path
 from emulated import EmulatedSkin, EmulationError
 from skin import PressedSkin, reference_amplifier, reference_nodes
 from tactile_cdma.errors import TactileError
-from tactile_cdma.parameters import SkinConfig, read_file
+from tactile_cdma.parameters import read_file
 from tactile_cdma.sim.pty import serve
 from tactile_cdma.sim.scene import SCENES
+from tactile_cdma.skin_config import SkinConfig
 
 STEP_S = 2e-3
 """The emulation goes on in such steps, and so do bytes."""

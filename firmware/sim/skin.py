@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from emulated import Amplifier, EmulatedNodes, Node
 from tactile_cdma.errors import SpecError
 from tactile_cdma.node_memory import check_timing, node_memory
-from tactile_cdma.parameters import SkinConfig
 from tactile_cdma.sim.scene import Scene, Skin
+from tactile_cdma.skin_config import SkinConfig
 
 IMAGES = Path(__file__).resolve().parents[1] / "build" / "node"
 SUPPLY_V = 3.3

@@ -23,8 +23,9 @@ from ..calibration_file import (
 )
 from ..errors import CalibrationError, CaptureError
 from ..offline import described_parameters, raw_frames
-from ..parameters import BY_NAME, SkinConfig, Value
+from ..parameters import BY_NAME, Value
 from ..pipeline import Pipeline
+from ..skin_config import SkinConfig
 from . import dynamics_fit, report
 from .load_points import LoadPoints, read_points
 from .load_session import LiveSkin, LoadSession

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from ..driver import Driver
 from ..errors import CalibrationError, PortError
-from ..parameters import SkinConfig
 from ..pipeline import TactileFrame
+from ..skin_config import SkinConfig
 from .load_points import HEADING, point_lines
 from .plateaus import LEAST_FRAMES, Floats, steady_voltage
 

@@ -18,8 +18,8 @@ from tactile_cdma.msg import TactileArray, TactileSkinInfo
 from ..baseline import Baseline
 from ..heatmap import heatmap
 from ..layout import Layout
-from ..parameters import SkinConfig
 from ..pipeline import TactileFrame
+from ..skin_config import SkinConfig
 
 
 def ros_array(values: NDArray[np.generic]) -> array[float] | array[int]:

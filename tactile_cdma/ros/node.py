@@ -41,13 +41,13 @@ from ..parameters import (
     PARAMETERS,
     STANDARD_PARAMETERS,
     Parameter,
-    SkinConfig,
     Value,
     check_values,
     unknown,
 )
 from ..pipeline import TactileFrame
 from ..rest_file import rest_path
+from ..skin_config import SkinConfig
 from ..source import Port
 from . import convert
 from .contacts import ContactPublishers

@@ -17,8 +17,8 @@ from tactile_cdma.srv import Tare
 from ..calibration_file import CalibrationContent, read_calibration, write_calibration
 from ..driver import Driver
 from ..errors import CalibrationError, RestError, TactileError
-from ..parameters import SkinConfig
 from ..rest_file import RestState, calibration_path, read_rest, set_aside, write_rest
+from ..skin_config import SkinConfig
 from . import convert
 
 TELL_S = 10.0

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from tactile_cdma._protocol import SyncMode
 from tactile_cdma.encode import frame_levels, line_chips
 from tactile_cdma.messages import Configure, FrameLayout, GetInfo, Start
-from tactile_cdma.parameters import SkinConfig
 from tactile_cdma.pipeline import Pipeline
 from tactile_cdma.silence import quiet_uv
 from tactile_cdma.sim.channel import point_samples
+from tactile_cdma.skin_config import SkinConfig
 
 
 def line_counts(

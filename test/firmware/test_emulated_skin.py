@@ -16,9 +16,9 @@ from tactile_cdma.driver import Session
 from tactile_cdma.errors import SpecError
 from tactile_cdma.messages import Quiet, RollCall, Samples
 from tactile_cdma.node_memory import node_memory
-from tactile_cdma.parameters import SkinConfig
 from tactile_cdma.pipeline import Pipeline, TactileFrame
 from tactile_cdma.protocol import PacketParser, PacketWriter
+from tactile_cdma.skin_config import SkinConfig
 
 MS = 1_000_000
 NODES, GAIN, SUPPLY_V = 16, 0.05, 3.3

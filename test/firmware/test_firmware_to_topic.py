@@ -23,9 +23,10 @@ from rp2040_skin import Rp2040Skin  # noqa: E402
 from serve import LiveSkin  # noqa: E402
 from skin import PressedSkin, reference_amplifier, reference_nodes  # noqa: E402
 from skin_client import Client, running, wait_for  # noqa: E402
-from tactile_cdma.parameters import SkinConfig, read_file  # noqa: E402
+from tactile_cdma.parameters import read_file  # noqa: E402
 from tactile_cdma.sim.pty import serve  # noqa: E402
 from tactile_cdma.sim.scene import SCENES  # noqa: E402
+from tactile_cdma.skin_config import SkinConfig  # noqa: E402
 from tactile_cdma.taxels import Status  # noqa: E402
 
 pytestmark = pytest.mark.ros

@@ -12,7 +12,8 @@ from conftest import need
 from check import PARAMS, on_rp2040, on_virtual_board, press
 from emulated import EmulatedSkin
 from skin import reference_amplifier, reference_nodes
-from tactile_cdma.parameters import SkinConfig, read_file
+from tactile_cdma.parameters import read_file
+from tactile_cdma.skin_config import SkinConfig
 
 CONFIG = SkinConfig.of(read_file(PARAMS))
 FRAMES = 60

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tactile_cdma.driver import Session
-from tactile_cdma.parameters import SkinConfig
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.skin_config import SkinConfig
 
 
 def record(path: Path, options: SimOptions, seconds: float) -> None:

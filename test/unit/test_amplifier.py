@@ -27,7 +27,7 @@ from tactile_cdma.amplifier_report import describe, gaussian_clipping, loads, re
 from tactile_cdma.cli import main
 from tactile_cdma.errors import SpecError
 from tactile_cdma.frame import FrameSpec
-from tactile_cdma.parameters import SkinConfig
+from tactile_cdma.skin_config import SkinConfig
 from tactile_cdma.transform import correlate
 
 README = Path(__file__).resolve().parents[2] / "firmware" / "README.md"

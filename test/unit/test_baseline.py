@@ -12,8 +12,8 @@ from tactile_cdma.dynamics import Dynamics
 from tactile_cdma.errors import RestError
 from tactile_cdma.health import NodeHealth
 from tactile_cdma.layout import Layout
-from tactile_cdma.parameters import SkinConfig
 from tactile_cdma.pipeline import Pipeline
+from tactile_cdma.skin_config import SkinConfig
 from tactile_cdma.taxels import Readings, Status
 
 FRAME_S = 0.0128

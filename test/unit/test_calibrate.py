@@ -18,12 +18,12 @@ from tactile_cdma.calibration import AdcScale, PressureCurve
 from tactile_cdma.calibration_file import read_calibration
 from tactile_cdma.cli import main
 from tactile_cdma.offline import raw_frames
-from tactile_cdma.parameters import SkinConfig
 from tactile_cdma.pipeline import Pipeline
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import serve
 from tactile_cdma.sim.scene import SCENES, Skin
+from tactile_cdma.skin_config import SkinConfig
 from tactile_cdma.taxels import Status
 
 ROOT = Path(__file__).resolve().parents[2]

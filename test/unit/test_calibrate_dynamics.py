@@ -16,13 +16,13 @@ from tactile_cdma.cli import main
 from tactile_cdma.dynamics import Lag
 from tactile_cdma.errors import CalibrationError
 from tactile_cdma.offline import described_parameters, raw_frames
-from tactile_cdma.parameters import SkinConfig
 from tactile_cdma.pipeline import Pipeline
 from tactile_cdma.sim.digitizer import truth
 from tactile_cdma.sim.loads import DWELL_S, LOADS, STEPS_KPA
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES, Skin
 from tactile_cdma.sim.sensor import PAPER_DYNAMICS
+from tactile_cdma.skin_config import SkinConfig
 
 pytestmark = pytest.mark.xdist_group("recordings")  # they are made once
 ADC = AdcScale()

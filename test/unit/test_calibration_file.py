@@ -20,7 +20,7 @@ from tactile_cdma.calibration_file import (
 from tactile_cdma.dynamics import Dynamics
 from tactile_cdma.errors import CalibrationError, SpecError, TactileError
 from tactile_cdma.marked_yaml import MOST_BYTES
-from tactile_cdma.parameters import SkinConfig
+from tactile_cdma.skin_config import SkinConfig
 
 DEFAULT = PressureCurve.two_stage()
 ADC = AdcScale()

@@ -17,8 +17,8 @@ from tactile_cdma.decode import silent
 from tactile_cdma.errors import SpecError
 from tactile_cdma.health import NodeHealth
 from tactile_cdma.layout import Layout
-from tactile_cdma.parameters import SkinConfig
 from tactile_cdma.pipeline import Pipeline
+from tactile_cdma.skin_config import SkinConfig
 from tactile_cdma.taxels import Readings, Status
 
 PITCH_M, TAXEL_M = 7e-3, 5.5e-3

@@ -16,9 +16,9 @@ from tactile_cdma.errors import LayoutError, SpecError
 from tactile_cdma.layout import Layout
 from tactile_cdma.layout_file import read_layout
 from tactile_cdma.layout_nodes import Wiring
-from tactile_cdma.parameters import SkinConfig
 from tactile_cdma.pipeline import Pipeline
 from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.skin_config import SkinConfig
 from tactile_cdma.taxels import Status
 
 EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "config" / "layouts").glob("*.yaml"))

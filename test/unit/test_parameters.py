@@ -12,7 +12,8 @@ import yaml
 
 from tactile_cdma.calibration_file import write_calibration
 from tactile_cdma.errors import ParameterError, SpecError
-from tactile_cdma.parameters import PARAMETERS, SkinConfig, check_values, read_file
+from tactile_cdma.parameters import PARAMETERS, check_values, read_file
+from tactile_cdma.skin_config import SkinConfig
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -18,12 +18,13 @@ from tactile_cdma.messages import (
     Samples,
     Start,
 )
-from tactile_cdma.parameters import GAP, SkinConfig
+from tactile_cdma.parameters import GAP
 from tactile_cdma.pipeline import Pipeline, TactileFrame
 from tactile_cdma.protocol import PacketParser, PacketWriter
 from tactile_cdma.sim.digitizer import VirtualDigitizer, truth
 from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.sim.sensor import PAPER_DYNAMICS
+from tactile_cdma.skin_config import SkinConfig
 from tactile_cdma.taxels import Status
 
 

@@ -11,9 +11,9 @@ from tactile_cdma.decode import Words, decode
 from tactile_cdma.encode import line_chips, with_parity, word_bits
 from tactile_cdma.frame import FrameSpec
 from tactile_cdma.health import JUDGE_FRAMES, NodeHealth, NodeState
-from tactile_cdma.parameters import SkinConfig
 from tactile_cdma.pipeline import Pipeline
 from tactile_cdma.separate import NodeLevels, separate
+from tactile_cdma.skin_config import SkinConfig
 from tactile_cdma.taxels import Status
 
 SPEC = FrameSpec()

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from tactile_cdma.frame import FrameSpec
 from tactile_cdma.line_timing import LineTiming
 from tactile_cdma.messages import Configure, FrameLayout, GetInfo, Info, Quiet, Samples, Start
-from tactile_cdma.parameters import SkinConfig
 from tactile_cdma.pipeline import Pipeline, TactileFrame
 from tactile_cdma.protocol import PacketParser, PacketWriter
 from tactile_cdma.silence import quiet_uv
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.skin_config import SkinConfig
 from tactile_cdma.timing import QuietBlock, SampleBlock
 from tactile_cdma.transform import correlate
 

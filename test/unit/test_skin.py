@@ -11,8 +11,8 @@ from tactile_cdma.frame import FrameSpec
 from tactile_cdma.health import NodeHealth
 from tactile_cdma.heatmap import NO_READING_RGB, colours, heatmap
 from tactile_cdma.layout import Layout
-from tactile_cdma.parameters import SkinConfig
 from tactile_cdma.pipeline import Pipeline
+from tactile_cdma.skin_config import SkinConfig
 from tactile_cdma.taxels import Status, Taxels
 
 SPEC = FrameSpec(nodes=4)

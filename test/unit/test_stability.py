@@ -16,10 +16,11 @@ from tactile_cdma.frame import FrameSpec
 from tactile_cdma.gap_timing import GapTiming
 from tactile_cdma.line_timing import LineTiming
 from tactile_cdma.messages import FrameLayout, Info, Samples
-from tactile_cdma.parameters import GAP, SkinConfig
+from tactile_cdma.parameters import GAP
 from tactile_cdma.pipeline import Pipeline
 from tactile_cdma.protocol import PacketWriter
 from tactile_cdma.separate import separate
+from tactile_cdma.skin_config import SkinConfig
 from tactile_cdma.taxels import Status
 from tactile_cdma.timing import FrameLevels, SampleBlock
 from tactile_cdma.transform import correlate
