@@ -120,7 +120,7 @@ def read_calibration(
 
 def read_content(path: Path, nodes: int, adc: AdcScale, skin: str = "") -> CalibrationContent:
     """All that is in a file; see read_calibration."""
-    file = read_marked(path.expanduser(), CalibrationError)
+    file = read_marked(path, CalibrationError)
     content, identity = _parse(file)
     root = file.mapping("the file")
     for name, theirs, ours in (

@@ -25,7 +25,7 @@ from .errors import CaptureError, PortError, SpecError, TactileError
 from .messages import Info
 from .node_memory import MCUS, check_timing, describe_memory, node_memory, usual_heartbeat
 from .offline import decode_raw, decode_scope, describe_frame, described_parameters
-from .parameters import BY_NAME, GAP, Value
+from .parameters import BY_NAME, GAP, SIMULATION, Value
 from .pipeline import Pipeline
 from .programmer import avrdude, burn, node_files, read_memory, write_memory
 from .protocol import PacketParser, diagnose
@@ -79,7 +79,10 @@ def _parser() -> argparse.ArgumentParser:
     simulate.add_argument("--link", type=Path, help="also make a symbolic link to the tty")
     simulate.add_argument("--seconds", type=positive, help="end after so long; else on Ctrl-C")
     simulate.add_argument(
-        "url", nargs="?", default="sim://", help="options as in a port: 'sim://?scene=press&seed=1'"
+        "url",
+        nargs="?",
+        default=SIMULATION,
+        help="options as in a port: 'sim://?scene=press&seed=1'",
     )
     simulate.set_defaults(run=_simulate)
 

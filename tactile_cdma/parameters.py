@@ -19,6 +19,8 @@ from .frame import BIPOLAR, DEFAULT_AMPLITUDE_V, UNIPOLAR
 
 Value = bool | int | float | str
 NATURAL_SIGNS = -1
+SIMULATION = "sim://"
+"""Beginning of the ports that are simulated skins."""
 LINE, GAP = "line", "gap"
 STANDARD_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 """Beginnings of the names of parameters that every ROS 2 node has."""
@@ -68,7 +70,7 @@ _KIND_NAMES = {bool: "true or false", int: "an integer", float: "a number", str:
 
 PARAMETERS: tuple[Parameter, ...] = (
     Parameter(
-        "port", "sim://", "pyserial URL of the digitizer: /dev/ttyACM0, sim://?scene=hand, …"
+        "port", SIMULATION, "pyserial URL of the digitizer: /dev/ttyACM0, sim://?scene=hand, …"
     ),
     Parameter("baud", 2_000_000, "baud rate; USB ports ignore it", "baud", (1_200, 20_000_000)),
     Parameter("nodes", 16, "sensing nodes on the wire", "", (1, 65_535)),

@@ -143,7 +143,7 @@ def _layout(get: Mapping[str, Any]) -> Layout:
     if not get["layout_file"]:
         taxel_m = get["taxel_mm"] * 1e-3
         return Layout.grid(get["nodes"], get["rows"], get["columns"], pitch_m, taxel_m)
-    path = _path("layout_file", get["layout_file"])
+    path = user_path("layout_file", get["layout_file"])
     layout = read_layout(path, Wiring(get["nodes"], get["first_row"], get["skin"]))
     # Defaults say nothing: ROS gives every parameter a value.
     for name, theirs in (
@@ -165,7 +165,7 @@ def _calibration(
     """From a file; without one the default."""
     calibration, file = Calibration.default(curve, spec.nodes), get["calibration_file"]
     if file:
-        path = _path("calibration_file", file)
+        path = user_path("calibration_file", file)
         calibration = read_calibration(path, spec.nodes, adc, curve, get["skin"])
     if get["compensation"] and calibration.dynamics is None:
         raise SpecError(
@@ -175,7 +175,7 @@ def _calibration(
     return calibration
 
 
-def _path(name: str, text: str) -> Path:
+def user_path(name: str, text: str) -> Path:
     """A parameter's path, from the working folder or the home folder (~) on."""
     try:
         return Path(text).expanduser()

@@ -39,6 +39,7 @@ from ..errors import ParameterError, TactileError
 from ..parameters import (
     BY_NAME,
     PARAMETERS,
+    SIMULATION,
     STANDARD_PARAMETERS,
     Parameter,
     Value,
@@ -56,7 +57,6 @@ from .services import RestKeeper
 
 NODE_NAME = "skin"
 APART_NODES = 256
-SIMULATION = "sim://"
 CALIBRATING = {"calibration_file", "compensation"}
 """Setting one of these makes the calibration be read again."""
 RETRY_S = 2.0

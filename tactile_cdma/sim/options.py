@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 import math
 from dataclasses import dataclass, field, fields, replace
-from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
 
@@ -18,6 +17,7 @@ from ..layout_file import read_layout
 from ..layout_nodes import Wiring
 from ..parameters import BY_NAME, GAP, NATURAL_SIGNS, Parameter, Value
 from ..roll_call import LARGEST_RATE_ERROR, LATEST
+from ..skin_config import user_path
 from .channel import MAX_JITTER, Channel
 from .loads import LOADS
 from .nodes import ClockModel, NodeRules
@@ -244,7 +244,7 @@ class SimOptions:
     def _read_layout(self, nodes: int | None, first_row: int) -> Layout:
         if self.rows or self.columns:
             raise SpecError("options rows and columns say what layout says: leave them out")
-        return read_layout(Path(self.layout).expanduser(), Wiring(nodes, first_row))
+        return read_layout(user_path("layout", self.layout), Wiring(nodes, first_row))
 
     def setup(self, asked: Setup | None = None) -> Setup:
         """The digitizer's set-up when a host asks for one; None: before any CONFIGURE.

@@ -116,3 +116,8 @@ def test_bad_options_are_refused_by_name(query: str, words: list[str]) -> None:
 def test_other_urls_are_refused(url: str) -> None:
     with pytest.raises(SpecError):
         SimOptions.from_url(url)
+
+
+def test_a_layout_in_a_home_that_nobody_has_is_refused() -> None:
+    with pytest.raises(SpecError, match=r"layout is ~nobody-of-that-name/.*: no such user's home"):
+        SimOptions.from_url("sim://?layout=~nobody-of-that-name/skin.yaml")
