@@ -265,6 +265,8 @@ class SkinNode(LifecycleNode):
         """Join the reader before its publishers go."""
         self._release()
         super().destroy_node()
+        # rclpy leaves its services in the graph until the garbage collector finds them.
+        self._state_machine.destroy_when_not_in_use()
 
     def _start(self) -> None:
         """Configure and activate, unless somebody has taken the lifecycle into their own hands."""
