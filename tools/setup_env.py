@@ -76,6 +76,7 @@ def set_up(venv: Path) -> None:
         sorted([*CHECKOUT.glob("msg/*.msg"), *CHECKOUT.glob("srv/*.srv")]),
         sorted([*CHECKOUT.glob("scripts/*")]),
         [CHECKOUT / "CMakeLists.txt", CHECKOUT / "package.xml"],
+        sorted(path for path in CHECKOUT.glob("tools/tf2_msgs/**/*") if path.is_file()),
     )
 
     state = State(venv / "setup.json")
@@ -190,9 +191,10 @@ def adapt_venv(venv: Path) -> None:
 
 
 def build_messages(venv: Path, use_installation: bool) -> None:
-    """Build this package with colcon, into the venv itself."""
+    """Build this package with colcon, into the venv itself, and messages that PyPI lacks."""
     step(4, "building the messages")
     shutil.rmtree(venv / "build", ignore_errors=True)
+    packages = [CHECKOUT] if use_installation else [CHECKOUT, CHECKOUT / "tools" / "tf2_msgs"]
     environment = dict(os.environ, PATH=f"{venv / 'bin'}{os.pathsep}{os.environ['PATH']}")
     for variable in ("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH"):
         # Without a ROS installation nothing else is a ROS prefix, whatever the variables say.
@@ -205,9 +207,7 @@ def build_messages(venv: Path, use_installation: bool) -> None:
             str(venv / "log"),
             "build",
             "--paths",
-            str(CHECKOUT),
-            "--packages-select",
-            "tactile_cdma",
+            *map(str, packages),
             "--build-base",
             str(venv / "build"),
             "--install-base",

@@ -27,6 +27,7 @@ class ContactPublishers:
         self._wrench = node.create_lifecycle_publisher(WrenchStamped, "~/wrench", RELIABLE)
         self._contacts = node.create_lifecycle_publisher(TactileContacts, "~/contacts", RELIABLE)
         self._tracker: ContactTracker | None = None
+        self._patch = node.get_fully_qualified_name()
 
     @property
     def asked(self) -> bool:
@@ -57,13 +58,15 @@ class ContactPublishers:
         if self._wrench.get_subscription_count():
             self._wrench.publish(WrenchStamped(header=header, wrench=_wrench(contacts)))
         if self._contacts.get_subscription_count():
-            self._contacts.publish(contacts_message(contacts, header, frame.sequence, info_id))
+            self._contacts.publish(
+                contacts_message(contacts, self._patch, header, frame.sequence, info_id)
+            )
 
 
 def contacts_message(
-    contacts: Contacts, header: Header, sequence: int, info_id: int
+    contacts: Contacts, patch: str, header: Header, sequence: int, info_id: int
 ) -> TactileContacts:
-    """All contacts of one frame."""
+    """All contacts of one frame. patch: fully qualified name of the node."""
     return TactileContacts(
         header=header,
         sequence=sequence,
@@ -72,14 +75,15 @@ def contacts_message(
         area=float(contacts.area_m2.sum()),
         position=_point(contacts.centre_m),
         wrench=_wrench(contacts),
-        contacts=_contacts(contacts),
+        contacts=_contacts(contacts, patch),
     )
 
 
-def _contacts(contacts: Contacts) -> list[TactileContact]:
+def _contacts(contacts: Contacts, patch: str) -> list[TactileContact]:
     normals = contacts.normals
     return [
         TactileContact(
+            patch=patch,
             id=int(contacts.ids[i]),
             age=float(contacts.age_s[i]),
             position=_point(contacts.position_m[i]),
