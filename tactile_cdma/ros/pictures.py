@@ -14,7 +14,7 @@ from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
 from ..cloud import Cloud
-from ..contact import ContactTracker
+from ..contact import ContactThresholds, ContactTracker
 from ..parameters import Value
 from ..pipeline import TactileFrame
 from ..skin_config import SkinConfig, contact_thresholds
@@ -60,35 +60,32 @@ class Pictures:
         self._latest: TactileFrame | None = None
         self._drawn: TactileFrame | None = None
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = node.create_timer(self._period_s, self._draw, clock=steady)
+        self._timer = node.create_timer(_period_s(live), self._draw, clock=steady)
         self._timer.cancel()
 
     def start(self, config: SkinConfig) -> None:
         """Before the first frame of a stream."""
-        self._latest = self._drawn = None
         self._drawings = Drawings(config, self._live)
-        self.change()
+        self._run(self._live)
 
     def stop(self) -> None:
-        """After the last frame of a stream."""
+        """After the last one."""
         self._timer.cancel()
         self._drawings = self._latest = self._drawn = None
 
-    def change(self) -> None:
-        """Live values have changed."""
-        if self._drawings is None:
-            return
-        self._drawings.change()
-        self._timer.timer_period_ns = round(self._period_s * 1e9)
-        self._timer.reset()
-
     def take(self, frame: TactileFrame) -> None:
-        """In the driver's thread, which this must not hold up."""
+        """The newest frame, in the driver's thread, which this must not hold up."""
         self._latest = frame
 
-    @property
-    def _period_s(self) -> float:
-        return 1.0 / float(self._live["visual_rate_hz"])
+    def change(self, values: Mapping[str, Value]) -> None:
+        """All parameters' values as they are going to be; they fit each other."""
+        if self._drawings is not None:
+            self._drawings.change(contact_thresholds(values))
+            self._run(values)
+
+    def _run(self, values: Mapping[str, Value]) -> None:
+        self._timer.timer_period_ns = round(_period_s(values) * 1e9)
+        self._timer.reset()
 
     def _draw(self) -> None:
         frame = self._latest
@@ -123,9 +120,9 @@ class Drawings:
         self._skin = SkinMarkers(config.layout)
         self._tracker = ContactTracker(config.layout, config.contact)
 
-    def change(self) -> None:
-        """Live values have changed."""
-        self._tracker.thresholds = contact_thresholds(self._live)
+    def change(self, thresholds: ContactThresholds) -> None:
+        """From the next picture on."""
+        self._tracker.thresholds = thresholds
 
     @property
     def _max_pa(self) -> float:
@@ -133,7 +130,7 @@ class Drawings:
 
     @property
     def _fade_s(self) -> float:
-        period_s = max(1.0 / float(self._live["visual_rate_hz"]), self._frame_period_s)
+        period_s = max(_period_s(self._live), self._frame_period_s)
         return max(LEAST_FADE_S, FADE_PERIODS * period_s)
 
     def _heatmap(self, frame: TactileFrame, header: Header) -> Image:
@@ -157,3 +154,7 @@ class Drawings:
         return self._skin.markers(
             frame.readings.pressure_pa, self._max_pa, contacts, header, self._fade_s
         )
+
+
+def _period_s(values: Mapping[str, Value]) -> float:
+    return 1.0 / float(values["visual_rate_hz"])
