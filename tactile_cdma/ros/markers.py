@@ -33,13 +33,13 @@ _COLOURS = [ColorRGBA(r=r, g=g, b=b, a=1.0) for r, g, b in (SCALE_RGB / 255).tol
 class SkinMarkers:
     """Builds the markers of one skin; messages share what never changes."""
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: Layout, most_squares: int = MOST_SQUARES) -> None:
         self._shown: set[int] = set()
         shaft, head = (pitches * layout.pitch_m for pitches in ARROW_PITCHES)
         self._arrow_scale = Vector3(x=shaft, y=head)
         self._text_scale = Vector3(z=layout.pitch_m)
         self._placed = np.flatnonzero(layout.nodes)
-        if len(self._placed) > MOST_SQUARES:
+        if len(self._placed) > most_squares:
             self._placed = self._placed[:0]
         corners_m = taxel_squares(layout)[self._placed].reshape(-1, 3)
         self._corners = [_point(corner_m) for corner_m in corners_m]
