@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode
@@ -10,7 +10,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
-from ..parameters import Value
+from ..parameters import Values
 from ..pipeline import TactileFrame
 from ..skin_config import SkinConfig
 from . import convert
@@ -27,7 +27,7 @@ class Pictures:
     def __init__(
         self,
         node: LifecycleNode,
-        live: Mapping[str, Value],
+        live: Values,
         header_at: Callable[[float], Header],
     ) -> None:
         """live: the parameters' present values; header_at: of a moment of the monotonic clock."""
@@ -54,7 +54,7 @@ class Pictures:
         """The newest frame."""
         self._latest = frame
 
-    def change(self, live: Mapping[str, Value]) -> None:
+    def change(self, live: Values) -> None:
         """Draw as these values of all parameters say from now on."""
         self._timer.timer_period_ns = round(_period_s(live) * 1e9)
 
@@ -76,5 +76,5 @@ class Pictures:
         )
 
 
-def _period_s(live: Mapping[str, Value]) -> float:
+def _period_s(live: Values) -> float:
     return 1 / float(live["visual_rate_hz"])
