@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import cycle
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 from tactile_cdma.cloud import Cloud
 from tactile_cdma.contact import Contacts, ContactTracker
 from tactile_cdma.layout import Layout
-from tactile_cdma.parameters import BY_NAME
+from tactile_cdma.parameters import PARAMETERS, Values
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES
 from tactile_cdma.skin_config import SkinConfig
@@ -35,9 +36,10 @@ from .report import QUICK, Report, medians_s
 SIZES = (16, 256, 1024, 4096)
 ROUNDS = 7 if QUICK else 31
 FRAMES = 32
-RATE_HZ = float(BY_NAME["visual_rate_hz"].default)
-MAX_PA = 1e3 * float(BY_NAME["colour_max_kpa"].default)
-PIXELS = int(BY_NAME["heatmap_pixels"].default)
+DEFAULTS: Values = {parameter.name: parameter.default for parameter in PARAMETERS}
+RATE_HZ = DEFAULTS["visual_rate_hz"]
+MAX_PA = 1e3 * DEFAULTS["colour_max_kpa"]
+PIXELS = DEFAULTS["heatmap_pixels"]
 HEATMAP, IMAGE, POINTS = "heatmap", "pressure_image", "points"
 CONTACTS, SQUARES = "markers, contacts alone", "markers with squares"
 DOMAIN = 78
@@ -147,7 +149,7 @@ def publishers() -> Iterator[Callable[[str, Any], None]]:
     for publisher in by_topic.values():
         while not publisher.get_subscription_count():
             rclpy.spin_once(node, timeout_sec=0.1)
-    yield lambda name, message: by_topic[name.split(",")[0].split()[0]].publish(message)
+    yield lambda name, message: by_topic[re.split(r"\W", name)[0]].publish(message)
     stop.set()
     subscriber.join(10)
     rclpy.shutdown()
