@@ -105,7 +105,7 @@ class SkinMarkers:
             type=Marker.TEXT_VIEW_FACING,
             scale=self._text_scale,
             pose=Pose(position=tail),
-            text=f"{at_least}{np.linalg.norm(force_n):.2g} N",
+            text=f"{at_least}{np.linalg.norm(force_n):.3g} N",
         )
         return [arrow, text]
 

@@ -16,6 +16,7 @@ from sensor_msgs.msg import Image, PointCloud2, PointField  # noqa: E402
 from visualization_msgs.msg import Marker  # noqa: E402
 
 from skin_client import Client, running, wait_for  # noqa: E402
+from tactile_cdma.cloud import POINT  # noqa: E402
 from tactile_cdma.heatmap import colours  # noqa: E402
 from tactile_cdma.layout_file import read_layout  # noqa: E402
 from tactile_cdma.layout_nodes import Wiring  # noqa: E402
@@ -107,6 +108,7 @@ def test_the_pressure_image_has_a_pixel_for_every_cell(seen: Any) -> None:
 def test_points_say_where_they_are_what_they_feel_and_which_taxel_they_are(seen: Any) -> None:
     pictures, pressure_pa = seen
     points = records(pictures["points"])
+    assert np.array_equal(points, np.frombuffer(pictures["points"].data, POINT))
     taxels = points["taxel"]
     assert taxels.tolist() == [taxel for taxel in range(25) if taxel != 12]
     places = np.stack([points[name] for name in ("x", "y", "z")], axis=1)
