@@ -2,9 +2,10 @@
 
 Each of the driver's pictures, of 16 to 4096 taxels in a square that several things press, at most
 16: drawn (a finished message), and drawn and published to a subscriber in another process, which
-does not look into it. All of this holds Python's lock, for which the decoder waits. Markers are
-measured with the squares of the surface, whatever the size, and with the contacts alone, which is
-all that skins of more than MOST_SQUARES have. Following the contacts is `make bench-contact`'s.
+does not look into it. Times are CPU time of the thread that does it, nearly all with Python's lock,
+for which the decoder waits. Markers are measured with the squares of the surface, whatever the
+size, and with the contacts alone, which is all that skins of more than MOST_SQUARES have.
+Following the contacts is `make bench-contact`'s.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import re
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import cycle
@@ -80,6 +82,7 @@ def times(report: Report) -> Times:
                     {"draw": draw, "publish": lambda d=draw, n=name: publish(n, d())},  # type: ignore[misc]
                     ROUNDS,
                     least_s=20e-3,
+                    clock=time.thread_time,
                 )
                 result[taxels, name] = drawn_s, published_s = both["draw"], both["publish"]
                 size_kb = len(serialize_message(draw())) / 1e3
