@@ -19,8 +19,8 @@ from ..mesh import CORNERS, taxel_squares
 SURFACE, ARROWS, TEXTS = "skin", "contacts", "forces"
 """Namespaces, which rviz shows and hides one by one."""
 MOST_SQUARES = 256
-"""Larger skins are left to ~/points: rclpy converts messages number by number, which takes 20 µs for
-a square, and the decoder waits meanwhile (`make bench-pictures`)."""
+"""Larger skins are left to ~/points: rclpy converts messages number by number, which takes 20 µs
+for a square, and the decoder waits meanwhile (`make bench-pictures`)."""
 ARROW_M_PER_N = 0.005
 """An arrow's length; it ends at the centre of pressure."""
 ARROW_PITCHES = 0.25, 0.5
