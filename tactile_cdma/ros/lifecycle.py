@@ -40,7 +40,7 @@ class ManagedNode(LifecycleNode):
         try:
             super().__init__(name, **node_options)
         except ValueError as error:
-            raise ParameterError(f"a parameter is given without a value: {error}") from error
+            raise ParameterError(f"a parameter has no value, or an empty list ({error})") from error
         # rclpy lets a transition that is impossible in the present state end the executor.
         self._service_change_state.callback = partial(
             _refuse_impossible, self, self._service_change_state.callback

@@ -244,7 +244,10 @@ class SkinNode(ManagedNode):
         )
 
     def _publish_frame(self, frame: TactileFrame) -> None:
-        """In the driver's thread: the way from a decoded frame to the wire is one publish long."""
+        """In the driver's thread: the way from a decoded frame to the wire is one publish long.
+
+        Several messages share one header: nobody changes a message that was published.
+        """
         assert self._config is not None
         self._latest = frame
         info_id = self._info_id
