@@ -7,6 +7,7 @@ rviz_common in ROS 2 Jazzy: plugins_description.xml, and the properties of each 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -160,8 +161,9 @@ def test_topics_are_offered_with_that_type_and_quality(name: str, client: Client
         *_, node, topic = display["Topic"]["Value"].split("/")
         if node != "skin":  # the body's
             continue
-        wait_for(lambda topic=topic: client.get_publishers_info_by_topic(f"/skin/{topic}"))
-        [offered] = client.get_publishers_info_by_topic(f"/skin/{topic}")
+        publishers = partial(client.get_publishers_info_by_topic, f"/skin/{topic}")
+        wait_for(lambda publishers=publishers: len(publishers()) == 1)
+        [offered] = publishers()
         assert offered.topic_type == TYPES[kind]
         fits, reason = qos_check_compatible(offered.qos_profile, wanted_qos(display["Topic"]))
         assert fits == QoSCompatibility.OK, reason

@@ -40,6 +40,7 @@ def ros() -> Iterator[None]:
 
 
 def offers(client: Client, topic: str) -> tuple[str, str]:
+    wait_for(lambda: len(client.get_publishers_info_by_topic(topic)) == 1)
     [publisher] = client.get_publishers_info_by_topic(topic)
     qos = publisher.qos_profile
     return qos.reliability.name, qos.durability.name
