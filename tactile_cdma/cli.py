@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from . import __version__, layout_command
+from . import __version__, layout_command, ports_command
 from .amplifier import design
 from .amplifier_report import describe, report
 from .arguments import add_skin_options, given, positive
@@ -136,6 +136,7 @@ def _parser() -> argparse.ArgumentParser:
     add_skin_options(amplifier, "the driver's; the frame period plays no part")
     amplifier.set_defaults(run=_amplifier)
 
+    ports_command.add_to(commands)
     layout_command.add_to(commands)
     calibrate.add_to(commands)
     sensor_report.add_to(commands)

@@ -15,6 +15,7 @@ from .contact import ContactThresholds
 from .dynamics import Compensator
 from .errors import SpecError
 from .frame import MAX_STRETCH, FrameSpec
+from .identity import parse_id
 from .layout import Layout
 from .layout_file import read_layout
 from .layout_nodes import Wiring
@@ -26,6 +27,7 @@ class SkinConfig:
     """The parameters of the decoding chain in the form that the stages take."""
 
     spec: FrameSpec
+    digitizer_id: bytes | None
     timing: str
     samples_per_chip: int
     roll_call: bool
@@ -78,6 +80,7 @@ class SkinConfig:
         adc = AdcScale(get["bits"], get["vref_v"])
         return cls(
             spec=spec,
+            digitizer_id=parse_id(get["digitizer_id"]) if get["digitizer_id"] else None,
             timing=get["timing"],
             samples_per_chip=get["samples_per_chip"],
             roll_call=get["roll_call"],
@@ -92,6 +95,10 @@ class SkinConfig:
             stale_after_s=get["stale_after_s"],
             contact=contact_thresholds(get),
         )
+
+    def refuses(self, digitizer_id: bytes) -> bool:
+        """Whether the digitizer of this id is another one than asked for."""
+        return self.digitizer_id is not None and digitizer_id != self.digitizer_id
 
     def compensator(self) -> Compensator | None:
         """What undoes the sensors' dynamics; None where that is not asked."""
