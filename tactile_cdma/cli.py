@@ -20,6 +20,7 @@ from .amplifier_report import describe, report
 from .arguments import add_skin_options, given, positive
 from .calibrating import command as calibrate
 from .capture import is_text, read_scope_csv
+from .doctor import command as doctor
 from .driver import Session
 from .errors import CaptureError, PortError, SpecError, TactileError
 from .messages import Info
@@ -137,6 +138,7 @@ def _parser() -> argparse.ArgumentParser:
     amplifier.set_defaults(run=_amplifier)
 
     ports_command.add_to(commands)
+    doctor.add_to(commands)
     layout_command.add_to(commands)
     calibrate.add_to(commands)
     sensor_report.add_to(commands)

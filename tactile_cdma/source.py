@@ -55,6 +55,7 @@ class Port:
             if "://" not in pyserial_url:
                 self._serial.exclusive = True
             self._serial.open()
+            _hurry(self._serial)
             self._serial.reset_input_buffer()  # of what came for whoever had it open before
             self._poll = _poll(self._serial, pyserial_url)
         except SpecError as error:  # an option of a sim:// URL
@@ -114,6 +115,12 @@ class Port:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+def _hurry(port: serial.SerialBase) -> None:
+    """Ask adapters that hold bytes back, FTDI's for 16 ms, not to; others know no such thing."""
+    with suppress(AttributeError, NotImplementedError, OSError, ValueError):
+        port.set_low_latency_mode(True)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ import os
 import threading
 import tty
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from serial.tools.list_ports_common import ListPortInfo
@@ -64,10 +64,8 @@ def chattering(content: bytes = b"", period_s: float = 0.05) -> Iterator[str]:
 
     def chatter() -> None:
         while content and not stop.wait(period_s):
-            try:
+            with suppress(BlockingIOError):  # nobody reads it
                 os.write(host, content)
-            except BlockingIOError:
-                pass
 
     thread = threading.Thread(target=chatter)
     thread.start()
