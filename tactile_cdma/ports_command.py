@@ -9,12 +9,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from .errors import PortError, TactileError
+from .errors import TactileError
 from .identity import shown_id
 from .introduction import introduction
 from .messages import Info
 from .parameters import BY_NAME
-from .source import USB, Port, SerialPort, holders, serial_ports
+from .source import USB, Port, SerialPort, leave_alone_if_open, serial_ports
 
 MOST_AT_ONCE = 64
 
@@ -73,9 +73,7 @@ def answers_of(ports: list[SerialPort], baud: int | None) -> list[Answer]:
 
 def _ask(port: SerialPort, baud: int) -> Answer:
     try:
-        # Not all programs lock the ports that they open: their settings must stay.
-        if others := holders(port.device):
-            raise PortError(f"{port.device}: busy: open in {', '.join(others)}")
+        leave_alone_if_open(port.device)
         with Port(port.device, baud) as opened:
             return Answer(port, introduction(opened))
     except TactileError as error:
@@ -86,7 +84,7 @@ def described(answer: Answer) -> str:
     """A port and who is on it, for people."""
     lines = [str(answer.port)]
     if answer.info is not None:
-        lines.append(f"    {described_info(answer.info)}")
+        lines.append(f"    digitizer {described_info(answer.info)}")
     elif answer.reason:
         lines.append(f"    no digitizer: {answer.reason}")
     if answer.port.usb_serial:
@@ -98,7 +96,7 @@ def described_info(info: Info) -> str:
     """A digitizer and its set-up in one line."""
     frame = info.frame
     return (
-        f"digitizer {shown_id(info.digitizer_id)}, firmware {info.firmware_major}."
+        f"{shown_id(info.digitizer_id)}, firmware {info.firmware_major}."
         f"{info.firmware_minor}, set to {frame.nodes} nodes × {frame.bits} bits, order "
         f"{frame.order}, {frame.chip_ns / 1e3:g} µs chips, a frame every "
         f"{frame.frame_period_us / 1e3:g} ms"

@@ -46,7 +46,7 @@ class Port:
     def __init__(self, url: str, baud: int) -> None:
         self.url = url
         # Looked up anew each time: a board that is plugged in again may be another device.
-        pyserial_url = find_usb(url, serial_ports()) if url.startswith(USB) else url
+        pyserial_url = device_of(url)
         try:
             self._serial = serial.serial_for_url(pyserial_url, do_not_open=True)
             self._serial.baudrate = baud
@@ -61,7 +61,7 @@ class Port:
         except SpecError as error:  # an option of a sim:// URL
             raise PortError(f"{url}: {error}") from None
         except (OSError, ValueError, KeyError, TerminalError) as error:
-            raise PortError(f"{url}: {_open_failure(error)}") from None
+            raise PortError(f"{url}: {_open_failure(error, pyserial_url)}") from None
 
     def read(self) -> tuple[bytes, float]:
         """What has arrived, waiting at most READ_TIMEOUT_S for the first byte of it.
@@ -159,6 +159,11 @@ def serial_ports() -> list[SerialPort]:
     ]
 
 
+def device_of(url: str) -> str:
+    """The device that usb://SERIAL is now; any other port as it is. Raises PortError."""
+    return find_usb(url, serial_ports()) if url.startswith(USB) else url
+
+
 def find_usb(url: str, ports: Sequence[SerialPort]) -> str:
     """The device that usb://SERIAL means, upper and lower case alike.
 
@@ -198,6 +203,12 @@ def holders(device: str) -> list[str]:
     return found
 
 
+def leave_alone_if_open(url: str) -> None:
+    """Raises PortError if another program has this port open, whether or not it has locked it."""
+    if others := holders(device_of(url)):
+        raise PortError(f"{url}: busy: another program has it open ({', '.join(others)})")
+
+
 def _links(device: str) -> tuple[str, ...]:
     links = (link for folder in LINK_FOLDERS for link in sorted(Path(folder).glob("*")))
     return tuple(str(link) for link in links if os.path.realpath(link) == device)
@@ -216,7 +227,7 @@ def _poll(port: serial.SerialBase, url: str) -> select.poll | None:
     return poll
 
 
-def _open_failure(error: Exception) -> str:
+def _open_failure(error: Exception, device: str) -> str:
     """Why a port did not open, and what to do about it."""
     code = error.args[0] if isinstance(error, TerminalError) else getattr(error, "errno", None)
     if code == errno.ENOENT:
@@ -227,7 +238,8 @@ def _open_failure(error: Exception) -> str:
             "(sudo usermod -aG dialout $USER, then log in again)"
         )
     if code in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in str(error):
-        return "busy: another program has it open (another driver, a serial monitor?)"
+        who = ", ".join(holders(device)) or "another driver, a serial monitor?"
+        return f"busy: another program has it open ({who})"
     if "could not configure port" in str(error).lower() or code == errno.ENOTTY:
         return "not a serial port"
     if isinstance(error, ValueError) and "protocol" in str(error):

@@ -15,7 +15,7 @@ from ..parameters import BY_NAME, Value, read_file
 from ..pipeline import Pipeline
 from ..ports_command import described_info
 from ..skin_config import SkinConfig
-from ..source import Port, holders
+from ..source import Port, leave_alone_if_open
 from .report import Finding, ok, problem
 from .stream import Stream, judge
 
@@ -46,12 +46,12 @@ def examine(
         yield problem("parameters", str(error))
         return
     try:
+        leave_alone_if_open(patient.url)
         with Port(patient.url, patient.baud) as port:
             yield ok("port", f"{patient.url} opened")
             yield from _examine(port, patient, seconds)
     except PortError as error:
-        others = holders(patient.url)
-        yield problem("port", f"{error}" + (f"; open in {', '.join(others)}" if others else ""))
+        yield problem("port", str(error))
     except TactileError as error:
         yield problem("digitizer", str(error))
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..decode import DOUBLE_SHARE, FAINT_SHARE, LOW_MARGIN, LOW_RHO
 from ..errors import PortError
 from ..frame import UNIPOLAR
-from ..health import WEAK_RHO, WEAK_SHARE
+from ..health import WEAK_SHARE
 from ..layout_nodes import listed
 from ..messages import Status
 from ..pipeline import Pipeline, TactileFrame
@@ -26,6 +26,8 @@ OTHER_AMPLITUDE = 0.2
 """Relative difference of amplitudes that resistors of 5 % and their supply do not explain."""
 MOST = 0.9
 """Share of all words that tells something of the set-up, and not of single nodes."""
+MUCH_CLIPPED = 0.01
+"""Share of samples; docs/results.md has what less does to bit errors."""
 STRAY_ERRORS = 1
 """The first bytes may be the rest of a packet, which counts as an error."""
 
@@ -67,15 +69,17 @@ def judge(stream: Stream, config: SkinConfig) -> Iterator[Finding]:
         yield problem("frames", stream.problem)
         return
     frames, heard = _heard(stream, config, None)
+    yield from _rate(frames, config)
+    clipped = float(np.mean([frame.clipped for frame in frames]))
+    yield from _range(clipped)
     if not heard.active.any():
-        yield from _rate(frames, stream, config)
         yield problem("nodes", "frames arrive, but no node speaks: is the skin powered?")
         return
     measured_v = _typical(heard)
     frames, heard = _heard(stream, config, measured_v)
-    yield from _rate(frames, stream, config)
-    yield from _line(frames, heard)
-    yield from _amplitude(measured_v, config)
+    yield from _noise(frames, heard)
+    if clipped < MUCH_CLIPPED:  # amplitudes are too small in what is clipped
+        yield from _amplitude(measured_v, config)
     yield from _polarity(heard, config)
     yield from _nodes(heard, measured_v)
 
@@ -99,7 +103,7 @@ def _heard(
     if not frames:
         raise PortError(pipeline.problem or "no frame fits: check chip_us, order and bits")
     words = [frame.words for frame in frames]
-    active = np.array([w.active & (w.rho > WEAK_RHO) for w in words])
+    active = np.array([w.active & (w.rho > LOW_RHO) for w in words])
     return frames, Heard(
         active=active,
         codes=np.array([w.codes for w in words]),
@@ -139,10 +143,12 @@ def _link(stream: Stream) -> Iterator[Finding]:
         )
 
 
-def _rate(frames: list[TactileFrame], stream: Stream, config: SkinConfig) -> Iterator[Finding]:
+def _rate(frames: list[TactileFrame], config: SkinConfig) -> Iterator[Finding]:
     expected_hz = 1 / config.spec.frame_period_s
-    span_s = stream.chunks[-1][1] - frames[0].t_host
-    rate_hz = len(frames) / max(span_s, config.spec.frame_period_s)
+    if len(frames) < 2:
+        yield warning("frames", f"one alone, there should be {expected_hz:.1f} per s")
+        return
+    rate_hz = (len(frames) - 1) / (frames[-1].t_host - frames[0].t_host)
     lost = frames[-1].sequence - frames[0].sequence + 1 - len(frames)
     text = f"{rate_hz:.1f} of {expected_hz:.1f} per s, {lost} lost"
     if lost or rate_hz < SLOW * expected_hz:
@@ -151,7 +157,17 @@ def _rate(frames: list[TactileFrame], stream: Stream, config: SkinConfig) -> Ite
         yield ok("frames", text)
 
 
-def _line(frames: list[TactileFrame], heard: Heard) -> Iterator[Finding]:
+def _range(clipped: float) -> Iterator[Finding]:
+    if clipped:
+        what = warning if clipped < MUCH_CLIPPED else problem
+        yield what(
+            "range",
+            f"{clipped:.1%} of the samples at a rail of the digitizer: less gain "
+            "(tactile-cdma amplifier), or row signs (sign_seed)",
+        )
+
+
+def _noise(frames: list[TactileFrame], heard: Heard) -> Iterator[Finding]:
     noise_v = float(np.nanmedian([frame.words.noise_rms_v for frame in frames]))
     rho = np.where(heard.active, heard.rho, np.nan)[:, heard.active.any(axis=0)]
     weakest = float(np.nanmin(np.nanmedian(rho, axis=0)))
@@ -160,13 +176,6 @@ def _line(frames: list[TactileFrame], heard: Heard) -> Iterator[Finding]:
         yield warning("noise", f"{text}: look for what disturbs the line, or for that node's wire")
     else:
         yield ok("noise", text)
-    clipped = float(np.mean([frame.clipped for frame in frames]))
-    if clipped:
-        yield warning(
-            "range",
-            f"{clipped:.1%} of the samples at a rail of the digitizer: less gain "
-            "(tactile-cdma amplifier), or row signs (sign_seed)",
-        )
 
 
 def _amplitude(measured_v: float, config: SkinConfig) -> Iterator[Finding]:
