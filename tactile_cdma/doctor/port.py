@@ -19,8 +19,9 @@ from ..source import Port, leave_alone_if_open
 from .report import Finding, ok, problem
 from .stream import Stream, judge
 
-START_S = 6.0
-"""A digitizer gets so long to send a first frame: its Session asks several times meanwhile."""
+START_S = 3.5
+"""A digitizer gets so long, and some frames, to send a first one: it is asked several times."""
+START_FRAMES = 4
 MOST_BYTES = 64 << 20
 
 
@@ -79,9 +80,10 @@ def _listen(port: Port, config: SkinConfig, configure: bool, seconds: float) -> 
     """
     # The amplitude is to be found, so the digitizer must not leave out what seems too weak by it.
     learning = replace(config, spec=replace(config.spec, amplitude_v=None))
-    session, pipeline = Session(learning if configure else None), Pipeline(learning)
+    session, pipeline = Session(learning if configure else None), Pipeline(config)
     chunks: list[tuple[bytes, float]] = []
     size, opened_s, begin_s = 0, time.monotonic(), 0.0
+    start_s = START_S + START_FRAMES * config.spec.frame_period_s
     port.write(session.open())
     try:
         while size < MOST_BYTES:
@@ -92,7 +94,10 @@ def _listen(port: Port, config: SkinConfig, configure: bool, seconds: float) -> 
             pipeline.feed(data, t_host)
             if not begin_s and pipeline.counters.frames:
                 begin_s = t_host
-            if t_host - begin_s > seconds if begin_s else t_host - opened_s > START_S:
+            if begin_s and t_host - begin_s > seconds:
+                break
+            told = session.problem and pipeline.problem
+            if not begin_s and (told or t_host - opened_s > start_s):
                 break
             if request := session.watch(pipeline, t_host):
                 port.write(request)

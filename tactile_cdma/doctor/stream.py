@@ -47,10 +47,12 @@ class Stream:
 class Heard:
     """The words of m frames of n nodes.
 
+    arrived_s: (m,) float64, on the host's monotonic clock.
     active: (m, n) bool. codes: (m, n) int32. amplitude_v, rho: (m, n) float32.
     bad: (m, n) bool, words that contradict the code. doubled: (m, n) bool, of two nodes.
     """
 
+    arrived_s: NDArray[np.float64]
     active: NDArray[np.bool_]
     codes: NDArray[np.int32]
     amplitude_v: NDArray[np.float32]
@@ -69,7 +71,7 @@ def judge(stream: Stream, config: SkinConfig) -> Iterator[Finding]:
         yield problem("frames", stream.problem)
         return
     frames, heard = _heard(stream, config, None)
-    yield from _rate(frames, config)
+    yield from _rate(frames, heard, config)
     clipped = float(np.mean([frame.clipped for frame in frames]))
     yield from _range(clipped)
     if not heard.active.any():
@@ -98,13 +100,18 @@ def _heard(
         spec = replace(config.spec, amplitude_v=2 * swing_v if unipolar else swing_v)
         threshold = FAINT_SHARE  # weak nodes count as well: it is said of them that they are weak
     pipeline = Pipeline(replace(config, spec=spec, threshold=threshold), background=False)
-    frames = [frame for data, t_host in stream.chunks for frame in pipeline.feed(data, t_host)]
+    frames, arrived_s = [], []
+    for data, t_host in stream.chunks:
+        new = pipeline.feed(data, t_host)
+        frames += new
+        arrived_s += [t_host] * len(new)
     pipeline.close()
     if not frames:
         raise PortError(pipeline.problem or "no frame fits: check chip_us, order and bits")
     words = [frame.words for frame in frames]
     active = np.array([w.active & (w.rho > LOW_RHO) for w in words])
     return frames, Heard(
+        arrived_s=np.array(arrived_s),
         active=active,
         codes=np.array([w.codes for w in words]),
         amplitude_v=np.array([w.amplitude_v for w in words]),
@@ -143,12 +150,13 @@ def _link(stream: Stream) -> Iterator[Finding]:
         )
 
 
-def _rate(frames: list[TactileFrame], config: SkinConfig) -> Iterator[Finding]:
+def _rate(frames: list[TactileFrame], heard: Heard, config: SkinConfig) -> Iterator[Finding]:
     expected_hz = 1 / config.spec.frame_period_s
     if len(frames) < 2:
         yield warning("frames", f"one alone, there should be {expected_hz:.1f} per s")
         return
-    rate_hz = (len(frames) - 1) / (frames[-1].t_host - frames[0].t_host)
+    span_s = heard.arrived_s[-1] - heard.arrived_s[0]
+    rate_hz = (len(frames) - 1) / max(span_s, config.spec.frame_period_s)
     lost = frames[-1].sequence - frames[0].sequence + 1 - len(frames)
     text = f"{rate_hz:.1f} of {expected_hz:.1f} per s, {lost} lost"
     if lost or rate_hz < SLOW * expected_hz:
@@ -225,7 +233,7 @@ def _nodes(heard: Heard, typical_v: float) -> Iterator[Finding]:
         yield warning(
             "nodes",
             f"{total}, not heard: {_numbers(~spoke)}: are they connected and powered? (one that "
-            "is at rest may say nothing for the time of its heartbeat)",
+            "is at rest only speaks at its heartbeat: --seconds 10 listens longer)",
         )
     else:
         yield ok("nodes", total)
