@@ -184,9 +184,9 @@ class Session:
 
     def watch(self, pipeline: Pipeline, now_s: float) -> bytes:
         """Requests that are due: nothing came of the last ones, or it is now known who is there."""
-        known, config = self._ours, pipeline.config
-        if pipeline.info is not None and config.digitizer_id is not None:
-            self._ours = not config.refuses(pipeline.info.digitizer_id)
+        known = self._ours
+        if pipeline.info is not None:
+            self._ours = not pipeline.config.refusal(pipeline.info.digitizer_id)
         if self._ours and not known:
             self._deadline = self._due_s(pipeline, now_s)
             return self.open()

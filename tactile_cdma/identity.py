@@ -31,8 +31,6 @@ def parse_id(text: str) -> bytes:
     return digitizer_id
 
 
-def shown_id(digitizer_id: bytes | None) -> str:
+def shown_id(digitizer_id: bytes) -> str:
     """An id as people read it, and as the RP2040's firmware names itself on USB."""
-    if digitizer_id is None or digitizer_id == NO_ID:
-        return "no id"
-    return digitizer_id.hex().upper()
+    return "no id" if digitizer_id == NO_ID else digitizer_id.hex().upper()

@@ -10,7 +10,7 @@ from .messages import GetInfo, Info, OtherVersion
 from .protocol import PacketParser, PacketWriter, diagnose
 from .source import Port
 
-LISTEN_S = 2.5
+LISTEN_S = 1.5
 """A digitizer reports once a second without being asked, by docs/protocol.md."""
 
 

@@ -17,7 +17,6 @@ from .drift import DriftTracker, nodes_beside
 from .errors import SpecError
 from .gap_timing import GapTiming
 from .health import NodeHealth
-from .identity import shown_id
 from .line_timing import LineTiming
 from .messages import (
     Ack,
@@ -373,11 +372,8 @@ def _is_plausible(packet: Quiet, info: Info, period_s: float) -> bool:
 
 def _contradiction(info: Info, config: SkinConfig) -> str | None:
     """Why this digitizer's stream cannot be decoded with these parameters, or None."""
-    if config.refuses(info.digitizer_id):
-        return (
-            f"wrong digitizer: {shown_id(info.digitizer_id)} is on this port, digitizer_id is "
-            f"{shown_id(config.digitizer_id)}; tactile-cdma ports tells which is where"
-        )
+    if wrong := config.refusal(info.digitizer_id):
+        return wrong
     if not (info.volts_per_count > 0 and info.min_count < info.max_count):
         return (
             f"the digitizer describes no voltages: {info.volts_per_count:g} V per count, counts "

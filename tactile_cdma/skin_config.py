@@ -15,7 +15,7 @@ from .contact import ContactThresholds
 from .dynamics import Compensator
 from .errors import SpecError
 from .frame import MAX_STRETCH, FrameSpec
-from .identity import parse_id
+from .identity import parse_id, shown_id
 from .layout import Layout
 from .layout_file import read_layout
 from .layout_nodes import Wiring
@@ -96,9 +96,14 @@ class SkinConfig:
             contact=contact_thresholds(get),
         )
 
-    def refuses(self, digitizer_id: bytes) -> bool:
-        """Whether the digitizer of this id is another one than asked for."""
-        return self.digitizer_id is not None and digitizer_id != self.digitizer_id
+    def refusal(self, digitizer_id: bytes) -> str | None:
+        """Why the digitizer of this id is not taken; None if it is the one asked for."""
+        if self.digitizer_id is None or digitizer_id == self.digitizer_id:
+            return None
+        return (
+            f"wrong digitizer: {shown_id(digitizer_id)} is on this port, digitizer_id is "
+            f"{shown_id(self.digitizer_id)}; tactile-cdma ports tells which is where"
+        )
 
     def compensator(self) -> Compensator | None:
         """What undoes the sensors' dynamics; None where that is not asked."""

@@ -65,11 +65,14 @@ def _patient(url: str | None, params: Path | None, baud: int | None) -> Patient:
 
 def _examine(port: Port, patient: Patient, seconds: float) -> Iterator[Finding]:
     info = introduction(port)
-    yield ok("digitizer", described_info(info))
     if patient.values is None:
         config = SkinConfig.of({**parameters_of(info), "amplitude_mv": 0.0})
     else:
         config = SkinConfig.of(patient.values)
+    if wrong := config.refusal(info.digitizer_id):
+        yield problem("digitizer", wrong)
+        return
+    yield ok("digitizer", described_info(info))
     yield from judge(_listen(port, config, patient.values is not None, seconds), config)
 
 

@@ -75,18 +75,12 @@ def test_a_bad_id_is_refused_with_the_reason(ros: None) -> None:
         wait_for(lambda: any("16 hexadecimal digits" in s.message for s in client.diagnostics))
 
 
-def test_two_programs_meet(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_two_programs_meet(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["doctor", "--json"]) == 0
     found = {f["subject"]: f for f in json.loads(capsys.readouterr().out)}
     assert "two programs met" in found["DDS"]["text"]
-    assert found["our messages"]["level"] == "ok"
-    assert found["ROS_DOMAIN_ID"]["level"] == "ok"
-    monkeypatch.setenv("ROS_DOMAIN_ID", "zero")
-    assert main(["doctor", "--json"]) == 1
-    found = {f["subject"]: f for f in json.loads(capsys.readouterr().out)}
-    assert "'zero' is no number" in found["ROS_DOMAIN_ID"]["text"]
+    for subject in ("Python", "numpy", "our messages", "ROS_DOMAIN_ID"):
+        assert found[subject]["level"] == "ok"
 
 
 @pytest.mark.parametrize(

@@ -110,7 +110,7 @@ def test_a_busy_port(doctor: Doctor) -> None:
     ("lines", "port", "subject", "said"),
     [
         (["order: 24"], "sim://?order=20", "frames", "order 20 (parameters: 24)"),
-        (['digitizer_id: "0000000000000001"'], "sim://", "frames", "wrong digitizer"),
+        (['digitizer_id: "0000000000000001"'], "sim://", "digitizer", "wrong digitizer"),
         (["digitizer_id: 1234567890123456"], "sim://", "parameters", "must be a text"),
         (["nodes: 16", "nodez: 4"], "sim://", "parameters", "did you mean 'nodes'"),
         (["nodes: 900"], "sim://", "parameters", "longer than its period"),
