@@ -222,14 +222,20 @@ def _record(arguments: argparse.Namespace) -> int:
             file = path.open("wb")
         except OSError as error:
             raise CaptureError(f"{path}: {error.strerror}") from None
-        session = Session(SkinConfig.of(asked)) if asked else Session()
+        config = SkinConfig.of(asked) if asked else None
+        session = Session(config)
         with file:
             try:
                 port.write(session.open())
                 while not stop.is_set():
                     data, _ = port.read()
                     file.write(data)
-                    described |= any(isinstance(packet, Info) for packet in parser.feed(data))
+                    for packet in parser.feed(data):
+                        if isinstance(packet, Info):
+                            described = True
+                            port.write(session.introduced(packet))
+                            if config and (wrong := config.refusal(packet.digitizer_id)):
+                                raise PortError(f"{arguments.port}: {wrong}")
                 port.write(session.close())
             except PortError as error:
                 print(f"tactile-cdma: {error}; keeping what was recorded", file=sys.stderr)

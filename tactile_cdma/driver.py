@@ -15,6 +15,7 @@ from .messages import (
     Configure,
     FrameLayout,
     GetInfo,
+    Info,
     Packet,
     RollCall,
     Start,
@@ -158,6 +159,7 @@ class Session:
         self.problem: str | None = None
         self._writer = PacketWriter()
         self._setting: tuple[Configure, ...] = ()
+        self._config = config
         self._ours = config is None or config.digitizer_id is None
         self._calls_roll = config is not None and config.roll_call
         self._calls_left, self._next_call_s = MOST_CALLS, -math.inf
@@ -182,14 +184,18 @@ class Session:
         """Stop the digitizer, if it was started."""
         return self._requests(Stop()) if self._ours else b""
 
+    def introduced(self, info: Info) -> bytes:
+        """What to send now that the digitizer has said who it is."""
+        known = self._ours
+        wrong = self._config.refusal(info.digitizer_id) if self._config is not None else None
+        self._ours = wrong is None
+        return self.open() if self._ours and not known else b""
+
     def watch(self, pipeline: Pipeline, now_s: float) -> bytes:
         """Requests that are due: nothing came of the last ones, or it is now known who is there."""
-        known = self._ours
-        if pipeline.info is not None:
-            self._ours = not pipeline.config.refusal(pipeline.info.digitizer_id)
-        if self._ours and not known:
+        if pipeline.info is not None and (start := self.introduced(pipeline.info)):
             self._deadline = self._due_s(pipeline, now_s)
-            return self.open()
+            return start
         if self._calls_roll and (request := self._roll_call(pipeline, now_s)):
             return request
         stuck = pipeline.counters.frames == self._frames

@@ -17,6 +17,8 @@ TEXT = (
     "Exit code 1 if there is a problem."
 )
 
+MOST_SECONDS = 600.0
+
 
 def add_to(commands: Any) -> None:
     """Add it to the command line's subcommands."""
@@ -45,9 +47,16 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--baud", type=int, help="baud rate (that of the parameters)")
     parser.add_argument(
-        "--seconds", type=float, default=3.0, help="listen to the skin for so long (3)"
+        "--seconds", type=_seconds, default=3.0, help="listen to the skin for so long (3)"
     )
     parser.add_argument("--json", action="store_true", help="as a JSON array")
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0 < value <= MOST_SECONDS:
+        raise argparse.ArgumentTypeError(f"{text} does not lie within 0…{MOST_SECONDS:g} s")
+    return value
 
 
 def doctor(arguments: argparse.Namespace) -> int:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from itertools import zip_longest
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from tactile_cdma.doctor.report import Finding, Level
 from tactile_cdma.doctor.stream import Stream, judge
@@ -178,3 +181,19 @@ def test_a_dead_skin_is_told() -> None:
 def test_bytes_without_frames_are_an_error_and_no_verdict() -> None:
     with pytest.raises(PortError):
         list(judge(Stream([(b"\0abc\0", 1.0)], None), SkinConfig.of({})))
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([1e-5, 1e-4, 1e-3, 0.1]))
+def test_whatever_comes_there_is_a_verdict_or_a_reason(
+    sound: list[Packet], seed: int, share: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    data = np.frombuffer(b"".join(chunk for chunk, _ in stream_of(sound).chunks), np.uint8).copy()
+    data = data[: rng.integers(1, len(data))]
+    hit = rng.random(len(data)) < share
+    data[hit] = rng.integers(0, 256, np.count_nonzero(hit))
+    parts = np.array_split(data, 50)
+    stream = Stream([(part.tobytes(), 0.01 * i) for i, part in enumerate(parts)], None)
+    with suppress(PortError):
+        assert {finding.subject for finding in judge(stream, SkinConfig.of({}))} >= {"link"}

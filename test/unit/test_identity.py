@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_driver import Watch, wait_for
 
+from tactile_cdma.cli import main
 from tactile_cdma.driver import Driver, Session
 from tactile_cdma.errors import ParameterError
 from tactile_cdma.identity import parse_id, shown_id
@@ -111,3 +112,17 @@ def test_boards_on_each_others_ports_are_both_refused(two_boards: tuple[str, str
     right = Watch()
     with Driver(configs[0], two_boards[1], 2_000_000, right.frames.append, right.note):
         wait_for(lambda: len(right.frames) > 20)
+
+
+def test_a_recording_is_of_the_right_board_only(
+    two_boards: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    params = tmp_path / "params.yaml"
+    params.write_text(f'/**:\n  ros__parameters:\n    digitizer_id: "{board_id(2)}"\n')
+    options = [str(tmp_path / "skin.raw"), "--params", str(params), "--seconds", "1.5", "--force"]
+    assert main(["record", two_boards[1], *options]) == 0
+    out = capsys.readouterr().out
+    packets = int(out.split(" packets=")[1].split()[0])
+    assert packets > 50  # it was started
+    main(["record", two_boards[0], *options])
+    assert "wrong digitizer" in capsys.readouterr().err
