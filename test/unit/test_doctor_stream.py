@@ -134,12 +134,19 @@ def test_half_amplitudes_of_unipolar_nodes_are_no_fault() -> None:
     assert "polarity" not in found
 
 
-def test_a_line_turned_upside_down_is_told(sound: list[Packet]) -> None:
-    assert "polarity" not in findings(sound)
-    zero = next(packet.zero_count for packet in sound if isinstance(packet, Info))
+@pytest.mark.parametrize("scene", ["idle", "hand", "all"])
+def test_no_scene_is_taken_for_a_wrong_polarity(scene: str) -> None:
+    assert "polarity" not in findings(packets_of(f"sim://?scene={scene}&threshold=0"))
+
+
+@pytest.mark.parametrize("scene", ["press", "moving"])
+def test_a_line_turned_upside_down_is_told(scene: str) -> None:
+    packets = packets_of(f"sim://?scene={scene}&seed=1")
+    assert "polarity" not in findings(packets)
+    zero = next(packet.zero_count for packet in packets if isinstance(packet, Info))
     inverted = [
         replace(p, counts=(2 * zero - p.counts).astype(np.int16)) if isinstance(p, Samples) else p
-        for p in sound
+        for p in packets
     ]
     [polarity] = findings(inverted)["polarity"]
     assert polarity.level is Level.PROBLEM
