@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 
-from ._protocol import VERSION
 from .errors import PortError, ProtocolError
 from .messages import GetInfo, Info, OtherVersion
 from .protocol import PacketParser, PacketWriter, diagnose
@@ -28,16 +27,8 @@ def introduction(port: Port, patience_s: float = LISTEN_S) -> Info:
             if isinstance(packet, Info):
                 return packet
             if isinstance(packet, OtherVersion):
-                raise ProtocolError(other_version(port.url, packet))
+                raise ProtocolError(f"{port.url}: {packet}")
         if parser.counters.packets and not asked:
             asked = True
             port.write(PacketWriter().encode(GetInfo()))
     raise PortError(f"{port.url}: {diagnose(parser.counters)}")
-
-
-def other_version(url: str, packet: OtherVersion) -> str:
-    """What to say of a digitizer that speaks another version of the protocol."""
-    return (
-        f"{url}: the digitizer speaks protocol version {packet.version}, this package speaks "
-        f"{VERSION}: update whichever is older"
-    )

@@ -369,10 +369,16 @@ class RollCall(Command):
 
 @dataclass(frozen=True, slots=True)
 class OtherVersion:
-    """An Info of a protocol version that this parser doesn't speak."""
+    """An Info of a protocol version that this parser doesn't speak; its text is for people."""
 
     version: int
     sequence: int = field(default=0, compare=False)
+
+    def __str__(self) -> str:
+        return (
+            f"the digitizer speaks protocol version {self.version}, this driver speaks {VERSION}: "
+            "update whichever is older"
+        )
 
 
 @dataclass(frozen=True, slots=True)

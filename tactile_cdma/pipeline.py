@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, fields
 
 import numpy as np
 
-from ._protocol import VERSION, PacketType, Result, SyncMode
+from ._protocol import PacketType, Result, SyncMode
 from .baseline import Baseline
 from .clock import DeviceClock
 from .clock_keeper import ClockReport
@@ -159,10 +159,7 @@ class Pipeline:
                     self._describe(packet)
                 case OtherVersion():
                     self.info = self._timing = None
-                    self.problem = (
-                        f"the digitizer speaks protocol version {packet.version}, this driver "
-                        f"speaks {VERSION}: update whichever is older"
-                    )
+                    self.problem = str(packet)
                 case Status():
                     self.status = packet
                 case Ack():

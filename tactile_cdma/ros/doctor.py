@@ -18,7 +18,7 @@ from importlib import metadata, util
 from pathlib import Path
 
 from ..doctor.installation import CHECKOUT
-from ..doctor.report import Finding, ok, problem, warning
+from ..doctor.report import Finding, Level, ok, problem, warning
 
 INTERFACES = (
     "diagnostic_msgs",
@@ -57,7 +57,7 @@ def examination() -> Iterator[Finding]:
     yield from messages()
     domain = list(environment())
     yield from domain
-    if not any(finding.level == "problem" for finding in domain):
+    if not any(finding.level is Level.PROBLEM for finding in domain):
         yield from meeting()
 
 

@@ -109,12 +109,17 @@ def test_a_busy_port(doctor: Doctor) -> None:
 @pytest.mark.parametrize(
     ("lines", "port", "subject", "said"),
     [
-        (["order: 24"], "sim://?order=20", "frames", "order 20 (parameters: 24)"),
-        (['digitizer_id: "0000000000000001"'], "sim://", "digitizer", "wrong digitizer"),
+        (["order: 24"], "sim://?order=20&speed=9", "frames", "order 20 (parameters: 24)"),
+        (['digitizer_id: "0000000000000001"'], "sim://?speed=9", "digitizer", "wrong digitizer"),
         (["digitizer_id: 1234567890123456"], "sim://", "parameters", "must be a text"),
         (["nodes: 16", "nodez: 4"], "sim://", "parameters", "did you mean 'nodes'"),
         (["nodes: 900"], "sim://", "parameters", "longer than its period"),
-        (["amplitude_mv: 900.0"], "sim://?scene=all", "amplitude_mv", "looks like 300, not 900"),
+        (
+            ["amplitude_mv: 900.0"],
+            "sim://?scene=all&speed=4",
+            "amplitude_mv",
+            "looks like 300, not 900",
+        ),
     ],
 )
 def test_parameters_that_do_not_fit(

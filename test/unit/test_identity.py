@@ -19,6 +19,7 @@ from tactile_cdma.messages import Configure, GetInfo, Start, Stop
 from tactile_cdma.pipeline import Pipeline, TactileFrame
 from tactile_cdma.protocol import PacketParser
 from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.skin_config import SkinConfig
 
 SEPARATORS = ("", ":", "-", "_", ".", " ")
@@ -90,6 +91,17 @@ def test_a_wrong_board_is_neither_configured_nor_started_nor_stopped() -> None:
     assert not talk.digitizer.streaming
     assert board_id(0) in (talk.session.problem or "")
     assert board_id(5) in (talk.session.problem or "")
+
+
+def test_a_board_that_takes_the_place_of_another_on_an_open_port_is_judged_anew() -> None:
+    talk = Talk(board_id(5))
+    assert talk.exchange(2.5) == []
+    talk.digitizer = VirtualDigitizer(SimOptions(seed=5), lambda: talk.now_s)
+    assert len(talk.exchange(2.0)) > 100
+    talk.digitizer = VirtualDigitizer(SimOptions(seed=6), lambda: talk.now_s)
+    talk.exchange(1.5)  # until it has said who it is
+    assert talk.exchange(3.0) == []
+    assert board_id(6) in (talk.pipeline.problem or "")
 
 
 @pytest.fixture
