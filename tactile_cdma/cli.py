@@ -14,12 +14,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from . import __version__, layout_command
+from . import __version__, layout_command, ports_command
 from .amplifier import design
 from .amplifier_report import describe, report
 from .arguments import add_skin_options, given, positive
 from .calibrating import command as calibrate
 from .capture import is_text, read_scope_csv
+from .doctor import command as doctor
 from .driver import Session
 from .errors import CaptureError, PortError, SpecError, TactileError
 from .messages import Info
@@ -136,6 +137,8 @@ def _parser() -> argparse.ArgumentParser:
     add_skin_options(amplifier, "the driver's; the frame period plays no part")
     amplifier.set_defaults(run=_amplifier)
 
+    ports_command.add_to(commands)
+    doctor.add_to(commands)
     layout_command.add_to(commands)
     calibrate.add_to(commands)
     sensor_report.add_to(commands)
@@ -219,14 +222,20 @@ def _record(arguments: argparse.Namespace) -> int:
             file = path.open("wb")
         except OSError as error:
             raise CaptureError(f"{path}: {error.strerror}") from None
-        session = Session(SkinConfig.of(asked)) if asked else Session()
+        config = SkinConfig.of(asked) if asked else None
+        session = Session(config)
         with file:
             try:
                 port.write(session.open())
                 while not stop.is_set():
                     data, _ = port.read()
                     file.write(data)
-                    described |= any(isinstance(packet, Info) for packet in parser.feed(data))
+                    for packet in parser.feed(data):
+                        if isinstance(packet, Info):
+                            described = True
+                            port.write(session.introduced(packet))
+                            if config and (wrong := config.refusal(packet.digitizer_id)):
+                                raise PortError(f"{arguments.port}: {wrong}")
                 port.write(session.close())
             except PortError as error:
                 print(f"tactile-cdma: {error}; keeping what was recorded", file=sys.stderr)

@@ -15,6 +15,7 @@ from .messages import (
     Configure,
     FrameLayout,
     GetInfo,
+    Info,
     Packet,
     RollCall,
     Start,
@@ -169,7 +170,8 @@ class Driver:
 class Session:
     """The host's side of the start-up handshake: what to send, and what is wrong if nothing comes.
 
-    No I/O: bytes to send are returned.
+    Where a certain digitizer is asked for, no other one is configured or started. No I/O: bytes to
+    send are returned.
     """
 
     def __init__(self, config: SkinConfig | None = None) -> None:
@@ -177,6 +179,8 @@ class Session:
         self.problem: str | None = None
         self._writer = PacketWriter()
         self._setting: tuple[Configure, ...] = ()
+        self._config = config
+        self._ours = config is None or config.digitizer_id is None
         self._calls_roll = config is not None and config.roll_call
         self._calls_left, self._next_call_s = MOST_CALLS, -math.inf
         if config is not None:
@@ -192,15 +196,26 @@ class Session:
         self._deadline = -math.inf
 
     def open(self) -> bytes:
-        """Configure (where asked to) and start the digitizer."""
-        return self._requests(*self._setting, GetInfo(), Start())
+        """Configure (where asked to) and start the digitizer; where it counts, ask who it is."""
+        start = (*self._setting, GetInfo(), Start()) if self._ours else (GetInfo(),)
+        return self._requests(*start)
 
     def close(self) -> bytes:
-        """Stop the digitizer."""
-        return self._requests(Stop())
+        """Stop the digitizer, if it was started."""
+        return self._requests(Stop()) if self._ours else b""
+
+    def introduced(self, info: Info) -> bytes:
+        """What to send now that the digitizer has said who it is."""
+        known = self._ours
+        wrong = self._config.refusal(info.digitizer_id) if self._config is not None else None
+        self._ours = wrong is None
+        return self.open() if self._ours and not known else b""
 
     def watch(self, pipeline: Pipeline, now_s: float) -> bytes:
-        """Requests to repeat because nothing came of the last ones; empty while all is well."""
+        """Requests that are due: nothing came of the last ones, or it is now known who is there."""
+        if pipeline.info is not None and (start := self.introduced(pipeline.info)):
+            self._deadline = self._due_s(pipeline, now_s)
+            return start
         if self._calls_roll and (request := self._roll_call(pipeline, now_s)):
             return request
         stuck = pipeline.counters.frames == self._frames
@@ -210,8 +225,12 @@ class Session:
             self.problem = self._why(pipeline)
         self._frames, self._restarts = pipeline.counters.frames, pipeline.counters.restarts
         self._bytes = pipeline.parser.counters.bytes
-        self._deadline = now_s + max(PATIENCE_S, 3 * pipeline.config.spec.frame_period_s)
+        self._deadline = self._due_s(pipeline, now_s)
         return self.open() if stuck else b""
+
+    def _due_s(self, pipeline: Pipeline, now_s: float) -> float:
+        """When frames must have come of a request that is sent now."""
+        return now_s + max(PATIENCE_S, 3 * pipeline.config.spec.frame_period_s)
 
     def _roll_call(self, pipeline: Pipeline, now_s: float) -> bytes:
         """The request for a roll call, if there has been none in which all nodes were heard.

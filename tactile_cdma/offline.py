@@ -58,25 +58,30 @@ def described_parameters(path: Path) -> dict[str, Value]:
         while data := file.read(_CHUNK_BYTES):
             for packet in parser.feed(data):
                 if isinstance(packet, Info):
-                    spec = packet.frame.spec()
-                    return {
-                        "nodes": spec.nodes,
-                        "bits": spec.bits,
-                        "order": spec.order,
-                        "chip_us": spec.chip_s * 1e6,
-                        "frame_period_ms": spec.frame_period_s * 1e3,
-                        "first_row": spec.first_row,
-                        "sign_seed": NATURAL_SIGNS if spec.sign_seed is None else spec.sign_seed,
-                        "drive": spec.drive,
-                        "polarity": spec.polarity,
-                        "timing": GAP if packet.sync_mode == SyncMode.NONE else LINE,
-                        "samples_per_chip": packet.frame.samples_per_chip,
-                        "parity": spec.parity,
-                        "resync_chips": spec.resync_chips,
-                        "guard_chips": spec.guard_chips,
-                    }
+                    return parameters_of(packet)
     reason = diagnose(parser.counters)
     raise CaptureError(f"{path}: {reason}")
+
+
+def parameters_of(info: Info) -> dict[str, Value]:
+    """The frame layout that a digitizer describes, as parameters."""
+    spec = info.frame.spec()
+    return {
+        "nodes": spec.nodes,
+        "bits": spec.bits,
+        "order": spec.order,
+        "chip_us": spec.chip_s * 1e6,
+        "frame_period_ms": spec.frame_period_s * 1e3,
+        "first_row": spec.first_row,
+        "sign_seed": NATURAL_SIGNS if spec.sign_seed is None else spec.sign_seed,
+        "drive": spec.drive,
+        "polarity": spec.polarity,
+        "timing": GAP if info.sync_mode == SyncMode.NONE else LINE,
+        "samples_per_chip": info.frame.samples_per_chip,
+        "parity": spec.parity,
+        "resync_chips": spec.resync_chips,
+        "guard_chips": spec.guard_chips,
+    }
 
 
 def decode_raw(path: Path, pipeline: Pipeline) -> Iterator[tuple[float, Words]]:

@@ -106,7 +106,15 @@ _KIND_NAMES = {
 
 PARAMETERS: tuple[Parameter, ...] = (
     Parameter(
-        "port", SIMULATION, "pyserial URL of the digitizer: /dev/ttyACM0, sim://?scene=hand, …"
+        "port",
+        SIMULATION,
+        "of the digitizer: /dev/ttyACM0, usb://SERIAL or any pyserial URL: sim://?scene=hand, …",
+    ),
+    Parameter(
+        "digitizer_id",
+        "",
+        "another digitizer than this is refused: its id, in quotes, from tactile-cdma ports; "
+        "empty: any",
     ),
     Parameter("baud", 2_000_000, "baud rate; USB ports ignore it", "baud", (1_200, 20_000_000)),
     Parameter("nodes", 16, "sensing nodes on the wire", "", (1, 65_535)),

@@ -372,6 +372,8 @@ def _is_plausible(packet: Quiet, info: Info, period_s: float) -> bool:
 
 def _contradiction(info: Info, config: SkinConfig) -> str | None:
     """Why this digitizer's stream cannot be decoded with these parameters, or None."""
+    if wrong := config.refusal(info.digitizer_id):
+        return wrong
     if not (info.volts_per_count > 0 and info.min_count < info.max_count):
         return (
             f"the digitizer describes no voltages: {info.volts_per_count:g} V per count, counts "

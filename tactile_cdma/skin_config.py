@@ -13,6 +13,7 @@ from .contact import ContactThresholds
 from .dynamics import Compensator
 from .errors import SpecError
 from .frame import MAX_STRETCH, FrameSpec
+from .identity import parse_id, shown_id
 from .layout import Layout
 from .layout_file import read_layout
 from .layout_nodes import Wiring
@@ -24,6 +25,7 @@ class SkinConfig:
     """The parameters of the decoding chain in the form that the stages take."""
 
     spec: FrameSpec
+    digitizer_id: bytes | None
     timing: str
     samples_per_chip: int
     roll_call: bool
@@ -76,6 +78,7 @@ class SkinConfig:
         adc = AdcScale(get["bits"], get["vref_v"])
         return cls(
             spec=spec,
+            digitizer_id=parse_id(get["digitizer_id"]) if get["digitizer_id"] else None,
             timing=get["timing"],
             samples_per_chip=get["samples_per_chip"],
             roll_call=get["roll_call"],
@@ -89,6 +92,15 @@ class SkinConfig:
             threshold=get["threshold"],
             stale_after_s=get["stale_after_s"],
             contact=contact_thresholds(get),
+        )
+
+    def refusal(self, digitizer_id: bytes) -> str | None:
+        """Why the digitizer of this id is not taken; None if it is the one asked for."""
+        if self.digitizer_id is None or digitizer_id == self.digitizer_id:
+            return None
+        return (
+            f"wrong digitizer: {shown_id(digitizer_id)} is on this port, digitizer_id is "
+            f"{shown_id(self.digitizer_id)}; tactile-cdma ports tells which is where"
         )
 
     def compensator(self) -> Compensator | None:

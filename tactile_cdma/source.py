@@ -6,7 +6,10 @@ import errno
 import os
 import select
 import time
+from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 
 import serial
@@ -25,33 +28,40 @@ READ_TIMEOUT_S = 0.1
 READ_SIZE = 65_536
 """Bytes that one read takes at most; a tty hands out 4 kB at once."""
 SIM_HANDLERS = "tactile_cdma.sim"
+USB = "usb://"
+"""Beginning of the ports that are named by the serial number of their USB device."""
+LINK_FOLDERS = ("/dev/tactile", "/dev/serial/by-id", "/dev/serial/by-path")
+"""Where udev keeps names of ports that outlive replugging; the first is of our own rules."""
 
 if SIM_HANDLERS not in serial.protocol_handler_packages:
     serial.protocol_handler_packages.append(SIM_HANDLERS)  # makes sim:// a port like any other
 
 
 class Port:
-    """An open port, named by a pyserial URL: /dev/ttyACM0, sim://, socket://host:4000, …
+    """An open port: /dev/ttyACM0, usb://SERIAL, or any pyserial URL: sim://, socket://host:4000, …
 
     Use as a context manager. Raises PortError, with the likely cause, from every operation.
     """
 
     def __init__(self, url: str, baud: int) -> None:
         self.url = url
+        # Looked up anew each time: a board that is plugged in again may be another device.
+        pyserial_url = device_of(url)
         try:
-            self._serial = serial.serial_for_url(url, do_not_open=True)
+            self._serial = serial.serial_for_url(pyserial_url, do_not_open=True)
             self._serial.baudrate = baud
             self._serial.timeout = READ_TIMEOUT_S
             self._serial.write_timeout = 1.0
-            if "://" not in url:
+            if "://" not in pyserial_url:
                 self._serial.exclusive = True
             self._serial.open()
+            _hurry(self._serial)
             self._serial.reset_input_buffer()  # of what came for whoever had it open before
-            self._poll = _poll(self._serial, url)
+            self._poll = _poll(self._serial, pyserial_url)
         except SpecError as error:  # an option of a sim:// URL
             raise PortError(f"{url}: {error}") from None
         except (OSError, ValueError, KeyError, TerminalError) as error:
-            raise PortError(f"{url}: {_open_failure(error)}") from None
+            raise PortError(f"{url}: {_open_failure(error, pyserial_url)}") from None
 
     def read(self) -> tuple[bytes, float]:
         """What has arrived, waiting at most READ_TIMEOUT_S for the first byte of it.
@@ -107,6 +117,107 @@ class Port:
         self.close()
 
 
+def _hurry(port: serial.SerialBase) -> None:
+    """Ask adapters that hold bytes back, FTDI's for 16 ms, not to; others know no such thing."""
+    with suppress(AttributeError, NotImplementedError, OSError, ValueError):
+        port.set_low_latency_mode(True)
+
+
+@dataclass(frozen=True, slots=True)
+class SerialPort:
+    """A serial port of this machine.
+
+    usb_serial: serial number of its USB device; empty where it has none, or is no USB device.
+    links: names of it that outlive replugging.
+    """
+
+    device: str
+    description: str
+    usb_serial: str = ""
+    links: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        number = f"USB serial number {self.usb_serial}" if self.usb_serial else ""
+        said = ", ".join(part for part in (self.description, number) if part)
+        return f"{self.device} ({said})" if said else self.device
+
+
+def serial_ports() -> list[SerialPort]:
+    """The serial ports of this machine, in the order of their names."""
+    try:
+        found = sorted(list_ports.comports())
+    except (OSError, TypeError, ValueError):  # one of them was unplugged while it was looked at
+        found = sorted(list_ports.comports())
+    return [
+        SerialPort(
+            device=port.device,
+            description="" if port.description == "n/a" else port.description,
+            usb_serial=port.serial_number or "",
+            links=_links(port.device),
+        )
+        for port in found
+    ]
+
+
+def device_of(url: str) -> str:
+    """The device that usb://SERIAL is now; any other port as it is. Raises PortError."""
+    return find_usb(url, serial_ports()) if url.startswith(USB) else url
+
+
+def find_usb(url: str, ports: Sequence[SerialPort]) -> str:
+    """The device that usb://SERIAL means, upper and lower case alike.
+
+    Raises PortError, listing what is there, unless exactly one of the ports has this number.
+    """
+    wanted = url.removeprefix(USB)
+    if not wanted:
+        raise PortError(f"{url}: the serial number of a USB device is missing; {_listed(ports)}")
+    found = [port for port in ports if port.usb_serial.lower() == wanted.lower()]
+    if not found:
+        raise PortError(
+            f"{url}: no port has this USB serial number; is the digitizer plugged in? "
+            f"{_listed(ports)}"
+        )
+    if len(found) > 1:
+        raise PortError(
+            f"{url}: {len(found)} ports have this USB serial number, name one by its place "
+            f"instead (/dev/serial/by-path/…): {'; '.join(map(str, found))}"
+        )
+    return found[0].device
+
+
+def holders(device: str) -> list[str]:
+    """Programs that have a device open, as far as this user may see: 'minicom (pid 42)'.
+
+    None for a pseudo-terminal, which is open in the program that made it, too.
+    """
+    found: list[str] = []
+    if os.path.realpath(device).startswith("/dev/pts/"):
+        return found
+    for descriptor in Path("/proc").glob("[0-9]*/fd/*"):
+        with suppress(OSError):  # ended, closed, or somebody else's
+            if os.readlink(descriptor) == os.path.realpath(device):
+                process = descriptor.parents[1]
+                name = f"{(process / 'comm').read_text().strip()} (pid {process.name})"
+                found += [name] if name not in found else []
+    return found
+
+
+def leave_alone_if_open(url: str) -> None:
+    """Raises PortError if another program has this port open, whether or not it has locked it."""
+    if others := holders(device_of(url)):
+        raise PortError(f"{url}: busy: another program has it open ({', '.join(others)})")
+
+
+def _links(device: str) -> tuple[str, ...]:
+    links = (link for folder in LINK_FOLDERS for link in sorted(Path(folder).glob("*")))
+    return tuple(str(link) for link in links if os.path.realpath(link) == device)
+
+
+def _listed(ports: Sequence[SerialPort]) -> str:
+    return f"Serial ports on this machine: {'; '.join(map(str, ports)) or 'none'}"
+
+
 def _poll(port: serial.SerialBase, url: str) -> select.poll | None:
     """What waits for a port that has a file descriptor; None where pyserial alone can read it."""
     if not hasattr(select, "poll") or ("://" in url and not url.startswith("socket://")):
@@ -116,21 +227,24 @@ def _poll(port: serial.SerialBase, url: str) -> select.poll | None:
     return poll
 
 
-def _open_failure(error: Exception) -> str:
+def _open_failure(error: Exception, device: str) -> str:
     """Why a port did not open, and what to do about it."""
     code = error.args[0] if isinstance(error, TerminalError) else getattr(error, "errno", None)
     if code == errno.ENOENT:
-        names = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"
-        return f"no such port; is the digitizer plugged in? Serial ports on this machine: {names}"
+        return f"no such port; is the digitizer plugged in? {_listed(serial_ports())}"
     if code in (errno.EACCES, errno.EPERM):
         return (
             "no permission; add yourself to the port's group "
             "(sudo usermod -aG dialout $USER, then log in again)"
         )
     if code in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in str(error):
-        return "busy: another program has it open (another driver, a serial monitor?)"
+        who = ", ".join(holders(device)) or "another driver, a serial monitor?"
+        return f"busy: another program has it open ({who})"
     if "could not configure port" in str(error).lower() or code == errno.ENOTTY:
         return "not a serial port"
     if isinstance(error, ValueError) and "protocol" in str(error):
-        return "unknown kind of port; use a device path, sim://, socket://host:port or rfc2217://…"
+        return (
+            "unknown kind of port; use a device path, usb://SERIAL, sim://, socket://host:port "
+            "or rfc2217://…"
+        )
     return str(error)

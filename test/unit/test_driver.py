@@ -187,7 +187,7 @@ def test_missing_ports_and_bad_options_are_clear(tmp_path: Path) -> None:
     with pytest.raises(PortError, match="no such port; is the digitizer plugged in"):
         Port("/dev/ttyNOSUCH", 115_200)
     with pytest.raises(PortError, match="unknown kind of port"):
-        Port("usb://1", 115_200)
+        Port("com://1", 115_200)
     with pytest.raises(PortError, match="scene"):
         Port("sim://?scene=nonsense", 115_200)
     file = tmp_path / "file"

@@ -20,7 +20,11 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "tactile_cdma"
 MODULES = sorted(
     ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
-    for path in (*PACKAGE.glob("*.py"), *PACKAGE.glob("calibrating/*.py"))
+    for path in (
+        *PACKAGE.glob("*.py"),
+        *PACKAGE.glob("calibrating/*.py"),
+        *PACKAGE.glob("doctor/*.py"),
+    )
 )
 OUTER = {
     "__init__",
@@ -28,6 +32,10 @@ OUTER = {
     "source",
     "cli",
     "driver",
+    "introduction",
+    "ports_command",
+    "doctor.__main__",
+    "doctor.port",
     "calibrating.__init__",
     "calibrating.command",
     "calibrating.load_session",
@@ -44,6 +52,7 @@ COME_WITH_OTHER_WHEELS = {
 PACKAGES_OF_KEYS = {
     "python3-matplotlib": "matplotlib",
     "python3-numpy": "numpy",
+    "python3-packaging": "packaging",
     "python3-serial": "pyserial",
     "python3-yaml": "pyyaml",
 }

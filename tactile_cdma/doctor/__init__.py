@@ -1,0 +1,1 @@
+"""`tactile-cdma doctor`: is this installation, or this port, sound, and if not, what to do."""

@@ -1,0 +1,7 @@
+"""The doctor by itself, python -m tactile_cdma.doctor: also where packages of ours are missing."""
+
+import sys
+
+from .command import main
+
+sys.exit(main())

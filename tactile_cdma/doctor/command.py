@@ -1,0 +1,88 @@
+"""The subcommand `tactile-cdma doctor`. Standard library only, until a port is to be examined."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from .installation import installation
+from .report import Finding, exit_code, line, problem, summary
+
+TEXT = (
+    "Checks this installation and, where one is named, a port with its digitizer and skin. "
+    "Exit code 1 if there is a problem."
+)
+
+MOST_SECONDS = 600.0
+
+
+def add_to(commands: Any) -> None:
+    """Add it to the command line's subcommands."""
+    parser = commands.add_parser(
+        "doctor", help="check this installation, or a port, and say what is wrong", description=TEXT
+    )
+    _add_arguments(parser)
+    parser.set_defaults(run=doctor)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The doctor by itself; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m tactile_cdma.doctor", description=TEXT)
+    _add_arguments(parser)
+    return doctor(parser.parse_args(argv))
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "port",
+        nargs="?",
+        help="a port to examine instead of the installation: /dev/ttyACM0, usb://SERIAL, sim://, …",
+    )
+    parser.add_argument(
+        "--params", type=Path, metavar="FILE", help="ROS 2 parameter file of the driver, to compare"
+    )
+    parser.add_argument("--baud", type=int, help="baud rate (that of the parameters)")
+    parser.add_argument(
+        "--seconds", type=_seconds, default=3.0, help="listen to the skin for so long (3)"
+    )
+    parser.add_argument("--json", action="store_true", help="as a JSON array")
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0 < value <= MOST_SECONDS:
+        raise argparse.ArgumentTypeError(f"{text} does not lie within 0…{MOST_SECONDS:g} s")
+    return value
+
+
+def doctor(arguments: argparse.Namespace) -> int:
+    """Examine, tell what was found as it is found; returns the exit code."""
+    findings = []
+    try:
+        for finding in _examination(arguments):
+            findings.append(finding)
+            if not arguments.json:
+                print(line(finding), flush=True)
+    except KeyboardInterrupt:
+        findings.append(problem("doctor", "interrupted: what follows was not looked at"))
+    if arguments.json:
+        print(json.dumps([asdict(finding) for finding in findings], indent=2))
+    else:
+        print(summary(findings))
+    return exit_code(findings)
+
+
+def _examination(arguments: argparse.Namespace) -> Iterator[Finding]:
+    if not arguments.port and not arguments.params:
+        yield from installation()
+        return
+    try:
+        from .port import examine  # needs the packages whose lack the doctor is to tell of
+    except ImportError as error:
+        yield problem("packages", f"{error}; python -m tactile_cdma.doctor tells what is missing")
+        return
+    yield from examine(arguments.port, arguments.params, arguments.baud, arguments.seconds)

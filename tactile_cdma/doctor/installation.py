@@ -1,0 +1,259 @@
+"""Is this computer set up for the driver? Standard library only: what is missing is told."""
+
+from __future__ import annotations
+
+import grp
+import json
+import os
+import platform
+import pwd
+import re
+import resource
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+
+from .report import Finding, Level, ok, problem, warning
+
+PACKAGE = Path(__file__).resolve().parents[1]
+CHECKOUT = PACKAGE.parent
+RULES = "60-tactile-cdma.rules"
+RULES_FOLDERS = ("etc/udev/rules.d", "run/udev/rules.d", "usr/lib/udev/rules.d", "lib/udev/rules.d")
+LEAST_SHARED_BYTES = 32 << 20
+"""Free in /dev/shm. A node takes 1 MB or more of it; with none left data is lost without a word."""
+LEAST_FILES = 256
+"""Open files. A driver with its DDS takes about 40."""
+ROS_TIMEOUT_S = 60.0
+
+
+def installation() -> Iterator[Finding]:
+    """All that there is to say, the cheap things first."""
+    yield python_version()
+    yield from packages()
+    yield from port_access()
+    root = Path("/")
+    yield from udev_rule(root)
+    yield from modem_manager(root)
+    yield from shared_memory(root / "dev/shm")
+    yield from open_files()
+    yield from clock()
+    yield from ros()
+
+
+def python_version() -> Finding:
+    """The interpreter against requires-python."""
+    needed, present = _project("requires-python"), platform.python_version()
+    match = re.fullmatch(r">=(\d+)\.(\d+)", needed)
+    if match and sys.version_info < tuple(map(int, match.groups())):
+        return problem("Python", f"{present}, but {needed} is needed: use a newer one")
+    return ok("Python", f"{present} ({sys.executable})")
+
+
+def packages() -> Iterator[Finding]:
+    """What the core imports, against requirements.txt."""
+    try:
+        from packaging.requirements import InvalidRequirement, Requirement
+    except ImportError:
+        yield problem("packaging", "missing: pip install packaging (or apt: python3-packaging)")
+        return
+    lines = requirements()
+    if not lines:
+        yield warning("packages", "requirements.txt is not to be found: versions are not checked")
+    for text in lines:
+        try:
+            needed = Requirement(text)
+        except InvalidRequirement:
+            yield warning("packages", f"{text!r} in requirements.txt is no requirement")
+            continue
+        try:
+            present = metadata.version(needed.name)
+        except metadata.PackageNotFoundError:
+            yield problem(needed.name, f"missing: pip install '{text}', or rosdep install")
+            continue
+        if needed.specifier.contains(present, prereleases=True):
+            yield ok(needed.name, present)
+        else:
+            yield warning(
+                needed.name,
+                f"{present} is outside of the tested {needed.specifier}: pip install '{text}'",
+            )
+
+
+def requirements() -> list[str]:
+    """The core's requirements, one text each: of the checkout, of the colcon or pip install."""
+    path = _shipped("requirements.txt")
+    if path is not None:
+        lines = (line.split("#")[0].strip() for line in path.read_text("utf-8").splitlines())
+        return [line for line in lines if line]
+    try:
+        return [line for line in metadata.requires("tactile_cdma") or [] if ";" not in line]
+    except metadata.PackageNotFoundError:
+        return []
+
+
+def _project(key: str) -> str:
+    path = _shipped("pyproject.toml")
+    if path is not None:
+        return str(tomllib.loads(path.read_text("utf-8"))["project"][key])
+    try:
+        return str(metadata.metadata("tactile_cdma")[key.title()])
+    except (metadata.PackageNotFoundError, KeyError):
+        return ""
+
+
+def _shipped(name: str) -> Path | None:
+    """A file of the checkout, or of the share folder of a colcon install."""
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    shares = [Path(prefix) / "share" / "tactile_cdma" for prefix in prefixes if prefix]
+    checkout = [CHECKOUT] if (CHECKOUT / "package.xml").is_file() else []
+    return next((folder / name for folder in checkout + shares if (folder / name).is_file()), None)
+
+
+def port_access() -> Iterator[Finding]:
+    """May this user open serial ports?"""
+    devices = [*Path("/dev").glob("ttyACM*"), *Path("/dev").glob("ttyUSB*")]
+    closed = [device for device in devices if not os.access(device, os.R_OK | os.W_OK)]
+    if devices and not closed:
+        yield ok("serial ports", f"{', '.join(map(str, devices))} may be opened")
+        return
+    if os.geteuid() == 0:
+        yield ok("serial ports", "root may open all")
+        return
+    try:
+        name = closed[0].group() if closed else "dialout"
+        group = grp.getgrnam(name)
+    except (KeyError, OSError):  # OSError: unplugged just now
+        return
+    user = pwd.getpwuid(os.getuid()).pw_name
+    if group.gr_gid in {*os.getgroups(), os.getegid()}:
+        yield ok("serial ports", f"{user} is in the group {name}")
+    elif user in group.gr_mem:
+        yield problem("serial ports", f"{user} is in the group {name} only after the next login")
+    else:
+        what = problem if closed else warning
+        yield what(
+            "serial ports",
+            f"{user} is not in the group {name} and may not open them: "
+            f"sudo usermod -aG {name} {user}, then log in again",
+        )
+
+
+def udev_rule(root: Path) -> Iterator[Finding]:
+    """The rule for stable names, where there is a udev."""
+    if not (root / "run/udev/control").exists():
+        return
+    ours = _shipped(f"config/{RULES}")
+    for folder in RULES_FOLDERS:
+        path = root / folder / RULES
+        if path.is_file():
+            if ours is not None and path.read_bytes() != ours.read_bytes():
+                yield warning("udev rule", f"{path} is not that of this version: copy {ours} there")
+            else:
+                yield ok("udev rule", str(path))
+            return
+    yield warning(
+        "udev rule",
+        "not installed, boards have no /dev/tactile/… names: "
+        f"sudo cp {ours or RULES} /etc/udev/rules.d/, then sudo udevadm control --reload",
+    )
+
+
+def modem_manager(root: Path) -> Iterator[Finding]:
+    """ModemManager looks for modems on new ports, which our rule forbids it."""
+    ruled = any((root / folder / RULES).is_file() for folder in RULES_FOLDERS)
+    for comm in (root / "proc").glob("[0-9]*/comm"):
+        try:
+            name = comm.read_text(encoding="utf-8", errors="replace").strip()
+        except OSError:  # ended meanwhile
+            continue
+        if name == "ModemManager" and not ruled:
+            yield warning(
+                "ModemManager",
+                "it keeps boards busy for seconds after they are plugged in: install the udev "
+                "rule, or remove it (sudo apt remove modemmanager)",
+            )
+            return
+
+
+def shared_memory(folder: Path) -> Iterator[Finding]:
+    """Fast DDS hands messages over in shared memory; containers get 64 MB of it by default."""
+    try:
+        free = shutil.disk_usage(folder).free
+    except OSError:
+        return
+    text = f"{free >> 20} MB free in {folder}"
+    if free < LEAST_SHARED_BYTES:
+        yield warning(
+            "shared memory",
+            f"{text}: remove leftovers ({folder}/fastrtps_*) while no ROS program runs; "
+            "containers take --shm-size=512m",
+        )
+    else:
+        yield ok("shared memory", text)
+
+
+def open_files() -> Iterator[Finding]:
+    """Files that a process may have open."""
+    limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if 0 <= limit < LEAST_FILES:
+        yield warning("open files", f"at most {limit} in a process: ulimit -n 1024")
+    else:
+        yield ok("open files", f"at most {limit} in a process" if limit >= 0 else "no limit")
+
+
+def clock() -> Iterator[Finding]:
+    """Is the clock synchronized? Stamps of several computers are compared by it."""
+    try:
+        answer = subprocess.run(
+            ["timedatectl", "show", "--property=NTPSynchronized", "--value"],
+            capture_output=True,
+            text=True,
+            timeout=5,
+            check=True,
+        ).stdout.strip()
+    except (OSError, subprocess.SubprocessError):  # no systemd: then it is not known
+        return
+    if answer == "yes":
+        yield ok("clock", "synchronized")
+    elif answer == "no":
+        yield warning(
+            "clock", "not synchronized: with several computers stamps differ (install chrony)"
+        )
+
+
+def ros() -> Iterator[Finding]:
+    """What the ROS side says of itself, in a process of its own: it may crash or hang there."""
+    path = os.pathsep.join(filter(None, (str(CHECKOUT), os.environ.get("PYTHONPATH"))))
+    try:
+        run = subprocess.run(
+            [sys.executable, "-m", "tactile_cdma.ros.doctor"],
+            capture_output=True,
+            text=True,
+            timeout=ROS_TIMEOUT_S,
+            env={**os.environ, "PYTHONPATH": path},
+        )
+    except subprocess.TimeoutExpired:
+        yield problem(
+            "ROS 2",
+            f"no answer within {ROS_TIMEOUT_S:g} s: the middleware hangs; is the network up, and "
+            "does a VPN or a firewall hold back UDP?",
+        )
+        return
+    yield from _reported(run.stdout)
+    if run.returncode:
+        last = run.stderr.strip().splitlines()[-1:] or [f"exit code {run.returncode}"]
+        yield problem("ROS 2", f"its examination failed: {last[0]}")
+
+
+def _reported(text: str) -> Iterator[Finding]:
+    """A child's findings, one JSON object a line; what middleware prints in between is left out."""
+    for entry in text.splitlines():
+        try:
+            values = json.loads(entry)
+            yield Finding(Level(values["level"]), values["subject"], values["text"])
+        except (ValueError, KeyError, TypeError):
+            continue

@@ -1,0 +1,78 @@
+"""Digitizers behind real ttys, and what a computer with USB ports would say of these."""
+
+from __future__ import annotations
+
+import os
+import threading
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from serial.tools.list_ports_common import ListPortInfo
+
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.sim.pty import Digitizer, serve
+
+
+@contextmanager
+def plugged(power_up: Callable[[], Digitizer], link: Path | None = None) -> Iterator[str]:
+    """What power_up makes on a pty, served by a thread of its own; the path to open."""
+    stop, ready = threading.Event(), threading.Event()
+    paths: list[Path] = []
+
+    def on_ready(path: Path) -> None:
+        paths.append(path)
+        ready.set()
+
+    thread = threading.Thread(target=serve, args=(power_up, link, stop, on_ready))
+    thread.start()
+    try:
+        assert ready.wait(5)
+        yield str(paths[0])
+    finally:
+        stop.set()
+        thread.join()
+
+
+def board(seed: int, options: str = "scene=all") -> Callable[[], VirtualDigitizer]:
+    """A virtual digitizer at power-up; its id tells the seed."""
+    return lambda: VirtualDigitizer(SimOptions.from_url(f"sim://?seed={seed}&{options}"))
+
+
+def board_id(seed: int) -> str:
+    return (b"sim\0" + seed.to_bytes(4, "little")).hex().upper()
+
+
+def usb_port(device: str, serial_number: str | None) -> ListPortInfo:
+    """What pyserial's list says of a board of ours; only the kernel's list is made up by tests."""
+    port = ListPortInfo(device)
+    port.vid, port.pid = 0x1209, 0x0001
+    port.serial_number, port.product = serial_number, "Tactile skin digitizer"
+    port.apply_usb_info()
+    return port
+
+
+@contextmanager
+def chattering(content: bytes = b"", period_s: float = 0.05) -> Iterator[str]:
+    """A tty that says the same again and again, or nothing."""
+    host, device = os.openpty()
+    tty.setraw(device)
+    os.set_blocking(host, False)
+    stop = threading.Event()
+
+    def chatter() -> None:
+        while content and not stop.wait(period_s):
+            with suppress(BlockingIOError):  # nobody reads it
+                os.write(host, content)
+
+    thread = threading.Thread(target=chatter)
+    thread.start()
+    try:
+        yield os.ttyname(device)
+    finally:
+        stop.set()
+        thread.join()
+        os.close(host)
+        os.close(device)

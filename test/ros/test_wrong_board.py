@@ -1,0 +1,118 @@
+"""A driver node and the wrong board, over real DDS: refused, told, and recovered from."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+
+from boards import board, board_id, plugged, usb_port  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
+from lifecycle_msgs.msg import State, Transition  # noqa: E402
+from serial.tools import list_ports  # noqa: E402
+
+from skin_client import running, wait_for  # noqa: E402
+from tactile_cdma.cli import main  # noqa: E402
+from tactile_cdma.ros import doctor  # noqa: E402
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture(scope="module")
+def ros() -> Iterator[None]:
+    rclpy.init()
+    yield
+    rclpy.shutdown()
+
+
+def test_the_wrong_board_is_refused_and_the_right_one_taken(ros: None, tmp_path: Path) -> None:
+    link = tmp_path / "tty"
+    with running(port=str(link), digitizer_id=board_id(1)) as (node, client):
+
+        def told(text: str) -> bool:
+            return any(
+                text in status.message and status.level == DiagnosticStatus.ERROR
+                for status in client.diagnostics
+            )
+
+        with plugged(board(2), link):
+            node._start()  # it tries by itself every 2 s
+            wait_for(lambda: told("wrong digitizer"))
+            assert told(board_id(1))
+            assert told(board_id(2))
+            assert client.arrays == []
+            assert client.state() == State.PRIMARY_STATE_ACTIVE
+        with plugged(board(1), link):
+            wait_for(lambda: len(client.arrays) > 20)
+
+
+def test_a_node_finds_its_board_by_usb_number_on_whichever_port(
+    ros: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kernel: list[tuple[str, str]] = []
+    monkeypatch.setattr(list_ports, "comports", lambda: [usb_port(*port) for port in kernel])
+    with (
+        plugged(board(1)) as first,
+        running(port="usb://0A", digitizer_id=board_id(1)) as (
+            node,
+            client,
+        ),
+    ):
+        wait_for(lambda: any("USB serial number" in s.message for s in client.diagnostics))
+        kernel[:] = [(first, "0A")]
+        node._start()
+        wait_for(lambda: len(client.arrays) > 20)
+
+
+def test_a_bad_id_is_refused_with_the_reason(ros: None) -> None:
+    with running(autostart=False) as (_, client):
+        client.set(digitizer_id="not hexadecimal")
+        assert not client.change(Transition.TRANSITION_CONFIGURE)
+        wait_for(lambda: any("16 hexadecimal digits" in s.message for s in client.diagnostics))
+
+
+def test_two_programs_meet(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor", "--json"]) == 0
+    found = {f["subject"]: f for f in json.loads(capsys.readouterr().out)}
+    assert "two programs met" in found["DDS"]["text"]
+    for subject in ("Python", "numpy", "our messages", "ROS_DOMAIN_ID"):
+        assert found[subject]["level"] == "ok"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "level"),
+    [
+        ("ROS_DOMAIN_ID", "0", "ok"),
+        ("ROS_DOMAIN_ID", "150", "warning"),
+        ("ROS_DOMAIN_ID", "233", "problem"),
+        ("ROS_DOMAIN_ID", "-1", "problem"),
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCAL", "problem"),
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF", "warning"),
+        ("ROS_LOCALHOST_ONLY", "1", "warning"),
+    ],
+)
+def test_settings_of_discovery(
+    monkeypatch: pytest.MonkeyPatch, name: str, value: str, level: str
+) -> None:
+    monkeypatch.setenv(name, value)
+    [finding] = [finding for finding in doctor.environment() if finding.subject == name]
+    assert finding.level == level
+
+
+def test_messages_that_changed_since_they_were_built_are_named(tmp_path: Path) -> None:
+    checkout, prefix = tmp_path / "src", tmp_path / "install"
+    built = prefix / "share" / "tactile_cdma"
+    for folder in (checkout, built):
+        (folder / "msg").mkdir(parents=True)
+        (folder / "package.xml").touch()
+        for name in ("A", "B"):
+            (folder / "msg" / f"{name}.msg").write_text("float32 pressure\n")
+    prefixes = ["", str(tmp_path / "nothing"), str(prefix)]
+    assert doctor.stale_messages(checkout, prefixes) == []
+    (checkout / "msg" / "B.msg").write_text("float64 pressure\n")
+    (checkout / "msg" / "C.msg").touch()
+    assert doctor.stale_messages(checkout, prefixes) == ["B.msg", "C.msg"]
