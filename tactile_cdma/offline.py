@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ._protocol import SyncMode
-from .capture import ScopeCapture
+from .capture import ScopeCapture, read_bytes
 from .decode import Words, decode
 from .encode import word_bits
 from .errors import CaptureError
@@ -22,7 +22,6 @@ from .protocol import PacketParser, diagnose
 from .skin_config import SkinConfig
 from .timing import SampleBlock
 
-_CHUNK_BYTES = 1 << 16
 _MIN_SAMPLES_PER_CHIP = 3
 
 
@@ -54,29 +53,32 @@ def described_parameters(path: Path) -> dict[str, Value]:
     Raises CaptureError where the capture holds no such description.
     """
     parser = PacketParser()
-    with path.open("rb") as file:
-        while data := file.read(_CHUNK_BYTES):
-            for packet in parser.feed(data):
-                if isinstance(packet, Info):
-                    spec = packet.frame.spec()
-                    return {
-                        "nodes": spec.nodes,
-                        "bits": spec.bits,
-                        "order": spec.order,
-                        "chip_us": spec.chip_s * 1e6,
-                        "frame_period_ms": spec.frame_period_s * 1e3,
-                        "first_row": spec.first_row,
-                        "sign_seed": NATURAL_SIGNS if spec.sign_seed is None else spec.sign_seed,
-                        "drive": spec.drive,
-                        "polarity": spec.polarity,
-                        "timing": GAP if packet.sync_mode == SyncMode.NONE else LINE,
-                        "samples_per_chip": packet.frame.samples_per_chip,
-                        "parity": spec.parity,
-                        "resync_chips": spec.resync_chips,
-                        "guard_chips": spec.guard_chips,
-                    }
+    for data, _ in read_bytes(path):
+        for packet in parser.feed(data):
+            if isinstance(packet, Info):
+                return _parameters(packet)
     reason = diagnose(parser.counters)
     raise CaptureError(f"{path}: {reason}")
+
+
+def _parameters(info: Info) -> dict[str, Value]:
+    spec = info.frame.spec()
+    return {
+        "nodes": spec.nodes,
+        "bits": spec.bits,
+        "order": spec.order,
+        "chip_us": spec.chip_s * 1e6,
+        "frame_period_ms": spec.frame_period_s * 1e3,
+        "first_row": spec.first_row,
+        "sign_seed": NATURAL_SIGNS if spec.sign_seed is None else spec.sign_seed,
+        "drive": spec.drive,
+        "polarity": spec.polarity,
+        "timing": GAP if info.sync_mode == SyncMode.NONE else LINE,
+        "samples_per_chip": info.frame.samples_per_chip,
+        "parity": spec.parity,
+        "resync_chips": spec.resync_chips,
+        "guard_chips": spec.guard_chips,
+    }
 
 
 def decode_raw(path: Path, pipeline: Pipeline) -> Iterator[tuple[float, Words]]:
@@ -87,9 +89,8 @@ def decode_raw(path: Path, pipeline: Pipeline) -> Iterator[tuple[float, Words]]:
 
 def raw_frames(path: Path, pipeline: Pipeline) -> Iterator[TactileFrame]:
     """Frames of a raw capture, with readings."""
-    with path.open("rb") as file:
-        while data := file.read(_CHUNK_BYTES):
-            yield from pipeline.feed(data, 0.0)
+    for data, t_host in read_bytes(path):
+        yield from pipeline.feed(data, t_host)
     yield from pipeline.flush()
 
 

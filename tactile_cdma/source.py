@@ -1,4 +1,4 @@
-"""The serial port: the only user of pyserial, but for the handler that makes sim:// one."""
+"""The serial port: the only user of pyserial, but for the handlers of sim:// and replay://."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from types import TracebackType
 import serial
 from serial.tools import list_ports
 
-from .errors import PortError, SpecError
+from .errors import CaptureError, PortError, RecordingEndError, SpecError
 
 try:
     import termios
@@ -24,10 +24,12 @@ except ImportError:  # not a POSIX system
 READ_TIMEOUT_S = 0.1
 READ_SIZE = 65_536
 """Bytes that one read takes at most; a tty hands out 4 kB at once."""
-SIM_HANDLERS = "tactile_cdma.sim"
+HANDLERS = ("tactile_cdma.sim", "tactile_cdma.replay")
+"""What makes sim:// and replay:// ports like any other."""
 
-if SIM_HANDLERS not in serial.protocol_handler_packages:
-    serial.protocol_handler_packages.append(SIM_HANDLERS)  # makes sim:// a port like any other
+serial.protocol_handler_packages += [
+    package for package in HANDLERS if package not in serial.protocol_handler_packages
+]
 
 
 class Port:
@@ -48,7 +50,7 @@ class Port:
             self._serial.open()
             self._serial.reset_input_buffer()  # of what came for whoever had it open before
             self._poll = _poll(self._serial, url)
-        except SpecError as error:  # an option of a sim:// URL
+        except (SpecError, CaptureError) as error:  # an option of a URL, the file of replay://
             raise PortError(f"{url}: {error}") from None
         except (OSError, ValueError, KeyError, TerminalError) as error:
             raise PortError(f"{url}: {_open_failure(error)}") from None
@@ -61,6 +63,8 @@ class Port:
         """
         try:
             data = self._wait() if self._poll is None else self._wait_in_kernel(self._poll)
+        except RecordingEndError:
+            raise
         except (
             OSError,
             TypeError,
@@ -132,5 +136,8 @@ def _open_failure(error: Exception) -> str:
     if "could not configure port" in str(error).lower() or code == errno.ENOTTY:
         return "not a serial port"
     if isinstance(error, ValueError) and "protocol" in str(error):
-        return "unknown kind of port; use a device path, sim://, socket://host:port or rfc2217://…"
+        return (
+            "unknown kind of port; use a device path, sim://, replay://FILE, socket://host:port or "
+            "rfc2217://…"
+        )
     return str(error)
