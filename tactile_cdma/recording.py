@@ -38,7 +38,8 @@ _DESCRIPTION, _CHUNK, _END = b"H", b"D", b"F"
 _HEAD = struct.Struct("<3scIIqQ")
 """Mark, kind, identity of the recording, length of what follows, time ns, place in the stream."""
 _CRC = struct.Struct("<I")
-_HEAD_BYTES = _HEAD.size + _CRC.size
+HEAD_BYTES = _HEAD.size + _CRC.size
+"""Of a record, before what it holds."""
 POSITION = struct.Struct("<Q")
 """The last bytes of a recording: where the record that ends it begins."""
 
@@ -227,12 +228,12 @@ class RecordingParser:
 
     def _size(self, place: int) -> int | None:
         """Bytes that a record which begins here takes; None: there is none."""
-        if len(self._held) - place < _HEAD_BYTES:
-            return _HEAD_BYTES
+        if len(self._held) - place < HEAD_BYTES:
+            return HEAD_BYTES
         _, kind, identity, length, _, _ = _HEAD.unpack_from(self._held, place)
         known = kind in (_DESCRIPTION, _CHUNK, _END) and length <= MOST_BYTES
         ours = self._identity in (None, identity)
-        return _HEAD_BYTES + length if known and ours else None
+        return HEAD_BYTES + length if known and ours else None
 
     def _skip(self, count: int) -> None:
         if count and not self._in_damage:
@@ -241,7 +242,7 @@ class RecordingParser:
 
     def _accept(self, record: bytes, found: list[Chunk]) -> bool:
         """Take a record over; False where it is damaged, or not at its place."""
-        head, content = record[: _HEAD.size], record[_HEAD_BYTES:]
+        head, content = record[: _HEAD.size], record[HEAD_BYTES:]
         (crc,) = _CRC.unpack_from(record, _HEAD.size)
         if zlib.crc32(content, zlib.crc32(head)) != crc:
             return False
