@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import CaptureError
+from .parameters import Value
 from .recording import RecordingParser
 from .recording_file import describe, is_recording, read_chunks, survey
 
@@ -72,6 +73,11 @@ def read_bytes(path: Path) -> Iterator[tuple[bytes, float]]:
                 yield data, 0.0
     except OSError as error:
         raise CaptureError(f"{path}: {error.strerror}") from None
+
+
+def recorded_parameters(path: Path) -> dict[str, Value]:
+    """Parameters that a recording was made with; none for a file of the bytes alone."""
+    return dict(describe(path).parameters) if is_recording(path) else {}
 
 
 def capture_notes(path: Path) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from . import __version__, layout_command, recording_command
+from . import __version__, export_command, layout_command, recording_command
 from .amplifier import design
 from .amplifier_report import describe, report
 from .arguments import add_skin_options, given, positive
@@ -19,8 +19,8 @@ from .capture import capture_notes, is_text, read_scope_csv
 from .errors import CaptureError, SpecError, TactileError
 from .interrupt import stop_event
 from .node_memory import MCUS, check_timing, describe_memory, node_memory, usual_heartbeat
-from .offline import decode_raw, decode_scope, describe_frame, described_parameters
-from .parameters import BY_NAME, GAP, SIMULATION, Value
+from .offline import decode_raw, decode_scope, describe_frame, offline_values
+from .parameters import BY_NAME, GAP, SIMULATION
 from .pipeline import Pipeline
 from .programmer import avrdude, burn, node_files, read_memory, write_memory
 from .sim import sensor_report
@@ -63,6 +63,7 @@ def _parser() -> argparse.ArgumentParser:
     decode.set_defaults(run=_decode)
 
     recording_command.add_to(commands)
+    export_command.add_to(commands)
 
     simulate = commands.add_parser("simulate", help="a virtual digitizer behind a real tty")
     simulate.add_argument("--pty", action="store_true", required=True, help="serve on a pty")
@@ -140,24 +141,22 @@ def _node_number(text: str) -> int | str:
 
 def _decode(arguments: argparse.Namespace) -> int:
     path: Path = arguments.file
-    values: dict[str, Value] = {"amplitude_mv": 0.0}
     if is_text(path):
-        asked = given(arguments)
+        asked = {"amplitude_mv": 0.0, **given(arguments)}
         if asked.get("timing", GAP) != GAP:
             raise SpecError(
                 "an oscilloscope capture holds nothing but the waveform: use --timing gap"
             )
         # Only a digitizer integrates chips; the capture's own rate is what counts here.
-        values |= {**asked, "timing": GAP, "samples_per_chip": BY_NAME["samples_per_chip"].default}
-        config = SkinConfig.of(values)
+        asked |= {"timing": GAP, "samples_per_chip": BY_NAME["samples_per_chip"].default}
+        config = SkinConfig.of(asked)
         capture = read_scope_csv(path)
         for note in capture.notes:
             print(f"tactile-cdma: {path}: {note}", file=sys.stderr)
         frames = decode_scope(capture, config)
         pipeline = None
     else:
-        values |= described_parameters(path) | given(arguments)
-        config = SkinConfig.of(values)
+        config = SkinConfig.of(offline_values(path, given(arguments)))
         pipeline = Pipeline(config, background=False)
         frames = decode_raw(path, pipeline)
         for note in capture_notes(path):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ._protocol import SyncMode
-from .capture import ScopeCapture, read_bytes
+from .capture import ScopeCapture, read_bytes, recorded_parameters
 from .decode import Words, decode
 from .encode import word_bits
 from .errors import CaptureError
@@ -59,6 +59,17 @@ def described_parameters(path: Path) -> dict[str, Value]:
                 return _parameters(packet)
     reason = diagnose(parser.counters)
     raise CaptureError(f"{path}: {reason}")
+
+
+def offline_values(path: Path, asked: dict[str, Value]) -> dict[str, Value]:
+    """The parameters to decode a raw capture with; what they leave open takes its default.
+
+    Of what is asked, what the digitizer described, and what the recording says was asked of it,
+    the first that says something counts. The amplitude is learnt unless it is given.
+    Raises CaptureError where the capture holds no description.
+    """
+    learnt: dict[str, Value] = {"amplitude_mv": 0.0}
+    return learnt | recorded_parameters(path) | described_parameters(path) | asked
 
 
 def _parameters(info: Info) -> dict[str, Value]:

@@ -14,7 +14,7 @@ from .driver import Session
 from .errors import CaptureError, PortError, TactileError
 from .interrupt import stop_event
 from .messages import Info
-from .offline import described_parameters, raw_frames
+from .offline import offline_values, raw_frames
 from .parameters import BY_NAME, Value
 from .pipeline import Pipeline
 from .protocol import PacketParser, diagnose
@@ -105,8 +105,7 @@ def _about(description: Description) -> dict[str, str]:
 def _say_frames(path: Path, asked: dict[str, Value]) -> None:
     """What decoding finds, or why it finds nothing."""
     try:
-        values = described_parameters(path) | asked
-        pipeline = Pipeline(SkinConfig.of({"amplitude_mv": 0.0, **values}), background=False)
+        pipeline = Pipeline(SkinConfig.of(offline_values(path, asked)), background=False)
     except TactileError as error:
         print(f"frames: none, {error}")
         return

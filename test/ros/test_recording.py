@@ -38,6 +38,8 @@ def assert_same(read: object, live: object) -> None:
     """All fields of a message, whichever library made them; NaN is NaN."""
     for name in live.get_fields_and_field_types():
         one, other = getattr(read, name), getattr(live, name)
+        if one is other:
+            continue
         if hasattr(other, "get_fields_and_field_types"):
             assert_same(one, other)
         elif isinstance(other, list):
@@ -62,7 +64,7 @@ def test_a_bag_holds_what_a_subscriber_got_and_ends_in_order(tmp_path: Path) -> 
         try:
             assert "recording into" in process.stdout.readline()
             begin = len(client.arrays)
-            wait_for(lambda: len(client.arrays) > begin + 250)
+            wait_for(lambda: len(client.arrays) > begin + 150)
             process.send_signal(signal.SIGTERM)
             assert process.wait(20) == 0
             summary = process.stdout.read()
@@ -85,7 +87,7 @@ def test_a_bag_holds_what_a_subscriber_got_and_ends_in_order(tmp_path: Path) -> 
             if message.sequence in live:
                 assert_same(message, live[message.sequence])
                 matched += 1
-        assert matched > 100 and silent > 100
+        assert matched > 50 and silent > 50
         infos = list(reader.messages([connections["/skin/info"]]))
         info = reader.deserialize(infos[0][2], infos[0][0].msgtype)
         assert_same(info, live_info)  # latched: it was published before
@@ -120,6 +122,16 @@ def test_a_node_replays_a_recording_as_decode_reads_it(tmp_path: Path) -> None:
     with running(port=f"replay://{path}?speed=1", publish_voltage=True) as (_, client):
         wait_for(lambda: any("recording has ended" in d.message for d in client.diagnostics))
     assert len(client.arrays) > 80
+    assert main(["export", str(path), "--bag", "-o", str(tmp_path / "bag")]) == 0
+    with AnyReader([tmp_path / "bag"]) as reader:
+        [info] = [
+            reader.deserialize(raw, connection.msgtype)
+            for connection, _, raw in reader.messages()
+            if connection.topic == "/skin/info"
+        ]
+    live = client.infos[0]
+    live.header, live.info_id = info.header, info.info_id  # times and counts of another program
+    assert_same(info, live)
     for message in client.arrays:
         frame = offline[message.sequence]
         assert message.device_time_us == round(frame.t_middle * 1e6)
