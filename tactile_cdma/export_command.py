@@ -11,7 +11,6 @@ from typing import Any
 
 from . import __version__
 from .arguments import add_skin_options, given
-from .bag_export import write_bag
 from .capture import capture_notes, is_text
 from .errors import CaptureError
 from .frame_table import taxels_path, write_csv, write_npz
@@ -72,6 +71,8 @@ def _write(
 ) -> int:
     output: Path = arguments.output
     if arguments.bag:
+        from .bag_export import write_bag  # slow to load, and needed here only
+
         frame_id = str(values.get("frame_id", BY_NAME["frame_id"].default))
         return write_bag(output, frames, config, frame_id)
     if output.suffix == ".npz":
