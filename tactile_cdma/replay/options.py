@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from urllib.parse import parse_qsl, unquote
 
 from ..errors import ParameterError, SpecError
-from ..parameters import Parameter
+from ..parameters import REPLAY, Parameter
 from ..skin_config import user_path
 
-SCHEME = "replay://"
 _LONGEST_S = 1e9
 OPTIONS: tuple[Parameter, ...] = (
     Parameter(
@@ -40,23 +40,22 @@ class ReplayOptions:
     @classmethod
     def from_url(cls, url: str) -> ReplayOptions:
         """From replay://FILE?option=value&…; raises SpecError."""
-        file, _, query = url[len(SCHEME) :].partition("?")
+        file, _, query = url[len(REPLAY) :].partition("?")
         if not file:
             raise SpecError("name the recording: replay://FILE, for example replay://touch.skin")
-        values = {option.name: option.default for option in OPTIONS}
+        values: dict[str, Any] = {option.name: option.default for option in OPTIONS}
         for name, text in parse_qsl(query, keep_blank_values=True):
             values[name] = _parse(name, text)
-        start_s, end_s = float(values["start"]), float(values["end"])
-        speed = float(values["speed"])
+        speed, start_s, end_s = values["speed"], values["start"], values["end"]
         if 0 < speed < SLOWEST:
             raise SpecError(f"option speed is {speed:g}; it must be 0 or at least {SLOWEST:g}")
         if start_s >= end_s:
             raise SpecError(f"option start is {start_s:g} s, which is not before end, {end_s:g} s")
         path = user_path("the recording", unquote(file))
-        return cls(path, speed, bool(values["loop"]), start_s, end_s)
+        return cls(path, speed, values["loop"], start_s, end_s)
 
 
-def _parse(name: str, text: str) -> float | bool:
+def _parse(name: str, text: str) -> Any:
     if name not in _BY_NAME:
         raise SpecError(f"replay:// has no option {name!r}; options: {', '.join(_BY_NAME)}")
     option = _BY_NAME[name]
@@ -69,6 +68,6 @@ def _parse(name: str, text: str) -> float | bool:
     except ValueError:
         value = math.nan
     try:
-        return float(option.check(value))
+        return option.check(value)
     except ParameterError as error:
         raise SpecError(f"option {error}") from None

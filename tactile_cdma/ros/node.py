@@ -39,7 +39,6 @@ from ..errors import ParameterError, TactileError
 from ..parameters import (
     BY_NAME,
     PARAMETERS,
-    SIMULATION,
     STANDARD_PARAMETERS,
     Parameter,
     Value,
@@ -212,8 +211,7 @@ class SkinNode(LifecycleNode):
             return TransitionCallbackReturn.FAILURE
         self._last_failure = ""
         self._config = config
-        simulated = str(self._value("port")).startswith(SIMULATION)
-        self._rest.configure(config, path, simulated)
+        self._rest.configure(config, path, str(self._value("port")))
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:

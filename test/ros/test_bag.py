@@ -13,14 +13,17 @@ import pytest
 pytest.importorskip("rclpy")
 
 import rclpy
+from lifecycle_msgs.msg import Transition
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
+from std_srvs.srv import Trigger
 
 from skin_client import running, wait_for
 from tactile_cdma.cli import main
 from tactile_cdma.offline import described_parameters, raw_frames
 from tactile_cdma.pipeline import Pipeline
 from tactile_cdma.skin_config import SkinConfig
+from tactile_cdma.srv import Tare
 
 pytestmark = pytest.mark.ros
 ROOT = Path(__file__).resolve().parents[2]
@@ -63,6 +66,9 @@ def test_a_bag_holds_what_a_subscriber_got_and_ends_in_order(tmp_path: Path) -> 
         assert process.stdout is not None
         try:
             assert "recording into" in process.stdout.readline()
+            for topic in ("tactile", "info", "contacts"):  # discovery takes its time
+                others = int(topic != "contacts")
+                wait_for(lambda t=topic, n=others: client.count_subscribers(f"/skin/{t}") > n, 30)
             begin = len(client.arrays)
             wait_for(lambda: len(client.arrays) > begin + 150)
             process.send_signal(signal.SIGTERM)
@@ -110,12 +116,17 @@ def test_the_bag_knows_our_types_as_ros_does(tmp_path: Path) -> None:
             assert message_types().hash_rihs01(offer.topic_type) == f"RIHS01_{digest}"
 
 
-def test_a_node_replays_a_recording_as_decode_reads_it(tmp_path: Path) -> None:
-    path = tmp_path / "touch.skin"
-    params = tmp_path / "skin.yaml"
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("recording")
+    path, params = folder / "touch.skin", folder / "skin.yaml"
     params.write_text("skin:\n  ros__parameters:\n    nodes: 16\n")
-    arguments = ["record", PORT, str(path), "--seconds", "1.5", "--params", str(params)]
-    assert main(arguments) == 0
+    assert main(["record", PORT, str(path), "--seconds", "1.5", "--params", str(params)]) == 0
+    return path
+
+
+def test_a_node_replays_a_recording_as_decode_reads_it(recording: Path, tmp_path: Path) -> None:
+    path = recording
     values = {**described_parameters(path), "amplitude_mv": 300.0}
     pipeline = Pipeline(SkinConfig.of(values), background=False)
     offline = {frame.sequence: frame for frame in raw_frames(path, pipeline)}
@@ -138,3 +149,17 @@ def test_a_node_replays_a_recording_as_decode_reads_it(tmp_path: Path) -> None:
         assert np.array(message.pressure).tobytes() == frame.readings.pressure_pa.tobytes()
         assert np.array(message.voltage).tobytes() == frame.readings.voltage_v.tobytes()
         assert np.array(message.status).tobytes() == frame.readings.status.tobytes()
+
+
+def test_a_replay_leaves_no_tare_behind(recording: Path, tmp_path: Path) -> None:
+    with running(port=f"replay://{recording}?loop=true", state_folder=str(tmp_path)) as (_, client):
+        tare = Tare.Request(force=True)
+        wait_for(lambda: client.call(Tare, "tare", tare).success)  # takes a second of frames
+        wait_for(lambda: any(client.infos[-1].tare))
+        answer = client.call(Trigger, "save_calibration", Trigger.Request())
+        assert not answer.success and "not kept" in answer.message
+        client.arrays.clear()
+        assert client.change(Transition.TRANSITION_DEACTIVATE)
+        assert client.change(Transition.TRANSITION_ACTIVATE)
+        wait_for(lambda: len(client.arrays) > 5 and not client.infos[-1].tare)
+    assert list(tmp_path.iterdir()) == []
