@@ -56,23 +56,13 @@ def described_parameters(path: Path) -> dict[str, Value]:
     for data, _ in read_bytes(path):
         for packet in parser.feed(data):
             if isinstance(packet, Info):
-                return _parameters(packet)
+                return parameters_of(packet)
     reason = diagnose(parser.counters)
     raise CaptureError(f"{path}: {reason}")
 
 
-def offline_values(path: Path, asked: dict[str, Value]) -> dict[str, Value]:
-    """The parameters to decode a raw capture with; what they leave open takes its default.
-
-    Of what is asked, what the digitizer described, and what the recording says was asked of it,
-    the first that says something counts. The amplitude is learnt unless it is given.
-    Raises CaptureError where the capture holds no description.
-    """
-    learnt: dict[str, Value] = {"amplitude_mv": 0.0}
-    return learnt | recorded_parameters(path) | described_parameters(path) | asked
-
-
-def _parameters(info: Info) -> dict[str, Value]:
+def parameters_of(info: Info) -> dict[str, Value]:
+    """The frame layout that a digitizer describes, as parameters."""
     spec = info.frame.spec()
     return {
         "nodes": spec.nodes,
@@ -90,6 +80,17 @@ def _parameters(info: Info) -> dict[str, Value]:
         "resync_chips": spec.resync_chips,
         "guard_chips": spec.guard_chips,
     }
+
+
+def offline_values(path: Path, asked: dict[str, Value]) -> dict[str, Value]:
+    """The parameters to decode a raw capture with; what they leave open takes its default.
+
+    Of what is asked, what the digitizer described, and what the recording says was asked of it,
+    the first that says something counts. The amplitude is learnt unless it is given.
+    Raises CaptureError where the capture holds no description.
+    """
+    learnt: dict[str, Value] = {"amplitude_mv": 0.0}
+    return learnt | recorded_parameters(path) | described_parameters(path) | asked
 
 
 def decode_raw(path: Path, pipeline: Pipeline) -> Iterator[tuple[float, Words]]:

@@ -170,7 +170,7 @@ class RecordingParser:
 
     description: None while it was not met. end: None until the end was met.
     damaged: places in the file where something else than records is.
-    lost_bytes: of the stream, missing before the last record that was met.
+    lost_bytes: of the stream, missing before the last record that was met. chunks, bytes: found.
     """
 
     def __init__(self, resumed: bool = False) -> None:
@@ -272,6 +272,19 @@ class RecordingParser:
             self.description = _description(json.dumps(said["description"]).encode())
         index = tuple((int(time), int(place)) for time, place in said["index"])
         return End(time_ns, position, said["sha256"], index)
+
+
+def losses(parser: RecordingParser) -> tuple[str, ...]:
+    """What a recording that was parsed to its end lacks, one sentence each."""
+    notes = []
+    if parser.end is None:
+        notes.append("the recording is cut short: what was read before that is there")
+    if parser.damaged or parser.lost_bytes:
+        notes.append(
+            f"the file is damaged in {parser.damaged} places; {parser.lost_bytes} bytes of the "
+            "port are known to be lost"
+        )
+    return tuple(notes)
 
 
 def _description_content(description: Description) -> dict[str, Any]:

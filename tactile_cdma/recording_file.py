@@ -24,6 +24,7 @@ from .recording import (
     End,
     RecordingEncoder,
     RecordingParser,
+    losses,
 )
 
 _READ_BYTES = 1 << 16
@@ -86,32 +87,15 @@ class Survey:
     """What a whole recording is like.
 
     length_s: from its beginning to its end, or to its last chunk where the end is missing.
-    bytes: of the port. damaged, lost_bytes: see RecordingParser. ended: it was closed in order.
-    intact: nothing differs from what was written.
+    bytes: of the port. lost_bytes: see RecordingParser. notes: what is wrong with it, one sentence
+    each.
     """
 
     length_s: float
     chunks: int
     bytes: int
-    damaged: int
     lost_bytes: int
-    ended: bool
-    intact: bool
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What is wrong with it, one sentence each."""
-        notes = []
-        if not self.ended:
-            notes.append("the recording is cut short: what was read before that is there")
-        if self.damaged or self.lost_bytes:
-            notes.append(
-                f"the file is damaged in {self.damaged} places; {self.lost_bytes} bytes of the "
-                "port are lost there"
-            )
-        elif self.ended and not self.intact:
-            notes.append("the file's checksum is wrong")
-        return tuple(notes)
+    notes: tuple[str, ...]
 
 
 def is_recording(path: Path) -> bool:
@@ -176,21 +160,15 @@ def survey(path: Path) -> Survey:
     parser, last_ns = RecordingParser(), 0
     for chunk in read_chunks(path, parser):
         last_ns = chunk.time_ns
-    end = parser.end
-    intact = (
-        end is not None
-        and not parser.damaged
-        and not parser.lost_bytes
-        and _sha256(path, end.position) == end.sha256
-    )
+    end, notes = parser.end, losses(parser)
+    if end is not None and not notes and _sha256(path, end.position) != end.sha256:
+        notes = ("the file's checksum is wrong",)
     return Survey(
         length_s=(end.time_ns if end else last_ns) * 1e-9,
         chunks=parser.chunks,
         bytes=parser.bytes,
-        damaged=parser.damaged,
         lost_bytes=parser.lost_bytes,
-        ended=end is not None,
-        intact=intact,
+        notes=notes,
     )
 
 

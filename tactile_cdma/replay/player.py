@@ -6,11 +6,10 @@ import math
 import time
 from collections.abc import Callable, Iterator
 
-from ..capture import capture_notes
 from ..errors import CaptureError, SpecError
 from ..messages import Info
 from ..protocol import PacketParser, PacketWriter
-from ..recording import Chunk, RecordingParser
+from ..recording import Chunk, RecordingParser, losses
 from ..recording_file import describe, is_recording, read_chunks, read_end
 from .options import ReplayOptions
 
@@ -25,6 +24,7 @@ class Player:
         """Raises CaptureError where there is no recording, SpecError for a span without bytes."""
         self._options, self._clock = options, clock
         self.ended = False
+        self._notes: tuple[str, ...] = ()
         self._due = bytearray()
         self._origin_s = math.nan  # host's time of the chunk that begins a round
         path = options.path
@@ -52,8 +52,7 @@ class Player:
     @property
     def farewell(self) -> str:
         """What to say at the end: that it is one, and what the recording lacks."""
-        notes = "; ".join(capture_notes(self._options.path))
-        return "the recording has ended" + (f" ({notes})" if notes else "")
+        return "the recording has ended" + (f" ({'; '.join(self._notes)})" if self._notes else "")
 
     def advance(self, wanted: int) -> float:
         """Take over what is due, until so many bytes are pending.
@@ -108,6 +107,7 @@ class Player:
                     told = True
                     yield Chunk(chunk.time_ns, self._described())
                 yield chunk
+        self._notes = losses(parser)
 
     def _described(self) -> bytes:
         """The digitizer's description of itself, which comes once at a stream's beginning."""
