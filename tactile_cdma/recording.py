@@ -169,7 +169,8 @@ class RecordingParser:
     piece of the file are held at most.
 
     description: None while it was not met. end: None until the end was met.
-    damaged: places in the file where something else than records is.
+    damaged: places in the file where something else than records is, but for one at its end where
+    the end is missing.
     lost_bytes: of the stream, missing before the last record that was met. chunks, bytes: found.
     """
 
@@ -196,7 +197,10 @@ class RecordingParser:
 
     def finish(self) -> list[Chunk]:
         """At the end of the file: chunks after a record that lacks its rest."""
-        return self._take(at_end=True)
+        chunks = self._take(at_end=True)
+        if self._in_damage and self.end is None:
+            self.damaged -= 1  # this is where the file was cut
+        return chunks
 
     def _take(self, at_end: bool) -> list[Chunk]:
         found: list[Chunk] = []
@@ -278,7 +282,7 @@ def losses(parser: RecordingParser) -> tuple[str, ...]:
     """What a recording that was parsed to its end lacks, one sentence each."""
     notes = []
     if parser.end is None:
-        notes.append("the recording is cut short: what was read before that is there")
+        notes.append("the recording is cut short, or damaged at its end: what came before is there")
     if parser.damaged or parser.lost_bytes:
         notes.append(
             f"the file is damaged in {parser.damaged} places; {parser.lost_bytes} bytes of the "

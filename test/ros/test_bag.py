@@ -25,7 +25,7 @@ from tactile_cdma.pipeline import Pipeline
 from tactile_cdma.skin_config import SkinConfig
 from tactile_cdma.srv import Tare
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.xdist_group("bag")]
 ROOT = Path(__file__).resolve().parents[2]
 PORT = "sim://?scene=moving&seed=6&dead=3"
 

@@ -19,6 +19,7 @@ from tactile_cdma.recording_file import Recorder, describe
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.skin_config import SkinConfig
 
+pytestmark = pytest.mark.xdist_group("export")  # its recording is made once
 TAXELS = 16
 
 

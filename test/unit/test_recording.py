@@ -74,6 +74,7 @@ def is_part(some: list[Chunk], whole: list[Chunk]) -> bool:
     return all(chunk in left for chunk in some)
 
 
+@settings(max_examples=60, deadline=None)
 @given(PAYLOADS, st.lists(st.integers(1, 50), min_size=1, max_size=5))
 def test_what_was_written_is_read_in_any_pieces(payloads: list[bytes], sizes: list[int]) -> None:
     raw = encoded(payloads)
@@ -85,6 +86,7 @@ def test_what_was_written_is_read_in_any_pieces(payloads: list[bytes], sizes: li
     assert state(parser) == state(parsed(raw)[0])
 
 
+@settings(max_examples=60, deadline=None)
 @given(PAYLOADS, st.data())
 def test_a_cut_file_gives_what_is_before_the_cut(
     payloads: list[bytes], data: st.DataObject
@@ -94,7 +96,7 @@ def test_a_cut_file_gives_what_is_before_the_cut(
     cut = data.draw(st.integers(0, len(raw) - 1))
     parser, chunks = parsed(raw[:cut])
     assert chunks == whole[: len(chunks)]
-    assert parser.end is None and parser.lost_bytes == 0
+    assert parser.end is None and parser.lost_bytes == parser.damaged == 0
     written = [place + len(payload) <= cut for place, payload in _places(payloads)]
     assert len(chunks) == sum(written)
 
@@ -108,6 +110,7 @@ def _places(payloads: list[bytes]) -> list[tuple[int, bytes]]:
     return places
 
 
+@settings(max_examples=60, deadline=None)
 @given(PAYLOADS, st.data())
 def test_a_flipped_byte_costs_one_record_and_is_counted(
     payloads: list[bytes], data: st.DataObject
@@ -119,13 +122,14 @@ def test_a_flipped_byte_costs_one_record_and_is_counted(
     parser, chunks = parsed(bytes(raw), sizes)
     assert is_part(chunks, whole)
     assert len(chunks) >= len(whole) - 1
-    assert parser.damaged == 1
+    assert parser.damaged == (1 if parser.end else 0)  # a lost end looks like a cut
     assert parser.description == ABOUT  # it is there twice
     if parser.end:
         assert parser.lost_bytes == sum(map(len, payloads)) - parser.bytes
     assert state(parser) == state(parsed(bytes(raw))[0])
 
 
+@settings(max_examples=60, deadline=None)
 @given(PAYLOADS, st.data())
 def test_missing_and_foreign_bytes_never_make_data(
     payloads: list[bytes], data: st.DataObject
@@ -143,7 +147,7 @@ def test_missing_and_foreign_bytes_never_make_data(
             assert parser.damaged or parser.lost_bytes or (begin == end and not insert)
 
 
-@settings(max_examples=50)
+@settings(max_examples=60, deadline=None)
 @given(st.binary(max_size=300))
 def test_any_bytes_are_parsed_without_a_crash(raw: bytes) -> None:
     assert parsed(raw)[1] == []

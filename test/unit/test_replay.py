@@ -21,6 +21,7 @@ from tactile_cdma.replay.player import Player
 from tactile_cdma.skin_config import SkinConfig
 from tactile_cdma.source import Port
 
+pytestmark = pytest.mark.xdist_group("replay")  # its recording is made once
 CONFIG = SkinConfig.of({})
 URL = "sim://?scene=moving&seed=4&speed=2"
 SECONDS = 1.2
