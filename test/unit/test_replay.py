@@ -15,7 +15,7 @@ from tactile_cdma.driver import WAITING, Driver, Session
 from tactile_cdma.errors import PortError, RecordingEndError
 from tactile_cdma.offline import raw_frames
 from tactile_cdma.pipeline import Pipeline, TactileFrame
-from tactile_cdma.recording_file import Recorder, survey
+from tactile_cdma.recording_file import Recorder, describe, survey
 from tactile_cdma.replay.options import ReplayOptions
 from tactile_cdma.replay.player import Player
 from tactile_cdma.skin_config import SkinConfig
@@ -136,7 +136,11 @@ def test_a_loop_goes_on_with_rising_sequence_numbers(
 def test_a_part_is_replayed_with_what_describes_it(live: tuple[Path, list[TactileFrame]]) -> None:
     path, frames = live
     part, _, _ = replayed(url_of(path, "speed=0&start=0.4&end=0.8"))
-    assert len(frames) / 4 < len(part) < len(frames) / 2
+    began_s, pieces = describe(path).monotonic_ns * 1e-9, list(read_bytes(path))
+    inside = sum(len(data) for data, t_host in pieces if 0.4 <= t_host - began_s <= 0.8)
+    share = inside / sum(len(data) for data, _ in pieces)
+    assert 0 < share < 1
+    assert len(part) == pytest.approx(share * len(frames), abs=4)
     assert_same_words(part, frames)
 
 
