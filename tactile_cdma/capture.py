@@ -1,7 +1,8 @@
-"""Files to decode offline: oscilloscope captures as CSV, raw captures of the serial bytes."""
+"""Files to decode offline: oscilloscope captures as CSV, recordings or raw bytes of a port."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,6 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import CaptureError
+from .parameters import Value
+from .recording import RecordingParser
+from .recording_file import describe, is_recording, read_chunks, survey
+
+_READ_BYTES = 1 << 16
 
 _HEADER_LINES = 64
 _LEAST_SAMPLES = 16
@@ -48,6 +54,35 @@ def is_text(path: Path) -> bool:
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise CaptureError(f"{path}: UTF-16 text; save it as plain CSV")
     return b"\0" not in head
+
+
+def read_bytes(path: Path) -> Iterator[tuple[bytes, float]]:
+    """Bytes of a port, and when they were read, s on the host's monotonic clock of that time.
+
+    From a recording, or from a file of the bytes alone, which have no time: 0 then.
+    Raises CaptureError where it cannot be read.
+    """
+    try:
+        if is_recording(path):
+            description, parser = describe(path), RecordingParser()
+            for chunk in read_chunks(path, parser):
+                yield chunk.data, description.t_host(chunk.time_ns)
+            return
+        with path.open("rb") as file:
+            while data := file.read(_READ_BYTES):
+                yield data, 0.0
+    except OSError as error:
+        raise CaptureError(f"{path}: {error.strerror}") from None
+
+
+def recorded_parameters(path: Path) -> dict[str, Value]:
+    """Parameters that a recording was made with; none for a file of the bytes alone."""
+    return dict(describe(path).parameters) if is_recording(path) else {}
+
+
+def capture_notes(path: Path) -> tuple[str, ...]:
+    """What is wrong with a file that read_bytes reads, one sentence each."""
+    return survey(path).notes if is_recording(path) else ()
 
 
 def read_scope_csv(path: Path) -> ScopeCapture:

@@ -5,37 +5,30 @@ from __future__ import annotations
 import argparse
 import json
 import shlex
-import signal
 import sys
-import threading
-import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from . import __version__, layout_command, ports_command
+from . import __version__, export_command, layout_command, ports_command, recording_command
 from .amplifier import design
 from .amplifier_report import describe, report
 from .arguments import add_skin_options, given, positive
 from .calibrating import command as calibrate
-from .capture import is_text, read_scope_csv
+from .capture import capture_notes, is_text, read_scope_csv
 from .doctor import command as doctor
-from .driver import Session
-from .errors import CaptureError, PortError, SpecError, TactileError
-from .messages import Info
+from .errors import CaptureError, SpecError, TactileError
+from .interrupt import stop_event
 from .node_memory import MCUS, check_timing, describe_memory, node_memory, usual_heartbeat
-from .offline import decode_raw, decode_scope, describe_frame, described_parameters
-from .parameters import BY_NAME, GAP, SIMULATION, Value
+from .offline import decode_raw, decode_scope, describe_frame, offline_values
+from .parameters import BY_NAME, GAP, SIMULATION
 from .pipeline import Pipeline
 from .programmer import avrdude, burn, node_files, read_memory, write_memory
-from .protocol import PacketParser, diagnose
 from .sim import sensor_report
 from .sim.digitizer import VirtualDigitizer
 from .sim.options import SimOptions
 from .sim.pty import serve
 from .skin_config import SkinConfig
-from .source import Port
 
 ALL = "all"
 """Instead of a node's number."""
@@ -60,20 +53,18 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=__version__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    decode = commands.add_parser("decode", help="decode a raw or an oscilloscope capture")
-    decode.add_argument("file", type=Path, help="raw capture, or CSV of time in s and voltage in V")
+    decode = commands.add_parser("decode", help="decode a recording or an oscilloscope capture")
+    decode.add_argument(
+        "file",
+        type=Path,
+        help="recording, raw bytes of a port, or CSV of time in s and voltage in V",
+    )
     decode.add_argument("--json", action="store_true", help="one JSON object per frame")
     add_skin_options(decode)
     decode.set_defaults(run=_decode)
 
-    record = commands.add_parser("record", help="write the bytes of a port to a file")
-    record.add_argument("port", help="pyserial URL: /dev/ttyACM0, sim://?scene=press, …")
-    record.add_argument("file", type=Path)
-    record.add_argument("--seconds", type=positive, help="end after so long; else on Ctrl-C")
-    record.add_argument("--baud", type=int, default=BY_NAME["baud"].default)
-    record.add_argument("--force", action="store_true", help="overwrite the file")
-    add_skin_options(record)
-    record.set_defaults(run=_record)
+    recording_command.add_to(commands)
+    export_command.add_to(commands)
 
     simulate = commands.add_parser("simulate", help="a virtual digitizer behind a real tty")
     simulate.add_argument("--pty", action="store_true", required=True, help="serve on a pty")
@@ -153,26 +144,26 @@ def _node_number(text: str) -> int | str:
 
 def _decode(arguments: argparse.Namespace) -> int:
     path: Path = arguments.file
-    values: dict[str, Value] = {"amplitude_mv": 0.0}
     if is_text(path):
-        asked = given(arguments)
+        asked = {"amplitude_mv": 0.0, **given(arguments)}
         if asked.get("timing", GAP) != GAP:
             raise SpecError(
                 "an oscilloscope capture holds nothing but the waveform: use --timing gap"
             )
         # Only a digitizer integrates chips; the capture's own rate is what counts here.
-        values |= {**asked, "timing": GAP, "samples_per_chip": BY_NAME["samples_per_chip"].default}
-        config = SkinConfig.of(values)
+        asked |= {"timing": GAP, "samples_per_chip": BY_NAME["samples_per_chip"].default}
+        config = SkinConfig.of(asked)
         capture = read_scope_csv(path)
         for note in capture.notes:
             print(f"tactile-cdma: {path}: {note}", file=sys.stderr)
         frames = decode_scope(capture, config)
         pipeline = None
     else:
-        values |= described_parameters(path) | given(arguments)
-        config = SkinConfig.of(values)
+        config = SkinConfig.of(offline_values(path, given(arguments)))
         pipeline = Pipeline(config, background=False)
         frames = decode_raw(path, pipeline)
+        for note in capture_notes(path):
+            print(f"tactile-cdma: {path}: {note}", file=sys.stderr)
     count = 0
     for t_start, words in frames:
         count += 1
@@ -211,51 +202,9 @@ def _conclude(path: Path, frames: int, pipeline: Pipeline | None) -> int:
     return 0
 
 
-def _record(arguments: argparse.Namespace) -> int:
-    asked, path = given(arguments), arguments.file
-    if path.exists() and not arguments.force:
-        raise CaptureError(f"{path}: exists already; --force overwrites it")
-    parser, start = PacketParser(), time.monotonic()
-    described = False
-    with Port(arguments.port, arguments.baud) as port, _stop_event(arguments.seconds) as stop:
-        try:
-            file = path.open("wb")
-        except OSError as error:
-            raise CaptureError(f"{path}: {error.strerror}") from None
-        config = SkinConfig.of(asked) if asked else None
-        session = Session(config)
-        with file:
-            try:
-                port.write(session.open())
-                while not stop.is_set():
-                    data, _ = port.read()
-                    file.write(data)
-                    for packet in parser.feed(data):
-                        if isinstance(packet, Info):
-                            described = True
-                            port.write(session.introduced(packet))
-                            if config and (wrong := config.refusal(packet.digitizer_id)):
-                                raise PortError(f"{arguments.port}: {wrong}")
-                port.write(session.close())
-            except PortError as error:
-                print(f"tactile-cdma: {error}; keeping what was recorded", file=sys.stderr)
-            except OSError as error:  # PortError is one, too
-                raise CaptureError(f"{path}: {error.strerror}") from None
-    counters = parser.counters
-    print(
-        f"seconds={time.monotonic() - start:.1f} bytes={counters.bytes} "
-        f"packets={counters.packets} lost_packets={counters.lost_packets} "
-        f"crc_errors={counters.crc_errors}"
-    )
-    if not described:
-        reason = diagnose(counters)
-        raise CaptureError(f"{path}: this capture cannot be decoded: {reason}")
-    return 0
-
-
 def _simulate(arguments: argparse.Namespace) -> int:
     options = SimOptions.from_url(arguments.url)
-    with _stop_event(arguments.seconds) as stop:
+    with stop_event(arguments.seconds) as stop:
         serve(
             lambda: VirtualDigitizer(options),
             arguments.link,
@@ -332,25 +281,6 @@ def _amplifier(arguments: argparse.Namespace) -> int:
     else:
         print(describe(config.spec, front))
     return 0
-
-
-@contextmanager
-def _stop_event(seconds: float | None) -> Iterator[threading.Event]:
-    """An event that Ctrl-C, SIGTERM or the end of a time span sets."""
-    stop = threading.Event()
-    timer = threading.Timer(seconds or 0.0, stop.set)
-    if seconds is not None:
-        timer.start()
-    before = {
-        number: signal.signal(number, lambda *_: stop.set())
-        for number in (signal.SIGINT, signal.SIGTERM)
-    }
-    try:
-        yield stop
-    finally:
-        timer.cancel()
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 if __name__ == "__main__":

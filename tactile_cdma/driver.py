@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from types import TracebackType
 
 from ._protocol import SyncMode
-from .errors import PortError
+from .errors import PortError, RecordingEndError
 from .messages import (
     Configure,
     FrameLayout,
@@ -114,6 +114,9 @@ class Driver:
                     attempt = 0
                     self.connections += 1
                     self._stream(port)
+            except RecordingEndError as end:
+                self._report(str(end))
+                return
             except PortError as error:
                 self._report(str(error))
             except Exception:  # a defect of ours must neither go unseen nor end the skin for good

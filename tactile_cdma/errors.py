@@ -5,6 +5,7 @@ TactileError
 │   └── LayoutError   a layout file that is not one, or that cannot be this skin's
 ├── ParameterError    an unknown parameter name, a wrong type or a value out of range
 ├── PortError         the port cannot be opened, was lost, or carries something else
+│   └── RecordingEndError  all of a recording was replayed; there is nothing to retry
 ├── ProtocolError     the digitizer speaks another protocol version or refuses a command
 ├── CaptureError      a capture file that is empty, truncated or not what it should be
 ├── CalibrationError  a calibration file, or loads to calibrate from, that cannot be used
@@ -31,6 +32,10 @@ class ParameterError(TactileError, ValueError):
 
 class PortError(TactileError, OSError):
     """The port cannot be opened, was lost, or carries something other than packets."""
+
+
+class RecordingEndError(PortError):
+    """All of a recording was replayed: this port has nothing more to say."""
 
 
 class ProtocolError(TactileError):

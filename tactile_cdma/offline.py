@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ._protocol import SyncMode
-from .capture import ScopeCapture
+from .capture import ScopeCapture, read_bytes, recorded_parameters
 from .decode import Words, decode
 from .encode import word_bits
 from .errors import CaptureError
@@ -22,7 +22,6 @@ from .protocol import PacketParser, diagnose
 from .skin_config import SkinConfig
 from .timing import SampleBlock
 
-_CHUNK_BYTES = 1 << 16
 _MIN_SAMPLES_PER_CHIP = 3
 
 
@@ -54,11 +53,10 @@ def described_parameters(path: Path) -> dict[str, Value]:
     Raises CaptureError where the capture holds no such description.
     """
     parser = PacketParser()
-    with path.open("rb") as file:
-        while data := file.read(_CHUNK_BYTES):
-            for packet in parser.feed(data):
-                if isinstance(packet, Info):
-                    return parameters_of(packet)
+    for data, _ in read_bytes(path):
+        for packet in parser.feed(data):
+            if isinstance(packet, Info):
+                return parameters_of(packet)
     reason = diagnose(parser.counters)
     raise CaptureError(f"{path}: {reason}")
 
@@ -84,6 +82,17 @@ def parameters_of(info: Info) -> dict[str, Value]:
     }
 
 
+def offline_values(path: Path, asked: dict[str, Value]) -> dict[str, Value]:
+    """The parameters to decode a raw capture with; what they leave open takes its default.
+
+    Of what is asked, what the digitizer described, and what the recording says was asked of it,
+    the first that says something counts. The amplitude is learnt unless it is given.
+    Raises CaptureError where the capture holds no description.
+    """
+    learnt: dict[str, Value] = {"amplitude_mv": 0.0}
+    return learnt | recorded_parameters(path) | described_parameters(path) | asked
+
+
 def decode_raw(path: Path, pipeline: Pipeline) -> Iterator[tuple[float, Words]]:
     """Frames of a raw capture: start of the first chip in device time (s), words."""
     for frame in raw_frames(path, pipeline):
@@ -92,9 +101,8 @@ def decode_raw(path: Path, pipeline: Pipeline) -> Iterator[tuple[float, Words]]:
 
 def raw_frames(path: Path, pipeline: Pipeline) -> Iterator[TactileFrame]:
     """Frames of a raw capture, with readings."""
-    with path.open("rb") as file:
-        while data := file.read(_CHUNK_BYTES):
-            yield from pipeline.feed(data, 0.0)
+    for data, t_host in read_bytes(path):
+        yield from pipeline.feed(data, t_host)
     yield from pipeline.flush()
 
 

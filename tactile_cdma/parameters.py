@@ -25,6 +25,8 @@ Values = Mapping[str, Any]
 NATURAL_SIGNS = -1
 SIMULATION = "sim://"
 """Beginning of the ports that are simulated skins."""
+REPLAY = "replay://"
+"""Beginning of the ports that are recordings."""
 LINE, GAP = "line", "gap"
 STANDARD_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides")
 """Beginnings of the names of parameters that every ROS 2 node has."""

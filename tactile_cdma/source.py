@@ -1,4 +1,4 @@
-"""The serial port: the only user of pyserial, but for the handler that makes sim:// one."""
+"""The serial port: the only user of pyserial, but for the handlers of sim:// and replay://."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from types import TracebackType
 import serial
 from serial.tools import list_ports
 
-from .errors import PortError, SpecError
+from .errors import CaptureError, PortError, RecordingEndError, SpecError
 
 try:
     import termios
@@ -27,14 +27,16 @@ except ImportError:  # not a POSIX system
 READ_TIMEOUT_S = 0.1
 READ_SIZE = 65_536
 """Bytes that one read takes at most; a tty hands out 4 kB at once."""
-SIM_HANDLERS = "tactile_cdma.sim"
+HANDLERS = ("tactile_cdma.sim", "tactile_cdma.replay")
+"""What makes sim:// and replay:// ports like any other."""
 USB = "usb://"
 """Beginning of the ports that are named by the serial number of their USB device."""
 LINK_FOLDERS = ("/dev/tactile", "/dev/serial/by-id", "/dev/serial/by-path")
 """Where udev keeps names of ports that outlive replugging; the first is of our own rules."""
 
-if SIM_HANDLERS not in serial.protocol_handler_packages:
-    serial.protocol_handler_packages.append(SIM_HANDLERS)  # makes sim:// a port like any other
+serial.protocol_handler_packages += [
+    package for package in HANDLERS if package not in serial.protocol_handler_packages
+]
 
 
 class Port:
@@ -58,7 +60,7 @@ class Port:
             _hurry(self._serial)
             self._serial.reset_input_buffer()  # of what came for whoever had it open before
             self._poll = _poll(self._serial, pyserial_url)
-        except SpecError as error:  # an option of a sim:// URL
+        except (SpecError, CaptureError) as error:  # an option of a URL, the file of replay://
             raise PortError(f"{url}: {error}") from None
         except (OSError, ValueError, KeyError, TerminalError) as error:
             raise PortError(f"{url}: {_open_failure(error, pyserial_url)}") from None
@@ -71,6 +73,8 @@ class Port:
         """
         try:
             data = self._wait() if self._poll is None else self._wait_in_kernel(self._poll)
+        except RecordingEndError:
+            raise
         except (
             OSError,
             TypeError,
@@ -244,7 +248,7 @@ def _open_failure(error: Exception, device: str) -> str:
         return "not a serial port"
     if isinstance(error, ValueError) and "protocol" in str(error):
         return (
-            "unknown kind of port; use a device path, usb://SERIAL, sim://, socket://host:port "
-            "or rfc2217://…"
+            "unknown kind of port; use a device path, usb://SERIAL, sim://, replay://FILE, "
+            "socket://host:port or rfc2217://…"
         )
     return str(error)

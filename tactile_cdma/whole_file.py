@@ -1,18 +1,28 @@
-"""Text files that are replaced as a whole: readers find the old content or the new one."""
+"""Files that are replaced as a whole: readers find the old content or the new one."""
 
 from __future__ import annotations
 
 import errno
 import os
 import tempfile
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 
 def replace_file(path: Path, text: str) -> None:
-    """Write a file in UTF-8 that all may read, in a folder that is there.
+    """Write a text file in UTF-8; see replacing."""
+    with replacing(path) as file:
+        file.write(text.encode())
 
-    Raises OSError; whatever was at the path, or at where a link there points, is then untouched.
+
+@contextmanager
+def replacing(path: Path) -> Iterator[BinaryIO]:
+    """A file to write, that all may read, in a folder that is there; in place once it is whole.
+
+    Raises OSError. If anything is raised within, too, whatever was at the path, or at where a link
+    there points, stays untouched.
     """
     path = Path(os.path.realpath(path))
     if path.exists() and not path.is_file():  # root could put a file where /dev/null was
@@ -20,8 +30,8 @@ def replace_file(path: Path, text: str) -> None:
     # mkstemp's file is for its owner only; this one is for whoever may read the folder.
     handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
+        with os.fdopen(handle, "w+b") as file:
+            yield file
             os.fchmod(file.fileno(), 0o644)
             file.flush()
             os.fsync(file.fileno())  # else a power cut may leave the new name on nothing

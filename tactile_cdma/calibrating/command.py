@@ -21,6 +21,7 @@ from ..calibration_file import (
     write_calibration,
     write_content,
 )
+from ..capture import capture_notes
 from ..errors import CalibrationError, CaptureError
 from ..offline import described_parameters, raw_frames
 from ..parameters import BY_NAME, Value
@@ -270,6 +271,8 @@ def _beside_capture(
 ) -> tuple[Recording, float]:
     """What the nodes measured, and its time minus the reference's, s."""
     recording = read_recording(arguments.capture, config)
+    for note in capture_notes(arguments.capture):
+        print(f"tactile-cdma: {arguments.capture}: {note}", file=sys.stderr)
     if arguments.offset is not None:
         return recording, float(arguments.offset)
     found = find_offset(reference, recording, config.curve)

@@ -25,7 +25,7 @@ from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
 from ..driver import WAITING, Driver, Session
 from ..errors import ParameterError, TactileError
-from ..parameters import SIMULATION, Values
+from ..parameters import Values
 from ..pipeline import TactileFrame
 from ..rest_file import rest_path
 from ..skin_config import SkinConfig
@@ -148,8 +148,7 @@ class SkinNode(ManagedNode):
             return TransitionCallbackReturn.FAILURE
         self._last_failure = ""
         self._config, self._declared.fixed = config, True
-        simulated = str(self._live["port"]).startswith(SIMULATION)
-        self._rest.configure(config, path, simulated)
+        self._rest.configure(config, path, str(self._live["port"]))
         self._mount.configure(transform)
         return super().on_configure(state)
 

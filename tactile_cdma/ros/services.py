@@ -17,6 +17,7 @@ from tactile_cdma.srv import Tare
 from ..calibration_file import CalibrationContent, read_calibration, write_calibration
 from ..driver import Driver
 from ..errors import CalibrationError, RestError, TactileError
+from ..parameters import REPLAY, SIMULATION
 from ..rest_file import RestState, calibration_path, read_rest, set_aside, write_rest
 from ..skin_config import SkinConfig
 from . import convert
@@ -44,7 +45,7 @@ class RestKeeper:
         self._config: SkinConfig | None = None
         self._path = Path()
         self._state: RestState | None = None  # as it was read or written last
-        self._simulated = False
+        self._simulated = self._replayed = False
         self._others_file = False  # what is on disk is not ours to overwrite
         self._writable = True
         self._tared = ""
@@ -55,10 +56,14 @@ class RestKeeper:
 
     # Lifecycle
 
-    def configure(self, config: SkinConfig, path: Path, simulated: bool) -> None:
-        """Read the file of this skin, if there is one; path: see rest_path."""
+    def configure(self, config: SkinConfig, path: Path, port: str) -> None:
+        """Read the file of this skin, if there is one; path: see rest_path.
+
+        Of a recording nothing is read or kept: every replay of it is the same, and says nothing of
+        how the skin is now.
+        """
         self._path, self._config, self._writable = path, config, True
-        self._simulated = simulated
+        self._simulated, self._replayed = port.startswith(SIMULATION), port.startswith(REPLAY)
         self._read()
 
     def activate(self, driver: Driver) -> None:
@@ -77,7 +82,10 @@ class RestKeeper:
         """Save what has changed; the driver has stopped."""
         if self._driver is not None:
             self._save_changes()
-            self._state = self._present_state()  # even where it could not be written
+            if self._replayed:
+                self._tared = ""
+            else:
+                self._state = self._present_state()  # even where it could not be written
             self._driver = None
 
     def release(self) -> None:
@@ -183,6 +191,9 @@ class RestKeeper:
         """What the file says, if it is of this skin as it is configured."""
         assert self._config is not None
         config, state, self._others_file = self._config, None, False
+        if self._replayed:
+            self._state, self._tared = None, ""
+            return
         try:
             state = read_rest(self._path)
         except RestError as error:
@@ -197,6 +208,8 @@ class RestKeeper:
 
     def _save_changes(self) -> None:
         """Save if that makes a difference."""
+        if self._replayed:
+            return
         self._saved_s = time.monotonic()
         assert self._driver is not None
         baseline, kept = self._driver.pipeline.taxels.baseline, self._state
@@ -217,6 +230,8 @@ class RestKeeper:
 
     def _write(self) -> None:
         """Write what is in force; raises RestError."""
+        if self._replayed:
+            raise RestError("tare and drift of a recording that is replayed are not kept")
         state = self._present_state()
         if self._others_file:
             self._set_aside(self._path)

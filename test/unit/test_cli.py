@@ -25,7 +25,7 @@ def frames_of(text: str) -> list[dict]:
 @pytest.fixture
 def capture(tmp_path: Path) -> Path:
     """A raw capture of about a second of the simulated skin with every node speaking."""
-    path = tmp_path / "skin.raw"
+    path = tmp_path / "skin.skin"
     url = "sim://?scene=all&seed=3&threshold=0&speed=2"
     assert main(["record", url, str(path), "--seconds", "1"]) == 0
     return path
@@ -56,7 +56,9 @@ def test_a_truncated_recording_gives_its_whole_frames(
     whole = capsys.readouterr().out.splitlines()
     capture.write_bytes(capture.read_bytes()[: capture.stat().st_size // 2])
     assert main(["decode", str(capture), "--json"]) == 0
-    half = capsys.readouterr().out.splitlines()
+    out, err = capsys.readouterr()
+    assert "cut short" in err
+    half = out.splitlines()
     assert 0 < len(half) < len(whole)
     assert half == whole[: len(half)]
 
@@ -182,7 +184,7 @@ def test_recording_from_a_missing_port_leaves_no_file(
 
 
 def test_simulate_serves_a_tty_until_interrupted(tmp_path: Path) -> None:
-    link, raw = tmp_path / "skin", tmp_path / "skin.raw"
+    link, raw = tmp_path / "skin", tmp_path / "skin.skin"
     process = subprocess.Popen(
         [*COMMAND, "simulate", "--pty", "--link", str(link), "sim://?scene=all&seed=1"],
         stdout=subprocess.PIPE,
@@ -212,7 +214,9 @@ def test_simulate_ends_by_itself_and_refuses_bad_options(
     assert "moving" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("command", ["decode", "record", "simulate", "node", "amplifier"])
+@pytest.mark.parametrize(
+    "command", ["decode", "record", "info", "export", "simulate", "node", "amplifier"]
+)
 def test_every_command_explains_itself(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
         main([command, "--help"])

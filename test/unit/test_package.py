@@ -39,6 +39,7 @@ OUTER = {
     "calibrating.__init__",
     "calibrating.command",
     "calibrating.load_session",
+    "recording_command",
 }  # these may do I/O
 OTHER_ROS_PACKAGES = {"ament_index_python", "launch", "launch_ros", "rclpy"}
 COME_WITH_OTHER_WHEELS = {

@@ -1,0 +1,119 @@
+"""When which bytes of a recording are due. Knows no ports."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+
+from ..errors import CaptureError, SpecError
+from ..messages import Info
+from ..protocol import PacketParser, PacketWriter
+from ..recording import Chunk, RecordingParser, losses
+from ..recording_file import describe, is_recording, read_chunks, read_end
+from .options import ReplayOptions
+
+
+class Player:
+    """Hands out the bytes of a recording at their times, from the first call of advance on.
+
+    ended: all were taken over, and there will be no more. pending: bytes that are due.
+    """
+
+    def __init__(self, options: ReplayOptions, clock: Callable[[], float] = time.monotonic) -> None:
+        """Raises CaptureError where there is no recording, SpecError for a span without bytes."""
+        self._options, self._clock = options, clock
+        self.ended = False
+        self._notes: tuple[str, ...] = ()
+        self._due = bytearray()
+        self._origin_s = math.nan  # host's time of the chunk that begins a round
+        path = options.path
+        try:
+            if not is_recording(path):
+                raise CaptureError(
+                    f"{path} is no recording; tactile-cdma record makes one (bytes alone have no "
+                    "times: tactile-cdma decode reads these)"
+                )
+        except OSError as error:
+            raise CaptureError(f"{path}: {error.strerror}") from None
+        describe(path)
+        self._round = self._chunks()
+        first = next(self._round, None)
+        if first is None:
+            raise SpecError(f"{path} holds no bytes between start and end")
+        self._next: Chunk | None = first
+        self._first_ns = first.time_ns
+
+    @property
+    def pending(self) -> int:
+        """Bytes that can be taken."""
+        return len(self._due)
+
+    @property
+    def farewell(self) -> str:
+        """What to say at the end: that it is one, and what the recording lacks."""
+        return "the recording has ended" + (f" ({'; '.join(self._notes)})" if self._notes else "")
+
+    def advance(self, wanted: int) -> float:
+        """Take over what is due, until so many bytes are pending.
+
+        Returns the seconds until more is due: 0 if there may be more now, infinity at the end.
+        """
+        if math.isnan(self._origin_s):
+            self._origin_s = self._clock()
+        while len(self._due) < wanted and not self.ended:
+            if self._next is None:
+                self._begin_again()
+                continue
+            wait_s = self._due_s(self._next) - self._clock()
+            if wait_s > 0:
+                return wait_s
+            self._due += self._next.data
+            self._next = next(self._round, None)
+            self.ended = self._next is None and not self._options.loop
+        return math.inf if self.ended else 0.0
+
+    def take(self, size: int) -> bytes:
+        """At most so many of the pending bytes."""
+        data = bytes(self._due[:size])
+        del self._due[:size]
+        return data
+
+    def _due_s(self, chunk: Chunk) -> float:
+        if not self._options.speed:
+            return -math.inf
+        passed_s = (chunk.time_ns - self._first_ns) * 1e-9
+        return self._origin_s + passed_s / self._options.speed
+
+    def _begin_again(self) -> None:
+        self._origin_s = self._clock()
+        self._round = self._chunks()
+        self._next = next(self._round)
+
+    def _chunks(self) -> Iterator[Chunk]:
+        """Of the span that is asked for; what is in its way is described first."""
+        options = self._options
+        start_ns, end_ns = round(options.start_s * 1e9), round(options.end_s * 1e9)
+        position = None
+        if start_ns and (end := read_end(options.path)) is not None:
+            position = end.position_of(start_ns)
+        parser = RecordingParser(resumed=position is not None)
+        told = not start_ns
+        for chunk in read_chunks(options.path, parser, position or 0):
+            if chunk.time_ns > end_ns:
+                return
+            if chunk.time_ns >= start_ns:
+                if not told:
+                    told = True
+                    yield Chunk(chunk.time_ns, self._described())
+                yield chunk
+        self._notes = losses(parser)
+
+    def _described(self) -> bytes:
+        """The digitizer's description of itself, which comes once at a stream's beginning."""
+        parser = PacketParser()
+        for chunk in read_chunks(self._options.path, RecordingParser()):
+            for packet in parser.feed(chunk.data):
+                if isinstance(packet, Info):
+                    return PacketWriter().encode(packet)
+        return b""

@@ -1,0 +1,178 @@
+"""A bag of a skin's topics, for machines without `ros2 bag`: rosbag2, storage MCAP."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+from rosbags.interfaces import (
+    Connection,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
+
+from ..arguments import positive
+from ..errors import TactileError
+from ..interrupt import stop_event
+from ..message_types import message_types
+
+DATA = ("tactile", "info", "contacts", "wrench")
+"""Topics of a skin's node that are recorded unless others are asked for."""
+PICTURES = ("heatmap", "pressure_image", "points", "markers")
+SHARED = ("/diagnostics", "/tf_static")
+QUEUE = 1000
+LOOK_S = 0.1
+"""How often topics that nobody published so far are looked for."""
+
+
+class BagRecorder(Node):
+    """Writes every message of some topics, as it comes, into a bag.
+
+    A topic is subscribed to once somebody publishes it, as reliably as they offer. counts: messages
+    by topic.
+    """
+
+    def __init__(self, writer: Writer, topics: Iterable[str]) -> None:
+        super().__init__("skin_bag")
+        self.counts: Counter[str] = Counter()
+        self._writer, self._missing = writer, list(dict.fromkeys(topics))
+        self._types = message_types()
+        self.create_timer(LOOK_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._look()
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Topics that nobody published."""
+        return tuple(self._missing)
+
+    def _look(self) -> None:
+        for topic in tuple(self._missing):
+            if offers := self.get_publishers_info_by_topic(topic):
+                self._missing.remove(topic)
+                self._record(topic, offers)
+
+    def _record(self, topic: str, offers: Sequence[Any]) -> None:
+        kind, profiles = offers[0].topic_type, [offer.qos_profile for offer in offers]
+        if kind not in self._types.types:
+            self.get_logger().error(f"{topic} is left out: the definition of {kind} is not known")
+            return
+        connection = self._writer.add_connection(
+            topic,
+            kind,
+            typestore=self._types,
+            offered_qos_profiles=[_noted(profile) for profile in profiles],
+        )
+        package, _, name = kind.split("/")
+        message_type = getattr(import_module(f"{package}.msg"), name)
+        keep: Callable[[bytes], None] = partial(self._keep, connection)
+        self.create_subscription(message_type, topic, keep, _matching(profiles), raw=True)
+
+    def _keep(self, connection: Connection, message: bytes) -> None:
+        self._writer.write(connection, time.time_ns(), message)
+        self.counts[connection.topic] += 1
+
+
+def _matching(offered: Sequence[QoSProfile]) -> QoSProfile:
+    """The most that all publishers of a topic offer."""
+    reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered)
+    latched = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
+    return QoSProfile(
+        depth=QUEUE,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def _noted(profile: QoSProfile) -> Qos:
+    """A publisher's profile for the bag; both number the policies as rmw does."""
+    return Qos(
+        history=QosHistory(int(profile.history)),
+        depth=profile.depth,
+        reliability=QosReliability(int(profile.reliability)),
+        durability=QosDurability(int(profile.durability)),
+        deadline=_time(profile.deadline),
+        lifespan=_time(profile.lifespan),
+        liveliness=QosLiveliness(int(profile.liveliness)),
+        liveliness_lease_duration=_time(profile.liveliness_lease_duration),
+        avoid_ros_namespace_conventions=profile.avoid_ros_namespace_conventions,
+    )
+
+
+def _time(duration: Duration) -> QosTime:
+    return QosTime(*divmod(duration.nanoseconds, 1_000_000_000))
+
+
+def _topics(arguments: argparse.Namespace) -> list[str]:
+    if arguments.topics:
+        return ["/" + topic.lstrip("/") for topic in arguments.topics]
+    names = DATA + (PICTURES if arguments.all else ())
+    nodes = ["/" + node.strip("/") for node in arguments.node or ["skin"]]
+    return [f"{node}/{name}" for node in nodes for name in names] + list(SHARED)
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="skin_bag", description=__doc__)
+    parser.add_argument("folder", type=Path, help="the bag, a folder that is not there yet")
+    parser.add_argument(
+        "--node",
+        action="append",
+        metavar="NAME",
+        help="skin to record, /skin unless given; several: --node /left/skin --node /right/skin",
+    )
+    parser.add_argument("--all", action="store_true", help="pictures, points and markers, too")
+    parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="these, and no others")
+    parser.add_argument("--seconds", type=positive, help="end after so long; else on Ctrl-C")
+    return parser.parse_args(remove_ros_args(sys.argv)[1:])
+
+
+def main() -> int:
+    """Record until interrupted; exit code 1 if nothing came, or the bag cannot be written."""
+    arguments = _arguments()
+    rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        with (
+            Writer(arguments.folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer,
+            stop_event(arguments.seconds) as stop,
+        ):
+            recorder = BagRecorder(writer, _topics(arguments))
+            executor = SingleThreadedExecutor()
+            executor.add_node(recorder)
+            print(f"recording into {arguments.folder}, Ctrl-C ends", flush=True)
+            while not stop.is_set():
+                executor.spin_once(timeout_sec=LOOK_S)
+            executor.shutdown()
+            recorder.destroy_node()
+    except (WriterError, TactileError, OSError) as error:
+        print(f"skin_bag: {error}", file=sys.stderr)
+        return 1
+    finally:
+        rclpy.try_shutdown()
+    for topic, count in sorted(recorder.counts.items()):
+        print(f"{topic}: {count}")
+    if recorder.missing:
+        print(f"skin_bag: nobody published {', '.join(recorder.missing)}", file=sys.stderr)
+    return 0 if recorder.counts else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
