@@ -166,7 +166,7 @@ def pairs(output: IO[str]) -> list[tuple[int, int, int]]:
 
 
 def test_places_gives_force_and_centre_of_the_wrench() -> None:
-    with running(port="sim://?scene=hand&seed=1&threshold=0") as (_, client):
+    with running(port="sim://?scene=moving&seed=1&threshold=0") as (_, client):
         wrenches: list[WrenchStamped] = []
         client.create_subscription(WrenchStamped, "/skin/wrench", wrenches.append, 10)
         with example("places") as output:
