@@ -153,3 +153,18 @@ def test_status_bits_of_message_and_core_agree() -> None:
     assert {name: int(value) for name, value in constants} == {
         name: int(bit) for name, bit in Status.__members__.items()
     }
+
+
+def test_architecture_names_every_module_once_with_its_purpose() -> None:
+    command = [sys.executable, ROOT / "tools" / "module_table.py", "--check"]
+    answer = subprocess.run(command, capture_output=True, text=True)
+    assert answer.returncode == 0, answer.stderr
+
+
+@pytest.mark.parametrize("folder", [".", "tools/tf2_msgs"])
+def test_package_xml_is_valid(folder: str) -> None:
+    """By catkin_pkg, which colcon and rosdep read it with; a warning is an error here."""
+    package = pytest.importorskip("catkin_pkg.package", reason="catkin_pkg is not installed")
+    warnings: list[str] = []
+    package.parse_package(ROOT / folder, warnings=warnings).validate(warnings=warnings)
+    assert warnings == []
