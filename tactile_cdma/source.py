@@ -31,7 +31,7 @@ if SIM_HANDLERS not in serial.protocol_handler_packages:
 
 
 class Port:
-    """An open port, named by a pyserial URL: /dev/ttyACM0, sim://, socket://host:4000, …
+    """An open port, named by a pyserial URL: /dev/ttyACM0, sim://, socket://host:4000 and so on.
 
     Use as a context manager. Raises PortError, with the likely cause, from every operation.
     """
