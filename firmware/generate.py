@@ -115,7 +115,7 @@ def messages(definition: Definition) -> dict[str, Definition]:
 
 
 def upper(name: str) -> str:
-    """FrameLayout → FRAME_LAYOUT."""
+    """As FrameLayout → FRAME_LAYOUT."""
     return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).upper()
 
 
