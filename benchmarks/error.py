@@ -101,8 +101,7 @@ class Tally(NamedTuple):
 
 
 class Streams(NamedTuple):
-    """Frames with at least one word in them, wrong words passed off as good, frames not delivered
-    in full."""
+    """Frames with a word in them, wrong words passed off as good, frames not delivered in full."""
 
     frames: int
     wrong: int
@@ -246,7 +245,7 @@ def jobs() -> Iterator[Job]:
 
 
 def loss_db(points: list[tuple[float, float]]) -> float:
-    """dB more ρ than the bound it takes to reach the target.
+    """How many dB more ρ than the bound it takes to reach the target.
 
     points: (ρ in dB, measured bit error rate), rising in ρ. Interpolated in log(rate); NaN where
     the points do not bracket the target.

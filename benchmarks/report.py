@@ -111,7 +111,7 @@ def _text(value: object) -> str:
 
 
 def _plain(value: object) -> object:
-    """numpy's scalars and arrays for json."""
+    """Scalars and arrays of numpy for json."""
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
     raise TypeError(f"{type(value).__name__} does not go into JSON")

@@ -69,8 +69,10 @@ class Beside:
         return float(both.mean()) if both.size else 0.0
 
     def variance(self, guess: float) -> float:
-        """Variance of their noise, V²: of differences, which hum leaves alone, and by the median,
-        which a piece of a frame does not sway. guess: of the quietest window, which is too low.
+        """Variance of their noise, V². guess: of the quietest window, which is too low.
+
+        Of differences, which hum leaves alone, and by the median, which a piece of a frame does
+        not sway.
         """
         steps = np.concatenate((np.diff(self.before), np.diff(self.after)))
         if steps.size < 8:

@@ -47,8 +47,9 @@ class ClockKeeper:
     """
 
     def __init__(self, spec: FrameSpec, sampling: Sampling, background: bool) -> None:
-        """background: work is done beside the stream; else at once, so that the same samples
-        always give the same frames.
+        """background: work is done beside the stream.
+
+        Else it is done at once, so that the same samples always give the same frames.
         """
         self.report = ClockReport()
         self.decorrelator: Decorrelator | None = None

@@ -131,8 +131,10 @@ class GapSearch(BurstSearch):
 
     @cached_property
     def _tones(self) -> tuple[int, Floats]:
-        """A block of about four chips of middling stretch: its length, and cosine and −sine of four
-        whole turns in it, (block, 2)."""
+        """A block of about four chips of middling stretch.
+
+        Its length, and cosine and −sine of four whole turns in it, (block, 2).
+        """
         block = round(_TURNS * self.chip * (1 + MAX_STRETCH / 2))
         angle = 2 * np.pi * _TURNS * np.arange(block) / block
         return block, np.stack((np.cos(angle), -np.sin(angle)), axis=1)

@@ -61,7 +61,7 @@ def node_of_entry(entry: Mapping, first_row: int) -> Place:
 
 
 def nodes_of_grid(content: Mapping, rows: int, columns: int, first_row: int) -> list[Place]:
-    """Row-major, from the matrix of nodes or of code_rows; without one 1, 2, 3, …"""
+    """Row-major, from the matrix of nodes or of code_rows; without one 1, 2, 3 and so on."""
     nodes, code_rows = content.get("nodes"), content.get("code_rows")
     if nodes and code_rows:
         raise code_rows.refuse("nodes and code_rows say the same: leave one out")

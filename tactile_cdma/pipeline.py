@@ -88,8 +88,9 @@ class Pipeline:
     """
 
     def __init__(self, config: SkinConfig, background: bool = True) -> None:
-        """background: long work is done beside the stream, whose frames then depend on when it is
-        done; else at once.
+        """background: long work is done beside the stream, else at once.
+
+        Beside the stream, the frames depend on when it is done.
         """
         self.config = config
         self._background = background

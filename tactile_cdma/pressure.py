@@ -25,7 +25,7 @@ class PressureChain:
         tracker: DriftTracker | None = None,
         compensator: Compensator | None = None,
     ) -> None:
-        """tracker follows the drift, compensator undoes lag and hysteresis; None: nothing does."""
+        """A tracker follows the drift, a compensator undoes lag and hysteresis; None: nothing."""
         self.calibration = calibration
         self.baseline = baseline
         self.tracker = tracker

@@ -40,7 +40,7 @@ serial.protocol_handler_packages += [
 
 
 class Port:
-    """An open port: /dev/ttyACM0, usb://SERIAL, or any pyserial URL: sim://, socket://host:4000, …
+    """An open port: /dev/ttyACM0, usb://SERIAL, or any pyserial URL, as sim:// and socket://host:4000.
 
     Use as a context manager. Raises PortError, with the likely cause, from every operation.
     """

@@ -17,8 +17,9 @@ COUNTS = 4096
 
 
 class Rp2040Skin(EmulatedNodes):
-    """Nodes and the RP2040 that drives their sync line and samples their line; the host is at its
-    USB port.
+    """Nodes and the RP2040 that drives their sync line and samples their line.
+
+    The host is at its USB port.
     """
 
     def __init__(self, nodes: Sequence[Node], amplifier: Amplifier | None = None) -> None:

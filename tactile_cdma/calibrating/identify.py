@@ -129,8 +129,10 @@ def identify(
 
 @dataclass(frozen=True, eq=False)
 class _Solution:
-    """For k pairs of time constants: (k, j) weights of the plays; (k,) so much later still is the
-    reference, s; (k,) what all that leaves unexplained, Pa rms.
+    """What fits best for k pairs of time constants.
+
+    (k, j) weights of the plays; (k,) so much later still is the reference, s; (k,) what all that
+    leaves unexplained, Pa rms.
     """
 
     weights: Floats

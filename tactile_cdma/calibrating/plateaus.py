@@ -58,8 +58,10 @@ class Reference:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What the nodes of a skin measured: t_s (f,) float64, device time, s; voltage_v (f, n)
-    float32, V, NaN where a node had no valid reading.
+    """What the nodes of a skin measured.
+
+    t_s: (f,) float64, device time, s. voltage_v: (f, n) float32, V, NaN where a node had no valid
+    reading.
     """
 
     t_s: Floats
@@ -79,9 +81,9 @@ class ClockOffset:
 
 
 def read_reference(path: Path, nodes: int, area_m2: float | None = None) -> Reference:
-    """A CSV with the columns time, pressure (or force, with area_m2), and node where not all nodes
-    are loaded alike.
+    """A CSV with the columns time and pressure, or force, with area_m2.
 
+    It has a column node, too, where not all nodes are loaded alike.
     Raises CalibrationError, naming file, line and cause.
     """
     table = read_table(path, area_m2)

@@ -46,12 +46,12 @@ class Stage:
 
     @property
     def limit_pa(self) -> float:
-        """rms error of a perfect curve behind this converter: LSB/√12."""
+        """The rms error of a perfect curve behind this converter: LSB/√12."""
         return self.lsb_pa / math.sqrt(12)
 
     @property
     def rms_pa(self) -> float:
-        """rms residual of all nodes, Pa."""
+        """The rms residual of all nodes, Pa."""
         known = np.isfinite(self.residual_pa)
         return float(np.sqrt(np.mean(np.square(self.residual_pa[known])))) if known.any() else 0.0
 

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from ..driver import Session
 from ..errors import PortError, TactileError
@@ -59,7 +60,9 @@ def examine(
 
 def _patient(url: str | None, params: Path | None, baud: int | None) -> Patient:
     values = read_file(params) if params is not None else None
-    get = {name: parameter.default for name, parameter in BY_NAME.items()} | (values or {})
+    get: dict[str, Any] = {name: parameter.default for name, parameter in BY_NAME.items()} | (
+        values or {}
+    )
     return Patient(url or str(get["port"]), baud or int(get["baud"]), values)
 
 

@@ -301,7 +301,7 @@ class SkinNode(ManagedNode):
 
 
 def recalibrated(config: SkinConfig, values: Values) -> SkinConfig:
-    """config.recalibrated(values), without holding up a stream; raises TactileError.
+    """The result of config.recalibrated, without holding up a stream; raises TactileError.
 
     Thousands of curves are read in a process of their own: a second of Python in this one would
     have the driver's thread wait for up to 80 ms at a time.

@@ -45,7 +45,7 @@ class NodeParameters:
     """
 
     def __init__(self, node: Node, change: Change) -> None:
-        """change is called before values change, with several new ones at once or not at all."""
+        """Change is called before values change, with several new ones at once or not at all."""
         self._node, self._change = node, change
         self.faults: dict[str, str] = {}
         self.fixed = False

@@ -246,8 +246,11 @@ def test_missed_frames_keep_turns(core: ctypes.CDLL) -> None:
 def test_edges_stay_within_a_tick_and_a_half(
     core: ctypes.CDLL, chip_ns: int, order: int, gap_us: int, ticks_per_us: int, error: float
 ) -> None:
-    """Of the true time, over the whole frame, for any clock: one of the measurement (a tick in the
-    period is less in the frame), a third of the sum, half of the rounding to whole ticks."""
+    """Of the true time, over the whole frame, for any clock.
+
+    One of the measurement (a tick in the period is less in the frame), a third of the sum, half of
+    the rounding to whole ticks.
+    """
     chips = 11 * order
     frame_us = chips * chip_ns // 1000 + 1
     period_us = frame_us + gap_us

@@ -613,8 +613,10 @@ def test_prescalers_at_power_up_are_anywhere(build: Path, mcu: str) -> None:
 
 @pytest.mark.parametrize("mcu", MCUS)
 def test_node_that_hangs_starts_anew(build: Path, mcu: str) -> None:
-    """A storm on the sync line leaves no time for anything. An ATmega328P's clock stands still
-    in it, and the watchdog ends that."""
+    """A storm on the sync line leaves no time for anything.
+
+    An ATmega328P's clock stands still in it, and the watchdog ends that.
+    """
     with bench(build, SPEC, mcu, **SPEECH) as skin:
         number = listen(skin)
         assert_says(skin, skin.frame(number), REST)

@@ -22,7 +22,7 @@ GOOD, BLANK, CORRUPT, UNFIT = 0, 1, 2, 4
 
 
 class Limits(ctypes.Structure):
-    """struct node_limits"""
+    """The struct node_limits."""
 
     _fields_ = (
         ("order", ctypes.c_uint16),

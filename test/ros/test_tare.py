@@ -46,7 +46,6 @@ def ros() -> Iterator[None]:
 @pytest.fixture
 def preload(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
     """Mounts the idle skin under a pressure, Pa; may be called again while it runs."""
-
     load_pa = [0.0]
 
     def scene(t_s: float, skin: Skin) -> np.ndarray:

@@ -292,6 +292,18 @@ def hear(process: subprocess.Popen[str], end: str) -> str:
     return said
 
 
+def rest(process: subprocess.Popen[str]) -> str:
+    """What the program says until it ends; there is no more input.
+
+    Not communicate(), which passes over what read() has already taken from the pipe.
+    """
+    assert process.stdin is not None and process.stdout is not None
+    process.stdin.close()
+    said = process.stdout.read()
+    process.wait(timeout=30)
+    return said
+
+
 def answer(process: subprocess.Popen[str], text: str = "") -> None:
     assert process.stdin is not None
     process.stdin.write(text + "\n")
@@ -319,7 +331,7 @@ def test_step_by_step_on_a_live_skin(tmp_path: Path, monkeypatch: pytest.MonkeyP
             assert said.startswith(f"{load} kPa: ")
             if number > 2:  # the first is within two counts of the converter's end
                 assert said.endswith("16 of 16 nodes moved\n")
-        said = cal.communicate(timeout=30)[0]
+        said = rest(cal)
         assert cal.returncode == 0, said
     assert f"{len(LOADS_KPA)} loads taken, kept in {points}" in said
     assert len(points.read_text().splitlines()) == 1 + NODES * len(LOADS_KPA)
@@ -355,18 +367,18 @@ def test_answers_are_loads_and_none_is_lost(
             assert "2.639 V, 1 of 1 nodes moved" in take(cal, "20,0")
             hear(cal, "(Enter: end) ")
             cal.send_signal(2)
-            said = cal.communicate(timeout=20)[0]
+            said = rest(cal)
             assert "interrupted" in said and "--append goes on" in said
             assert cal.returncode == 1
         kept = points.read_text()
         assert [line.split(",")[:2] for line in kept.splitlines()[1:]] == [["5", "0"], ["5", "20"]]
         with dialogue(*common) as cal:
-            assert "exists already; --append goes on with it" in cal.communicate(timeout=20)[0]
+            assert "exists already; --append goes on with it" in rest(cal)
         press.pressure_pa = 40e3
         with dialogue(*common, "--append") as cal:
             hear(cal, "(Enter: end) ")
             take(cal, "40")
-            said = cal.communicate(timeout=20)[0]  # the end of input is the end of loads
+            said = rest(cal)  # the end of input is the end of loads
         assert points.read_text().startswith(kept)
         assert "1 loads taken" in said
         assert "node 5: no curve: 2 different loads; a curve of 2 pieces needs 6" in said
@@ -379,7 +391,7 @@ def test_interrupted_before_the_first_load(tmp_path: Path) -> None:
     with dialogue("--port", "sim://", "-o", tmp_path / "skin.yaml") as cal:
         hear(cal, "(Enter: end) ")
         cal.send_signal(2)
-        assert "interrupted; no load was taken" in cal.communicate(timeout=20)[0]
+        assert "interrupted; no load was taken" in rest(cal)
     assert not list(tmp_path.iterdir())
 
 

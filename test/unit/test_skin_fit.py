@@ -197,7 +197,7 @@ def _loop_of(share: float) -> np.ndarray:
 def test_what_may_be_wrong_is_said(
     volts: np.ndarray, loads_pa: np.ndarray, pieces: int, words: list[str]
 ) -> None:
-    nodes = {node: volts for node in range(1, NODES + 1)}
+    nodes = dict.fromkeys(range(1, NODES + 1), volts)
     fit = fit_skin(points_of(loads_pa, nodes), NODES, ADC, pieces)
     assert len(fit.curves) == NODES
     said = warnings(fit, CURVE)
