@@ -114,7 +114,7 @@ def _shipped(name: str) -> Path | None:
 
 
 def port_access() -> Iterator[Finding]:
-    """May this user open serial ports?"""
+    """Whether this user may open serial ports."""
     devices = [*Path("/dev").glob("ttyACM*"), *Path("/dev").glob("ttyUSB*")]
     closed = [device for device in devices if not os.access(device, os.R_OK | os.W_OK)]
     if devices and not closed:

@@ -1,4 +1,4 @@
-"""Is there a digitizer on this port, is it the right one, and what does its skin say?"""
+"""Whether a digitizer is on a port, the right one, and what its skin says."""
 
 from __future__ import annotations
 

@@ -130,7 +130,7 @@ def environment() -> Iterator[Finding]:
 
 
 def meeting() -> Iterator[Finding]:
-    """Do two programs find each other and exchange a message?"""
+    """Whether two programs find each other and exchange a message."""
     import rclpy
     from std_msgs.msg import String
 
