@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -26,6 +27,8 @@ from .protocol import PacketWriter, diagnose
 from .silence import quiet_uv
 from .skin_config import SkinConfig
 from .source import Port
+from .stuck import StuckNodes
+from .vitals import Vitals
 
 PATIENCE_S = 1.0
 """A digitizer that says nothing useful for so long is asked again."""
@@ -42,6 +45,8 @@ class Driver:
 
     on_frame is called in that thread for every frame; on_problem with one sentence whenever the
     reason for not receiving frames changes, and with None when frames flow again.
+
+    url: of the port. vitals: how the thread does. stuck: which nodes do not move.
     """
 
     def __init__(
@@ -55,8 +60,10 @@ class Driver:
         self.pipeline = Pipeline(config)
         self.problem: str | None = None
         self.connections = 0
+        self.vitals = Vitals()
+        self.stuck = StuckNodes(config.layout)
         self._first_port: Port | None = None
-        self._url, self._baud = url, baud
+        self.url, self._baud = url, baud
         self._on_frame, self._on_problem = on_frame, on_problem
         self._stop = threading.Event()
         self._busy = threading.Lock()
@@ -98,7 +105,7 @@ class Driver:
         attempt = 0
         while not self._stop.is_set():
             try:
-                port = self._first_port or Port(self._url, self._baud)
+                port = self._first_port or Port(self.url, self._baud)
                 self._first_port = None
                 with port:
                     attempt = 0
@@ -127,8 +134,13 @@ class Driver:
                 data, t_host = port.read()
                 with self._busy:
                     frames = pipeline.feed(data, t_host)
+                    t_decoded = time.monotonic()
                     for frame in frames:
                         self._on_frame(frame)
+                        self.vitals.handed_on(frame, t_host, t_decoded)
+                        contact_pa = pipeline.config.rest.contact_pa
+                        self.stuck.look(frame.readings, frame.t_middle, contact_pa)
+                self.vitals.dealt_with(port.waiting if data else 0)
                 if frames and self.problem:
                     self._report(None)
                 if request := session.watch(pipeline, t_host):

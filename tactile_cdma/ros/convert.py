@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point32
 from numpy.typing import NDArray
 from sensor_msgs.msg import Image
@@ -106,14 +105,6 @@ def heatmap_image(
     message.step = picture.shape[1] * 3
     message.data = ros_array(picture)
     return message
-
-
-def diagnostic(name: str, level: bytes, text: str, values: dict[str, object]) -> DiagnosticStatus:
-    """One line of /diagnostics."""
-    pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
-    return DiagnosticStatus(
-        level=level, name=name, message=text, hardware_id=name.split(":")[0], values=pairs
-    )
 
 
 def listed(items: Sequence[object]) -> str:

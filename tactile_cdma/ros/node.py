@@ -14,7 +14,7 @@ from multiprocessing import get_context
 from typing import Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -52,7 +52,7 @@ from ..skin_config import SkinConfig
 from ..source import Port
 from . import convert
 from .contacts import ContactPublishers
-from .diagnostics import StreamReport
+from .diagnostics import SkinReport
 from .services import RestKeeper
 
 NODE_NAME = "skin"
@@ -92,7 +92,7 @@ class SkinNode(LifecycleNode):
         self._latest: TactileFrame | None = None
         self._drawn: TactileFrame | None = None
         self._last_failure = ""
-        self._stream_report = StreamReport()
+        self._report = SkinReport(self.get_fully_qualified_name())
         self._rest = RestKeeper(self, self._publish_info)
         self._last_stamp_ns = 0
         self._silence_due_s = 0.0  # device time from which a frame without words is published again
@@ -236,7 +236,7 @@ class SkinNode(LifecycleNode):
         port, self._port = self._port, None
         self._contacts.start(self._config.layout, self._config.contact)
         self._driver.start(port)
-        self._stream_report = StreamReport()
+        self._report = SkinReport(self.get_fully_qualified_name())
         self._heatmap_timer.timer_period_ns = round(1e9 / float(self._value("heatmap_rate_hz")))
         self._heatmap_timer.reset()
         return result
@@ -358,18 +358,12 @@ class SkinNode(LifecycleNode):
         )
 
     def _publish_diagnostics(self) -> None:
-        name = f"{self.get_fully_qualified_name().lstrip('/')}: stream"
-        driver = self._driver
-        if driver is None:
-            text = self._last_failure or "not active"
-            level = DiagnosticStatus.ERROR if self._last_failure else DiagnosticStatus.STALE
-            values: dict[str, object] = {}
+        if self._driver is None:
+            entries = self._report.inactive(self._last_failure)
         else:
-            level, text, values = self._stream_report.of(driver, self._latest)
-            values["port"] = self._value("port")
-            values["tared"] = self._rest.tared or "not"
+            entries = self._report.of(self._driver, self._latest, self._rest.tared)
             self._rest.tick()
-        message = DiagnosticArray(status=[convert.diagnostic(name, level, text, values)])
+        message = DiagnosticArray(status=entries)
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_publisher.publish(message)
 
