@@ -4,7 +4,8 @@ One count is about 0.1 kPa, so a sound node under a changing load moves. Whether
 its neighbours tell: where all of them are in contact it is expected to be pressed, at least by as
 much as the least pressed of them and as the plane through their pressures has it (which runs out
 towards a contact's edge, so that a corner beside a contact is expected to feel nothing); where all
-are at rest, it is expected to be at rest. Anything else says nothing. A node is stuck while this
+are at rest, it is expected to be at rest. Anything else says nothing, nor does a contact of
+neighbours that did not move either, for they may be stuck themselves. A node is stuck while this
 expectation goes up and down, and it does not move by a single count.
 """
 
@@ -19,6 +20,8 @@ from .taxels import Readings, Status
 LOOK_S = 0.1
 """Readings are looked at so often, s."""
 LEAST_NEIGHBOURS = 3
+MANY_NEIGHBOURS, UNMOVED = 6, 2
+"""Of so many all around, some may not have moved: among the others are two that face each other."""
 SWING_CONTACTS = 5.0
 """A swing of the expectation is at least so many times the pressure at which a contact begins."""
 SWINGS = 3
@@ -36,14 +39,16 @@ class StuckNodes:
     def __init__(self, layout: Layout) -> None:
         taxels = len(layout)
         self._nodes = layout.nodes
-        self._beside = layout.neighbours
-        self._real = self._beside != np.arange(taxels)[:, None]  # the others are padding
+        # Arrays of neighbours are (m, t): numpy works along rows.
+        self._beside = np.ascontiguousarray(layout.neighbours.T)
+        self._real = self._beside != np.arange(taxels)  # the others are padding
         self._offsets = _offsets(layout)
-        self._sound = np.zeros(taxels, dtype=bool)
-        self._weights = np.zeros(self._beside.shape, dtype=np.float32)
+        self._know(np.zeros(taxels, dtype=bool))
         self._looked_s = -np.inf
         self._seen: Readings | None = None
         self._voltage_v = np.full(taxels, np.nan, dtype=np.float32)
+        self._since_s = np.full(taxels, -np.inf)  # it has said the same word, device time
+        self._changed_s = np.full(taxels, -np.inf)  # it last went from one word to another
         # Since it last moved, of each taxel: extremes of the expectation after its last turn.
         self._low_pa = np.full(taxels, np.inf, dtype=np.float32)
         self._high_pa = np.full(taxels, -np.inf, dtype=np.float32)
@@ -64,34 +69,53 @@ class StuckNodes:
         if 0 <= t_s - self._looked_s < LOOK_S or readings is self._seen:
             return
         self._looked_s, self._seen = t_s, readings
-        self._forget(self._moved(readings))
-        expected_pa = self._expected(readings.pressure_pa, contact_pa)
+        self._move(readings, t_s)
+        expected_pa = self._expected(readings, contact_pa)
         self._count(expected_pa, np.float32(SWING_CONTACTS * contact_pa))
 
-    def _moved(self, readings: Readings) -> Bools:
-        """(t,) who says another word than before, or none; an uncertain one is not counted."""
+    def _move(self, readings: Readings, t_s: float) -> None:
+        """Begin anew with those who say another word than before; an uncertain one is not told."""
         certain = (readings.status & Status.LOW_SNR) == 0
-        moved: Bools = certain & (readings.voltage_v != self._voltage_v)  # NaN: always
+        moved = certain & (readings.voltage_v != self._voltage_v)  # NaN: always
+        np.copyto(self._changed_s, t_s, where=moved & np.isfinite(self._voltage_v))
         np.copyto(self._voltage_v, readings.voltage_v, where=moved)
-        return moved
+        self._since_s[moved] = t_s
+        self._swings[moved] = 0
+        self._rising[moved] = False
+        self._low_pa[moved], self._high_pa[moved] = np.inf, -np.inf
 
-    def _expected(self, pressure_pa: Floats, contact_pa: float) -> Floats:
+    def _expected(self, readings: Readings, contact_pa: float) -> Floats:
         """(t,) what the neighbours tell of a taxel's pressure, Pa; NaN: nothing."""
-        sound = np.isfinite(pressure_pa)
+        pressure_pa = readings.pressure_pa
+        sound = np.isfinite(pressure_pa) & (self._swings < SWINGS)
         if not np.array_equal(sound, self._sound):
-            self._sound = sound
-            self._weights = self._plane_weights(sound)
+            self._know(sound)
         around_pa = np.where(sound, pressure_pa, np.float32(0))[self._beside]
-        heard = sound[self._beside] & self._real
-        least_pa = np.where(heard, around_pa, np.inf).min(axis=1)
-        most_pa = np.where(heard, around_pa, -np.inf).max(axis=1)
-        plane_pa = np.einsum("tm,tm->t", self._weights, around_pa)
+        least_pa = (around_pa + self._but_others).min(axis=0)
+        most_pa = (around_pa - self._but_others).max(axis=0)
+        plane_pa = np.einsum("mt,mt->t", self._weights, around_pa)
         pressed_pa = np.maximum(np.minimum(plane_pa, least_pa), 0)
+        # Beyond its range a sound node does not move either: of it is only expected to be there.
+        np.copyto(pressed_pa, pressure_pa, where=(readings.status & Status.SATURATED) != 0)
         expected_pa = np.full(len(pressure_pa), np.nan, dtype=np.float32)
-        enough = np.count_nonzero(heard, axis=1) >= LEAST_NEIGHBOURS
-        np.copyto(expected_pa, pressed_pa, where=enough & (least_pa > contact_pa))
-        np.copyto(expected_pa, np.float32(0), where=enough & (most_pa < contact_pa))
+        pressed = self._enough & (least_pa > contact_pa)
+        if pressed.any():
+            unmoved = self._heard & (self._changed_s[self._beside] <= self._since_s)
+            pressed &= np.count_nonzero(unmoved, axis=0) <= self._may_rest
+        np.copyto(expected_pa, pressed_pa, where=pressed)
+        np.copyto(expected_pa, np.float32(0), where=self._enough & (most_pa < contact_pa))
         return expected_pa
+
+    def _know(self, sound: Bools) -> None:
+        """Other taxels than before can be relied on: have ready what depends on them."""
+        heard = sound[self._beside] & self._real
+        count = np.count_nonzero(heard, axis=0)
+        self._sound, self._heard = sound, heard
+        self._enough = count >= LEAST_NEIGHBOURS
+        self._but_others = np.where(heard, 0, np.inf).astype(np.float32)
+        self._weights = self._plane_weights(heard)
+        inner = (count >= MANY_NEIGHBOURS) & ((self._weights > 0) | ~heard).all(axis=0)
+        self._may_rest = np.where(inner, UNMOVED, 0)
 
     def _count(self, expected_pa: Floats, swing_pa: np.float32) -> None:
         """Follow the expectation and count its swings."""
@@ -105,31 +129,26 @@ class StuckNodes:
         np.copyto(self._high_pa, expected_pa, where=up)
         np.copyto(self._low_pa, expected_pa, where=down)
 
-    def _forget(self, moved: Bools) -> None:
-        self._swings[moved] = 0
-        self._rising[moved] = False
-        self._low_pa[moved], self._high_pa[moved] = np.inf, -np.inf
-
-    def _plane_weights(self, sound: Bools) -> Floats:
-        """(t, m): weights that make of the neighbours' pressures the plane's value at the taxel."""
-        heard = (sound[self._beside] & self._real)[..., None]
-        rows = np.concatenate((np.ones_like(self._offsets[..., :1]), self._offsets), axis=2) * heard
-        normal = np.einsum("tmi,tmj->tij", rows, rows)
+    def _plane_weights(self, heard: Bools) -> Floats:
+        """(m, t): weights that make of the neighbours' pressures the plane's value at the taxel."""
+        offsets = self._offsets * heard
+        rows = np.concatenate((heard[None].astype(np.float32), offsets))
+        normal = np.einsum("imt,jmt->tij", rows, rows)
         normal += np.diag(np.array([1e-6, _RIDGE, _RIDGE], dtype=np.float32))
-        first = np.linalg.solve(normal, np.eye(3, 1, dtype=np.float32)[None].repeat(len(rows), 0))
-        weights: Floats = np.einsum("tmi,ti->tm", rows, first[..., 0])
+        first = np.zeros((len(normal), 3, 1), dtype=np.float32)
+        first[:, 0] = 1
+        weights: Floats = np.einsum("imt,ti->mt", rows, np.linalg.solve(normal, first)[..., 0])
         return weights
 
 
 def _offsets(layout: Layout) -> Floats:
-    """(t, m, 2) float32: where the neighbours are in each taxel's tangent plane, in pitches."""
+    """(2, m, t) float32: where the neighbours are in each taxel's tangent plane, in pitches."""
     normals = layout.normals
     # The axis that is farthest from the normal gives a tangent that is never short.
     axis = np.eye(3, dtype=np.float32)[np.abs(normals).argmin(axis=1)]
     first = np.cross(normals, axis)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
-    second = np.cross(normals, first)
+    tangents = np.stack((first, np.cross(normals, first)))
     apart = (layout.positions_m[layout.neighbours] - layout.positions_m[:, None]) / layout.pitch_m
-    tangents = np.stack((first, second), axis=2)
-    offsets: Floats = np.einsum("tmx,txd->tmd", apart, tangents).astype(np.float32)
+    offsets: Floats = np.einsum("tmx,dtx->dmt", apart, tangents).astype(np.float32)
     return offsets
