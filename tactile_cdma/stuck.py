@@ -1,12 +1,16 @@
 """Nodes that say the same whatever happens around them: stuck.
 
 One count is about 0.1 kPa, so a sound node under a changing load moves. Whether its load changes
-its neighbours tell: where all of them are in contact it is expected to be pressed, at least by as
-much as the least pressed of them and as the plane through their pressures has it (which runs out
-towards a contact's edge, so that a corner beside a contact is expected to feel nothing); where all
-are at rest, it is expected to be at rest. Anything else says nothing, nor does a contact of
-neighbours that did not move either, for they may be stuck themselves. A node is stuck while this
-expectation goes up and down, and it does not move by a single count.
+its neighbours tell: where all of them are in contact it is expected to be pressed like the least
+pressed of them, for contacts have no holes; where all are at rest, it is expected to be at rest.
+Anything else says nothing, nor does a contact of neighbours that did not move either, for they may
+be stuck themselves. A node is stuck while this expectation goes up and down, and it does not move
+by a single count.
+
+A node at the skin's border may lie beside a contact that has all its neighbours. So its expectation
+is less: the plane through the neighbours' pressures, minus twice their spread. Where the pressure
+is that of Hertz, p² = p₀²·(1 − r²/R²), a corner outside the contact has neighbours with
+p₁² + p₂² ≤ p₃², and p₁ + p₂ − p₃ − 2·(p₃ − p₁) is below 0 then; softer edges leave even less.
 """
 
 from __future__ import annotations
@@ -22,6 +26,8 @@ LOOK_S = 0.1
 LEAST_NEIGHBOURS = 3
 MANY_NEIGHBOURS, UNMOVED = 6, 2
 """Of so many all around, some may not have moved: among the others are two that face each other."""
+BORDER_SPREADS = 2.0
+"""At the border so many times the spread of the neighbours' pressures are taken off."""
 SWING_CONTACTS = 5.0
 """A swing of the expectation is at least so many times the pressure at which a contact begins."""
 SWINGS = 3
@@ -94,7 +100,8 @@ class StuckNodes:
         least_pa = (around_pa + self._but_others).min(axis=0)
         most_pa = (around_pa - self._but_others).max(axis=0)
         plane_pa = np.einsum("mt,mt->t", self._weights, around_pa)
-        pressed_pa = np.maximum(np.minimum(plane_pa, least_pa), 0)
+        border_pa = np.minimum(plane_pa - BORDER_SPREADS * (most_pa - least_pa), least_pa)
+        pressed_pa = np.maximum(np.where(self._inner, least_pa, border_pa), 0)
         # Beyond its range a sound node does not move either: of it is only expected to be there.
         np.copyto(pressed_pa, pressure_pa, where=(readings.status & Status.SATURATED) != 0)
         expected_pa = np.full(len(pressure_pa), np.nan, dtype=np.float32)
@@ -114,8 +121,8 @@ class StuckNodes:
         self._enough = count >= LEAST_NEIGHBOURS
         self._but_others = np.where(heard, 0, np.inf).astype(np.float32)
         self._weights = self._plane_weights(heard)
-        inner = (count >= MANY_NEIGHBOURS) & ((self._weights > 0) | ~heard).all(axis=0)
-        self._may_rest = np.where(inner, UNMOVED, 0)
+        self._inner = (count >= MANY_NEIGHBOURS) & ((self._weights > 0) | ~heard).all(axis=0)
+        self._may_rest = np.where(self._inner, UNMOVED, 0)
 
     def _count(self, expected_pa: Floats, swing_pa: np.float32) -> None:
         """Follow the expectation and count its swings."""
