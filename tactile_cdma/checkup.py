@@ -29,8 +29,6 @@ LATE_S, LATE_PERIODS = 0.05, 2.0
 """A mean latency above their sum means that bytes wait somewhere."""
 BUSY_SHARE = 0.8
 """Of a core: above it the driver's thread has no reserve left."""
-BACKLOG_S = 0.25
-"""So many seconds' worth of bytes in the port are more than a delay."""
 DRIFT_PPM = 300.0
 """Two sound crystals differ by less."""
 BROKEN_SHARE = 0.1
@@ -183,13 +181,6 @@ def link(pipeline: Pipeline, window: Window) -> Iterator[Finding]:
             f"{share:.1%} of the packets arrive broken: check cable, grounding and baud, and that "
             "no other program reads the port",
             event=True,
-        )
-    backlog_s = window.backlog_bytes / max(window.per_s("bytes"), 1)
-    if window.backlog_bytes and backlog_s > BACKLOG_S:
-        yield Finding(
-            "backlog",
-            Level.WARN,
-            f"{window.backlog_bytes} bytes wait in the port: this computer does not keep up",
         )
     if abs(drift_ppm := pipeline.clock_drift_ppm) > DRIFT_PPM:
         yield Finding(
