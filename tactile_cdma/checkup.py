@@ -41,7 +41,7 @@ _PROBLEMS_OF_NODES = {
     NodeState.FAULTY: "words contradict the code: {}; check supply, clock and soldering",
     NodeState.WEAK: "much weaker on the line than they should be: {}; check supply and resistor",
 }
-_LOSSES = {
+LOSSES = {
     "digitizer_sync_faults": (
         "sync edges came late or not at all: the digitizer cannot keep up; "
         "lower samples_per_chip, or make chip_us longer"
@@ -168,7 +168,7 @@ def nodes(pipeline: Pipeline, stuck: list[int], window: Window) -> Iterator[Find
 
 def link(pipeline: Pipeline, window: Window) -> Iterator[Finding]:
     """The way from the digitizer to here: bytes, packets, and its clock."""
-    for name, text in _LOSSES.items():
+    for name, text in LOSSES.items():
         if window.rises.get(name):
             yield Finding(name, Level.WARN, text, event=True)
     broken = window.rises.get("crc_errors", 0) + window.rises.get("framing_errors", 0)

@@ -123,7 +123,7 @@ def test_dead_nodes_are_told_from_those_that_fall_silent() -> None:
 
 
 def test_weak_doubled_and_contradictory_nodes_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What nodes 5 and 9 say is on the row of 9, node 12 is weak, node 14 drops every third bit."""
+    """A second node says on row 9 what node 9 does; node 12 is weak; node 14 drops many bits."""
     waveforms = digitizer.waveforms
 
     def on_the_line(spec: Any, codes: Any, active: Any, edges_s: Any, clocks: Any) -> Any:
@@ -131,7 +131,7 @@ def test_weak_doubled_and_contradictory_nodes_are_named(monkeypatch: pytest.Monk
             return line_chips(spec, np.full_like(codes, code), np.arange(spec.nodes) == node)
 
         yield from waveforms(spec, codes, active, edges_s, clocks)
-        twice, weak, dropped = chips(8, codes[4]), chips(11, codes[11]), chips(13, codes[13])
+        twice, weak, dropped = chips(8, codes[8]), chips(11, codes[11]), chips(13, codes[13])
         dropped[1::3] = dropped[2::3] = 0
         yield frame_levels(twice - 0.65 * weak - 0.9 * dropped, spec), edges_s
 
@@ -223,20 +223,16 @@ def test_an_unplugged_port_is_an_error_of_the_stream_and_no_news_of_the_rest(
     with hurrying(port=str(path)) as (_, client):
         with plugged(path):
             wait_for(lambda: client.entry("stream").message == "receiving", PATIENCE_S)
-        wait_for(says(client, "stream", ERROR, str(path)), PATIENCE_S)
+        wait_for(lambda: client.entry("stream").level == ERROR, PATIENCE_S)
+        assert str(path) in client.entry("stream").message
         for entry in ("nodes", "link"):
-            wait_for(says(client, entry, STALE, NO_FRAMES))
+            wait_for(lambda entry=entry: client.entry(entry).level == STALE)
+            assert client.entry(entry).message == NO_FRAMES
         assert client.entry("host").level == OK
         with plugged(path):
             wait_for(lambda: client.entry("stream").level == OK, PATIENCE_S)
             wait_for(lambda: client.entry("link").level == OK, PATIENCE_S)
     assert client.value("link", "connections") == "2"
-
-
-def test_a_computer_that_does_not_keep_up_is_told() -> None:
-    port = "sim://?scene=all&threshold=0&speed=40"  # the simulation's share of the time included
-    client = complaint("host", WARN, "of a core", port=port)
-    assert float(client.value("host", "CPU of the driver's thread (%)")) > 80
 
 
 def test_frames_that_wait_are_late_and_their_bytes_a_backlog(tmp_path: Path) -> None:
@@ -249,7 +245,8 @@ def test_frames_that_wait_are_late_and_their_bytes_a_backlog(tmp_path: Path) -> 
         while not says(client, "stream", WARN, " ms late")():
             assert time.monotonic() < deadline, "frames were held up, and nobody said so"
             with driver.between_frames():
-                time.sleep(0.4)
+                time.sleep(0.2)
+            time.sleep(0.03)
         latest = [
             {pair.key: pair.value for pair in status.values} for status in client.entries["link"]
         ]
