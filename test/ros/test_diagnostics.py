@@ -122,28 +122,51 @@ def test_dead_nodes_are_told_from_those_that_fall_silent() -> None:
     assert client.entry("nodes").level == WARN, "two are still dead"
 
 
-def test_weak_doubled_and_contradictory_nodes_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A second node says on row 9 what node 9 does; node 12 is weak; node 14 drops many bits."""
+@pytest.fixture
+def on_the_line(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[..., Any]], None]:
+    """Adds to the line of the simulated skin what a function makes of the chips of its nodes."""
     waveforms = digitizer.waveforms
 
-    def on_the_line(spec: Any, codes: Any, active: Any, edges_s: Any, clocks: Any) -> Any:
-        def chips(node: int, code: int) -> Any:
-            return line_chips(spec, np.full_like(codes, code), np.arange(spec.nodes) == node)
+    def add(extra: Callable[..., Any]) -> None:
+        def with_extra(spec: Any, codes: Any, active: Any, edges_s: Any, clocks: Any) -> Any:
+            def chips(number: int) -> Any:
+                return line_chips(spec, codes, active & (np.arange(1, spec.nodes + 1) == number))
 
-        yield from waveforms(spec, codes, active, edges_s, clocks)
-        twice, weak, dropped = chips(8, codes[8]), chips(11, codes[11]), chips(13, codes[13])
+            yield from waveforms(spec, codes, active, edges_s, clocks)
+            yield frame_levels(extra(chips), spec), edges_s
+
+        monkeypatch.setattr(digitizer, "waveforms", with_extra)
+
+    return add
+
+
+def test_weak_and_contradictory_nodes_are_named(
+    on_the_line: Callable[[Callable[..., Any]], None],
+) -> None:
+    """Node 12 is weak; of node 14 every third bit is nearly gone."""
+
+    def broken(chips: Callable[[int], Any]) -> Any:
+        dropped = 0.9 * chips(14)
         dropped[1::3] = dropped[2::3] = 0
-        yield frame_levels(twice - 0.65 * weak - 0.9 * dropped, spec), edges_s
+        return -0.65 * chips(12) - dropped
 
-    monkeypatch.setattr(digitizer, "waveforms", on_the_line)
-    port = "sim://?scene=all&threshold=0&seed=4"
-    with hurrying(port=port) as (_, client):
-        wait_for(says(client, "nodes", WARN, "two nodes speak on one code row: node 9"), PATIENCE_S)
-        wait_for(says(client, "nodes", WARN, "weaker on the line"), PATIENCE_S)
+    on_the_line(broken)
+    with hurrying(port="sim://?scene=all&threshold=0&seed=4") as (_, client):
+        wait_for(says(client, "nodes", WARN, "than they should be: node 12"), PATIENCE_S)
         wait_for(says(client, "nodes", WARN, "words contradict the code: node 14"), PATIENCE_S)
-    kinds = ("weak", "doubled", "faulty")
-    assert [client.value("nodes", f"{kind} nodes") for kind in kinds] == ["12", "9", "14"]
-    assert client.value("nodes", "weakest node") == "12"
+        wait_for(lambda: client.value("nodes", "weakest node") == "12", PATIENCE_S)
+    kinds = ("weak", "faulty", "doubled")
+    assert [client.value("nodes", f"{kind} nodes") for kind in kinds] == ["12", "14", ""]
+
+
+def test_two_nodes_on_one_row_are_named(
+    on_the_line: Callable[[Callable[..., Any]], None],
+) -> None:
+    """What was meant to be another node says on row 9 what node 9 does: both are at rest."""
+    on_the_line(lambda chips: chips(9))
+    text = "two nodes speak on one code row: node 9"
+    client = complaint("nodes", WARN, text, port="sim://?scene=idle&heartbeat=16")
+    assert client.value("nodes", "doubled nodes") == "9"
 
 
 def test_a_skin_that_nobody_hears_is_an_error() -> None:
