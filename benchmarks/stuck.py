@@ -33,8 +33,8 @@ SENSORS = {
     "ideal": "",
     "noisy": "&sensor=paper&mismatch=0.05&sensor_noise=0.002&warming=10",
 }
-SEEDS = range(2) if QUICK else range(6)
-SECONDS = 120 if QUICK else 600
+SEEDS = range(2) if QUICK else range(3)
+SECONDS = 120 if QUICK else 300
 STUCK_SHARE = 1 / 16
 CONTACT_PA = 1e3
 COST_SIDES = (4, 16, 64)

@@ -34,6 +34,8 @@ PATIENCE_S = 1.0
 """A digitizer that says nothing useful for so long is asked again."""
 RETRY_S = (0.2, 0.5, 1.0, 2.0)
 """Pauses between attempts to open a port; the last one repeats."""
+LOOK_S = 0.05
+"""How much waits in the port is looked at so often, for that takes 10 µs."""
 MOST_CALLS = 3
 """Roll calls in a row that may come to nothing."""
 WAITING = "waiting for the first frame"
@@ -129,6 +131,7 @@ class Driver:
         if not self.problem:
             self._report(WAITING)
         port.write(session.open())
+        look_s = -math.inf
         try:
             while not self._stop.is_set():
                 data, t_host = port.read()
@@ -140,7 +143,9 @@ class Driver:
                         self.vitals.handed_on(frame, t_host, t_decoded)
                         contact_pa = pipeline.config.rest.contact_pa
                         self.stuck.look(frame.readings, frame.t_middle, contact_pa)
-                self.vitals.dealt_with(port.waiting if data else 0)
+                if t_host >= look_s:
+                    self.vitals.dealt_with(port.waiting)
+                    look_s = t_host + LOOK_S
                 if frames and self.problem:
                     self._report(None)
                 if request := session.watch(pipeline, t_host):

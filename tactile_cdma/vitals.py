@@ -24,7 +24,7 @@ class Window:
     slowest_s: the longest of their sums. All four NaN without frames.
     noise_rms_v: noise of one chip sample, V; NaN if unknown.
     clipped: share of the samples at a rail of the digitizer, 0…1.
-    backlog_bytes: most that waited in the port after a read was dealt with.
+    backlog_bytes: most that was seen to wait in the port after a read was dealt with.
     process_share, thread_share: CPU time of the process and of the driver's thread, in cores.
     totals, rises: counts by name, and by how much they rose; those of the digitizer's STATUS begin
         with `digitizer_`.
