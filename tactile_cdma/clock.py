@@ -6,6 +6,8 @@ import numpy as np
 
 MAX_RATE_ERROR = 1e-3
 """Largest believable rate difference of two crystal clocks; a steeper fit is jitter of the bus."""
+SURE_INTERVALS = 40
+"""Kept observations from which a rate is told to people: 1 ms of jitter is 55 ppm then."""
 
 
 class DeviceClock:
@@ -40,6 +42,11 @@ class DeviceClock:
         self._device[newest], self._host[newest] = t_device, t_host
         self._lead_s = t_host - t_device
         self._fitted = False
+
+    @property
+    def drift_ppm(self) -> float:
+        """By how much the device's clock is faster than the host's; NaN until that is known."""
+        return (1 / self._rate - 1) * 1e6 if self._count >= SURE_INTERVALS else np.nan
 
     def to_host(self, t_device: float) -> float:
         """Host time of a moment of device time."""

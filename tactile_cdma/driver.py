@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -27,6 +28,8 @@ from .protocol import PacketWriter, diagnose
 from .silence import quiet_uv
 from .skin_config import SkinConfig
 from .source import Port
+from .stuck import StuckNodes
+from .vitals import Vitals
 
 PATIENCE_S = 1.0
 """A digitizer that says nothing useful for so long is asked again."""
@@ -34,6 +37,8 @@ CONNECT_S = 0.5
 """Longer than a port in order takes to open."""
 RETRY_S = (0.2, 0.5, 1.0, 2.0)
 """Pauses between attempts to open a port; the last one repeats."""
+LOOK_S = 0.05
+"""How much waits in the port is looked at so often, for that takes 10 µs."""
 MOST_CALLS = 3
 """Roll calls in a row that may come to nothing."""
 WAITING = "waiting for the first frame"
@@ -45,6 +50,8 @@ class Driver:
 
     on_frame is called in that thread for every frame; on_problem with one sentence whenever the
     reason for not receiving frames changes, and with None when frames flow again.
+
+    url: of the port. vitals: how the thread does. stuck: which nodes do not move.
     """
 
     def __init__(
@@ -58,8 +65,10 @@ class Driver:
         self.pipeline = Pipeline(config)
         self.problem: str | None = None
         self.connections = 0
+        self.vitals = Vitals()
+        self.stuck = StuckNodes(config.layout)
         self._first_port: Port | None = None
-        self._url, self._baud = url, baud
+        self.url, self._baud = url, baud
         self._on_frame, self._on_problem = on_frame, on_problem
         self._stop = threading.Event()
         self._opening = False
@@ -133,7 +142,7 @@ class Driver:
             return first
         self._opening = True
         try:
-            return Port(self._url, self._baud)
+            return Port(self.url, self._baud)
         finally:
             self._opening = False
 
@@ -146,13 +155,21 @@ class Driver:
         if not self.problem:
             self._report(WAITING)
         port.write(session.open())
+        look_s = -math.inf
         try:
             while not self._stop.is_set():
                 data, t_host = port.read()
                 with self._busy:
                     frames = pipeline.feed(data, t_host)
+                    t_decoded = time.monotonic()
                     for frame in frames:
                         self._on_frame(frame)
+                        self.vitals.handed_on(frame, t_host, t_decoded)
+                        contact_pa = pipeline.config.rest.contact_pa
+                        self.stuck.look(frame.readings, frame.t_middle, contact_pa)
+                if t_host >= look_s:
+                    self.vitals.dealt_with(port.waiting)
+                    look_s = t_host + LOOK_S
                 if frames and self.problem:
                     self._report(None)
                 if request := session.watch(pipeline, t_host):

@@ -72,6 +72,13 @@ class NodeHealth:
         numbers: list[int] = (np.flatnonzero(self.state == state) + 1).tolist()
         return numbers
 
+    @property
+    def amplitude_v(self) -> NDArray[np.float32]:
+        """(n,) float32, V: of each node's last words, mean; NaN for one that was never heard."""
+        amplitude_v = np.full_like(self._amplitude_v, np.nan)
+        np.divide(self._amplitude_v, self._words, out=amplitude_v, where=self._words > 0)
+        return amplitude_v
+
     def _faint(self, words: Words, nominal_v: float) -> NDArray[np.bool_]:
         """Words too weak to count as spoken, but too even and too strong to be noise."""
         faint: NDArray[np.bool_] = (

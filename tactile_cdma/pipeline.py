@@ -127,6 +127,11 @@ class Pipeline:
         return self._timing.rejected if self._timing else 0
 
     @property
+    def clock_drift_ppm(self) -> float:
+        """By how much the digitizer's clock is faster than the host's; NaN until that is known."""
+        return self._clock.drift_ppm
+
+    @property
     def clocks(self) -> ClockReport | None:
         """What is known of the nodes' clocks; None where that is not asked."""
         return self._timing.clocks.report if isinstance(self._timing, NodeTiming) else None

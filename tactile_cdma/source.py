@@ -83,6 +83,17 @@ class Port:
             raise PortError(f"{self.url}: lost while reading; unplugged? ({error})") from None
         return data, time.monotonic()
 
+    @property
+    def waiting(self) -> int:
+        """Bytes that have arrived and were not read; of a socket only whether there are any.
+
+        A Linux tty tells of 4095 at most, though more may wait behind them.
+        """
+        try:
+            return int(self._serial.in_waiting)
+        except (OSError, TypeError, TerminalError) as error:
+            raise PortError(f"{self.url}: lost while reading; unplugged? ({error})") from None
+
     def _wait(self) -> bytes:
         """By pyserial's means: waits for one byte, then takes the others."""
         data: bytes = self._serial.read(1)

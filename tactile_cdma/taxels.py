@@ -89,10 +89,14 @@ class Taxels:
         self._stale_after_s, self._silence = seconds, None
 
     @property
+    def awaited(self) -> int:
+        """How many nodes are in service."""
+        return len(self._masked) - int(np.count_nonzero(self._masked))
+
+    @property
     def nobody_heard(self) -> bool:
         """Whether every node that is awaited is missing."""
-        awaited = len(self._masked) - int(np.count_nonzero(self._masked))
-        return 0 < awaited == len(self.missing)
+        return 0 < self.awaited == len(self.missing)
 
     @property
     def now_s(self) -> float:
@@ -108,6 +112,21 @@ class Taxels:
         unheard = (self._now_s - self._heard_s > self._stale_after_s) & ~self._masked
         numbers: list[int] = (np.flatnonzero(unheard) + 1).tolist()
         return numbers
+
+    @property
+    def dead(self) -> list[int]:
+        """Those of the missing nodes that were not heard at all, since the stream or clock began.
+
+        None before stale_after_s have passed: their turn may still come.
+        """
+        if self._now_s - self._began_s <= self._stale_after_s:
+            return []
+        return [number for number in self.missing if np.isinf(self._heard_s[number - 1])]
+
+    @property
+    def stale(self) -> list[int]:
+        """Those of the missing nodes that were heard before."""
+        return [number for number in self.missing if np.isfinite(self._heard_s[number - 1])]
 
     def forget(self) -> None:
         """The device's clock starts anew: nobody was heard on it."""

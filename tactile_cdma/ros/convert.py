@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point32
 from numpy.typing import NDArray
 from sensor_msgs.msg import Image, PointCloud2, PointField
@@ -136,14 +135,6 @@ def _fields(record: np.dtype[np.void]) -> list[PointField]:
 
 
 _POINT_TYPES = {"<f4": PointField.FLOAT32, "<u4": PointField.UINT32}
-
-
-def diagnostic(name: str, level: bytes, text: str, values: dict[str, object]) -> DiagnosticStatus:
-    """One line of /diagnostics."""
-    pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
-    return DiagnosticStatus(
-        level=level, name=name, message=text, hardware_id=name.split(":")[0], values=pairs
-    )
 
 
 def listed(items: Sequence[object]) -> str:

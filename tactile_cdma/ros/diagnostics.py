@@ -1,142 +1,142 @@
-"""What a running driver says of itself in /diagnostics."""
+"""What a driver says of itself in /diagnostics; docs/diagnostics.md explains every value."""
 
 from __future__ import annotations
 
-import time
-from dataclasses import fields
+import math
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
+from .. import checkup
 from ..driver import WAITING, Driver
+from ..findings import Finding, Level, Settling, worst
 from ..health import NodeState
-from ..messages import Status
-from ..pipeline import TactileFrame
-from ..protocol import Counters
+from ..identity import shown_id
+from ..pipeline import Pipeline, TactileFrame
+from ..vitals import Window
 from .convert import listed
 
-_COMPLAINTS = {
-    NodeState.FAULTY: "words of some nodes contradict the code: check their supply and clock",
-    NodeState.DOUBLED: "two nodes speak on one code row: check the numbers given to the nodes",
-}
-_LOSSES = {
-    "sync_faults": "sync edges came late or not at all: the digitizer cannot keep up",
-    "samples_lost": "the digitizer loses samples: ask for fewer samples_per_chip",
-    "packets_dropped": "the link or this computer is too slow for the digitizer's packets",
-    "command_errors": "commands reach the digitizer broken: check cable and baud",
-}
-"""What it means that a count of STATUS rises."""
-_SLOW = 0.5
-"""Share of the expected rate below which something is wrong."""
+STREAM, NODES, LINK, HOST = "stream", "nodes", "link", "host"
+ENTRIES = (STREAM, NODES, LINK, HOST)
+NO_FRAMES = "no frames come, see stream"
+_OF_LINK = ("crc_errors", "framing_errors", "lost_packets", "lost_samples")
+"""Counts that are told per second, too."""
+_OF_STREAM = ("frames", "lost_frames", "rejected_bursts")
+
+Values = Mapping[str, object]
 
 
-class StreamReport:
-    """Level, text and values of a driver's stream; rates are since the report before."""
+class SkinReport:
+    """The entries of one skin, from one report to the next."""
 
-    def __init__(self) -> None:
-        self._counted = (time.monotonic(), 0)
-        self._status: Status | None = None
+    def __init__(self, node: str) -> None:
+        """node: fully qualified name of the node."""
+        self._prefix = node.lstrip("/")
+        self._hardware_id = ""
+        self._settling = {entry: Settling() for entry in ENTRIES}
+        self._receiving = False  # at the report before
+
+    def inactive(self, failure: str) -> list[DiagnosticStatus]:
+        """The entries while no driver runs. failure: why it could not be started, or nothing."""
+        self._settling = {entry: Settling() for entry in ENTRIES}
+        level = Level.ERROR if failure else Level.STALE
+        first = self._entry(STREAM, level, failure or "not active", {})
+        return [first] + [self._entry(e, Level.STALE, "not active", {}) for e in ENTRIES[1:]]
 
     def of(
-        self, driver: Driver, latest: TactileFrame | None
-    ) -> tuple[bytes, str, dict[str, object]]:
-        """What there is to say now. latest: the newest frame."""
-        rate_hz, expected_hz = self._rate_hz(driver), 1 / driver.pipeline.config.spec.frame_period_s
-        level, text = _verdict(driver, rate_hz / expected_hz)
-        loss = self._loss(driver.pipeline.status)
-        wrong_tare = _below_rest(driver, latest)
-        if level == DiagnosticStatus.OK and (loss or wrong_tare):
-            level, text = DiagnosticStatus.WARN, loss or wrong_tare or ""
-        values: dict[str, object] = {
-            "rate (Hz)": f"{rate_hz:.2f}",
-            "expected rate (Hz)": f"{expected_hz:.2f}",
-            "connections": driver.connections,
-            "rejected bursts": driver.pipeline.rejected,
+        self, driver: Driver, latest: TactileFrame | None, tared: str | None
+    ) -> list[DiagnosticStatus]:
+        """The entries of a running driver. latest: the newest frame. tared: when, if ever."""
+        pipeline = driver.pipeline
+        window = driver.vitals.take(pipeline)
+        if pipeline.info is not None:
+            self._hardware_id = shown_id(pipeline.info.digitizer_id)
+        values: dict[str, Values] = {
+            STREAM: _stream_values(pipeline, window),
+            NODES: {**_node_values(driver, window), "tared": tared or "not"},
+            LINK: {"port": driver.url, **_link_values(driver, window)},
+            HOST: _host_values(window),
         }
-        values |= {**_health(driver), **_rest(driver), **_clocks(driver), **_counts(driver)}
-        values["clipped samples (%)"] = f"{100 * latest.clipped:.1f}" if latest else ""
-        return level, text, values
+        if driver.problem:
+            return self._without_frames(driver.problem, values)
+        # Counts rise when frames begin to come, and the first of them fill no whole second.
+        started, self._receiving = not self._receiving, True
+        found: dict[str, Callable[[], Iterable[Finding]]] = {
+            STREAM: lambda: () if started else checkup.stream(pipeline, window, latest),
+            NODES: lambda: checkup.nodes(pipeline, driver.stuck.nodes, window),
+            LINK: lambda: () if started else checkup.link(pipeline, window),
+            HOST: lambda: checkup.host(window),
+        }
+        clocks = pipeline.clocks
+        calling = clocks is not None and clocks.busy
+        good = {STREAM: "roll call: measuring the nodes' clocks" if calling else "receiving"}
+        entries = []
+        for entry in ENTRIES:
+            level, text = worst(self._settling[entry].settle(found[entry]()))
+            entries.append(self._entry(entry, level, text or good.get(entry, "ok"), values[entry]))
+        return entries
 
-    def _loss(self, status: Status | None) -> str | None:
-        """The gravest of what the digitizer has lost since the report before."""
-        before, self._status = self._status, status
-        if before is None or status is None:
-            return None
-        rising = (text for n, text in _LOSSES.items() if getattr(status, n) > getattr(before, n))
-        return next(rising, None)
+    def _without_frames(self, problem: str, values: Mapping[str, Values]) -> list[DiagnosticStatus]:
+        """The entries where the stream has a problem: of the others there is no news."""
+        self._receiving = False
+        self._settling = {entry: Settling() for entry in ENTRIES}
+        level = Level.WARN if problem == WAITING else Level.ERROR
+        first = self._entry(STREAM, level, problem, values[STREAM])
+        others = [self._entry(e, Level.STALE, NO_FRAMES, values[e]) for e in (NODES, LINK)]
+        return [first, *others, self._entry(HOST, Level.OK, "ok", values[HOST])]
 
-    def _rate_hz(self, driver: Driver) -> float:
-        now, frames = time.monotonic(), driver.pipeline.counters.frames
-        rate_hz = (frames - self._counted[1]) / max(now - self._counted[0], 1e-3)
-        self._counted = (now, frames)
-        return rate_hz
-
-
-def _verdict(driver: Driver, rate: float) -> tuple[bytes, str]:
-    """The worst that there is to say."""
-    if driver.problem == WAITING:
-        return DiagnosticStatus.WARN, driver.problem
-    if driver.problem:
-        return DiagnosticStatus.ERROR, driver.problem
-    clocks = driver.pipeline.clocks
-    if clocks is not None and clocks.busy:
-        return DiagnosticStatus.OK, "roll call: measuring the nodes' clocks"
-    if rate < _SLOW:
-        return DiagnosticStatus.WARN, (
-            f"frames come at {rate:.0%} of their rate: is the digitizer or this computer too slow, "
-            "or is the line disturbed (see rejected bursts and lost samples)?"
+    def _entry(self, entry: str, level: Level, text: str, values: Values) -> DiagnosticStatus:
+        return DiagnosticStatus(
+            level=bytes([level]),
+            name=f"{self._prefix}: {entry}",
+            message=text,
+            hardware_id=self._hardware_id,
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
-    if driver.pipeline.taxels.nobody_heard:
-        return DiagnosticStatus.WARN, "frames arrive, but no node was heard: is the skin powered?"
-    if clocks is not None and clocks.unresolved:
-        return DiagnosticStatus.WARN, "clocks of some nodes leave them not told apart"
-    for state, complaint in _COMPLAINTS.items():
-        if driver.pipeline.health.nodes(state):
-            return DiagnosticStatus.WARN, complaint
-    if clocks is not None and clocks.problem:
-        return DiagnosticStatus.WARN, clocks.problem
-    return DiagnosticStatus.OK, "receiving"
 
 
-def _below_rest(driver: Driver, latest: TactileFrame | None) -> str | None:
-    """What there is to say of taxels that read less than nothing, as after a tare under load."""
-    if latest is None:
-        return None
-    pressure_pa, layout = latest.readings.pressure_pa, driver.pipeline.config.layout
-    below = np.flatnonzero(pressure_pa < -driver.pipeline.config.rest.contact_pa)
-    if not len(below):
-        return None
-    nodes = listed(np.sort(layout.nodes[below]).tolist())
-    return (
-        f"nodes {nodes} read up to {-pressure_pa[below].min() / 1e3:.1f} kPa less than nothing: "
-        "tare while nothing touches the skin"
-    )
-
-
-def _health(driver: Driver) -> dict[str, object]:
-    health = driver.pipeline.health
-    states = (NodeState.WEAK, NodeState.FAULTY, NodeState.DOUBLED)
+def _stream_values(pipeline: Pipeline, window: Window) -> Values:
     return {
-        "missing nodes": listed(driver.pipeline.taxels.missing),
-        **{f"{state.name.lower()} nodes": listed(health.nodes(state)) for state in states},
+        "rate (Hz)": f"{window.frames / window.seconds:.2f}",
+        "expected rate (Hz)": f"{1 / pipeline.config.spec.frame_period_s:.2f}",
+        "latency (ms)": _number(window.latency_s * 1e3, 2),
+        "latency, slowest (ms)": _number(window.slowest_s * 1e3, 2),
+        "latency: line and link (ms)": _number(window.line_s * 1e3, 2),
+        "latency: decoding (ms)": _number(window.decode_s * 1e3, 3),
+        "latency: publishing (ms)": _number(window.publish_s * 1e3, 3),
+        **_counts(window, _OF_STREAM),
+        "lost frames (per s)": f"{window.per_s('lost_frames'):.2f}",
+        "noise floor (V rms)": _number(window.noise_rms_v, 6),
+        "clipped samples (%)": f"{100 * window.clipped:.2f}",
     }
 
 
-def _rest(driver: Driver) -> dict[str, object]:
-    """Drift, and the nodes whose rest is too far off to be drift."""
-    taxels, tracker = driver.pipeline.taxels, driver.pipeline.taxels.chain.tracker
+def _node_values(driver: Driver, window: Window) -> Values:
+    pipeline = driver.pipeline
+    taxels, health, tracker = pipeline.taxels, pipeline.health, pipeline.taxels.chain.tracker
     drift_v = taxels.baseline.drift_v
-    node = int(np.abs(drift_v).argmax())
+    drifting = int(np.abs(drift_v).argmax())
     strays = tracker.strays_lsb(taxels.now_s) if tracker is not None else {}
     off = [f"{node} ({lsb:+.1f} LSB)" for node, lsb in strays.items()]
+    node, rho = checkup.weakest(pipeline, window)
     return {
-        "largest drift (mV)": f"{drift_v[node] * 1e3:.2f}, node {node + 1}",
+        "dead nodes": listed(taxels.dead),
+        "stale nodes": listed(taxels.stale),
+        "weak nodes": listed(health.nodes(NodeState.WEAK)),
+        "faulty nodes": listed(health.nodes(NodeState.FAULTY)),
+        "doubled nodes": listed(health.nodes(NodeState.DOUBLED)),
+        "stuck nodes": listed(driver.stuck.nodes),
+        "weakest node": node or "",
+        "SNR of the weakest node (dB)": f"{checkup.decibels(rho):.1f}" if node else "",
+        "largest drift (mV)": f"{drift_v[drifting] * 1e3:.2f}, node {drifting + 1}",
         "nodes off their rest": listed(off) + ("; tare if nothing touches them" if off else ""),
+        **_clock_values(pipeline),
     }
 
 
-def _clocks(driver: Driver) -> dict[str, object]:
-    clocks = driver.pipeline.clocks
+def _clock_values(pipeline: Pipeline) -> Values:
+    clocks = pipeline.clocks
     if clocks is None or not clocks.heard:
         return {}
     return {
@@ -147,20 +147,34 @@ def _clocks(driver: Driver) -> dict[str, object]:
     }
 
 
-def _counts(driver: Driver) -> dict[str, object]:
-    pipeline = driver.pipeline
-    values: dict[str, object] = {
-        _words(count.name): getattr(pipeline.counters, count.name)
-        for count in fields(pipeline.counters)
+def _link_values(driver: Driver, window: Window) -> Values:
+    rates = {f"{_words(name)} (per s)": f"{window.per_s(name):.2f}" for name in _OF_LINK}
+    others = [name for name in window.totals if name not in _OF_STREAM]
+    return {
+        "connections": driver.connections,
+        "bytes (per s)": f"{window.per_s('bytes'):.0f}",
+        **rates,
+        "backlog (bytes)": window.backlog_bytes,
+        "digitizer clock drift (ppm)": _number(driver.pipeline.clock_drift_ppm, 1),
+        **_counts(window, others),
     }
-    packets, status = pipeline.packet_counts, pipeline.status
-    for count in fields(Counters):
-        if count.name != "text_bytes":
-            values[_words(count.name)] = packets[count.name]
-    for count in fields(status) if status else ():
-        values["digitizer " + _words(count.name)] = getattr(status, count.name)
-    return values
+
+
+def _host_values(window: Window) -> Values:
+    return {
+        "CPU of the process (%)": f"{100 * window.process_share:.1f}",
+        "CPU of the driver's thread (%)": f"{100 * window.thread_share:.1f}",
+    }
+
+
+def _counts(window: Window, names: Iterable[str]) -> Values:
+    return {_words(name): window.totals[name] for name in names}
 
 
 def _words(name: str) -> str:
     return name.replace("_", " ")
+
+
+def _number(value: float, digits: int) -> str:
+    """Nothing where nothing is known."""
+    return "" if math.isnan(value) else f"{value:.{digits}f}"

@@ -11,7 +11,7 @@ from multiprocessing import get_context
 from typing import Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.clock import Clock, ClockType
@@ -32,7 +32,7 @@ from ..skin_config import SkinConfig
 from ..source import Port
 from . import convert
 from .contacts import ContactPublishers
-from .diagnostics import StreamReport
+from .diagnostics import SkinReport
 from .lifecycle import ManagedNode, reported
 from .mount import TF_STATIC, Mount, transform_of
 from .parameters import NodeParameters
@@ -69,7 +69,7 @@ class SkinNode(ManagedNode):
         self._info_id = 0
         self._latest: TactileFrame | None = None
         self._last_failure = ""
-        self._stream_report = StreamReport()
+        self._report = SkinReport(self.get_fully_qualified_name())
         self._silence_due_s = 0.0  # device time from which a frame without words is published again
         self._rest = RestKeeper(self, self._publish_info)
         self._array_publisher = self.create_lifecycle_publisher(
@@ -174,7 +174,7 @@ class SkinNode(ManagedNode):
         self._pictures.start(self._config)
         self._driver.start(self._port)
         self._port = None  # the driver's now
-        self._stream_report = StreamReport()
+        self._report = SkinReport(self.get_fully_qualified_name())
         return result
 
     @reported
@@ -276,18 +276,12 @@ class SkinNode(ManagedNode):
         return True
 
     def _publish_diagnostics(self) -> None:
-        name = f"{self.get_fully_qualified_name().lstrip('/')}: stream"
-        driver = self._driver
-        if driver is None:
-            text = self._last_failure or "not active"
-            level = DiagnosticStatus.ERROR if self._last_failure else DiagnosticStatus.STALE
-            values: dict[str, object] = {}
+        if self._driver is None:
+            entries = self._report.inactive(self._last_failure)
         else:
-            level, text, values = self._stream_report.of(driver, self._latest)
-            values["port"] = self._live["port"]
-            values["tared"] = self._rest.tared or "not"
+            entries = self._report.of(self._driver, self._latest, self._rest.tared)
             self._rest.tick()
-        message = DiagnosticArray(status=[convert.diagnostic(name, level, text, values)])
+        message = DiagnosticArray(status=entries)
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_publisher.publish(message)
 

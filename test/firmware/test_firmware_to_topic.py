@@ -180,7 +180,7 @@ def test_broken_nodes_are_named_and_harm_no_other(tmp_path: Path) -> None:
     ):
         first = phase_lock(client, skin)
         wait_for(lambda: len(client.arrays) >= first + 100, 60)
-        wait_for(lambda: diagnosed(client, "missing nodes") == "3, 7")
+        wait_for(lambda: diagnosed(client, "dead nodes") == "3, 7")
         off = off_lsb(client, skin, first)
         status = np.array([message.status for message in client.arrays[first:]])
         pressures = np.array([message.pressure for message in client.arrays[first:]])
@@ -202,4 +202,4 @@ def test_broken_commands_and_a_slow_link_show_in_the_diagnostics(tmp_path: Path)
         wait_for(lambda: diagnosed(client, "digitizer command errors") == "2")
         wait_for(lambda: int(diagnosed(client, "digitizer packets dropped") or 0) > 0, 30)
         complaint = "the link or this computer is too slow for the digitizer's packets"
-        wait_for(lambda: any(status.message == complaint for status in client.diagnostics), 30)
+        wait_for(lambda: any(complaint in status.message for status in client.diagnostics), 30)

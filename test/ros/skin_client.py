@@ -35,12 +35,24 @@ class Client(Node):
         self.arrays: list[TactileArray] = []
         self.images: list[Image] = []
         self.infos: list[TactileSkinInfo] = []
-        self.diagnostics: list[DiagnosticStatus] = []
+        self.entries: dict[str, list[DiagnosticStatus]] = {}  # of /diagnostics, by last word
+        self.diagnostics: list[DiagnosticStatus] = []  # all entries of a report in one
         self.create_subscription(TactileArray, "/skin/tactile", self.arrays.append, QUEUE)
         self.create_subscription(TactileSkinInfo, "/skin/info", self.infos.append, LATCHED)
-        self.create_subscription(
-            DiagnosticArray, "/diagnostics", lambda m: self.diagnostics.extend(m.status), 10
-        )
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._diagnosed, 10)
+
+    def _diagnosed(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            self.entries.setdefault(status.name.rpartition(": ")[2], []).append(status)
+        self.diagnostics.append(in_one(message))
+
+    def entry(self, name: str) -> DiagnosticStatus:
+        """The newest of an entry, or an empty one."""
+        return self.entries.get(name, [DiagnosticStatus()])[-1]
+
+    def value(self, entry: str, key: str) -> str:
+        """The newest value of this name in an entry; empty if there is none."""
+        return {pair.key: pair.value for pair in self.entry(entry).values}.get(key, "")
 
     def call(self, kind: Any, name: str, request: Any) -> Any:
         client = self.create_client(kind, f"/skin/{name}")
@@ -63,6 +75,15 @@ class Client(Node):
         request = SetParameters.Request(parameters=parameters)
         [result] = self.call(SetParameters, "set_parameters", request).results
         return result.successful, result.reason
+
+
+def in_one(message: DiagnosticArray) -> DiagnosticStatus:
+    """Level and texts of the worst entries, values of all; STALE only where all are."""
+    levels = [status.level for status in message.status]
+    level = max((level for level in levels if level != DiagnosticStatus.STALE), default=levels[0])
+    texts = [status.message for status in message.status if status.level == level]
+    values = [pair for status in message.status for pair in status.values]
+    return DiagnosticStatus(level=level, message="; ".join(texts), values=values)
 
 
 def wait_for(condition: Callable[[], object], timeout_s: float = 15.0) -> None:

@@ -290,5 +290,5 @@ def test_diagnostics_name_the_nodes_that_are_not_heard() -> None:
     with running(port="sim://?scene=idle&heartbeat=0&nodes=16") as (_, client):
         wait_for(lambda: any("no node was heard" in s.message for s in client.diagnostics))
     values = {pair.key: pair.value for pair in client.diagnostics[-1].values}
-    assert values["missing nodes"] == ", ".join(map(str, range(1, 17)))
+    assert values["dead nodes"] == ", ".join(map(str, range(1, 17)))
     assert values["doubled nodes"] == values["faulty nodes"] == values["weak nodes"] == ""

@@ -34,3 +34,16 @@ def test_wild_arrivals_do_not_bend_the_rate() -> None:
         stall = 3.0 if 100 < i < 140 else 0.0
         clock.observe(i * 0.1, i * 0.1 + stall)
     assert clock.to_host(20.0) == pytest.approx(20.0, abs=0.05)
+
+
+@pytest.mark.parametrize("drift", [0.0, 80e-6, -300e-6])
+def test_the_drift_is_told_once_it_is_known(drift: float) -> None:
+    """A device's clock that is faster by `drift`, through delays of up to 4 ms."""
+    rng, clock = np.random.default_rng(2), DeviceClock()
+    for i in range(10_000):
+        host = i * 2e-3
+        clock.observe(host * (1 + drift), host + rng.exponential(1e-3))
+        clock.to_host(host)
+        if host < 9.5:
+            assert np.isnan(clock.drift_ppm)
+    assert clock.drift_ppm == pytest.approx(drift * 1e6, abs=10)

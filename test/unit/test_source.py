@@ -92,3 +92,15 @@ def test_time_is_taken_after_the_bytes_came() -> None:
             times.append(port.read()[1])
         assert times == sorted(times)
         assert len(set(times)) == 3
+
+
+def test_what_waits_in_a_port_is_told_and_a_lost_port_is_an_error() -> None:
+    with pty_port() as (file, port):
+        assert port.waiting == 0
+        file.write(SENT[:1000])
+        assert port.waiting == 1000
+        assert len(port.read()[0]) == 1000
+        assert port.waiting == 0
+        port.close()
+        with pytest.raises(PortError, match="unplugged"):
+            _ = port.waiting

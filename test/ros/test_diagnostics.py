@@ -1,0 +1,276 @@
+"""What /diagnostics says of a driver that something is wrong with, over real DDS."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+
+from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
+
+from skin_client import Client, running, wait_for  # noqa: E402
+from tactile_cdma.encode import frame_levels, line_chips  # noqa: E402
+from tactile_cdma.ros.diagnostics import ENTRIES, NO_FRAMES  # noqa: E402
+from tactile_cdma.ros.node import SkinNode  # noqa: E402
+from tactile_cdma.sim import digitizer  # noqa: E402
+from tactile_cdma.sim.digitizer import VirtualDigitizer  # noqa: E402
+from tactile_cdma.sim.pty import Digitizer, serve  # noqa: E402
+
+pytestmark = pytest.mark.ros
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+STALE = DiagnosticStatus.STALE
+PATIENCE_S = 30.0
+HURRY_NS = 250_000_000
+"""Reports come at this interval where a test need not wait for whole seconds."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ros() -> Iterator[None]:
+    rclpy.init()
+    yield
+    rclpy.shutdown()
+
+
+@contextmanager
+def plugged(path: Path, power_up: Callable[[], Digitizer] = VirtualDigitizer) -> Iterator[None]:
+    """A digitizer on a tty of this path."""
+    stop, ready = threading.Event(), threading.Event()
+    server = threading.Thread(target=serve, args=(power_up, path, stop, lambda _: ready.set()))
+    server.start()
+    try:
+        assert ready.wait(5)
+        yield
+    finally:
+        stop.set()
+        server.join()
+
+
+def says(client: Client, entry: str, level: bytes, text: str) -> Callable[[], bool]:
+    """Whether an entry has said so at this level."""
+    return lambda: any(
+        status.level == level and text in status.message for status in client.entries.get(entry, [])
+    )
+
+
+@contextmanager
+def hurrying(**parameters: Any) -> Iterator[tuple[SkinNode, Client]]:
+    """A driver that reports more often, and a client of it."""
+    with running(**parameters) as (node, client):
+        node._diagnostics_timer.timer_period_ns = HURRY_NS
+        yield node, client
+
+
+def complaint(entry: str, level: bytes, text: str, **parameters: Any) -> Client:
+    """Run a driver until it says so; its client."""
+    with hurrying(**parameters) as (_, client):
+        wait_for(says(client, entry, level, text), PATIENCE_S)
+    return client
+
+
+def test_a_sound_skin_has_four_entries_that_are_ok_and_complete() -> None:
+    with running(port="sim://?scene=moving&threshold=0&seed=7") as (_, client):
+        wait_for(lambda: len(client.entries.get("host", [])) >= 4, PATIENCE_S)
+        wait_for(lambda: {client.entry(entry).level for entry in ENTRIES} == {OK}, PATIENCE_S)
+    assert set(client.entries) == set(ENTRIES)
+    assert {client.entry(entry).name for entry in ENTRIES} == {f"skin: {e}" for e in ENTRIES}
+    identity = (b"sim\0" + (7).to_bytes(4, "little")).hex()
+    assert {client.entry(entry).hardware_id for entry in ENTRIES} == {identity}
+
+    def number(entry: str, key: str) -> float:
+        return float(client.value(entry, key))
+
+    assert number("stream", "rate (Hz)") == pytest.approx(78.1, rel=0.3)
+    stages = ("line and link", "decoding", "publishing")
+    parts_ms = [number("stream", f"latency: {stage} (ms)") for stage in stages]
+    assert number("stream", "latency (ms)") == pytest.approx(sum(parts_ms), abs=0.01)
+    assert 0 < number("stream", "latency (ms)") <= number("stream", "latency, slowest (ms)")
+    assert parts_ms[0] >= 5.0 - 0.1, "half a code frame of 10 ms passes before it is all there"
+    # Means of the 4 samples of a chip, of 5 mV each.
+    assert number("stream", "noise floor (V rms)") == pytest.approx(2.5e-3, rel=0.2)
+    assert number("nodes", "SNR of the weakest node (dB)") == pytest.approx(
+        20 * np.log10(0.3 * np.sqrt(20) / 2.5e-3), abs=2.0
+    )
+    assert 1 <= number("nodes", "weakest node") <= 16
+    kinds = ("dead", "stale", "weak", "faulty", "doubled", "stuck")
+    assert {client.value("nodes", f"{kind} nodes") for kind in kinds} == {""}
+    assert number("link", "bytes (per s)") > 78 * 1600
+    assert 0 < number("host", "CPU of the driver's thread (%)") <= 100
+    assert number("host", "CPU of the process (%)") > 0
+
+
+def test_dead_nodes_are_told_from_those_that_fall_silent() -> None:
+    """Nodes 3 and 7 never speak, the others at a heartbeat of a second."""
+    port = "sim://?scene=idle&dead=3,7"
+    with hurrying(port=port, stale_after_s=1.5) as (_, client):
+        wait_for(says(client, "nodes", WARN, "never heard: 2 nodes (3, 7)"), PATIENCE_S)
+        assert client.value("nodes", "dead nodes") == "3, 7"
+        assert client.value("nodes", "stale nodes") == ""
+        assert client.set(stale_after_s=0.6) == (True, "")
+        wait_for(says(client, "nodes", WARN, "fell silent: "), PATIENCE_S)
+        wait_for(lambda: client.value("nodes", "stale nodes"), PATIENCE_S)
+        assert {"3", "7"}.isdisjoint(client.value("nodes", "stale nodes").split(", "))
+        assert client.set(stale_after_s=1.5) == (True, "")
+        wait_for(lambda: "fell silent" not in client.entry("nodes").message, PATIENCE_S)
+    assert client.entry("nodes").level == WARN, "two are still dead"
+
+
+@pytest.fixture
+def on_the_line(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[..., Any]], None]:
+    """Adds to the line of the simulated skin what a function makes of the chips of its nodes."""
+    waveforms = digitizer.waveforms
+
+    def add(extra: Callable[..., Any]) -> None:
+        def with_extra(spec: Any, codes: Any, active: Any, edges_s: Any, clocks: Any) -> Any:
+            def chips(number: int) -> Any:
+                return line_chips(spec, codes, active & (np.arange(1, spec.nodes + 1) == number))
+
+            yield from waveforms(spec, codes, active, edges_s, clocks)
+            yield frame_levels(extra(chips), spec), edges_s
+
+        monkeypatch.setattr(digitizer, "waveforms", with_extra)
+
+    return add
+
+
+def test_weak_and_contradictory_nodes_are_named(
+    on_the_line: Callable[[Callable[..., Any]], None],
+) -> None:
+    """Node 12 is weak; of node 14 every third bit is nearly gone."""
+
+    def broken(chips: Callable[[int], Any]) -> Any:
+        dropped = 0.9 * chips(14)
+        dropped[1::3] = dropped[2::3] = 0
+        return -0.65 * chips(12) - dropped
+
+    on_the_line(broken)
+    with hurrying(port="sim://?scene=all&threshold=0&seed=4") as (_, client):
+        wait_for(says(client, "nodes", WARN, "than they should be: node 12"), PATIENCE_S)
+        wait_for(says(client, "nodes", WARN, "words contradict the code: node 14"), PATIENCE_S)
+        wait_for(lambda: client.value("nodes", "weakest node") == "12", PATIENCE_S)
+    kinds = ("weak", "faulty", "doubled")
+    assert [client.value("nodes", f"{kind} nodes") for kind in kinds] == ["12", "14", ""]
+
+
+def test_two_nodes_on_one_row_are_named(
+    on_the_line: Callable[[Callable[..., Any]], None],
+) -> None:
+    """What was meant to be another node says on row 9 what node 9 does: both are at rest."""
+    on_the_line(lambda chips: chips(9))
+    text = "two nodes speak on one code row: node 9"
+    client = complaint("nodes", WARN, text, port="sim://?scene=idle&heartbeat=16")
+    assert client.value("nodes", "doubled nodes") == "9"
+
+
+def test_a_skin_that_nobody_hears_is_an_error() -> None:
+    client = complaint(
+        "nodes", ERROR, "no node was heard", port="sim://?scene=idle&heartbeat=0", stale_after_s=1.0
+    )
+    assert client.value("nodes", "dead nodes") == ", ".join(map(str, range(1, 17)))
+    assert client.value("nodes", "weakest node") == ""
+
+
+def test_a_stuck_node_is_named() -> None:
+    port = "sim://?scene=hand&stuck=6&seed=2&speed=4"
+    client = complaint("nodes", WARN, "node 6; check sensor", port=port)
+    assert client.value("nodes", "stuck nodes") == "6"
+
+
+def test_noise_drowns_the_weakest_node() -> None:
+    complaint("nodes", WARN, "stands out of the noise by", port="sim://?scene=all&noise=0.8")
+
+
+def test_clipping_says_by_how_much() -> None:
+    client = complaint("stream", WARN, "are at a rail", port="sim://?scene=all&threshold=0&rail=1")
+    assert float(client.value("stream", "clipped samples (%)")) > 1
+
+
+@pytest.mark.parametrize(
+    ("speed", "level", "text"),
+    [(0.7, WARN, "of their rate"), (0.3, ERROR, "of their rate"), (1.5, WARN, "hurries")],
+)
+def test_a_wrong_rate_is_told(speed: float, level: bytes, text: str) -> None:
+    client = complaint("stream", level, text, port=f"sim://?scene=press&speed={speed}")
+    expected = float(client.value("stream", "expected rate (Hz)"))
+    assert float(client.value("stream", "rate (Hz)")) == pytest.approx(speed * expected, rel=0.2)
+
+
+def test_a_clock_that_runs_off_is_told_in_ppm(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tactile_cdma.clock.SURE_INTERVALS", 12)  # 3 s, not 10
+    with hurrying(port="sim://?scene=idle&speed=1.0008") as (_, client):
+        wait_for(says(client, "link", WARN, "ppm off"), PATIENCE_S)
+
+        def drift_ppm() -> float:
+            return float(client.value("link", "digitizer clock drift (ppm)") or "nan")
+
+        wait_for(lambda: abs(drift_ppm() - 800) < 150, PATIENCE_S)
+
+
+class NoisyLink(VirtualDigitizer):
+    """One byte in so many arrives as another."""
+
+    def __init__(self, one_in: int) -> None:
+        super().__init__()
+        self._one_in, self._rng = one_in, np.random.default_rng(3)
+
+    def take(self, size: int) -> bytes:
+        data = np.frombuffer(super().take(size), np.uint8).copy()
+        hit = self._rng.random(len(data)) < 1 / self._one_in
+        data[hit] ^= 0x24
+        return data.tobytes()
+
+
+@pytest.mark.parametrize(("one_in", "level"), [(40_000, WARN), (1_000, ERROR)])
+def test_a_noisy_link_is_told_with_the_share_of_broken_packets(
+    tmp_path: Path, one_in: int, level: bytes
+) -> None:
+    path = tmp_path / "tty"
+    with plugged(path, lambda: NoisyLink(one_in)):
+        client = complaint("link", level, "packets arrive broken", port=str(path))
+    broken = ("crc errors", "framing errors")
+    assert sum(int(client.value("link", name)) for name in broken) > 0
+    assert sum(float(client.value("link", f"{name} (per s)")) for name in broken) > 0
+
+
+def test_an_unplugged_port_is_an_error_of_the_stream_and_no_news_of_the_rest(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "tty"
+    with hurrying(port=str(path)) as (_, client):
+        with plugged(path):
+            wait_for(lambda: client.entry("stream").message == "receiving", PATIENCE_S)
+        wait_for(lambda: client.entry("stream").level == ERROR, PATIENCE_S)
+        assert str(path) in client.entry("stream").message
+        for entry in ("nodes", "link"):
+            wait_for(lambda entry=entry: client.entry(entry).level == STALE)
+            assert client.entry(entry).message == NO_FRAMES
+        assert client.entry("host").level == OK
+        with plugged(path):
+            wait_for(lambda: client.entry("stream").level == OK, PATIENCE_S)
+            wait_for(lambda: client.entry("link").level == OK, PATIENCE_S)
+    assert client.value("link", "connections") == "2"
+
+
+def test_frames_that_wait_are_late_and_their_bytes_a_backlog(tmp_path: Path) -> None:
+    path = tmp_path / "tty"
+    with plugged(path), hurrying(port=str(path)) as (node, client):
+        wait_for(lambda: client.entry("stream").message == "receiving", PATIENCE_S)
+        driver = node._driver
+        assert driver is not None
+        deadline = time.monotonic() + PATIENCE_S
+        while not says(client, "stream", WARN, " ms late")():
+            assert time.monotonic() < deadline, "frames were held up, and nobody said so"
+            with driver.between_frames():
+                time.sleep(0.2)
+            time.sleep(0.03)
+        latest = [
+            {pair.key: pair.value for pair in status.values} for status in client.entries["link"]
+        ]
+    assert max(int(values.get("backlog (bytes)", 0)) for values in latest) > 1000
