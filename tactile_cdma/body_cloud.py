@@ -21,7 +21,8 @@ class PatchCloud:
         self, positions_m: NDArray[np.float32], normals: NDArray[np.float32], patch: int
     ) -> None:
         """Taxels (t, 3) in the patch's frame, m, with unit vectors (t, 3) out of the skin."""
-        self._positions_m, self._normals = positions_m, normals
+        self._positions_m = positions_m.astype(np.float64)
+        self._normals = normals.astype(np.float64)
         self._points = np.zeros(len(positions_m), dtype=BODY_POINT)
         self._points["taxel"] = np.arange(len(positions_m))
         self._points["patch"] = patch

@@ -155,7 +155,7 @@ def _numbers(value: Marked, name: str) -> tuple[float, ...]:
 
 _ANY = 10**18
 """Limits are the parameter's business."""
-_TYPES: dict[type, Callable[[Marked, str], Value]] = {
+_TYPES: dict[type, Callable[[Marked, str], Any]] = {
     bool: _boolean,
     int: lambda value, name: value.whole(name, -_ANY, _ANY),
     float: _number,

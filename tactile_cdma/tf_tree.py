@@ -49,7 +49,7 @@ class TfTree:
         down, up = self._to_root(target), self._to_root(source)
         for frame, pose in up.items():
             if frame in down:
-                return down[frame].inverse() @ pose
+                return down[frame].inverse @ pose
         raise TransformError(
             f"no transform from {source!r} to {target!r}: {source!r} hangs from {list(up)[-1]!r}, "
             f"{target!r} from {list(down)[-1]!r}; set parent_frame and mount_xyz_m of the patch, "

@@ -41,9 +41,10 @@ def _moved(contacts: Sequence[TactileContact], pose: Pose) -> list[tuple[float, 
     """Contacts as seen from the body, each after the size of its force, N."""
     if not contacts:
         return []
-    vectors = pose.rotate(
-        np.array([[_xyz(c.position), _xyz(c.normal), _xyz(c.force), _xyz(c.velocity)] for c in contacts])
-    )
+    seen_from_patch = [
+        [_xyz(c.position), _xyz(c.normal), _xyz(c.force), _xyz(c.velocity)] for c in contacts
+    ]
+    vectors = pose.rotate(np.array(seen_from_patch))
     vectors[:, 0] += pose.translation_m
     forces_n = np.linalg.norm(vectors[:, 2], axis=1).tolist()
     return [
