@@ -105,7 +105,7 @@ def test_heatmaps_are_drawn_only_while_somebody_looks_and_at_most_30_a_second() 
         time.sleep(1.0)
         rate_hz = (len(client.images) - before) / (time.monotonic() - start)
         client.destroy_subscription(subscription)
-        wait_for(lambda: node._pictures._heatmap.get_subscription_count() == 0)
+        wait_for(lambda: node._pictures._publishers["heatmap"].get_subscription_count() == 0)
         time.sleep(0.1)
         drawn = node._pictures._drawn
         time.sleep(0.3)
