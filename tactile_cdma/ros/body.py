@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 import time
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,6 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
@@ -33,12 +33,13 @@ from ..errors import TactileError, TransformError
 from ..poses import Pose
 from ..rounds import Rounds
 from .body_contacts import body_contacts
-from .body_parameters import body_setup
+from .body_parameters import body_setup, declared
 from .body_report import PatchState, body_status
 from .contacts import RELIABLE
 from .convert import point_cloud
 from .patch_feed import PatchFeed, nanoseconds
 from .pictures import PICTURE
+from .qos import offered
 from .transforms import TransformListener
 
 NODE_NAME = "body"
@@ -72,8 +73,10 @@ class BodyNode(Node):
         self.create_timer(1.0 / self._setup.visual_rate_hz, self._publish_points, clock=steady)
 
     def _publisher(self, kind: Any, topic: str, qos: QoSProfile) -> Publisher:
-        options = QoSOverridingOptions.with_default_policies()
-        return self.create_publisher(kind, topic, qos, qos_overriding_options=options)
+        declare = partial(declared, self)
+        return self.create_publisher(
+            kind, topic, offered(qos, self.resolve_topic_name(topic), declare)
+        )
 
     def _tick(self) -> None:
         """Follow what is asked for now; where nothing comes, say even that."""
