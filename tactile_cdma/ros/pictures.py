@@ -8,7 +8,6 @@ from typing import Any
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import Image, PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
@@ -52,7 +51,6 @@ class Pictures:
                 kind,
                 f"~/{name}",
                 PICTURE,
-                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
             )
             for name, kind in TOPICS.items()
         }
