@@ -9,7 +9,6 @@ from collections.abc import Callable
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
-from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -30,7 +29,7 @@ def run_node(make: Callable[[], Node], program: str) -> int:
     try:
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
         node = make()
-    except (RCLError, UnknownROSArgsError, InvalidTopicNameException, TactileError) as error:
+    except (RCLError, UnknownROSArgsError, TactileError) as error:
         print(f"{program}: {error}", file=sys.stderr)
         rclpy.try_shutdown()
         return 1
