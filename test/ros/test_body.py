@@ -104,7 +104,8 @@ class Body:
         self.diagnostics += [s for s in message.status if s.name == "body: patches"]
 
     def subscribe(self, kind: Any, topic: str, take: Callable[[Any], object]) -> Any:
-        return self.client.create_subscription(kind, topic, take, 10)
+        # Deep: this process is busy with five drivers.
+        return self.client.create_subscription(kind, topic, take, 1000)
 
     def unsubscribe(self, subscription: Any) -> None:
         # Not in this thread: the executor may be waiting for it.
