@@ -116,6 +116,7 @@ def whole_body(get: dict[str, str]) -> list[LaunchDescriptionEntity]:
             Node(
                 package="tactile_cdma",
                 executable="skin_body",
+                namespace="",
                 name="body",
                 parameters=[{"body_file": str(path)}],
                 output="screen",

@@ -201,7 +201,8 @@ def _own(patch: Patch) -> list[tuple[str, Value]]:
     if not str(values["port"]).startswith(SHARED_PORTS):
         own.append(("port", values["port"]))
     if values.get("digitizer_id"):
-        own.append(("digitizer_id", re.sub("[^0-9a-f]", "", str(values["digitizer_id"]).lower())))
+        digits = str(values["digitizer_id"]).lower().removeprefix("0x")
+        own.append(("digitizer_id", re.sub("[^0-9a-f]", "", digits)))
     if values["skin"]:
         own.append(("skin", values["skin"]))
     if values.get("parent_frame"):

@@ -29,6 +29,8 @@ from .source import Port
 
 PATIENCE_S = 1.0
 """A digitizer that says nothing useful for so long is asked again."""
+CONNECT_S = 0.5
+"""Longer than a port in order takes to open."""
 RETRY_S = (0.2, 0.5, 1.0, 2.0)
 """Pauses between attempts to open a port; the last one repeats."""
 MOST_CALLS = 3
@@ -59,6 +61,7 @@ class Driver:
         self._url, self._baud = url, baud
         self._on_frame, self._on_problem = on_frame, on_problem
         self._stop = threading.Event()
+        self._opening = False
         self._busy = threading.Lock()
         self._thread = threading.Thread(target=self._run, name=f"skin {url}", daemon=True)
 
@@ -68,10 +71,16 @@ class Driver:
         self._thread.start()
 
     def stop(self) -> None:
-        """Stop the digitizer, close the port, join the thread."""
+        """Stop the digitizer, close the port, join the thread; nothing is called from now on.
+
+        A thread that is just connecting to a host that does not answer is not waited for: it ends
+        by itself when that fails.
+        """
         self._stop.set()
-        if self._thread.is_alive():
-            self._thread.join()
+        while self._thread.is_alive():
+            self._thread.join(CONNECT_S)
+            if self._opening:
+                return
 
     @contextmanager
     def between_frames(self) -> Iterator[Pipeline]:
@@ -98,9 +107,9 @@ class Driver:
         attempt = 0
         while not self._stop.is_set():
             try:
-                port = self._first_port or Port(self._url, self._baud)
-                self._first_port = None
-                with port:
+                with self._open() as port:
+                    if self._stop.is_set():
+                        return
                     attempt = 0
                     self.connections += 1
                     self._stream(port)
@@ -112,6 +121,17 @@ class Driver:
                 continue
             self._stop.wait(RETRY_S[min(attempt, len(RETRY_S) - 1)])
             attempt += 1
+
+    def _open(self) -> Port:
+        """The port given at the start, or the port anew; raises PortError."""
+        first, self._first_port = self._first_port, None
+        if first is not None:
+            return first
+        self._opening = True
+        try:
+            return Port(self._url, self._baud)
+        finally:
+            self._opening = False
 
     def _stream(self, port: Port) -> None:
         """Handshake, then decode until stopped; raises PortError when the port is lost."""
@@ -141,7 +161,7 @@ class Driver:
                 port.write(session.close())
 
     def _report(self, problem: str | None) -> None:
-        if problem != self.problem:
+        if problem != self.problem and not self._stop.is_set():
             self.problem = problem
             self._on_problem(problem)
 

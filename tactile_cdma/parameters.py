@@ -26,7 +26,7 @@ NATURAL_SIGNS = -1
 SIMULATION = "sim://"
 """Beginning of the ports that are simulated skins."""
 LINE, GAP = "line", "gap"
-STANDARD_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+STANDARD_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides")
 """Beginnings of the names of parameters that every ROS 2 node has."""
 
 

@@ -54,7 +54,7 @@ class Pose:
     def quaternion(self) -> Floats:
         """The rotation as (4,) float64: x, y, z, w, of length 1, w ≥ 0."""
         r = self.rotation
-        # 4·q·qᵀ: the row with the largest square of its own loses the least (Bar-Itzhack 2000).
+        # 4·q·qᵀ: the row with the largest square of its own loses the least (Markley 2008).
         outer = np.array(
             [
                 [1 + r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], 0],

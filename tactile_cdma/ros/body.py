@@ -160,7 +160,7 @@ class BodyNode(Node):
         patches = [
             PatchState(
                 name=name,
-                has_driver=self.count_publishers(feed.topic) > 0,
+                has_driver=feed.has_driver,
                 followed=feed.is_followed,
                 silent_s=feed.silent_s(now_s),
                 late_s=feed.late_s(now_s, now_ns),

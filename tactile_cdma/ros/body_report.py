@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -31,11 +31,11 @@ class PatchState:
     fault: str
 
     def complaint(self, stale_after_s: float) -> str:
-        """What is wrong, and what to do; empty where nothing is."""
-        if not self.has_driver:
-            return "no driver: does it run, in this ROS domain, on a computer that is discovered?"
+        """What is wrong, and what to do; empty where nothing is, or nobody asks."""
         if not self.followed:
             return ""
+        if self.silent_s > stale_after_s and not self.has_driver:
+            return "no driver: does it run, in this ROS domain, on a computer that is discovered?"
         if self.silent_s > stale_after_s:
             return "its driver is there, but silent: its own entries here say why"
         if self.fault:
@@ -57,10 +57,12 @@ def body_status(name: str, patches: Sequence[PatchState], stale_after_s: float) 
         level = DiagnosticStatus.ERROR if len(wrong) == len(patches) else DiagnosticStatus.WARN
         text = f"{listed(wrong)}: {complaints[wrong[0]]}"
     elif not any(patch.followed for patch in patches):
-        text += "; nobody subscribes to the body's topics"
-    values: Mapping[str, object] = {
-        patch.name: complaints[patch.name]
-        or (f"{patch.rate_hz:.1f} Hz" if patch.followed else "not asked for")
-        for patch in patches
-    }
+        text = "nobody subscribes to the body's topics"
+    values = {patch.name: complaints[patch.name] or _in_order(patch) for patch in patches}
     return diagnostic(f"{name.lstrip('/')}: patches", level, text, dict(values))
+
+
+def _in_order(patch: PatchState) -> str:
+    if patch.followed:
+        return f"{patch.rate_hz:.1f} Hz"
+    return "its driver is there" if patch.has_driver else "its driver was not seen yet"

@@ -2,20 +2,45 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable
-from functools import partial
+from functools import partial, wraps
 from typing import Any
 
 from lifecycle_msgs.srv import ChangeState
 from rclpy._rclpy_pybind11 import RCLError
-from rclpy.lifecycle import LifecycleNode
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+
+from ..errors import ParameterError
+
+Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]
+
+
+def reported(transition: Transition) -> Transition:
+    """A transition's callback that tells of its own defects: rclpy swallows exceptions."""
+
+    @wraps(transition)
+    def callback(node: Any, state: LifecycleState) -> TransitionCallbackReturn:
+        try:
+            return transition(node, state)
+        except Exception:
+            node.get_logger().error(
+                f"internal error in {transition.__name__}: {traceback.format_exc()}"
+            )
+            return TransitionCallbackReturn.ERROR
+
+    return callback
 
 
 class ManagedNode(LifecycleNode):
     """Refuses transitions that are impossible, and leaves nothing behind when destroyed."""
 
     def __init__(self, name: str, **node_options: Any) -> None:
-        super().__init__(name, **node_options)
+        """Raises ParameterError for an override that is none: rclpy takes no empty list."""
+        try:
+            super().__init__(name, **node_options)
+        except ValueError as error:
+            raise ParameterError(f"a parameter has no value, or an empty list ({error})") from error
         # rclpy lets a transition that is impossible in the present state end the executor.
         self._service_change_state.callback = partial(
             _refuse_impossible, self, self._service_change_state.callback

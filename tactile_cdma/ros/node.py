@@ -27,7 +27,7 @@ from ..source import Port
 from . import convert
 from .contacts import ContactPublishers
 from .diagnostics import StreamReport
-from .lifecycle import ManagedNode
+from .lifecycle import ManagedNode, reported
 from .mount import TF_STATIC, Mount, transform_of
 from .parameters import NodeParameters
 from .pictures import Pictures
@@ -123,8 +123,9 @@ class SkinNode(ManagedNode):
                 self.get_logger().warning(f"not configurable as it is now: {error}")
         self._pictures.change(values)
 
-    # Lifecycle. rclpy swallows exceptions of these callbacks, so each says what went wrong itself.
+    # Lifecycle
 
+    @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Check the parameters and open the port."""
         try:
@@ -147,6 +148,7 @@ class SkinNode(ManagedNode):
         self._mount.configure(transform)
         return super().on_configure(state)
 
+    @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stream."""
         assert self._config is not None
@@ -164,23 +166,26 @@ class SkinNode(ManagedNode):
             f"{spec.bits} bits, a frame every {spec.frame_period_s * 1e3:g} ms"
         )
         self._rest.activate(self._driver)
-        port, self._port = self._port, None
         self._contacts.start(self._config.layout, self._config.contact)
         self._pictures.start(self._config)
-        self._driver.start(port)
+        self._driver.start(self._port)
+        self._port = None  # the driver's now
         self._stream_report = StreamReport()
         return result
 
+    @reported
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop streaming and close the port."""
         self._stop_driver()
         return super().on_deactivate(state)
 
+    @reported
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget the configuration, so that every parameter can change."""
         self._release()
         return super().on_cleanup(state)
 
+    @reported
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Release everything."""
         self._release()
@@ -189,6 +194,7 @@ class SkinNode(ManagedNode):
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Fall back to unconfigured."""
         self._release()
+        self._last_failure = f"internal error while {state.label}, see the log"
         return TransitionCallbackReturn.SUCCESS
 
     def destroy_node(self) -> None:
@@ -233,7 +239,10 @@ class SkinNode(ManagedNode):
         )
 
     def _publish_frame(self, frame: TactileFrame) -> None:
-        """In the driver's thread: the way from a decoded frame to the wire is one publish long."""
+        """In the driver's thread: the way from a decoded frame to the wire is one publish long.
+
+        Several messages share one header: nobody changes a message that was published.
+        """
         assert self._config is not None
         self._latest = frame
         info_id = self._info_id
@@ -302,7 +311,42 @@ def recalibrated(config: SkinConfig, values: Values) -> SkinConfig:
 
 def main() -> int:
     """Run the node until interrupted; returns the exit code."""
+<<<<<<< HEAD
     return run_node(SkinNode, "skin_driver")
+=======
+    # Signals only wake the main thread, so that everything ends in order: the executor, the
+    # reader thread with its port, the node, and the ROS context last.
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    try:
+        rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+        node = SkinNode()
+    except (RCLError, UnknownROSArgsError, ParameterError) as error:
+        # A parameter file that is no YAML, or not one of ROS.
+        print(f"skin_driver: {error}", file=sys.stderr)
+        rclpy.try_shutdown()
+        return 1
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+
+    def spin() -> None:
+        while not stop.is_set():
+            executor.spin_once()
+
+    spinning = threading.Thread(target=spin, name="executor")
+    spinning.start()
+    while not stop.wait(0.5) and spinning.is_alive():
+        pass
+    crashed = not stop.is_set()
+    stop.set()
+    executor.wake()
+    spinning.join()
+    executor.shutdown()  # not while it spins: rclpy would trip over what is gone
+    node.destroy_node()
+    rclpy.try_shutdown()
+    return int(crashed)
+>>>>>>> i6-node
 
 
 if __name__ == "__main__":

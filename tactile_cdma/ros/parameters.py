@@ -30,6 +30,7 @@ from .qos import QOS_OVERRIDES, offered
 
 AT_START = {"autostart"}
 """What is asked only once."""
+_RESTART = " (correct it and start the node again)"
 Change = Callable[[Values, set[str]], None]
 """Takes all values, and the names of those that are new; raises TactileError to refuse them."""
 
@@ -51,7 +52,7 @@ class NodeParameters:
         self._given = {name: p.value for name, p in node.get_parameters_by_prefix("").items()}
         for name in self._given:
             if name not in BY_NAME and not name.startswith(STANDARD_PARAMETERS):
-                self._fault(name, f"{unknown(name, BY_NAME)} (correct it and start the node again)")
+                self._fault(name, unknown(name, BY_NAME) + _RESTART)
         self.values: dict[str, Any] = {
             parameter.name: self._declare(parameter, parameter.name in AT_START)
             for parameter in PARAMETERS
@@ -98,7 +99,7 @@ class NodeParameters:
             try:
                 value = parameter.check(self._given[name])
             except ParameterError as error:
-                self._fault(name, str(error))
+                self._fault(name, f"{error}{_RESTART if read_only else ''}")
         descriptor = _descriptor(parameter, read_only)
         self._node.declare_parameter(name, value, descriptor, ignore_override=True)
         return value

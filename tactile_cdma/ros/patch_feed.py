@@ -67,9 +67,12 @@ class PatchFeed:
         return rate_hz
 
     @property
-    def topic(self) -> str:
-        """What a driver that is there publishes."""
-        return f"{self.node_name}/tactile"
+    def has_driver(self) -> bool:
+        """Whether anybody publishes its topics; by a discovery server, those subscribed to."""
+        return any(
+            self._node.count_publishers(f"{self.node_name}/{topic}")
+            for topic in ("contacts", "tactile")
+        )
 
     def follow(self, contacts: bool, points: bool) -> None:
         """Subscribe to what contacts and points of the body take, and to no more."""

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -21,6 +22,9 @@ from tactile_cdma.msg import TactileArray, TactileSkinInfo
 from tactile_cdma.ros.node import SkinNode
 from tactile_cdma.ros.qos import LATCHED
 from tactile_cdma.ros.view import QUEUE
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.sim.pty import serve
 
 
 class Client(Node):
@@ -69,10 +73,28 @@ def wait_for(condition: Callable[[], object], timeout_s: float = 15.0) -> None:
 
 
 @contextmanager
-def running(**parameters: Any) -> Iterator[tuple[SkinNode, Client]]:
+def plugged(path: Path, url: str = "sim://?scene=all") -> Iterator[None]:
+    """A virtual digitizer on a pty, linked at path."""
+    stop, ready, options = threading.Event(), threading.Event(), SimOptions.from_url(url)
+    thread = threading.Thread(
+        target=serve, args=(lambda: VirtualDigitizer(options), path, stop, lambda _: ready.set())
+    )
+    thread.start()
+    try:
+        assert ready.wait(5)
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+@contextmanager
+def running(
+    make: Callable[..., SkinNode] = SkinNode, **parameters: Any
+) -> Iterator[tuple[SkinNode, Client]]:
     """A driver node and a client, each spinning in a thread of its own."""
     overrides = [Parameter(name, value=value) for name, value in parameters.items()]
-    node, client = SkinNode(parameter_overrides=overrides), Client()
+    node, client = make(parameter_overrides=overrides), Client()
     executors = [SingleThreadedExecutor(), SingleThreadedExecutor()]
     threads = []
     for executor, member in zip(executors, (node, client), strict=True):

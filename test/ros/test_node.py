@@ -19,14 +19,13 @@ from lifecycle_msgs.msg import State, Transition  # noqa: E402
 from rcl_interfaces.srv import DescribeParameters  # noqa: E402
 from sensor_msgs.msg import Image  # noqa: E402
 
-from skin_client import running, wait_for  # noqa: E402
+from skin_client import plugged, running, wait_for  # noqa: E402
 from tactile_cdma.calibration import AdcScale, PressureCurve  # noqa: E402
 from tactile_cdma.msg import TactileArray  # noqa: E402
 from tactile_cdma.parameters import PARAMETERS  # noqa: E402
 from tactile_cdma.ros.pictures import PICTURE  # noqa: E402
-from tactile_cdma.sim.digitizer import VirtualDigitizer, truth  # noqa: E402
+from tactile_cdma.sim.digitizer import truth  # noqa: E402
 from tactile_cdma.sim.options import Setup, SimOptions  # noqa: E402
-from tactile_cdma.sim.pty import serve  # noqa: E402
 from tactile_cdma.taxels import Status  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -261,24 +260,10 @@ def test_unplugging_stops_publishing_says_so_and_replugging_resumes(tmp_path: Pa
         wait_for(lambda: any("no such port" in status.message for status in client.diagnostics))
         assert client.arrays == []
         for _ in range(2):
-            stop, ready = threading.Event(), threading.Event()
-            options = SimOptions.from_url("sim://?scene=all")
-            plugged = threading.Thread(
-                target=serve,
-                args=(
-                    lambda o=options: VirtualDigitizer(o),
-                    path,
-                    stop,
-                    lambda _, ready=ready: ready.set(),
-                ),
-            )
-            plugged.start()
-            assert ready.wait(5)
-            before = len(client.arrays)
-            wait_for(lambda before=before: len(client.arrays) > before + 20)
-            wait_for(lambda: client.diagnostics[-1].level == DiagnosticStatus.OK)
-            stop.set()
-            plugged.join()
+            with plugged(path):
+                before = len(client.arrays)
+                wait_for(lambda before=before: len(client.arrays) > before + 20)
+                wait_for(lambda: client.diagnostics[-1].level == DiagnosticStatus.OK)
             wait_for(lambda: client.diagnostics[-1].level == DiagnosticStatus.ERROR)
             assert str(path) in client.diagnostics[-1].message
             quiet = len(client.arrays)

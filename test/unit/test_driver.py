@@ -300,3 +300,34 @@ def test_calls_between_frames_cost_none() -> None:
     assert calls > 20
     assert [frame.sequence for frame in watch.frames] == list(range(len(watch.frames)))
     assert all(frame.words.active.all() for frame in watch.frames[1:])
+
+
+@contextmanager
+def mute_host() -> Iterator[str]:
+    """URL of a host that lets nobody in: its queue of connections is full."""
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        server.listen(0)
+        waiting = []
+        try:
+            with suppress(TimeoutError):
+                while True:
+                    waiting.append(socket.socket())
+                    waiting[-1].settimeout(0.3)
+                    waiting[-1].connect(server.getsockname())
+            yield "socket://{}:{}".format(*server.getsockname())
+        finally:
+            for client in waiting:
+                client.close()
+
+
+def test_stopping_does_not_wait_for_a_host_that_does_not_answer() -> None:
+    watch = Watch()
+    with mute_host() as url:
+        driver = watch.driver(url)
+        driver.start()
+        time.sleep(0.1)
+        driver.stop()
+        assert driver._thread.is_alive()  # still connecting: pyserial does so for 5 s
+    wait_for(lambda: not driver._thread.is_alive())
+    assert watch.problems == []

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from array import array
 from dataclasses import fields
 from pathlib import Path
 
@@ -58,6 +59,11 @@ def test_the_shipped_file_is_the_default_configuration() -> None:
         ({"chip_us": float("nan")}, "chip_us is nan"),
         ({"drive": "uni"}, "drive is 'uni'; it must be one of bipolar, unipolar"),
         ({"polarity": 2}, "polarity is 2; it must be one of 1, -1"),
+        ({"mount_xyz_m": 1.0}, "mount_xyz_m must be a list of numbers, got 1.0"),
+        ({"mount_xyz_m": [1.0, 2.0]}, r"mount_xyz_m is \[1.0, 2.0\]; it must be 3 numbers"),
+        ({"mount_xyz_m": [0.0, "1", 0.0]}, r"mount_xyz_m\[1\] must be a number, got '1'"),
+        ({"mount_rpy_rad": [0.0, 0.0, float("nan")]}, r"mount_rpy_rad\[2\] is nan rad"),
+        ({"mount_rpy_rad": [0, 90, 0]}, r"mount_rpy_rad\[1\] is 90 rad; it must lie within -10…10"),
     ],
 )
 def test_bad_values_are_refused_with_value_and_limit(values: dict, message: str) -> None:
@@ -83,6 +89,8 @@ def test_impossible_combinations_are_refused(values: dict, message: str) -> None
 
 def test_integers_are_taken_where_numbers_are_asked_for() -> None:
     assert check_values({"chip_us": 50}) == {"chip_us": 50.0}
+    for given in ([1, 2.5, 3], (1.0, 2.5, 3.0), array("d", [1, 2.5, 3])):
+        assert check_values({"mount_xyz_m": given}) == {"mount_xyz_m": (1.0, 2.5, 3.0)}
 
 
 def test_zero_amplitude_means_learnt_and_minus_one_natural_signs() -> None:

@@ -46,7 +46,7 @@ def test_rotations_are_proper_and_survive_the_way_through_a_quaternion(pose: Pos
 
 @given(st.tuples(angles, angles, angles, angles).filter(lambda q: math.hypot(*q) > 1e-3))
 def test_quaternions_turn_as_hamilton_says(xyzw: tuple[float, ...]) -> None:
-    """v' = v + 2·w·(u × v) + 2·u × (u × v)."""
+    """Against v' = v + 2·w·(u × v) + 2·u × (u × v)."""
     x, y, z, w = np.array(xyzw) / math.hypot(*xyzw)
     axis, vector = np.array([x, y, z]), np.array([0.3, -1.0, 2.0])
     once = np.cross(axis, vector)

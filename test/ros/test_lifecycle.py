@@ -1,0 +1,215 @@
+"""Transitions in any order, with ports that come and go: nothing is left behind."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+
+rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+
+from lifecycle_msgs.msg import State, Transition  # noqa: E402
+from rclpy._rclpy_pybind11 import RCLError  # noqa: E402
+from rclpy.lifecycle import TransitionCallbackReturn  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+
+from skin_client import plugged, running, wait_for  # noqa: E402
+from tactile_cdma.ros.node import SkinNode  # noqa: E402
+from tactile_cdma.source import Port  # noqa: E402
+
+pytestmark = pytest.mark.ros
+UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = "unconfigured", "inactive", "active", "finalized"
+TRANSITIONS = {
+    (UNCONFIGURED, "configure"): INACTIVE,
+    (INACTIVE, "activate"): ACTIVE,
+    (ACTIVE, "deactivate"): INACTIVE,
+    (INACTIVE, "cleanup"): UNCONFIGURED,
+    (UNCONFIGURED, "shutdown"): FINALIZED,
+    (INACTIVE, "shutdown"): FINALIZED,
+    (ACTIVE, "shutdown"): FINALIZED,
+}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ros() -> Iterator[None]:
+    rclpy.init()
+    yield
+    rclpy.shutdown()
+
+
+def transition_id(state: str, name: str) -> int:
+    if name == "shutdown":
+        name = f"{state if state != FINALIZED else UNCONFIGURED}_shutdown"
+    return int(getattr(Transition, f"TRANSITION_{name.upper()}"))
+
+
+def readers() -> list[threading.Thread]:
+    return [thread for thread in threading.enumerate() if thread.name.startswith("skin ")]
+
+
+def open_ports() -> int:
+    """How often this process has the device of some pty open."""
+    links = []
+    for number in os.listdir("/proc/self/fd"):
+        try:
+            links.append(os.readlink(f"/proc/self/fd/{number}"))
+        except FileNotFoundError:  # that of the listing
+            continue
+    return sum(link.startswith("/dev/pts/") and "ptmx" not in link for link in links)
+
+
+class Lifecycle(RuleBasedStateMachine):
+    """A driver node, what its state ought to be, and a port that is there, held, or not."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.exit, self.driver, self.plug = ExitStack(), ExitStack(), ExitStack()
+        self.held: Port | None = None
+        folder = Path(self.exit.enter_context(tempfile.TemporaryDirectory()))
+        self.path = folder / "skin"
+        self.others = open_ports()
+        self.is_plugged = False
+        self.plug_in()
+        self.start()
+
+    def start(self) -> None:
+        self.state, self.nodes = UNCONFIGURED, 16
+        self.node, self.client = self.driver.enter_context(
+            running(autostart=False, port=str(self.path), parent_frame="palm")
+        )
+
+    @rule(name=st.sampled_from(sorted({name for _, name in TRANSITIONS})))
+    def change(self, name: str) -> None:
+        expected = TRANSITIONS.get((self.state, name))
+        if name == "configure" and (not self.is_plugged or self.held):
+            expected = None
+        assert self.client.change(transition_id(self.state, name)) == (expected is not None)
+        self.state = expected or self.state
+
+    @rule()
+    def cycle(self) -> None:
+        """The way that a user goes."""
+        for name in ("configure", "activate", "deactivate", "activate"):
+            self.change(name)
+
+    @precondition(lambda self: self.state == FINALIZED)
+    @rule()
+    def renew(self) -> None:
+        self.driver.close()
+        self.start()
+
+    @precondition(lambda self: self.is_plugged)
+    @rule()
+    def unplug(self) -> None:
+        self.release()
+        self.plug.close()
+        self.is_plugged = False
+
+    @precondition(lambda self: not self.is_plugged)
+    @rule()
+    def plug_in(self) -> None:
+        self.plug = ExitStack()
+        self.plug.enter_context(plugged(self.path))
+        self.is_plugged = True
+
+    @precondition(lambda self: self.is_plugged and not self.held and self.state == UNCONFIGURED)
+    @rule()
+    def hold(self) -> None:
+        """Another program opens the port."""
+        self.held = Port(str(self.path), 115_200)
+
+    @precondition(lambda self: self.held)
+    @rule()
+    def release(self) -> None:
+        if self.held:
+            self.held.close()
+            self.held = None
+
+    @rule(nodes=st.sampled_from([12, 16]), threshold=st.floats(0.2, 0.8))
+    def set_parameters(self, nodes: int, threshold: float) -> None:
+        assert self.client.set(threshold=threshold) == (True, "")
+        configured = self.state in (INACTIVE, ACTIVE)
+        taken, _ = self.client.set(nodes=nodes)
+        assert taken == (not configured or nodes == self.nodes)
+        self.nodes = nodes if taken else self.nodes
+
+    @precondition(lambda self: self.state == ACTIVE and self.is_plugged and self.nodes == 16)
+    @rule()
+    def receive(self) -> None:
+        before = len(self.client.arrays)
+        wait_for(lambda: len(self.client.arrays) > before)
+
+    @invariant()
+    def nothing_is_left_behind(self) -> None:
+        assert self.node._state_machine.current_state[1] == self.state
+        assert len(readers()) == (self.state == ACTIVE)
+        if self.state in (UNCONFIGURED, FINALIZED):
+            theirs = self.is_plugged + (self.held is not None)  # the pty's own, another program's
+            assert open_ports() == self.others + theirs
+
+    def teardown(self) -> None:
+        self.release()
+        self.driver.close()  # in whatever state it is
+        self.exit.close()
+        assert readers() == []
+        self.plug.close()
+        assert open_ports() == self.others
+
+
+TestLifecycle = Lifecycle.TestCase
+TestLifecycle.settings = settings(
+    max_examples=5,
+    stateful_step_count=25,
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+
+
+class Defective(SkinNode):
+    """Has a defect in the middle of activating, when it is told to."""
+
+    defective = True
+
+    def _publish_info(self) -> None:
+        if self.defective:
+            raise ZeroDivisionError
+        super()._publish_info()
+
+
+def test_a_defect_is_told_of_releases_everything_and_can_be_outlived(tmp_path: Path) -> None:
+    path = tmp_path / "skin"
+    others = open_ports()
+    with plugged(path), running(Defective, port=str(path)) as (node, client):
+        wait_for(lambda: any("internal error" in status.message for status in client.diagnostics))
+        assert client.state() == State.PRIMARY_STATE_UNCONFIGURED
+        assert readers() == []
+        assert open_ports() == others + 1
+        node.defective = False
+        assert client.change(Transition.TRANSITION_CONFIGURE)
+        assert client.change(Transition.TRANSITION_ACTIVATE)
+        wait_for(lambda: client.arrays)
+
+
+def test_transitions_work_by_call_too_and_a_node_may_go_in_any_state() -> None:
+    for steps in (
+        [],
+        ["configure"],
+        ["configure", "activate"],
+        ["configure", "activate", "deactivate"],
+        ["configure", "activate", "shutdown"],
+    ):
+        node = SkinNode(parameter_overrides=[Parameter("autostart", value=False)])
+        for step in steps:
+            assert getattr(node, f"trigger_{step}")() == TransitionCallbackReturn.SUCCESS
+        with pytest.raises(RCLError):
+            getattr(node, f"trigger_{'cleanup' if steps[-1:] == ['activate'] else 'deactivate'}")()
+        node.destroy_node()
+        assert readers() == []

@@ -1,0 +1,173 @@
+"""How a node's topics are offered, and where it tells tf that the skin is."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+
+from lifecycle_msgs.msg import State, Transition  # noqa: E402
+from rcl_interfaces.msg import Log  # noqa: E402
+from rcl_interfaces.srv import SetParametersAtomically  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
+
+from skin_client import Client, running, wait_for  # noqa: E402
+from tactile_cdma.msg import TactileArray  # noqa: E402
+from tactile_cdma.parameters import read_file  # noqa: E402
+from tactile_cdma.ros.node import SkinNode  # noqa: E402
+from tactile_cdma.ros.qos import LATCHED  # noqa: E402
+from tf2_msgs.msg import TFMessage  # noqa: E402
+
+pytestmark = pytest.mark.ros
+PAST = QoSProfile(depth=100, durability=LATCHED.durability)
+OVERRIDE = "qos_overrides.{}.publisher.{}"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ros() -> Iterator[None]:
+    rclpy.init()
+    yield
+    rclpy.shutdown()
+
+
+def offers(client: Client, topic: str) -> tuple[str, str]:
+    [publisher] = client.get_publishers_info_by_topic(topic)
+    qos = publisher.qos_profile
+    return qos.reliability.name, qos.durability.name
+
+
+def test_qos_of_every_topic_can_be_overridden() -> None:
+    topics = {f"/skin/{name}" for name in ("tactile", "info", "contacts", "wrench", "heatmap")}
+    opposite = {"RELIABLE": "BEST_EFFORT", "BEST_EFFORT": "RELIABLE"}
+    topics |= {"/diagnostics", "/tf_static"}
+    with running(parent_frame="palm") as (_, client):
+        wait_for(lambda: client.arrays)
+        before = {topic: offers(client, topic) for topic in topics}
+    overrides = {
+        OVERRIDE.format(topic, "reliability"): opposite[reliability].lower()
+        for topic, (reliability, _) in before.items()
+    }
+    reliable = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+    arrays: list[TactileArray] = []
+    with running(parent_frame="palm", **overrides) as (_, client):
+        client.create_subscription(TactileArray, "/skin/tactile", arrays.append, reliable)
+        wait_for(lambda: arrays)  # a best-effort publisher would give a reliable client nothing
+        for topic, (reliability, durability) in before.items():
+            assert offers(client, topic) == (opposite[reliability], durability)
+        name = OVERRIDE.format("/skin/tactile", "reliability")
+        taken, why = client.set(**{name: "best_effort"})
+        assert not taken
+        assert "only when the node starts" in why
+
+
+@pytest.mark.parametrize(
+    ("policy", "value", "reason"),
+    [
+        ("reliability", "best", "it must be one of .*reliable, best_effort"),
+        ("reliability", 3, "must be a text, got 3"),
+        ("depth", 0, "is 0; it must lie within 1…"),
+        ("durability", "latched", "one of .*transient_local"),
+    ],
+)
+def test_a_wrong_qos_is_one_clear_fault(policy: str, value: Any, reason: str) -> None:
+    name = OVERRIDE.format("/skin/tactile", policy)
+    with running(**{name: value}) as (node, client):
+        assert list(node._declared.faults) == [name]
+        assert re.search(reason, node._declared.faults[name])
+        wait_for(lambda: any(name in status.message for status in client.diagnostics))
+        assert client.state() == State.PRIMARY_STATE_UNCONFIGURED
+
+
+def test_qos_of_a_topic_that_is_not_there_is_warned_of() -> None:
+    name, logs = OVERRIDE.format("/skin/tactil", "depth"), list[Log]()
+    with running(**{name: 3}) as (_, client):
+        client.create_subscription(Log, "/rosout", logs.append, PAST)
+        wait_for(lambda: any(name in log.msg and "no such publisher" in log.msg for log in logs))
+        wait_for(lambda: client.arrays)
+
+
+def test_tf_is_told_where_the_skin_is_from_configure_to_cleanup() -> None:
+    told: list[TFMessage] = []
+    mount = {"mount_xyz_m": [0.1, 0.0, -0.2], "mount_rpy_rad": [0.0, 0.0, math.pi / 2]}
+    with running(autostart=False, parent_frame="palm", frame_id="pad", **mount) as (_, client):
+        client.create_subscription(TFMessage, "/tf_static", told.append, LATCHED)
+        assert client.change(Transition.TRANSITION_CONFIGURE)
+        wait_for(lambda: told)
+        [transform] = told[-1].transforms
+        assert (transform.header.frame_id, transform.child_frame_id) == ("palm", "pad")
+        place, turn = transform.transform.translation, transform.transform.rotation
+        assert (place.x, place.y, place.z) == (0.1, 0.0, -0.2)
+        assert np.allclose((turn.x, turn.y, turn.z, turn.w), (0, 0, math.sqrt(0.5), math.sqrt(0.5)))
+        assert client.set(mount_xyz_m=[1, 2, 3]) == (True, "")  # whole numbers will do
+        wait_for(lambda: told[-1].transforms[0].transform.translation.z == 3.0)
+        assert client.change(Transition.TRANSITION_CLEANUP)
+        wait_for(lambda: not client.get_publishers_info_by_topic("/tf_static"))
+        assert client.set(parent_frame="") == (True, "")
+        assert client.change(Transition.TRANSITION_CONFIGURE)
+        assert not client.get_publishers_info_by_topic("/tf_static")
+
+
+@pytest.mark.parametrize(
+    ("parent", "reason"),
+    [("skin", "they must be two frames"), ("/palm", "without a leading slash")],
+)
+def test_frames_that_tf_does_not_take_are_refused(parent: str, reason: str) -> None:
+    with running(parent_frame=parent) as (_, client):
+        wait_for(lambda: any(reason in status.message for status in client.diagnostics))
+        assert client.state() == State.PRIMARY_STATE_UNCONFIGURED
+
+
+def test_several_parameters_are_set_together_or_not_at_all() -> None:
+    def set_all(client: Client, **values: Any) -> tuple[bool, str]:
+        parameters = [Parameter(name, value=v).to_parameter_msg() for name, v in values.items()]
+        request = SetParametersAtomically.Request(parameters=parameters)
+        result = client.call(SetParametersAtomically, "set_parameters_atomically", request).result
+        return result.successful, result.reason
+
+    with running() as (node, client):
+        wait_for(lambda: client.arrays)
+        for other, reason in (
+            ({"nodes": 17}, "cannot change while configured"),
+            ({"release_kpa": 9.0}, "release_kpa"),
+            ({"autostart": False}, "only when the node starts"),
+            ({"calibration_file": "/nowhere.yaml"}, "nowhere"),
+        ):
+            taken, why = set_all(client, threshold=0.7, publish_voltage=True, **other)
+            assert not taken
+            assert reason in why
+            assert node._driver.pipeline.threshold == 0.5
+            assert node.get_parameter("threshold").value == 0.5
+        assert set_all(client, threshold=0.7, publish_voltage=True, visual_rate_hz=5) == (True, "")
+        assert node._driver.pipeline.threshold == 0.7
+        wait_for(lambda: len(client.arrays[-1].voltage) == 16)
+
+
+def test_a_parameter_file_says_all_of_it(tmp_path: Path) -> None:
+    path = tmp_path / "skin.yaml"
+    path.write_text(
+        """
+        /**:
+          ros__parameters:
+            autostart: false
+            parent_frame: palm
+            mount_xyz_m: [0, 1, 2]
+            qos_overrides: {/skin/tactile: {publisher: {reliability: reliable}}}
+        """
+    )
+    assert read_file(path)["mount_xyz_m"] == (0.0, 1.0, 2.0)  # and no word of QoS
+    node = SkinNode(cli_args=["--ros-args", "--params-file", str(path)])
+    try:
+        assert node._declared.faults == {}
+        assert list(node.get_parameter("mount_xyz_m").value) == [0.0, 1.0, 2.0]
+        [offer] = node.get_publishers_info_by_topic("/skin/tactile")
+        assert offer.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+    finally:
+        node.destroy_node()
