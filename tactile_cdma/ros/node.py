@@ -311,42 +311,7 @@ def recalibrated(config: SkinConfig, values: Values) -> SkinConfig:
 
 def main() -> int:
     """Run the node until interrupted; returns the exit code."""
-<<<<<<< HEAD
     return run_node(SkinNode, "skin_driver")
-=======
-    # Signals only wake the main thread, so that everything ends in order: the executor, the
-    # reader thread with its port, the node, and the ROS context last.
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
-    try:
-        rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
-        node = SkinNode()
-    except (RCLError, UnknownROSArgsError, ParameterError) as error:
-        # A parameter file that is no YAML, or not one of ROS.
-        print(f"skin_driver: {error}", file=sys.stderr)
-        rclpy.try_shutdown()
-        return 1
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-
-    def spin() -> None:
-        while not stop.is_set():
-            executor.spin_once()
-
-    spinning = threading.Thread(target=spin, name="executor")
-    spinning.start()
-    while not stop.wait(0.5) and spinning.is_alive():
-        pass
-    crashed = not stop.is_set()
-    stop.set()
-    executor.wake()
-    spinning.join()
-    executor.shutdown()  # not while it spins: rclpy would trip over what is gone
-    node.destroy_node()
-    rclpy.try_shutdown()
-    return int(crashed)
->>>>>>> i6-node
 
 
 if __name__ == "__main__":
