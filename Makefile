@@ -6,7 +6,7 @@
 # make firmware-test    runs them in emulators, 16 nodes on one wire; the last line counts
 # make firmware-figures what they take: share of time awake, load of the digitizer
 # make setup   the environment in .venv only; everything else does this first
-# make bench-error, -speed, -skip, -timing, -scale, -ros, -crest, -pressure, -contact
+# make bench-error, -speed, -skip, -timing, -scale, -ros, -crest, -pressure, -contact, -pictures
 #              QUICK=1: within 40 s each, else up to 7 min
 # make lint    ruff and mypy;  make clean: remove .venv and what tests leave
 

@@ -80,7 +80,10 @@ def machine() -> dict[str, str | int | None]:
 
 
 def medians_s(
-    subjects: Mapping[str, Callable[[], object]], rounds: int, least_s: float = 2e-3
+    subjects: Mapping[str, Callable[[], object]],
+    rounds: int,
+    least_s: float = 2e-3,
+    clock: Callable[[], float] = time.perf_counter,
 ) -> dict[str, float]:
     """Median time of one call of each subject, s, all measured in turn in every round.
 
@@ -90,16 +93,16 @@ def medians_s(
     repeats = {}
     for name, call in subjects.items():
         call()  # warm up
-        started = time.perf_counter()
+        started = clock()
         call()
-        repeats[name] = max(1, int(least_s / max(time.perf_counter() - started, 1e-9)))
+        repeats[name] = max(1, int(least_s / max(clock() - started, 1e-9)))
     times: dict[str, list[float]] = {name: [] for name in subjects}
     for _ in range(rounds):
         for name, call in subjects.items():
-            started = time.perf_counter()
+            started = clock()
             for _ in range(repeats[name]):
                 call()
-            times[name].append((time.perf_counter() - started) / repeats[name])
+            times[name].append((clock() - started) / repeats[name])
     return {name: statistics.median(values) for name, values in times.items()}
 
 

@@ -30,8 +30,10 @@ def ros_array(values: NDArray[np.generic]) -> array[float] | array[int]:
 
 
 def _bytes(values: NDArray[np.generic]) -> array[int]:
-    """An ndarray of anything as the array.array of its bytes."""
-    return array("B", values.tobytes())
+    """An ndarray of anything as the array.array of its bytes, which rosidl takes as it is."""
+    result = array("B")
+    result.frombytes(np.ascontiguousarray(values).view(np.uint8).data)
+    return result
 
 
 def by_taxel(layout: Layout, of_node: NDArray[np.float32]) -> array[float] | array[int]:
@@ -109,30 +111,19 @@ def pressure_image(pressure_pa: NDArray[np.float32], layout: Layout, header: Hea
 
 def _image(picture: NDArray[np.generic], encoding: str, header: Header) -> Image:
     """picture: (h, w) or (h, w, channels)."""
-    height, width = picture.shape[:2]
-    return Image(
-        header=header,
-        height=height,
-        width=width,
-        encoding=encoding,
-        step=picture.nbytes // height,
-        data=_bytes(picture),
-    )
+    message = Image(header=header, encoding=encoding, step=picture.nbytes // len(picture))
+    message.height, message.width = picture.shape[:2]
+    message.data = _bytes(picture)  # the constructor would copy it
+    return message
 
 
 def point_cloud(points: NDArray[np.void], header: Header) -> PointCloud2:
     """Records as the message with a field for each of theirs, in one row."""
-    return PointCloud2(
-        header=header,
-        height=1,
-        width=len(points),
-        fields=_fields(points.dtype),
-        is_bigendian=False,
-        point_step=points.itemsize,
-        row_step=points.nbytes,
-        data=_bytes(points),
-        is_dense=True,
-    )
+    message = PointCloud2(header=header, height=1, width=len(points), is_dense=True)
+    message.fields = _fields(points.dtype)
+    message.point_step, message.row_step = points.itemsize, points.nbytes
+    message.data = _bytes(points)  # the constructor would copy it
+    return message
 
 
 def _fields(record: np.dtype[np.void]) -> list[PointField]:

@@ -19,8 +19,8 @@ from ..mesh import CORNERS, taxel_squares
 SURFACE, ARROWS, TEXTS = "skin", "contacts", "forces"
 """Namespaces, which rviz shows and hides one by one."""
 MOST_SQUARES = 256
-"""Larger skins are left to ~/points: rclpy converts corners one by one, 10 µs per taxel in all, and
-the decoder waits meanwhile (`make bench-pictures`)."""
+"""Larger skins are left to ~/points: rclpy converts messages number by number, which takes 20 µs
+for a square, and the decoder waits meanwhile (`make bench-pictures`)."""
 ARROW_M_PER_N = 0.005
 """An arrow's length; it ends at the centre of pressure."""
 ARROW_PITCHES = 0.25, 0.5
@@ -33,13 +33,13 @@ _COLOURS = [ColorRGBA(r=r, g=g, b=b, a=1.0) for r, g, b in (SCALE_RGB / 255).tol
 class SkinMarkers:
     """Builds the markers of one skin; messages share what never changes."""
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: Layout, most_squares: int = MOST_SQUARES) -> None:
         self._shown: set[int] = set()
         shaft, head = (pitches * layout.pitch_m for pitches in ARROW_PITCHES)
         self._arrow_scale = Vector3(x=shaft, y=head)
         self._text_scale = Vector3(z=layout.pitch_m)
         self._placed = np.flatnonzero(layout.nodes)
-        if len(self._placed) > MOST_SQUARES:
+        if len(self._placed) > most_squares:
             self._placed = self._placed[:0]
         corners_m = taxel_squares(layout)[self._placed].reshape(-1, 3)
         self._corners = [_point(corner_m) for corner_m in corners_m]
@@ -105,7 +105,7 @@ class SkinMarkers:
             type=Marker.TEXT_VIEW_FACING,
             scale=self._text_scale,
             pose=Pose(position=tail),
-            text=f"{at_least}{np.linalg.norm(force_n):.2g} N",
+            text=f"{at_least}{np.linalg.norm(force_n):.3g} N",
         )
         return [arrow, text]
 

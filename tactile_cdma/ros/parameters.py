@@ -111,8 +111,6 @@ class NodeParameters:
     def _on_set(self, changes: list[RosParameter]) -> SetParametersResult:
         """Refuse what cannot work, saying why; let live parameters take effect at once."""
         given = {change.name: change.value for change in changes if change.name in BY_NAME}
-        if not given:  # rclpy's own, as the QoS overrides that every publisher declares
-            return SetParametersResult(successful=True)
         before = dict(self.faults)
         try:
             new = check_values(given)

@@ -47,11 +47,7 @@ class Pictures:
         """live: the parameters' present values, kept by the node. header_at: host time, s."""
         self._live, self._header_at = live, header_at
         self._publishers = {
-            name: node.create_lifecycle_publisher(
-                kind,
-                f"~/{name}",
-                PICTURE,
-            )
+            name: node.create_lifecycle_publisher(kind, f"~/{name}", PICTURE)
             for name, kind in TOPICS.items()
         }
         self._drawings: Drawings | None = None

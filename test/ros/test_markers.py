@@ -83,7 +83,7 @@ def test_an_arrow_ends_at_the_centre_of_pressure_and_says_the_force() -> None:
     assert np.allclose(head, CUFF.positions_m[8], atol=1e-7)
     # The force points into the skin, so the arrow comes from outside.
     assert np.allclose(tail - head, CUFF.normals[8] * force_n * ARROW_M_PER_N, atol=1e-6)
-    assert text.text == f"{force_n:.2g} N"
+    assert text.text == f"{force_n:.3g} N"
     assert np.allclose(components(text.pose.position), tail)
     assert (arrow.lifetime.sec, arrow.lifetime.nanosec) == (1, 500_000_000)
 

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
@@ -114,20 +113,6 @@ def test_heatmaps_are_drawn_only_while_somebody_looks_and_at_most_30_a_second() 
     assert (image.encoding, image.height, image.width, image.step) == ("rgb8", 32, 32, 96)
     assert len(image.data) == 32 * 96
     assert len(set(bytes(image.data))) > 3
-
-
-def test_rviz_displays_ask_for_the_qos_that_is_offered() -> None:
-    path = Path(__file__).resolve().parents[2] / "config" / "skin.rviz"
-    displays = yaml.safe_load(path.read_text())["Visualization Manager"]["Displays"]
-    topics = [display["Topic"] for display in displays if "Topic" in display]
-    assert topics
-    with running() as (_, client):
-        wait_for(lambda: client.arrays)
-        for topic in topics:
-            [offered] = client.get_publishers_info_by_topic(topic["Value"])
-            wanted = topic["Reliability Policy"], topic["Durability Policy"]
-            qos = offered.qos_profile
-            assert wanted == (qos.reliability.name.title(), qos.durability.name.title())
 
 
 def test_heatmaps_come_at_the_rate_asked_for() -> None:

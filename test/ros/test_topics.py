@@ -24,6 +24,7 @@ from skin_client import Client, running, wait_for  # noqa: E402
 from tactile_cdma.msg import TactileArray  # noqa: E402
 from tactile_cdma.parameters import read_file  # noqa: E402
 from tactile_cdma.ros.node import SkinNode  # noqa: E402
+from tactile_cdma.ros.pictures import TOPICS  # noqa: E402
 from tactile_cdma.ros.qos import LATCHED  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -39,13 +40,14 @@ def ros() -> Iterator[None]:
 
 
 def offers(client: Client, topic: str) -> tuple[str, str]:
+    wait_for(lambda: len(client.get_publishers_info_by_topic(topic)) == 1)
     [publisher] = client.get_publishers_info_by_topic(topic)
     qos = publisher.qos_profile
     return qos.reliability.name, qos.durability.name
 
 
 def test_qos_of_every_topic_can_be_overridden() -> None:
-    topics = {f"/skin/{name}" for name in ("tactile", "info", "contacts", "wrench", "heatmap")}
+    topics = {f"/skin/{name}" for name in ("tactile", "info", "contacts", "wrench", *TOPICS)}
     opposite = {"RELIABLE": "BEST_EFFORT", "BEST_EFFORT": "RELIABLE"}
     topics |= {"/diagnostics", "/tf_static"}
     with running(parent_frame="palm") as (_, client):

@@ -1,0 +1,194 @@
+"""What a picture of the skin costs the driver: `make bench-pictures`.
+
+Each of the driver's pictures, of 16 to 4096 taxels in a square that several things press, at most
+16: drawn (a finished message), and drawn and published to a subscriber in another process, which
+does not look into it. Times are CPU time of the thread that does it, nearly all with Python's lock,
+for which the decoder waits. Markers are measured with the squares of the surface, whatever the
+size, and with the contacts alone, which is all that skins of more than MOST_SQUARES have.
+Following the contacts is `make bench-contact`'s.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import re
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import cycle
+from multiprocessing.synchronize import Event as EventType
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from tactile_cdma.cloud import Cloud
+from tactile_cdma.contact import Contacts, ContactTracker
+from tactile_cdma.layout import Layout
+from tactile_cdma.parameters import PARAMETERS, Values
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.sim.scene import SCENES
+from tactile_cdma.skin_config import SkinConfig
+from tactile_cdma.taxels import Readings
+
+from .report import QUICK, Report, medians_s
+
+SIZES = (16, 256, 1024, 4096)
+ROUNDS = 7 if QUICK else 31
+FRAMES = 32
+DEFAULTS: Values = {parameter.name: parameter.default for parameter in PARAMETERS}
+RATE_HZ = DEFAULTS["visual_rate_hz"]
+MAX_PA = 1e3 * DEFAULTS["colour_max_kpa"]
+PIXELS = DEFAULTS["heatmap_pixels"]
+HEATMAP, IMAGE, POINTS = "heatmap", "pressure_image", "points"
+CONTACTS, SQUARES = "markers, contacts alone", "markers with squares"
+DOMAIN = 78
+
+Frame = tuple[NDArray[np.float32], Contacts]
+Times = dict[tuple[int, str], tuple[float, float]]
+"""s to draw, and to draw and publish, by taxels and picture."""
+
+
+def main() -> None:
+    os.environ["ROS_DOMAIN_ID"] = str(DOMAIN)
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    report = Report("pictures", "Drawing and publishing pictures of the skin")
+    found = times(report)
+    report.finish(
+        picture(found),
+        us_heatmap_16=1e6 * found[16, HEATMAP][1],
+        us_heatmap_4096=1e6 * found[4096, HEATMAP][1],
+        us_points_16=1e6 * found[16, POINTS][1],
+        us_points_4096=1e6 * found[4096, POINTS][1],
+        us_draw_points_4096=1e6 * found[4096, POINTS][0],
+        us_markers_16=1e6 * found[16, SQUARES][1],
+        us_markers_256=1e6 * found[256, SQUARES][1],
+        us_squares_1024=1e6 * found[1024, SQUARES][1],
+        us_contacts_4096=1e6 * found[4096, CONTACTS][1],
+    )
+
+
+def times(report: Report) -> Times:
+    from rclpy.serialization import serialize_message
+
+    result: Times = {}
+    rows = []
+    with publishers() as publish:
+        for taxels in SIZES:
+            for name, draw in drawings(taxels).items():
+                both = medians_s(
+                    {"draw": draw, "publish": lambda d=draw, n=name: publish(n, d())},  # type: ignore[misc]
+                    ROUNDS,
+                    least_s=20e-3,
+                    clock=time.thread_time,
+                )
+                result[taxels, name] = drawn_s, published_s = both["draw"], both["publish"]
+                size_kb = len(serialize_message(draw())) / 1e3
+                us = 1e6 * drawn_s, 1e6 * published_s
+                rows.append([taxels, name, *us, 100 * RATE_HZ * published_s, size_kb])
+    report.table(
+        ["taxels", "picture", "µs drawn", "and published", f"% of a core at {RATE_HZ:g} Hz", "kB"],
+        rows,
+    )
+    return result
+
+
+def drawings(taxels: int) -> dict[str, Callable[[], Any]]:
+    """By picture, a call that draws one frame after the other."""
+    from std_msgs.msg import Header
+
+    from tactile_cdma.ros import convert
+    from tactile_cdma.ros.markers import SkinMarkers
+
+    layout, header = Layout.grid(taxels, 0, 0, 7e-3, 5.5e-3), Header(frame_id="skin")
+    cloud, frames = Cloud(layout), cycle(pressed(layout))
+
+    def markers(most_squares: int) -> Callable[[], Any]:
+        builder = SkinMarkers(layout, most_squares)
+
+        def draw() -> Any:
+            pressure_pa, contacts = next(frames)
+            return builder.markers(pressure_pa, MAX_PA, contacts, header, lifetime_s=1.0)
+
+        return draw
+
+    return {
+        HEATMAP: lambda: convert.heatmap_image(next(frames)[0], layout, header, MAX_PA, PIXELS),
+        IMAGE: lambda: convert.pressure_image(next(frames)[0], layout, header),
+        POINTS: lambda: convert.point_cloud(cloud.points(next(frames)[0], MAX_PA), header),
+        CONTACTS: markers(most_squares=0),
+        SQUARES: markers(most_squares=taxels),
+    }
+
+
+def pressed(layout: Layout) -> list[Frame]:
+    """What the taxels read, Pa, and the contacts of it, while things come and go."""
+    skin = SimOptions().skin(len(layout))
+    tracker = ContactTracker(layout, SkinConfig.of({}).contact)
+    status, frames = np.zeros(len(layout), dtype=np.uint8), []
+    for t_s in np.arange(FRAMES) / RATE_HZ:
+        pressure_pa = SCENES["presses"](t_s, skin).astype(np.float32)
+        contacts = tracker.update(Readings(pressure_pa, pressure_pa, status), t_s)
+        frames.append((pressure_pa, contacts))
+    return frames
+
+
+@contextmanager
+def publishers() -> Iterator[Callable[[str, Any], None]]:
+    """Publishes a picture by its name to a subscriber in another process."""
+    import rclpy
+
+    from tactile_cdma.ros.pictures import PICTURE, TOPICS
+
+    context = multiprocessing.get_context("spawn")
+    stop = context.Event()
+    subscriber = context.Process(target=subscribe, args=(stop,), daemon=True)
+    subscriber.start()
+    rclpy.init()
+    node = rclpy.create_node("skin")
+    by_topic = {t: node.create_publisher(kind, f"~/{t}", PICTURE) for t, kind in TOPICS.items()}
+    for publisher in by_topic.values():
+        while not publisher.get_subscription_count():
+            rclpy.spin_once(node, timeout_sec=0.1)
+    yield lambda name, message: by_topic[re.split(r"\W", name)[0]].publish(message)
+    stop.set()
+    subscriber.join(10)
+    rclpy.shutdown()
+
+
+def subscribe(stop: EventType) -> None:
+    """Take every picture."""
+    import rclpy
+
+    from tactile_cdma.ros.pictures import PICTURE, TOPICS
+
+    rclpy.init()
+    node = rclpy.create_node("subscriber")
+    for topic, kind in TOPICS.items():
+        node.create_subscription(kind, f"/skin/{topic}", lambda _: None, PICTURE, raw=True)
+    while not stop.is_set():
+        rclpy.spin_once(node, timeout_sec=0.1)
+
+
+def picture(found: Times) -> Figure:
+    figure = Figure(figsize=(6, 4.2))
+    axes = figure.subplots()
+    for colour, name in enumerate((HEATMAP, IMAGE, POINTS, CONTACTS, SQUARES)):
+        drawn, published = 1e6 * np.array([found[taxels, name] for taxels in SIZES]).T
+        axes.loglog(SIZES, published, "o-", color=f"C{colour}", label=name)
+        axes.loglog(SIZES, drawn, "x:", color=f"C{colour}")
+    axes.plot([], [], "x:", color="0.5", label="only drawn")
+    axes.set_xticks(SIZES, [str(taxels) for taxels in SIZES])
+    axes.set_xticks([], minor=True)
+    axes.set_xlabel("taxels")
+    axes.set_ylabel("µs per picture")
+    axes.grid(alpha=0.3, which="both")
+    axes.legend(fontsize=7)
+    figure.tight_layout()
+    return figure
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,176 @@
+"""rviz's files name displays and properties that there are, and topics as they are offered.
+
+rviz itself passes silently over what it does not know. Names are those of rviz_default_plugins and
+rviz_common in ROS 2 Jazzy: plugins_description.xml, and the properties of each display's source.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+
+from rclpy.qos import (  # noqa: E402
+    HistoryPolicy,
+    QoSCompatibility,
+    QoSDurabilityPolicy,
+    QoSLivelinessPolicy,
+    QoSProfile,
+    QoSReliabilityPolicy,
+    qos_check_compatible,
+)
+
+from skin_client import Client, running, wait_for  # noqa: E402
+from tactile_cdma.parameters import BY_NAME  # noqa: E402
+
+pytestmark = pytest.mark.ros
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+FILES = {path.name: yaml.safe_load(path.read_text()) for path in sorted(CONFIG.glob("*.rviz"))}
+TRIPLE = {"X", "Y", "Z"}
+OF_ANY = {"Class", "Name", "Enabled"}
+OF_TOPICS = {"Topic"}
+PROPERTIES = {
+    "Grid": {"Cell Size", "Plane Cell Count", "Reference Frame", "Offset"},
+    "TF": {"Show Names", "Marker Scale"},
+    "Image": {"Normalize Range"} | OF_TOPICS,
+    "PointCloud2": {
+        "Style",
+        "Size (m)",
+        "Position Transformer",
+        "Color Transformer",
+        "Autocompute Intensity Bounds",
+    }
+    | OF_TOPICS,
+    "MarkerArray": OF_TOPICS,
+    "Wrench": {"Force Arrow Scale", "Torque Arrow Scale", "Arrow Width", "Accept NaN Values"}
+    | OF_TOPICS,
+}
+CHOICES = {
+    "Style": {"Points", "Squares", "Flat Squares", "Spheres", "Boxes", "Tiles"},
+    "Position Transformer": {"XYZ"},
+    "Color Transformer": {"RGB8"},
+}
+TYPES = {
+    "Image": "sensor_msgs/msg/Image",
+    "PointCloud2": "sensor_msgs/msg/PointCloud2",
+    "MarkerArray": "visualization_msgs/msg/MarkerArray",
+    "Wrench": "geometry_msgs/msg/WrenchStamped",
+}
+OF_TOPIC = {"Value", "Depth", "History Policy", "Reliability Policy", "Durability Policy"}
+TOOLS = {"MoveCamera", "Select", "Measure"}
+PANELS = {"rviz_common/Displays", "rviz_common/Views"}
+OF_ORBIT = {"Class", "Name", "Distance", "Pitch", "Yaw", "Focal Point", "Near Clip Distance"}
+OF_ORBIT |= {"Target Frame"}
+files = pytest.mark.parametrize("name", FILES)
+
+
+def manager(name: str) -> Any:
+    return FILES[name]["Visualization Manager"]
+
+
+def plugin(item: dict[str, Any]) -> str:
+    package, _, name = item["Class"].partition("/")
+    assert package == "rviz_default_plugins"
+    return str(name)
+
+
+def displays(name: str) -> list[tuple[str, dict[str, Any]]]:
+    return [(plugin(display), display) for display in manager(name)["Displays"]]
+
+
+@files
+def test_rviz_knows_every_name(name: str) -> None:
+    assert set(FILES[name]) == {"Panels", "Visualization Manager", "Window Geometry"}
+    assert {panel["Class"] for panel in FILES[name]["Panels"]} <= PANELS
+    assert {plugin(tool) for tool in manager(name)["Tools"]} <= TOOLS
+    view = manager(name)["Views"]["Current"]
+    assert (plugin(view), set(view)) == ("Orbit", OF_ORBIT)
+    for kind, display in displays(name):
+        assert set(display) <= OF_ANY | PROPERTIES[kind]
+        for key, choices in CHOICES.items():
+            assert display.get(key) in choices | {None}
+        if kind in TYPES:
+            assert set(display["Topic"]) == OF_TOPIC
+    names = [display["Name"] for _, display in displays(name)]
+    assert len(set(names)) == len(names)
+
+
+@files
+def test_values_are_of_the_kind_that_rviz_reads(name: str) -> None:
+    for kind, display in displays(name):
+        for key, value in display.items():
+            if key in {"Enabled", "Show Names", "Normalize Range", "Accept NaN Values"}:
+                assert type(value) is bool
+            elif key.endswith(("Size", "Scale", "Width", "(m)", "Count")):
+                assert value > 0
+            elif key == "Offset":
+                assert set(value) == TRIPLE
+            elif key != "Topic":
+                assert type(value) in {str, bool}, (kind, key)
+    options = manager(name)["Global Options"]
+    assert set(options) == {"Fixed Frame", "Background Color", "Frame Rate"}
+    channels = [int(channel) for channel in options["Background Color"].split(";")]
+    assert len(channels) == 3 and max(channels) < 256
+
+
+@files
+def test_colours_are_the_drivers_own(name: str) -> None:
+    for kind, display in displays(name):
+        if kind == "Image":
+            assert display["Normalize Range"] is False
+        if kind == "PointCloud2":
+            assert display["Color Transformer"] == "RGB8"
+            assert display["Autocompute Intensity Bounds"] is False
+
+
+@pytest.fixture(scope="module")
+def client() -> Iterator[Client]:
+    """Of a running driver."""
+    rclpy.init()
+    with running() as (_, client):
+        wait_for(lambda: client.arrays)
+        yield client
+    rclpy.shutdown()
+
+
+def wanted_qos(topic: dict[str, Any]) -> QoSProfile:
+    def policy(name: str) -> str:
+        return str(topic[f"{name} Policy"]).upper().replace(" ", "_")
+
+    return QoSProfile(
+        depth=topic["Depth"],
+        history=HistoryPolicy[policy("History")],
+        reliability=QoSReliabilityPolicy[policy("Reliability")],
+        durability=QoSDurabilityPolicy[policy("Durability")],
+        liveliness=QoSLivelinessPolicy.AUTOMATIC,  # rviz does not ask
+    )
+
+
+@files
+def test_topics_are_offered_with_that_type_and_quality(name: str, client: Client) -> None:
+    checked = []
+    for kind, display in displays(name):
+        if kind not in TYPES:
+            continue
+        *_, node, topic = display["Topic"]["Value"].split("/")
+        if node != "skin":  # the body's
+            continue
+        publishers = partial(client.get_publishers_info_by_topic, f"/skin/{topic}")
+        wait_for(lambda publishers=publishers: len(publishers()) == 1)
+        [offered] = publishers()
+        assert offered.topic_type == TYPES[kind]
+        fits, reason = qos_check_compatible(offered.qos_profile, wanted_qos(display["Topic"]))
+        assert fits == QoSCompatibility.OK, reason
+        checked.append(topic)
+    assert "markers" in checked
+
+
+def test_the_fixed_frame_of_a_single_skin_is_the_drivers_own() -> None:
+    for name in ("skin.rviz", "curved_skin.rviz"):
+        assert manager(name)["Global Options"]["Fixed Frame"] == BY_NAME["frame_id"].default
