@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import importlib.util
 import math
+import re
 import signal
 import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -243,6 +245,24 @@ def test_eight_patches_make_about_one_message_per_frame(body: Body) -> None:
         for message in (messages[0], messages[-1])
     )
     assert 0.02 < (end_s - begin_s) / (len(messages) - 1) < 0.07
+
+
+def test_the_viewer_prints_a_line_per_second_and_a_summary(body: Body) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "tactile_cdma.ros.body_view", "--seconds", "3"],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    *lines, last = done.stdout.splitlines()
+    assert 2 <= len(lines) <= 3
+    assert re.search(r"\d Hz +\d+\.\d N  (no contact|/p\d/skin \d+\.\d N at \()", lines[-1])
+    values = dict(pair.split("=") for pair in last.split())
+    assert values.keys() == {"received", "lost", "absent"}
+    assert int(values["received"]) > 20
+    assert values["absent"] == "0"
 
 
 def test_a_killed_driver_is_absent_and_another_skin_in_its_place_is_back(
