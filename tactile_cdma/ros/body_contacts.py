@@ -72,10 +72,10 @@ def _moved(contacts: Sequence[TactileContact], pose: Pose) -> list[tuple[float, 
 
 
 def _centre(contacts: Sequence[tuple[float, TactileContact]]) -> Point:
-    """NaN without any."""
-    if not contacts:
-        return _point(np.full(3, np.nan))
+    """NaN without any, or without a force."""
     forces_n = np.array([force_n for force_n, _ in contacts])
+    if not forces_n.any():
+        return _point(np.full(3, np.nan))
     places_m = np.array([_xyz(contact.position) for _, contact in contacts])
     return _point(forces_n @ places_m / forces_n.sum())
 

@@ -12,7 +12,7 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point32
 from numpy.typing import NDArray
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from std_msgs.msg import Header
 
@@ -23,6 +23,8 @@ from ..poses import Pose
 from .contacts import RELIABLE
 from .qos import LATCHED
 
+LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Of arrays: points are drawn less often than they come."""
 NewContacts = Callable[["PatchFeed", TactileContacts], None]
 
 
@@ -86,7 +88,7 @@ class PatchFeed:
         if points and not self._for_points:
             self._for_points = [
                 self._subscribe(TactileSkinInfo, "info", self._take_info, LATCHED),
-                self._subscribe(TactileArray, "tactile", self._take_array, qos_profile_sensor_data),
+                self._subscribe(TactileArray, "tactile", self._take_array, LATEST),
             ]
         elif not points and self._for_points:
             self._drop(self._for_points)
