@@ -233,8 +233,8 @@ def test_contacts_are_where_the_simulated_fingers_are(body: Body) -> None:
         assert wrench.wrench in [message.wrench for message in same]
 
 
-def test_eight_patches_make_about_one_message_per_frame(body: Body) -> None:
-    """Drivers are not in step: whenever all have brought news, or one the second time."""
+def test_messages_are_as_often_as_a_patchs_frames_and_fewer_than_all_frames(body: Body) -> None:
+    """Steady drivers make one per frame; a busy machine brings frames in bursts."""
     begin = len(body.contacts)
     wait_for(lambda: len(body.contacts) > begin + 40)
     messages = body.contacts[begin:]
@@ -244,7 +244,7 @@ def test_eight_patches_make_about_one_message_per_frame(body: Body) -> None:
         message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
         for message in (messages[0], messages[-1])
     )
-    assert 0.02 < (end_s - begin_s) / (len(messages) - 1) < 0.07
+    assert 0.05 / PATCHES < (end_s - begin_s) / (len(messages) - 1) < 0.07
 
 
 def test_the_viewer_prints_a_line_per_second_and_a_summary(body: Body) -> None:
