@@ -193,8 +193,12 @@ def test_a_patch_without_a_transform_is_absent_until_it_gets_one(body: Body) -> 
     wait_for(lambda: body.absent() == [NAMES[LOOSE]], 40)
     wait_for(lambda: body.diagnostics[-1].message.startswith(f"{NAMES[LOOSE]}: no transform from"))
     assert body.diagnostics[-1].level == DiagnosticStatus.WARN
-    body.turn_loose_patch()
-    wait_for(lambda: body.absent() == [])
+
+    def placed() -> bool:
+        body.turn_loose_patch()  # again and again, as joints are
+        return body.absent() == []
+
+    wait_for(placed)
     wait_for(lambda: body.diagnostics[-1].level == DiagnosticStatus.OK)
     assert {value.key for value in body.diagnostics[-1].values} == set(NAMES)
 
@@ -249,7 +253,7 @@ def test_messages_are_as_often_as_a_patchs_frames_and_fewer_than_all_frames(body
 
 def test_the_viewer_prints_a_line_per_second_and_a_summary(body: Body) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "tactile_cdma.ros.body_view", "--seconds", "3"],
+        [sys.executable, "-m", "tactile_cdma.ros.body_view", "--seconds", "6"],
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
@@ -257,7 +261,7 @@ def test_the_viewer_prints_a_line_per_second_and_a_summary(body: Body) -> None:
     )
     assert (done.returncode, done.stderr) == (0, "")
     *lines, last = done.stdout.splitlines()
-    assert 2 <= len(lines) <= 3
+    assert 5 <= len(lines) <= 6
     assert re.search(r"\d Hz +\d+\.\d N  (no contact|/p\d/skin \d+\.\d N at \()", lines[-1])
     values = dict(pair.split("=") for pair in last.split())
     assert values.keys() == {"received", "lost", "absent"}
