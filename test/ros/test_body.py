@@ -38,7 +38,7 @@ from tactile_cdma.msg import TactileContact, TactileContacts  # noqa: E402
 from tactile_cdma.ros.body import BodyNode  # noqa: E402
 from tactile_cdma.ros.node import SkinNode  # noqa: E402
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.xdist_group("body")]
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 ROOT = Path(__file__).resolve().parents[2]
 PATCHES, PROCESSES = 8, 3
 RADIUS_M, HEIGHT_M, PITCH_M = 0.2, 0.3, 7e-3
@@ -141,9 +141,15 @@ class Body:
         assert codes == [0] * len(codes)
 
 
-@pytest.fixture(scope="module")
-def body(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Body]:
+@pytest.fixture(scope="module", autouse=True)
+def ros() -> Iterator[None]:
     rclpy.init()
+    yield
+    rclpy.shutdown()
+
+
+@pytest.fixture
+def body(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Body]:
     body = Body(tmp_path_factory.mktemp("body"))
     try:
         yield body
@@ -153,7 +159,6 @@ def body(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Body]:
         finally:
             for process in body.processes:
                 process.kill()
-            rclpy.shutdown()
 
 
 def xyz(vector: Any) -> np.ndarray:
@@ -175,7 +180,7 @@ def pressed_place(patch: int) -> np.ndarray:
     return RADIUS_M * outwards(patch) + PITCH_M / 2 * left + above_floor
 
 
-def test_nothing_is_subscribed_to_that_nobody_asks_for(body: Body) -> None:
+def nothing_is_subscribed_to_that_nobody_asks_for(body: Body) -> None:
     wait_for(lambda: body.client.count_publishers("/body/contacts"))
     wait_for(lambda: all(body.client.count_publishers(f"{name}/tactile") for name in NAMES), 40)
     wait_for(lambda: body.diagnostics and "nobody subscribes" in body.diagnostics[-1].message)
@@ -188,7 +193,7 @@ def test_nothing_is_subscribed_to_that_nobody_asks_for(body: Body) -> None:
     wait_for(lambda: not any(body.client.count_subscribers(topic) for topic in topics))
 
 
-def test_a_patch_without_a_transform_is_absent_until_it_gets_one(body: Body) -> None:
+def a_patch_without_a_transform_is_absent_until_it_gets_one(body: Body) -> None:
     body.subscribe(TactileContacts, "/body/contacts", body.contacts.append)
     wait_for(lambda: body.absent() == [NAMES[LOOSE]], 40)
     wait_for(lambda: body.diagnostics[-1].message.startswith(f"{NAMES[LOOSE]}: no transform from"))
@@ -203,7 +208,7 @@ def test_a_patch_without_a_transform_is_absent_until_it_gets_one(body: Body) -> 
     assert {value.key for value in body.diagnostics[-1].values} == set(NAMES)
 
 
-def test_contacts_are_where_the_simulated_fingers_are(body: Body) -> None:
+def contacts_are_where_the_simulated_fingers_are(body: Body) -> None:
     wrenches: list[WrenchStamped] = []
     body.subscribe(WrenchStamped, "/body/wrench", wrenches.append)
     begin = len(body.contacts)
@@ -237,7 +242,7 @@ def test_contacts_are_where_the_simulated_fingers_are(body: Body) -> None:
         assert wrench.wrench in [message.wrench for message in same]
 
 
-def test_messages_are_as_often_as_a_patchs_frames_and_fewer_than_all_frames(body: Body) -> None:
+def messages_are_as_often_as_a_patchs_frames_and_fewer_than_all_frames(body: Body) -> None:
     """Steady drivers make one per frame; a busy machine brings frames in bursts."""
     begin = len(body.contacts)
     wait_for(lambda: len(body.contacts) > begin + 40)
@@ -251,7 +256,7 @@ def test_messages_are_as_often_as_a_patchs_frames_and_fewer_than_all_frames(body
     assert 0.05 / PATCHES < (end_s - begin_s) / (len(messages) - 1) < 0.07
 
 
-def test_the_viewer_prints_a_line_per_second_and_a_summary(body: Body) -> None:
+def the_viewer_prints_a_line_per_second_and_a_summary(body: Body) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "tactile_cdma.ros.body_view", "--seconds", "6"],
         stdin=subprocess.DEVNULL,
@@ -269,7 +274,7 @@ def test_the_viewer_prints_a_line_per_second_and_a_summary(body: Body) -> None:
     assert values["absent"] == "0"
 
 
-def test_a_killed_driver_is_absent_and_another_skin_in_its_place_is_back(
+def a_killed_driver_is_absent_and_another_skin_in_its_place_is_back(
     body: Body, tmp_path: Path
 ) -> None:
     clouds: list[PointCloud2] = []
@@ -300,7 +305,7 @@ def test_a_killed_driver_is_absent_and_another_skin_in_its_place_is_back(
     wait_for(lambda: counts() == [16, 9, 16, 16, 16, 16, 16, 16])
 
 
-def test_when_all_are_silent_even_that_is_said(body: Body) -> None:
+def when_all_are_silent_even_that_is_said(body: Body) -> None:
     *drivers, _ = body.processes
     for process in drivers:
         process.send_signal(signal.SIGSTOP)
@@ -321,6 +326,17 @@ def test_when_all_are_silent_even_that_is_said(body: Body) -> None:
     wait_for(lambda: body.absent() == [])
 
 
+def test_a_body_of_eight_patches(body: Body, tmp_path: Path) -> None:
+    """One test, in the order of a body's life: its processes are started once."""
+    nothing_is_subscribed_to_that_nobody_asks_for(body)
+    a_patch_without_a_transform_is_absent_until_it_gets_one(body)
+    contacts_are_where_the_simulated_fingers_are(body)
+    messages_are_as_often_as_a_patchs_frames_and_fewer_than_all_frames(body)
+    the_viewer_prints_a_line_per_second_and_a_summary(body)
+    a_killed_driver_is_absent_and_another_skin_in_its_place_is_back(body, tmp_path)
+    when_all_are_silent_even_that_is_said(body)
+
+
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [
@@ -338,7 +354,7 @@ def test_when_all_are_silent_even_that_is_said(body: Body) -> None:
         ),
     ],
 )
-def test_wrong_parameters_are_refused(body: Body, parameters: dict[str, Any], message: str) -> None:
+def test_wrong_parameters_are_refused(parameters: dict[str, Any], message: str) -> None:
     overrides = [Parameter(name, value=value) for name, value in parameters.items()]
     with pytest.raises(TactileError, match=message):
         BodyNode(parameter_overrides=overrides)
