@@ -7,7 +7,6 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Header
-
 from tf2_msgs.msg import TFMessage
 
 from ..errors import SpecError

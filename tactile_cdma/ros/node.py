@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-import signal
 import sys
-import threading
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
-from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecyclePublisher, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
-from rclpy.signals import SignalHandlerOptions
 
 from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
@@ -37,6 +31,7 @@ from .lifecycle import ManagedNode, reported
 from .mount import TF_STATIC, Mount, transform_of
 from .parameters import NodeParameters
 from .pictures import Pictures
+from .process import run_node
 from .qos import LATCHED
 from .services import RestKeeper
 from .stamps import Stamps
@@ -309,38 +304,7 @@ def recalibrated(config: SkinConfig, values: Values) -> SkinConfig:
 
 def main() -> int:
     """Run the node until interrupted; returns the exit code."""
-    # Signals only wake the main thread, so that everything ends in order: the executor, the
-    # reader thread with its port, the node, and the ROS context last.
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
-    try:
-        rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
-        node = SkinNode()
-    except (RCLError, UnknownROSArgsError, ParameterError) as error:
-        # A parameter file that is no YAML, or not one of ROS.
-        print(f"skin_driver: {error}", file=sys.stderr)
-        rclpy.try_shutdown()
-        return 1
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-
-    def spin() -> None:
-        while not stop.is_set():
-            executor.spin_once()
-
-    spinning = threading.Thread(target=spin, name="executor")
-    spinning.start()
-    while not stop.wait(0.5) and spinning.is_alive():
-        pass
-    crashed = not stop.is_set()
-    stop.set()
-    executor.wake()
-    spinning.join()
-    executor.shutdown()  # not while it spins: rclpy would trip over what is gone
-    node.destroy_node()
-    rclpy.try_shutdown()
-    return int(crashed)
+    return run_node(SkinNode, "skin_driver")
 
 
 if __name__ == "__main__":

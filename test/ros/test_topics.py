@@ -18,6 +18,7 @@ from rcl_interfaces.msg import Log  # noqa: E402
 from rcl_interfaces.srv import SetParametersAtomically  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
+from tf2_msgs.msg import TFMessage  # noqa: E402
 
 from skin_client import Client, running, wait_for  # noqa: E402
 from tactile_cdma.msg import TactileArray  # noqa: E402
@@ -25,7 +26,6 @@ from tactile_cdma.parameters import read_file  # noqa: E402
 from tactile_cdma.ros.node import SkinNode  # noqa: E402
 from tactile_cdma.ros.pictures import TOPICS  # noqa: E402
 from tactile_cdma.ros.qos import LATCHED  # noqa: E402
-from tf2_msgs.msg import TFMessage  # noqa: E402
 
 pytestmark = pytest.mark.ros
 PAST = QoSProfile(depth=100, durability=LATCHED.durability)
