@@ -12,6 +12,7 @@ from ..layout import Layout
 from ..layout_shapes import seen_from_outside
 from ..proximity import usual_distance_m
 
+ARRAY_TOPIC = "tactile"
 NODE_NAME = "skin"
 """Of a driver, unless it is renamed."""
 

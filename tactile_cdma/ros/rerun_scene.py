@@ -1,0 +1,185 @@
+"""A patch in the Rerun viewer: its surface, picture, contacts, curves and complaints.
+
+Everything has the time of its header, on the timeline `stamp`, and if it comes from the digitizer
+that on `device_time`. Curves keep every frame; surface, picture and arrows are those of the newest
+frame at each flush().
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+
+from ..heatmap import NO_TAXEL_RGB, colours, heatmap
+from ..layout import Layout
+from ..mesh import taxel_squares
+
+STAMP, DEVICE_TIME = "stamp", "device_time"
+SHOWN_S = 20.0
+"""What curves show of the past."""
+HALF_LENGTH_N = 10.0
+"""An arrow of this force is half as long as one of the greatest, which is as long as the skin."""
+PIXELS = 16
+"""Of a pitch in the picture, at most."""
+_CONTACT_RGB = (80, 200, 255)
+
+
+class PatchScene:
+    """Logs one patch under its name."""
+
+    def __init__(self, recording: rr.RecordingStream, path: str, max_pa: float) -> None:
+        self.path = path
+        self._recording = recording
+        self._max_pa = max_pa
+        self._layout: Layout | None = None
+        self._pressure_pa: NDArray[np.float32] | None = None
+        self._arrows: rr.Arrows3D | None = None
+        self._now = (0, 0)
+        self._curves: dict[str, list[tuple[int, int, float]]] = defaultdict(list)
+        self._slots: dict[int, int] = {}  # of the contacts that there are, by id
+
+    def place(self, layout: Layout, frame_id: str) -> None:
+        """Geometry, from now on; the patch's frame has a name of its own among all patches'."""
+        self._layout, self._pressure_pa = layout, None
+        corners_m = taxel_squares(layout)[layout.nodes > 0].reshape(-1, 3)
+        surface = rr.Mesh3D(
+            vertex_positions=corners_m,
+            triangle_indices=np.arange(len(corners_m)).reshape(-1, 3),
+            vertex_normals=np.repeat(layout.normals[layout.nodes > 0], 6, axis=0),
+        )
+        self._recording.log(f"{self.path}/surface", surface, static=True)
+        for entity in ("surface", "contacts"):
+            frame = rr.CoordinateFrame(frame_id)
+            self._recording.log(f"{self.path}/{entity}", frame, static=True)
+        curves = {"force": rr.SeriesLines(names="resultant", colors=(235, 235, 235), widths=2.5)}
+        curves["peak"] = rr.SeriesLines(names=f"{self.path} peak", colors=(250, 155, 30))
+        for entity, style in curves.items():
+            self._recording.log(f"{self.path}/{entity}", style, static=True)
+
+    def take_frame(self, stamp_ns: int, device_us: int, pressure_pa: NDArray[np.float32]) -> None:
+        """A frame's pressures, (t,) float32, Pa, if it is of the layout that is in force."""
+        if self._layout is None or len(pressure_pa) != len(self._layout):
+            return
+        self._now = (stamp_ns, device_us)
+        self._pressure_pa = pressure_pa
+        peak_kpa = float(np.fmax.reduce(pressure_pa)) * 1e-3
+        self._curves["peak"].append((stamp_ns, device_us, peak_kpa))
+
+    def take_contacts(
+        self,
+        stamp_ns: int,
+        ids: list[int],
+        position_m: NDArray[np.float64],
+        force_n: NDArray[np.float64],
+    ) -> None:
+        """A frame's contacts, c of them; position_m and force_n: (c, 3).
+
+        Curves of contacts are numbered by the least number that is free, so there are no more of
+        them than there were contacts at once.
+        """
+        if self._layout is None:
+            return
+        device_us = self._now[1]
+        size_n = np.linalg.norm(force_n, axis=1)
+        resultant_n = float(np.linalg.norm(force_n.sum(axis=0)))
+        self._curves["force"].append((stamp_ns, device_us, resultant_n))
+        ended = [contact for contact in self._slots if contact not in ids]
+        for contact in ended:
+            slot = self._slots.pop(contact)
+            self._curves[f"force/contact_{slot}"].append((stamp_ns, device_us, float("nan")))
+        for contact, newtons in zip(ids, size_n.tolist(), strict=True):
+            if contact not in self._slots:
+                taken = set(self._slots.values())
+                self._slots[contact] = next(n for n in range(1, len(taken) + 2) if n not in taken)
+            slot = self._slots[contact]
+            self._curves[f"force/contact_{slot}"].append((stamp_ns, device_us, newtons))
+        extent_m = float(np.ptp(self._layout.positions_m, axis=0).max()) or self._layout.pitch_m
+        vectors_m = force_n * (extent_m / (size_n + HALF_LENGTH_N))[:, None]
+        self._arrows = rr.Arrows3D(
+            origins=position_m - vectors_m,  # what touches the skin comes from outside
+            vectors=vectors_m,
+            radii=extent_m / 80,
+            colors=_CONTACT_RGB,
+            labels=[f"{newtons:.1f} N" for newtons in size_n],
+            show_labels=True,
+        )
+
+    def complain(self, stamp_ns: int, level: str, text: str) -> None:
+        """What the driver says of itself. level: as of rr.TextLogLevel."""
+        self._recording.reset_time()
+        self._recording.set_time(STAMP, timestamp=np.datetime64(stamp_ns, "ns"))
+        self._recording.log(f"{self.path}/diagnostics", rr.TextLog(text, level=level))
+
+    def flush(self) -> None:
+        """Log what has come since the last time."""
+        for name, values in self._curves.items():
+            self._log_curve(f"{self.path}/{name}", values)
+        self._curves.clear()
+        if self._layout is None or self._pressure_pa is None:
+            return
+        stamp_ns, device_us = self._now
+        self._recording.set_time(STAMP, timestamp=np.datetime64(stamp_ns, "ns"))
+        self._recording.set_time(DEVICE_TIME, duration=np.timedelta64(device_us, "us"))
+        paint = colours(self._pressure_pa, self._max_pa)[self._layout.nodes > 0]
+        surface = rr.Mesh3D.from_fields(vertex_colors=np.repeat(paint, 6, axis=0))
+        self._recording.log(f"{self.path}/surface", surface)
+        picture = heatmap(self._pressure_pa, self._layout, self._max_pa, PIXELS)
+        self._recording.log(f"{self.path}/heatmap", rr.Image(picture))
+        if self._arrows is not None:
+            self._recording.log(f"{self.path}/contacts", self._arrows)
+        self._pressure_pa = self._arrows = None
+
+    def _log_curve(self, path: str, values: list[tuple[int, int, float]]) -> None:
+        stamp_ns, device_us, value = zip(*values, strict=True)
+        times = [
+            rr.TimeColumn(STAMP, timestamp=np.array(stamp_ns, dtype="datetime64[ns]")),
+            rr.TimeColumn(DEVICE_TIME, duration=np.array(device_us, dtype="timedelta64[us]")),
+        ]
+        self._recording.send_columns(path, times, rr.Scalars.columns(scalars=value))
+
+
+def blueprint(patches: Mapping[str, str]) -> rrb.Blueprint:
+    """How a few patches are shown. patches: of each path the frame its geometry is shown in."""
+    spaces = [
+        rrb.Spatial3DView(
+            name=frame,
+            contents=[
+                f"/{path}/{entity}"
+                for path, its_frame in patches.items()
+                if its_frame == frame
+                for entity in ("surface", "contacts")
+            ],
+            spatial_information=rrb.SpatialInformation(target_frame=frame),
+            background=NO_TAXEL_RGB,
+            line_grid=False,
+        )
+        for frame in dict.fromkeys(patches.values())
+    ]
+    pictures = [
+        rrb.Spatial2DView(origin=f"/{path}/heatmap", name=path, background=NO_TAXEL_RGB)
+        for path in patches
+    ]
+    past = rrb.VisibleTimeRange(
+        STAMP,
+        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-SHOWN_S),
+        end=rrb.TimeRangeBoundary.cursor_relative(),
+    )
+    curves = [
+        rrb.TimeSeriesView(name=name, contents=[f"/{p}/{e}" for p in patches], time_ranges=past)
+        for name, e in (("force, N", "force/**"), ("peak, kPa", "peak"))
+    ]
+    log = rrb.TextLogView(name="diagnostics", contents=[f"/{path}/diagnostics" for path in patches])
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Grid(*spaces),
+            rrb.Vertical(rrb.Grid(*pictures), *curves, log, row_shares=[3, 2, 2, 1]),
+            column_shares=[3, 2],
+        ),
+        rrb.TimePanel(timeline=STAMP, state="collapsed"),
+        collapse_panels=True,
+    )

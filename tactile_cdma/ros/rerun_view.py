@@ -1,0 +1,212 @@
+"""Shows patches in the Rerun viewer, in a window or a browser, or saves what it would show.
+
+Rerun (rerun.io) is not among what the driver needs: `make view` installs it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from functools import partial
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import TransformStamped
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.utilities import remove_ros_args
+from std_msgs.msg import Header
+
+from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
+from tf2_msgs.msg import TFMessage
+
+from .complaints import Complaints
+from .patches import ARRAY_TOPIC, full_name, layout_of
+from .view import LATCHED, QUEUE
+
+try:
+    import rerun as rr
+except ImportError:
+    sys.exit("rerun-sdk is not installed: `make view` does it, or pip install rerun-sdk")
+
+from .rerun_scene import STAMP, PatchScene, blueprint
+
+RATE_HZ = 30.0
+DISCOVERY_S = 1.0
+TRANSFORMS = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+WEB_PORT = 9090
+_TEXT_LEVELS = {
+    DiagnosticStatus.OK: "INFO",
+    DiagnosticStatus.WARN: "WARN",
+    DiagnosticStatus.STALE: "WARN",
+    DiagnosticStatus.ERROR: "ERROR",
+}
+
+
+class RerunView(Node):
+    """Subscribes to patches and logs them. patches: their full names; none: all that there are."""
+
+    def __init__(self, recording: rr.RecordingStream, patches: list[str], max_pa: float) -> None:
+        super().__init__("skin_rerun")
+        self._recording = recording
+        self._max_pa = max_pa
+        self._scenes: dict[str, PatchScene] = {}
+        self._frames: dict[str, str] = {}  # of each path the frame of its geometry
+        self._parents: dict[str, str] = {}  # of each frame, by what /tf says
+        self._moved: dict[str, TransformStamped] = {}
+        self._shown: dict[str, str] = {}
+        self.create_subscription(TFMessage, "/tf_static", self._move, TRANSFORMS)
+        self.create_subscription(TFMessage, "/tf", self._move, 100)
+        for patch in patches:
+            self._watch(patch)
+        if not patches:
+            self.create_timer(DISCOVERY_S, self._discover)
+        self.create_timer(1 / RATE_HZ, self.flush)
+
+    def _discover(self) -> None:
+        array = "tactile_cdma/msg/TactileArray"
+        for topic, types in self.get_topic_names_and_types():
+            patch, _, name = topic.rpartition("/")
+            if array in types and name == ARRAY_TOPIC and patch.strip("/") not in self._scenes:
+                self._watch(patch)
+
+    def _watch(self, patch: str) -> None:
+        """Subscribe to a patch's topics."""
+        path = patch.strip("/")
+        self._scenes[path] = scene = PatchScene(self._recording, path, self._max_pa)
+        complaints = Complaints(path)
+        subscriptions = (
+            (TactileSkinInfo, f"{patch}/info", partial(self._place, scene), LATCHED),
+            (TactileArray, f"{patch}/{ARRAY_TOPIC}", partial(_take_frame, scene), QUEUE),
+            (TactileContacts, f"{patch}/contacts", partial(_take_contacts, scene), QUEUE),
+            (DiagnosticArray, "/diagnostics", partial(_complain, scene, complaints), 10),
+        )
+        for kind, topic, callback, qos in subscriptions:
+            self.create_subscription(kind, topic, callback, qos)
+        self.get_logger().info(f"watching {patch}")
+
+    def _place(self, scene: PatchScene, info: TactileSkinInfo) -> None:
+        scene.place(layout_of(info), info.header.frame_id)
+        self._frames[scene.path] = info.header.frame_id
+
+    def _move(self, message: TFMessage) -> None:
+        for transform in message.transforms:
+            self._moved[transform.child_frame_id] = transform
+            self._parents[transform.child_frame_id] = transform.header.frame_id
+
+    def flush(self) -> None:
+        """Log what has come since the last time; show patches, and frames, that are new."""
+        for child, transform in self._moved.items():
+            self._log_transform(child, transform)
+        self._moved.clear()
+        shown = {path: self._root(frame) for path, frame in self._frames.items()}
+        if shown != self._shown:
+            self._shown = shown
+            self._recording.send_blueprint(blueprint(shown))
+        for scene in self._scenes.values():
+            scene.flush()
+
+    def _root(self, frame: str) -> str:
+        """The frame at the root of a frame's tree; a loop has none."""
+        seen = {frame}
+        while (parent := self._parents.get(frame)) is not None and parent not in seen:
+            seen.add(parent)
+            frame = parent
+        return frame
+
+    def _log_transform(self, child: str, message: TransformStamped) -> None:
+        shift, turn = message.transform.translation, message.transform.rotation
+        transform = rr.Transform3D(
+            translation=[shift.x, shift.y, shift.z],
+            quaternion=[turn.x, turn.y, turn.z, turn.w],
+            parent_frame=message.header.frame_id,
+            child_frame=child,
+        )
+        stamp_ns = _nanoseconds(message.header)
+        self._recording.reset_time()
+        if stamp_ns:
+            self._recording.set_time(STAMP, timestamp=np.datetime64(stamp_ns, "ns"))
+        self._recording.log(f"tf/{child}", transform, static=not stamp_ns)
+
+
+def _take_frame(scene: PatchScene, message: TactileArray) -> None:
+    pressure_pa = np.array(message.pressure, dtype=np.float32)
+    scene.take_frame(_nanoseconds(message.header), message.device_time_us, pressure_pa)
+
+
+def _take_contacts(scene: PatchScene, message: TactileContacts) -> None:
+    places = [(c.position.x, c.position.y, c.position.z) for c in message.contacts]
+    forces = [(c.force.x, c.force.y, c.force.z) for c in message.contacts]
+    scene.take_contacts(
+        _nanoseconds(message.header),
+        [c.id for c in message.contacts],
+        np.array(places).reshape(-1, 3),
+        np.array(forces).reshape(-1, 3),
+    )
+
+
+def _complain(scene: PatchScene, complaints: Complaints, message: DiagnosticArray) -> None:
+    for entry in complaints.take(message):
+        text = f"{entry.name}: {entry.message}"
+        scene.complain(_nanoseconds(message.header), _TEXT_LEVELS[entry.level], text)
+
+
+def _nanoseconds(header: Header) -> int:
+    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
+
+
+def main() -> int:
+    """Show until interrupted."""
+    parser = argparse.ArgumentParser(prog="skin_rerun", description=__doc__)
+    parser.add_argument("--patches", default="", help="left_palm,/arm/skin; default: all there are")
+    parser.add_argument("--max-kpa", type=float, default=140.0, help="top of the colour scale")
+    parser.add_argument("--memory", default="1GB", help="the oldest is dropped above this")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--web", action="store_true", help="in a browser")
+    where.add_argument("--save", metavar="FILE.rrd", help="to be opened later, with `rerun`")
+    arguments = parser.parse_args(remove_ros_args(sys.argv)[1:])
+    if not arguments.max_kpa > 0:
+        parser.error(f"--max-kpa is {arguments.max_kpa:g}; it must be above 0")
+    patches = [full_name(name) for name in arguments.patches.split(",") if name]
+    recording = rr.RecordingStream("tactile_cdma")
+    try:
+        if arguments.save:
+            recording.save(arguments.save)
+        else:
+            show(recording, arguments.web, arguments.memory)
+    except (OSError, RuntimeError, ValueError) as error:
+        print(f"the viewer cannot be started: {error}", file=sys.stderr)
+        return 1
+    rclpy.init(args=sys.argv)
+    node = RerunView(recording, patches, arguments.max_kpa * 1e3)
+    try:
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        node.flush()
+        node.destroy_node()
+        rclpy.try_shutdown()
+        recording.flush(timeout_sec=5.0)
+        recording.disconnect()
+    return 0
+
+
+def show(recording: rr.RecordingStream, web: bool, memory: str) -> None:
+    """Open a window; without a display, or if asked to, serve the viewer for browsers."""
+    display = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+    if display and not web:
+        recording.spawn(memory_limit=memory)
+        return
+    if not web:
+        print("no display here: serving the viewer for browsers instead", flush=True)
+    source = recording.serve_grpc(server_memory_limit=memory)
+    rr.serve_web_viewer(web_port=WEB_PORT, open_browser=display, connect_to=source)
+    print(f"open http://localhost:{WEB_PORT}/?url={source}", flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
