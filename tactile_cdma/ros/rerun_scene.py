@@ -22,8 +22,8 @@ from ..mesh import taxel_squares
 STAMP, DEVICE_TIME = "stamp", "device_time"
 SHOWN_S = 20.0
 """What curves show of the past."""
-HALF_LENGTH_N = 10.0
-"""An arrow of this force is half as long as one of the greatest, which is as long as the skin."""
+HALF_LENGTH_N = 5.0
+"""An arrow of this force is half as long as the longest, which is half as long as the skin."""
 PIXELS = 16
 """Of a pitch in the picture, at most."""
 _CONTACT_RGB = (80, 200, 255)
@@ -99,7 +99,7 @@ class PatchScene:
             slot = self._slots[contact]
             self._curves[f"force/contact_{slot}"].append((stamp_ns, device_us, newtons))
         extent_m = float(np.ptp(self._layout.positions_m, axis=0).max()) or self._layout.pitch_m
-        vectors_m = force_n * (extent_m / (size_n + HALF_LENGTH_N))[:, None]
+        vectors_m = force_n * (extent_m / 2 / (size_n + HALF_LENGTH_N))[:, None]
         self._arrows = rr.Arrows3D(
             origins=position_m - vectors_m,  # what touches the skin comes from outside
             vectors=vectors_m,
@@ -180,6 +180,6 @@ def blueprint(patches: Mapping[str, str]) -> rrb.Blueprint:
             rrb.Vertical(rrb.Grid(*pictures), *curves, log, row_shares=[3, 2, 2, 1]),
             column_shares=[3, 2],
         ),
-        rrb.TimePanel(timeline=STAMP, state="collapsed"),
+        rrb.TimePanel(timeline=STAMP, state="collapsed", play_state="following"),
         collapse_panels=True,
     )
