@@ -2,14 +2,16 @@
 
 TactileError
 ├── SpecError         a parameter, or a combination of parameters, that cannot work
-│   └── LayoutError   a layout file that is not one, or that cannot be this skin's
+│   ├── LayoutError   a layout file that is not one, or that cannot be this skin's
+│   └── BodyError     a body file that is not one, or that contradicts itself
 ├── ParameterError    an unknown parameter name, a wrong type or a value out of range
 ├── PortError         the port cannot be opened, was lost, or carries something else
 ├── ProtocolError     the digitizer speaks another protocol version or refuses a command
 ├── CaptureError      a capture file that is empty, truncated or not what it should be
 ├── CalibrationError  a calibration file, or loads to calibrate from, that cannot be used
 ├── NodeMemoryError   a node's memory that is blank, damaged or not for this firmware
-└── RestError         a tare that cannot be taken now; a file of tare and drift that is of no use
+├── RestError         a tare that cannot be taken now; a file of tare and drift that is of no use
+└── TransformError    tf frames that nothing connects, or that go round in a circle
 """
 
 
@@ -23,6 +25,10 @@ class SpecError(TactileError, ValueError):
 
 class LayoutError(SpecError):
     """A layout file that is not one, or that contradicts itself or the skin's parameters."""
+
+
+class BodyError(SpecError):
+    """A body file that is not one, or that contradicts itself."""
 
 
 class ParameterError(TactileError, ValueError):
@@ -51,3 +57,7 @@ class NodeMemoryError(TactileError, ValueError):
 
 class RestError(TactileError):
     """A tare that cannot be taken now, or a file of tare and drift that is of no use."""
+
+
+class TransformError(TactileError, LookupError):
+    """Coordinate frames that nothing connects, or that go round in a circle."""

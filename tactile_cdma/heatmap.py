@@ -31,15 +31,21 @@ def _scale() -> NDArray[np.uint8]:
     return np.vstack([table, np.array([NO_READING_RGB], dtype=np.uint8)])
 
 
-_COLOURS = _scale()
+SCALE_RGB = _scale()
+"""(257, 3) uint8: 256 steps of pressure, and what has no reading."""
 _NO_TAXEL = np.array([NO_TAXEL_RGB], dtype=np.uint8)
+
+
+def scale_steps(pressure_pa: NDArray[np.float32], max_pa: float) -> NDArray[np.int16]:
+    """(n,) int16, each taxel's row of SCALE_RGB on a fixed scale 0…max_pa; the last where NaN."""
+    with np.errstate(invalid="ignore"):
+        step = np.clip(pressure_pa * (255 / max_pa), 0, 255).astype(np.int16)
+    return np.where(np.isnan(pressure_pa), np.int16(256), step)
 
 
 def colours(pressure_pa: NDArray[np.float32], max_pa: float) -> NDArray[np.uint8]:
     """One colour per taxel, (n, 3) uint8 RGB, on a fixed scale 0…max_pa; grey where NaN."""
-    with np.errstate(invalid="ignore"):
-        index = np.clip(pressure_pa * (255 / max_pa), 0, 255).astype(np.int16)
-    return _COLOURS[np.where(np.isnan(pressure_pa), 256, index)]
+    return SCALE_RGB[scale_steps(pressure_pa, max_pa)]
 
 
 def heatmap(
@@ -55,3 +61,11 @@ def heatmap(
     edge = max(1, min(pixels_per_cell, math.isqrt(MAX_PIXELS // raster.size)))
     paint = np.vstack([colours(pressure_pa, max_pa), _NO_TAXEL])
     return paint[raster].repeat(edge, axis=0).repeat(edge, axis=1)
+
+
+def pressure_raster(pressure_pa: NDArray[np.float32], layout: Layout) -> NDArray[np.float32]:
+    """The unrolled skin's pressures, (h, w) float32, Pa, one per cell of the layout's raster.
+
+    pressure_pa: (t,) float32, Pa. NaN where there is no taxel, or a taxel without a reading.
+    """
+    return np.append(pressure_pa, np.float32(np.nan))[layout.raster]

@@ -218,9 +218,16 @@ PARAMETERS: tuple[Parameter, ...] = (
         (0.0, 1e5),
         live=True,
     ),
-    Parameter("heatmap_rate_hz", 30.0, "most heatmaps per second", "Hz", (0.1, 30.0)),
     Parameter(
-        "heatmap_max_kpa",
+        "visual_rate_hz",
+        30.0,
+        "most pictures per second",
+        "Hz",
+        (0.1, 30.0),
+        live=True,
+    ),
+    Parameter(
+        "colour_max_kpa",
         140.0,
         "pressure at the top of the colour scale",
         "kPa",

@@ -10,13 +10,13 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point32
 from numpy.typing import NDArray
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
 from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
 from ..baseline import Baseline
-from ..heatmap import heatmap
+from ..heatmap import heatmap, pressure_raster
 from ..layout import Layout
 from ..pipeline import TactileFrame
 from ..skin_config import SkinConfig
@@ -27,6 +27,11 @@ def ros_array(values: NDArray[np.generic]) -> array[float] | array[int]:
     result: array[float] = array(_TYPE_CODES[values.dtype.str[1:]])
     result.frombytes(np.ascontiguousarray(values).tobytes())
     return result
+
+
+def _bytes(values: NDArray[np.generic]) -> array[int]:
+    """An ndarray of anything as the array.array of its bytes."""
+    return array("B", values.tobytes())
 
 
 def by_taxel(layout: Layout, of_node: NDArray[np.float32]) -> array[float] | array[int]:
@@ -91,21 +96,55 @@ def skin_info(
 
 
 def heatmap_image(
-    pressure_pa: NDArray[np.float32],
-    config: SkinConfig,
-    header: Header,
-    max_pa: float,
-    pixels: int,
+    pressure_pa: NDArray[np.float32], layout: Layout, header: Header, max_pa: float, pixels: int
 ) -> Image:
     """The skin as an rgb8 picture on a fixed scale of 0…max_pa."""
-    picture = heatmap(pressure_pa, config.layout, max_pa, pixels)
-    message = Image()
-    message.header = header
-    message.height, message.width = picture.shape[:2]
-    message.encoding = "rgb8"
-    message.step = picture.shape[1] * 3
-    message.data = ros_array(picture)
-    return message
+    return _image(heatmap(pressure_pa, layout, max_pa, pixels), "rgb8", header)
+
+
+def pressure_image(pressure_pa: NDArray[np.float32], layout: Layout, header: Header) -> Image:
+    """The skin as a 32FC1 picture in Pa, a pixel per cell of the layout's raster."""
+    return _image(pressure_raster(pressure_pa, layout), "32FC1", header)
+
+
+def _image(picture: NDArray[np.generic], encoding: str, header: Header) -> Image:
+    """picture: (h, w) or (h, w, channels)."""
+    height, width = picture.shape[:2]
+    return Image(
+        header=header,
+        height=height,
+        width=width,
+        encoding=encoding,
+        step=picture.nbytes // height,
+        data=_bytes(picture),
+    )
+
+
+def point_cloud(points: NDArray[np.void], header: Header) -> PointCloud2:
+    """Records as the message with a field for each of theirs, in one row."""
+    return PointCloud2(
+        header=header,
+        height=1,
+        width=len(points),
+        fields=_fields(points.dtype),
+        is_bigendian=False,
+        point_step=points.itemsize,
+        row_step=points.nbytes,
+        data=_bytes(points),
+        is_dense=True,
+    )
+
+
+def _fields(record: np.dtype[np.void]) -> list[PointField]:
+    """What a record of little-endian numbers holds, and where."""
+    assert record.fields is not None
+    return [
+        PointField(name=name, offset=offset, datatype=_POINT_TYPES[kind.str], count=1)
+        for name, (kind, offset, *_) in record.fields.items()
+    ]
+
+
+_POINT_TYPES = {"<f4": PointField.FLOAT32, "<u4": PointField.UINT32}
 
 
 def diagnostic(name: str, level: bytes, text: str, values: dict[str, object]) -> DiagnosticStatus:

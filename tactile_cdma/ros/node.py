@@ -1,51 +1,30 @@
-"""The driver node: parameters, lifecycle, publishers. Decoding runs in the Driver's thread."""
+"""The driver node: lifecycle and publishing. Decoding runs in the Driver's thread."""
 
 from __future__ import annotations
 
 import signal
 import sys
 import threading
-import time
-from collections.abc import Callable
+from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from functools import partial
 from multiprocessing import get_context
 from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from lifecycle_msgs.srv import ChangeState
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    SetParametersResult,
-)
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.parameter import Parameter as RosParameter
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from rclpy.signals import SignalHandlerOptions
-from sensor_msgs.msg import Image
-from std_msgs.msg import Header
 
 from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
 from ..driver import WAITING, Driver, Session
 from ..errors import ParameterError, TactileError
-from ..parameters import (
-    BY_NAME,
-    PARAMETERS,
-    SIMULATION,
-    STANDARD_PARAMETERS,
-    Parameter,
-    Value,
-    check_values,
-    unknown,
-)
+from ..parameters import SIMULATION, Value
 from ..pipeline import TactileFrame
 from ..rest_file import rest_path
 from ..skin_config import SkinConfig
@@ -53,23 +32,25 @@ from ..source import Port
 from . import convert
 from .contacts import ContactPublishers
 from .diagnostics import StreamReport
+from .lifecycle import ManagedNode
+from .parameters import NodeParameters
+from .pictures import Pictures
 from .services import RestKeeper
+from .stamps import Stamps
 
 NODE_NAME = "skin"
 APART_NODES = 256
 CALIBRATING = {"calibration_file", "compensation"}
 """Setting one of these makes the calibration be read again."""
 RETRY_S = 2.0
-STAMP_JITTER_NS = 1_000_000
 LATCHED = QoSProfile(
     depth=1,
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-PICTURE = QoSProfile(depth=2, reliability=ReliabilityPolicy.RELIABLE)
 
 
-class SkinNode(LifecycleNode):
+class SkinNode(ManagedNode):
     """Publishes one skin patch.
 
     configure checks the parameters and opens the port, activate streams, deactivate stops and
@@ -81,138 +62,70 @@ class SkinNode(LifecycleNode):
         super().__init__(
             NODE_NAME, automatically_declare_parameters_from_overrides=True, **node_options
         )
-        self._faults: dict[str, str] = {}
-        self._declare_parameters()
-        self.add_on_set_parameters_callback(self._on_set)
-        self._live = self._values()  # get_parameter takes longer than building a message
         self._config: SkinConfig | None = None
         self._port: Port | None = None
         self._driver: Driver | None = None
+        self._declared = NodeParameters(self, self._change)
+        self._live = self._declared.values
+        self._stamps = Stamps(self, self._live)
         self._info_id = 0
         self._latest: TactileFrame | None = None
-        self._drawn: TactileFrame | None = None
         self._last_failure = ""
         self._stream_report = StreamReport()
-        self._rest = RestKeeper(self, self._publish_info)
-        self._last_stamp_ns = 0
         self._silence_due_s = 0.0  # device time from which a frame without words is published again
-        # rclpy lets a transition that is impossible in the present state end the executor.
-        self._service_change_state.callback = partial(
-            _refuse_impossible, self, self._service_change_state.callback
-        )
+        self._rest = RestKeeper(self, self._publish_info)
         self._array_publisher = self.create_lifecycle_publisher(
             TactileArray, "~/tactile", qos_profile_sensor_data
         )
         self._info_publisher = self.create_lifecycle_publisher(TactileSkinInfo, "~/info", LATCHED)
-        self._image_publisher = self.create_lifecycle_publisher(Image, "~/heatmap", PICTURE)
         self._contacts = ContactPublishers(self)
+        self._pictures = Pictures(self, self._live, self._stamps.at)
         self._diagnostics_publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on where simulated time stands
         self._diagnostics_timer = self.create_timer(1.0, self._publish_diagnostics, clock=steady)
-        self._heatmap_timer = self.create_timer(
-            1.0 / float(self._value("heatmap_rate_hz")),
-            self._publish_heatmap,
-            clock=steady,
-            autostart=False,
-        )
         self._start_timer = self.create_timer(RETRY_S, self._start, clock=steady)
-        if self._value("autostart"):
+        if self._live["autostart"]:
             self._start()
         else:
             self._start_timer.cancel()
 
-    # Parameters
-
-    def _declare_parameters(self) -> None:
-        """Declare the table; a wrong override is kept as a fault that forbids configuring."""
-        given = {name: p.value for name, p in self.get_parameters_by_prefix("").items()}
-        for name in given:
-            if name not in BY_NAME and not name.startswith(STANDARD_PARAMETERS):
-                self._fault(name, f"{unknown(name, BY_NAME)} (correct it and start the node again)")
-        for parameter in PARAMETERS:
-            if parameter.name in given:
-                self.undeclare_parameter(parameter.name)
-            value = parameter.default
-            try:
-                value = parameter.check(given.get(parameter.name, value))
-            except ParameterError as error:
-                self._fault(parameter.name, str(error))
-            self.declare_parameter(
-                parameter.name, value, _descriptor(parameter), ignore_override=True
-            )
-
-    def _fault(self, name: str, text: str) -> None:
-        self._faults[name] = text
-        self.get_logger().error(f"not starting: {text}")
-
-    def _value(self, name: str) -> Value:
-        value: Value = self.get_parameter(name).value
-        return value
-
-    def _values(self) -> dict[str, Value]:
-        return {parameter.name: self._value(parameter.name) for parameter in PARAMETERS}
-
-    def _on_set(self, changes: list[RosParameter]) -> SetParametersResult:
-        """Refuse what cannot work, saying why; let live parameters take effect at once."""
-        new = {change.name: change.value for change in changes if change.name in BY_NAME}
-        try:
-            check_values(new)
-            if self._config is not None:
-                fixed = [
-                    name
-                    for name, value in new.items()
-                    if not BY_NAME[name].live and value != self._value(name)
-                ]
-                if fixed:
-                    raise ParameterError(
-                        f"{', '.join(fixed)} cannot change while configured: deactivate and clean "
-                        f"up first (ros2 lifecycle set {self.get_fully_qualified_name()} "
-                        "deactivate, then cleanup)"
-                    )
-                self._config = self._adjusted(new)
-        except TactileError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        others = {name: fault for name, fault in self._faults.items() if name not in new}
-        if self._config is None and not others:
+    def _change(self, values: Mapping[str, Value], new: set[str]) -> None:
+        """Let new values of parameters take effect; raises TactileError to refuse them."""
+        if self._config is not None:
+            config = self._config.adjusted(values)
+            if CALIBRATING & new:
+                config = recalibrated(config, values)
+            self._config = config
+            self._rest.adjust(config)
+            self._contacts.change(config.contact)
+        elif not self._declared.faults:
             # Several parameters may have to change one by one: what they make together is
             # refused by configure, and only announced here.
             try:
-                SkinConfig.of({**self._values(), **new})
+                SkinConfig.of(values)
             except TactileError as error:
                 self.get_logger().warning(f"not configurable as it is now: {error}")
-        self._faults = others
-        self._live.update(new)
-        if self._config is not None:
-            self._rest.adjust(self._config)
-            self._contacts.change(self._config.contact)
-        return SetParametersResult(successful=True)
-
-    def _adjusted(self, new: dict[str, Value]) -> SkinConfig:
-        """The configuration with new values of live parameters; raises TactileError."""
-        assert self._config is not None
-        values = {**self._values(), **new}
-        config = self._config.adjusted(values)
-        return recalibrated(config, values) if CALIBRATING & new.keys() else config
+        self._pictures.change(values)
 
     # Lifecycle. rclpy swallows exceptions of these callbacks, so each says what went wrong itself.
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Check the parameters and open the port."""
         try:
-            if self._faults:
-                raise ParameterError("; ".join(self._faults.values()))
-            config = SkinConfig.of(self._values())
+            if self._declared.faults:
+                raise ParameterError("; ".join(self._declared.faults.values()))
+            config = SkinConfig.of(self._live)
             Session(config)  # refuses what a digitizer cannot be told
-            path = rest_path(str(self._value("state_folder")), self.get_fully_qualified_name())
-            self._port = Port(str(self._value("port")), int(self._value("baud")))
+            path = rest_path(str(self._live["state_folder"]), self.get_fully_qualified_name())
+            self._port = Port(str(self._live["port"]), int(self._live["baud"]))
         except TactileError as error:
             if str(error) != self._last_failure:
                 self._last_failure = str(error)
                 self.get_logger().error(f"cannot configure: {error}")
             return TransitionCallbackReturn.FAILURE
         self._last_failure = ""
-        self._config = config
-        simulated = str(self._value("port")).startswith(SIMULATION)
+        self._config, self._declared.fixed = config, True
+        simulated = str(self._live["port"]).startswith(SIMULATION)
         self._rest.configure(config, path, simulated)
         return super().on_configure(state)
 
@@ -222,23 +135,22 @@ class SkinNode(LifecycleNode):
         result = super().on_activate(state)
         self._driver = Driver(
             self._config,
-            str(self._value("port")),
-            int(self._value("baud")),
+            str(self._live["port"]),
+            int(self._live["baud"]),
             self._publish_frame,
             self._log_problem,
         )
         spec = self._config.spec
         self.get_logger().info(
-            f"opened {self._value('port')} for {spec.nodes} nodes: order {spec.order}, "
+            f"opened {self._live['port']} for {spec.nodes} nodes: order {spec.order}, "
             f"{spec.bits} bits, a frame every {spec.frame_period_s * 1e3:g} ms"
         )
         self._rest.activate(self._driver)
         port, self._port = self._port, None
         self._contacts.start(self._config.layout, self._config.contact)
+        self._pictures.start(self._config)
         self._driver.start(port)
         self._stream_report = StreamReport()
-        self._heatmap_timer.timer_period_ns = round(1e9 / float(self._value("heatmap_rate_hz")))
-        self._heatmap_timer.reset()
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -265,8 +177,6 @@ class SkinNode(LifecycleNode):
         """Join the reader before its publishers go."""
         self._release()
         super().destroy_node()
-        # rclpy leaves its services in the graph until the garbage collector finds them.
-        self._state_machine.destroy_when_not_in_use()
 
     def _start(self) -> None:
         """Configure and activate, unless somebody has taken the lifecycle into their own hands."""
@@ -276,12 +186,12 @@ class SkinNode(LifecycleNode):
             self._start_timer.cancel()
 
     def _stop_driver(self) -> None:
-        self._heatmap_timer.cancel()
         if self._driver is not None:
             self._driver.stop()
             self._rest.deactivate()
             self._driver = None
-        self._latest = self._drawn = None
+        self._pictures.stop()
+        self._latest = None
 
     def _release(self) -> None:
         self._start_timer.cancel()
@@ -289,7 +199,7 @@ class SkinNode(LifecycleNode):
         if self._port is not None:
             self._port.close()
             self._port = None
-        self._config = None
+        self._config, self._declared.fixed = None, False
         self._rest.release()
 
     # Publishing
@@ -300,7 +210,7 @@ class SkinNode(LifecycleNode):
         self._info_id += 1
         baseline = self._driver.pipeline.taxels.baseline
         self._info_publisher.publish(
-            convert.skin_info(self._config, baseline, self._header_now(), self._info_id)
+            convert.skin_info(self._config, baseline, self._stamps.now(), self._info_id)
         )
 
     def _publish_frame(self, frame: TactileFrame) -> None:
@@ -311,7 +221,7 @@ class SkinNode(LifecycleNode):
         array_asked = self._array_publisher.get_subscription_count() > 0
         header = None
         if self._is_news(frame) and (array_asked or self._contacts.asked):
-            header = self._header_of(frame)
+            header = self._stamps.rising(frame.t_host)
         if header and array_asked:
             self._array_publisher.publish(
                 convert.tactile_array(
@@ -319,14 +229,7 @@ class SkinNode(LifecycleNode):
                 )
             )
         self._contacts.take(frame, header, info_id)
-
-    def _header_of(self, frame: TactileFrame) -> Header:
-        stamp_ns = self._stamp_ns(frame.t_host)
-        # Two clocks are read for that, some µs apart: stamps rise all the same.
-        if 0 <= self._last_stamp_ns - stamp_ns < STAMP_JITTER_NS:
-            stamp_ns = self._last_stamp_ns + 1
-        self._last_stamp_ns = stamp_ns
-        return self._header(stamp_ns)
+        self._pictures.take(frame)
 
     def _is_news(self, frame: TactileFrame) -> bool:
         """Whether a node spoke, or the last frame without words is long enough ago."""
@@ -340,23 +243,6 @@ class SkinNode(LifecycleNode):
         self._silence_due_s = frame.t_middle + 1 / rate_hz
         return True
 
-    def _publish_heatmap(self) -> None:
-        frame = self._latest
-        if frame is None or frame is self._drawn or self._config is None:
-            return
-        if not self._image_publisher.get_subscription_count():
-            return
-        self._drawn = frame
-        self._image_publisher.publish(
-            convert.heatmap_image(
-                frame.readings.pressure_pa,
-                self._config,
-                self._header_at(frame.t_host),
-                float(self._value("heatmap_max_kpa")) * 1e3,
-                int(self._value("heatmap_pixels")),
-            )
-        )
-
     def _publish_diagnostics(self) -> None:
         name = f"{self.get_fully_qualified_name().lstrip('/')}: stream"
         driver = self._driver
@@ -366,7 +252,7 @@ class SkinNode(LifecycleNode):
             values: dict[str, object] = {}
         else:
             level, text, values = self._stream_report.of(driver, self._latest)
-            values["port"] = self._value("port")
+            values["port"] = self._live["port"]
             values["tared"] = self._rest.tared or "not"
             self._rest.tick()
         message = DiagnosticArray(status=[convert.diagnostic(name, level, text, values)])
@@ -381,23 +267,8 @@ class SkinNode(LifecycleNode):
         else:
             self.get_logger().error(problem)
 
-    def _header_now(self) -> Header:
-        return self._header_at(time.monotonic())
 
-    def _header_at(self, t_host: float) -> Header:
-        """A header stamped with a moment of the host's monotonic clock."""
-        return self._header(self._stamp_ns(t_host))
-
-    def _stamp_ns(self, t_host: float) -> int:
-        """A moment of the host's monotonic clock in ROS time, ns."""
-        age_ns = time.monotonic_ns() - round(t_host * 1e9)
-        return int(self.get_clock().now().nanoseconds) - age_ns
-
-    def _header(self, stamp_ns: int) -> Header:
-        return Header(stamp=convert.stamp(stamp_ns), frame_id=str(self._live["frame_id"]))
-
-
-def recalibrated(config: SkinConfig, values: dict[str, Value]) -> SkinConfig:
+def recalibrated(config: SkinConfig, values: Mapping[str, Value]) -> SkinConfig:
     """config.recalibrated(values), without holding up a stream; raises TactileError.
 
     Thousands of curves are read in a process of their own: a second of Python in this one would
@@ -408,40 +279,6 @@ def recalibrated(config: SkinConfig, values: dict[str, Value]) -> SkinConfig:
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
         read = process.submit(config.recalibrated, values).result()
     return replace(config, calibration=read.calibration, compensation=read.compensation)
-
-
-def _descriptor(parameter: Parameter) -> ParameterDescriptor:
-    text = parameter.text + (f" [{parameter.unit}]" if parameter.unit else "")
-    descriptor = ParameterDescriptor(description=text)
-    if parameter.choices:
-        descriptor.additional_constraints = "one of " + ", ".join(map(str, parameter.choices))
-    elif not parameter.live:
-        descriptor.additional_constraints = "takes effect on configure"
-    if parameter.limits:
-        low, high = parameter.limits
-        if isinstance(parameter.default, float):
-            descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
-        else:
-            descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
-    descriptor.read_only = parameter.name == "autostart"
-    return descriptor
-
-
-def _refuse_impossible(
-    node: LifecycleNode,
-    change_state: Callable[[ChangeState.Request, ChangeState.Response], ChangeState.Response],
-    request: ChangeState.Request,
-    response: ChangeState.Response,
-) -> ChangeState.Response:
-    """Answer a change_state request, also one that the present state does not allow."""
-    try:
-        return change_state(request, response)
-    except RCLError:
-        node.get_logger().error(
-            f"transition {request.transition.label or request.transition.id} is not possible now"
-        )
-        response.success = False
-        return response
 
 
 def main() -> int:

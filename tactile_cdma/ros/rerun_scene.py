@@ -8,7 +8,7 @@ frame at each flush().
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import rerun as rr
@@ -26,6 +26,8 @@ HALF_LENGTH_N = 5.0
 """An arrow of this force is half as long as the longest, which is half as long as the skin."""
 PIXELS = 16
 """Of a pitch in the picture, at most."""
+EYE = (0.5, -1.0, 0.9)
+"""Where a single skin is looked at from, in its extents from its middle."""
 _CONTACT_RGB = (80, 200, 255)
 
 
@@ -60,6 +62,26 @@ class PatchScene:
         curves["peak"] = rr.SeriesLines(names=f"{self.path} peak", colors=(250, 155, 30))
         for entity, style in curves.items():
             self._recording.log(f"{self.path}/{entity}", style, static=True)
+
+    @property
+    def centre_m(self) -> NDArray[np.float64]:
+        """(3,) middle of the skin, in its frame."""
+        assert self._layout is not None
+        return np.asarray(self._layout.positions_m.mean(axis=0), dtype=np.float64)
+
+    @property
+    def extent_m(self) -> float:
+        """The longest edge of the box about it."""
+        assert self._layout is not None
+        return float(np.ptp(self._layout.positions_m, axis=0).max()) + self._layout.pitch_m
+
+    @property
+    def picture_px(self) -> tuple[int, int]:
+        """Height and width of its picture."""
+        assert self._layout is not None
+        taxels = np.zeros(len(self._layout), dtype=np.float32)
+        height, width, _ = heatmap(taxels, self._layout, self._max_pa, PIXELS).shape
+        return height, width
 
     def take_frame(self, stamp_ns: int, device_us: int, pressure_pa: NDArray[np.float32]) -> None:
         """A frame's pressures, (t,) float32, Pa, if it is of the layout that is in force."""
@@ -98,7 +120,7 @@ class PatchScene:
                 self._slots[contact] = next(n for n in range(1, len(taken) + 2) if n not in taken)
             slot = self._slots[contact]
             self._curves[f"force/contact_{slot}"].append((stamp_ns, device_us, newtons))
-        extent_m = float(np.ptp(self._layout.positions_m, axis=0).max()) or self._layout.pitch_m
+        extent_m = self.extent_m
         vectors_m = force_n * (extent_m / 2 / (size_n + HALF_LENGTH_N))[:, None]
         self._arrows = rr.Arrows3D(
             origins=position_m - vectors_m,  # what touches the skin comes from outside
@@ -143,43 +165,60 @@ class PatchScene:
         self._recording.send_columns(path, times, rr.Scalars.columns(scalars=value))
 
 
-def blueprint(patches: Mapping[str, str]) -> rrb.Blueprint:
-    """How a few patches are shown. patches: of each path the frame its geometry is shown in."""
-    spaces = [
-        rrb.Spatial3DView(
-            name=frame,
-            contents=[
-                f"/{path}/{entity}"
-                for path, its_frame in patches.items()
-                if its_frame == frame
-                for entity in ("surface", "contacts")
-            ],
-            spatial_information=rrb.SpatialInformation(target_frame=frame),
-            background=NO_TAXEL_RGB,
-            line_grid=False,
-        )
-        for frame in dict.fromkeys(patches.values())
-    ]
-    pictures = [
-        rrb.Spatial2DView(origin=f"/{path}/heatmap", name=path, background=NO_TAXEL_RGB)
-        for path in patches
-    ]
+def blueprint(scenes: Mapping[PatchScene, str]) -> rrb.Blueprint:
+    """How patches are shown that have been placed. scenes: of each the frame it is shown in."""
+    frames = list(dict.fromkeys(scenes.values()))
+    spaces = [_space(frame, [s for s in scenes if scenes[s] == frame]) for frame in frames]
     past = rrb.VisibleTimeRange(
         STAMP,
         start=rrb.TimeRangeBoundary.cursor_relative(seconds=-SHOWN_S),
         end=rrb.TimeRangeBoundary.cursor_relative(),
     )
     curves = [
-        rrb.TimeSeriesView(name=name, contents=[f"/{p}/{e}" for p in patches], time_ranges=past)
-        for name, e in (("force, N", "force/**"), ("peak, kPa", "peak"))
+        rrb.TimeSeriesView(
+            name=name, contents=[f"/{scene.path}/{entity}" for scene in scenes], time_ranges=past
+        )
+        for name, entity in (("force, N", "force/**"), ("peak, kPa", "peak"))
     ]
-    log = rrb.TextLogView(name="diagnostics", contents=[f"/{path}/diagnostics" for path in patches])
+    log = rrb.TextLogView(
+        name="diagnostics", contents=[f"/{scene.path}/diagnostics" for scene in scenes]
+    )
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Grid(*spaces),
-            rrb.Vertical(rrb.Grid(*pictures), *curves, log, row_shares=[3, 2, 2, 1]),
+            rrb.Vertical(
+                rrb.Grid(*map(_picture, scenes)), *curves, log, row_shares=[4, 2, 2, 1]
+            ),
             column_shares=[3, 2],
         ),
         rrb.TimePanel(timeline=STAMP, state="collapsed", play_state="following"),
         collapse_panels=True,
+    )
+
+
+def _space(frame: str, scenes: Sequence[PatchScene]) -> rrb.Spatial3DView:
+    """All patches whose places are known in a frame; a single one is looked at from outside."""
+    eye = None
+    if len(scenes) == 1:
+        centre_m, extent_m = scenes[0].centre_m, scenes[0].extent_m
+        position_m = centre_m + extent_m * np.array(EYE)
+        eye = rrb.EyeControls3D(position=position_m, look_target=centre_m, eye_up=[0, 0, 1])
+    return rrb.Spatial3DView(
+        name=frame,
+        contents=[f"/{s.path}/{entity}" for s in scenes for entity in ("surface", "contacts")],
+        spatial_information=rrb.SpatialInformation(target_frame=frame),
+        background=NO_TAXEL_RGB,
+        line_grid=False,
+        eye_controls=eye,
+    )
+
+
+def _picture(scene: PatchScene) -> rrb.Spatial2DView:
+    """A patch's picture, all of it."""
+    height, width = scene.picture_px
+    return rrb.Spatial2DView(
+        origin=f"/{scene.path}/heatmap",
+        name=scene.path,
+        background=NO_TAXEL_RGB,
+        visual_bounds=rrb.VisualBounds2D(x_range=[0, width], y_range=[0, height]),
     )

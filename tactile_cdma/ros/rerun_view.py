@@ -105,7 +105,8 @@ class RerunView(Node):
         shown = {path: self._root(frame) for path, frame in self._frames.items()}
         if shown != self._shown:
             self._shown = shown
-            self._recording.send_blueprint(blueprint(shown))
+            scenes = {self._scenes[path]: frame for path, frame in shown.items()}
+            self._recording.send_blueprint(blueprint(scenes))
         for scene in self._scenes.values():
             scene.flush()
 

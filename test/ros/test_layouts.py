@@ -16,7 +16,7 @@ from sensor_msgs.msg import Image  # noqa: E402
 from skin_client import running, wait_for  # noqa: E402
 from tactile_cdma.layout_file import read_layout  # noqa: E402
 from tactile_cdma.layout_nodes import Wiring  # noqa: E402
-from tactile_cdma.ros.node import PICTURE  # noqa: E402
+from tactile_cdma.ros.pictures import PICTURE  # noqa: E402
 from tactile_cdma.ros.view import Tally, draw, in_use  # noqa: E402
 from tactile_cdma.taxels import Status  # noqa: E402
 

@@ -23,7 +23,7 @@ from skin_client import running, wait_for  # noqa: E402
 from tactile_cdma.calibration import AdcScale, PressureCurve  # noqa: E402
 from tactile_cdma.msg import TactileArray  # noqa: E402
 from tactile_cdma.parameters import PARAMETERS  # noqa: E402
-from tactile_cdma.ros.node import PICTURE  # noqa: E402
+from tactile_cdma.ros.pictures import PICTURE  # noqa: E402
 from tactile_cdma.sim.digitizer import VirtualDigitizer, truth  # noqa: E402
 from tactile_cdma.sim.options import Setup, SimOptions  # noqa: E402
 from tactile_cdma.sim.pty import serve  # noqa: E402
@@ -96,7 +96,7 @@ def test_info_is_latched_and_complete() -> None:
 def test_heatmaps_are_drawn_only_while_somebody_looks_and_at_most_30_a_second() -> None:
     with running(port="sim://?scene=all", heatmap_pixels=8) as (node, client):
         wait_for(lambda: len(client.arrays) > 50)
-        assert node._drawn is None
+        assert node._pictures._drawn is None
         subscription = client.create_subscription(
             Image, "/skin/heatmap", client.images.append, PICTURE
         )
@@ -105,11 +105,11 @@ def test_heatmaps_are_drawn_only_while_somebody_looks_and_at_most_30_a_second() 
         time.sleep(1.0)
         rate_hz = (len(client.images) - before) / (time.monotonic() - start)
         client.destroy_subscription(subscription)
-        wait_for(lambda: node._image_publisher.get_subscription_count() == 0)
+        wait_for(lambda: node._pictures._publishers["heatmap"].get_subscription_count() == 0)
         time.sleep(0.1)
-        drawn = node._drawn
+        drawn = node._pictures._drawn
         time.sleep(0.3)
-        assert node._drawn is drawn
+        assert node._pictures._drawn is drawn
     assert 10 < rate_hz < 33
     image = client.images[-1]
     assert (image.encoding, image.height, image.width, image.step) == ("rgb8", 32, 32, 96)
@@ -133,7 +133,7 @@ def test_rviz_displays_ask_for_the_qos_that_is_offered() -> None:
 
 def test_heatmaps_come_at_the_rate_asked_for() -> None:
     with running(autostart=False) as (_, client):
-        assert client.set(heatmap_rate_hz=4.0) == (True, "")
+        assert client.set(visual_rate_hz=4.0) == (True, "")
         assert client.change(Transition.TRANSITION_CONFIGURE)
         client.create_subscription(Image, "/skin/heatmap", client.images.append, PICTURE)
         assert client.change(Transition.TRANSITION_ACTIVATE)
@@ -161,7 +161,7 @@ def test_wrong_values_are_refused_with_a_reason_and_streaming_goes_on() -> None:
         for values, reason in (
             ({"threshold": 5.0}, "0.9"),
             ({"threshold": "high"}, "type"),
-            ({"heatmap_max_kpa": -1.0}, "range"),
+            ({"colour_max_kpa": -1.0}, "range"),
             ({"nodes": 17}, "cannot change while configured"),
             ({"autostart": False}, "read-only"),
         ):

@@ -1,0 +1,196 @@
+"""The node of a whole body: contacts, wrench and points of all its patches in one tf frame.
+
+Nothing is subscribed to that nobody asks for.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+import rclpy
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import WrenchStamped
+from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
+from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import InvalidTopicNameException
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
+
+from tactile_cdma.msg import TactileContacts
+
+from ..body_cloud import BODY_POINT
+from ..errors import TactileError, TransformError
+from ..poses import Pose
+from ..rounds import Rounds
+from .body_contacts import body_contacts
+from .body_parameters import body_setup
+from .body_report import PatchState, body_status
+from .contacts import RELIABLE
+from .convert import point_cloud
+from .patch_feed import PatchFeed, nanoseconds
+from .pictures import PICTURE
+from .transforms import TransformListener
+
+NODE_NAME = "body"
+TICK_S = 0.2
+REPORT_S = 1.0
+
+
+class BodyNode(Node):
+    """Gathers what the drivers of a body's patches publish."""
+
+    def __init__(self, **node_options: Any) -> None:
+        """Raises TactileError for parameters that it cannot work with."""
+        super().__init__(NODE_NAME, **node_options)
+        self._setup = body_setup(self)
+        self._contacts = self._publisher(TactileContacts, "~/contacts", RELIABLE)
+        self._wrench = self._publisher(WrenchStamped, "~/wrench", RELIABLE)
+        self._points = self._publisher(PointCloud2, "~/points", PICTURE)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._feeds = {
+            name: PatchFeed(self, name, index, self._take_contacts)
+            for index, name in enumerate(self._setup.patches)
+        }
+        self._transforms = TransformListener(self)
+        self._faults: dict[str, str] = {}  # why a patch's frame is not known in the body's
+        self._rounds = Rounds(self._setup.stale_after_s)
+        self._published_s = 0.0  # when contacts were, or would have been, last published
+        self._sequence = 0
+        steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on where simulated time stands
+        self.create_timer(TICK_S, self._tick, clock=steady)
+        self.create_timer(REPORT_S, self._report, clock=steady)
+        self.create_timer(1.0 / self._setup.visual_rate_hz, self._publish_points, clock=steady)
+
+    def _publisher(self, kind: Any, topic: str, qos: QoSProfile) -> Publisher:
+        options = QoSOverridingOptions.with_default_policies()
+        return self.create_publisher(kind, topic, qos, qos_overriding_options=options)
+
+    def _tick(self) -> None:
+        """Follow what is asked for now; where nothing comes, say even that."""
+        contacts = bool(
+            self._contacts.get_subscription_count() or self._wrench.get_subscription_count()
+        )
+        points = bool(self._points.get_subscription_count())
+        for feed in self._feeds.values():
+            feed.follow(contacts, points)
+        self._transforms.follow(contacts or points)
+        now_s = time.monotonic()
+        if not contacts:
+            self._rounds.forget()
+            self._published_s = now_s
+        elif now_s - self._published_s > self._setup.stale_after_s:
+            self._publish_contacts(now_s)
+
+    def _pose(self, feed: PatchFeed, frame_id: str) -> Pose | None:
+        """Of a patch's frame in the body's; None, and a fault, where it is not known."""
+        try:
+            pose = self._transforms.tree.pose(self._setup.frame_id, frame_id)
+        except TransformError as error:
+            self._faults[feed.node_name] = str(error)
+            return None
+        self._faults.pop(feed.node_name, None)
+        return pose
+
+    # Contacts and wrench
+
+    def _take_contacts(self, feed: PatchFeed, message: TactileContacts) -> None:
+        now_s = time.monotonic()
+        if self._rounds.is_due_before(feed.node_name):
+            self._publish_contacts(now_s)
+        feed.contacts = message
+        if self._rounds.add(feed.node_name, now_s):
+            self._publish_contacts(now_s)
+
+    def _publish_contacts(self, now_s: float) -> None:
+        self._rounds.end()
+        self._published_s = now_s
+        parts: list[tuple[Pose, TactileContacts]] = []
+        absent = []
+        present = set(self._rounds.present(self._feeds, now_s))
+        for name, feed in self._feeds.items():
+            latest = feed.contacts if name in present else None
+            pose = self._pose(feed, latest.header.frame_id) if latest else None
+            if latest and pose:
+                parts.append((pose, latest))
+            else:
+                absent.append(name)
+        header = self._header([message.header.stamp for _, message in parts])
+        message = body_contacts(parts, absent, header, self._sequence)
+        self._sequence += 1
+        self._contacts.publish(message)
+        if self._wrench.get_subscription_count():
+            self._wrench.publish(WrenchStamped(header=header, wrench=message.wrench))
+
+    def _header(self, stamps: list[Time]) -> Header:
+        """Of the newest of the stamps; of this moment without any."""
+        newest = max(stamps, key=nanoseconds) if stamps else self.get_clock().now().to_msg()
+        return Header(stamp=newest, frame_id=self._setup.frame_id)
+
+    # Points
+
+    def _publish_points(self) -> None:
+        """The latest of every patch, where any of it is new."""
+        feeds = self._feeds.values()
+        if not self._points.get_subscription_count() or not any(feed.is_new for feed in feeds):
+            return
+        now_s, stamps, clouds = time.monotonic(), [], [np.zeros(0, dtype=BODY_POINT)]
+        for feed in feeds:
+            if feed.array is None or feed.silent_s(now_s) > self._setup.stale_after_s:
+                continue
+            pose = self._pose(feed, feed.array.header.frame_id)
+            cloud = feed.points(self._setup.colour_max_pa, pose) if pose else None
+            if cloud is not None:
+                stamps.append(feed.array.header.stamp)
+                clouds.append(cloud)
+        self._points.publish(point_cloud(np.concatenate(clouds), self._header(stamps)))
+
+    # Diagnostics
+
+    def _report(self) -> None:
+        now_s, now_ns = time.monotonic(), self.get_clock().now().nanoseconds
+        patches = [
+            PatchState(
+                name=name,
+                has_driver=self.count_publishers(feed.topic) > 0,
+                followed=feed.is_followed,
+                silent_s=feed.silent_s(now_s),
+                late_s=feed.late_s(now_s, now_ns),
+                rate_hz=feed.rate_hz(now_s),
+                fault=self._faults.get(name, ""),
+            )
+            for name, feed in self._feeds.items()
+        ]
+        status = body_status(self.get_fully_qualified_name(), patches, self._setup.stale_after_s)
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+
+
+def main() -> int:
+    """Run the node until interrupted; returns the exit code."""
+    try:
+        rclpy.init(args=sys.argv)
+        node = BodyNode()
+    except (RCLError, UnknownROSArgsError, TactileError, InvalidTopicNameException) as error:
+        print(f"skin_body: {' '.join(str(error).split())}", file=sys.stderr)
+        rclpy.try_shutdown()
+        return 1
+    with suppress(KeyboardInterrupt, ExternalShutdownException):
+        rclpy.spin(node)
+    node.destroy_node()
+    rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

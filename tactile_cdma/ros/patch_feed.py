@@ -1,0 +1,143 @@
+"""What one patch publishes, as its body hears it: subscribed to only while it is needed."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point32
+from numpy.typing import NDArray
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from rclpy.subscription import Subscription
+from std_msgs.msg import Header
+
+from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
+
+from ..body_cloud import PatchCloud
+from ..poses import Pose
+from .contacts import RELIABLE
+from .node import LATCHED
+
+NewContacts = Callable[["PatchFeed", TactileContacts], None]
+
+
+class PatchFeed:
+    """The latest of one patch's topics.
+
+    node_name: fully qualified, of the patch's driver. contacts, array: the latest messages, None:
+    none since they are followed. is_new: the array has not been drawn.
+    """
+
+    def __init__(self, node: Node, node_name: str, index: int, on_contacts: NewContacts) -> None:
+        self.node_name = node_name
+        self.contacts: TactileContacts | None = None
+        self.array: TactileArray | None = None
+        self.is_new = False
+        self._heard_s, self._stamp = -math.inf, Time()
+        self._counted, self._reported_s = 0, -math.inf
+        self._node, self._index, self._on_contacts = node, index, on_contacts
+        self._cloud: tuple[int, PatchCloud] | None = None
+        self._for_contacts: list[Subscription] = []
+        self._for_points: list[Subscription] = []
+
+    @property
+    def is_followed(self) -> bool:
+        """Whether anything of it is subscribed to."""
+        return bool(self._for_contacts or self._for_points)
+
+    def silent_s(self, now_s: float) -> float:
+        """How long nothing came; infinite if nothing ever did."""
+        return now_s - self._heard_s
+
+    def late_s(self, now_s: float, now_ns: int) -> float:
+        """Age of the last message's stamp when it came. now_s, now_ns: monotonic and ROS time."""
+        if not self._heard_s > -math.inf:
+            return 0.0
+        return (now_ns - nanoseconds(self._stamp)) * 1e-9 - self.silent_s(now_s)
+
+    def rate_hz(self, now_s: float) -> float:
+        """Of its frames since this was last asked."""
+        rate_hz = self._counted / (now_s - self._reported_s)
+        self._counted, self._reported_s = 0, now_s
+        return rate_hz
+
+    @property
+    def topic(self) -> str:
+        """What a driver that is there publishes."""
+        return f"{self.node_name}/tactile"
+
+    def follow(self, contacts: bool, points: bool) -> None:
+        """Subscribe to what contacts and points of the body take, and to no more."""
+        if contacts and not self._for_contacts:
+            self._for_contacts = [
+                self._subscribe(TactileContacts, "contacts", self._take_contacts, RELIABLE)
+            ]
+        elif not contacts and self._for_contacts:
+            self._drop(self._for_contacts)
+            self.contacts = None
+        if points and not self._for_points:
+            self._for_points = [
+                self._subscribe(TactileSkinInfo, "info", self._take_info, LATCHED),
+                self._subscribe(TactileArray, "tactile", self._take_array, qos_profile_sensor_data),
+            ]
+        elif not points and self._for_points:
+            self._drop(self._for_points)
+            self.array = self._cloud = None
+            self.is_new = False
+
+    def points(self, max_pa: float, pose: Pose) -> NDArray[np.void] | None:
+        """(m,) BODY_POINT of the latest array; None while what it is to be read with is not there.
+
+        max_pa, pose: see PatchCloud.points.
+        """
+        self.is_new = False
+        if self.array is None or self._cloud is None:
+            return None
+        info_id, cloud = self._cloud
+        # A driver that was started again counts from 1 again: the same id may mean another skin.
+        if self.array.info_id != info_id or len(self.array.pressure) != len(cloud):
+            return None
+        pressure_pa = np.frombuffer(self.array.pressure, dtype=np.float32)
+        return cloud.points(pressure_pa, max_pa, pose)
+
+    def _subscribe(
+        self, kind: Any, topic: str, take: Callable[[Any], None], qos: QoSProfile
+    ) -> Subscription:
+        return self._node.create_subscription(kind, f"{self.node_name}/{topic}", take, qos)
+
+    def _drop(self, subscriptions: list[Subscription]) -> None:
+        for subscription in subscriptions:
+            self._node.destroy_subscription(subscription)
+        subscriptions.clear()
+
+    def _hear(self, header: Header) -> None:
+        if nanoseconds(header.stamp) > nanoseconds(self._stamp):  # once per frame, not per topic
+            self._counted += 1
+        self._heard_s, self._stamp = time.monotonic(), header.stamp
+
+    def _take_contacts(self, message: TactileContacts) -> None:
+        self._hear(message.header)
+        self._on_contacts(self, message)
+
+    def _take_array(self, message: TactileArray) -> None:
+        self._hear(message.header)
+        self.array, self.is_new = message, True
+
+    def _take_info(self, message: TactileSkinInfo) -> None:
+        cloud = PatchCloud(_array(message.positions), _array(message.normals), self._index)
+        self._cloud = message.info_id, cloud
+
+
+def _array(points: Sequence[Point32]) -> NDArray[np.float32]:
+    """(t, 3)."""
+    return np.array([(p.x, p.y, p.z) for p in points], dtype=np.float32).reshape(-1, 3)
+
+
+def nanoseconds(stamp: Time) -> int:
+    """A stamp as one number."""
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)

@@ -1,0 +1,46 @@
+"""Stamps messages with moments of the host's monotonic clock, in ROS time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+
+from rclpy.node import Node
+from std_msgs.msg import Header
+
+from ..parameters import Value
+from . import convert
+
+STAMP_JITTER_NS = 1_000_000
+
+
+class Stamps:
+    """Headers of one skin's messages; its frame is the parameter frame_id."""
+
+    def __init__(self, node: Node, live: Mapping[str, Value]) -> None:
+        self._clock, self._live = node.get_clock(), live
+        self._last_ns = 0
+
+    def rising(self, t_host: float) -> Header:
+        """A header for a moment, s, of the host's monotonic clock; each is later than the last."""
+        stamp_ns = self._ros_ns(t_host)
+        # Two clocks are read for that, some µs apart: stamps rise all the same.
+        if 0 <= self._last_ns - stamp_ns < STAMP_JITTER_NS:
+            stamp_ns = self._last_ns + 1
+        self._last_ns = stamp_ns
+        return self._header(stamp_ns)
+
+    def at(self, t_host: float) -> Header:
+        """A header for a moment, s, of the host's monotonic clock."""
+        return self._header(self._ros_ns(t_host))
+
+    def now(self) -> Header:
+        """A header for this moment."""
+        return self.at(time.monotonic())
+
+    def _ros_ns(self, t_host: float) -> int:
+        age_ns = time.monotonic_ns() - round(t_host * 1e9)
+        return int(self._clock.now().nanoseconds) - age_ns
+
+    def _header(self, stamp_ns: int) -> Header:
+        return Header(stamp=convert.stamp(stamp_ns), frame_id=str(self._live["frame_id"]))

@@ -1,0 +1,116 @@
+"""Markers of a skin and of its contacts, from frame to frame."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("visualization_msgs", reason="ROS 2 is not installed")
+
+from std_msgs.msg import Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from tactile_cdma.contact import ContactThresholds, ContactTracker
+from tactile_cdma.heatmap import NO_READING_RGB, colours
+from tactile_cdma.layout import Layout
+from tactile_cdma.layout_shapes import cylinder
+from tactile_cdma.mesh import taxel_squares
+from tactile_cdma.ros.markers import (
+    ARROW_M_PER_N,
+    ARROWS,
+    MOST_SQUARES,
+    SURFACE,
+    TEXTS,
+    SkinMarkers,
+)
+from tactile_cdma.taxels import Readings, Status
+
+pytestmark = pytest.mark.ros
+PITCH_M, MAX_PA, HEADER = 7e-3, 140e3, Header(frame_id="cuff")
+NODES = np.array([*range(1, 24), 0], dtype=np.int32)
+CUFF = Layout.on(cylinder(4, 6, PITCH_M, 20e-3), "cuff", 4, 6, NODES, PITCH_M)
+
+
+class Skin:
+    """Draws one frame after the other."""
+
+    def __init__(self, layout: Layout = CUFF) -> None:
+        self.layout, self.markers = layout, SkinMarkers(layout)
+        self.tracker, self.t_s = ContactTracker(layout, ContactThresholds(1e3, 5e2)), 0.0
+
+    def draw(self, pressed_pa: dict[int, float], saturated: bool = False) -> MarkerArray:
+        """pressed_pa: by taxel; all else reads 0."""
+        pressure_pa = np.zeros(len(self.layout), dtype=np.float32)
+        pressure_pa[list(pressed_pa)] = list(pressed_pa.values())
+        status = np.full(len(self.layout), Status.SATURATED if saturated else 0, dtype=np.uint8)
+        self.t_s += 0.02
+        contacts = self.tracker.update(Readings(pressure_pa, pressure_pa, status), self.t_s)
+        return self.markers.markers(pressure_pa, MAX_PA, contacts, HEADER, lifetime_s=1.5)
+
+
+def of(array: MarkerArray, namespace: str, action: int = Marker.ADD) -> list[Marker]:
+    return [m for m in array.markers if (m.ns, m.action) == (namespace, action)]
+
+
+def components(values: Any) -> np.ndarray:
+    return np.array([values.x, values.y, values.z])
+
+
+def test_the_surface_has_a_coloured_square_for_every_taxel_with_a_node() -> None:
+    pressed = {0: 20e3, 7: 139e3, 8: float("nan")}
+    [surface] = of(Skin().draw(pressed), SURFACE)
+    assert surface.type == Marker.TRIANGLE_LIST
+    assert surface.header == HEADER
+    assert components(surface.scale).tolist() == [1, 1, 1]
+    corners = np.array([components(point) for point in surface.points]).reshape(-1, 6, 3)
+    assert np.allclose(corners, taxel_squares(CUFF)[:23], atol=1e-7)
+    found = np.array([(c.r, c.g, c.b, c.a) for c in surface.colors]).reshape(23, 6, 4)
+    pressure_pa = np.zeros(23, dtype=np.float32)
+    pressure_pa[list(pressed)] = list(pressed.values())
+    wanted = np.column_stack([colours(pressure_pa, MAX_PA) / 255, np.ones(23)])
+    assert np.allclose(found, wanted[:, None], atol=1e-6)
+    assert np.allclose(found[8, 0, :3] * 255, NO_READING_RGB)
+
+
+def test_an_arrow_ends_at_the_centre_of_pressure_and_says_the_force() -> None:
+    pressure_pa = 40e3
+    drawn = Skin().draw({8: pressure_pa})
+    [arrow], [text] = of(drawn, ARROWS), of(drawn, TEXTS)
+    tail, head = (components(point) for point in arrow.points)
+    force_n = pressure_pa * PITCH_M**2
+    assert np.allclose(head, CUFF.positions_m[8], atol=1e-7)
+    # The force points into the skin, so the arrow comes from outside.
+    assert np.allclose(tail - head, CUFF.normals[8] * force_n * ARROW_M_PER_N, atol=1e-6)
+    assert text.text == f"{force_n:.2g} N"
+    assert np.allclose(components(text.pose.position), tail)
+    assert (arrow.lifetime.sec, arrow.lifetime.nanosec) == (1, 500_000_000)
+
+
+def test_of_a_saturated_contact_the_force_is_at_least_that() -> None:
+    [text] = of(Skin().draw({8: 140e3}, saturated=True), TEXTS)
+    assert text.text.startswith("> ")
+
+
+def test_markers_of_contacts_that_are_gone_are_deleted_once_and_others_keep_their_ids() -> None:
+    skin = Skin()
+    first = skin.draw({0: 40e3, 22: 30e3})
+    ids = [arrow.id for arrow in of(first, ARROWS)]
+    assert len(set(ids)) == 2
+    assert [text.id for text in of(first, TEXTS)] == ids
+    second = skin.draw({22: 30e3})
+    assert [arrow.id for arrow in of(second, ARROWS)] == [ids[1]]
+    for namespace in (ARROWS, TEXTS):
+        assert [m.id for m in of(second, namespace, Marker.DELETE)] == [ids[0]]
+    third = skin.draw({22: 30e3})
+    assert not [m for m in third.markers if m.action == Marker.DELETE]
+
+
+def test_large_skins_have_contacts_only() -> None:
+    largest = Layout.grid(MOST_SQUARES, 0, 0, PITCH_M, PITCH_M)
+    larger = Layout.grid(MOST_SQUARES + 16, 0, 16, PITCH_M, PITCH_M)
+    assert of(Skin(largest).draw({0: 40e3}), SURFACE)
+    drawn = Skin(larger).draw({0: 40e3})
+    assert not of(drawn, SURFACE)
+    assert len(of(drawn, ARROWS)) == len(of(drawn, TEXTS)) == 1

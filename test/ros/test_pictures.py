@@ -1,0 +1,163 @@
+"""Pictures of one skin over real DDS: the same pressures, places and colours in every one."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+
+from sensor_msgs.msg import Image, PointCloud2, PointField  # noqa: E402
+from visualization_msgs.msg import Marker  # noqa: E402
+
+from skin_client import Client, running, wait_for  # noqa: E402
+from tactile_cdma.heatmap import colours  # noqa: E402
+from tactile_cdma.layout_file import read_layout  # noqa: E402
+from tactile_cdma.layout_nodes import Wiring  # noqa: E402
+from tactile_cdma.ros.markers import ARROWS, SURFACE  # noqa: E402
+from tactile_cdma.ros.pictures import PICTURE, TOPICS  # noqa: E402
+
+pytestmark = [pytest.mark.ros, pytest.mark.xdist_group("pictures")]
+PATH = Path(__file__).resolve().parents[2] / "config" / "layouts" / "sphere.yaml"
+BALL = read_layout(PATH, Wiring(nodes=25))
+SKIN = {
+    "port": f"sim://?scene=all&threshold=0&layout={PATH}",
+    "nodes": 25,
+    "frame_period_ms": 20.0,
+    "layout_file": str(PATH),
+    "frame_id": "ball",
+    "heatmap_pixels": 1,
+}
+NUMPY_TYPES = {PointField.FLOAT32: "<f4", PointField.UINT32: "<u4"}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ros() -> Iterator[None]:
+    rclpy.init()
+    yield
+    rclpy.shutdown()
+
+
+def subscribe(client: Client) -> dict[str, list[Any]]:
+    """The lists that every picture's messages are going to fill, by topic."""
+    lists: dict[str, list[Any]] = {name: [] for name in TOPICS}
+    for name, kind in TOPICS.items():
+        client.create_subscription(kind, f"/skin/{name}", lists[name].append, PICTURE)
+    return lists
+
+
+def time_ns(message: Any) -> int:
+    header = message.markers[0].header if hasattr(message, "markers") else message.header
+    assert header.frame_id == "ball"
+    return header.stamp.sec * 10**9 + header.stamp.nanosec
+
+
+def records(cloud: PointCloud2) -> np.ndarray:
+    """The points, by nothing but what the message says of itself."""
+    point = np.dtype(
+        {
+            "names": [field.name for field in cloud.fields],
+            "formats": [NUMPY_TYPES[field.datatype] for field in cloud.fields],
+            "offsets": [field.offset for field in cloud.fields],
+            "itemsize": cloud.point_step,
+        }
+    )
+    assert (cloud.height, cloud.row_step) == (1, cloud.width * cloud.point_step)
+    assert not cloud.is_bigendian and cloud.is_dense
+    return np.frombuffer(cloud.data, point, count=cloud.width)
+
+
+def pixels(image: Image, kind: type, channels: int) -> np.ndarray:
+    assert image.step == image.width * channels * np.dtype(kind).itemsize
+    return np.frombuffer(image.data, kind).reshape(image.height, image.width, channels)
+
+
+@pytest.fixture(scope="module")
+def seen() -> tuple[dict[str, Any], np.ndarray]:
+    """All pictures of one frame by topic, and its pressures, Pa."""
+    with running(**SKIN) as (_, client):
+        lists = subscribe(client)
+        wait_for(lambda: all(len(messages) > 30 for messages in lists.values()))
+    by_time = [{time_ns(m): m for m in messages} for messages in lists.values()]
+    common = sorted(set.intersection(*map(set, by_time)))
+    assert common, "pictures of a frame have its stamp"
+    stamp_ns = common[len(common) // 2]
+    frame = min(client.arrays, key=lambda array: abs(time_ns(array) - stamp_ns))
+    assert abs(time_ns(frame) - stamp_ns) < 2e6  # two clocks are read each time
+    pictures = dict(zip(lists, (messages[stamp_ns] for messages in by_time), strict=True))
+    pressure_pa = np.array(frame.pressure, dtype=np.float32)
+    assert np.isnan(pressure_pa).tolist() == [node == 13 for node in BALL.nodes]
+    assert np.nanmax(pressure_pa) > 10e3
+    return pictures, pressure_pa
+
+
+def test_the_pressure_image_has_a_pixel_for_every_cell(seen: Any) -> None:
+    pictures, pressure_pa = seen
+    image = pictures["pressure_image"]
+    assert (image.encoding, image.height, image.width) == ("32FC1", 5, 5)
+    found = pixels(image, np.float32, 1)[..., 0]
+    assert np.array_equal(found, pressure_pa[BALL.raster], equal_nan=True)
+
+
+def test_points_say_where_they_are_what_they_feel_and_which_taxel_they_are(seen: Any) -> None:
+    pictures, pressure_pa = seen
+    points = records(pictures["points"])
+    taxels = points["taxel"]
+    assert taxels.tolist() == [taxel for taxel in range(25) if taxel != 12]
+    places = np.stack([points[name] for name in ("x", "y", "z")], axis=1)
+    normals = np.stack([points[f"normal_{name}"] for name in "xyz"], axis=1)
+    assert np.array_equal(places, BALL.positions_m[taxels])
+    assert np.array_equal(normals, BALL.normals[taxels])
+    assert np.array_equal(points["pressure"], pressure_pa[taxels])
+
+
+def test_heatmap_points_and_markers_have_the_same_colours(seen: Any) -> None:
+    pictures, pressure_pa = seen
+    wanted = colours(pressure_pa, 140e3)
+    assert np.array_equal(pixels(pictures["heatmap"], np.uint8, 3), wanted[BALL.raster])
+    points = records(pictures["points"])
+    of_points = points["rgb"][:, None] >> np.array([16, 8, 0]) & 255
+    assert np.array_equal(of_points, wanted[points["taxel"]])
+    [surface] = [m for m in pictures["markers"].markers if m.ns == SURFACE]
+    of_corners = np.array([(c.r, c.g, c.b) for c in surface.colors]).reshape(25, 6, 3) * 255
+    assert np.allclose(of_corners, wanted[:, None], atol=1e-3)
+
+
+def test_each_picture_is_drawn_only_while_somebody_looks() -> None:
+    with running(**SKIN) as (node, client):
+        wait_for(lambda: len(client.arrays) > 20)
+        assert node._pictures._drawn is None
+        markers: list[Any] = []
+        kind, topic = TOPICS["markers"], "/skin/markers"
+        subscription = client.create_subscription(kind, topic, markers.append, PICTURE)
+        wait_for(lambda: len(markers) > 3)
+        client.destroy_subscription(subscription)
+        wait_for(lambda: client.count_subscribers(topic) == 0)
+        time.sleep(0.2)
+        drawn = node._pictures._drawn
+        time.sleep(0.3)
+        assert node._pictures._drawn is drawn
+
+
+def test_colour_scale_rate_and_thresholds_of_pictures_change_at_once() -> None:
+    with running(**SKIN) as (_, client):
+        lists = subscribe(client)
+        clouds, markers = lists["points"], lists["markers"]
+        wait_for(lambda: clouds and any(arrows(m) for m in markers))
+        assert len(set(records(clouds[-1])["rgb"])) > 1
+        for name, value in (("contact_kpa", 1e5), ("release_kpa", 1e5), ("colour_max_kpa", 1e5)):
+            assert client.set(**{name: value}) == (True, "")
+        wait_for(lambda: len(set(records(clouds[-1])["rgb"])) == 1 and not arrows(markers[-1]))
+        assert client.set(visual_rate_hz=4.0) == (True, "")
+        start, before = time.monotonic(), len(clouds)
+        wait_for(lambda: len(clouds) >= before + 6)
+        assert time.monotonic() - start > 1.0
+
+
+def arrows(markers: Any) -> list[Any]:
+    return [m for m in markers.markers if (m.ns, m.action) == (ARROWS, Marker.ADD)]
