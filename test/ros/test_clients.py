@@ -1,0 +1,189 @@
+"""The examples of docs/clients.md, run as they stand there, beside a real driver."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import IO
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+
+from geometry_msgs.msg import WrenchStamped  # noqa: E402
+from rclpy.time import Time  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+from std_msgs.msg import Bool, Float64  # noqa: E402
+
+from skin_client import running, wait_for  # noqa: E402
+from tactile_cdma.sim.scene import SCENES, Skin  # noqa: E402
+
+pytestmark = pytest.mark.ros
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "clients.md").read_text()
+EXAMPLES = dict(re.findall(r"<!-- client: (\w+) -->\n```python\n(.*?)```", PAGE, re.DOTALL))
+TOLERANCE_NS = 20_000_000
+"""What docs/clients.md says that fusion leaves out."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ros() -> Iterator[None]:
+    rclpy.init()
+    yield
+    rclpy.shutdown()
+
+
+@contextmanager
+def example(name: str) -> Iterator[IO[str]]:
+    """An example in a process of its own; yields what it prints, readable at any time."""
+    with TemporaryFile("w+") as output:
+        process = subprocess.Popen(
+            [sys.executable, "-c", EXAMPLES[name]], stdout=output, stderr=subprocess.STDOUT
+        )
+        try:
+            yield output
+            assert process.poll() is None, text_of(output)
+        finally:
+            process.kill()
+            process.wait()
+
+
+def text_of(output: IO[str]) -> str:
+    """What was printed so far, but for a line that is not complete."""
+    text = os.pread(output.fileno(), 1 << 24, 0).decode()
+    return text[: text.rfind("\n") + 1]
+
+
+class GrippedThing:
+    """Something soft between the fingers; it slides while it is loaded by more than friction holds.
+
+    A scene of the simulator: the pressure is what the gripper's command makes of it.
+    """
+
+    CONTACT_MM, PA_PER_MM, SPEED_M_S = 0.3, 20e3, 0.02
+
+    def __init__(self) -> None:
+        self.closed_mm = 0.0
+        self.needed_pa = 0.0  # below that the thing slides
+        self.centre_m, self._t_s = -0.004, 0.0
+
+    @property
+    def peak_pa(self) -> float:
+        return max(0.0, (self.closed_mm - self.CONTACT_MM) * self.PA_PER_MM)
+
+    @property
+    def slides(self) -> bool:
+        return 0.0 < self.peak_pa < self.needed_pa
+
+    def __call__(self, t_s: float, skin: Skin) -> NDArray[np.float64]:
+        if self.slides:
+            self.centre_m += self.SPEED_M_S * (t_s - self._t_s)
+        self._t_s = t_s
+        away = np.hypot(skin.positions_m[:, 0] - self.centre_m, skin.positions_m[:, 1])
+        return self.peak_pa * np.clip(1 - (away / (2.5 * skin.pitch_m)) ** 2, 0, None) ** 1.5
+
+
+def test_grip_closes_until_5_kpa_holds_and_stops_what_slides(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    thing = GrippedThing()
+    monkeypatch.setitem(SCENES, "hand", thing)
+    commands_mm: list[float] = []
+    stops: list[bool] = []
+
+    def close(message: Float64) -> None:
+        thing.closed_mm = message.data
+        commands_mm.append(message.data)
+
+    def held(frames: int) -> bool:
+        return len(set(commands_mm[-frames:])) == 1 and len(commands_mm) > frames
+
+    with running(port="sim://?scene=hand&seed=1&threshold=1", nodes=64, chip_us=10.0) as (
+        _,
+        client,
+    ):
+        client.create_subscription(Float64, "/gripper/close_mm", close, 10)
+        client.create_subscription(Bool, "/arm/stop", lambda m: stops.append(m.data), 10)
+        with example("grip"):
+            wait_for(lambda: thing.peak_pa > 4e3 and held(40))
+            assert np.all(np.diff(commands_mm) >= 0)
+            # the taxel nearest to the peak reads a bit less than it
+            assert 5e3 <= thing.peak_pa < 7e3
+            assert not any(stops)
+
+            grip_mm, before = commands_mm[-1], len(stops)
+            thing.needed_pa = thing.peak_pa + 1e3  # somebody pulls
+            wait_for(lambda: not thing.slides and held(40))
+            assert any(stops[before:])
+            assert not stops[-1]
+            assert commands_mm[-1] > grip_mm
+            assert thing.peak_pa >= thing.needed_pa
+    assert np.all(np.diff(commands_mm) >= 0)
+
+
+def test_fusion_pairs_each_frame_with_the_joint_state_nearest_in_time() -> None:
+    """Joint states of irregular pace, with pauses for which frames must be left out."""
+    rng = np.random.default_rng(5)
+    sent_ns: list[int] = []
+    with running() as (node, client), example("fusion") as output:
+        joints = client.create_publisher(JointState, "/joint_states", 10)
+        wait_for(lambda: joints.get_subscription_count() and len(client.arrays) > 10)
+        while len(pairs(output)) < 100:
+            assert len(sent_ns) < 2000, "no pairs"
+            message = JointState(position=[float(len(sent_ns))])
+            message.header.stamp = node.get_clock().now().to_msg()
+            sent_ns.append(Time.from_msg(message.header.stamp).nanoseconds)
+            joints.publish(message)
+            time.sleep(rng.choice([0.003, 0.008, 0.1], p=[0.45, 0.45, 0.1]))
+        frames_ns = np.array([Time.from_msg(m.header.stamp).nanoseconds for m in client.arrays])
+        found = pairs(output)
+
+    joints_ns = np.array(sent_ns)
+    paired_ns = np.array([frame_ns for frame_ns, *_ in found])
+    assert np.all(np.diff(paired_ns) > 0)
+    for frame_ns, joint_ns, number in found:
+        nearest = int(np.argmin(np.abs(joints_ns - frame_ns)))
+        assert (joint_ns, number) == (sent_ns[nearest], nearest)
+        assert abs(joint_ns - frame_ns) <= TOLERANCE_NS
+    span = (frames_ns >= paired_ns[0]) & (frames_ns <= paired_ns[-1])
+    distance = np.abs(frames_ns[span][:, None] - joints_ns).min(axis=1)
+    assert np.any(distance > TOLERANCE_NS)
+    assert set(frames_ns[span][distance <= TOLERANCE_NS]) == set(paired_ns)
+
+
+def pairs(output: IO[str]) -> list[tuple[int, int, int]]:
+    """(stamp of the frame, stamp of the joint state, ns, number of the joint state)."""
+    lines = [line.split() for line in text_of(output).splitlines()]
+    return [(int(frame), int(joint), int(float(number))) for frame, joint, _, number in lines]
+
+
+def test_places_gives_force_and_centre_of_the_wrench() -> None:
+    with running(port="sim://?scene=moving&seed=1&threshold=0") as (_, client):
+        wrenches: list[WrenchStamped] = []
+        client.create_subscription(WrenchStamped, "/skin/wrench", wrenches.append, 10)
+        with example("places") as output:
+            wait_for(lambda: len(forces_and_centres(output)) > 30)
+            printed = forces_and_centres(output)
+            wait_for(lambda: len(wrenches) > 30)
+    expected = []
+    for force, torque in ((w.wrench.force, w.wrench.torque) for w in list(wrenches)):
+        # of a flat skin: torque = centre × force
+        centre_mm = (1e3 * torque.y / -force.z, 1e3 * torque.x / force.z, 0.0)
+        expected.append((force.x, force.y, force.z, *centre_mm))
+    assert printed.shape[1] == 6
+    agreeing = [np.abs(np.array(expected) - line).max(axis=1).min() < 0.02 for line in printed]
+    assert np.mean(agreeing) > 0.5  # of the same frames; the two did not begin with the same one
+
+
+def forces_and_centres(output: IO[str]) -> NDArray[np.float64]:
+    """(m, 6) what was printed: N, and mm."""
+    numbers = [re.findall(r"-?\d+\.\d+", line) for line in text_of(output).splitlines()]
+    return np.array(numbers, dtype=np.float64)
