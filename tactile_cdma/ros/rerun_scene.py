@@ -186,9 +186,7 @@ def blueprint(scenes: Mapping[PatchScene, str]) -> rrb.Blueprint:
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Grid(*spaces),
-            rrb.Vertical(
-                rrb.Grid(*map(_picture, scenes)), *curves, log, row_shares=[4, 2, 2, 1]
-            ),
+            rrb.Vertical(rrb.Grid(*map(_picture, scenes)), *curves, log, row_shares=[4, 2, 2, 1]),
             column_shares=[3, 2],
         ),
         rrb.TimePanel(timeline=STAMP, state="collapsed", play_state="following"),

@@ -19,9 +19,9 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.utilities import remove_ros_args
 from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
 
 from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
-from tf2_msgs.msg import TFMessage
 
 from .complaints import Complaints
 from .patches import ARRAY_TOPIC, full_name, layout_of
