@@ -15,9 +15,10 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from ..heatmap import NO_TAXEL_RGB, colours, heatmap
+from ..heatmap import colours, heatmap
 from ..layout import Layout
 from ..mesh import taxel_squares
+from ..poses import Pose
 
 STAMP, DEVICE_TIME = "stamp", "device_time"
 SHOWN_S = 20.0
@@ -27,17 +28,33 @@ HALF_LENGTH_N = 5.0
 PIXELS = 16
 """Of a pitch in the picture, at most."""
 EYE = (0.5, -1.0, 0.9)
-"""Where a single skin is looked at from, in its extents from its middle."""
-_CONTACT_RGB = (80, 200, 255)
+"""Where skins are looked at from, in their extent from their middle."""
+BACKGROUND_RGB = (44, 50, 58)
+"""Lighter than a skin that nothing touches."""
+PATCH_RGB = (
+    (80, 200, 255),
+    (130, 220, 120),
+    (235, 235, 235),
+    (180, 140, 255),
+    (255, 170, 200),
+    (90, 140, 255),
+    (200, 200, 90),
+    (160, 160, 160),
+)
+"""Of curves and arrows, patch after patch; none of them is on the scale of pressure."""
 
 
 class PatchScene:
-    """Logs one patch under its name."""
+    """Logs one patch under its name. index: counts patches; tells them apart by colour."""
 
-    def __init__(self, recording: rr.RecordingStream, path: str, max_pa: float) -> None:
+    def __init__(self, recording: rr.RecordingStream, path: str, index: int, max_pa: float) -> None:
         self.path = path
+        self._rgb = PATCH_RGB[index % len(PATCH_RGB)]
         self._recording = recording
         self._max_pa = max_pa
+        self.pose = Pose(np.eye(3), np.zeros(3))
+        """Of the patch in the frame it is shown in."""
+        self._shown_place: NDArray[np.float64] | None = None
         self._layout: Layout | None = None
         self._pressure_pa: NDArray[np.float32] | None = None
         self._arrows: rr.Arrows3D | None = None
@@ -45,9 +62,10 @@ class PatchScene:
         self._curves: dict[str, list[tuple[int, int, float]]] = defaultdict(list)
         self._slots: dict[int, int] = {}  # of the contacts that there are, by id
 
-    def place(self, layout: Layout, frame_id: str) -> None:
-        """Geometry, from now on; the patch's frame has a name of its own among all patches'."""
+    def place(self, layout: Layout) -> None:
+        """Geometry, from now on."""
         self._layout, self._pressure_pa = layout, None
+        self._extent_m = float(np.ptp(layout.positions_m, axis=0).max()) + layout.pitch_m
         corners_m = taxel_squares(layout)[layout.nodes > 0].reshape(-1, 3)
         surface = rr.Mesh3D(
             vertex_positions=corners_m,
@@ -55,25 +73,14 @@ class PatchScene:
             vertex_normals=np.repeat(layout.normals[layout.nodes > 0], 6, axis=0),
         )
         self._recording.log(f"{self.path}/surface", surface, static=True)
-        for entity in ("surface", "contacts"):
-            frame = rr.CoordinateFrame(frame_id)
-            self._recording.log(f"{self.path}/{entity}", frame, static=True)
-        curves = {"force": rr.SeriesLines(names="resultant", colors=(235, 235, 235), widths=2.5)}
-        curves["peak"] = rr.SeriesLines(names=f"{self.path} peak", colors=(250, 155, 30))
-        for entity, style in curves.items():
-            self._recording.log(f"{self.path}/{entity}", style, static=True)
+        for entity, width in (("force", 2.5), ("peak", 1.5)):
+            self._style(entity, self.path, width)
 
     @property
-    def centre_m(self) -> NDArray[np.float64]:
-        """(3,) middle of the skin, in its frame."""
+    def places_m(self) -> NDArray[np.float64]:
+        """(t, 3) places of its taxels in the frame it is shown in."""
         assert self._layout is not None
-        return np.asarray(self._layout.positions_m.mean(axis=0), dtype=np.float64)
-
-    @property
-    def extent_m(self) -> float:
-        """The longest edge of the box about it."""
-        assert self._layout is not None
-        return float(np.ptp(self._layout.positions_m, axis=0).max()) + self._layout.pitch_m
+        return self.pose.apply(self._layout.positions_m.astype(np.float64))
 
     @property
     def picture_px(self) -> tuple[int, int]:
@@ -117,16 +124,18 @@ class PatchScene:
         for contact, newtons in zip(ids, size_n.tolist(), strict=True):
             if contact not in self._slots:
                 taken = set(self._slots.values())
-                self._slots[contact] = next(n for n in range(1, len(taken) + 2) if n not in taken)
+                slot = next(n for n in range(1, len(taken) + 2) if n not in taken)
+                self._slots[contact] = slot
+                self._style(f"force/contact_{slot}", f"contact {slot}", 1.0)
             slot = self._slots[contact]
             self._curves[f"force/contact_{slot}"].append((stamp_ns, device_us, newtons))
-        extent_m = self.extent_m
+        extent_m = self._extent_m
         vectors_m = force_n * (extent_m / 2 / (size_n + HALF_LENGTH_N))[:, None]
         self._arrows = rr.Arrows3D(
             origins=position_m - vectors_m,  # what touches the skin comes from outside
             vectors=vectors_m,
             radii=extent_m / 80,
-            colors=_CONTACT_RGB,
+            colors=self._rgb,
             labels=[f"{newtons:.1f} N" for newtons in size_n],
             show_labels=True,
         )
@@ -147,6 +156,11 @@ class PatchScene:
         stamp_ns, device_us = self._now
         self._recording.set_time(STAMP, timestamp=np.datetime64(stamp_ns, "ns"))
         self._recording.set_time(DEVICE_TIME, duration=np.timedelta64(device_us, "us"))
+        place = np.column_stack([self.pose.rotation, self.pose.translation_m])
+        if self._shown_place is None or not np.array_equal(place, self._shown_place):
+            transform = rr.Transform3D(translation=place[:, 3], mat3x3=place[:, :3])
+            self._recording.log(self.path, transform)
+            self._shown_place = place
         paint = colours(self._pressure_pa, self._max_pa)[self._layout.nodes > 0]
         surface = rr.Mesh3D.from_fields(vertex_colors=np.repeat(paint, 6, axis=0))
         self._recording.log(f"{self.path}/surface", surface)
@@ -155,6 +169,10 @@ class PatchScene:
         if self._arrows is not None:
             self._recording.log(f"{self.path}/contacts", self._arrows)
         self._pressure_pa = self._arrows = None
+
+    def _style(self, curve: str, name: str, width: float) -> None:
+        style = rr.SeriesLines(names=name, widths=width, colors=self._rgb)
+        self._recording.log(f"{self.path}/{curve}", style, static=True)
 
     def _log_curve(self, path: str, values: list[tuple[int, int, float]]) -> None:
         stamp_ns, device_us, value = zip(*values, strict=True)
@@ -176,9 +194,15 @@ def blueprint(scenes: Mapping[PatchScene, str]) -> rrb.Blueprint:
     )
     curves = [
         rrb.TimeSeriesView(
-            name=name, contents=[f"/{scene.path}/{entity}" for scene in scenes], time_ranges=past
+            name=name,
+            contents=[f"/{scene.path}/{entity}" for scene in scenes],
+            time_ranges=past,
+            plot_legend=rrb.PlotLegend(visible=legend),
         )
-        for name, entity in (("force, N", "force/**"), ("peak, kPa", "peak"))
+        for name, entity, legend in (
+            ("force, N", "force/**", False),
+            ("peak, kPa", "peak", True),
+        )
     ]
     log = rrb.TextLogView(
         name="diagnostics", contents=[f"/{scene.path}/diagnostics" for scene in scenes]
@@ -186,7 +210,7 @@ def blueprint(scenes: Mapping[PatchScene, str]) -> rrb.Blueprint:
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Grid(*spaces),
-            rrb.Vertical(rrb.Grid(*map(_picture, scenes)), *curves, log, row_shares=[4, 2, 2, 1]),
+            rrb.Vertical(rrb.Grid(*map(_picture, scenes)), *curves, log, row_shares=[4, 2, 2, 2]),
             column_shares=[3, 2],
         ),
         rrb.TimePanel(timeline=STAMP, state="collapsed", play_state="following"),
@@ -195,19 +219,18 @@ def blueprint(scenes: Mapping[PatchScene, str]) -> rrb.Blueprint:
 
 
 def _space(frame: str, scenes: Sequence[PatchScene]) -> rrb.Spatial3DView:
-    """All patches whose places are known in a frame; a single one is looked at from outside."""
-    eye = None
-    if len(scenes) == 1:
-        centre_m, extent_m = scenes[0].centre_m, scenes[0].extent_m
-        position_m = centre_m + extent_m * np.array(EYE)
-        eye = rrb.EyeControls3D(position=position_m, look_target=centre_m, eye_up=[0, 0, 1])
+    """All patches whose places are known in a frame, seen as a whole."""
+    places_m = np.concatenate([scene.places_m for scene in scenes])
+    low, high = places_m.min(axis=0), places_m.max(axis=0)
+    centre_m, extent_m = (low + high) / 2, float((high - low).max())
     return rrb.Spatial3DView(
         name=frame,
         contents=[f"/{s.path}/{entity}" for s in scenes for entity in ("surface", "contacts")],
-        spatial_information=rrb.SpatialInformation(target_frame=frame),
-        background=NO_TAXEL_RGB,
+        background=BACKGROUND_RGB,
         line_grid=False,
-        eye_controls=eye,
+        eye_controls=rrb.EyeControls3D(
+            position=centre_m + extent_m * np.array(EYE), look_target=centre_m, eye_up=[0, 0, 1]
+        ),
     )
 
 
@@ -217,6 +240,6 @@ def _picture(scene: PatchScene) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(
         origin=f"/{scene.path}/heatmap",
         name=scene.path,
-        background=NO_TAXEL_RGB,
+        background=BACKGROUND_RGB,
         visual_bounds=rrb.VisualBounds2D(x_range=[0, width], y_range=[0, height]),
     )

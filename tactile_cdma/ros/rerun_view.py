@@ -13,18 +13,17 @@ from functools import partial
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import TransformStamped
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.utilities import remove_ros_args
 from std_msgs.msg import Header
-from tf2_msgs.msg import TFMessage
 
 from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 
+from ..errors import TransformError
 from .complaints import Complaints
 from .patches import ARRAY_TOPIC, full_name, layout_of
+from .transforms import COMPLAINT_S, TransformListener
 from .view import LATCHED, QUEUE
 
 try:
@@ -32,11 +31,10 @@ try:
 except ImportError:
     sys.exit("rerun-sdk is not installed: `make view` does it, or pip install rerun-sdk")
 
-from .rerun_scene import STAMP, PatchScene, blueprint
+from .rerun_scene import PatchScene, blueprint
 
 RATE_HZ = 30.0
 DISCOVERY_S = 1.0
-TRANSFORMS = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 WEB_PORT = 9090
 _TEXT_LEVELS = {
     DiagnosticStatus.OK: "INFO",
@@ -54,12 +52,10 @@ class RerunView(Node):
         self._recording = recording
         self._max_pa = max_pa
         self._scenes: dict[str, PatchScene] = {}
-        self._frames: dict[str, str] = {}  # of each path the frame of its geometry
-        self._parents: dict[str, str] = {}  # of each frame, by what /tf says
-        self._moved: dict[str, TransformStamped] = {}
-        self._shown: dict[str, str] = {}
-        self.create_subscription(TFMessage, "/tf_static", self._move, TRANSFORMS)
-        self.create_subscription(TFMessage, "/tf", self._move, 100)
+        self._frames: dict[PatchScene, str] = {}  # of their geometry
+        self._shown: dict[PatchScene, str] = {}  # and those they are shown in
+        self._transforms = TransformListener(self)
+        self._transforms.follow(True)
         for patch in patches:
             self._watch(patch)
         if not patches:
@@ -76,7 +72,8 @@ class RerunView(Node):
     def _watch(self, patch: str) -> None:
         """Subscribe to a patch's topics."""
         path = patch.strip("/")
-        self._scenes[path] = scene = PatchScene(self._recording, path, self._max_pa)
+        scene = PatchScene(self._recording, path, len(self._scenes), self._max_pa)
+        self._scenes[path] = scene
         complaints = Complaints(path)
         subscriptions = (
             (TactileSkinInfo, f"{patch}/info", partial(self._place, scene), LATCHED),
@@ -89,48 +86,26 @@ class RerunView(Node):
         self.get_logger().info(f"watching {patch}")
 
     def _place(self, scene: PatchScene, info: TactileSkinInfo) -> None:
-        scene.place(layout_of(info), info.header.frame_id)
-        self._frames[scene.path] = info.header.frame_id
-
-    def _move(self, message: TFMessage) -> None:
-        for transform in message.transforms:
-            self._moved[transform.child_frame_id] = transform
-            self._parents[transform.child_frame_id] = transform.header.frame_id
+        scene.place(layout_of(info))
+        self._frames[scene] = info.header.frame_id
 
     def flush(self) -> None:
         """Log what has come since the last time; show patches, and frames, that are new."""
-        for child, transform in self._moved.items():
-            self._log_transform(child, transform)
-        self._moved.clear()
-        shown = {path: self._root(frame) for path, frame in self._frames.items()}
-        if shown != self._shown:
-            self._shown = shown
-            scenes = {self._scenes[path]: frame for path, frame in shown.items()}
-            self._recording.send_blueprint(blueprint(scenes))
+        self._stand()
         for scene in self._scenes.values():
             scene.flush()
 
-    def _root(self, frame: str) -> str:
-        """The frame at the root of a frame's tree; a loop has none."""
-        seen = {frame}
-        while (parent := self._parents.get(frame)) is not None and parent not in seen:
-            seen.add(parent)
-            frame = parent
-        return frame
-
-    def _log_transform(self, child: str, message: TransformStamped) -> None:
-        shift, turn = message.transform.translation, message.transform.rotation
-        transform = rr.Transform3D(
-            translation=[shift.x, shift.y, shift.z],
-            quaternion=[turn.x, turn.y, turn.z, turn.w],
-            parent_frame=message.header.frame_id,
-            child_frame=child,
-        )
-        stamp_ns = _nanoseconds(message.header)
-        self._recording.reset_time()
-        if stamp_ns:
-            self._recording.set_time(STAMP, timestamp=np.datetime64(stamp_ns, "ns"))
-        self._recording.log(f"tf/{child}", transform, static=not stamp_ns)
+    def _stand(self) -> None:
+        """Put every patch where it is in the frame that its frame hangs from in the end."""
+        shown: dict[PatchScene, str] = {}
+        for scene, frame in self._frames.items():
+            try:
+                shown[scene], scene.pose = self._transforms.tree.root(frame)
+            except TransformError as error:
+                self.get_logger().warning(str(error), throttle_duration_sec=COMPLAINT_S)
+        if shown != self._shown:
+            self._shown = shown
+            self._recording.send_blueprint(blueprint(shown))
 
 
 def _take_frame(scene: PatchScene, message: TactileArray) -> None:
