@@ -1,4 +1,5 @@
 # make run     simulated skin and viewer; PORT=/dev/ttyACM0 for a real one, PARAMS=file, SECONDS=n to end
+#              PATCHES=config/body.yaml: a body of many patches
 #              FIRMWARE=1: the emulated skin, real firmware on its nodes and in its digitizer
 # make test    lint and tests
 # make firmware         the images of nodes and digitizer, in firmware/build
@@ -15,6 +16,7 @@ DISTRO ?=
 VENV ?= .venv$(addprefix -,$(filter-out jazzy,$(DISTRO)))
 PORT ?=
 PARAMS ?=
+PATCHES ?=
 SECONDS ?=
 FIRMWARE ?=
 PYTEST ?= -n 4 --dist loadgroup
@@ -32,7 +34,7 @@ setup:
 	@$(PYTHON) tools/setup_env.py --venv "$(VENV)" --distro "$(DISTRO)"
 
 run: setup $(if $(filter-out 0,$(FIRMWARE)),firmware)
-	@"$(BIN)/python" tools/run.py --port "$(PORT)" --params "$(PARAMS)" --seconds "$(SECONDS)" --firmware "$(FIRMWARE)"
+	@"$(BIN)/python" tools/run.py --port "$(PORT)" --params "$(PARAMS)" --seconds "$(SECONDS)" --firmware "$(FIRMWARE)" --patches "$(PATCHES)"
 
 test: lint
 	@"$(BIN)/python" tools/firmware_tools.py

@@ -1,20 +1,28 @@
 """Starts the driver of one skin patch: `ros2 launch tactile_cdma skin.launch.py sim:=true`.
 
-The node configures and activates itself, so plain nodes need no help from launch.
+Or those of a body of many patches, and the node that gathers what they publish:
+`ros2 launch tactile_cdma skin.launch.py patches:=config/body.yaml`. Drivers configure and activate
+themselves, so plain nodes need no help from launch.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from launch import LaunchContext, LaunchDescription, LaunchDescriptionEntity
 from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
-from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
+from tactile_cdma.body_file import NODE_NAME, read_body
+from tactile_cdma.errors import TactileError
+from tactile_cdma.parameters import Value
+
 SHARE = Path(__file__).parent.parent  # of the installed package, or the checkout
-NODE_NAME = "skin"
-RVIZ_TOPICS = ("heatmap",)
+RVIZ_TOPICS = ("heatmap", "markers", "points", "pressure_image", "wrench")
+OF_ONE_PATCH = ("port", "namespace", "frame_id")
+RESPAWN_DELAY_S = 2.0
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -49,7 +57,23 @@ def generate_launch_description() -> LaunchDescription:
             "rviz",
             default_value="false",
             choices=["true", "false"],
-            description="show the heatmap in rviz2",
+            description="show the skin, or the body, in rviz2",
+        ),
+        DeclareLaunchArgument(
+            "patches",
+            default_value="",
+            description="body file: many patches, each of which has the arguments above in there",
+        ),
+        DeclareLaunchArgument(
+            "only",
+            default_value="",
+            description="start these patches of the body file, as left_palm,right_palm; empty: all",
+        ),
+        DeclareLaunchArgument(
+            "body",
+            default_value="true",
+            choices=["true", "false"],
+            description="of many patches, also start the node that gathers what they publish",
         ),
     ]
     return LaunchDescription([*arguments, OpaqueFunction(function=start)])
@@ -57,47 +81,87 @@ def generate_launch_description() -> LaunchDescription:
 
 def start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     """Return what the arguments ask for."""
-
-    def get(name: str) -> str:
-        return LaunchConfiguration(name).perform(context)
-
-    overrides = {"port": get("port"), "frame_id": get("frame_id")}
-    # options stay, as in port:=sim://?scene=hand
-    if get("sim") == "true" and not overrides["port"].startswith("sim://"):
-        overrides["port"] = "sim://"
-    namespace = get("namespace").strip("/")
-    actions: list[LaunchDescriptionEntity] = [
-        Node(
-            package="tactile_cdma",
-            executable="skin_driver",
-            name=NODE_NAME,
-            namespace=namespace,
-            parameters=[
-                get("params_file"),
-                # str even where the text looks like a number
-                {k: ParameterValue(v, value_type=str) for k, v in overrides.items() if v},
-            ],
-            output="screen",
-        )
-    ]
-    if get("rviz") == "true":
-        actions.append(rviz(namespace))
+    get = context.launch_configurations
+    actions = whole_body(get) if get["patches"] else one_patch(get)
+    if get["rviz"] == "true":
+        actions.append(rviz(get))
     return actions
 
 
-def rviz(namespace: str) -> LaunchDescriptionEntity:
+def one_patch(get: dict[str, str]) -> list[LaunchDescriptionEntity]:
+    """Return the driver of a single patch."""
+    overrides = {"port": get["port"], "frame_id": get["frame_id"]}
+    # options stay, as in port:=sim://?scene=hand
+    if get["sim"] == "true" and not overrides["port"].startswith("sim://"):
+        overrides["port"] = "sim://"
+    parameters = {name: value for name, value in overrides.items() if value}
+    return [driver(get["namespace"].strip("/"), get["params_file"], parameters)]
+
+
+def whole_body(get: dict[str, str]) -> list[LaunchDescriptionEntity]:
+    """Return the drivers of a body's patches, started again where they die, and its own node."""
+    given = [name for name in OF_ONE_PATCH if get[name]] + ["sim"] * (get["sim"] == "true")
+    if given:
+        raise RuntimeError(f"{given[0]} is of one patch: with patches:=… the body file says it")
+    path = Path(get["patches"]).expanduser().absolute()
+    try:
+        patches = read_body(path).only(get["only"])
+    except TactileError as error:
+        raise RuntimeError(str(error)) from None  # launch prints it and ends
+    actions = [
+        driver(patch.name, patch.params_file, patch.parameters, respawn=True) for patch in patches
+    ]
+    if get["body"] == "true":
+        actions.append(
+            Node(
+                package="tactile_cdma",
+                executable="skin_body",
+                name="body",
+                parameters=[{"body_file": str(path)}],
+                output="screen",
+                respawn=True,
+                respawn_delay=RESPAWN_DELAY_S,
+            )
+        )
+    return actions
+
+
+def driver(
+    namespace: str, params_file: Path | str | None, parameters: Mapping[str, Value], **options: Any
+) -> Node:
+    """Return one driver; parameters go before those of the file."""
+    overrides = {
+        # str even where the text looks like a number
+        name: ParameterValue(value, value_type=str) if isinstance(value, str) else value
+        for name, value in parameters.items()
+    }
+    return Node(
+        package="tactile_cdma",
+        executable="skin_driver",
+        name=NODE_NAME,
+        namespace=namespace,
+        parameters=[*([str(params_file)] if params_file else []), overrides],
+        output="screen",
+        respawn_delay=RESPAWN_DELAY_S,
+        **options,
+    )
+
+
+def rviz(get: dict[str, str]) -> LaunchDescriptionEntity:
     """Return rviz2 with our displays, or a remark where it is not installed."""
     try:
         get_package_prefix("rviz2")
     except PackageNotFoundError:
         return LogInfo(msg="rviz2 is not installed (apt install ros-$ROS_DISTRO-rviz2): not shown")
+    namespace = get["namespace"].strip("/")
     # skin.rviz names the topics of a skin without namespace.
     topics = [f"/{NODE_NAME}/{topic}" for topic in RVIZ_TOPICS] if namespace else []
+    displays = "body.rviz" if get["patches"] else "skin.rviz"
     return Node(
         package="rviz2",
         executable="rviz2",
         name="skin_rviz",
         namespace=namespace,
-        arguments=["-d", str(SHARE / "config" / "skin.rviz")],
+        arguments=["-d", str(SHARE / "config" / displays)],
         remappings=[(topic, f"/{namespace}{topic}") for topic in topics],
     )

@@ -13,7 +13,7 @@ from .layout import Layout
 from .layout_file import read_layout
 from .layout_nodes import Wiring, listed
 from .layout_picture import draw_layout
-from .parameters import BY_NAME, read_file
+from .parameters import BY_NAME, Values, read_file
 
 
 def add_to(commands: Any) -> None:
@@ -34,10 +34,10 @@ def _layout(arguments: argparse.Namespace) -> int:
     if arguments.png and arguments.png.resolve() == arguments.file.resolve():
         raise LayoutError(f"{arguments.png}: the picture would overwrite the layout")
     values = read_file(arguments.params) if arguments.params else {}
-    get = {name: parameter.default for name, parameter in BY_NAME.items()} | values
-    first_row = int(get["first_row"])
-    nodes = int(get["nodes"]) if arguments.params else None
-    layout = read_layout(arguments.file, Wiring(nodes, first_row, str(get["skin"])))
+    get: Values = {name: parameter.default for name, parameter in BY_NAME.items()} | values
+    first_row = get["first_row"]
+    nodes = get["nodes"] if arguments.params else None
+    layout = read_layout(arguments.file, Wiring(nodes, first_row, get["skin"]))
     print(describe_layout(layout))
     if arguments.png:
         draw_layout(layout, arguments.png, first_row)

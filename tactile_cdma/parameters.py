@@ -8,16 +8,20 @@ from __future__ import annotations
 
 import difflib
 import math
+from array import array
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import yaml
 
 from .errors import ParameterError
 from .frame import BIPOLAR, DEFAULT_AMPLITUDE_V, UNIPOLAR
 
-Value = bool | int | float | str
+Value = bool | int | float | str | tuple[float, ...]
+Values = Mapping[str, Any]
+"""Values by name, each of its parameter's type."""
 NATURAL_SIGNS = -1
 SIMULATION = "sim://"
 """Beginning of the ports that are simulated skins."""
@@ -28,7 +32,10 @@ STANDARD_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_ov
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One parameter. limits are inclusive; live parameters may change while the node is active."""
+    """One parameter. limits are inclusive; live parameters may change while the node is active.
+
+    Where the default is a tuple, values are as long as it is, and limits hold for every element.
+    """
 
     name: str
     default: Value
@@ -46,27 +53,56 @@ class Parameter:
         kind = type(self.default)
         if kind is float and type(value) is int:
             value = float(value)
+        elif kind is tuple and isinstance(value, list | array):
+            value = tuple(value)
         if type(value) is not kind:
             raise ParameterError(
                 f"{self.name} must be {_KIND_NAMES[kind]}, got {value!r} ({type(value).__name__})"
             )
-        assert isinstance(value, bool | int | float | str)
+        assert isinstance(value, bool | int | float | str | tuple)
+        if isinstance(value, tuple):
+            return self._check_elements(value)
         if self.choices and value not in self.choices:
             raise ParameterError(
                 f"{self.name} is {value!r}; it must be one of "
                 + ", ".join(str(choice) for choice in self.choices)
             )
-        if self.limits and not isinstance(value, str | bool):
-            low, high = self.limits
-            if not (math.isfinite(value) and low <= value <= high):
-                unit = f" {self.unit}" if self.unit else ""
-                raise ParameterError(
-                    f"{self.name} is {value:g}{unit}; it must lie within {low:g}…{high:g}{unit}"
-                )
+        if not isinstance(value, str | bool):
+            self._check_limits(self.name, value)
         return value
 
+    def _check_elements(self, values: tuple[object, ...]) -> tuple[float, ...]:
+        assert isinstance(self.default, tuple)
+        if len(values) != len(self.default):
+            raise ParameterError(
+                f"{self.name} is {list(values)}; it must be {len(self.default)} numbers"
+            )
+        elements = []
+        for i, value in enumerate(values):
+            if type(value) is not float and type(value) is not int:
+                raise ParameterError(f"{self.name}[{i}] must be a number, got {value!r}")
+            self._check_limits(f"{self.name}[{i}]", value)
+            elements.append(float(value))
+        return tuple(elements)
 
-_KIND_NAMES = {bool: "true or false", int: "an integer", float: "a number", str: "a text"}
+    def _check_limits(self, name: str, value: float) -> None:
+        if self.limits is None:
+            return
+        low, high = self.limits
+        if not (math.isfinite(value) and low <= value <= high):
+            unit = f" {self.unit}" if self.unit else ""
+            raise ParameterError(
+                f"{name} is {value:g}{unit}; it must lie within {low:g}…{high:g}{unit}"
+            )
+
+
+_KIND_NAMES = {
+    bool: "true or false",
+    int: "an integer",
+    float: "a number",
+    str: "a text",
+    tuple: "a list of numbers",
+}
 
 PARAMETERS: tuple[Parameter, ...] = (
     Parameter(
@@ -209,6 +245,27 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("pitch_mm", 7.0, "distance of neighbouring taxels", "mm", (0.01, 1_000.0)),
     Parameter("taxel_mm", 5.5, "edge length of a taxel's sensing area", "mm", (0.01, 1_000.0)),
     Parameter("frame_id", "skin", "tf frame of the skin"),
+    Parameter(
+        "parent_frame",
+        "",
+        "tf frame that the skin is mounted on; empty: somebody else says where it is",
+    ),
+    Parameter(
+        "mount_xyz_m",
+        (0.0, 0.0, 0.0),
+        "place of frame_id in parent_frame",
+        "m",
+        (-1e3, 1e3),
+        live=True,
+    ),
+    Parameter(
+        "mount_rpy_rad",
+        (0.0, 0.0, 0.0),
+        "its roll, pitch and yaw, as in URDF",
+        "rad",
+        (-10.0, 10.0),
+        live=True,
+    ),
     Parameter("publish_voltage", False, "also fill TactileArray.voltage", live=True),
     Parameter(
         "idle_rate_hz",

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from .baseline import RestRules
 from .calibration import AdcScale, Calibration, PressureCurve
@@ -18,7 +16,7 @@ from .frame import MAX_STRETCH, FrameSpec
 from .layout import Layout
 from .layout_file import read_layout
 from .layout_nodes import Wiring
-from .parameters import BY_NAME, GAP, NATURAL_SIGNS, PARAMETERS, Value, check_values
+from .parameters import BY_NAME, GAP, NATURAL_SIGNS, PARAMETERS, Values, check_values
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,14 +39,14 @@ class SkinConfig:
     contact: ContactThresholds
 
     @classmethod
-    def of(cls, values: Mapping[str, Value]) -> SkinConfig:
+    def of(cls, values: Values) -> SkinConfig:
         """From parameter values; missing ones take their defaults.
 
         Raises ParameterError for a single bad value, SpecError for an impossible combination,
         CalibrationError for a calibration file that cannot be used.
         """
         checked = check_values(values)
-        get: dict[str, Any] = {p.name: checked.get(p.name, p.default) for p in PARAMETERS}
+        get: Values = {p.name: checked.get(p.name, p.default) for p in PARAMETERS}
         spec = FrameSpec(
             nodes=get["nodes"],
             bits=get["bits"],
@@ -100,7 +98,7 @@ class SkinConfig:
             return None
         return Compensator(dynamics, self.calibration.curves.range_pa)
 
-    def recalibrated(self, values: Mapping[str, Any]) -> SkinConfig:
+    def recalibrated(self, values: Values) -> SkinConfig:
         """With calibration_file, of all parameters' values, read anew, and compensation as there.
 
         Raises CalibrationError for a file that cannot be used, SpecError where it does not hold
@@ -112,23 +110,23 @@ class SkinConfig:
             compensation=values["compensation"],
         )
 
-    def adjusted(self, values: Mapping[str, Value]) -> SkinConfig:
+    def adjusted(self, values: Values) -> SkinConfig:
         """With the live ones of these values, all of them; files are not read again."""
         return replace(
             self,
             rest=rest_rules(values),
             contact=contact_thresholds(values),
-            threshold=float(values["threshold"]),
-            stale_after_s=float(values["stale_after_s"]),
+            threshold=values["threshold"],
+            stale_after_s=values["stale_after_s"],
         )
 
 
-def contact_thresholds(values: Mapping[str, Any]) -> ContactThresholds:
+def contact_thresholds(values: Values) -> ContactThresholds:
     """From all parameters' values; raises SpecError where they contradict each other."""
     return ContactThresholds(values["contact_kpa"] * 1e3, values["release_kpa"] * 1e3)
 
 
-def rest_rules(values: Mapping[str, Any]) -> RestRules:
+def rest_rules(values: Values) -> RestRules:
     """From all parameters' values."""
     return RestRules(
         drift_pa_per_min=values["drift_pa_per_min"],
@@ -137,7 +135,7 @@ def rest_rules(values: Mapping[str, Any]) -> RestRules:
     )
 
 
-def _layout(get: Mapping[str, Any]) -> Layout:
+def _layout(get: Values) -> Layout:
     """The layout file's; without one a flat grid."""
     pitch_m = get["pitch_mm"] * 1e-3
     if not get["layout_file"]:
@@ -159,9 +157,7 @@ def _layout(get: Mapping[str, Any]) -> Layout:
     return layout
 
 
-def _calibration(
-    get: Mapping[str, Any], spec: FrameSpec, adc: AdcScale, curve: PressureCurve
-) -> Calibration:
+def _calibration(get: Values, spec: FrameSpec, adc: AdcScale, curve: PressureCurve) -> Calibration:
     """From a file; without one the default."""
     calibration, file = Calibration.default(curve, spec.nodes), get["calibration_file"]
     if file:

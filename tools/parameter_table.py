@@ -18,6 +18,8 @@ def row(parameter: Parameter) -> str:
     default = str(parameter.default)
     if isinstance(parameter.default, bool):
         default = default.lower()
+    elif isinstance(parameter.default, tuple):
+        default = str(list(parameter.default))
     allowed = ", ".join(f"`{choice}`" for choice in parameter.choices)
     if parameter.limits:
         low, high = parameter.limits

@@ -1,4 +1,4 @@
-"""Runs the driver and the viewer until the viewer ends: `make run`."""
+"""Runs the driver, or those of a body, and the viewer until the viewer ends: `make run`."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import FrameType
+
+from tactile_cdma.body_file import Patch, read_body
+from tactile_cdma.errors import TactileError
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 PARAMS = CHECKOUT / "config" / "skin.yaml"
@@ -27,17 +30,20 @@ PATIENCE_S = 5.0
 
 
 def main() -> int:
-    """Run both; the exit code is the viewer's, or 1 if the driver ended by itself."""
+    """Run all; the exit code is the viewer's, or 1 if the drivers ended by themselves."""
     parser = argparse.ArgumentParser(description=__doc__)
     # The Makefile passes variables that were not set as empty texts.
     parser.add_argument("--port", default="", help="default: the simulated skin")
     parser.add_argument("--params", default="", help=f"default: {PARAMS.relative_to(CHECKOUT)}")
     parser.add_argument("--seconds", type=_seconds, default=0.0)
     parser.add_argument("--firmware", default="", help="1: the emulated skin is the port")
+    parser.add_argument("--patches", default="", help="body file: many patches")
     arguments = parser.parse_args()
     firmware = arguments.firmware not in ("", "0")
     if firmware and arguments.port:
         parser.error(f"FIRMWARE=1 makes a port of its own; leave PORT={arguments.port} out")
+    if arguments.patches and (firmware or arguments.port or arguments.params):
+        parser.error("PATCHES names a body file, which says ports and parameters itself")
     params = Path(arguments.params or (WIRED_PARAMS if firmware else PARAMS))
     if not params.is_file():
         parser.error(f"no parameter file {params}")
@@ -48,11 +54,18 @@ def main() -> int:
 
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("PYTHONUNBUFFERED", "1")
-    viewer, quiet = viewer_command(seconds), seconds == 0.0
+    quiet = seconds == 0.0
+    if arguments.patches:
+        try:
+            commands = body_commands(Path(arguments.patches))
+        except TactileError as error:
+            parser.error(str(error))
+        return run(commands, viewer_command(seconds, "body_view"), quiet=False)
+    viewer = viewer_command(seconds, "view")
     if not firmware:
-        return run(driver_command(params, port), viewer, quiet)
+        return run([driver_command(params, port)], viewer, quiet)
     with emulated_skin(params) as port:
-        return run(driver_command(params, port), viewer, quiet)
+        return run([driver_command(params, port)], viewer, quiet)
 
 
 @contextmanager
@@ -86,20 +99,39 @@ def _seconds(text: str) -> float:
 
 def driver_command(params: Path, port: str) -> list[str]:
     """Return the command of the driver node."""
-    command = [sys.executable, str(CHECKOUT / "scripts" / "skin_driver"), "--ros-args"]
-    command += ["--params-file", str(params)]
-    # Quoted, for a text that YAML would read as something else.
-    return command + (["-p", f"port:={json.dumps(port)}"] if port else [])
+    parameters = {"port": port} if port else {}
+    return node_command("skin_driver", parameters, "--params-file", str(params))
 
 
-def viewer_command(seconds: float) -> list[str]:
-    """Return the command of the viewer."""
-    command = [sys.executable, "-m", "tactile_cdma.ros.view"]
+def body_commands(path: Path) -> list[list[str]]:
+    """Return those of a body's drivers, and of its own node. Raises BodyError for a wrong file."""
+    drivers = [patch_command(patch) for patch in read_body(path).patches]
+    return [*drivers, node_command("skin_body", {"body_file": str(path)})]
+
+
+def patch_command(patch: Patch) -> list[str]:
+    """Return the command of one patch's driver."""
+    file = ["--params-file", str(patch.params_file)] if patch.params_file else []
+    return node_command("skin_driver", patch.parameters, "-r", f"__ns:=/{patch.name}", *file)
+
+
+def node_command(script: str, parameters: Mapping[str, object], *ros_arguments: str) -> list[str]:
+    """Return the command of a node."""
+    command = [sys.executable, str(CHECKOUT / "scripts" / script), "--ros-args", *ros_arguments]
+    for name, value in parameters.items():
+        # Quoted, for a text that YAML would read as something else.
+        command += ["-p", f"{name}:={json.dumps(value)}"]
+    return command
+
+
+def viewer_command(seconds: float, viewer: str) -> list[str]:
+    """Return the command of a viewer, tactile_cdma.ros.view or .body_view."""
+    command = [sys.executable, "-m", f"tactile_cdma.ros.{viewer}"]
     return command + (["--seconds", f"{seconds:g}"] if seconds else [])
 
 
-def run(driver_command: list[str], viewer_command: list[str], quiet: bool) -> int:
-    """Run until the viewer ends. quiet: the driver's log must not disturb the viewer's picture."""
+def run(commands: Sequence[list[str]], viewer_command: list[str], quiet: bool) -> int:
+    """Run until the viewer ends. quiet: the nodes' log must not disturb the viewer's picture."""
     asked_to_end = False
 
     def remember(signum: int, frame: FrameType | None) -> None:
@@ -110,26 +142,38 @@ def run(driver_command: list[str], viewer_command: list[str], quiet: bool) -> in
         signal.signal(signum, remember)
     LOG.parent.mkdir(exist_ok=True)
     with LOG.open("w") as log:
-        # In a session of its own, Ctrl-C does not reach the driver before the viewer has ended.
-        driver = subprocess.Popen(
-            driver_command,
-            stdin=subprocess.DEVNULL,
-            stdout=log if quiet else None,
-            stderr=log if quiet else None,
-            start_new_session=True,
-            preexec_fn=_end_with_parent,
-        )
+        # In a session of their own, Ctrl-C does not reach nodes before the viewer has ended.
+        nodes = [
+            subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=log if quiet else None,
+                stderr=log if quiet else None,
+                start_new_session=True,
+                preexec_fn=_end_with_parent,
+            )
+            for command in commands
+        ]
     viewer = subprocess.Popen(viewer_command, preexec_fn=_end_with_parent)
+
+    def goes_on() -> bool:
+        return viewer.poll() is None and not asked_to_end
+
     try:
-        while viewer.poll() is None and driver.poll() is None and not asked_to_end:
+        while goes_on() and any(node.poll() is None for node in nodes):
             time.sleep(0.05)
-        driver_failed = viewer.poll() is None and not asked_to_end
+        nodes_failed = goes_on()
         # Ctrl-C has reached the viewer through the terminal; a second one would disturb its end.
         code = _end(viewer, grace_s=0.5)
     finally:
-        _end(driver)
-    if driver_failed:
-        print(f"the driver ended by itself, exit code {driver.returncode}", file=sys.stderr)
+        for node in nodes:  # all at once
+            if node.poll() is None:
+                node.send_signal(signal.SIGINT)
+        for node in nodes:
+            _end(node, grace_s=PATIENCE_S)
+    if nodes_failed:
+        codes = ", ".join(str(node.returncode) for node in nodes)
+        print(f"the driver ended by itself, exit code {codes}", file=sys.stderr)
         if quiet:
             print("\n".join(LOG.read_text().splitlines()[-15:]), file=sys.stderr)
         return 1

@@ -7,38 +7,35 @@ from __future__ import annotations
 
 import sys
 import time
-from contextlib import suppress
+from functools import partial
 from typing import Any
 
 import numpy as np
-import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
-from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.clock import Clock, ClockType
-from rclpy.exceptions import InvalidTopicNameException
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
 from tactile_cdma.msg import TactileContacts
 
 from ..body_cloud import BODY_POINT
-from ..errors import TactileError, TransformError
+from ..errors import TransformError
 from ..poses import Pose
 from ..rounds import Rounds
 from .body_contacts import body_contacts
-from .body_parameters import body_setup
+from .body_parameters import body_setup, declared
 from .body_report import PatchState, body_status
 from .contacts import RELIABLE
 from .convert import point_cloud
 from .patch_feed import PatchFeed, nanoseconds
 from .pictures import PICTURE
+from .process import run_node
+from .qos import offered
 from .transforms import TransformListener
 
 NODE_NAME = "body"
@@ -72,8 +69,10 @@ class BodyNode(Node):
         self.create_timer(1.0 / self._setup.visual_rate_hz, self._publish_points, clock=steady)
 
     def _publisher(self, kind: Any, topic: str, qos: QoSProfile) -> Publisher:
-        options = QoSOverridingOptions.with_default_policies()
-        return self.create_publisher(kind, topic, qos, qos_overriding_options=options)
+        declare = partial(declared, self)
+        return self.create_publisher(
+            kind, topic, offered(qos, self.resolve_topic_name(topic), declare)
+        )
 
     def _tick(self) -> None:
         """Follow what is asked for now; where nothing comes, say even that."""
@@ -178,18 +177,7 @@ class BodyNode(Node):
 
 def main() -> int:
     """Run the node until interrupted; returns the exit code."""
-    try:
-        rclpy.init(args=sys.argv)
-        node = BodyNode()
-    except (RCLError, UnknownROSArgsError, TactileError, InvalidTopicNameException) as error:
-        print(f"skin_body: {' '.join(str(error).split())}", file=sys.stderr)
-        rclpy.try_shutdown()
-        return 1
-    with suppress(KeyboardInterrupt, ExternalShutdownException):
-        rclpy.spin(node)
-    node.destroy_node()
-    rclpy.try_shutdown()
-    return 0
+    return run_node(BodyNode, "skin_body")
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
@@ -38,14 +39,9 @@ def body_setup(node: Node) -> BodySetup:
 
     Raises ParameterError for a wrong one, BodyError for a body file that cannot be used.
     """
-    values = {
-        parameter.name: parameter.check(
-            _declared(node, parameter.name, parameter.default, parameter.text)
-        )
-        for parameter in _TABLE
-    }
+    values = {parameter.name: declared(node, parameter) for parameter in _TABLE}
     patches = _names(
-        _declared(node, _PATCHES, [""], "names of the drivers' nodes, as /left_palm/skin")
+        _declare(node, _PATCHES, [""], "names of the drivers' nodes, as /left_palm/skin")
     )
     frame_id = str(values["frame_id"])
     if values["body_file"]:
@@ -66,7 +62,13 @@ def body_setup(node: Node) -> BodySetup:
     )
 
 
-def _declared(node: Node, name: str, default: Value | list[str], text: str) -> object:
+def declared(node: Node, parameter: Parameter) -> Any:
+    """The value of a parameter, which is fixed from the node's start on; raises ParameterError."""
+    text = parameter.text + (f" [{parameter.unit}]" if parameter.unit else "")
+    return parameter.check(_declare(node, parameter.name, parameter.default, text))
+
+
+def _declare(node: Node, name: str, default: Value | list[str], text: str) -> object:
     """The value given, of whatever type: messages about a wrong one are ours."""
     descriptor = ParameterDescriptor(
         description=text,

@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-import signal
 import sys
-import threading
-from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
-from rclpy.signals import SignalHandlerOptions
+from rclpy.lifecycle import LifecyclePublisher, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter as RosParameter
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
 
 from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
 from ..driver import WAITING, Driver, Session
 from ..errors import ParameterError, TactileError
-from ..parameters import SIMULATION, Value
+from ..parameters import SIMULATION, Values
 from ..pipeline import TactileFrame
 from ..rest_file import rest_path
 from ..skin_config import SkinConfig
@@ -33,8 +28,11 @@ from . import convert
 from .contacts import ContactPublishers
 from .diagnostics import StreamReport
 from .lifecycle import ManagedNode
+from .mount import TF_STATIC, Mount, transform_of
 from .parameters import NodeParameters
 from .pictures import Pictures
+from .process import run_node
+from .qos import LATCHED
 from .services import RestKeeper
 from .stamps import Stamps
 
@@ -43,11 +41,6 @@ APART_NODES = 256
 CALIBRATING = {"calibration_file", "compensation"}
 """Setting one of these makes the calibration be read again."""
 RETRY_S = 2.0
-LATCHED = QoSProfile(
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
 
 
 class SkinNode(ManagedNode):
@@ -80,7 +73,13 @@ class SkinNode(ManagedNode):
         self._info_publisher = self.create_lifecycle_publisher(TactileSkinInfo, "~/info", LATCHED)
         self._contacts = ContactPublishers(self)
         self._pictures = Pictures(self, self._live, self._stamps.at)
-        self._diagnostics_publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._mount = Mount(self, self._declared.offered(LATCHED, TF_STATIC))
+        self._diagnostics_publisher = self.create_publisher(
+            DiagnosticArray,
+            "/diagnostics",
+            self._declared.offered(QoSProfile(depth=10), "/diagnostics"),
+        )
+        self._declared.check_all_taken()
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on where simulated time stands
         self._diagnostics_timer = self.create_timer(1.0, self._publish_diagnostics, clock=steady)
         self._start_timer = self.create_timer(RETRY_S, self._start, clock=steady)
@@ -89,7 +88,22 @@ class SkinNode(ManagedNode):
         else:
             self._start_timer.cancel()
 
-    def _change(self, values: Mapping[str, Value], new: set[str]) -> None:
+    def create_lifecycle_publisher(
+        self, kind: type, topic: str, profile: QoSProfile
+    ) -> LifecyclePublisher:
+        """A publisher whose QoS parameters can override."""
+        return super().create_lifecycle_publisher(
+            kind, topic, self._declared.offered(profile, topic)
+        )
+
+    def set_parameters_atomically(self, changes: list[RosParameter]) -> SetParametersResult:
+        """Take all of them or none; this is what the parameter services call."""
+        try:
+            return super().set_parameters_atomically(self._declared.checked(changes))
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+
+    def _change(self, values: Values, new: set[str]) -> None:
         """Let new values of parameters take effect; raises TactileError to refuse them."""
         if self._config is not None:
             config = self._config.adjusted(values)
@@ -98,11 +112,13 @@ class SkinNode(ManagedNode):
             self._config = config
             self._rest.adjust(config)
             self._contacts.change(config.contact)
+            self._mount.change(transform_of(values))
         elif not self._declared.faults:
             # Several parameters may have to change one by one: what they make together is
             # refused by configure, and only announced here.
             try:
                 SkinConfig.of(values)
+                transform_of(values)
             except TactileError as error:
                 self.get_logger().warning(f"not configurable as it is now: {error}")
         self._pictures.change(values)
@@ -116,6 +132,7 @@ class SkinNode(ManagedNode):
                 raise ParameterError("; ".join(self._declared.faults.values()))
             config = SkinConfig.of(self._live)
             Session(config)  # refuses what a digitizer cannot be told
+            transform = transform_of(self._live)
             path = rest_path(str(self._live["state_folder"]), self.get_fully_qualified_name())
             self._port = Port(str(self._live["port"]), int(self._live["baud"]))
         except TactileError as error:
@@ -127,6 +144,7 @@ class SkinNode(ManagedNode):
         self._config, self._declared.fixed = config, True
         simulated = str(self._live["port"]).startswith(SIMULATION)
         self._rest.configure(config, path, simulated)
+        self._mount.configure(transform)
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -201,6 +219,7 @@ class SkinNode(ManagedNode):
             self._port = None
         self._config, self._declared.fixed = None, False
         self._rest.release()
+        self._mount.release()
 
     # Publishing
 
@@ -268,7 +287,7 @@ class SkinNode(ManagedNode):
             self.get_logger().error(problem)
 
 
-def recalibrated(config: SkinConfig, values: Mapping[str, Value]) -> SkinConfig:
+def recalibrated(config: SkinConfig, values: Values) -> SkinConfig:
     """config.recalibrated(values), without holding up a stream; raises TactileError.
 
     Thousands of curves are read in a process of their own: a second of Python in this one would
@@ -283,28 +302,7 @@ def recalibrated(config: SkinConfig, values: Mapping[str, Value]) -> SkinConfig:
 
 def main() -> int:
     """Run the node until interrupted; returns the exit code."""
-    # Signals only wake the main thread, so that everything ends in order: the executor, the
-    # reader thread with its port, the node, and the ROS context last.
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
-    try:
-        rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
-    except (RCLError, UnknownROSArgsError) as error:  # a parameter file that is no YAML
-        print(f"skin_driver: {error}", file=sys.stderr)
-        return 1
-    node = SkinNode()
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    spinning = threading.Thread(target=executor.spin, name="executor")
-    spinning.start()
-    while not stop.wait(0.5) and spinning.is_alive():
-        pass
-    executor.shutdown()
-    spinning.join()
-    node.destroy_node()
-    rclpy.try_shutdown()
-    return 0 if stop.is_set() else 1
+    return run_node(SkinNode, "skin_driver")
 
 
 if __name__ == "__main__":

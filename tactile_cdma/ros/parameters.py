@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -12,6 +13,7 @@ from rcl_interfaces.msg import (
 )
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
+from rclpy.qos import QoSProfile
 
 from ..errors import ParameterError, TactileError
 from ..parameters import (
@@ -20,48 +22,86 @@ from ..parameters import (
     STANDARD_PARAMETERS,
     Parameter,
     Value,
+    Values,
     check_values,
     unknown,
 )
+from .qos import QOS_OVERRIDES, offered
 
-Change = Callable[[Mapping[str, Value], set[str]], None]
+AT_START = {"autostart"}
+"""What is asked only once."""
+Change = Callable[[Values, set[str]], None]
 """Takes all values, and the names of those that are new; raises TactileError to refuse them."""
 
 
 class NodeParameters:
     """A node's parameters. It was made with automatically_declare_parameters_from_overrides.
 
-    values: what they are at present; the same mapping all along, as quick to read as a dict.
+    values: what those of the table are at present; the same mapping all along, as quick to read
+        as a dict.
     faults: by name, what keeps the node from being configured.
+    fixed: whether only live ones may change.
     """
 
     def __init__(self, node: Node, change: Change) -> None:
         """change is called before values change, with several new ones at once or not at all."""
         self._node, self._change = node, change
-        self.values: dict[str, Value] = {}
         self.faults: dict[str, str] = {}
         self.fixed = False
-        self._declare()
-        node.add_on_set_parameters_callback(self._on_set)
-
-    def _declare(self) -> None:
-        """Declare the table; of a wrong override the fault is kept, and the default taken."""
-        given = {name: p.value for name, p in self._node.get_parameters_by_prefix("").items()}
-        for name in given:
+        self._given = {name: p.value for name, p in node.get_parameters_by_prefix("").items()}
+        for name in self._given:
             if name not in BY_NAME and not name.startswith(STANDARD_PARAMETERS):
                 self._fault(name, f"{unknown(name, BY_NAME)} (correct it and start the node again)")
-        for parameter in PARAMETERS:
-            if parameter.name in given:
-                self._node.undeclare_parameter(parameter.name)
-            value = parameter.default
+        self.values: dict[str, Any] = {
+            parameter.name: self._declare(parameter, parameter.name in AT_START)
+            for parameter in PARAMETERS
+        }
+        node.add_on_set_parameters_callback(self._on_set)
+
+    def offered(self, profile: QoSProfile, topic: str) -> QoSProfile:
+        """How a topic is published: as in profile, unless qos_overrides say otherwise."""
+        return offered(
+            profile, self._node.resolve_topic_name(topic), lambda p: self._declare(p, True)
+        )
+
+    def check_all_taken(self) -> None:
+        """Once all publishers are made: warn of qos_overrides that are nobody's."""
+        for name in self._given:
+            if name.startswith(QOS_OVERRIDES) and not self._node.describe_parameter(name).read_only:
+                self._node.get_logger().warning(f"{name} is without effect: no such publisher")
+
+    def checked(self, changes: Sequence[RosParameter]) -> list[RosParameter]:
+        """Changes in the types of the table: 50 will do for 50.0.
+
+        Raises ParameterError, with a reason where rclpy gives none or an empty one.
+        """
+        result = []
+        for change in changes:
+            name = change.name
+            if not self._node.has_parameter(name):
+                raise ParameterError(unknown(name, BY_NAME))
+            if self._node.describe_parameter(name).read_only:
+                raise ParameterError(
+                    f"{name} counts only when the node starts: set it in the parameter file and "
+                    "start the node again"
+                )
+            if name in BY_NAME:
+                change = RosParameter(name, value=BY_NAME[name].check(change.value))
+            result.append(change)
+        return result
+
+    def _declare(self, parameter: Parameter, read_only: bool) -> Value:
+        """Of a wrong override the fault is kept, and the default taken."""
+        name, value = parameter.name, parameter.default
+        if name in self._given:
+            self._node.undeclare_parameter(name)
             try:
-                value = parameter.check(given.get(parameter.name, value))
+                value = parameter.check(self._given[name])
             except ParameterError as error:
-                self._fault(parameter.name, str(error))
-            self._node.declare_parameter(
-                parameter.name, value, _descriptor(parameter), ignore_override=True
-            )
-            self.values[parameter.name] = value
+                self._fault(name, str(error))
+        descriptor = _descriptor(parameter, read_only)
+        self._node.declare_parameter(name, value, descriptor, ignore_override=True)
+        return value
 
     def _fault(self, name: str, text: str) -> None:
         self.faults[name] = text
@@ -79,14 +119,15 @@ class NodeParameters:
                 self._check_fixed(new)
             for name in new:
                 self.faults.pop(name, None)
-            self._change({**self.values, **new}, set(new))
+            if new:
+                self._change({**self.values, **new}, set(new))
         except TactileError as error:
             self.faults = before
             return SetParametersResult(successful=False, reason=str(error))
         self.values.update(new)
         return SetParametersResult(successful=True)
 
-    def _check_fixed(self, new: Mapping[str, Value]) -> None:
+    def _check_fixed(self, new: Values) -> None:
         """Raises ParameterError for what takes a new configuration."""
         fixed = [n for n, v in new.items() if not BY_NAME[n].live and v != self.values[n]]
         if fixed:
@@ -97,18 +138,19 @@ class NodeParameters:
             )
 
 
-def _descriptor(parameter: Parameter) -> ParameterDescriptor:
+def _descriptor(parameter: Parameter, read_only: bool) -> ParameterDescriptor:
     text = parameter.text + (f" [{parameter.unit}]" if parameter.unit else "")
-    descriptor = ParameterDescriptor(description=text)
+    descriptor = ParameterDescriptor(description=text, read_only=read_only)
     if parameter.choices:
         descriptor.additional_constraints = "one of " + ", ".join(map(str, parameter.choices))
+    elif read_only:
+        descriptor.additional_constraints = "takes effect when the node starts"
     elif not parameter.live:
         descriptor.additional_constraints = "takes effect on configure"
     if parameter.limits:
         low, high = parameter.limits
-        if isinstance(parameter.default, float):
-            descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
-        else:
+        if isinstance(parameter.default, int):
             descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
-    descriptor.read_only = parameter.name == "autostart"
+        else:
+            descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
     return descriptor

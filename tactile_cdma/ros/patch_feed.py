@@ -21,7 +21,7 @@ from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 from ..body_cloud import PatchCloud
 from ..poses import Pose
 from .contacts import RELIABLE
-from .node import LATCHED
+from .qos import LATCHED
 
 NewContacts = Callable[["PatchFeed", TactileContacts], None]
 

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import Image, PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
 from ..cloud import Cloud
 from ..contact import ContactThresholds, ContactTracker
-from ..parameters import Value
+from ..parameters import Values
 from ..pipeline import TactileFrame
 from ..skin_config import SkinConfig, contact_thresholds
 from . import convert
@@ -42,7 +41,7 @@ class Pictures:
     def __init__(
         self,
         node: LifecycleNode,
-        live: Mapping[str, Value],
+        live: Values,
         header_at: Callable[[float], Header],
     ) -> None:
         """live: the parameters' present values, kept by the node. header_at: host time, s."""
@@ -52,7 +51,6 @@ class Pictures:
                 kind,
                 f"~/{name}",
                 PICTURE,
-                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
             )
             for name, kind in TOPICS.items()
         }
@@ -77,13 +75,13 @@ class Pictures:
         """The newest frame, in the driver's thread, which this must not hold up."""
         self._latest = frame
 
-    def change(self, values: Mapping[str, Value]) -> None:
+    def change(self, values: Values) -> None:
         """All parameters' values as they are going to be; they fit each other."""
         if self._drawings is not None:
             self._drawings.change(contact_thresholds(values))
             self._run(values)
 
-    def _run(self, values: Mapping[str, Value]) -> None:
+    def _run(self, values: Values) -> None:
         self._timer.timer_period_ns = round(_period_s(values) * 1e9)
         self._timer.reset()
 
@@ -107,7 +105,7 @@ class Drawings:
     only there while somebody asks for them, in the driver's thread, which this spares.
     """
 
-    def __init__(self, config: SkinConfig, live: Mapping[str, Value]) -> None:
+    def __init__(self, config: SkinConfig, live: Values) -> None:
         self.of: dict[str, Callable[[TactileFrame, Header], Any]] = {
             "heatmap": self._heatmap,
             "pressure_image": self._pressure_image,
@@ -156,5 +154,5 @@ class Drawings:
         )
 
 
-def _period_s(values: Mapping[str, Value]) -> float:
+def _period_s(values: Values) -> float:
     return 1.0 / float(values["visual_rate_hz"])

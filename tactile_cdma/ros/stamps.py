@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 
 from rclpy.node import Node
 from std_msgs.msg import Header
 
-from ..parameters import Value
+from ..parameters import Values
 from . import convert
 
 STAMP_JITTER_NS = 1_000_000
@@ -17,7 +16,7 @@ STAMP_JITTER_NS = 1_000_000
 class Stamps:
     """Headers of one skin's messages; its frame is the parameter frame_id."""
 
-    def __init__(self, node: Node, live: Mapping[str, Value]) -> None:
+    def __init__(self, node: Node, live: Values) -> None:
         self._clock, self._live = node.get_clock(), live
         self._last_ns = 0
 

@@ -332,7 +332,7 @@ def _known(name: str) -> Parameter:
 
 def _parse(parameter: Parameter, text: str) -> Value:
     """An option's text in the type of its parameter."""
-    kind = type(parameter.default)
+    kind: Any = type(parameter.default)
     if parameter.name == "sign_seed" and text == "natural":
         return NATURAL_SIGNS
     try:

@@ -18,7 +18,8 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image
 
 from tactile_cdma.msg import TactileArray, TactileSkinInfo
-from tactile_cdma.ros.node import LATCHED, SkinNode
+from tactile_cdma.ros.node import SkinNode
+from tactile_cdma.ros.qos import LATCHED
 from tactile_cdma.ros.view import QUEUE
 
 

@@ -160,10 +160,13 @@ def test_wrong_values_are_refused_with_a_reason_and_streaming_goes_on() -> None:
         wait_for(lambda: client.arrays)
         for values, reason in (
             ({"threshold": 5.0}, "0.9"),
-            ({"threshold": "high"}, "type"),
-            ({"colour_max_kpa": -1.0}, "range"),
+            ({"threshold": "high"}, "must be a number"),
+            ({"colour_max_kpa": -1.0}, "0.1…"),
             ({"nodes": 17}, "cannot change while configured"),
-            ({"autostart": False}, "read-only"),
+            ({"autostart": False}, "only when the node starts"),
+            ({"thresold": 0.4}, "did you mean 'threshold'"),
+            ({"mount_xyz_m": [1.0, 2.0]}, "must be 3 numbers"),
+            ({"mount_rpy_rad": [0.0, 0.0, float("nan")]}, "mount_rpy_rad[2] is nan"),
         ):
             taken, why = client.set(**values)
             assert not taken
