@@ -19,9 +19,8 @@ NODE_NAME = "skin"
 
 def full_name(patch: str) -> str:
     """The driver's fully qualified name: left_palm and /left_palm/skin are the same patch."""
-    if patch == NODE_NAME or "/" in patch.strip("/"):
-        return "/" + patch.strip("/")
-    return f"/{patch.strip('/')}/{NODE_NAME}"
+    name = patch.strip("/")
+    return f"/{name}" if name == NODE_NAME or "/" in patch else f"/{name}/{NODE_NAME}"
 
 
 def layout_of(info: TactileSkinInfo) -> Layout:
