@@ -27,7 +27,7 @@ HALF_LENGTH_N = 5.0
 """An arrow of this force is half as long as the longest, which is half as long as the skin."""
 PIXELS = 16
 """Of a pitch in the picture, at most."""
-EYE = (0.5, -1.0, 0.9)
+EYE = (0.7, -1.3, 1.1)
 """Where skins are looked at from, in their extent from their middle."""
 BACKGROUND_RGB = (44, 50, 58)
 """Lighter than a skin that nothing touches."""
@@ -67,10 +67,10 @@ class PatchScene:
         self._layout, self._pressure_pa = layout, None
         self._extent_m = float(np.ptp(layout.positions_m, axis=0).max()) + layout.pitch_m
         corners_m = taxel_squares(layout)[layout.nodes > 0].reshape(-1, 3)
+        # Without normals it is not shaded, so that colours are those of the scale.
         surface = rr.Mesh3D(
             vertex_positions=corners_m,
             triangle_indices=np.arange(len(corners_m)).reshape(-1, 3),
-            vertex_normals=np.repeat(layout.normals[layout.nodes > 0], 6, axis=0),
         )
         self._recording.log(f"{self.path}/surface", surface, static=True)
         for entity, width in (("force", 2.5), ("peak", 1.5)):

@@ -13,6 +13,7 @@ pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 rr = pytest.importorskip("rerun", reason="rerun-sdk is not installed (make view)")
 
 import rclpy  # noqa: E402
+from pyarrow.types import is_temporal  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rerun.chunk import RrdReader  # noqa: E402
 
@@ -90,10 +91,9 @@ def columns_of(file: Path) -> dict[tuple[str, str], list[object]]:
         batch = chunk.to_record_batch()
         for name, column in zip(batch.schema.names, batch.columns, strict=True):
             of_column = values.setdefault((chunk.entity_path, name), [])
-            if name == "stamp":
-                of_column += column.cast("int64").to_pylist()
-            else:
-                of_column += [value for value in column.to_pylist() if value is not None]
+            if is_temporal(column.type):
+                column = column.cast("int64")  # ns are too fine for datetime
+            of_column += [value for value in column.to_pylist() if value is not None]
     return values
 
 
