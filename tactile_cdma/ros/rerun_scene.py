@@ -27,7 +27,7 @@ HALF_LENGTH_N = 5.0
 """An arrow of this force is half as long as the longest, which is half as long as the skin."""
 PIXELS = 16
 """Of a pitch in the picture, at most."""
-EYE = (0.7, -1.3, 1.1)
+EYE = (0.55, -1.05, 0.85)
 """Where skins are looked at from, in their extent from their middle."""
 BACKGROUND_RGB = (44, 50, 58)
 """Lighter than a skin that nothing touches."""
