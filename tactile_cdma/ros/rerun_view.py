@@ -35,6 +35,8 @@ from .rerun_scene import PatchScene, blueprint
 
 RATE_HZ = 30.0
 DISCOVERY_S = 1.0
+BLUEPRINT_S = 2.0
+"""A new one undoes what the user has moved, so patches that start together make one."""
 WEB_PORT = 9090
 _TEXT_LEVELS = {
     DiagnosticStatus.OK: "INFO",
@@ -53,7 +55,8 @@ class RerunView(Node):
         self._max_pa = max_pa
         self._scenes: dict[str, PatchScene] = {}
         self._frames: dict[PatchScene, str] = {}  # of their geometry
-        self._shown: dict[PatchScene, str] = {}  # and those they are shown in
+        self._roots: dict[PatchScene, str] = {}  # those they hang from
+        self._shown: dict[PatchScene, str] = {}  # the same, as the viewer is laid out for
         self._transforms = TransformListener(self)
         self._transforms.follow(True)
         for patch in patches:
@@ -61,6 +64,7 @@ class RerunView(Node):
         if not patches:
             self.create_timer(DISCOVERY_S, self._discover)
         self.create_timer(1 / RATE_HZ, self.flush)
+        self.create_timer(BLUEPRINT_S, self.show)
 
     def _discover(self) -> None:
         array = "tactile_cdma/msg/TactileArray"
@@ -90,22 +94,20 @@ class RerunView(Node):
         self._frames[scene] = info.header.frame_id
 
     def flush(self) -> None:
-        """Log what has come since the last time; show patches, and frames, that are new."""
-        self._stand()
+        """Log what has come since the last time, every patch where its frame is now."""
+        for scene, frame in self._frames.items():
+            try:
+                self._roots[scene], scene.pose = self._transforms.tree.root(frame)
+            except TransformError as error:
+                self.get_logger().warning(str(error), throttle_duration_sec=COMPLAINT_S)
         for scene in self._scenes.values():
             scene.flush()
 
-    def _stand(self) -> None:
-        """Put every patch where it is in the frame that its frame hangs from in the end."""
-        shown: dict[PatchScene, str] = {}
-        for scene, frame in self._frames.items():
-            try:
-                shown[scene], scene.pose = self._transforms.tree.root(frame)
-            except TransformError as error:
-                self.get_logger().warning(str(error), throttle_duration_sec=COMPLAINT_S)
-        if shown != self._shown:
-            self._shown = shown
-            self._recording.send_blueprint(blueprint(shown))
+    def show(self) -> None:
+        """Lay the viewer out anew if patches, or the frames they hang from, are others."""
+        if self._roots != self._shown:
+            self._shown = dict(self._roots)
+            self._recording.send_blueprint(blueprint(self._shown))
 
 
 def _take_frame(scene: PatchScene, message: TactileArray) -> None:

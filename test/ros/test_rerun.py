@@ -45,7 +45,10 @@ def test_what_is_saved_is_what_was_published(tmp_path: Path) -> None:
         executor.add_node(view)
         thread = threading.Thread(target=executor.spin)
         thread.start()
-        wait_for(lambda: client.diagnostics and len(client.arrays) > 60)
+        wait_for(lambda: len(client.arrays) > 60)
+        client.diagnostics.clear()
+        wait_for(lambda: client.diagnostics)
+        view.show()
         executor.shutdown()
         thread.join()
         view.flush()
@@ -80,7 +83,7 @@ def test_what_is_saved_is_what_was_published(tmp_path: Path) -> None:
             np.testing.assert_array_equal(rgb, paint[:, None].repeat(6, axis=1))
             compared += 1
     assert compared > 10
-    assert any("receiving" in text for [text] in saved["/skin/diagnostics", "TextLog:text"])
+    assert any(text.startswith("skin: ") for [text] in saved["/skin/diagnostics", "TextLog:text"])
     assert max(len(forces) for forces in saved["/skin/contacts", "Arrows3D:vectors"]) >= 1
 
 
