@@ -200,9 +200,10 @@ def _own(patch: Patch) -> list[tuple[str, Value]]:
     own = []
     if not str(values["port"]).startswith(SHARED_PORTS):
         own.append(("port", values["port"]))
-    for name in ("digitizer_id", "skin"):
-        if values.get(name):
-            own.append((name, values[name]))
+    if values.get("digitizer_id"):
+        own.append(("digitizer_id", re.sub("[^0-9a-f]", "", str(values["digitizer_id"]).lower())))
+    if values["skin"]:
+        own.append(("skin", values["skin"]))
     if values.get("parent_frame"):
         own.append(("frame_id", values["frame_id"]))
     return own

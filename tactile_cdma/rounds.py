@@ -11,7 +11,7 @@ class Rounds:
 
     A round is over when everybody who is present has brought news, or when somebody is about to
     bring news for the second time. So every message of the quickest sender is in a round of its
-    own, none waits longer than that sender's period, and rounds come at its rate.
+    own, none waits longer than that sender's period, and rounds come about as often.
     """
 
     def __init__(self, silent_after_s: float) -> None:

@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
+from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from ..body_file import read_body
 from ..errors import ParameterError
@@ -85,6 +87,13 @@ def _names(value: object) -> tuple[str, ...]:
         raise ParameterError(f"{_PATCHES} is {value!r}; it must be a list of names of nodes")
     names = [f"/{name.strip('/')}" for name in value if name]
     for name in names:
+        try:
+            validate_full_topic_name(name)
+        except InvalidTopicNameException:
+            raise ParameterError(
+                f"{_PATCHES} has {name!r}, which is no name of a node; they look like "
+                "/left_palm/skin"
+            ) from None
         if names.count(name) > 1:
             raise ParameterError(f"{_PATCHES} has {name} twice")
     return tuple(names)

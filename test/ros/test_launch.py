@@ -24,7 +24,11 @@ from launch_ros.actions import Node  # noqa: E402
 from launch_ros.utilities import evaluate_parameters  # noqa: E402
 
 pytestmark = pytest.mark.ros
-LAUNCH_FILE = Path(__file__).resolve().parents[2] / "launch" / "skin.launch.py"
+ROOT = Path(__file__).resolve().parents[2]
+LAUNCH_FILE = ROOT / "launch" / "skin.launch.py"
+PATH = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+"""The executables of the package begin with `env python3`: it has to be this one."""
+BODY_FILE = ROOT / "config" / "body.yaml"
 
 
 def load() -> Any:
@@ -97,11 +101,56 @@ def test_rviz_is_started_or_its_absence_told() -> None:
     assert isinstance(extra, LogInfo if shutil.which("rviz2") is None else Node)
 
 
+def test_a_body_is_a_driver_per_patch_and_the_node_that_gathers() -> None:
+    found, context = actions(patches=str(BODY_FILE))
+    for node in found:
+        node._perform_substitutions(context)
+    assert [node.node_name for node in found] == [
+        "/chest/skin",
+        "/left_forearm/skin",
+        "/right_forearm/skin",
+        "/left_palm/skin",
+        "/right_elbow/skin",
+        "/body",
+    ]
+    (file, given) = evaluate_parameters(context, found[3]._Node__parameters)
+    assert Path(file) == ROOT / "config" / "skin.yaml"
+    assert given == {
+        "frame_id": "left_palm",
+        "port": "sim://?scene=press",
+        "parent_frame": "body",
+        "mount_xyz_m": (0.42, 0.25, 0.19),
+        "mount_rpy_rad": (3.1416, 0.0, 0.0),
+    }
+    ((body,),) = [evaluate_parameters(context, found[-1]._Node__parameters)]
+    assert body == {"body_file": str(BODY_FILE)}
+
+
+def test_a_computer_may_have_a_share_of_the_body() -> None:
+    found, context = actions(patches=str(BODY_FILE), only="left_palm", body="false")
+    (node,) = found
+    node._perform_substitutions(context)
+    assert node.node_name == "/left_palm/skin"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"patches": "none.yaml"}, "none.yaml: No such file"),
+        ({"patches": str(BODY_FILE), "only": "nose"}, "no patch 'nose' to start; there are chest"),
+        ({"patches": str(BODY_FILE), "port": "/dev/x"}, "port is of one patch"),
+        ({"patches": str(BODY_FILE), "sim": "true"}, "sim is of one patch"),
+    ],
+)
+def test_what_cannot_be_launched_is_one_error(arguments: dict[str, str], message: str) -> None:
+    with pytest.raises(RuntimeError, match=message):
+        actions(**arguments)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("namespace", ["", "left"])
 def test_simulated_skin_starts_and_publishes(namespace: str) -> None:
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    ros2 = shutil.which("ros2", path=path)
+    ros2 = shutil.which("ros2", path=PATH)
     if ros2 is None:
         pytest.skip("the command ros2 is missing")
     from rclpy.qos import qos_profile_sensor_data
@@ -112,7 +161,7 @@ def test_simulated_skin_starts_and_publishes(namespace: str) -> None:
     command += [f"namespace:={namespace}"] if namespace else []
     launch = subprocess.Popen(
         command,
-        env={**os.environ, "PATH": path},
+        env={**os.environ, "PATH": PATH},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -139,3 +188,19 @@ def test_simulated_skin_starts_and_publishes(namespace: str) -> None:
     assert len(received[-1].pressure) == 16
     assert launch.returncode == 0, output
     assert "Traceback" not in output
+
+
+@pytest.mark.slow
+def test_the_suite_of_launch_testing_passes() -> None:
+    pytest.importorskip("launch_testing", reason="launch_testing comes with a ROS 2 installation")
+    suite = ROOT / "test" / "launch" / "skin.test.py"
+    done = subprocess.run(
+        [sys.executable, "-m", "launch_testing.launch_test", str(suite)],
+        env={**os.environ, "PATH": PATH},
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=180,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "Traceback" not in done.stdout + done.stderr

@@ -1,0 +1,320 @@
+"""A body of eight patches over DDS: three of the drivers, and the body's node, are processes.
+
+The patches stand upright in a circle, looking outwards; each feels the fingertip of the scene
+"press" on its node 6, whose place in the body is worked out by hand here. To save time, five of
+the drivers share the test's process.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import signal
+import subprocess
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
+from geometry_msgs.msg import TransformStamped, WrenchStamped  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from sensor_msgs.msg import PointCloud2  # noqa: E402
+from tf2_msgs.msg import TFMessage  # noqa: E402
+
+from skin_client import wait_for  # noqa: E402
+from tactile_cdma.body_cloud import BODY_POINT  # noqa: E402
+from tactile_cdma.body_file import read_body  # noqa: E402
+from tactile_cdma.errors import TactileError  # noqa: E402
+from tactile_cdma.msg import TactileContact, TactileContacts  # noqa: E402
+from tactile_cdma.ros.body import BodyNode  # noqa: E402
+from tactile_cdma.ros.node import SkinNode  # noqa: E402
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.xdist_group("body")]
+ROOT = Path(__file__).resolve().parents[2]
+PATCHES, PROCESSES = 8, 3
+RADIUS_M, HEIGHT_M, PITCH_M = 0.2, 0.3, 7e-3
+NAMES = [f"/p{i}/skin" for i in range(PATCHES)]
+LOOSE = 7
+"""This patch's driver does not say where it is mounted: somebody else moves it."""
+
+
+def patch_yaml(index: int, nodes: int) -> str:
+    """Pitched by 90°, its x points down and its z to the front; then yawed round the circle."""
+    yaw = index * math.pi / 4
+    place = [RADIUS_M * math.cos(yaw), RADIUS_M * math.sin(yaw), HEIGHT_M]
+    mount = f", mount_xyz_m: {place}, mount_rpy_rad: [0, {math.pi / 2}, {yaw}]"
+    return (
+        f"  p{index}: {{parameters: {{port: 'sim://?scene=press&heartbeat=20', nodes: {nodes}, "
+        f"frame_period_ms: 50, contact_kpa: 5{mount if index != LOOSE else ''}}}}}\n"
+    )
+
+
+def body_file(folder: Path, nodes: int = 16) -> Path:
+    path = folder / "body.yaml"
+    path.write_text("patches:\n" + "".join(patch_yaml(i, nodes) for i in range(PATCHES)))
+    return path
+
+
+def commands(path: Path) -> list[list[str]]:
+    """What `make run PATCHES=…` starts: the drivers, and the body's node."""
+    spec = importlib.util.spec_from_file_location("run", ROOT / "tools" / "run.py")
+    assert spec is not None and spec.loader is not None
+    run = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(run)
+    found: list[list[str]] = run.body_commands(path)
+    assert len(found) == PATCHES + 1
+    return found
+
+
+class Body:
+    """Processes and drivers, and a client that keeps what the body publishes."""
+
+    def __init__(self, folder: Path) -> None:
+        path = body_file(folder)
+        *drivers, gatherer = commands(path)
+        self.processes = [subprocess.Popen(command) for command in (*drivers[:PROCESSES], gatherer)]
+        self.drivers = [
+            SkinNode(
+                namespace=patch.name,
+                parameter_overrides=[
+                    Parameter(name, value=value) for name, value in patch.parameters.items()
+                ],
+            )
+            for patch in read_body(path).patches[PROCESSES:]
+        ]
+        self.client = rclpy.create_node("client")
+        self.contacts: list[TactileContacts] = []
+        self.diagnostics: list[DiagnosticStatus] = []
+        self.tf = self.client.create_publisher(TFMessage, "/tf", 10)
+        self.client.create_subscription(DiagnosticArray, "/diagnostics", self._take, 10)
+        self._executor = SingleThreadedExecutor()
+        for node in (self.client, *self.drivers):
+            self._executor.add_node(node)
+        self._spinning = threading.Thread(target=self._executor.spin)
+        self._spinning.start()
+
+    def _take(self, message: DiagnosticArray) -> None:
+        self.diagnostics += [s for s in message.status if s.name == "body: patches"]
+
+    def subscribe(self, kind: Any, topic: str, take: Callable[[Any], object]) -> Any:
+        # Deep: this process is busy with five drivers.
+        return self.client.create_subscription(kind, topic, take, 1000)
+
+    def unsubscribe(self, subscription: Any) -> None:
+        # Not in this thread: the executor may be waiting for it.
+        self._executor.create_task(self.client.destroy_subscription, subscription)
+
+    def turn_loose_patch(self) -> None:
+        """Say where the last patch is: as the others' drivers do, for a moving joint."""
+        yaw = LOOSE * math.pi / 4
+        joint, mount = TransformStamped(), TransformStamped()
+        joint.header.frame_id, joint.child_frame_id = "body", "joint"
+        joint.transform.rotation.z, joint.transform.rotation.w = (
+            math.sin(yaw / 2),
+            math.cos(yaw / 2),
+        )
+        mount.header.frame_id, mount.child_frame_id = "joint", f"p{LOOSE}"
+        mount.transform.translation.x, mount.transform.translation.z = RADIUS_M, HEIGHT_M
+        mount.transform.rotation.y = mount.transform.rotation.w = math.sqrt(0.5)
+        self.tf.publish(TFMessage(transforms=[mount, joint]))
+
+    def absent(self) -> list[str] | None:
+        return list(self.contacts[-1].absent) if self.contacts else None
+
+    def end(self) -> None:
+        self._executor.shutdown()
+        self._spinning.join()
+        for node in (self.client, *self.drivers):
+            node.destroy_node()
+        for process in self.processes:
+            process.send_signal(signal.SIGINT)
+        codes = [process.wait(20) for process in self.processes]
+        assert codes == [0] * len(codes)
+
+
+@pytest.fixture(scope="module")
+def body(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Body]:
+    rclpy.init()
+    body = Body(tmp_path_factory.mktemp("body"))
+    try:
+        yield body
+    finally:
+        try:
+            body.end()
+        finally:
+            for process in body.processes:
+                process.kill()
+            rclpy.shutdown()
+
+
+def xyz(vector: Any) -> np.ndarray:
+    return np.array([vector.x, vector.y, vector.z])
+
+
+def outwards(patch: int) -> np.ndarray:
+    yaw = patch * math.pi / 4
+    return np.array([math.cos(yaw), math.sin(yaw), 0.0])
+
+
+def pressed_place(patch: int) -> np.ndarray:
+    """Node 6 of 4 × 4 is half a pitch left of the middle and above it, in the patch's frame.
+
+    Its x, left, is up in the body; its y, up, is to the left of who looks outwards.
+    """
+    left = np.array([-math.sin(patch * math.pi / 4), math.cos(patch * math.pi / 4), 0.0])
+    above_floor = np.array([0.0, 0.0, HEIGHT_M + PITCH_M / 2])
+    return RADIUS_M * outwards(patch) + PITCH_M / 2 * left + above_floor
+
+
+def test_nothing_is_subscribed_to_that_nobody_asks_for(body: Body) -> None:
+    wait_for(lambda: body.client.count_publishers("/body/contacts"))
+    wait_for(lambda: all(body.client.count_publishers(f"{name}/tactile") for name in NAMES), 40)
+    wait_for(lambda: body.diagnostics and "nobody subscribes" in body.diagnostics[-1].message)
+    topics = [f"{name}/{topic}" for name in NAMES for topic in ("contacts", "tactile")]
+    assert [topic for topic in topics if body.client.count_subscribers(topic)] == []
+    first = body.subscribe(PointCloud2, "/body/points", lambda message: None)
+    wait_for(lambda: all(body.client.count_subscribers(f"{name}/tactile") for name in NAMES))
+    assert [name for name in NAMES if body.client.count_subscribers(f"{name}/contacts")] == []
+    body.unsubscribe(first)
+    wait_for(lambda: not any(body.client.count_subscribers(topic) for topic in topics))
+
+
+def test_a_patch_without_a_transform_is_absent_until_it_gets_one(body: Body) -> None:
+    body.subscribe(TactileContacts, "/body/contacts", body.contacts.append)
+    wait_for(lambda: body.absent() == [NAMES[LOOSE]], 40)
+    wait_for(lambda: body.diagnostics[-1].message.startswith(f"{NAMES[LOOSE]}: no transform from"))
+    assert body.diagnostics[-1].level == DiagnosticStatus.WARN
+    body.turn_loose_patch()
+    wait_for(lambda: body.absent() == [])
+    wait_for(lambda: body.diagnostics[-1].level == DiagnosticStatus.OK)
+    assert {value.key for value in body.diagnostics[-1].values} == set(NAMES)
+
+
+def test_contacts_are_where_the_simulated_fingers_are(body: Body) -> None:
+    wrenches: list[WrenchStamped] = []
+    body.subscribe(WrenchStamped, "/body/wrench", wrenches.append)
+    begin = len(body.contacts)
+
+    def seen() -> dict[str, TactileContact]:
+        messages = body.contacts[begin:]
+        return {contact.patch: contact for message in messages for contact in message.contacts}
+
+    wait_for(lambda: len(seen()) == PATCHES and len(wrenches) > 20)
+    for i, name in enumerate(NAMES):
+        contact = seen()[name]
+        np.testing.assert_allclose(xyz(contact.position), pressed_place(i), atol=1e-6)
+        np.testing.assert_allclose(xyz(contact.normal), outwards(i), atol=1e-6)
+        force_n = contact.pressure_max * PITCH_M**2
+        np.testing.assert_allclose(xyz(contact.force), -force_n * outwards(i), atol=1e-4)
+        assert list(contact.taxels) == [5]
+    messages = [message for message in body.contacts[begin:] if message.touched]
+    for message in messages:
+        assert (message.header.frame_id, message.info_id, message.absent) == ("body", 0, [])
+        forces = np.array([xyz(contact.force) for contact in message.contacts])
+        places = np.array([xyz(contact.position) for contact in message.contacts])
+        sizes = np.linalg.norm(forces, axis=1)
+        assert (np.diff(sizes) <= 0).all()
+        np.testing.assert_allclose(xyz(message.wrench.force), forces.sum(axis=0), atol=1e-6)
+        torque = np.cross(places, forces).sum(axis=0)
+        np.testing.assert_allclose(xyz(message.wrench.torque), torque, atol=1e-6)
+        np.testing.assert_allclose(xyz(message.position), sizes @ places / sizes.sum(), atol=1e-9)
+        assert message.area == pytest.approx(len(forces) * PITCH_M**2, rel=1e-5)
+    for wrench in wrenches[5:15]:  # two messages may have the same newest frame
+        same = [message for message in body.contacts if message.header == wrench.header]
+        assert wrench.wrench in [message.wrench for message in same]
+
+
+def test_eight_patches_make_about_one_message_per_frame(body: Body) -> None:
+    """Drivers are not in step: whenever all have brought news, or one the second time."""
+    begin = len(body.contacts)
+    wait_for(lambda: len(body.contacts) > begin + 40)
+    messages = body.contacts[begin:]
+    sequences = [message.sequence for message in messages]
+    assert sequences == list(range(sequences[0], sequences[0] + len(messages)))
+    begin_s, end_s = (
+        message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
+        for message in (messages[0], messages[-1])
+    )
+    assert 0.02 < (end_s - begin_s) / (len(messages) - 1) < 0.07
+
+
+def test_a_killed_driver_is_absent_and_another_skin_in_its_place_is_back(
+    body: Body, tmp_path: Path
+) -> None:
+    clouds: list[PointCloud2] = []
+    body.subscribe(PointCloud2, "/body/points", clouds.append)
+
+    def counts() -> list[int]:
+        points = np.frombuffer(clouds[-1].data, dtype=BODY_POINT) if clouds else []
+        return np.bincount(points["patch"], minlength=PATCHES).tolist() if len(points) else []
+
+    wait_for(lambda: counts() == [16] * PATCHES)
+    points = np.frombuffer(clouds[-1].data, dtype=BODY_POINT)
+    assert [field.name for field in clouds[-1].fields] == list(BODY_POINT.names or ())
+    for i in range(PATCHES):
+        (at,) = points[(points["patch"] == i) & (points["taxel"] == 5)]
+        np.testing.assert_allclose([at["x"], at["y"], at["z"]], pressed_place(i), atol=1e-6)
+
+    body.processes[1].kill()
+    body.processes[1].wait()
+    wait_for(lambda: body.absent() == [NAMES[1]])
+    wait_for(lambda: counts() == [16, 0, 16, 16, 16, 16, 16, 16])
+    wait_for(lambda: body.diagnostics[-1].message.startswith(f"{NAMES[1]}: "))
+    begin = len(body.contacts)
+    wait_for(lambda: len(body.contacts) > begin + 20)
+    assert all(message.absent == [NAMES[1]] for message in body.contacts[begin:])
+
+    body.processes[1] = subprocess.Popen(commands(body_file(tmp_path, nodes=9))[1])
+    wait_for(lambda: body.absent() == [])
+    wait_for(lambda: counts() == [16, 9, 16, 16, 16, 16, 16, 16])
+
+
+def test_when_all_are_silent_even_that_is_said(body: Body) -> None:
+    *drivers, _ = body.processes
+    for process in drivers:
+        process.send_signal(signal.SIGSTOP)
+    for driver in body.drivers:
+        driver.trigger_deactivate()
+    try:
+        wait_for(lambda: body.absent() == NAMES)
+        wait_for(lambda: body.diagnostics[-1].level == DiagnosticStatus.ERROR)
+        assert "silent" in body.diagnostics[-1].message
+        begin = len(body.contacts)
+        wait_for(lambda: len(body.contacts) > begin + 1)
+        assert not body.contacts[-1].touched
+    finally:
+        for process in drivers:
+            process.send_signal(signal.SIGCONT)
+    for driver in body.drivers:
+        driver.trigger_activate()
+    wait_for(lambda: body.absent() == [])
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({}, "no patches to gather"),
+        ({"patches": ["/a/skin", "a/skin"]}, "patches has /a/skin twice"),
+        ({"patches": ["a b"]}, "patches has '/a b', which is no name of a node"),
+        ({"patches": [1, 2]}, r"patches is \[1, 2\]; it must be a list of names"),
+        ({"patches": ["a"], "body_file": "b.yaml"}, "body_file and patches are both given"),
+        ({"body_file": "/nowhere.yaml"}, "/nowhere.yaml: No such file"),
+        ({"patches": ["a"], "stale_after_s": -1.0}, "stale_after_s is -1 s; it must lie within"),
+        ({"patches": ["a"], "visual_rate_hz": "x"}, "visual_rate_hz must be a number, got 'x'"),
+        (
+            {"patches": ["a"], "qos_overrides./body/contacts.publisher.reliability": "sure"},
+            "reliability is 'sure'; it must be one of",
+        ),
+    ],
+)
+def test_wrong_parameters_are_refused(body: Body, parameters: dict[str, Any], message: str) -> None:
+    overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+    with pytest.raises(TactileError, match=message):
+        BodyNode(parameter_overrides=overrides)
