@@ -9,6 +9,7 @@ import argparse
 import os
 import sys
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import rclpy
@@ -177,7 +178,10 @@ def show(recording: rr.RecordingStream, web: bool, memory: str) -> None:
     """Open a window; without a display, or if asked to, serve the viewer for browsers."""
     display = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
     if display and not web:
-        recording.spawn(memory_limit=memory)
+        # That of a venv is not on the path unless it is activated.
+        viewer = Path(sys.executable).with_name("rerun")
+        path = str(viewer) if viewer.exists() else None
+        rr.spawn(memory_limit=memory, executable_path=path, recording=recording)
         return
     if not web:
         print("no display here: serving the viewer for browsers instead", flush=True)
