@@ -57,7 +57,7 @@ class PatchScene:
         self._shown_place: NDArray[np.float64] | None = None
         self._layout: Layout | None = None
         self._pressure_pa: NDArray[np.float32] | None = None
-        self._arrows: rr.Arrows3D | None = None
+        self._contacts: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
         self._now = (0, 0)
         self._curves: dict[str, list[tuple[int, int, float]]] = defaultdict(list)
         self._slots: dict[int, int] = {}  # of the contacts that there are, by id
@@ -129,16 +129,7 @@ class PatchScene:
                 self._style(f"force/contact_{slot}", f"contact {slot}", 1.0)
             slot = self._slots[contact]
             self._curves[f"force/contact_{slot}"].append((stamp_ns, device_us, newtons))
-        extent_m = self._extent_m
-        vectors_m = force_n * (extent_m / 2 / (size_n + HALF_LENGTH_N))[:, None]
-        self._arrows = rr.Arrows3D(
-            origins=position_m - vectors_m,  # what touches the skin comes from outside
-            vectors=vectors_m,
-            radii=extent_m / 80,
-            colors=self._rgb,
-            labels=[f"{newtons:.1f} N" for newtons in size_n],
-            show_labels=True,
-        )
+        self._contacts = (position_m, force_n)
 
     def complain(self, stamp_ns: int, level: str, text: str) -> None:
         """What the driver says of itself. level: as of rr.TextLogLevel."""
@@ -166,9 +157,23 @@ class PatchScene:
         self._recording.log(f"{self.path}/surface", surface)
         picture = heatmap(self._pressure_pa, self._layout, self._max_pa, PIXELS)
         self._recording.log(f"{self.path}/heatmap", rr.Image(picture))
-        if self._arrows is not None:
-            self._recording.log(f"{self.path}/contacts", self._arrows)
-        self._pressure_pa = self._arrows = None
+        if self._contacts is not None:
+            self._recording.log(f"{self.path}/contacts", self._arrows(*self._contacts))
+        self._pressure_pa = self._contacts = None
+
+    def _arrows(self, position_m: NDArray[np.float64], force_n: NDArray[np.float64]) -> rr.Arrows3D:
+        """An arrow per contact, longer for more force."""
+        size_n = np.linalg.norm(force_n, axis=1)
+        extent_m = self._extent_m
+        vectors_m = force_n * (extent_m / 2 / (size_n + HALF_LENGTH_N))[:, None]
+        return rr.Arrows3D(
+            origins=position_m - vectors_m,  # what touches the skin comes from outside
+            vectors=vectors_m,
+            radii=extent_m / 80,
+            colors=self._rgb,
+            labels=[f"{newtons:.1f} N" for newtons in size_n],
+            show_labels=True,
+        )
 
     def _style(self, curve: str, name: str, width: float) -> None:
         style = rr.SeriesLines(names=name, widths=width, colors=self._rgb)
