@@ -1,6 +1,7 @@
 # make run     simulated skin and viewer; PORT=/dev/ttyACM0 for a real one, PARAMS=file, SECONDS=n to end
 #              PATCHES=config/body.yaml: a body of many patches
 #              FIRMWARE=1: the emulated skin, real firmware on its nodes and in its digitizer
+# make view    the same in the Rerun viewer, which it installs; WEB=1: in a browser
 # make test    lint and tests
 # make firmware         the images of nodes and digitizer, in firmware/build
 # make firmware-test    runs them in emulators, 16 nodes on one wire; the last line counts
@@ -18,6 +19,7 @@ VENV ?= .venv$(addprefix -,$(filter-out jazzy,$(DISTRO)))
 PORT ?=
 PARAMS ?=
 PATCHES ?=
+WEB ?=
 SECONDS ?=
 FIRMWARE ?=
 PYTEST ?= -n 4 --dist loadgroup
@@ -25,7 +27,7 @@ export LC_ALL ?= C.UTF-8
 
 BIN = $(VENV)/bin
 .DEFAULT_GOAL := help
-.PHONY: help run test lint setup bench-setup clean firmware firmware-test firmware-figures firmware-tools
+.PHONY: help run test lint setup bench-setup view view-setup clean firmware firmware-test firmware-figures firmware-tools
 
 help:
 	@sed -n 's/^# //p' Makefile
@@ -36,6 +38,13 @@ setup:
 
 run: setup $(if $(filter-out 0,$(FIRMWARE)),firmware)
 	@"$(BIN)/python" tools/run.py --port "$(PORT)" --params "$(PARAMS)" --seconds "$(SECONDS)" --firmware "$(FIRMWARE)" --patches "$(PATCHES)"
+
+view-setup:
+	@command -v $(PYTHON) >/dev/null || { echo "setup: error: no $(PYTHON); apt install python3-venv"; exit 1; }
+	@$(PYTHON) tools/setup_env.py --venv "$(VENV)" --distro "$(DISTRO)" --extra view
+
+view: view-setup $(if $(filter-out 0,$(FIRMWARE)),firmware)
+	@"$(BIN)/python" tools/run.py --port "$(PORT)" --params "$(PARAMS)" --firmware "$(FIRMWARE)" --patches "$(PATCHES)" --rerun $(if $(filter-out 0,$(WEB)),web,window)
 
 test: lint
 	@"$(BIN)/python" tools/firmware_tools.py
@@ -62,7 +71,7 @@ firmware-figures: firmware
 
 bench-setup:
 	@command -v $(PYTHON) >/dev/null || { echo "setup: error: no $(PYTHON); apt install python3-venv"; exit 1; }
-	@$(PYTHON) tools/setup_env.py --venv "$(VENV)" --distro "$(DISTRO)" --bench
+	@$(PYTHON) tools/setup_env.py --venv "$(VENV)" --distro "$(DISTRO)" --extra bench
 
 bench-%: bench-setup
 	@"$(BIN)/python" -m benchmarks.$*

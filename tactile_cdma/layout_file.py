@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from .errors import LayoutError, SpecError
 from .layout import Layout
 from .layout_nodes import MOST_TAXELS, Place, Wiring, check_nodes, node_of_entry, nodes_of_grid
-from .layout_shapes import OVERLAP, Surface, cylinder, plane, sphere
+from .layout_shapes import OVERLAP, Surface, cylinder, plane, seen_from_outside, sphere
 from .marked_yaml import Mapping, Marked, read_marked
 from .proximity import beside, usual_distance_m
 
@@ -129,7 +129,7 @@ def _list(content: Mapping, first_row: int) -> _Skin:
     pitch_m = _pitch_of_list_m(content, positions_m, normals)
     areas_mm2 = [taxel.area_mm2 or pitch_m**2 * 1e6 for taxel in taxels]
     surface = Surface(
-        flat_m=_seen_from_outside(positions_m, normals).astype(np.float32),
+        flat_m=seen_from_outside(positions_m, normals).astype(np.float32),
         positions_m=positions_m.astype(np.float32),
         normals=normals.astype(np.float32),
         areas_m2=(np.array(areas_mm2) * 1e-6).astype(np.float32),
@@ -219,21 +219,3 @@ def _check_apart(content: Mapping, skin: _Skin) -> None:
             f"{place.taxel} is {distance_m * 1e3:.3g} mm from {other.taxel}; less than a quarter "
             f"of the pitch of {skin.pitch_m * 1e3:g} mm is a mistake"
         )
-
-
-def _seen_from_outside(
-    positions_m: NDArray[np.float64], normals: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Places as seen against the mean normal, (t, 2), m; along z where normals cancel out.
-
-    x is to the right, as nearly as the direction of view allows.
-    """
-    out = normals.mean(axis=0)
-    if np.linalg.norm(out) < 1e-3:
-        out = np.array([0.0, 0.0, 1.0])
-    out /= np.linalg.norm(out)
-    right = np.cross([0.0, 1.0, 0.0], out)
-    if np.linalg.norm(right) < 1e-3:  # seen along y, x is still to the right
-        right = np.array([1.0, 0.0, 0.0])
-    right /= np.linalg.norm(right)
-    return np.asarray(positions_m @ np.stack([right, np.cross(out, right)], axis=1))

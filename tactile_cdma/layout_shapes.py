@@ -86,6 +86,24 @@ def sphere(rows: int, columns: int, pitch_m: float, radius_m: float) -> Surface:
     return _surface(flat_m, positions_m, normals, _sphere_areas_m2(flat_m, pitch_m, radius_m))
 
 
+def seen_from_outside(
+    positions_m: NDArray[np.floating], normals: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """Places as seen against the mean normal, (t, 2), m; along z where normals cancel out.
+
+    x is to the right, as nearly as the direction of view allows.
+    """
+    out = normals.mean(axis=0)
+    if np.linalg.norm(out) < 1e-3:
+        out = np.array([0.0, 0.0, 1.0])
+    out /= np.linalg.norm(out)
+    right = np.cross([0.0, 1.0, 0.0], out)
+    if np.linalg.norm(right) < 1e-3:  # seen along y, x is still to the right
+        right = np.array([1.0, 0.0, 0.0])
+    right /= np.linalg.norm(right)
+    return np.asarray(positions_m @ np.stack([right, np.cross(out, right)], axis=1))
+
+
 def _grid(rows: int, columns: int, pitch_m: float) -> NDArray[np.float64]:
     """Row-major places of a flat grid about its centre, (rows · columns, 2), m."""
     y, x = np.mgrid[:rows, :columns].astype(np.float64)

@@ -56,8 +56,15 @@ class TfTree:
             "or start what publishes the robot's frames"
         )
 
+    def root(self, frame: str) -> tuple[str, Pose]:
+        """The frame that a frame hangs from in the end, maybe itself, and its pose there.
+
+        Raises TransformError where frames go round in a circle.
+        """
+        return list(self._to_root(_plain(frame)).items())[-1]
+
     def _to_root(self, frame: str) -> dict[str, Pose]:
-        """The pose of a frame in itself, in its parent, in that one's parent …"""
+        """The pose of a frame in itself, in its parent, and so on to the root."""
         pose = _HERE
         poses = {frame: pose}
         while frame in self._parents:

@@ -38,6 +38,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=_seconds, default=0.0)
     parser.add_argument("--firmware", default="", help="1: the emulated skin is the port")
     parser.add_argument("--patches", default="", help="body file: many patches")
+    parser.add_argument("--rerun", choices=("", "window", "web"), help="Rerun is the viewer")
     arguments = parser.parse_args()
     firmware = arguments.firmware not in ("", "0")
     if firmware and arguments.port:
@@ -54,14 +55,16 @@ def main() -> int:
 
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("PYTHONUNBUFFERED", "1")
+    rerun = rerun_command(arguments.rerun == "web") if arguments.rerun else []
     quiet = seconds == 0.0
     if arguments.patches:
         try:
             commands = body_commands(Path(arguments.patches))
         except TactileError as error:
             parser.error(str(error))
-        return run(commands, viewer_command(seconds, "body_view"), quiet=False)
-    viewer = viewer_command(seconds, "view")
+        viewer = viewer_command(seconds, "body_view")
+        return run(commands, rerun or viewer, quiet=bool(rerun))
+    viewer = rerun or viewer_command(seconds, "view")
     if not firmware:
         return run([driver_command(params, port)], viewer, quiet)
     with emulated_skin(params) as port:
@@ -128,6 +131,11 @@ def viewer_command(seconds: float, viewer: str) -> list[str]:
     """Return the command of a viewer, tactile_cdma.ros.view or .body_view."""
     command = [sys.executable, "-m", f"tactile_cdma.ros.{viewer}"]
     return command + (["--seconds", f"{seconds:g}"] if seconds else [])
+
+
+def rerun_command(web: bool) -> list[str]:
+    """Return the command of the bridge to the Rerun viewer."""
+    return [sys.executable, "-m", "tactile_cdma.ros.rerun_view", *(["--web"] if web else [])]
 
 
 def run(commands: Sequence[list[str]], viewer_command: list[str], quiet: bool) -> int:

@@ -32,7 +32,8 @@ CORE_REQUIREMENTS = ("requirements.txt", "requirements-dev.txt")
 # Of the ROS 2 distributions that PyPI has.
 ROS_REQUIREMENTS = {"jazzy": "requirements-jazzy.txt", "kilted": "requirements-kilted.txt"}
 DEFAULT_DISTRO = "jazzy"
-BENCH_REQUIREMENTS = "requirements-bench.txt"
+# What only some targets need, by the stamp of its step.
+EXTRA_REQUIREMENTS = {"bench": "requirements-bench.txt", "view": "requirements-view.txt"}
 
 
 class SetupError(Exception):
@@ -44,7 +45,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Make or update the environment in .venv.")
     parser.add_argument("--venv", type=Path, default=CHECKOUT / ".venv")
     parser.add_argument("--distro", default="", help=f"default: {DEFAULT_DISTRO}")
-    parser.add_argument("--bench", action="store_true", help="with what the benchmarks need")
+    parser.add_argument("--extra", choices=EXTRA_REQUIREMENTS, help="with what these need besides")
     arguments = parser.parse_args()
     venv = Path(os.path.abspath(arguments.venv))
     try:
@@ -52,8 +53,8 @@ def main() -> int:
         with open(__file__) as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             set_up(venv, arguments.distro)
-            if arguments.bench:
-                add_bench(venv)
+            if arguments.extra:
+                add_extra(venv, arguments.extra)
     except SetupError as error:
         print(f"setup: error: {error}", file=sys.stderr)
         return 1
@@ -112,15 +113,15 @@ def set_up(venv: Path, wanted_distro: str) -> None:
     print(f"      ready after {time.monotonic() - started:.0f} s", flush=True)
 
 
-def add_bench(venv: Path) -> None:
-    """Install what only the benchmarks need, unless it is there."""
-    requirements = CHECKOUT / BENCH_REQUIREMENTS
+def add_extra(venv: Path, name: str) -> None:
+    """Install what only some targets need, unless it is there."""
+    requirements = CHECKOUT / EXTRA_REQUIREMENTS[name]
     state = State(venv / "setup.json")
     key = digest([state.get("base") or ""], [requirements])
-    if state.get("bench") != key:
-        print("setup: installing what the benchmarks need", flush=True)
+    if state.get(name) != key:
+        print(f"setup: installing what {requirements.name} lists", flush=True)
         run([*pip_install(venv), "-r", str(requirements)], venv / "setup.log", explain=explain_pip)
-        state.put("bench", key)
+        state.put(name, key)
 
 
 # ---- the four steps -----------------------------------------------------------------------------

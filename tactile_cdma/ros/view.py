@@ -1,4 +1,4 @@
-"""A terminal viewer: subscribes to a skin's topic like any other client.
+"""A terminal viewer: subscribes to a skin's topics like any other client.
 
 On a terminal it draws the skin live; otherwise, or with --seconds, it prints a line per second
 and ends with a summary of `key=value` pairs.
@@ -7,112 +7,90 @@ and ends with a summary of `key=value` pairs.
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import shutil
 import sys
 import time
-from collections import deque
+from dataclasses import replace
 
 import numpy as np
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.utilities import remove_ros_args
 
-from tactile_cdma.msg import TactileArray
+from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
-from ..heatmap import colours
+from ..history import History
+from ..layout import Layout
+from ..terminal import Look, Numbers, Reading, scale, screen, sparkline, status_lines
+from .complaints import LEVELS, Complaints
+from .keys import Keys
+from .patches import full_name, layout_of
+from .tally import Tally, summary
 
 DRAW_PERIOD_S = 0.1
-RATE_SPAN_S = 3.0
+HISTORY_S = 20.0
 PATIENCE_S = 10.0
+COMPLAINTS = 3
+"""So many of the driver's complaints are shown, the worst first."""
 QUEUE = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=256, reliability=ReliabilityPolicy.BEST_EFFORT
 )
-_RESET, _HOME, _CLEAR_BELOW, _CLEAR_LINE = "\x1b[0m", "\x1b[H", "\x1b[J", "\x1b[K"
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+LEAST_SCALE_PA, MOST_SCALE_PA = 100.0, 1e8
+KEY_HELP = "n numbers   h force/peak   + - scale   q ends"
+_HOME, _CLEAR_BELOW, _CLEAR_LINE = "\x1b[H", "\x1b[J", "\x1b[K"
 _ENTER, _LEAVE = "\x1b[?1049h\x1b[?25l", "\x1b[?25h\x1b[?1049l"
-_CELL = 7
-"""Width of a taxel with its value, in characters."""
-
-
-class Tally:
-    """Counts what arrived. Latency is a message's age: from the middle of its frame to here.
-
-    published: frames that the driver counted between the first and the last one received; where it
-        was started again, over all its runs.
-    lost: those of them that did not arrive.
-    """
-
-    def __init__(self) -> None:
-        self.received = 0
-        self.published = 0
-        self.latency_ms: deque[float] = deque(maxlen=100_000)
-        self._run: tuple[int, int] | None = None  # info_id and sequence of the last message
-        self._arrivals_s: deque[float] = deque(maxlen=512)
-        self._begin_s = self._end_s = 0.0
-
-    def add(self, info_id: int, sequence: int, age_s: float, now_s: float) -> None:
-        """One message arrived."""
-        continues = self._run is not None and self._run[0] == info_id and sequence > self._run[1]
-        self.published += sequence - self._run[1] if continues and self._run else 1
-        self._run = (info_id, sequence)
-        self.received += 1
-        self.latency_ms.append(age_s * 1e3)
-        self._arrivals_s.append(now_s)
-        self._begin_s = self._begin_s or now_s
-
-    @property
-    def lost(self) -> int:
-        """Frames that did not arrive."""
-        return self.published - self.received
-
-    def end(self, now_s: float) -> None:
-        """Nothing more is counted."""
-        self._end_s = now_s
-
-    @property
-    def mean_rate_hz(self) -> float:
-        """Messages per second from the first one to the end."""
-        return (self.received - 1) / (self._end_s - self._begin_s) if self.received > 1 else 0.0
-
-    def rate_hz(self, now_s: float) -> float:
-        """Messages per second over the last few seconds."""
-        recent = [t for t in self._arrivals_s if now_s - t < RATE_SPAN_S]
-        span = now_s - recent[0] if len(recent) > 1 else 0.0
-        return (len(recent) - 1) / span if span > 0 else 0.0
-
-    def percentile_ms(self, percent: float, last: int | None = None) -> float:
-        """A percentile of the latency, over all or the last few messages."""
-        values = list(self.latency_ms)[-last:] if last else self.latency_ms
-        return float(np.percentile(values, percent)) if values else float("nan")
 
 
 class Viewer(Node):
-    """Keeps the latest frame, the tally, and what the driver last said of itself."""
+    """Keeps the latest frame, what came of late, and what the driver last said of itself."""
 
     def __init__(self, topic: str) -> None:
         super().__init__("skin_view")
         self.tally = Tally()
+        self.force_n, self.peak_pa = History(HISTORY_S), History(HISTORY_S)
         self.latest: TactileArray | None = None
-        self.complaint = ""
-        self._driver = topic.strip("/").rpartition("/")[0]
+        self.layout: Layout | None = None
+        self.patch = driver = topic.rpartition("/")[0]
+        self.complaints = Complaints(driver.strip("/"))
         self.create_subscription(TactileArray, topic, self._receive, QUEUE)
-        self.create_subscription(DiagnosticArray, "/diagnostics", self._diagnose, 10)
+        self.create_subscription(TactileSkinInfo, f"{driver}/info", self._inform, LATCHED)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self.complaints.take, 10)
 
-    def _diagnose(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            if status.name.startswith(f"{self._driver}:"):
-                good = status.level == DiagnosticStatus.OK
-                self.complaint = "" if good else status.message
+    @property
+    def complaint(self) -> str:
+        """The worst that the driver says of itself now."""
+        worst = self.complaints.worst_first()
+        return worst[0].message if worst else ""
+
+    def _inform(self, message: TactileSkinInfo) -> None:
+        self.layout = layout_of(message)
 
     def _receive(self, message: TactileArray) -> None:
+        now_s = time.monotonic()
         now = self.get_clock().now().nanoseconds
         sent = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
-        self.tally.add(message.info_id, message.sequence, (now - sent) * 1e-9, time.monotonic())
+        self.tally.add(message.info_id, message.sequence, (now - sent) * 1e-9, now_s)
         self.latest = message
+        pressure_pa = np.array(message.pressure, dtype=np.float32)
+        self.peak_pa.add(now_s, float(np.fmax.reduce(pressure_pa)))
+        if self.layout is not None and len(self.layout) == len(pressure_pa):
+            self.force_n.add(now_s, float(np.nansum(pressure_pa * self.layout.areas_m2)))
+
+    def reading(self, message: TactileArray) -> Reading:
+        """A frame, to be drawn; before the layout has come by rows and columns."""
+        pressure_pa = np.array(message.pressure, dtype=np.float32)
+        taxels = np.arange(len(pressure_pa), dtype=np.int32)
+        raster, nodes = taxels.reshape(message.height, message.width), taxels + 1
+        if self.layout is not None and len(self.layout) == len(taxels):
+            raster, nodes = self.layout.raster, self.layout.nodes
+        return Reading(pressure_pa, np.array(message.status, dtype=np.uint8), raster, nodes)
 
     def spin_for(self, seconds: float) -> None:
         """Receive for a while."""
@@ -122,90 +100,85 @@ class Viewer(Node):
 
 
 def draw(
-    message: TactileArray, tally: Tally, complaint: str, max_pa: float, size: os.terminal_size
+    viewer: Viewer, message: TactileArray, look: Look, of_force: bool, size: os.terminal_size
 ) -> str:
-    """One screen: a coloured cell per taxel, its pressure in kPa, and lines of state."""
-    pressure = np.array(message.pressure, dtype=np.float32)
-    status = np.array(message.status, dtype=np.uint8)
-    paint = colours(pressure, max_pa)
-    rows, columns, width = _arrange(message.height, message.width, size)
-    tall = 3 if width == _CELL and 3 * rows + 6 <= size.lines else 1
-    lines = [
-        f"tactile_cdma  {message.header.frame_id}  {message.height} x {message.width} taxels, kPa",
-        "",
+    """One screen. of_force: the history is that of the total force, not of the peak."""
+    reading, now_s, columns = viewer.reading(message), time.monotonic(), size.columns
+    title = (
+        f"tactile_cdma  {viewer.patch}  {message.header.frame_id}  "
+        f"{message.height} x {message.width} taxels, kPa"
+    )
+    complaints = [
+        f"{LEVELS[entry.level]} {entry.name.partition(': ')[2]}: {entry.message}"
+        for entry in viewer.complaints.worst_first()
     ]
-    for row in range(min(rows, size.lines - 6)):
-        for line in range(tall):
-            cells = []
-            begin = row * columns
-            for i in range(begin, min(begin + columns, begin + size.columns // width, len(paint))):
-                labelled = line == tall // 2 and width == _CELL
-                text = _label(pressure[i], status[i]) if labelled else ""
-                cells.append(_paint(text.center(width), paint[i]))
-            lines.append("".join(cells) + _RESET)
-    silent = int(np.count_nonzero(status & TactileArray.STATUS_SILENT))
-    stale = int(np.count_nonzero(status & TactileArray.STATUS_STALE))
-    doubtful = int(np.count_nonzero(status & TactileArray.STATUS_LOW_SNR))
-    saturated = int(np.count_nonzero(status & TactileArray.STATUS_SATURATED))
-    lines += [
-        "",
-        f"{tally.rate_hz(time.monotonic()):6.1f} frames/s   "
-        f"age {tally.percentile_ms(50, 256):5.2f} ms (p99 {tally.percentile_ms(99, 256):5.2f})   "
-        f"received {tally.received}   lost {tally.lost}",
-        f"speaking {status.size - silent}   silent {silent}   stale {stale}   "
-        f"low SNR {doubtful}   saturated {saturated}   noise {message.noise_rms * 1e3:.2f} mV"
-        "   Ctrl-C ends",
-        f"DRIVER: {complaint}" if complaint else "",
+    notes = [
+        *complaints[:COMPLAINTS],
+        scale(look, columns),
+        _state(viewer.tally, message.noise_rms, now_s),
+        _history(viewer, of_force, now_s, columns, look.unicode),
+        *status_lines(reading, look, columns),
+        KEY_HELP,
     ]
-    # Only lines of cells hold escape sequences, and those are not longer than the terminal.
-    fitted = [line if "\x1b" in line else line[: size.columns] for line in lines]
-    return _HOME + "".join(line + _CLEAR_LINE + "\n" for line in fitted) + _CLEAR_BELOW
+    lines = screen(reading, look, title, notes, columns, size.lines)
+    return _HOME + "\n".join(line + _CLEAR_LINE for line in lines) + _CLEAR_BELOW
 
 
-def _arrange(height: int, taxels: int, size: os.terminal_size) -> tuple[int, int, int]:
-    """Rows and columns to draw, and the width of a cell; a single row is wrapped to the screen."""
-    widths = (_CELL, 2, 1)
-    if height > 1:
-        return height, taxels, next((w for w in widths if w * taxels <= size.columns), 1)
-    for width in widths:
-        columns = max(1, min(taxels, size.columns // width))
-        rows = -(-taxels // columns)
-        if rows <= size.lines - 6:
-            break
-    return rows, columns, width
+def _state(tally: Tally, noise_v: float, now_s: float) -> str:
+    return (
+        f"{tally.rate_hz(now_s):.1f} frames/s   lost {tally.lost}   "
+        f"age {tally.percentile_ms(50, 256):.2f} ms (p99 {tally.percentile_ms(99, 256):.2f})   "
+        f"noise {noise_v * 1e3:.2f} mV"
+    )
 
 
-def _label(pressure_pa: float, status: int) -> str:
-    if np.isnan(pressure_pa):
-        return "--"
-    mark = "!" if status & TactileArray.STATUS_SATURATED else ""
-    mark += "?" if status & TactileArray.STATUS_LOW_SNR else ""
-    return f"{pressure_pa / 1e3:.1f}{mark}"
+def _history(viewer: Viewer, of_force: bool, now_s: float, columns: int, unicode: bool) -> str:
+    """Name, value now, the curve of the last seconds."""
+    history = viewer.force_n if of_force else viewer.peak_pa
+    name, per_unit, unit = ("force", 1.0, "N") if of_force else ("peak", 1e-3, "kPa")
+    values = history.bins(now_s, max(1, min(60, columns - 30))) * per_unit
+    known = values[~np.isnan(values)]
+    now = f"{known[-1]:.2f}" if known.size else "--"
+    top = f"{known.max():.2f}" if known.size else "--"
+    return f"{name} {now} {unit}  {sparkline(values, unicode)}  of {top}"
 
 
-def _paint(text: str, rgb: NDArray[np.uint8]) -> str:
-    red, green, blue = (int(channel) for channel in rgb)
-    ink = "30" if red * 0.3 + green * 0.6 + blue * 0.1 > 110 else "97"
-    return f"\x1b[{ink};48;2;{red};{green};{blue}m{text}"
-
-
-def live(viewer: Viewer, max_pa: float) -> None:
-    """Draw until interrupted."""
+def live(viewer: Viewer, look: Look) -> None:
+    """Draw until interrupted, or asked to end by a key."""
     sys.stdout.write(_ENTER)
+    of_force = True
     try:
-        while rclpy.ok():
-            viewer.spin_for(DRAW_PERIOD_S)
-            if viewer.latest is None:
-                reason = f"\n{viewer.complaint}" if viewer.complaint else ""
-                screen = f"{_HOME}waiting for the first frame …{_CLEAR_LINE}{reason}{_CLEAR_BELOW}"
-            else:
-                size = shutil.get_terminal_size()
-                screen = draw(viewer.latest, viewer.tally, viewer.complaint, max_pa, size)
-            sys.stdout.write(screen)
-            sys.stdout.flush()
+        with Keys() as keys:
+            while rclpy.ok():
+                viewer.spin_for(DRAW_PERIOD_S)
+                pressed = keys.read()
+                if "q" in pressed:
+                    break
+                for key in pressed:
+                    look, of_force = _obey(key, look, of_force)
+                if viewer.latest is None:
+                    picture = f"{_HOME}waiting for the first frame ...{_CLEAR_LINE}\n"
+                    picture += f"{viewer.complaint}{_CLEAR_BELOW}"
+                else:
+                    picture = draw(
+                        viewer, viewer.latest, look, of_force, shutil.get_terminal_size()
+                    )
+                sys.stdout.write(picture)
+                sys.stdout.flush()
     finally:
         sys.stdout.write(_LEAVE)
         sys.stdout.flush()
+
+
+def _obey(key: str, look: Look, of_force: bool) -> tuple[Look, bool]:
+    """What a key changes."""
+    if key == "n":
+        after = {None: Numbers.TAXELS, Numbers.TAXELS: Numbers.NODES, Numbers.NODES: None}
+        return replace(look, numbers=after[look.numbers]), of_force
+    if key in "+-":
+        max_pa = look.max_pa * (2.0 if key == "+" else 0.5)
+        return replace(look, max_pa=min(max(max_pa, LEAST_SCALE_PA), MOST_SCALE_PA)), of_force
+    return look, of_force != (key == "h")
 
 
 def report(viewer: Viewer, seconds: float) -> None:
@@ -246,30 +219,26 @@ def in_use(message: TactileArray) -> NDArray[np.float32]:
     return np.asarray(pressure[status & TactileArray.STATUS_MASKED == 0])
 
 
-def summary(tally: Tally) -> str:
-    """The last line: key=value pairs."""
-    return (
-        f"published={tally.published} received={tally.received} lost={tally.lost} "
-        f"rate_hz={tally.mean_rate_hz:.2f} p50_ms={tally.percentile_ms(50):.2f} "
-        f"p99_ms={tally.percentile_ms(99):.2f}"
-    )
-
-
 def main() -> int:
     """View until interrupted or for the time asked; exit code 1 if nothing arrived."""
     parser = argparse.ArgumentParser(prog="skin_view", description=__doc__)
-    parser.add_argument("--topic", default="/skin/tactile", help="TactileArray topic")
+    parser.add_argument("patch", nargs="?", default="skin", help="left_palm, or /left_palm/skin")
+    parser.add_argument("--topic", help="TactileArray topic, instead of a patch")
     parser.add_argument("--seconds", type=float, help="print a line per second for so long")
     parser.add_argument("--max-kpa", type=float, default=140.0, help="top of the colour scale")
     arguments = parser.parse_args(remove_ros_args(sys.argv)[1:])
+    if not arguments.max_kpa > 0:
+        parser.error(f"--max-kpa is {arguments.max_kpa:g}; it must be above 0")
+    topic = arguments.topic or f"{full_name(arguments.patch)}/tactile"
     rclpy.init(args=sys.argv)
-    viewer = Viewer(arguments.topic)
-    plain = arguments.seconds is not None or not (sys.stdin.isatty() and sys.stdout.isatty())
+    viewer = Viewer(topic)
+    terminal = sys.stdin.isatty() and sys.stdout.isatty()
+    drawable = terminal and os.environ.get("TERM", "dumb") != "dumb"
     try:
-        if plain:
-            report(viewer, arguments.seconds or 10.0)
+        if drawable and arguments.seconds is None:
+            live(viewer, look_for(sys.stdout.encoding, arguments.max_kpa * 1e3))
         else:
-            live(viewer, arguments.max_kpa * 1e3)
+            report(viewer, arguments.seconds or (math.inf if terminal else 10.0))
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
@@ -278,9 +247,15 @@ def main() -> int:
         rclpy.try_shutdown()
     if not viewer.tally.received:
         reason = viewer.complaint or "is the driver running and active?"
-        print(f"no frame on {arguments.topic}: {reason}", file=sys.stderr)
+        print(f"no frame on {topic}: {reason}", file=sys.stderr)
     print(summary(viewer.tally))
     return 0 if viewer.tally.received else 1
+
+
+def look_for(encoding: str, max_pa: float) -> Look:
+    """What the terminal can show; NO_COLOR is a wish, see no-color.org."""
+    unicode = encoding.lower().replace("-", "").startswith("utf")
+    return Look(max_pa, coloured=not os.environ.get("NO_COLOR"), unicode=unicode)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,4 @@
-"""skin.launch.py under launch_testing: one skin and a body of patches, to the first frames and a
-clean end.
+"""skin.launch.py under launch_testing: a skin, and a body, to their first frames and a clean end.
 
     launch_test test/launch/skin.test.py        # once the workspace is built and sourced
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,8 +15,9 @@ from sensor_msgs.msg import Image  # noqa: E402
 from skin_client import running, wait_for  # noqa: E402
 from tactile_cdma.layout_file import read_layout  # noqa: E402
 from tactile_cdma.layout_nodes import Wiring  # noqa: E402
+from tactile_cdma.ros.patches import layout_of  # noqa: E402
 from tactile_cdma.ros.pictures import PICTURE  # noqa: E402
-from tactile_cdma.ros.view import Tally, draw, in_use  # noqa: E402
+from tactile_cdma.ros.view import in_use  # noqa: E402
 from tactile_cdma.taxels import Status  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -69,9 +69,7 @@ def test_an_irregular_skin_is_one_row_and_still_a_picture() -> None:
     assert not np.isnan(message.pressure).any()
     raster = read_layout(path, Wiring(nodes=20)).raster
     assert (image.height, image.width) == (raster.shape[0] * 4, raster.shape[1] * 4)
-    screen = draw(message, Tally(), "", 140e3, os.terminal_size((80, 24)))
-    assert screen.count("\x1b[0m") == 6, "19 taxels are two rows of cells, three lines each"
-    assert all(f"{pressure / 1e3:.1f}" in screen for pressure in message.pressure)
+    np.testing.assert_array_equal(layout_of(info).raster, raster)
 
 
 def test_a_layout_for_another_skin_is_refused_with_its_line() -> None:

@@ -76,6 +76,11 @@ def test_a_terminal_shows_a_coloured_heatmap_until_ctrl_c() -> None:
         assert time.monotonic() < deadline, shown[-2000:]
         if select.select([terminal], [], [], 0.1)[0]:
             shown += os.read(terminal, 65_536)
+    os.write(terminal, b"nn")  # numbers of taxels, then of nodes
+    while b"nodes   speaking" not in shown:
+        assert time.monotonic() < deadline, shown[-2000:]
+        if select.select([terminal], [], [], 0.1)[0]:
+            shown += os.read(terminal, 65_536)
     os.kill(pid, signal.SIGINT)
     while True:
         try:
@@ -156,7 +161,7 @@ def test_a_parameter_file_that_is_no_yaml_is_one_error(tmp_path: Path) -> None:
 
 
 def test_the_viewer_counts_over_restarts_of_the_driver() -> None:
-    from tactile_cdma.ros.view import Tally
+    from tactile_cdma.ros.tally import Tally
 
     tally = Tally()
     for info_id, sequences in ((1, [0, 1, 2, 5]), (2, [0, 1, 3]), (2, [0, 1])):

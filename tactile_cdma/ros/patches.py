@@ -1,0 +1,50 @@
+"""What a viewer has to know of a patch: its topics, and its layout from what it publishes."""
+
+from __future__ import annotations
+
+import numpy as np
+from geometry_msgs.msg import Point32
+from numpy.typing import NDArray
+
+from tactile_cdma.msg import TactileSkinInfo
+
+from ..layout import Layout
+from ..layout_shapes import seen_from_outside
+from ..proximity import usual_distance_m
+
+ARRAY_TOPIC = "tactile"
+NODE_NAME = "skin"
+"""Of a driver, unless it is renamed."""
+
+
+def full_name(patch: str) -> str:
+    """The driver's fully qualified name: left_palm and /left_palm/skin are the same patch."""
+    name = patch.strip("/")
+    return f"/{name}" if name == NODE_NAME or "/" in patch else f"/{name}/{NODE_NAME}"
+
+
+def layout_of(info: TactileSkinInfo) -> Layout:
+    """The layout that a driver has published.
+
+    Places on the unrolled skin are not among it: an irregular skin's are seen from outside.
+    """
+    positions_m, normals = _rows(info.positions), _rows(info.normals)
+    areas_m2 = np.array(info.area, dtype=np.float32)
+    irregular = info.height == 1 and info.width > 1
+    pitch_m = usual_distance_m(positions_m, normals) if irregular else None
+    return Layout(
+        name=info.header.frame_id,
+        rows=info.height,
+        columns=info.width,
+        positions_m=positions_m,
+        normals=normals,
+        areas_m2=areas_m2,
+        flat_m=seen_from_outside(positions_m, normals).astype(np.float32),
+        nodes=np.array(info.node, dtype=np.int32),
+        pitch_m=pitch_m or float(np.sqrt(np.median(areas_m2))),
+        irregular=irregular,
+    )
+
+
+def _rows(points: list[Point32]) -> NDArray[np.float32]:
+    return np.array([(p.x, p.y, p.z) for p in points], dtype=np.float32).reshape(-1, 3)

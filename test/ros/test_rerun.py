@@ -1,0 +1,105 @@
+"""The bridge to the Rerun viewer, against a real driver: what it saves is what was published."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+rr = pytest.importorskip("rerun", reason="rerun-sdk is not installed (make view)")
+
+import rclpy  # noqa: E402
+from pyarrow.types import is_temporal  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rerun.chunk import RrdReader  # noqa: E402
+
+from skin_client import running, wait_for  # noqa: E402
+from tactile_cdma.heatmap import colours  # noqa: E402
+from tactile_cdma.layout_file import Wiring, read_layout  # noqa: E402
+from tactile_cdma.mesh import taxel_squares  # noqa: E402
+from tactile_cdma.ros.rerun_view import RerunView  # noqa: E402
+
+pytestmark = pytest.mark.ros
+LAYOUT = Path(__file__).resolve().parents[2] / "config" / "layouts" / "cylinder.yaml"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ros() -> Iterator[None]:
+    rclpy.init()
+    yield
+    rclpy.shutdown()
+
+
+def test_what_is_saved_is_what_was_published(tmp_path: Path) -> None:
+    file = tmp_path / "touch.rrd"
+    recording = rr.RecordingStream("test")
+    recording.save(file)
+    port = f"sim://?scene=presses&layout={LAYOUT}"
+    skin = {"port": port, "nodes": 72, "frame_period_ms": 50.0, "layout_file": str(LAYOUT)}
+    with running(**skin, parent_frame="arm", mount_xyz_m=[0.0, 0.5, 0.0]) as (_, client):
+        view, executor = RerunView(recording, [], 140e3), SingleThreadedExecutor()
+        executor.add_node(view)
+        thread = threading.Thread(target=executor.spin)
+        thread.start()
+        wait_for(lambda: len(client.arrays) > 60)
+        client.diagnostics.clear()
+        wait_for(lambda: client.diagnostics)
+        view.show()
+        executor.shutdown()
+        thread.join()
+        view.flush()
+        view.destroy_node()
+    recording.flush()
+    recording.disconnect()
+
+    saved = columns_of(file)
+    layout = read_layout(LAYOUT, Wiring(nodes=72))
+    [corners_m] = saved["/skin/surface", "Mesh3D:vertex_positions"]
+    np.testing.assert_allclose(np.reshape(corners_m, (-1, 6, 3)), taxel_squares(layout), atol=1e-7)
+    [place_m] = saved["/skin", "Transform3D:translation"]
+    np.testing.assert_allclose(place_m, [[0.0, 0.5, 0.0]])
+    # Every peak of the curve was published, and they are in step with the frames' stamps.
+    published = {stamp_ns(array): np.array(array.pressure) for array in client.arrays}
+    peaks = dict(
+        zip(saved["/skin/peak", "stamp"], saved["/skin/peak", "Scalars:scalars"], strict=True)
+    )
+    both = published.keys() & peaks.keys()
+    assert len(both) > 20
+    for stamp in both:
+        assert peaks[stamp] == [pytest.approx(np.nanmax(published[stamp]) / 1e3, rel=1e-6)]
+    # So do the colours of the surface: six corners of a taxel have the heatmap's colour.
+    surfaces = zip(
+        saved["/skin/surface", "stamp"], saved["/skin/surface", "Mesh3D:vertex_colors"], strict=True
+    )
+    compared = 0
+    for stamp, packed in surfaces:
+        if stamp in published:
+            rgb = np.array(packed, dtype=">u4").view(np.uint8).reshape(-1, 6, 4)[..., :3]
+            paint = colours(published[stamp].astype(np.float32), 140e3)
+            np.testing.assert_array_equal(rgb, paint[:, None].repeat(6, axis=1))
+            compared += 1
+    assert compared > 10
+    assert any(text.startswith("skin: ") for [text] in saved["/skin/diagnostics", "TextLog:text"])
+    assert max(len(forces) for forces in saved["/skin/contacts", "Arrows3D:vectors"]) >= 1
+
+
+def columns_of(file: Path) -> dict[tuple[str, str], list[object]]:
+    """Values by entity and column; where it is empty there was nothing."""
+    values: dict[tuple[str, str], list[object]] = {}
+    for chunk in RrdReader(file).stream():
+        batch = chunk.to_record_batch()
+        for name, column in zip(batch.schema.names, batch.columns, strict=True):
+            of_column = values.setdefault((chunk.entity_path, name), [])
+            if is_temporal(column.type):
+                column = column.cast("int64")  # ns are too fine for datetime
+            of_column += [value for value in column.to_pylist() if value is not None]
+    return values
+
+
+def stamp_ns(message: object) -> int:
+    stamp = message.header.stamp
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)

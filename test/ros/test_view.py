@@ -1,0 +1,116 @@
+"""What viewers make of what a driver publishes: names, complaints, a terminal without colours."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import re
+import select
+import subprocess
+import sys
+import termios
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+from skin_client import running
+from tactile_cdma.ros.complaints import Complaints
+from tactile_cdma.ros.patches import full_name
+from tactile_cdma.ros.view import look_for
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ros() -> Iterator[None]:
+    rclpy.init()
+    yield
+    rclpy.shutdown()
+
+
+@pytest.mark.parametrize(
+    ("patch", "name"),
+    [
+        ("skin", "/skin"),
+        ("/skin", "/skin"),
+        ("left_palm", "/left_palm/skin"),
+        ("/left_palm/skin", "/left_palm/skin"),
+        ("robot/left_palm/skin", "/robot/left_palm/skin"),
+    ],
+)
+def test_a_patch_is_called_by_its_namespace_or_its_whole_name(patch: str, name: str) -> None:
+    assert full_name(patch) == name
+
+
+def status(name: str, level: bytes, message: str) -> DiagnosticStatus:
+    return DiagnosticStatus(name=name, level=level, message=message)
+
+
+def test_complaints_are_the_newest_of_one_node_the_worst_first() -> None:
+    complaints = Complaints("skin")
+    first = [
+        status("skin: link", DiagnosticStatus.WARN, "CRC errors"),
+        status("skin: nodes", DiagnosticStatus.ERROR, "dead"),
+        status("skin: host", DiagnosticStatus.OK, "fine"),
+        status("left/skin: nodes", DiagnosticStatus.ERROR, "of another patch"),
+    ]
+    assert len(complaints.take(DiagnosticArray(status=first))) == 3
+    assert [entry.message for entry in complaints.worst_first()] == ["dead", "CRC errors"]
+    again = [first[0], status("skin: nodes", DiagnosticStatus.OK, "fine")]
+    assert complaints.take(DiagnosticArray(status=again)) == again[1:], "what has changed"
+    assert [entry.message for entry in complaints.worst_first()] == ["CRC errors"]
+
+
+def test_the_terminal_says_what_can_be_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    assert look_for("utf-8", 1e3).coloured and look_for("UTF-8", 1e3).unicode
+    assert not look_for("iso-8859-1", 1e3).unicode
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert not look_for("utf-8", 1e3).coloured
+
+
+def shown_by_the_viewer(until: str, keys: bytes, **environment: str) -> str:
+    """What the viewer writes to a terminal up to a text, then until keys have ended it."""
+    master, terminal = pty.openpty()
+    viewer = subprocess.Popen(
+        [sys.executable, "-m", "tactile_cdma.ros.view"],
+        stdin=terminal,
+        stdout=terminal,
+        start_new_session=True,
+        preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),  # so that Ctrl-C is a signal
+        env={**os.environ, **environment},
+    )
+    os.close(terminal)
+    shown, deadline = b"", time.monotonic() + 30
+    try:
+        while until not in shown.decode(errors="ignore"):
+            assert time.monotonic() < deadline, shown[-2000:]
+            if select.select([master], [], [], 0.1)[0]:
+                shown += os.read(master, 65_536)
+        os.write(master, keys)
+        with suppress(OSError):  # the terminal's end of file
+            while select.select([master], [], [], 10)[0]:
+                shown += os.read(master, 65_536)
+        assert viewer.wait(10) == 0
+        return shown.decode()
+    finally:
+        viewer.kill()
+        viewer.wait()
+        os.close(master)
+
+
+def test_terminals_without_colours_or_without_a_cursor_are_served_too() -> None:
+    with running(port="sim://?scene=press"):
+        shown = shown_by_the_viewer("frames/s", b"q", TERM="xterm", NO_COLOR="1")
+        assert "\x1b[?1049l" in shown and "received=" in shown.splitlines()[-1]
+        assert not re.search(r"\x1b\[[0-9;]*m", shown), "no colours"
+        shown = shown_by_the_viewer("taxels valid", b"\x03", TERM="dumb")
+        assert "\x1b" not in shown and "received=" in shown.splitlines()[-1]
