@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from .installation import installation
-from .report import Finding, exit_code, line, problem, summary
+from .report import Check, exit_code, line, problem, summary
 
 TEXT = (
     "Checks this installation and, where one is named, a port with its digitizer and skin. "
@@ -61,22 +61,22 @@ def _seconds(text: str) -> float:
 
 def doctor(arguments: argparse.Namespace) -> int:
     """Examine, tell what was found as it is found; returns the exit code."""
-    findings = []
+    checks = []
     try:
-        for finding in _examination(arguments):
-            findings.append(finding)
+        for check in _examination(arguments):
+            checks.append(check)
             if not arguments.json:
-                print(line(finding), flush=True)
+                print(line(check), flush=True)
     except KeyboardInterrupt:
-        findings.append(problem("doctor", "interrupted: what follows was not looked at"))
+        checks.append(problem("doctor", "interrupted: what follows was not looked at"))
     if arguments.json:
-        print(json.dumps([asdict(finding) for finding in findings], indent=2))
+        print(json.dumps([asdict(check) for check in checks], indent=2))
     else:
-        print(summary(findings))
-    return exit_code(findings)
+        print(summary(checks))
+    return exit_code(checks)
 
 
-def _examination(arguments: argparse.Namespace) -> Iterator[Finding]:
+def _examination(arguments: argparse.Namespace) -> Iterator[Check]:
     if not arguments.port and not arguments.params:
         yield from installation()
         return

@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 
-from .report import Finding, Level, ok, problem, warning
+from .report import Check, Verdict, ok, problem, warning
 
 PACKAGE = Path(__file__).resolve().parents[1]
 CHECKOUT = PACKAGE.parent
@@ -30,7 +30,7 @@ LEAST_FILES = 256
 ROS_TIMEOUT_S = 60.0
 
 
-def installation() -> Iterator[Finding]:
+def installation() -> Iterator[Check]:
     """All that there is to say, the cheap things first."""
     yield python_version()
     yield from packages()
@@ -44,7 +44,7 @@ def installation() -> Iterator[Finding]:
     yield from ros()
 
 
-def python_version() -> Finding:
+def python_version() -> Check:
     """The interpreter against requires-python."""
     needed, present = _project("requires-python"), platform.python_version()
     match = re.fullmatch(r">=(\d+)\.(\d+)", needed)
@@ -53,7 +53,7 @@ def python_version() -> Finding:
     return ok("Python", f"{present} ({sys.executable})")
 
 
-def packages() -> Iterator[Finding]:
+def packages() -> Iterator[Check]:
     """What the core imports, against requirements.txt."""
     try:
         from packaging.requirements import InvalidRequirement, Requirement
@@ -113,7 +113,7 @@ def _shipped(name: str) -> Path | None:
     return next((folder / name for folder in checkout + shares if (folder / name).is_file()), None)
 
 
-def port_access() -> Iterator[Finding]:
+def port_access() -> Iterator[Check]:
     """Whether this user may open serial ports."""
     devices = [*Path("/dev").glob("ttyACM*"), *Path("/dev").glob("ttyUSB*")]
     closed = [device for device in devices if not os.access(device, os.R_OK | os.W_OK)]
@@ -142,7 +142,7 @@ def port_access() -> Iterator[Finding]:
         )
 
 
-def udev_rule(root: Path) -> Iterator[Finding]:
+def udev_rule(root: Path) -> Iterator[Check]:
     """The rule for stable names, where there is a udev."""
     if not (root / "run/udev/control").exists():
         return
@@ -162,7 +162,7 @@ def udev_rule(root: Path) -> Iterator[Finding]:
     )
 
 
-def modem_manager(root: Path) -> Iterator[Finding]:
+def modem_manager(root: Path) -> Iterator[Check]:
     """ModemManager looks for modems on new ports, which our rule forbids it."""
     ruled = any((root / folder / RULES).is_file() for folder in RULES_FOLDERS)
     for comm in (root / "proc").glob("[0-9]*/comm"):
@@ -179,7 +179,7 @@ def modem_manager(root: Path) -> Iterator[Finding]:
             return
 
 
-def shared_memory(folder: Path) -> Iterator[Finding]:
+def shared_memory(folder: Path) -> Iterator[Check]:
     """Fast DDS hands messages over in shared memory; containers get 64 MB of it by default."""
     try:
         free = shutil.disk_usage(folder).free
@@ -196,7 +196,7 @@ def shared_memory(folder: Path) -> Iterator[Finding]:
         yield ok("shared memory", text)
 
 
-def open_files() -> Iterator[Finding]:
+def open_files() -> Iterator[Check]:
     """Files that a process may have open."""
     limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     if 0 <= limit < LEAST_FILES:
@@ -205,7 +205,7 @@ def open_files() -> Iterator[Finding]:
         yield ok("open files", f"at most {limit} in a process" if limit >= 0 else "no limit")
 
 
-def clock() -> Iterator[Finding]:
+def clock() -> Iterator[Check]:
     """Is the clock synchronized? Stamps of several computers are compared by it."""
     try:
         answer = subprocess.run(
@@ -225,7 +225,7 @@ def clock() -> Iterator[Finding]:
         )
 
 
-def ros() -> Iterator[Finding]:
+def ros() -> Iterator[Check]:
     """What the ROS side says of itself, in a process of its own: it may crash or hang there."""
     path = os.pathsep.join(filter(None, (str(CHECKOUT), os.environ.get("PYTHONPATH"))))
     try:
@@ -249,11 +249,11 @@ def ros() -> Iterator[Finding]:
         yield problem("ROS 2", f"its examination failed: {last[0]}")
 
 
-def _reported(text: str) -> Iterator[Finding]:
-    """A child's findings, one JSON object a line; what middleware prints in between is left out."""
+def _reported(text: str) -> Iterator[Check]:
+    """A child's checks, one JSON object a line; what middleware prints in between is left out."""
     for entry in text.splitlines():
         try:
             values = json.loads(entry)
-            yield Finding(Level(values["level"]), values["subject"], values["text"])
+            yield Check(Verdict(values["verdict"]), values["subject"], values["text"])
         except (ValueError, KeyError, TypeError):
             continue

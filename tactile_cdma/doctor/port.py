@@ -17,7 +17,7 @@ from ..pipeline import Pipeline
 from ..ports_command import described_info
 from ..skin_config import SkinConfig
 from ..source import Port, leave_alone_if_open
-from .report import Finding, ok, problem
+from .report import Check, ok, problem
 from .stream import Stream, judge
 
 START_S = 3.5
@@ -37,7 +37,7 @@ class Patient:
 
 def examine(
     url: str | None, params: Path | None, baud: int | None, seconds: float
-) -> Iterator[Finding]:
+) -> Iterator[Check]:
     """All that there is to say of a port, or of the one that a parameter file names."""
     try:
         patient = _patient(url, params, baud)
@@ -66,7 +66,7 @@ def _patient(url: str | None, params: Path | None, baud: int | None) -> Patient:
     return Patient(url or str(get["port"]), baud or int(get["baud"]), values)
 
 
-def _examine(port: Port, patient: Patient, seconds: float) -> Iterator[Finding]:
+def _examine(port: Port, patient: Patient, seconds: float) -> Iterator[Check]:
     info = introduction(port)
     if patient.values is None:
         config = SkinConfig.of({**parameters_of(info), "amplitude_mv": 0.0})

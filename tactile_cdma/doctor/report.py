@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 
-class Level(StrEnum):
+class Verdict(StrEnum):
     """How bad it is: nothing to do, may cause trouble, will not work."""
 
     OK = "ok"
@@ -16,46 +16,46 @@ class Level(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class Check:
     """One thing that was looked at. text: what was found, and unless all is well what to do."""
 
-    level: Level
+    verdict: Verdict
     subject: str
     text: str
 
 
-def ok(subject: str, text: str) -> Finding:
+def ok(subject: str, text: str) -> Check:
     """All is well."""
-    return Finding(Level.OK, subject, text)
+    return Check(Verdict.OK, subject, text)
 
 
-def warning(subject: str, text: str) -> Finding:
+def warning(subject: str, text: str) -> Check:
     """It may cause trouble."""
-    return Finding(Level.WARNING, subject, text)
+    return Check(Verdict.WARNING, subject, text)
 
 
-def problem(subject: str, text: str) -> Finding:
+def problem(subject: str, text: str) -> Check:
     """It does not work like this."""
-    return Finding(Level.PROBLEM, subject, text)
+    return Check(Verdict.PROBLEM, subject, text)
 
 
-def line(finding: Finding) -> str:
-    """A finding for people."""
-    return f"{finding.level:<8} {finding.subject}: {finding.text}"
+def line(check: Check) -> str:
+    """A check for people."""
+    return f"{check.verdict:<8} {check.subject}: {check.text}"
 
 
-def summary(findings: Sequence[Finding]) -> str:
+def summary(checks: Sequence[Check]) -> str:
     """The last line."""
-    count = {level: sum(f.level is level for f in findings) for level in Level}
+    count = {verdict: sum(c.verdict is verdict for c in checks) for verdict in Verdict}
     return (
-        f"{_counted(count[Level.PROBLEM], 'problem')}, "
-        f"{_counted(count[Level.WARNING], 'warning')}, {count[Level.OK]} ok"
+        f"{_counted(count[Verdict.PROBLEM], 'problem')}, "
+        f"{_counted(count[Verdict.WARNING], 'warning')}, {count[Verdict.OK]} ok"
     )
 
 
-def exit_code(findings: Sequence[Finding]) -> int:
+def exit_code(checks: Sequence[Check]) -> int:
     """1 where there is a problem."""
-    return int(any(finding.level is Level.PROBLEM for finding in findings))
+    return int(any(check.verdict is Verdict.PROBLEM for check in checks))
 
 
 def _counted(number: int, what: str) -> str:

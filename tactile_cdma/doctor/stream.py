@@ -18,7 +18,7 @@ from ..messages import Status
 from ..pipeline import Pipeline, TactileFrame
 from ..protocol import PacketParser
 from ..skin_config import SkinConfig
-from .report import Finding, ok, problem, warning
+from .report import Check, ok, problem, warning
 
 SLOW = 0.95
 """Share of the expected rate below which frames are missed."""
@@ -61,7 +61,7 @@ class Heard:
     doubled: NDArray[np.bool_]
 
 
-def judge(stream: Stream, config: SkinConfig) -> Iterator[Finding]:
+def judge(stream: Stream, config: SkinConfig) -> Iterator[Check]:
     """All that there is to say; amplitudes are measured before they are compared with config's.
 
     Raises PortError where bytes in which there were frames hold none after all.
@@ -126,7 +126,7 @@ def _typical(heard: Heard) -> float:
     return float(np.median(heard.amplitude_v[heard.active]))
 
 
-def _link(stream: Stream) -> Iterator[Finding]:
+def _link(stream: Stream) -> Iterator[Check]:
     parser, reports = PacketParser(), []
     for data, _ in stream.chunks:
         reports += [packet for packet in parser.feed(data) if isinstance(packet, Status)]
@@ -150,7 +150,7 @@ def _link(stream: Stream) -> Iterator[Finding]:
         )
 
 
-def _rate(frames: list[TactileFrame], heard: Heard, config: SkinConfig) -> Iterator[Finding]:
+def _rate(frames: list[TactileFrame], heard: Heard, config: SkinConfig) -> Iterator[Check]:
     expected_hz = 1 / config.spec.frame_period_s
     if len(frames) < 2:
         yield warning("frames", f"one alone, there should be {expected_hz:.1f} per s")
@@ -165,7 +165,7 @@ def _rate(frames: list[TactileFrame], heard: Heard, config: SkinConfig) -> Itera
         yield ok("frames", text)
 
 
-def _range(clipped: float) -> Iterator[Finding]:
+def _range(clipped: float) -> Iterator[Check]:
     if clipped:
         what = warning if clipped < MUCH_CLIPPED else problem
         yield what(
@@ -175,7 +175,7 @@ def _range(clipped: float) -> Iterator[Finding]:
         )
 
 
-def _noise(frames: list[TactileFrame], heard: Heard) -> Iterator[Finding]:
+def _noise(frames: list[TactileFrame], heard: Heard) -> Iterator[Check]:
     noise_v = float(np.nanmedian([frame.words.noise_rms_v for frame in frames]))
     rho = np.where(heard.active, heard.rho, np.nan)[:, heard.active.any(axis=0)]
     weakest = float(np.nanmin(np.nanmedian(rho, axis=0)))
@@ -186,7 +186,7 @@ def _noise(frames: list[TactileFrame], heard: Heard) -> Iterator[Finding]:
         yield ok("noise", text)
 
 
-def _amplitude(measured_v: float, config: SkinConfig) -> Iterator[Finding]:
+def _amplitude(measured_v: float, config: SkinConfig) -> Iterator[Check]:
     expected_v = config.spec.node_swing_v
     if expected_v is None:
         return
@@ -203,7 +203,7 @@ def _amplitude(measured_v: float, config: SkinConfig) -> Iterator[Finding]:
     )
 
 
-def _polarity(heard: Heard, config: SkinConfig) -> Iterator[Finding]:
+def _polarity(heard: Heard, config: SkinConfig) -> Iterator[Check]:
     """Inverted, nodes at rest read beyond the sensors' range, and nothing reads as if at rest."""
     codes = heard.codes[heard.active]
     lowest = config.adc.code(config.curve.voltage_v[-1])
@@ -217,7 +217,7 @@ def _polarity(heard: Heard, config: SkinConfig) -> Iterator[Finding]:
         )
 
 
-def _nodes(heard: Heard, typical_v: float) -> Iterator[Finding]:
+def _nodes(heard: Heard, typical_v: float) -> Iterator[Check]:
     count = heard.active.sum(axis=0)
     spoke = count > 0
     amplitude_v = (heard.amplitude_v * heard.active).sum(axis=0) / np.maximum(count, 1)

@@ -59,7 +59,7 @@ def body_status(name: str, patches: Sequence[PatchState], stale_after_s: float) 
     elif not any(patch.followed for patch in patches):
         text = "nobody subscribes to the body's topics"
     values = {patch.name: complaints[patch.name] or _in_order(patch) for patch in patches}
-    return diagnostic(f"{name.lstrip('/')}: patches", level, text, dict(values))
+    return diagnostic(f"{name.lstrip('/')}: patches", level, text, values)
 
 
 def _in_order(patch: PatchState) -> str:

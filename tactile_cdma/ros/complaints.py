@@ -6,8 +6,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 LEVELS = {
     DiagnosticStatus.OK: "OK",
-    DiagnosticStatus.WARN: "WARN",
     DiagnosticStatus.STALE: "STALE",
+    DiagnosticStatus.WARN: "WARN",
     DiagnosticStatus.ERROR: "ERROR",
 }
 """From good to bad."""

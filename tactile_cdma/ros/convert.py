@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point32
 from numpy.typing import NDArray
 from sensor_msgs.msg import Image, PointCloud2, PointField
@@ -135,6 +136,16 @@ def _fields(record: np.dtype[np.void]) -> list[PointField]:
 
 
 _POINT_TYPES = {"<f4": PointField.FLOAT32, "<u4": PointField.UINT32}
+
+
+def diagnostic(
+    name: str, level: bytes, text: str, values: Mapping[str, object], hardware_id: str = ""
+) -> DiagnosticStatus:
+    """One entry of /diagnostics."""
+    pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+    return DiagnosticStatus(
+        level=level, name=name, message=text, hardware_id=hardware_id, values=pairs
+    )
 
 
 def listed(items: Sequence[object]) -> str:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 
 from .. import checkup
 from ..driver import WAITING, Driver
@@ -15,7 +15,7 @@ from ..health import NodeState
 from ..identity import shown_id
 from ..pipeline import Pipeline, TactileFrame
 from ..vitals import Window
-from .convert import listed
+from .convert import diagnostic, listed
 
 STREAM, NODES, LINK, HOST = "stream", "nodes", "link", "host"
 ENTRIES = (STREAM, NODES, LINK, HOST)
@@ -87,13 +87,8 @@ class SkinReport:
         return [first, *others, self._entry(HOST, Level.OK, "ok", values[HOST])]
 
     def _entry(self, entry: str, level: Level, text: str, values: Values) -> DiagnosticStatus:
-        return DiagnosticStatus(
-            level=bytes([level]),
-            name=f"{self._prefix}: {entry}",
-            message=text,
-            hardware_id=self._hardware_id,
-            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
-        )
+        name = f"{self._prefix}: {entry}"
+        return diagnostic(name, bytes([level]), text, values, self._hardware_id)
 
 
 def _stream_values(pipeline: Pipeline, window: Window) -> Values:

@@ -1,4 +1,4 @@
-"""Is ROS 2 sound here? A program for `tactile-cdma doctor`: a finding a line, as JSON.
+"""Is ROS 2 sound here? A program for `tactile-cdma doctor`: a check a line, as JSON.
 
 A process of its own, since what is broken in ROS may end the process or hang it. Nothing of ROS is
 imported before it is known to be there.
@@ -18,7 +18,7 @@ from importlib import metadata, util
 from pathlib import Path
 
 from ..doctor.installation import CHECKOUT
-from ..doctor.report import Finding, Level, ok, problem, warning
+from ..doctor.report import Check, Verdict, ok, problem, warning
 
 INTERFACES = (
     "diagnostic_msgs",
@@ -39,7 +39,7 @@ MEETING_S = 15.0
 SPEAK = "--speak"
 
 
-def examination() -> Iterator[Finding]:
+def examination() -> Iterator[Check]:
     """All that there is to say, up to what makes the rest moot."""
     if util.find_spec("rclpy") is None:
         yield warning(
@@ -57,7 +57,7 @@ def examination() -> Iterator[Finding]:
     yield from messages()
     domain = list(environment())
     yield from domain
-    if not any(finding.level is Level.PROBLEM for finding in domain):
+    if not any(check.verdict is Verdict.PROBLEM for check in domain):
         yield from meeting()
 
 
@@ -70,7 +70,7 @@ def distribution() -> str:
     return f"{next(names, 'distribution unknown,')} from PyPI"
 
 
-def messages() -> Iterator[Finding]:
+def messages() -> Iterator[Check]:
     """Others' messages are there; ours are built, and of these sources."""
     missing = [name for name in INTERFACES if util.find_spec(name) is None]
     if missing:
@@ -106,7 +106,7 @@ def stale_messages(checkout: Path, prefixes: list[str]) -> list[str]:
     ]
 
 
-def environment() -> Iterator[Finding]:
+def environment() -> Iterator[Check]:
     """Settings that decide who hears whom."""
     text = os.environ.get("ROS_DOMAIN_ID") or "0"
     if not text.isdecimal() or int(text) > HIGHEST_DOMAIN:
@@ -129,7 +129,7 @@ def environment() -> Iterator[Finding]:
         yield ok("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST: this computer only")
 
 
-def meeting() -> Iterator[Finding]:
+def meeting() -> Iterator[Check]:
     """Whether two programs find each other and exchange a message."""
     import rclpy
     from std_msgs.msg import String
@@ -180,12 +180,12 @@ def speak(topic: str) -> None:
 
 
 def main() -> int:
-    """Print findings."""
+    """Print checks."""
     if sys.argv[1:2] == [SPEAK]:
         speak(sys.argv[2])
         return 0
-    for finding in examination():
-        print(json.dumps(asdict(finding)), flush=True)
+    for check in examination():
+        print(json.dumps(asdict(check)), flush=True)
     return 0
 
 

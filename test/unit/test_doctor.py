@@ -13,7 +13,7 @@ from boards import board, board_id, chattering, plugged
 
 from tactile_cdma.cli import main
 from tactile_cdma.doctor import installation
-from tactile_cdma.doctor.report import Level, exit_code
+from tactile_cdma.doctor.report import Verdict, exit_code
 from tactile_cdma.messages import FrameLayout, Info
 from tactile_cdma.protocol import PacketWriter, wrap
 from tactile_cdma.skin_config import SkinConfig
@@ -24,13 +24,13 @@ Doctor = Callable[..., tuple[int, dict[str, str]]]
 
 @pytest.fixture
 def doctor(capsys: pytest.CaptureFixture[str]) -> Doctor:
-    """Runs the command; its exit code, and level and text of what it found by subject."""
+    """Runs the command; its exit code, and verdict and text of what it found by subject."""
 
     def run(*arguments: str) -> tuple[int, dict[str, str]]:
         code = main(["doctor", "--json", *arguments])
         found = json.loads(capsys.readouterr().out)
-        assert code == int(any(finding["level"] == "problem" for finding in found))
-        return code, {f["subject"]: f"{f['level']}: {f['text']}" for f in found}
+        assert code == int(any(check["verdict"] == "problem" for check in found))
+        return code, {f["subject"]: f"{f['verdict']}: {f['text']}" for f in found}
 
     return run
 
@@ -152,15 +152,15 @@ def test_versions_outside_of_their_ranges(tmp_path: Path, monkeypatch: pytest.Mo
     assert wanted == [
         line for line in (root / "requirements.txt").read_text().splitlines() if line[0] != "#"
     ]
-    assert {finding.level for finding in installation.packages()} == {Level.OK}
+    assert {check.verdict for check in installation.packages()} == {Verdict.OK}
     (tmp_path / "package.xml").touch()
     (tmp_path / "requirements.txt").write_text("numpy>=99\nno-such-package>=1\n???\n")
     monkeypatch.setattr(installation, "CHECKOUT", tmp_path)
     old, missing, wrong = installation.packages()
-    assert (old.level, missing.level, wrong.level) == (
-        Level.WARNING,
-        Level.PROBLEM,
-        Level.WARNING,
+    assert (old.verdict, missing.verdict, wrong.verdict) == (
+        Verdict.WARNING,
+        Verdict.PROBLEM,
+        Verdict.WARNING,
     )
     assert "outside of the tested >=99" in old.text
     assert exit_code([old]) == 0
@@ -173,17 +173,17 @@ def test_udev_rule_and_modem_manager(tmp_path: Path) -> None:
     (tmp_path / "run" / "udev" / "control").touch()
     (tmp_path / "proc" / "12").mkdir(parents=True)
     (tmp_path / "proc" / "12" / "comm").write_text("ModemManager\n")
-    assert [f.level for f in installation.udev_rule(tmp_path)] == [Level.WARNING]
-    assert [f.level for f in installation.modem_manager(tmp_path)] == [Level.WARNING]
+    assert [f.verdict for f in installation.udev_rule(tmp_path)] == [Verdict.WARNING]
+    assert [f.verdict for f in installation.modem_manager(tmp_path)] == [Verdict.WARNING]
     rules = tmp_path / "etc" / "udev" / "rules.d"
     rules.mkdir(parents=True)
     rule = rules / installation.RULES
     rule.write_bytes((installation.CHECKOUT / "config" / installation.RULES).read_bytes())
-    assert [f.level for f in installation.udev_rule(tmp_path)] == [Level.OK]
+    assert [f.verdict for f in installation.udev_rule(tmp_path)] == [Verdict.OK]
     assert list(installation.modem_manager(tmp_path)) == []
     rule.write_text("# of last year\n")
     [old] = installation.udev_rule(tmp_path)
-    assert old.level is Level.WARNING
+    assert old.verdict is Verdict.WARNING
     assert "is not that of this version" in old.text
 
 

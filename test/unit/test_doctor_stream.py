@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactile_cdma.doctor.report import Finding, Level
+from tactile_cdma.doctor.report import Check, Verdict
 from tactile_cdma.doctor.stream import Stream, judge
 from tactile_cdma.errors import PortError
 from tactile_cdma.messages import Info, Packet, Samples, Start
@@ -48,13 +48,13 @@ def stream_of(packets: list[Packet]) -> Stream:
     return Stream(chunks, None)
 
 
-def findings(packets: list[Packet], **values: object) -> dict[str, list[Finding]]:
+def checks(packets: list[Packet], **values: object) -> dict[str, list[Check]]:
     """By subject; values: parameters that are not as the digitizer says."""
     info = next(packet for packet in packets if isinstance(packet, Info))
     config = SkinConfig.of({**parameters_of(info), "amplitude_mv": 300.0, **values})  # type: ignore[dict-item]
-    found: dict[str, list[Finding]] = {}
-    for finding in judge(stream_of(packets), config):
-        found.setdefault(finding.subject, []).append(finding)
+    found: dict[str, list[Check]] = {}
+    for check in judge(stream_of(packets), config):
+        found.setdefault(check.subject, []).append(check)
     return found
 
 
@@ -91,80 +91,80 @@ def node_5() -> list[Packet]:
 
 
 def test_a_sound_skin_has_nothing_to_complain_of(sound: list[Packet]) -> None:
-    found = findings(sound)
-    levels = {finding.level for subject in found.values() for finding in subject}
-    assert levels == {Level.OK}
+    found = checks(sound)
+    verdicts = {check.verdict for subject in found.values() for check in subject}
+    assert verdicts == {Verdict.OK}
     assert found["nodes"][0].text == "16 of 16 spoke"
     assert float(found["noise"][0].text.split()[0]) == pytest.approx(5.0, rel=0.1)  # of 4 samples
 
 
 def test_a_node_that_says_nothing_is_named(without_5: list[Packet]) -> None:
-    [nodes] = findings(without_5)["nodes"]
-    assert nodes.level is Level.WARNING
+    [nodes] = checks(without_5)["nodes"]
+    assert nodes.verdict is Verdict.WARNING
     assert "15 of 16 spoke, not heard: node 5:" in nodes.text
 
 
 def test_a_weak_node_is_named(without_5: list[Packet], node_5: list[Packet]) -> None:
-    heard, weak = findings(with_node(without_5, node_5, 0.4))["nodes"]
+    heard, weak = checks(with_node(without_5, node_5, 0.4))["nodes"]
     assert heard.text == "16 of 16 spoke"
-    assert weak.level is Level.WARNING
+    assert weak.verdict is Verdict.WARNING
     assert "weaker than the others: node 5:" in weak.text
 
 
 def test_two_nodes_of_one_number_are_named(sound: list[Packet], node_5: list[Packet]) -> None:
-    _, doubled = findings(with_node(sound, node_5, 0.9))["nodes"]
-    assert doubled.level is Level.PROBLEM
+    _, doubled = checks(with_node(sound, node_5, 0.9))["nodes"]
+    assert doubled.verdict is Verdict.PROBLEM
     assert "two speak on one code row: node 5:" in doubled.text
 
 
 @pytest.mark.parametrize(
-    ("stated_mv", "level"),
-    [(300.0, Level.OK), (260.0, Level.OK), (212.0, Level.WARNING), (900.0, Level.PROBLEM)],
+    ("stated_mv", "verdict"),
+    [(300.0, Verdict.OK), (260.0, Verdict.OK), (212.0, Verdict.WARNING), (900.0, Verdict.PROBLEM)],
 )
-def test_the_amplitude_is_measured(sound: list[Packet], stated_mv: float, level: Level) -> None:
-    [amplitude] = findings(sound, amplitude_mv=stated_mv)["amplitude_mv"]
-    assert amplitude.level is level
+def test_the_amplitude_is_measured(sound: list[Packet], stated_mv: float, verdict: Verdict) -> None:
+    [amplitude] = checks(sound, amplitude_mv=stated_mv)["amplitude_mv"]
+    assert amplitude.verdict is verdict
     assert f"{stated_mv:g}" in amplitude.text
     assert "300" in amplitude.text or "299" in amplitude.text or "301" in amplitude.text
 
 
 def test_half_amplitudes_of_unipolar_nodes_are_no_fault() -> None:
-    found = findings(packets_of(f"{ALL_TALK}&drive=unipolar"))
-    assert found["amplitude_mv"][0].level is Level.OK
+    found = checks(packets_of(f"{ALL_TALK}&drive=unipolar"))
+    assert found["amplitude_mv"][0].verdict is Verdict.OK
     assert "polarity" not in found
 
 
 @pytest.mark.parametrize("scene", ["idle", "hand", "all"])
 def test_no_scene_is_taken_for_a_wrong_polarity(scene: str) -> None:
-    assert "polarity" not in findings(packets_of(f"sim://?scene={scene}&threshold=0"))
+    assert "polarity" not in checks(packets_of(f"sim://?scene={scene}&threshold=0"))
 
 
 @pytest.mark.parametrize("scene", ["press", "moving"])
 def test_a_line_turned_upside_down_is_told(scene: str) -> None:
     packets = packets_of(f"sim://?scene={scene}&seed=1")
-    assert "polarity" not in findings(packets)
+    assert "polarity" not in checks(packets)
     zero = next(packet.zero_count for packet in packets if isinstance(packet, Info))
     inverted = [
         replace(p, counts=(2 * zero - p.counts).astype(np.int16)) if isinstance(p, Samples) else p
         for p in packets
     ]
-    [polarity] = findings(inverted)["polarity"]
-    assert polarity.level is Level.PROBLEM
+    [polarity] = checks(inverted)["polarity"]
+    assert polarity.verdict is Verdict.PROBLEM
     assert "set polarity to -1" in polarity.text
 
 
 def test_clipping_is_told_and_no_amplitude_is_read_from_it() -> None:
-    found = findings(packets_of("sim://?scene=all&threshold=0&rail=1.2"))
-    assert found["range"][0].level is Level.PROBLEM
+    found = checks(packets_of("sim://?scene=all&threshold=0&rail=1.2"))
+    assert found["range"][0].verdict is Verdict.PROBLEM
     assert "amplitude_mv" not in found
 
 
 def test_lost_packets_are_told(sound: list[Packet]) -> None:
     stream = stream_of(sound)
     torn = Stream([c for i, c in enumerate(stream.chunks) if i % 20 != 19], None)
-    found = {finding.subject: finding for finding in judge(torn, SkinConfig.of({}))}
-    assert found["link"].level is Level.WARNING
-    assert found["frames"].level is Level.WARNING
+    found = {check.subject: check for check in judge(torn, SkinConfig.of({}))}
+    assert found["link"].verdict is Verdict.WARNING
+    assert found["frames"].verdict is Verdict.WARNING
 
 
 def test_broken_bytes_are_told(sound: list[Packet]) -> None:
@@ -173,15 +173,15 @@ def test_broken_bytes_are_told(sound: list[Packet]) -> None:
         [(b[:9] + b"\x55" + b[10:] if i % 30 == 29 else b, t) for i, (b, t) in enumerate(chunks)],
         None,
     )
-    found = {finding.subject: finding for finding in judge(noisy, SkinConfig.of({}))}
-    assert found["link"].level is Level.WARNING
+    found = {check.subject: check for check in judge(noisy, SkinConfig.of({}))}
+    assert found["link"].verdict is Verdict.WARNING
     assert "0 broken" not in found["link"].text
 
 
 def test_a_dead_skin_is_told() -> None:
     dead = ",".join(str(node) for node in range(1, 17))
-    [nodes] = findings(packets_of(f"{ALL_TALK}&dead={dead}"))["nodes"]
-    assert nodes.level is Level.PROBLEM
+    [nodes] = checks(packets_of(f"{ALL_TALK}&dead={dead}"))["nodes"]
+    assert nodes.verdict is Verdict.PROBLEM
     assert "no node speaks" in nodes.text
 
 
@@ -203,4 +203,4 @@ def test_whatever_comes_there_is_a_verdict_or_a_reason(
     parts = np.array_split(data, 50)
     stream = Stream([(part.tobytes(), 0.01 * i) for i, part in enumerate(parts)], None)
     with suppress(PortError):
-        assert {finding.subject for finding in judge(stream, SkinConfig.of({}))} >= {"link"}
+        assert {check.subject for check in judge(stream, SkinConfig.of({}))} >= {"link"}
