@@ -95,7 +95,7 @@ def test_a_sound_skin_has_four_entries_that_are_ok_and_complete() -> None:
         wait_for(lambda: {client.entry(entry).level for entry in ENTRIES} == {OK}, PATIENCE_S)
     assert set(client.entries) == set(ENTRIES)
     assert {client.entry(entry).name for entry in ENTRIES} == {f"skin: {e}" for e in ENTRIES}
-    identity = (b"sim\0" + (7).to_bytes(4, "little")).hex()
+    identity = (b"sim\0" + (7).to_bytes(4, "little")).hex().upper()
     assert {client.entry(entry).hardware_id for entry in ENTRIES} == {identity}
 
     def number(entry: str, key: str) -> float:

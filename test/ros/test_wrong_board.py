@@ -49,7 +49,7 @@ def test_the_wrong_board_is_refused_and_the_right_one_taken(ros: None, tmp_path:
 
         def told(text: str) -> bool:
             return any(
-                text in status.message and status.level == DiagnosticStatus.ERROR
+                text in status.message and status.verdict == DiagnosticStatus.ERROR
                 for status in client.diagnostics
             )
 
@@ -94,11 +94,11 @@ def test_two_programs_meet(capsys: pytest.CaptureFixture[str]) -> None:
     found = {f["subject"]: f for f in json.loads(capsys.readouterr().out)}
     assert "two programs met" in found["DDS"]["text"]
     for subject in ("Python", "numpy", "our messages", "ROS_DOMAIN_ID"):
-        assert found[subject]["level"] == "ok"
+        assert found[subject]["verdict"] == "ok"
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "level"),
+    ("name", "value", "verdict"),
     [
         ("ROS_DOMAIN_ID", "0", "ok"),
         ("ROS_DOMAIN_ID", "150", "warning"),
@@ -110,11 +110,11 @@ def test_two_programs_meet(capsys: pytest.CaptureFixture[str]) -> None:
     ],
 )
 def test_settings_of_discovery(
-    monkeypatch: pytest.MonkeyPatch, name: str, value: str, level: str
+    monkeypatch: pytest.MonkeyPatch, name: str, value: str, verdict: str
 ) -> None:
     monkeypatch.setenv(name, value)
-    [finding] = [finding for finding in doctor.environment() if finding.subject == name]
-    assert finding.level == level
+    [check] = [check for check in doctor.environment() if check.subject == name]
+    assert check.verdict == verdict
 
 
 def test_messages_that_changed_since_they_were_built_are_named(tmp_path: Path) -> None:
