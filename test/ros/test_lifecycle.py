@@ -20,7 +20,7 @@ import os
 import tempfile
 import threading
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
@@ -223,7 +223,8 @@ def test_transitions_work_by_call_too_and_a_node_may_go_in_any_state() -> None:
         node = SkinNode(parameter_overrides=[Parameter("autostart", value=False)])
         for step in steps:
             assert getattr(node, f"trigger_{step}")() == TransitionCallbackReturn.SUCCESS
-        with pytest.raises(RCLError):
-            getattr(node, f"trigger_{'cleanup' if steps[-1:] == ['activate'] else 'deactivate'}")()
+        impossible = "cleanup" if steps[-1:] == ["activate"] else "deactivate"
+        with suppress(RCLError):  # Jazzy raises, Kilted answers
+            assert getattr(node, f"trigger_{impossible}")() != TransitionCallbackReturn.SUCCESS
         node.destroy_node()
         assert readers() == []
