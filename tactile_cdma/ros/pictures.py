@@ -41,6 +41,8 @@ TOPICS = {
     "points": PointCloud2,
     "markers": MarkerArray,
 }
+LOOK_S = 0.25
+"""How often it is looked whether anybody subscribes: each turn of rclpy's executor takes a ms."""
 FADE_PERIODS, LEAST_FADE_S = 3, 1.0
 """Markers that so many periods of pictures, and so many s, do not renew are no longer shown."""
 
@@ -48,8 +50,9 @@ FADE_PERIODS, LEAST_FADE_S = 3, 1.0
 class Pictures:
     """Pictures of a node, each drawn only while somebody subscribes.
 
-    A timer draws the latest frame, at most visual_rate_hz times a second and no frame twice. Its
-    clock is steady, so that it goes on where simulated time stands.
+    A timer draws the latest frame, at most visual_rate_hz times a second and no frame twice; while
+    nobody subscribes it comes less often. Its clock is steady, so that it goes on where simulated
+    time stands.
     """
 
     def __init__(
@@ -74,7 +77,7 @@ class Pictures:
     def start(self, config: SkinConfig) -> None:
         """Before the first frame of a stream."""
         self._drawings = Drawings(config, self._live)
-        self._run(self._live)
+        self._run(_period_s(self._live))
 
     def stop(self) -> None:
         """After the last one."""
@@ -89,18 +92,23 @@ class Pictures:
         """All parameters' values as they are going to be; they fit each other."""
         if self._drawings is not None:
             self._drawings.change(contact_thresholds(values))
-            self._run(values)
+            self._run(_period_s(values))
 
-    def _run(self, values: Values) -> None:
-        self._timer.timer_period_ns = round(_period_s(values) * 1e9)
+    def _run(self, period_s: float) -> None:
+        """From now on, the timer comes at this period."""
+        self._timer.timer_period_ns = round(period_s * 1e9)
         self._timer.reset()
 
+    def _pace(self, asked: bool) -> None:
+        period_s = _period_s(self._live) if asked else max(_period_s(self._live), LOOK_S)
+        if round(period_s * 1e9) != self._timer.timer_period_ns:
+            self._run(period_s)
+
     def _draw(self) -> None:
-        frame = self._latest
-        if frame is None or frame is self._drawn or self._drawings is None:
-            return
         asked = [name for name, p in self._publishers.items() if p.get_subscription_count()]
-        if not asked:
+        self._pace(bool(asked))
+        frame = self._latest
+        if not asked or frame is None or frame is self._drawn or self._drawings is None:
             return
         self._drawn = frame
         header = self._header_at(frame.t_host)
