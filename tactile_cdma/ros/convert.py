@@ -176,6 +176,11 @@ def stamp(nanoseconds: int) -> Time:
     return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
 
 
+def nanoseconds(stamp: Time) -> int:
+    """A ROS time stamp as one number."""
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
 def _point(place: NDArray[np.float32]) -> Point32:
     x, y, z = place.tolist()
     return Point32(x=x, y=y, z=z)
