@@ -71,13 +71,13 @@ class Pictures:
         self._latest: TactileFrame | None = None
         self._drawn: TactileFrame | None = None
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = node.create_timer(_period_s(live), self._draw, clock=steady)
+        self._timer = node.create_timer(_period_s(live), self._turn, clock=steady)
         self._timer.cancel()
 
     def start(self, config: SkinConfig) -> None:
         """Before the first frame of a stream."""
         self._drawings = Drawings(config, self._live)
-        self._run(_period_s(self._live))
+        self._run(self._live)
 
     def stop(self) -> None:
         """After the last one."""
@@ -92,28 +92,32 @@ class Pictures:
         """All parameters' values as they are going to be; they fit each other."""
         if self._drawings is not None:
             self._drawings.change(contact_thresholds(values))
-            self._run(_period_s(values))
+            self._run(values)
 
-    def _run(self, period_s: float) -> None:
-        """From now on, the timer comes at this period."""
-        self._timer.timer_period_ns = round(period_s * 1e9)
+    def _run(self, values: Values) -> None:
+        self._timer.timer_period_ns = round(_period_s(values) * 1e9)
         self._timer.reset()
 
-    def _pace(self, asked: bool) -> None:
-        period_s = _period_s(self._live) if asked else max(_period_s(self._live), LOOK_S)
-        if round(period_s * 1e9) != self._timer.timer_period_ns:
-            self._run(period_s)
-
     def _draw(self) -> None:
-        asked = [name for name, p in self._publishers.items() if p.get_subscription_count()]
-        self._pace(bool(asked))
         frame = self._latest
-        if not asked or frame is None or frame is self._drawn or self._drawings is None:
+        if frame is None or frame is self._drawn or self._drawings is None:
+            return
+        asked = [name for name, p in self._publishers.items() if p.get_subscription_count()]
+        if not asked:
             return
         self._drawn = frame
         header = self._header_at(frame.t_host)
         for name in asked:
             self._publishers[name].publish(self._drawings.of[name](frame, header))
+
+    def _turn(self) -> None:
+        """Draw, and come again sooner or later."""
+        self._draw()
+        asked = any(publisher.get_subscription_count() for publisher in self._publishers.values())
+        period_s = _period_s(self._live) if asked else max(_period_s(self._live), LOOK_S)
+        if round(period_s * 1e9) != self._timer.timer_period_ns:
+            self._timer.timer_period_ns = round(period_s * 1e9)
+            self._timer.reset()
 
 
 class Drawings:
