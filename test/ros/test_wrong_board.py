@@ -49,7 +49,7 @@ def test_the_wrong_board_is_refused_and_the_right_one_taken(ros: None, tmp_path:
 
         def told(text: str) -> bool:
             return any(
-                text in status.message and status.verdict == DiagnosticStatus.ERROR
+                text in status.message and status.level == DiagnosticStatus.ERROR
                 for status in client.diagnostics
             )
 
