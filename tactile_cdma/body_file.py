@@ -26,14 +26,15 @@ from pathlib import Path
 from typing import Any
 
 from .errors import BodyError, ParameterError
+from .identity import parse_id, shown_id
 from .marked_yaml import Mapping as Keys
 from .marked_yaml import Marked, read_marked
-from .parameters import BY_NAME, Parameter, Value, read_file, unknown
+from .parameters import BY_NAME, REPLAY, SIMULATION, Parameter, Value, read_file, unknown
 
 NODE_NAME = "skin"
-"""Of every patch's driver, in a namespace of the patch's name."""
+"""Of a driver, unless it is renamed; those of a body are in namespaces of the patches' names."""
 MOST_PATCHES = 1000
-SHARED_PORTS = ("sim://", "replay://")
+SHARED_PORTS = (SIMULATION, REPLAY)
 """Beginnings of ports that any number of drivers can open."""
 _NAME = re.compile("[A-Za-z][A-Za-z0-9_]*")
 _KEYS = ("frame_id", "patches")
@@ -197,7 +198,11 @@ def _check_apart(patches: list[Patch], entries: Mapping[str, Marked]) -> None:
     """Whether each patch has a port, a digitizer and a tf frame of its own."""
     taken: dict[tuple[str, Value], str] = {}
     for patch in patches:
-        for what, value in _own(patch):
+        try:
+            own = _own(patch)
+        except ParameterError as error:
+            raise entries[patch.name].refuse(f"patch {patch.name!r}: {error}") from None
+        for what, value in own:
             other = taken.setdefault((what, value), patch.name)
             if other != patch.name:
                 raise entries[patch.name].refuse(
@@ -207,18 +212,17 @@ def _check_apart(patches: list[Patch], entries: Mapping[str, Marked]) -> None:
 
 
 def _own(patch: Patch) -> list[tuple[str, Value]]:
-    """What no other patch may have, as (parameter, value)."""
+    """What no other patch may have, as (parameter, value); raises ParameterError for a wrong id."""
     values = {name: parameter.default for name, parameter in BY_NAME.items()}
     values |= read_file(patch.params_file) if patch.params_file else {}
     values |= patch.parameters
     own = []
     if not str(values["port"]).startswith(SHARED_PORTS):
         own.append(("port", values["port"]))
-    if values.get("digitizer_id"):
-        digits = str(values["digitizer_id"]).lower().removeprefix("0x")
-        own.append(("digitizer_id", re.sub("[^0-9a-f]", "", digits)))
+    if values["digitizer_id"]:
+        own.append(("digitizer_id", shown_id(parse_id(str(values["digitizer_id"])))))
     if values["skin"]:
         own.append(("skin", values["skin"]))
-    if values.get("parent_frame"):
+    if values["parent_frame"]:
         own.append(("frame_id", values["frame_id"]))
     return own

@@ -36,7 +36,7 @@ SLOW, VERY_SLOW, FAST = 0.9, 0.5, 1.1
 LOST_SHARE = 0.01
 """Of the frames: a loss that is more than an accident."""
 CLIPPED_SHARE = 0.01
-"""Of the samples; random row signs make less than that harmless."""
+"""Of the samples; random row signs make less than that harmless (docs/results.md)."""
 REJECTED_SHARE = 0.1
 """Of the bursts on the line: more that are no frame are no accident."""
 LATE_S, LATE_PERIODS = 0.05, 2.0

@@ -30,6 +30,8 @@ LEAST_WORDS = 4
 """Words that a verdict on a node takes; afterwards they count half beside newer ones."""
 WEAK_SHARE = 0.6
 """A node below this share of the expected amplitude is weak."""
+MOST_UNEVEN, MOST_DOUBLED = 0.5, 0.25
+"""Shares of a node's words: with more of them uneven, or of two nodes, so is the node."""
 WEAK_RHO = 8.0
 """Words of a node not known to be weak must stand so far out of the noise to be noticed."""
 
@@ -109,9 +111,9 @@ class NodeHealth:
         expected_v = self._nominal_v or (float(np.median(amplitude_v[heard])) if heard.any() else 0)
         verdict = np.full(due.shape, NodeState.OK, dtype=np.uint8)
         verdict[amplitude_v < WEAK_SHARE * expected_v] = NodeState.WEAK
-        verdict[self._uneven > 0.5 * self._words] = NodeState.FAULTY
+        verdict[self._uneven > MOST_UNEVEN * self._words] = NodeState.FAULTY
         twice = amplitude_v > DOUBLE_SHARE * expected_v
-        verdict[twice | (self._doubled > 0.25 * self._words)] = NodeState.DOUBLED
+        verdict[twice | (self._doubled > MOST_DOUBLED * self._words)] = NodeState.DOUBLED
         unknown = heard & (self.state == NodeState.UNHEARD)
         self.state = np.where(due, verdict, np.where(unknown, NodeState.OK, self.state))
         self.invalid = self.state >= NodeState.FAULTY

@@ -63,7 +63,13 @@ class StuckNodes:
         self._beside = np.ascontiguousarray(layout.neighbours.T)
         self._real = self._beside != np.arange(taxels)  # the others are padding
         self._offsets = _offsets(layout)
-        self._know(np.zeros(taxels, dtype=bool))
+        self._sound = np.zeros(taxels, dtype=bool)
+        # Of those around each taxel, as long as nobody can be relied on; see _know.
+        self._heard = np.zeros_like(self._real)
+        self._but_others = np.full(self._beside.shape, np.inf, dtype=np.float32)
+        self._weights = np.zeros(self._beside.shape, dtype=np.float32)
+        self._enough, self._inner = np.zeros((2, taxels), dtype=bool)
+        self._may_rest = np.zeros(taxels, dtype=np.int64)
         self._looked_s = -np.inf
         self._seen: Readings | None = None
         self._voltage_v = np.full(taxels, np.nan, dtype=np.float32)
@@ -108,8 +114,7 @@ class StuckNodes:
         """(t,) what the neighbours tell of a taxel's pressure, Pa; NaN: nothing."""
         pressure_pa = readings.pressure_pa
         sound = np.isfinite(pressure_pa) & (self._swings < SWINGS)
-        if not np.array_equal(sound, self._sound):
-            self._know(sound)
+        self._know(sound)
         around_pa = np.where(sound, pressure_pa, np.float32(0))[self._beside]
         least_pa = (around_pa + self._but_others).min(axis=0)
         most_pa = (around_pa - self._but_others).max(axis=0)
@@ -128,15 +133,19 @@ class StuckNodes:
         return expected_pa
 
     def _know(self, sound: Bools) -> None:
-        """Other taxels than before can be relied on: have ready what depends on them."""
-        heard = sound[self._beside] & self._real
-        count = np.count_nonzero(heard, axis=0)
-        self._sound, self._heard = sound, heard
-        self._enough = count >= LEAST_NEIGHBOURS
-        self._but_others = np.where(heard, 0, np.inf).astype(np.float32)
-        self._weights = self._plane_weights(heard)
-        self._inner = (count >= MANY_NEIGHBOURS) & ((self._weights > 0) | ~heard).all(axis=0)
-        self._may_rest = np.where(self._inner, UNMOVED, 0)
+        """Have ready what depends on who can be relied on, anew where one beside has changed."""
+        changed = sound != self._sound
+        if not changed.any():
+            return
+        self._sound = sound
+        at = np.flatnonzero((changed[self._beside] & self._real).any(axis=0))
+        heard = sound[self._beside[:, at]] & self._real[:, at]
+        count, weights = np.count_nonzero(heard, axis=0), self._plane_weights(heard, at)
+        inner = (count >= MANY_NEIGHBOURS) & ((weights > 0) | ~heard).all(axis=0)
+        self._heard[:, at], self._weights[:, at] = heard, weights
+        self._but_others[:, at] = np.where(heard, 0, np.inf)
+        self._enough[at], self._inner[at] = count >= LEAST_NEIGHBOURS, inner
+        self._may_rest[at] = np.where(inner, UNMOVED, 0)
 
     def _count(self, expected_pa: Floats, swing_pa: np.float32) -> None:
         """Follow the expectation and count its swings."""
@@ -150,9 +159,9 @@ class StuckNodes:
         np.copyto(self._high_pa, expected_pa, where=up)
         np.copyto(self._low_pa, expected_pa, where=down)
 
-    def _plane_weights(self, heard: Bools) -> Floats:
-        """(m, t): weights that make of the neighbours' pressures the plane's value at the taxel."""
-        offsets = self._offsets * heard
+    def _plane_weights(self, heard: Bools, at: NDArray[np.intp]) -> Floats:
+        """(m, k): weights that make of the neighbours' pressures the plane's value at k taxels."""
+        offsets = self._offsets[:, :, at] * heard
         rows = np.concatenate((heard[None].astype(np.float32), offsets))
         normal = np.einsum("imt,jmt->tij", rows, rows)
         normal += np.diag(np.array([1e-6, _RIDGE, _RIDGE], dtype=np.float32))

@@ -108,11 +108,6 @@ class Taxels:
         return len(self._masked) - int(np.count_nonzero(self._masked))
 
     @property
-    def nobody_heard(self) -> bool:
-        """Whether every node that is awaited is missing."""
-        return 0 < self.awaited == len(self.missing)
-
-    @property
     def now_s(self) -> float:
         """Device time of the last frame, s."""
         return self._now_s

@@ -16,17 +16,17 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checkup import CLIPPED_SHARE, decibels
 from ..decode import DOUBLE_SHARE, FAINT_SHARE, LOW_MARGIN, LOW_RHO
 from ..errors import PortError
 from ..frame import UNIPOLAR
-from ..health import WEAK_SHARE
+from ..health import MOST_DOUBLED, MOST_UNEVEN, WEAK_SHARE
 from ..layout_nodes import listed
 from ..messages import Status
 from ..pipeline import Pipeline, TactileFrame
@@ -40,8 +40,6 @@ OTHER_AMPLITUDE = 0.2
 """Relative difference of amplitudes that resistors of 5 % and their supply do not explain."""
 MANY_BEYOND, FEW_BEYOND = 0.25, 0.02
 """Shares of all words: so many beyond the sensors' range, and so few of their opposites."""
-MUCH_CLIPPED = 0.01
-"""Share of samples; docs/results.md has what less does to bit errors."""
 STRAY_ERRORS = 1
 """The first bytes may be the rest of a packet, which counts as an error."""
 
@@ -94,7 +92,7 @@ def judge(stream: Stream, config: SkinConfig) -> Iterator[Check]:
     measured_v = _typical(heard)
     frames, heard = _heard(stream, config, measured_v)
     yield from _noise(frames, heard)
-    if clipped < MUCH_CLIPPED:  # amplitudes are too small in what is clipped
+    if clipped < CLIPPED_SHARE:  # amplitudes are too small in what is clipped
         yield from _amplitude(measured_v, config)
     yield from _polarity(heard, config)
     yield from _nodes(heard, measured_v)
@@ -181,7 +179,7 @@ def _rate(frames: list[TactileFrame], heard: Heard, config: SkinConfig) -> Itera
 
 def _range(clipped: float) -> Iterator[Check]:
     if clipped:
-        what = warning if clipped < MUCH_CLIPPED else problem
+        what = warning if clipped < CLIPPED_SHARE else problem
         yield what(
             "range",
             f"{clipped:.1%} of the samples at a rail of the digitizer: less gain "
@@ -193,7 +191,7 @@ def _noise(frames: list[TactileFrame], heard: Heard) -> Iterator[Check]:
     noise_v = float(np.nanmedian([frame.words.noise_rms_v for frame in frames]))
     rho = np.where(heard.active, heard.rho, np.nan)[:, heard.active.any(axis=0)]
     weakest = float(np.nanmin(np.nanmedian(rho, axis=0)))
-    text = f"{noise_v * 1e3:.2f} mV rms a chip, weakest node {20 * math.log10(weakest):.0f} dB"
+    text = f"{noise_v * 1e3:.2f} mV rms a chip, weakest node {decibels(weakest):.0f} dB"
     if weakest < 2 * LOW_RHO:
         yield warning("noise", f"{text}: look for what disturbs the line, or for that node's wire")
     else:
@@ -236,9 +234,10 @@ def _nodes(heard: Heard, typical_v: float) -> Iterator[Check]:
     spoke = count > 0
     amplitude_v = (heard.amplitude_v * heard.active).sum(axis=0) / np.maximum(count, 1)
     doubled = spoke & (
-        (heard.doubled.sum(axis=0) > 0.25 * count) | (amplitude_v > DOUBLE_SHARE * typical_v)
+        (heard.doubled.sum(axis=0) > MOST_DOUBLED * count)
+        | (amplitude_v > DOUBLE_SHARE * typical_v)
     )
-    faulty = spoke & ~doubled & (heard.bad.sum(axis=0) > 0.5 * count)
+    faulty = spoke & ~doubled & (heard.bad.sum(axis=0) > MOST_UNEVEN * count)
     weak = spoke & ~doubled & ~faulty & (amplitude_v < WEAK_SHARE * typical_v)
     total = f"{np.count_nonzero(spoke)} of {spoke.size} spoke"
     if not spoke.all():

@@ -21,13 +21,13 @@ from operator import itemgetter
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Point, Vector3, Wrench
-from numpy.typing import NDArray
+from geometry_msgs.msg import Point, Wrench
 from std_msgs.msg import Header
 
 from tactile_cdma.msg import TactileContact, TactileContacts
 
 from ..poses import Pose
+from .convert import point, vector
 
 
 def body_contacts(
@@ -68,13 +68,13 @@ def _moved(contacts: Sequence[TactileContact], pose: Pose) -> list[tuple[float, 
                 patch=contact.patch,
                 id=contact.id,
                 age=contact.age,
-                position=_point(position),
-                normal=_vector(normal),
-                force=_vector(force),
+                position=point(position),
+                normal=vector(normal),
+                force=vector(force),
                 area=contact.area,
                 pressure_max=contact.pressure_max,
                 saturated=contact.saturated,
-                velocity=_vector(velocity),
+                velocity=vector(velocity),
                 force_rate=contact.force_rate,
                 taxels=contact.taxels,
             ),
@@ -89,9 +89,9 @@ def _centre(contacts: Sequence[tuple[float, TactileContact]]) -> Point:
     """NaN without any, or without a force."""
     forces_n = np.array([force_n for force_n, _ in contacts])
     if not forces_n.any():
-        return _point(np.full(3, np.nan))
+        return point(np.full(3, np.nan))
     places_m = np.array([_xyz(contact.position) for _, contact in contacts])
-    return _point(forces_n @ places_m / forces_n.sum())
+    return point(forces_n @ places_m / forces_n.sum())
 
 
 def _wrench(parts: Sequence[tuple[Pose, TactileContacts]]) -> Wrench:
@@ -101,18 +101,8 @@ def _wrench(parts: Sequence[tuple[Pose, TactileContacts]]) -> Wrench:
         turned = pose.rotate(np.array([_xyz(message.wrench.force), _xyz(message.wrench.torque)]))
         force += turned[0]
         torque += turned[1] + np.cross(pose.translation_m, turned[0])
-    return Wrench(force=_vector(force), torque=_vector(torque))
+    return Wrench(force=vector(force), torque=vector(torque))
 
 
 def _xyz(values: Any) -> tuple[float, float, float]:
     return values.x, values.y, values.z
-
-
-def _point(place: NDArray[np.float64]) -> Point:
-    x, y, z = place.tolist()
-    return Point(x=x, y=y, z=z)
-
-
-def _vector(values: NDArray[np.float64]) -> Vector3:
-    x, y, z = values.tolist()
-    return Vector3(x=x, y=y, z=z)

@@ -17,8 +17,7 @@
 from __future__ import annotations
 
 import numpy as np
-from geometry_msgs.msg import Point, Vector3, Wrench, WrenchStamped
-from numpy.typing import NDArray
+from geometry_msgs.msg import Wrench, WrenchStamped
 from rclpy.lifecycle import LifecycleNode
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Header
@@ -28,7 +27,7 @@ from tactile_cdma.msg import TactileContact, TactileContacts
 from ..contact import Contacts, ContactThresholds, ContactTracker
 from ..layout import Layout
 from ..pipeline import TactileFrame
-from .convert import ros_array
+from .convert import point, ros_array, vector
 
 RELIABLE = QoSProfile(depth=10)
 """Small messages, which rviz and controllers may both ask for."""
@@ -87,7 +86,7 @@ def contacts_message(
         info_id=info_id,
         touched=len(contacts) > 0,
         area=float(contacts.area_m2.sum()),
-        position=_point(contacts.centre_m),
+        position=point(contacts.centre_m),
         wrench=_wrench(contacts),
         contacts=_contacts(contacts, patch),
     )
@@ -100,13 +99,13 @@ def _contacts(contacts: Contacts, patch: str) -> list[TactileContact]:
             patch=patch,
             id=int(contacts.ids[i]),
             age=float(contacts.age_s[i]),
-            position=_point(contacts.position_m[i]),
-            normal=_vector(normals[i]),
-            force=_vector(contacts.force_n[i]),
+            position=point(contacts.position_m[i]),
+            normal=vector(normals[i]),
+            force=vector(contacts.force_n[i]),
             area=float(contacts.area_m2[i]),
             pressure_max=float(contacts.pressure_max_pa[i]),
             saturated=bool(contacts.saturated[i]),
-            velocity=_vector(contacts.velocity_m_s[i]),
+            velocity=vector(contacts.velocity_m_s[i]),
             force_rate=float(contacts.force_rate_n_s[i]),
             taxels=ros_array(contacts.taxels[i].astype(np.uint16)),
         )
@@ -116,15 +115,5 @@ def _contacts(contacts: Contacts, patch: str) -> list[TactileContact]:
 
 def _wrench(contacts: Contacts) -> Wrench:
     return Wrench(
-        force=_vector(contacts.force_n.sum(axis=0)), torque=_vector(contacts.torque_nm.sum(axis=0))
+        force=vector(contacts.force_n.sum(axis=0)), torque=vector(contacts.torque_nm.sum(axis=0))
     )
-
-
-def _point(place: NDArray[np.float64]) -> Point:
-    x, y, z = place.tolist()
-    return Point(x=x, y=y, z=z)
-
-
-def _vector(values: NDArray[np.float64]) -> Vector3:
-    x, y, z = values.tolist()
-    return Vector3(x=x, y=y, z=z)

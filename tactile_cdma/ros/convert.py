@@ -22,7 +22,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Point32
+from geometry_msgs.msg import Point, Point32, Vector3
 from numpy.typing import NDArray
 from sensor_msgs.msg import Image, PointCloud2, PointField
 from std_msgs.msg import Header
@@ -92,8 +92,8 @@ def skin_info(
     message.info_id = info_id
     message.nodes = spec.nodes
     message.height, message.width = layout.rows, layout.columns
-    message.positions = [_point(place) for place in layout.positions_m]
-    message.normals = [_point(normal) for normal in layout.normals]
+    message.positions = [_point32(place) for place in layout.positions_m]
+    message.normals = [_point32(normal) for normal in layout.normals]
     message.area = ros_array(layout.areas_m2)
     message.node = ros_array(layout.nodes.astype(np.uint16))
     code_rows = np.append(spec.rows, 0)  # 0 for a taxel without a node
@@ -176,6 +176,23 @@ def stamp(nanoseconds: int) -> Time:
     return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
 
 
-def _point(place: NDArray[np.float32]) -> Point32:
+def nanoseconds(stamp: Time) -> int:
+    """A ROS time stamp as one number."""
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def point(place: NDArray[np.floating]) -> Point:
+    """A place, (3,)."""
+    x, y, z = place.tolist()
+    return Point(x=x, y=y, z=z)
+
+
+def vector(values: NDArray[np.floating]) -> Vector3:
+    """A vector, (3,)."""
+    x, y, z = values.tolist()
+    return Vector3(x=x, y=y, z=z)
+
+
+def _point32(place: NDArray[np.floating]) -> Point32:
     x, y, z = place.tolist()
     return Point32(x=x, y=y, z=z)

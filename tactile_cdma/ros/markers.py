@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Duration
-from geometry_msgs.msg import Point, Pose, Vector3
+from geometry_msgs.msg import Pose, Vector3
 from numpy.typing import NDArray
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
@@ -29,6 +29,7 @@ from ..contact import Contacts
 from ..heatmap import SCALE_RGB, scale_steps
 from ..layout import Layout
 from ..mesh import CORNERS, taxel_squares
+from .convert import point
 
 SURFACE, ARROWS, TEXTS = "skin", "contacts", "forces"
 """Namespaces, which rviz shows and hides one by one."""
@@ -56,7 +57,7 @@ class SkinMarkers:
         if len(self._placed) > most_squares:
             self._placed = self._placed[:0]
         corners_m = taxel_squares(layout)[self._placed].reshape(-1, 3)
-        self._corners = [_point(corner_m) for corner_m in corners_m]
+        self._corners = [point(corner_m) for corner_m in corners_m]
 
     def markers(
         self,
@@ -104,14 +105,14 @@ class SkinMarkers:
 
     def _contact(self, contacts: Contacts, contact: int, common: dict[str, Any]) -> list[Marker]:
         head_m, force_n = contacts.position_m[contact], contacts.force_n[contact]
-        tail = _point(head_m - ARROW_M_PER_N * force_n)  # outside: the force points into the skin
+        tail = point(head_m - ARROW_M_PER_N * force_n)  # outside: the force points into the skin
         at_least = "> " if contacts.saturated[contact] else ""
         arrow = Marker(
             **common,
             ns=ARROWS,
             type=Marker.ARROW,
             scale=self._arrow_scale,
-            points=[tail, _point(head_m)],
+            points=[tail, point(head_m)],
         )
         text = Marker(
             **common,
@@ -122,8 +123,3 @@ class SkinMarkers:
             text=f"{at_least}{np.linalg.norm(force_n):.3g} N",
         )
         return [arrow, text]
-
-
-def _point(place_m: NDArray[np.floating]) -> Point:
-    x, y, z = place_m.tolist()
-    return Point(x=x, y=y, z=z)

@@ -31,6 +31,7 @@ from rclpy.qos import QoSProfile, qos_profile_sensor_data
 
 from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
+from ..body_file import NODE_NAME
 from ..driver import WAITING, Driver, Session
 from ..errors import ParameterError, TactileError
 from ..parameters import Values
@@ -50,7 +51,6 @@ from .qos import LATCHED
 from .services import RestKeeper
 from .stamps import Stamps
 
-NODE_NAME = "skin"
 APART_NODES = 256
 CALIBRATING = {"calibration_file", "compensation"}
 """Setting one of these makes the calibration be read again."""

@@ -22,13 +22,12 @@ from numpy.typing import NDArray
 
 from tactile_cdma.msg import TactileSkinInfo
 
+from ..body_file import NODE_NAME as NODE_NAME  # viewers take it from here
 from ..layout import Layout
 from ..layout_shapes import seen_from_outside
 from ..proximity import usual_distance_m
 
 ARRAY_TOPIC = "tactile"
-NODE_NAME = "skin"
-"""Of a driver, unless it is renamed."""
 
 
 def full_name(patch: str) -> str:

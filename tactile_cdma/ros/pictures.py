@@ -41,6 +41,8 @@ TOPICS = {
     "points": PointCloud2,
     "markers": MarkerArray,
 }
+LOOK_S = 0.25
+"""How often it is looked whether anybody subscribes: each turn of rclpy's executor takes a ms."""
 FADE_PERIODS, LEAST_FADE_S = 3, 1.0
 """Markers that so many periods of pictures, and so many s, do not renew are no longer shown."""
 
@@ -48,8 +50,9 @@ FADE_PERIODS, LEAST_FADE_S = 3, 1.0
 class Pictures:
     """Pictures of a node, each drawn only while somebody subscribes.
 
-    A timer draws the latest frame, at most visual_rate_hz times a second and no frame twice. Its
-    clock is steady, so that it goes on where simulated time stands.
+    A timer draws the latest frame, at most visual_rate_hz times a second and no frame twice; while
+    nobody subscribes it comes less often. Its clock is steady, so that it goes on where simulated
+    time stands.
     """
 
     def __init__(
@@ -68,7 +71,7 @@ class Pictures:
         self._latest: TactileFrame | None = None
         self._drawn: TactileFrame | None = None
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = node.create_timer(_period_s(live), self._draw, clock=steady)
+        self._timer = node.create_timer(_period_s(live), self._turn, clock=steady)
         self._timer.cancel()
 
     def start(self, config: SkinConfig) -> None:
@@ -106,6 +109,15 @@ class Pictures:
         header = self._header_at(frame.t_host)
         for name in asked:
             self._publishers[name].publish(self._drawings.of[name](frame, header))
+
+    def _turn(self) -> None:
+        """Draw, and come again sooner or later."""
+        self._draw()
+        asked = any(publisher.get_subscription_count() for publisher in self._publishers.values())
+        period_s = _period_s(self._live) if asked else max(_period_s(self._live), LOOK_S)
+        if round(period_s * 1e9) != self._timer.timer_period_ns:
+            self._timer.timer_period_ns = round(period_s * 1e9)
+            self._timer.reset()
 
 
 class Drawings:

@@ -31,15 +31,16 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
-from std_msgs.msg import Header
 
 from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 
 from ..errors import TransformError
 from .complaints import Complaints
+from .convert import nanoseconds
 from .patches import ARRAY_TOPIC, full_name, layout_of
+from .qos import LATCHED
 from .transforms import COMPLAINT_S, TransformListener
-from .view import LATCHED, QUEUE
+from .view import QUEUE
 
 try:
     import rerun as rr
@@ -127,14 +128,14 @@ class RerunView(Node):
 
 def _take_frame(scene: PatchScene, message: TactileArray) -> None:
     pressure_pa = np.array(message.pressure, dtype=np.float32)
-    scene.take_frame(_nanoseconds(message.header), message.device_time_us, pressure_pa)
+    scene.take_frame(nanoseconds(message.header.stamp), message.device_time_us, pressure_pa)
 
 
 def _take_contacts(scene: PatchScene, message: TactileContacts) -> None:
     places = [(c.position.x, c.position.y, c.position.z) for c in message.contacts]
     forces = [(c.force.x, c.force.y, c.force.z) for c in message.contacts]
     scene.take_contacts(
-        _nanoseconds(message.header),
+        nanoseconds(message.header.stamp),
         [c.id for c in message.contacts],
         np.array(places).reshape(-1, 3),
         np.array(forces).reshape(-1, 3),
@@ -144,11 +145,7 @@ def _take_contacts(scene: PatchScene, message: TactileContacts) -> None:
 def _complain(scene: PatchScene, complaints: Complaints, message: DiagnosticArray) -> None:
     for entry in complaints.take(message):
         text = f"{entry.name}: {entry.message}"
-        scene.complain(_nanoseconds(message.header), _TEXT_LEVELS[entry.level], text)
-
-
-def _nanoseconds(header: Header) -> int:
-    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
+        scene.complain(nanoseconds(message.header.stamp), _TEXT_LEVELS[entry.level], text)
 
 
 def main() -> int:

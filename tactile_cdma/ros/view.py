@@ -34,7 +34,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.utilities import remove_ros_args
 
 from tactile_cdma.msg import TactileArray, TactileSkinInfo
@@ -43,8 +43,10 @@ from ..history import History
 from ..layout import Layout
 from ..terminal import Look, Numbers, Reading, scale, screen, sparkline, status_lines
 from .complaints import LEVELS, Complaints
+from .convert import nanoseconds
 from .keys import Keys
 from .patches import full_name, layout_of
+from .qos import LATCHED
 from .tally import Tally, summary
 
 DRAW_PERIOD_S = 0.1
@@ -55,7 +57,6 @@ COMPLAINTS = 3
 QUEUE = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=256, reliability=ReliabilityPolicy.BEST_EFFORT
 )
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 LEAST_SCALE_PA, MOST_SCALE_PA = 100.0, 1e8
 KEY_HELP = "n numbers   h force/peak   + - scale   q ends"
 _HOME, _CLEAR_BELOW, _CLEAR_LINE = "\x1b[H", "\x1b[J", "\x1b[K"
@@ -88,9 +89,8 @@ class Viewer(Node):
 
     def _receive(self, message: TactileArray) -> None:
         now_s = time.monotonic()
-        now = self.get_clock().now().nanoseconds
-        sent = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
-        self.tally.add(message.info_id, message.sequence, (now - sent) * 1e-9, now_s)
+        age_ns = self.get_clock().now().nanoseconds - nanoseconds(message.header.stamp)
+        self.tally.add(message.info_id, message.sequence, age_ns * 1e-9, now_s)
         self.latest = message
         pressure_pa = np.array(message.pressure, dtype=np.float32)
         self.peak_pa.add(now_s, float(np.fmax.reduce(pressure_pa)))

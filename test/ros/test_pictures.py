@@ -35,7 +35,7 @@ from tactile_cdma.heatmap import colours  # noqa: E402
 from tactile_cdma.layout_file import read_layout  # noqa: E402
 from tactile_cdma.layout_nodes import Wiring  # noqa: E402
 from tactile_cdma.ros.markers import ARROWS, SURFACE  # noqa: E402
-from tactile_cdma.ros.pictures import PICTURE, TOPICS  # noqa: E402
+from tactile_cdma.ros.pictures import LOOK_S, PICTURE, TOPICS  # noqa: E402
 
 pytestmark = [pytest.mark.ros, pytest.mark.xdist_group("pictures")]
 PATH = Path(__file__).resolve().parents[2] / "config" / "layouts" / "sphere.yaml"
@@ -148,6 +148,7 @@ def test_each_picture_is_drawn_only_while_somebody_looks_at_it() -> None:
     with running(**SKIN) as (node, client):
         wait_for(lambda: len(client.arrays) > 20)
         pictures = node._pictures
+        wait_for(lambda: pictures._timer.timer_period_ns == round(LOOK_S * 1e9))
         drawn: list[str] = []
         for name, draw in pictures._drawings.of.items():
             pictures._drawings.of[name] = noted(drawn, name, draw)
@@ -155,6 +156,7 @@ def test_each_picture_is_drawn_only_while_somebody_looks_at_it() -> None:
         kind, topic = TOPICS["markers"], "/skin/markers"
         subscription = client.create_subscription(kind, topic, markers.append, PICTURE)
         wait_for(lambda: len(markers) > 3)
+        assert pictures._timer.timer_period_ns == round(1e9 / 30)
         client.destroy_subscription(subscription)
         wait_for(lambda: not pictures._publishers["markers"].get_subscription_count())
         time.sleep(0.1)

@@ -114,6 +114,15 @@ def test_some_of_the_patches(tmp_path: Path) -> None:
             "line 3: patch 'b' has port '/dev/x', and so has 'a'",
         ),
         (
+            "patches:\n  a: {}\n  b: {parameters: {digitizer_id: 'E6'}}",
+            "line 3: patch 'b': digitizer_id is 'E6'; it must be 16 hexadecimal digits",
+        ),
+        (
+            "patches:\n  a: {parameters: {digitizer_id: E66058388372A432}}\n"
+            "  b: {parameters: {digitizer_id: 'e6 60 58 38 83 72 a4 32'}}",
+            "line 3: patch 'b' has digitizer_id 'E66058388372A432', and so has 'a'",
+        ),
+        (
             "patches:\n  a: {parameters: {skin: s}}\n  b: {parameters: {skin: s}}",
             "line 3: patch 'b' has skin 's', and so has 'a'",
         ),

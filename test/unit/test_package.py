@@ -38,6 +38,8 @@ MODULES = sorted(
         *PACKAGE.glob("*.py"),
         *PACKAGE.glob("calibrating/*.py"),
         *PACKAGE.glob("doctor/*.py"),
+        *PACKAGE.glob("replay/*.py"),
+        *PACKAGE.glob("sim/*.py"),
     )
 )
 OUTER = {
@@ -54,6 +56,11 @@ OUTER = {
     "calibrating.command",
     "calibrating.load_session",
     "recording_command",
+    "replay.__init__",
+    "replay.protocol_replay",
+    "sim.__init__",
+    "sim.protocol_sim",
+    "virtual_port",
 }  # these may do I/O
 OTHER_ROS_PACKAGES = {"ament_index_python", "launch", "launch_ros", "rclpy"}
 COME_WITH_OTHER_WHEELS = {

@@ -130,6 +130,29 @@ def test_a_node_beyond_its_range_is_named_only_if_it_stays_there() -> None:
     assert pressed(skin, len(GRID), {INNER: 140e3}, 6) == [INNER + 1]
 
 
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.sets(st.integers(0, SIDE * SIDE - 1)), min_size=1, max_size=6))
+def test_what_neighbours_tell_does_not_depend_on_who_was_unreadable_before(
+    unreadable: list[set[int]],
+) -> None:
+    rng = np.random.default_rng(len(unreadable))
+    looks_pa = [rng.uniform(2e3, 40e3, len(GRID)) for _ in (*unreadable, None)]
+    for pressure_pa, taxels in zip(looks_pa[1:], unreadable, strict=True):
+        pressure_pa[list(taxels)] = np.nan
+    old, fresh = Skin(), Skin()
+    for pressure_pa in looks_pa:
+        old.show(pressure_pa)
+    fresh.show(looks_pa[-1])
+    # Of a node that stays while its neighbours move there is something to be told.
+    last_pa = np.where(np.arange(len(GRID)) % 7 == 0, looks_pa[-1], looks_pa[-1] + 1e3)
+    for skin in (old, fresh):
+        skin.show(last_pa)
+    last = Readings(last_pa.astype(np.float32), last_pa.astype(np.float32), old.status)
+    told_pa = [skin.stuck._expected(last, CONTACT_PA) for skin in (old, fresh)]
+    np.testing.assert_array_equal(*told_pa)
+    assert unreadable[-1] or np.isfinite(told_pa[0]).any()
+
+
 def test_readings_are_looked_at_ten_times_a_second_only() -> None:
     stuck = StuckNodes(GRID)
     for frame in range(400):  # 0.5 s of frames
