@@ -140,6 +140,16 @@ def test_heatmaps_come_at_the_rate_asked_for() -> None:
         assert time.monotonic() - start > 1.0
 
 
+def test_pictures_keep_coming_while_other_parameters_change_again_and_again() -> None:
+    with running(visual_rate_hz=2.0) as (_, client):
+        client.create_subscription(Image, "/skin/heatmap", client.images.append, PICTURE)
+        wait_for(lambda: client.images)
+        before, start = len(client.images), time.monotonic()
+        while len(client.images) < before + 2:
+            assert client.set(mount_xyz_m=[0.0, 0.0, time.monotonic() % 1]) == (True, "")
+            assert time.monotonic() - start < 15, "no picture"
+
+
 def test_parameters_are_described_with_unit_and_range() -> None:
     names = [parameter.name for parameter in PARAMETERS]
     with running() as (_, client):
