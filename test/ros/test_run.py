@@ -122,6 +122,18 @@ def test_signals_end_the_driver_in_order(number: signal.Signals) -> None:
         assert node.stderr.read() == ""
 
 
+@pytest.mark.parametrize("script", ["skin_driver", "skin_body"])
+def test_ctrl_c_while_a_node_starts_ends_it_without_a_traceback(script: str) -> None:
+    command = [sys.executable, "-X", "importtime", str(ROOT / "scripts" / script)]
+    node = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    with ended(node):
+        read_until(node, " numpy.version")
+        node.send_signal(signal.SIGINT)
+        assert node.wait(10) == -signal.SIGINT
+        assert node.stderr is not None
+        assert "Traceback" not in node.stderr.read()
+
+
 def test_the_viewer_tells_why_nothing_comes(tmp_path: Path) -> None:
     done = subprocess.run(
         [*RUN, "--seconds", "1", "--port", str(tmp_path / "nothing")],
