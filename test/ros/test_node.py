@@ -30,6 +30,7 @@ rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
 from lifecycle_msgs.msg import State, Transition  # noqa: E402
 from rcl_interfaces.srv import DescribeParameters  # noqa: E402
+from rclpy.time import Time  # noqa: E402
 from sensor_msgs.msg import Image  # noqa: E402
 
 from skin_client import plugged, running, wait_for  # noqa: E402
@@ -89,6 +90,14 @@ def test_stamps_are_the_middle_of_the_code_frame() -> None:
     assert np.median(np.abs(error_us)) < 100
     assert np.median(np.diff(device_us)) == pytest.approx(12_800, abs=2)
     assert 0 < (now_ns - stamps[-1]) * 1e-9 < 1.0
+
+
+def test_stamps_are_times_also_before_simulated_time_is_told() -> None:
+    with running(use_sim_time=True) as (_, client):
+        wait_for(lambda: len(client.arrays) > 5)
+    stamps_ns = [Time.from_msg(message.header.stamp).nanoseconds for message in client.arrays]
+    assert stamps_ns == sorted(set(stamps_ns))
+    assert stamps_ns[-1] < 1e6
 
 
 def test_info_is_latched_and_complete() -> None:
