@@ -187,6 +187,12 @@ def test_a_parameter_file_that_is_no_yaml_is_one_error(tmp_path: Path) -> None:
     assert str(path) in done.stderr
 
 
+def test_an_argument_that_ros_does_not_know_is_one_error() -> None:
+    command = [sys.executable, "-m", "tactile_cdma.ros.node", "--ros-args", "-x"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (1, "skin_driver: unknown arguments: ['-x']\n")
+
+
 def test_the_viewer_counts_over_restarts_of_the_driver() -> None:
     from tactile_cdma.ros.tally import Tally
 
