@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import reprlib
 from array import array
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -73,14 +74,15 @@ class Parameter:
             value = tuple(value)
         if type(value) is not kind:
             raise ParameterError(
-                f"{self.name} must be {_KIND_NAMES[kind]}, got {value!r} ({type(value).__name__})"
+                f"{self.name} must be {_KIND_NAMES[kind]}, "
+                f"got {_shown(value)} ({type(value).__name__})"
             )
         assert isinstance(value, bool | int | float | str | tuple)
         if isinstance(value, tuple):
             return self._check_elements(value)
         if self.choices and value not in self.choices:
             raise ParameterError(
-                f"{self.name} is {value!r}; it must be one of "
+                f"{self.name} is {_shown(value)}; it must be one of "
                 + ", ".join(str(choice) for choice in self.choices)
             )
         if not isinstance(value, str | bool):
@@ -91,12 +93,12 @@ class Parameter:
         assert isinstance(self.default, tuple)
         if len(values) != len(self.default):
             raise ParameterError(
-                f"{self.name} is {list(values)}; it must be {len(self.default)} numbers"
+                f"{self.name} is {_shown(list(values))}; it must be {len(self.default)} numbers"
             )
         elements = []
         for i, value in enumerate(values):
             if type(value) is not float and type(value) is not int:
-                raise ParameterError(f"{self.name}[{i}] must be a number, got {value!r}")
+                raise ParameterError(f"{self.name}[{i}] must be a number, got {_shown(value)}")
             self._check_limits(f"{self.name}[{i}]", value)
             elements.append(float(value))
         return tuple(elements)
@@ -321,6 +323,11 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("autostart", True, "configure and activate without being asked"),
 )
 BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
+
+
+def _shown(value: object) -> str:
+    """A value in a message: somebody may send a megabyte."""
+    return reprlib.repr(list(value) if isinstance(value, array | tuple) else value)
 
 
 def check_values(values: Mapping[str, object]) -> dict[str, Value]:

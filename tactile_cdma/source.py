@@ -25,6 +25,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from urllib.parse import urlsplit
 
 import serial
 from serial.tools import list_ports
@@ -47,6 +48,10 @@ USB = "usb://"
 """Beginning of the ports that are named by the serial number of their USB device."""
 LINK_FOLDERS = ("/dev/tactile", "/dev/serial/by-id", "/dev/serial/by-path")
 """Where udev keeps names of ports that outlive replugging; the first is of our own rules."""
+
+NETWORK = ("socket://", "rfc2217://")
+"""Beginnings of the ports that are on another machine."""
+_NO_TTY = (errno.ENOTTY, errno.EISDIR, errno.ENXIO)
 
 serial.protocol_handler_packages += [
     package for package in HANDLERS if package not in serial.protocol_handler_packages
@@ -256,9 +261,19 @@ def _poll(port: serial.SerialBase, url: str) -> select.poll | None:
     return poll
 
 
+def _names_host_and_port(url: str) -> bool:
+    try:
+        parts = urlsplit(url)
+        return bool(parts.hostname and parts.port)
+    except ValueError:  # a port that is no number, or too large
+        return False
+
+
 def _open_failure(error: Exception, device: str) -> str:
     """Why a port did not open, and what to do about it."""
     code = error.args[0] if isinstance(error, TerminalError) else getattr(error, "errno", None)
+    if not device:
+        return f"no port is named; {_listed(serial_ports())}"
     if code == errno.ENOENT:
         return f"no such port; is the digitizer plugged in? {_listed(serial_ports())}"
     if code in (errno.EACCES, errno.EPERM):
@@ -269,8 +284,10 @@ def _open_failure(error: Exception, device: str) -> str:
     if code in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in str(error):
         who = ", ".join(holders(device)) or "another driver, a serial monitor?"
         return f"busy: another program has it open ({who})"
-    if "could not configure port" in str(error).lower() or code == errno.ENOTTY:
+    if "could not configure port" in str(error).lower() or code in _NO_TTY:
         return "not a serial port"
+    if device.startswith(NETWORK) and not _names_host_and_port(device):
+        return f"host and port (1…65535) are not named, as in {NETWORK[0]}192.168.0.7:4000"
     if isinstance(error, ValueError) and "protocol" in str(error):
         return (
             "unknown kind of port; use a device path, usb://SERIAL, sim://, replay://FILE, "

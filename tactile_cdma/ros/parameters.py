@@ -83,7 +83,9 @@ class NodeParameters:
         """Once all publishers are made: warn of qos_overrides that are nobody's."""
         for name in self._given:
             if name.startswith(QOS_OVERRIDES) and not self._node.describe_parameter(name).read_only:
-                self._node.get_logger().warning(f"{name} is without effect: no such publisher")
+                self._node.get_logger().warning(
+                    f"{name} is without effect: no such publisher or policy"
+                )
 
     def checked(self, changes: Sequence[RosParameter]) -> list[RosParameter]:
         """Changes in the types of the table: 50 will do for 50.0.

@@ -92,7 +92,8 @@ class Pictures:
         """All parameters' values as they are going to be; they fit each other."""
         if self._drawings is not None:
             self._drawings.change(contact_thresholds(values))
-            self._run(values)
+            if _period_s(values) != _period_s(self._live):  # a timer that starts anew is late
+                self._run(values)
 
     def _run(self, values: Values) -> None:
         self._timer.timer_period_ns = round(_period_s(values) * 1e9)

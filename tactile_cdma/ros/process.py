@@ -47,7 +47,8 @@ def run_node(make: Callable[[], Node], program: str) -> int:
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
         node = make()
     except (RCLError, UnknownROSArgsError, TactileError) as error:
-        print(f"{program}: {error}", file=sys.stderr)
+        unknown = "unknown arguments: " if isinstance(error, UnknownROSArgsError) else ""
+        print(f"{program}: {unknown}{error}", file=sys.stderr)
         rclpy.try_shutdown()
         return 1
     executor = SingleThreadedExecutor()

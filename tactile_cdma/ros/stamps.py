@@ -53,7 +53,8 @@ class Stamps:
 
     def _ros_ns(self, t_host: float) -> int:
         age_ns = time.monotonic_ns() - round(t_host * 1e9)
-        return int(self._clock.now().nanoseconds) - age_ns
+        # Simulated time is 0 until somebody tells it, and ROS takes no time before that.
+        return max(0, int(self._clock.now().nanoseconds) - age_ns)
 
     def _header(self, stamp_ns: int) -> Header:
         return Header(stamp=convert.stamp(stamp_ns), frame_id=str(self._live["frame_id"]))

@@ -59,6 +59,8 @@ REPORT_S = 1.0
 BUFFER_S = 0.5
 """Output that waits for a slow host, in seconds of host time; older packets are kept."""
 MIN_BUFFER = 65_536
+MAKE_S = 0.05
+"""Host time that making what is due takes at most at once: whoever reads is not held up."""
 _PREPARE_S = 1e-3
 """So long after a packet the next one is made up, which takes time, so that the first gets away."""
 _REPORT_RESERVE = 4096
@@ -151,8 +153,10 @@ class VirtualDigitizer:
 
     Call `advance` for what is due to enter the output buffer and `take` to get it out; hand
     commands to `receive`. Where the output is not taken in time, whole packets are dropped: they
-    are missing from the sequence and counted in STATUS. At speed 0 packets are made as they are
-    asked for, so there is never one to drop; without a stream time then passes as usual.
+    are missing from the sequence and counted in STATUS. A machine that cannot make the samples at
+    this speed loses frames as a digitizer does in an overrun; the skin stands still meanwhile. At
+    speed 0 packets are made as they are asked for, so there is never one to drop; without a stream
+    time then passes as usual.
 
     clock: host time, s. Not thread-safe.
     """
@@ -162,7 +166,7 @@ class VirtualDigitizer:
     ) -> None:
         self.options = options or SimOptions()
         self.setup = self.options.setup()
-        self.packets_dropped = 0
+        self.packets_dropped = self.samples_lost = 0
         self._roll_calls = RollCalls()
         self.commands_refused = 0
         self._clock, self._host_s = clock, clock()
@@ -172,6 +176,8 @@ class VirtualDigitizer:
         self._stream: Iterator[Block] | None = None
         self._blocks: deque[Block] = deque()  # made and not yet sent
         self._started_s = self._prepare_s = 0.0
+        self._frames_lost = 0  # since START
+        self._overrun = False  # before the next block
         self._truth: Iterator[NodeFrame] | None = None
         self._true_frame: NodeFrame | None = None
 
@@ -202,9 +208,14 @@ class VirtualDigitizer:
         infinity: nothing comes by waiting.
         """
         self._pass_time()
+        enough_s = self._host_s + MAKE_S
         while self._due_s <= self._now_s or (self._hurried and self.pending < wanted):
             self._now_s = max(self._now_s, self._due_s)
             self._emit()
+            if not self._hurried and self._clock() > enough_s:
+                self._pass_time()
+                self._lose_frames()
+                return 0.0
         if self._hurried:
             return math.inf
         self._pass_time()  # making packets has taken some
@@ -262,6 +273,30 @@ class VirtualDigitizer:
             self._now_s += (host_s - self._host_s) * (self.options.speed or 1.0)
         self._host_s = host_s
 
+    def _lose_frames(self) -> None:
+        """Skip as many whole frames as are due for longer than the output would be kept."""
+        setup = self.setup
+        period_s = setup.spec.frame_period_s
+        behind_s = self._now_s - self._due_s
+        if not self.streaming or behind_s < max(period_s, BUFFER_S * self.options.speed):
+            return
+        lost = int(behind_s / period_s)
+        before = self._index_lost
+        self._frames_lost += lost
+        self.samples_lost += self._index_lost - before
+        self._started_s += lost * period_s
+        self._prepare_s += lost * period_s
+        self._report_s = max(self._report_s, self._now_s)
+        self._overrun = True
+        self._schedule()
+
+    @property
+    def _index_lost(self) -> int:
+        """Samples of the frames that were lost since START."""
+        setup = self.setup
+        size = setup.spec.frame_period_s * setup.rate_hz
+        return round(self._frames_lost * (setup.spec.chips if setup.integrated else size))
+
     def _emit(self) -> None:
         """Send what is due next."""
         if self._due_s == self._report_s:
@@ -278,12 +313,14 @@ class VirtualDigitizer:
             self._send(
                 make(
                     device_time_us,
-                    block.first_index,
+                    block.first_index + self._index_lost,
                     block.counts,
                     block.sync,
+                    overrun=self._overrun,
                     called=block.called,
                 )
             )
+            self._overrun = False
         self._schedule()
 
     def _schedule(self) -> None:
@@ -299,6 +336,7 @@ class VirtualDigitizer:
         self._send(
             Status(
                 uptime_us=round(self._report_s * 1e6),
+                samples_lost=self.samples_lost,
                 packets_dropped=self.packets_dropped,
                 commands_refused=self.commands_refused,
                 command_errors=self._command_errors,
@@ -326,6 +364,7 @@ class VirtualDigitizer:
                 self._roll_calls = RollCalls()
                 self._stream = stream(self.options, self.setup, self._roll_calls)
                 self._started_s = self._prepare_s = self._now_s
+                self._frames_lost, self._overrun = 0, False
                 self._truth = None
             case Stop():
                 self._stop()

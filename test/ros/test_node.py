@@ -30,6 +30,7 @@ rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
 from lifecycle_msgs.msg import State, Transition  # noqa: E402
 from rcl_interfaces.srv import DescribeParameters  # noqa: E402
+from rclpy.time import Time  # noqa: E402
 from sensor_msgs.msg import Image  # noqa: E402
 
 from skin_client import plugged, running, wait_for  # noqa: E402
@@ -91,6 +92,14 @@ def test_stamps_are_the_middle_of_the_code_frame() -> None:
     assert 0 < (now_ns - stamps[-1]) * 1e-9 < 1.0
 
 
+def test_stamps_are_times_also_before_simulated_time_is_told() -> None:
+    with running(use_sim_time=True) as (_, client):
+        wait_for(lambda: len(client.arrays) > 5)
+    stamps_ns = [Time.from_msg(message.header.stamp).nanoseconds for message in client.arrays]
+    assert stamps_ns == sorted(set(stamps_ns))
+    assert stamps_ns[-1] < 1e6
+
+
 def test_info_is_latched_and_complete() -> None:
     with running(pitch_mm=10.0) as (_, client):
         wait_for(lambda: client.infos and client.arrays)
@@ -138,6 +147,16 @@ def test_heatmaps_come_at_the_rate_asked_for() -> None:
         start = time.monotonic()
         wait_for(lambda: len(client.images) >= 6)
         assert time.monotonic() - start > 1.0
+
+
+def test_pictures_keep_coming_while_other_parameters_change_again_and_again() -> None:
+    with running(visual_rate_hz=2.0) as (_, client):
+        client.create_subscription(Image, "/skin/heatmap", client.images.append, PICTURE)
+        wait_for(lambda: client.images)
+        before, start = len(client.images), time.monotonic()
+        while len(client.images) < before + 2:
+            assert client.set(mount_xyz_m=[0.0, 0.0, time.monotonic() % 1]) == (True, "")
+            assert time.monotonic() - start < 15, "no picture"
 
 
 def test_parameters_are_described_with_unit_and_range() -> None:

@@ -122,6 +122,18 @@ def test_signals_end_the_driver_in_order(number: signal.Signals) -> None:
         assert node.stderr.read() == ""
 
 
+@pytest.mark.parametrize("script", ["skin_driver", "skin_body"])
+def test_ctrl_c_while_a_node_starts_ends_it_without_a_traceback(script: str) -> None:
+    command = [sys.executable, "-X", "importtime", str(ROOT / "scripts" / script)]
+    node = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    with ended(node):
+        read_until(node, " numpy.version")
+        node.send_signal(signal.SIGINT)
+        assert node.wait(10) == -signal.SIGINT
+        assert node.stderr is not None
+        assert "Traceback" not in node.stderr.read()
+
+
 def test_the_viewer_tells_why_nothing_comes(tmp_path: Path) -> None:
     done = subprocess.run(
         [*RUN, "--seconds", "1", "--port", str(tmp_path / "nothing")],
@@ -173,6 +185,12 @@ def test_a_parameter_file_that_is_no_yaml_is_one_error(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert "Traceback" not in done.stderr
     assert str(path) in done.stderr
+
+
+def test_an_argument_that_ros_does_not_know_is_one_error() -> None:
+    command = [sys.executable, "-m", "tactile_cdma.ros.node", "--ros-args", "-x"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (1, "skin_driver: unknown arguments: ['-x']\n")
 
 
 def test_the_viewer_counts_over_restarts_of_the_driver() -> None:

@@ -102,8 +102,9 @@ def test_a_wrong_qos_is_one_clear_fault(policy: str, value: Any, reason: str) ->
         assert client.state() == State.PRIMARY_STATE_UNCONFIGURED
 
 
-def test_qos_of_a_topic_that_is_not_there_is_warned_of() -> None:
-    name, logs = OVERRIDE.format("/skin/tactil", "depth"), list[Log]()
+@pytest.mark.parametrize(("topic", "policy"), [("/skin/tactil", "depth"), ("/skin/info", "dept")])
+def test_qos_that_nothing_takes_is_warned_of(topic: str, policy: str) -> None:
+    name, logs = OVERRIDE.format(topic, policy), list[Log]()
     with running(**{name: 3}) as (_, client):
         client.create_subscription(Log, "/rosout", logs.append, PAST)
         wait_for(lambda: any(name in log.msg and "no such publisher" in log.msg for log in logs))

@@ -101,6 +101,17 @@ def test_impossible_combinations_are_refused(values: dict, message: str) -> None
         SkinConfig.of(values)
 
 
+@pytest.mark.parametrize("name", ["nodes", "port", "drive", "mount_xyz_m", "parity"])
+def test_a_refusal_is_short_however_much_was_sent(name: str) -> None:
+    for value in ("x" * 1_000_000, array("d", bytes(800_000)), ["x" * 1_000_000] * 3):
+        if name == "port" and isinstance(value, str):
+            continue
+        with pytest.raises(ParameterError) as refusal:
+            check_values({name: value})
+        assert len(str(refusal.value)) < 300
+        assert "array(" not in str(refusal.value)
+
+
 def test_integers_are_taken_where_numbers_are_asked_for() -> None:
     assert check_values({"chip_us": 50}) == {"chip_us": 50.0}
     for given in ([1, 2.5, 3], (1.0, 2.5, 3.0), array("d", [1, 2.5, 3])):

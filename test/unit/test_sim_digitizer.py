@@ -14,7 +14,7 @@
 
 """The virtual digitizer: the same packets at any pace, handshake, truth, back-pressure."""
 
-from itertools import islice
+from itertools import islice, pairwise
 
 import numpy as np
 import pytest
@@ -372,6 +372,39 @@ def test_a_slow_host_loses_whole_packets_and_is_told() -> None:
     received = sum(len(packet.counts) for packet in before + samples(after))
     last = samples(after)[-1]
     assert last.first_index + len(last.counts) - received == pytest.approx(512 * dropped, abs=600)
+
+
+@pytest.mark.parametrize("query", ["", "chip_us=51.3&frame_period_ms=13.37", "integrated=1"])
+def test_a_machine_too_slow_for_the_pace_loses_frames_and_is_never_held_up(query: str) -> None:
+    bench = Bench(f"speed=40&threshold=0&{query}")
+
+    def hurrying_clock() -> float:  # 20 ms pass whenever it is looked at
+        bench.now_s += 0.02
+        return bench.now_s
+
+    bench.digitizer = VirtualDigitizer(bench.digitizer.options, clock=hurrying_clock)
+    bench.send(Start())
+    packets, lost_then = list[Received](), set[int]()
+    for _ in range(300):
+        before_s = bench.now_s
+        packets += bench.read()
+        lost_then.add(bench.digitizer.samples_lost)
+        assert bench.now_s - before_s < 0.2
+    received, status = samples(packets), of_kind(packets, Status)[-1]
+    gaps = {
+        later.first_index: later.first_index - earlier.first_index - len(earlier.counts)
+        for earlier, later in pairwise(received)
+    }
+    assert [p.first_index for p in received if p.overrun] == [i for i, gap in gaps.items() if gap]
+    assert {sum(gaps.values()), status.samples_lost} < lost_then
+    assert status.samples_lost > 100_000
+    assert bench.parser.counters.lost_packets == 0
+    if "integrated" not in query:
+        rate_hz = bench.digitizer.setup.rate_hz
+        indices = [packet.first_index for packet in received]
+        times_s = np.array([packet.device_time_us for packet in received]) * 1e-6
+        assert np.ptp(times_s - np.array(indices) / rate_hz) < 2 / rate_hz
+    assert status.uptime_us * 1e-6 == pytest.approx(40 * (bench.now_s - 100), abs=3 * 40)
 
 
 def test_at_speed_0_nothing_is_dropped_and_only_what_is_read_is_made() -> None:

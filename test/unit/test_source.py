@@ -99,6 +99,24 @@ def test_a_socket_whose_other_end_is_closed_is_lost() -> None:
             port.read()
 
 
+@pytest.mark.parametrize(
+    ("url", "message"),
+    [
+        ("", "no port is named; Serial ports on this machine"),
+        ("/tmp", "not a serial port"),
+        ("/dev/null", "not a serial port"),
+        ("socket://", "host and port .* are not named"),
+        ("socket://localhost", "host and port .* are not named"),
+        ("socket://localhost:99999", "host and port .* are not named"),
+        ("rfc2217://", "host and port .* are not named"),
+        ("socket://localhost:1", "refused"),
+    ],
+)
+def test_what_is_no_port_is_told_in_words(url: str, message: str) -> None:
+    with pytest.raises(PortError, match=message):
+        Port(url, 115_200)
+
+
 def test_time_is_taken_after_the_bytes_came() -> None:
     with pty_port() as (host, port):
         times = []
