@@ -25,7 +25,7 @@ SURE_INTERVALS = 40
 RECENT = 8
 SLOW_S = 0.5
 """A device is no clock but a slow replay or emulation if the last RECENT observations are later by
-so much than earlier ones: crystals come to 0.03 s in 30 s, and a stall of the bus is over sooner."""
+so much than earlier ones: crystals come to 0.03 s in 30 s, and a stalled bus recovers sooner."""
 
 
 class DeviceClock:
