@@ -71,6 +71,7 @@ class Viewer(Node):
         self.force_n, self.peak_pa = History(HISTORY_S), History(HISTORY_S)
         self.latest: TactileArray | None = None
         self.layout: Layout | None = None
+        self._topic = topic
         self.patch = driver = topic.rpartition("/")[0]
         self.complaints = Complaints(driver.strip("/"))
         self.create_subscription(TactileArray, topic, self._receive, QUEUE)
@@ -79,9 +80,16 @@ class Viewer(Node):
 
     @property
     def complaint(self) -> str:
-        """The worst that the driver says of itself now."""
+        """The worst that is known of the driver now: that there are two, or what it says itself."""
         worst = self.complaints.worst_first()
-        return worst[0].message if worst else ""
+        return self.rivals() or (worst[0].message if worst else "")
+
+    def rivals(self) -> str:
+        """That frames of several drivers are mixed up here, with what to do, or ""."""
+        drivers = self.count_publishers(self._topic)
+        if drivers < 2:
+            return ""
+        return f"{drivers} drivers publish {self._topic}: end one, or set another ROS_DOMAIN_ID"
 
     def _inform(self, message: TactileSkinInfo) -> None:
         self.layout = layout_of(message)
@@ -127,6 +135,7 @@ def draw(
         for entry in viewer.complaints.worst_first()
     ]
     notes = [
+        *filter(None, [viewer.rivals()]),
         *complaints[:COMPLAINTS],
         scale(look, columns),
         _state(viewer.tally, message.noise_rms, now_s),
