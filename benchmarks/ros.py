@@ -41,6 +41,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
 from tactile_cdma._protocol import TAIL_CHIPS
 from tactile_cdma.messages import Samples
@@ -306,6 +307,9 @@ def picture(results: dict[int, Result]) -> Figure:
         share = np.arange(1, result.latency_ms.size + 1) / result.latency_ms.size
         axes.plot(np.sort(result.latency_ms), 100 * share, label=f"{nodes} nodes")
     axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter("")
     axes.set_xlabel("last byte in → callback, ms")
     axes.set_ylabel("share of frames, %")
     axes.grid(True, which="both", alpha=0.3)

@@ -22,6 +22,10 @@ MAX_RATE_ERROR = 1e-3
 """Largest believable rate difference of two crystal clocks; a steeper fit is jitter of the bus."""
 SURE_INTERVALS = 40
 """Kept observations from which a rate is told to people: 1 ms of jitter is 55 ppm then."""
+RECENT = 8
+SLOW_S = 0.5
+"""A device is no clock but a slow replay or emulation if the last RECENT observations are later by
+so much than earlier ones: crystals come to 0.03 s in 30 s, and a stalled bus recovers sooner."""
 
 
 class DeviceClock:
@@ -30,6 +34,9 @@ class DeviceClock:
     A packet arrives late, never early, and by a varying amount: so the line of device time against
     host time is fitted by least squares to the earliest arrival of every interval, then lowered
     until no observation lies below it.
+
+    A device slower than real time, as a replay at half the speed, is followed at its own pace: else
+    its frames would be stamped ever farther in the past.
     """
 
     def __init__(self, interval_s: float = 0.25, intervals: int = 120) -> None:
@@ -73,10 +80,13 @@ class DeviceClock:
         device, host = float(self._device[0]), float(self._host[0])
         # Differences to one observation keep the precision over weeks of device time.
         x, y = self._device[:kept] - device, self._host[:kept] - host
-        rate = 1.0
-        if kept >= 8:
-            spread = x - x.sum() / kept
+        rate, limit = 1.0, 1 + MAX_RATE_ERROR
+        newest = (self._count - 1 - np.arange(min(kept, RECENT))) % self._device.size
+        if np.min((y - x)[newest]) > np.min(y - x) + SLOW_S:
+            x, y, limit = x[newest], y[newest], np.inf
+        if kept >= RECENT:
+            spread = x - x.sum() / x.size
             rate = float(spread @ y / (spread @ spread))
-            rate = min(max(rate, 1 - MAX_RATE_ERROR), 1 + MAX_RATE_ERROR)
+            rate = min(max(rate, 1 - MAX_RATE_ERROR), limit)
         self._fitted = True
         self._rate, self._origin = rate, (device, host + float((y - rate * x).min()))

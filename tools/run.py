@@ -19,6 +19,7 @@ from __future__ import annotations
 import argparse
 import ctypes
 import json
+import math
 import os
 import signal
 import subprocess
@@ -41,11 +42,15 @@ EMULATOR = CHECKOUT / "firmware" / "sim" / "serve.py"
 LOG = CHECKOUT / "log" / "driver.log"
 SECONDS_WITHOUT_TERMINAL = 10.0
 PATIENCE_S = 5.0
+USAGE = (
+    "make run|view [PORT=url] [PARAMS=file | PATCHES=file] [FIRMWARE=1] [SECONDS=n (run)] "
+    "[WEB=1 (view)]"
+)
 
 
 def main() -> int:
     """Run all; the exit code is the viewer's, or 1 if the drivers ended by themselves."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(prog="make run", usage=USAGE, description=__doc__)
     # The Makefile passes variables that were not set as empty texts.
     parser.add_argument("--port", default="", help="default: the simulated skin")
     parser.add_argument("--params", default="", help=f"default: {PARAMS.relative_to(CHECKOUT)}")
@@ -108,9 +113,12 @@ def emulated_skin(params: Path) -> Iterator[str]:
 
 def _seconds(text: str) -> float:
     """A time span; nothing means none."""
-    seconds = float(text or 0)
-    if seconds < 0:
-        raise ValueError
+    try:
+        seconds = float(text or 0)
+    except ValueError:
+        seconds = math.nan
+    if not 0 <= seconds < math.inf:
+        raise argparse.ArgumentTypeError(f"SECONDS={text} is no number of seconds")
     return seconds
 
 

@@ -33,9 +33,10 @@ from tactile_cdma.msg import TactileContact, TactileContacts
 
 from .contacts import RELIABLE
 from .convert import listed
+from .patches import NODE_NAME
 
 LINE_S = 1.0
-MOST_NAMED = 3
+MOST_NAMED = 2  # a line is about as wide as a terminal
 SECONDS = 10.0
 
 
@@ -69,19 +70,29 @@ def line(message: TactileContacts | None, rate_hz: float, complaint: str) -> str
         return f"nothing yet{': ' + complaint if complaint else ''}"
     force_n = _length(message.wrench.force)
     text = f"{rate_hz:5.1f} Hz {force_n:6.1f} N  {_contacts(message.contacts)}"
-    return text + (f"  absent: {listed(message.absent)}" if message.absent else "")
+    absent = listed([_patch(node) for node in message.absent])
+    return text + (f"  absent: {absent}" if absent else "")
 
 
 def _contacts(contacts: Sequence[TactileContact]) -> str:
     if not contacts:
         return "no contact"
     named = [
-        f"{contact.patch} {_length(contact.force):.1f} N at "
-        f"({contact.position.x:.3f}, {contact.position.y:.3f}, {contact.position.z:.3f}) m"
+        f"{_patch(contact.patch)} {_length(contact.force):.1f} N "
+        f"({_millimetres(contact.position)} mm)"
         for contact in contacts[:MOST_NAMED]
     ]
     more = len(contacts) - len(named)
     return "; ".join(named) + (f"; {more} more" if more else "")
+
+
+def _patch(node: str) -> str:
+    """The patch, as the body file has it: left_palm of /left_palm/skin."""
+    return node.strip("/").removesuffix(f"/{NODE_NAME}")
+
+
+def _millimetres(place: object) -> str:
+    return " ".join(str(round(1e3 * getattr(place, axis))) for axis in "xyz")
 
 
 def _length(vector: object) -> float:

@@ -52,6 +52,7 @@ from .tally import Tally, summary
 DRAW_PERIOD_S = 0.1
 HISTORY_S = 20.0
 PATIENCE_S = 10.0
+RIVALS_S = 0.5
 COMPLAINTS = 3
 """So many of the driver's complaints are shown, the worst first."""
 QUEUE = QoSProfile(
@@ -72,17 +73,26 @@ class Viewer(Node):
         self.force_n, self.peak_pa = History(HISTORY_S), History(HISTORY_S)
         self.latest: TactileArray | None = None
         self.layout: Layout | None = None
+        self._topic = topic
         self.patch = driver = topic.rpartition("/")[0]
         self.complaints = Complaints(driver.strip("/"))
         self.create_subscription(TactileArray, topic, self._receive, QUEUE)
         self.create_subscription(TactileSkinInfo, f"{driver}/info", self._inform, LATCHED)
         self.create_subscription(DiagnosticArray, "/diagnostics", self.complaints.take, 10)
+        self.rivals = ""  # that frames of several drivers are mixed up here, and what to do
+        self.create_timer(RIVALS_S, self._count_drivers)
 
     @property
     def complaint(self) -> str:
-        """The worst that the driver says of itself now."""
+        """The worst that is known of the driver now: that there are two, or what it says itself."""
         worst = self.complaints.worst_first()
-        return worst[0].message if worst else ""
+        return self.rivals or (worst[0].message if worst else "")
+
+    def _count_drivers(self) -> None:
+        drivers, self.rivals = self.count_publishers(self._topic), ""
+        if drivers > 1:
+            self.rivals = f"{drivers} drivers publish {self._topic}: "
+            self.rivals += "end one, or set another ROS_DOMAIN_ID"
 
     def _inform(self, message: TactileSkinInfo) -> None:
         self.layout = layout_of(message)
@@ -127,6 +137,7 @@ def draw(
         for entry in viewer.complaints.worst_first()
     ]
     notes = [
+        *filter(None, [viewer.rivals]),
         *complaints[:COMPLAINTS],
         scale(look, columns),
         _state(viewer.tally, message.noise_rms, now_s),

@@ -206,3 +206,12 @@ def forces_and_centres(output: IO[str]) -> NDArray[np.float64]:
     """(m, 6) what was printed: N, and mm."""
     numbers = [re.findall(r"-?\d+\.\d+", line) for line in text_of(output).splitlines()]
     return np.array(numbers, dtype=np.float64)
+
+
+def test_tare_prints_the_answer_of_the_driver() -> None:
+    with running(port="sim://?scene=idle&seed=1&threshold=0") as (_, client):
+        wait_for(lambda: len(client.arrays) > 10, PATIENCE_S)
+        command = [sys.executable, "-c", EXAMPLES["tare"]]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("tared: ")

@@ -109,6 +109,14 @@ def test_a_terminal_shows_a_coloured_heatmap_until_ctrl_c() -> None:
     assert "received=" in text
 
 
+@pytest.mark.parametrize("seconds", ["abc", "-1", "nan", "inf"])
+def test_a_wrong_time_is_refused_in_words_of_make(seconds: str) -> None:
+    done = subprocess.run([*RUN, "--seconds", seconds], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2
+    assert f"SECONDS={seconds} is no number of seconds" in done.stderr
+    assert done.stderr.startswith("usage: make run")
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_end_the_driver_in_order(number: signal.Signals) -> None:
     command = [sys.executable, "-m", "tactile_cdma.ros.node", "--ros-args", "-p", "port:=sim://"]

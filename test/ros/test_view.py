@@ -35,10 +35,11 @@ pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
-from skin_client import running
+from skin_client import running, wait_for
+from tactile_cdma.msg import TactileArray
 from tactile_cdma.ros.complaints import Complaints
 from tactile_cdma.ros.patches import full_name
-from tactile_cdma.ros.view import look_for
+from tactile_cdma.ros.view import QUEUE, Viewer, look_for
 
 pytestmark = pytest.mark.ros
 
@@ -62,6 +63,24 @@ def ros() -> Iterator[None]:
 )
 def test_a_patch_is_called_by_its_namespace_or_its_whole_name(patch: str, name: str) -> None:
     assert full_name(patch) == name
+
+
+def test_two_drivers_of_one_name_are_told_of() -> None:
+    node, viewer = rclpy.create_node("drivers"), Viewer("/twice/skin/tactile")
+
+    def complaint() -> str:
+        viewer.spin_for(0.1)
+        return viewer.complaint
+
+    try:
+        node.create_publisher(TactileArray, "/twice/skin/tactile", QUEUE)
+        viewer.spin_for(1.5)
+        assert viewer.complaint == ""
+        node.create_publisher(TactileArray, "/twice/skin/tactile", QUEUE)
+        wait_for(lambda: complaint().startswith("2 drivers publish /twice/skin/tactile"))
+    finally:
+        viewer.destroy_node()
+        node.destroy_node()
 
 
 def status(name: str, level: bytes, message: str) -> DiagnosticStatus:

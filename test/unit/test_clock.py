@@ -50,6 +50,19 @@ def test_wild_arrivals_do_not_bend_the_rate() -> None:
     assert clock.to_host(20.0) == pytest.approx(20.0, abs=0.05)
 
 
+@pytest.mark.parametrize("speed", [0.1, 0.5, 0.9])
+def test_a_device_slower_than_real_time_is_followed_at_its_pace(speed: float) -> None:
+    """A replay at half the speed: what was sent now is stamped now, a minute later as well."""
+    rng, clock = np.random.default_rng(3), DeviceClock()
+    ages_s = []
+    for i in range(6000):
+        device, arrival = i * 10e-3, 5 + i * 10e-3 / speed + rng.exponential(1e-3)
+        clock.observe(device, arrival)
+        ages_s.append(arrival - clock.to_host(device))
+    assert min(ages_s) > -0.01
+    assert max(ages_s[1000:]) < 0.05
+
+
 @pytest.mark.parametrize("drift", [0.0, 80e-6, -300e-6])
 def test_the_drift_is_told_once_it_is_known(drift: float) -> None:
     """A device's clock that is faster by `drift`, through delays of up to 4 ms."""

@@ -14,13 +14,18 @@
 
 """The simulator's URL: what it accepts, refuses, and makes of a host's wishes."""
 
+import re
+from pathlib import Path
+
 import pytest
 
 from tactile_cdma._protocol import SyncMode
 from tactile_cdma.errors import SpecError
 from tactile_cdma.frame import FrameSpec
 from tactile_cdma.messages import FrameLayout
+from tactile_cdma.sim.loads import LOADS
 from tactile_cdma.sim.options import OPTIONS, Setup, SimOptions
+from tactile_cdma.sim.scene import SCENES
 from tactile_cdma.sim.sensor import SensorModel
 
 
@@ -70,6 +75,13 @@ def test_every_option_can_be_given() -> None:
         seed=7,
     )
     assert url.count("=") == len(OPTIONS)
+
+
+def test_the_page_on_ports_has_every_option_and_scene() -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "ports.md").read_text()
+    section = page[page.index("## The simulated skin") :].split("\n## ")[0]
+    told = set(re.findall(r"`(\w+)(?:=[\w,]+)?`", section))
+    assert told == {*(option.name for option in OPTIONS), *SCENES, *LOADS}
 
 
 def test_pinned_options_win_and_the_rest_follows() -> None:
