@@ -147,6 +147,21 @@ def test_a_loop_goes_on_with_rising_sequence_numbers(
     assert_same(again[: len(frames)], frames)
 
 
+def test_a_loop_over_a_file_that_was_taken_away_says_so(
+    live: tuple[Path, list[TactileFrame]], tmp_path: Path
+) -> None:
+    path = tmp_path / "going.skin"
+    for emptied, message in ((False, "No such file"), (True, "holds no bytes any more")):
+        path.write_bytes(live[0].read_bytes())
+        with Port(url_of(path, "speed=0&loop=true"), 9600) as port:
+            path.unlink()
+            if emptied:
+                path.touch()
+            with pytest.raises(PortError, match=message):
+                while True:
+                    port.read()
+
+
 def test_a_part_is_replayed_with_what_describes_it(live: tuple[Path, list[TactileFrame]]) -> None:
     path, frames = live
     part, _, _ = replayed(url_of(path, "speed=0&start=0.4&end=0.8"))
