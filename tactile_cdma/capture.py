@@ -144,6 +144,8 @@ def _header(path: Path, lines: list[str]) -> tuple[int, str | None]:
 def _numbers(line: str, delimiter: str | None) -> bool:
     """Whether a line begins with two numbers."""
     fields = line.split(delimiter)[:2]
+    if not all(field.isascii() and "_" not in field for field in fields):
+        return False  # Python reads 1_0 and other scripts' digits, numpy does not
     try:
         return len([float(field) for field in fields]) == 2
     except ValueError:

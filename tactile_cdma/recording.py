@@ -295,7 +295,7 @@ class RecordingParser:
             if self.description is None:
                 self.description = _description(said["description"])
             self.end = end
-        except (ValueError, LookupError, TypeError, struct.error):
+        except (ValueError, LookupError, TypeError, RecursionError, struct.error):
             return False
         return True
 

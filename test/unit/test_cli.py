@@ -129,6 +129,13 @@ def test_what_the_system_refuses_is_one_clear_error(
     assert run.stderr.splitlines() == [b"tactile-cdma: [Errno 28] No space left on device"]
 
 
+def test_a_terminal_of_another_alphabet_is_served() -> None:
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    run = subprocess.run([*COMMAND, "amplifier"], cwd=ROOT, env=environment, capture_output=True)
+    assert run.returncode == 0
+    assert b"\\xb5s" in run.stdout and run.stderr == b""
+
+
 def test_a_missing_capture_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["decode", "/nowhere/at.all"]) == 1
     assert "/nowhere/at.all: No such file" in capsys.readouterr().err

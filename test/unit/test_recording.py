@@ -206,7 +206,15 @@ def test_another_version_is_refused() -> None:
 
 @pytest.mark.parametrize(
     "content",
-    [b"{", b"\xff\xfe", b"[1]", b'{"version": 1}', b'{"wall_ns": "x"}', b'{"parameters": [1]}'],
+    [
+        b"{",
+        b"\xff\xfe",
+        b"[1]",
+        b"[" * 99_999,
+        b'{"version": 1}',
+        b'{"wall_ns": "x"}',
+        b'{"parameters": [1]}',
+    ],
 )
 def test_a_description_that_makes_no_sense_is_damage(content: bytes) -> None:
     encoder, good = RecordingEncoder(ABOUT, 77), RecordingEncoder(ABOUT, 77).begin()
