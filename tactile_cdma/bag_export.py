@@ -40,6 +40,8 @@ from .skin_config import SkinConfig
 
 TOPIC, INFO_TOPIC = "/skin/tactile", "/skin/info"
 INFO_ID = 1
+_MOST_S = 2**31
+"""Stamps hold so many seconds since 1970."""
 _FOREVER = QosTime(9_223_372_036, 854_775_807)
 _LATCHED = Qos(
     QosHistory.KEEP_LAST,
@@ -62,7 +64,8 @@ def write_bag(
 ) -> int:
     """Every frame, and its Unix time in s, as messages of a driver called /skin; returns how many.
 
-    Raises CaptureError where the folder is there already or cannot be written.
+    Raises CaptureError where the folder is there already or cannot be written, and for times that
+    no stamp holds.
     """
     types, count = message_types(), 0
     try:
@@ -75,6 +78,8 @@ def write_bag(
                 )
             )
             for frame, wall_s in frames:
+                if not 0 <= wall_s < _MOST_S:
+                    raise CaptureError(f"{wall_s:g} s: the recording computer's clock was wrong")
                 stamp_ns = round(wall_s * 1e9)
                 header = _header(types, stamp_ns, frame_id)
                 if not count:

@@ -57,14 +57,14 @@ def is_text(path: Path) -> bool:
     Raises CaptureError where it cannot be read or is empty.
     """
     try:
+        if path.exists() and not path.is_file():  # a FIFO would wait for somebody who writes
+            raise CaptureError(f"{path}: not a file; a capture is read more than once")
         with path.open("rb") as file:
             head = file.read(65_536)
     except OSError as error:
         raise CaptureError(f"{path}: {error.strerror}") from None
     if not head:
         raise CaptureError(f"{path}: the file is empty")
-    if not path.is_file():
-        raise CaptureError(f"{path}: not a file; a capture is read more than once")
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise CaptureError(f"{path}: UTF-16 text; save it as plain CSV")
     return b"\0" not in head
@@ -144,6 +144,8 @@ def _header(path: Path, lines: list[str]) -> tuple[int, str | None]:
 def _numbers(line: str, delimiter: str | None) -> bool:
     """Whether a line begins with two numbers."""
     fields = line.split(delimiter)[:2]
+    if not all(field.isascii() and "_" not in field for field in fields):
+        return False  # Python reads 1_0 and other scripts' digits, numpy does not
     try:
         return len([float(field) for field in fields]) == 2
     except ValueError:

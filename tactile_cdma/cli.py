@@ -17,8 +17,10 @@
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import shlex
+import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -44,12 +46,16 @@ from .sim.options import SimOptions
 from .sim.pty import serve
 from .skin_config import SkinConfig
 
+INTERRUPTED = 128 + signal.SIGINT
+"""The exit code that shells know."""
 ALL = "all"
 """Instead of a node's number."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit code."""
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal of another alphabet, odd file names
+        sys.stdout.reconfigure(errors="backslashreplace")
     arguments = _parser().parse_args(argv)
     try:
         code: int = arguments.run(arguments)
@@ -60,6 +66,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of our output has seen enough
         sys.stderr.close()
         return 0
+    except OSError as error:  # a full disk behind our output, a name that no file can have
+        print(f"tactile-cdma: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return INTERRUPTED
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -44,20 +44,20 @@ _COPY_BYTES = 1 << 20
 def write_npz(path: Path, frames: Frames, layout: Layout, about: Mapping[str, Any]) -> int:
     """All frames as numpy arrays, by columns; returns how many. Raises OSError.
 
-    about: what else is to be known, as JSON. Columns wait in temporary files, so that memory does
-    not grow with the recording.
+    about: what else is to be known, as JSON. Columns wait in temporary files beside it, so that
+    memory does not grow with the recording.
     """
     count, taxels = 0, len(layout.positions_m)
     with ExitStack() as stack:
+        file = stack.enter_context(replacing(path))  # first: no work for a file that cannot be
         spools = {
-            name: stack.enter_context(tempfile.TemporaryFile())
+            name: stack.enter_context(tempfile.TemporaryFile(dir=path.parent))
             for name in (*_PER_FRAME, *_PER_TAXEL)
         }
         for frame, wall_s in frames:
             count += 1
             for name, value in _columns(frame, wall_s).items():
                 spools[name].write(np.asarray(value, dtype=_type(name)).tobytes())
-        file = stack.enter_context(replacing(path))
         with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, spool in spools.items():
                 shape = (count,) if name in _PER_FRAME else (count, taxels)

@@ -54,6 +54,7 @@ _HEAD = struct.Struct("<3scIIqQ")
 _CRC = struct.Struct("<I")
 HEAD_BYTES = _HEAD.size + _CRC.size
 """Of a record, before what it holds."""
+_LATEST_NS = 2**63 - 1
 POSITION = struct.Struct("<Q")
 """The last bytes of a recording: where the record that ends it begins."""
 
@@ -269,6 +270,8 @@ class RecordingParser:
             self._offset = offset
         if offset < self._offset or time_ns < self._time_ns or self.end:
             return False
+        if kind != _CHUNK and not self._understood(kind, time_ns, content):
+            return False
         self._identity = identity
         self.lost_bytes += offset - self._offset
         self._offset, self._time_ns = offset, time_ns
@@ -277,19 +280,24 @@ class RecordingParser:
             self.chunks += 1
             self.bytes += length
             found.append(Chunk(time_ns, content))
-        elif kind == _DESCRIPTION:
-            self.description = _description(content)
-        else:
-            self.end = self._ended(time_ns, content)
         return True
 
-    def _ended(self, time_ns: int, content: bytes) -> End:
-        (position,) = POSITION.unpack(content[-POSITION.size :])
-        said = json.loads(content[: -POSITION.size])
-        if self.description is None:
-            self.description = _description(json.dumps(said["description"]).encode())
-        index = tuple((int(time), int(place)) for time, place in said["index"])
-        return End(time_ns, position, said["sha256"], index)
+    def _understood(self, kind: bytes, time_ns: int, content: bytes) -> bool:
+        """Take over a description, or an end; False where its content is not one."""
+        try:
+            if kind == _DESCRIPTION:
+                self.description = _description(json.loads(content))
+                return True
+            (position,) = POSITION.unpack(content[-POSITION.size :])
+            said = json.loads(content[: -POSITION.size])
+            index = tuple((int(time), int(place)) for time, place in said["index"])
+            end = End(time_ns, position, str(said["sha256"]), index)
+            if self.description is None:
+                self.description = _description(said["description"])
+            self.end = end
+        except (ValueError, LookupError, TypeError, RecursionError, struct.error):
+            return False
+        return True
 
 
 def losses(parser: RecordingParser) -> tuple[str, ...]:
@@ -311,11 +319,16 @@ def _description_content(description: Description) -> dict[str, Any]:
     return content
 
 
-def _description(content: bytes) -> Description:
-    """Raises CaptureError for another version."""
-    said = json.loads(content)
+def _description(said: Any) -> Description:
+    """Raises CaptureError for another version, LookupError or TypeError for no description."""
     if said["version"] != VERSION:
         raise CaptureError(
             f"a recording of version {said['version']}, but this program reads version {VERSION}"
         )
-    return Description(**{field.name: said[field.name] for field in fields(Description)})
+    description = Description(**{field.name: said[field.name] for field in fields(Description)})
+    times = (description.wall_ns, description.monotonic_ns)
+    if not all(type(time_ns) is int and 0 <= time_ns <= _LATEST_NS for time_ns in times):
+        raise TypeError(f"no times: {times}")
+    if not isinstance(description.parameters, dict):
+        raise TypeError(f"no parameters: {description.parameters}")
+    return description

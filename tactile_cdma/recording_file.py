@@ -16,6 +16,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import secrets
 import time
@@ -114,6 +115,8 @@ class Survey:
 
 def is_recording(path: Path) -> bool:
     """Whether a file begins, or is named, as a recording; raises OSError."""
+    if path.exists() and not path.is_file():  # a FIFO would wait for somebody who writes
+        raise OSError(errno.EINVAL, "not a file")
     with path.open("rb") as file:
         return file.read(len(MAGIC)) == MAGIC or path.suffix == SUFFIX
 
@@ -146,6 +149,8 @@ def read_chunks(path: Path, parser: RecordingParser, position: int = 0) -> Itera
         yield from parser.finish()
     except OSError as error:
         raise CaptureError(f"{path}: {error.strerror}") from None
+    except CaptureError as error:  # of another version
+        raise CaptureError(f"{path}: {error}") from None
 
 
 def read_end(path: Path) -> End | None:

@@ -94,6 +94,8 @@ class Port:
             data = self._wait() if self._poll is None else self._wait_in_kernel(self._poll)
         except RecordingEndError:
             raise
+        except CaptureError as error:  # the file of replay:// was taken away
+            raise PortError(f"{self.url}: {error}") from None
         except (
             OSError,
             TypeError,
@@ -110,6 +112,8 @@ class Port:
         """
         try:
             return int(self._serial.in_waiting)
+        except CaptureError as error:  # see read
+            raise PortError(f"{self.url}: {error}") from None
         except (OSError, TypeError, TerminalError) as error:
             raise PortError(f"{self.url}: lost while reading; unplugged? ({error})") from None
 

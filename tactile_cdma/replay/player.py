@@ -72,6 +72,7 @@ class Player:
         """Take over what is due, until so many bytes are pending.
 
         Returns the seconds until more is due: 0 if there may be more now, infinity at the end.
+        Raises CaptureError where the file was taken away or changed since.
         """
         if math.isnan(self._origin_s):
             self._origin_s = self._clock()
@@ -102,7 +103,9 @@ class Player:
     def _begin_again(self) -> None:
         self._origin_s = self._clock()
         self._round = self._chunks()
-        self._next = next(self._round)
+        self._next = next(self._round, None)
+        if self._next is None:
+            raise CaptureError(f"{self._options.path} was changed: it holds no bytes any more")
 
     def _chunks(self) -> Iterator[Chunk]:
         """Of the span that is asked for; what is in its way is described first."""

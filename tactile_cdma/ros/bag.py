@@ -29,11 +29,13 @@ from typing import Any
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
+from rclpy.validate_full_topic_name import validate_full_topic_name
 from rosbags.interfaces import (
     Connection,
     Qos,
@@ -46,7 +48,7 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 
 from ..arguments import positive
-from ..errors import TactileError
+from ..errors import ParameterError, TactileError
 from ..interrupt import stop_event
 from ..message_types import message_types
 
@@ -144,6 +146,15 @@ def _topics(arguments: argparse.Namespace) -> list[str]:
     return [f"{node}/{name}" for node in nodes for name in names] + list(SHARED)
 
 
+def _check(topics: Iterable[str]) -> None:
+    """Raises ParameterError for what no topic can be called."""
+    for topic in topics:
+        try:
+            validate_full_topic_name(topic)
+        except InvalidTopicNameException:
+            raise ParameterError(f"{topic!r} is no name that a topic can have") from None
+
+
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="skin_bag", description=__doc__)
     parser.add_argument("folder", type=Path, help="the bag, a folder that is not there yet")
@@ -162,13 +173,15 @@ def _arguments() -> argparse.Namespace:
 def main() -> int:
     """Record until interrupted; exit code 1 if nothing came, or the bag cannot be written."""
     arguments = _arguments()
+    topics = _topics(arguments)
     rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     try:
+        _check(topics)
         with (
             Writer(arguments.folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer,
             stop_event(arguments.seconds) as stop,
         ):
-            recorder = BagRecorder(writer, _topics(arguments))
+            recorder = BagRecorder(writer, topics)
             executor = SingleThreadedExecutor()
             executor.add_node(recorder)
             print(f"recording into {arguments.folder}, Ctrl-C ends", flush=True)

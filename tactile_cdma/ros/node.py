@@ -270,7 +270,7 @@ class SkinNode(ManagedNode):
                 )
             )
         self._contacts.take(frame, header, info_id)
-        self._pictures.take(frame)
+        self._pictures.take(frame, header)
 
     def _is_news(self, frame: TactileFrame) -> bool:
         """Whether a node spoke, or the last frame without words is long enough ago."""

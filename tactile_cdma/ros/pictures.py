@@ -68,7 +68,7 @@ class Pictures:
             for name, kind in TOPICS.items()
         }
         self._drawings: Drawings | None = None
-        self._latest: TactileFrame | None = None
+        self._latest: tuple[TactileFrame, Header | None] | None = None
         self._drawn: TactileFrame | None = None
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(_period_s(live), self._turn, clock=steady)
@@ -84,9 +84,12 @@ class Pictures:
         self._timer.cancel()
         self._drawings = self._latest = self._drawn = None
 
-    def take(self, frame: TactileFrame) -> None:
-        """The newest frame, in the driver's thread, which this must not hold up."""
-        self._latest = frame
+    def take(self, frame: TactileFrame, header: Header | None) -> None:
+        """The newest frame, in the driver's thread, which this must not hold up.
+
+        header: that of its other messages, if there are any: all are to have the same stamp.
+        """
+        self._latest = frame, header
 
     def change(self, values: Values) -> None:
         """All parameters' values as they are going to be; they fit each other."""
@@ -100,14 +103,16 @@ class Pictures:
         self._timer.reset()
 
     def _draw(self) -> None:
-        frame = self._latest
-        if frame is None or frame is self._drawn or self._drawings is None:
+        if self._latest is None or self._drawings is None:
+            return
+        frame, header = self._latest
+        if frame is self._drawn:
             return
         asked = [name for name, p in self._publishers.items() if p.get_subscription_count()]
         if not asked:
             return
         self._drawn = frame
-        header = self._header_at(frame.t_host)
+        header = header or self._header_at(frame.t_host)
         for name in asked:
             self._publishers[name].publish(self._drawings.of[name](frame, header))
 

@@ -118,6 +118,15 @@ def test_a_bag_holds_what_a_subscriber_got_and_ends_in_order(tmp_path: Path) -> 
         assert "float32[] pressure" in connections["/skin/tactile"].msgdef.data
 
 
+def test_a_name_that_no_topic_can_have_is_one_clear_error(tmp_path: Path) -> None:
+    for options in (["--topics", "two words"], ["--node", ""]):
+        command = [sys.executable, "-m", "tactile_cdma.ros.bag", str(tmp_path / "bag"), *options]
+        run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
+        assert run.returncode == 1
+        assert "is no name" in run.stderr and len(run.stderr.splitlines()) == 1
+    assert not (tmp_path / "bag").exists()
+
+
 def test_the_bag_knows_our_types_as_ros_does(tmp_path: Path) -> None:
     """By their hashes, or others take them for other types."""
     from tactile_cdma.message_types import message_types

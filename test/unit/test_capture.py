@@ -105,6 +105,8 @@ def test_missing_samples_split_the_recording_and_are_noted(tmp_path: Path) -> No
     ("lines", "message"),
     [
         (["some", "text"], "no line with two numbers"),
+        (["1_0,1_0"] * 20, "no line with two numbers"),
+        ([*rows()[:50], "0.1,1_0", *rows()[50:]], "line 51 is not two numbers.*'0.1,1_0'"),
         (rows()[:8], "only 8 samples"),
         ([*rows()[:50], "oops,0.1", *rows()[50:]], "line 51 is not two numbers.*'oops,0.1'"),
         ([*rows()[:50], "0.1", *rows()[50:]], "line 51 is not two numbers.*'0.1'"),

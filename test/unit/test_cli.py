@@ -115,6 +115,27 @@ def test_broken_captures_are_one_clear_error(
     assert str(path) in err
 
 
+def test_what_the_system_refuses_is_one_clear_error(
+    capsys: pytest.CaptureFixture[str], capture: Path
+) -> None:
+    assert main(["record", "sim://", "x" * 300]) == 1
+    said = capsys.readouterr().err
+    assert "File name too long" in said and len(said.splitlines()) == 1
+    with open("/dev/full", "w") as full:
+        run = subprocess.run(
+            [*COMMAND, "decode", "--json", capture], cwd=ROOT, stdout=full, stderr=subprocess.PIPE
+        )
+    assert run.returncode == 1
+    assert run.stderr.splitlines() == [b"tactile-cdma: [Errno 28] No space left on device"]
+
+
+def test_a_terminal_of_another_alphabet_is_served() -> None:
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    run = subprocess.run([*COMMAND, "amplifier"], cwd=ROOT, env=environment, capture_output=True)
+    assert run.returncode == 0
+    assert b"\\xb5s" in run.stdout and run.stderr == b""
+
+
 def test_a_missing_capture_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["decode", "/nowhere/at.all"]) == 1
     assert "/nowhere/at.all: No such file" in capsys.readouterr().err

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -25,8 +26,11 @@ import pytest
 from recorded import record
 from rosbags.highlevel import AnyReader
 
+from tactile_cdma.bag_export import write_bag
 from tactile_cdma.capture import read_bytes
 from tactile_cdma.cli import main
+from tactile_cdma.errors import CaptureError
+from tactile_cdma.frame_table import write_npz
 from tactile_cdma.offline import offline_values, raw_frames
 from tactile_cdma.pipeline import Pipeline, TactileFrame
 from tactile_cdma.recording_file import Recorder, describe
@@ -142,6 +146,27 @@ def test_bytes_alone_have_no_wall_time(
     assert table["device_time_s"].tolist() == [frame.t_middle for frame in skin[1]]
     assert main(["export", str(raw), "-o", str(tmp_path / "bag"), "--bag"]) == 1
     assert "no times" in capsys.readouterr().err
+
+
+def test_an_output_that_cannot_be_is_told_before_the_work(
+    skin: tuple[Path, list[TactileFrame]], tmp_path: Path
+) -> None:
+    def unwanted() -> Iterator[tuple[TactileFrame, float]]:
+        raise AssertionError("frames were asked for")
+        yield
+
+    layout = SkinConfig.of({}).layout
+    with pytest.raises(FileNotFoundError):
+        write_npz(tmp_path / "none" / "out.npz", unwanted(), layout, {})
+
+
+def test_a_bag_refuses_times_that_ros_cannot_tell(
+    skin: tuple[Path, list[TactileFrame]], tmp_path: Path
+) -> None:
+    for wall_s in (-1.0, 2.0**31):
+        frames = iter([(skin[1][0], wall_s)])
+        with pytest.raises(CaptureError, match="clock"):
+            write_bag(tmp_path / str(wall_s), frames, SkinConfig.of({}), "skin")
 
 
 def test_what_cannot_be_exported_is_one_clear_error(

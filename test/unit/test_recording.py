@@ -17,12 +17,15 @@
 from __future__ import annotations
 
 import errno
+import json
+import os
 from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tactile_cdma.capture import is_text
 from tactile_cdma.errors import CaptureError
 from tactile_cdma.recording import (
     HEAD_BYTES,
@@ -201,6 +204,40 @@ def test_another_version_is_refused() -> None:
         parsed(MAGIC + record + raw[len(head) :])
 
 
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"{",
+        b"\xff\xfe",
+        b"[1]",
+        b"[" * 99_999,
+        b'{"version": 1}',
+        b'{"wall_ns": "x"}',
+        b'{"parameters": [1]}',
+    ],
+)
+def test_a_description_that_makes_no_sense_is_damage(content: bytes) -> None:
+    encoder, good = RecordingEncoder(ABOUT, 77), RecordingEncoder(ABOUT, 77).begin()
+    if b'"' in content and b"version" not in content:  # a whole one but for this
+        content = json.dumps(json.loads(good[8 + HEAD_BYTES :]) | json.loads(content)).encode()
+    raw = MAGIC + encoder._record(b"H", content) + encoded([b"x"])[len(good) :]
+    parser, chunks = parsed(raw)
+    assert chunks == [Chunk(0, b"x")]
+    assert parser.description == ABOUT  # it is there twice
+    assert parser.damaged == 1
+
+
+@pytest.mark.parametrize(
+    "content", [b"x", b"{}" + bytes(8), b'{"sha256": "", "index": [[1]]}' + bytes(8)]
+)
+def test_an_end_that_makes_no_sense_is_none(content: bytes) -> None:
+    encoder = RecordingEncoder(ABOUT, 77)
+    raw = encoder.begin() + encoder.chunk(b"x", 5.0) + encoder._record(b"F", content)
+    parser, chunks = parsed(raw)
+    assert chunks == [Chunk(0, b"x")]
+    assert parser.end is None
+
+
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
     path = tmp_path / "some.skin"
@@ -266,3 +303,12 @@ def test_other_files_are_no_recordings(tmp_path: Path) -> None:
             survey(path)
     with pytest.raises(CaptureError, match="No such file"):
         survey(tmp_path / "none.skin")
+
+
+def test_a_pipe_is_refused_without_waiting_for_its_other_end(tmp_path: Path) -> None:
+    pipe = tmp_path / f"pipe{SUFFIX}"
+    os.mkfifo(pipe)
+    with pytest.raises(OSError, match="not a file"):
+        is_recording(pipe)
+    with pytest.raises(CaptureError, match="not a file"):
+        is_text(pipe)
