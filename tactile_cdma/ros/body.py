@@ -24,7 +24,6 @@ import time
 from functools import partial
 from typing import Any
 
-import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
@@ -37,7 +36,7 @@ from std_msgs.msg import Header
 
 from tactile_cdma.msg import TactileContacts
 
-from ..body_cloud import BODY_POINT
+from ..body_cloud import together
 from ..errors import TransformError
 from ..poses import Pose
 from ..rounds import Rounds
@@ -77,6 +76,7 @@ class BodyNode(Node):
         self._rounds = Rounds(self._setup.stale_after_s)
         self._published_s = 0.0  # when contacts were, or would have been, last published
         self._sequence = 0
+        self._drawn: list[PatchFeed] = []  # patches that the last points are of
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on where simulated time stands
         self.create_timer(TICK_S, self._tick, clock=steady)
         self.create_timer(REPORT_S, self._report, clock=steady)
@@ -152,32 +152,37 @@ class BodyNode(Node):
     # Points
 
     def _publish_points(self) -> None:
-        """The latest of every patch, where any of it is new."""
-        feeds = self._feeds.values()
-        if not self._points.get_subscription_count() or not any(feed.is_new for feed in feeds):
+        """The latest of every patch, where any of it is new, or a patch has come or gone."""
+        now_s, stamps, clouds = time.monotonic(), [], []
+        present = [
+            feed
+            for feed in self._feeds.values()
+            if feed.silent_s(now_s) <= self._setup.stale_after_s
+        ]
+        is_new = any(feed.is_new for feed in present) or present != self._drawn
+        if not self._points.get_subscription_count() or not is_new:
             return
-        now_s, stamps, clouds = time.monotonic(), [], [np.zeros(0, dtype=BODY_POINT)]
-        for feed in feeds:
-            if feed.array is None or feed.silent_s(now_s) > self._setup.stale_after_s:
-                continue
-            pose = self._pose(feed, feed.array.header.frame_id)
+        self._drawn = present
+        for feed in present:
+            feed.is_new = False
+            pose = self._pose(feed, feed.array.header.frame_id) if feed.array else None
             cloud = feed.points(self._setup.colour_max_pa, pose) if pose else None
-            if cloud is not None:
+            if feed.array and cloud is not None:
                 stamps.append(feed.array.header.stamp)
                 clouds.append(cloud)
-        self._points.publish(point_cloud(np.concatenate(clouds), self._header(stamps)))
+        self._points.publish(point_cloud(together(clouds), self._header(stamps)))
 
     # Diagnostics
 
     def _report(self) -> None:
-        now_s, now_ns = time.monotonic(), self.get_clock().now().nanoseconds
+        now_s = time.monotonic()
         patches = [
             PatchState(
                 name=name,
                 has_driver=feed.has_driver,
                 followed=feed.is_followed,
                 silent_s=feed.silent_s(now_s),
-                late_s=feed.late_s(now_s, now_ns),
+                late_s=feed.late_s(),
                 rate_hz=feed.rate_hz(now_s),
                 fault=self._faults.get(name, ""),
             )

@@ -55,6 +55,7 @@ class PatchFeed:
         self.array: TactileArray | None = None
         self.is_new = False
         self._heard_s, self._stamp = -math.inf, Time()
+        self._late_s = math.inf
         self._counted, self._reported_s = 0, -math.inf
         self._node, self._index, self._on_contacts = node, index, on_contacts
         self._cloud: tuple[int, PatchCloud] | None = None
@@ -70,11 +71,13 @@ class PatchFeed:
         """How long nothing came; infinite if nothing ever did."""
         return now_s - self._heard_s
 
-    def late_s(self, now_s: float, now_ns: int) -> float:
-        """Age of the last message's stamp when it came. now_s, now_ns: monotonic and ROS time."""
-        if not self._heard_s > -math.inf:
-            return 0.0
-        return (now_ns - nanoseconds(self._stamp)) * 1e-9 - self.silent_s(now_s)
+    def late_s(self) -> float:
+        """Least age of a stamp when it came, since this was last asked; 0: nothing came.
+
+        The least, because a busy computer takes messages late, but not all of them.
+        """
+        late_s, self._late_s = self._late_s, math.inf
+        return late_s if late_s < math.inf else 0.0
 
     def rate_hz(self, now_s: float) -> float:
         """Of its frames since this was last asked."""
@@ -114,7 +117,6 @@ class PatchFeed:
 
         max_pa, pose: see PatchCloud.points.
         """
-        self.is_new = False
         if self.array is None or self._cloud is None:
             return None
         info_id, cloud = self._cloud
@@ -138,6 +140,8 @@ class PatchFeed:
         if nanoseconds(header.stamp) > nanoseconds(self._stamp):  # once per frame, not per topic
             self._counted += 1
         self._heard_s, self._stamp = time.monotonic(), header.stamp
+        age_ns = self._node.get_clock().now().nanoseconds - nanoseconds(header.stamp)
+        self._late_s = min(self._late_s, age_ns * 1e-9)
 
     def _take_contacts(self, message: TactileContacts) -> None:
         self._hear(message.header)
@@ -148,6 +152,9 @@ class PatchFeed:
         self.array, self.is_new = message, True
 
     def _take_info(self, message: TactileSkinInfo) -> None:
+        if len(message.positions) != len(message.normals):
+            self._cloud = None  # of no driver of ours
+            return
         cloud = PatchCloud(_array(message.positions), _array(message.normals), self._index)
         self._cloud = message.info_id, cloud
 
