@@ -16,16 +16,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
-from .cloud import POINT
-from .heatmap import colours
+from .cloud import POINT, in_one_piece, packed_colours, selected
 from .poses import Pose
 
 BODY_POINT = np.dtype([*POINT.descr, ("patch", "<u4")])
 """A point of one skin, and which patch it is of."""
-_PACKED = np.array([1 << 16, 1 << 8, 1], dtype=np.uint32)
 
 
 class PatchCloud:
@@ -55,8 +55,8 @@ class PatchCloud:
         """
         self._place(pose)
         self._points["pressure"] = pressure_pa
-        self._points["rgb"] = colours(pressure_pa, max_pa) @ _PACKED
-        return self._points[np.isfinite(pressure_pa)]
+        self._points["rgb"] = packed_colours(pressure_pa, max_pa)
+        return selected(self._points, np.isfinite(pressure_pa))
 
     def _place(self, pose: Pose) -> None:
         """Have the points where the patch is now."""
@@ -67,6 +67,12 @@ class PatchCloud:
         for axis, letter in enumerate("xyz"):
             self._points[letter] = places[:, axis]
             self._points[f"normal_{letter}"] = normals[:, axis]
+
+
+def together(clouds: Sequence[NDArray[np.void]]) -> NDArray[np.void]:
+    """(m,) BODY_POINT, those of one patch after the other."""
+    nothing = np.zeros(0, dtype=BODY_POINT)
+    return np.concatenate([in_one_piece(c) for c in (nothing, *clouds)]).view(BODY_POINT)
 
 
 def _same(one: Pose, other: Pose) -> bool:

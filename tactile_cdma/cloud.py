@@ -55,5 +55,21 @@ class Cloud:
         pressure_pa: (t,) float32, Pa, NaN without a reading.
         """
         self._points["pressure"] = pressure_pa
-        self._points["rgb"] = _PACKED_RGB[scale_steps(pressure_pa, max_pa)]
-        return self._points[np.isfinite(pressure_pa)]
+        self._points["rgb"] = packed_colours(pressure_pa, max_pa)
+        return selected(self._points, np.isfinite(pressure_pa))
+
+
+def selected(points: NDArray[np.void], mask: NDArray[np.bool_]) -> NDArray[np.void]:
+    """A copy of those records (t,) whose mask (t,) is true."""
+    # In one piece each, which numpy copies 15 times as fast as field by field.
+    return in_one_piece(points)[mask].view(points.dtype)
+
+
+def in_one_piece(points: NDArray[np.void]) -> NDArray[np.void]:
+    """The same records (t,) without their fields."""
+    return points.view(np.dtype((np.void, points.itemsize)))
+
+
+def packed_colours(pressure_pa: NDArray[np.float32], max_pa: float) -> NDArray[np.uint32]:
+    """One colour per taxel, (t,) uint32 0x00RRGGBB, on a fixed scale 0…max_pa; grey where NaN."""
+    return _PACKED_RGB[scale_steps(pressure_pa, max_pa)]

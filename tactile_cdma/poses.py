@@ -49,8 +49,11 @@ class Pose:
     def of_quaternion(cls, xyz_m: Sequence[float], xyzw: Sequence[float]) -> Pose:
         """As ROS messages write it; a quaternion that is not quite of length 1 is made so.
 
-        Raises ValueError for a quaternion without a direction: zero, or not finite.
+        Raises ValueError for a quaternion without a direction: zero, or not finite; and for a place
+        that is not finite.
         """
+        if not all(map(math.isfinite, xyz_m)):
+            raise ValueError(f"no place: {tuple(xyz_m)}")
         length = math.hypot(*xyzw)
         if not (length > 0 and math.isfinite(length)):
             raise ValueError(f"no rotation: quaternion {tuple(xyzw)}")

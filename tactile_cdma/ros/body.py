@@ -24,7 +24,6 @@ import time
 from functools import partial
 from typing import Any
 
-import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
@@ -37,7 +36,7 @@ from std_msgs.msg import Header
 
 from tactile_cdma.msg import TactileContacts
 
-from ..body_cloud import BODY_POINT
+from ..body_cloud import together
 from ..errors import TransformError
 from ..poses import Pose
 from ..rounds import Rounds
@@ -46,6 +45,7 @@ from .body_parameters import body_setup, declared
 from .body_report import PatchState, body_status
 from .contacts import RELIABLE
 from .convert import point_cloud
+from .gate import Gate
 from .patch_feed import PatchFeed, nanoseconds
 from .pictures import PICTURE
 from .process import run_node
@@ -68,8 +68,9 @@ class BodyNode(Node):
         self._wrench = self._publisher(WrenchStamped, "~/wrench", RELIABLE)
         self._points = self._publisher(PointCloud2, "~/points", PICTURE)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._gate = Gate(self, self._publish_points)
         self._feeds = {
-            name: PatchFeed(self, name, index, self._take_contacts)
+            name: PatchFeed(self, name, index, self._take_contacts, self._gate)
             for index, name in enumerate(self._setup.patches)
         }
         self._transforms = TransformListener(self)
@@ -77,10 +78,12 @@ class BodyNode(Node):
         self._rounds = Rounds(self._setup.stale_after_s)
         self._published_s = 0.0  # when contacts were, or would have been, last published
         self._sequence = 0
+        self._drawn: list[PatchFeed] = []  # patches that the last points are of
+        self._are_points_due = False
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on where simulated time stands
         self.create_timer(TICK_S, self._tick, clock=steady)
         self.create_timer(REPORT_S, self._report, clock=steady)
-        self.create_timer(1.0 / self._setup.visual_rate_hz, self._publish_points, clock=steady)
+        self.create_timer(1.0 / self._setup.visual_rate_hz, self._ask_for_points, clock=steady)
 
     def _publisher(self, kind: Any, topic: str, qos: QoSProfile) -> Publisher:
         declare = partial(declared, self)
@@ -97,6 +100,8 @@ class BodyNode(Node):
         for feed in self._feeds.values():
             feed.follow(contacts, points)
         self._transforms.follow(contacts or points)
+        if points:
+            self._gate.open()  # who is silent is seen, however seldom points are drawn
         now_s = time.monotonic()
         if not contacts:
             self._rounds.forget()
@@ -151,33 +156,43 @@ class BodyNode(Node):
 
     # Points
 
+    def _ask_for_points(self) -> None:
+        if self._points.get_subscription_count():
+            self._are_points_due = True
+            self._gate.open()
+
     def _publish_points(self) -> None:
-        """The latest of every patch, where any of it is new."""
-        feeds = self._feeds.values()
-        if not self._points.get_subscription_count() or not any(feed.is_new for feed in feeds):
+        """The latest of every patch, where any of it is new, or a patch has come or gone."""
+        now_s, stamps, clouds = time.monotonic(), [], []
+        present = [
+            feed
+            for feed in self._feeds.values()
+            if feed.silent_s(now_s) <= self._setup.stale_after_s
+        ]
+        is_new = any(feed.is_new for feed in present) or present != self._drawn
+        if not self._are_points_due or not is_new:
             return
-        now_s, stamps, clouds = time.monotonic(), [], [np.zeros(0, dtype=BODY_POINT)]
-        for feed in feeds:
-            if feed.array is None or feed.silent_s(now_s) > self._setup.stale_after_s:
-                continue
-            pose = self._pose(feed, feed.array.header.frame_id)
+        self._are_points_due, self._drawn = False, present
+        for feed in present:
+            feed.is_new = False
+            pose = self._pose(feed, feed.array.header.frame_id) if feed.array else None
             cloud = feed.points(self._setup.colour_max_pa, pose) if pose else None
-            if cloud is not None:
+            if feed.array and cloud is not None:
                 stamps.append(feed.array.header.stamp)
                 clouds.append(cloud)
-        self._points.publish(point_cloud(np.concatenate(clouds), self._header(stamps)))
+        self._points.publish(point_cloud(together(clouds), self._header(stamps)))
 
     # Diagnostics
 
     def _report(self) -> None:
-        now_s, now_ns = time.monotonic(), self.get_clock().now().nanoseconds
+        now_s = time.monotonic()
         patches = [
             PatchState(
                 name=name,
                 has_driver=feed.has_driver,
                 followed=feed.is_followed,
                 silent_s=feed.silent_s(now_s),
-                late_s=feed.late_s(now_s, now_ns),
+                late_s=feed.late_s(),
                 rate_hz=feed.rate_hz(now_s),
                 fault=self._faults.get(name, ""),
             )

@@ -32,7 +32,7 @@ class PatchState:
     """How one patch is heard.
 
     has_driver: somebody publishes its topics. followed: it is subscribed to. silent_s: since its
-    last message, s. late_s: age of that one's stamp when it came, s. rate_hz: of its messages.
+    last message, s. late_s: least age of a stamp when it came, s. rate_hz: of its messages.
     fault: why its frame is not known in the body's; empty: it is.
     """
 
@@ -57,7 +57,7 @@ class PatchState:
         if abs(self.late_s) > CLOCKS_APART_S:
             return (
                 f"its stamps are {self.late_s:+.1f} s off this computer's clock: have both "
-                "computers follow one time server"
+                "computers follow one time server, or is this one too busy?"
             )
         return ""
 

@@ -25,6 +25,7 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point32
 from numpy.typing import NDArray
+from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
@@ -34,11 +35,13 @@ from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 
 from ..body_cloud import PatchCloud
 from ..poses import Pose
-from .contacts import RELIABLE
+from .gate import Gate
 from .qos import LATCHED
 
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Of arrays: points are drawn less often than they come."""
+FRESH = QoSProfile(depth=2)
+"""Of contacts: who falls behind goes on with the newest, instead of being late from then on."""
 NewContacts = Callable[["PatchFeed", TactileContacts], None]
 
 
@@ -46,17 +49,22 @@ class PatchFeed:
     """The latest of one patch's topics.
 
     node_name: fully qualified, of the patch's driver. contacts, array: the latest messages, None:
-    none since they are followed. is_new: the array has not been drawn.
+    none since they are followed. is_new: the array has not been drawn. gate: arrays come through
+    it.
     """
 
-    def __init__(self, node: Node, node_name: str, index: int, on_contacts: NewContacts) -> None:
+    def __init__(
+        self, node: Node, node_name: str, index: int, on_contacts: NewContacts, gate: Gate
+    ) -> None:
         self.node_name = node_name
         self.contacts: TactileContacts | None = None
         self.array: TactileArray | None = None
         self.is_new = False
         self._heard_s, self._stamp = -math.inf, Time()
+        self._late_s = math.inf
         self._counted, self._reported_s = 0, -math.inf
         self._node, self._index, self._on_contacts = node, index, on_contacts
+        self._gate = gate
         self._cloud: tuple[int, PatchCloud] | None = None
         self._for_contacts: list[Subscription] = []
         self._for_points: list[Subscription] = []
@@ -70,14 +78,16 @@ class PatchFeed:
         """How long nothing came; infinite if nothing ever did."""
         return now_s - self._heard_s
 
-    def late_s(self, now_s: float, now_ns: int) -> float:
-        """Age of the last message's stamp when it came. now_s, now_ns: monotonic and ROS time."""
-        if not self._heard_s > -math.inf:
-            return 0.0
-        return (now_ns - nanoseconds(self._stamp)) * 1e-9 - self.silent_s(now_s)
+    def late_s(self) -> float:
+        """Least age of a stamp when it came, since this was last asked; 0: nothing came.
+
+        The least, because a busy computer takes messages late, but not all of them.
+        """
+        late_s, self._late_s = self._late_s, math.inf
+        return late_s if late_s < math.inf else 0.0
 
     def rate_hz(self, now_s: float) -> float:
-        """Of its frames since this was last asked."""
+        """Of its frames that were taken since this was last asked."""
         rate_hz = self._counted / (now_s - self._reported_s)
         self._counted, self._reported_s = 0, now_s
         return rate_hz
@@ -94,7 +104,7 @@ class PatchFeed:
         """Subscribe to what contacts and points of the body take, and to no more."""
         if contacts and not self._for_contacts:
             self._for_contacts = [
-                self._subscribe(TactileContacts, "contacts", self._take_contacts, RELIABLE)
+                self._subscribe(TactileContacts, "contacts", self._take_contacts, FRESH)
             ]
         elif not contacts and self._for_contacts:
             self._drop(self._for_contacts)
@@ -102,7 +112,7 @@ class PatchFeed:
         if points and not self._for_points:
             self._for_points = [
                 self._subscribe(TactileSkinInfo, "info", self._take_info, LATCHED),
-                self._subscribe(TactileArray, "tactile", self._take_array, LATEST),
+                self._subscribe(TactileArray, "tactile", self._take_array, LATEST, self._gate),
             ]
         elif not points and self._for_points:
             self._drop(self._for_points)
@@ -114,7 +124,6 @@ class PatchFeed:
 
         max_pa, pose: see PatchCloud.points.
         """
-        self.is_new = False
         if self.array is None or self._cloud is None:
             return None
         info_id, cloud = self._cloud
@@ -125,9 +134,15 @@ class PatchFeed:
         return cloud.points(pressure_pa, max_pa, pose)
 
     def _subscribe(
-        self, kind: Any, topic: str, take: Callable[[Any], None], qos: QoSProfile
+        self,
+        kind: Any,
+        topic: str,
+        take: Callable[[Any], None],
+        qos: QoSProfile,
+        group: CallbackGroup | None = None,
     ) -> Subscription:
-        return self._node.create_subscription(kind, f"{self.node_name}/{topic}", take, qos)
+        full_name = f"{self.node_name}/{topic}"
+        return self._node.create_subscription(kind, full_name, take, qos, callback_group=group)
 
     def _drop(self, subscriptions: list[Subscription]) -> None:
         for subscription in subscriptions:
@@ -138,6 +153,8 @@ class PatchFeed:
         if nanoseconds(header.stamp) > nanoseconds(self._stamp):  # once per frame, not per topic
             self._counted += 1
         self._heard_s, self._stamp = time.monotonic(), header.stamp
+        age_ns = self._node.get_clock().now().nanoseconds - nanoseconds(header.stamp)
+        self._late_s = min(self._late_s, age_ns * 1e-9)
 
     def _take_contacts(self, message: TactileContacts) -> None:
         self._hear(message.header)
@@ -148,6 +165,9 @@ class PatchFeed:
         self.array, self.is_new = message, True
 
     def _take_info(self, message: TactileSkinInfo) -> None:
+        if len(message.positions) != len(message.normals):
+            self._cloud = None  # of no driver of ours
+            return
         cloud = PatchCloud(_array(message.positions), _array(message.normals), self._index)
         self._cloud = message.info_id, cloud
 

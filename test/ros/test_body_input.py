@@ -1,0 +1,254 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What a body's node makes of patches that come, go, change and talk nonsense.
+
+The patches are publishers of the test, which can do what no driver does.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+
+from builtin_interfaces.msg import Time  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from geometry_msgs.msg import Point32, TransformStamped  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from sensor_msgs.msg import PointCloud2  # noqa: E402
+from std_msgs.msg import Header  # noqa: E402
+from tf2_msgs.msg import TFMessage  # noqa: E402
+
+from skin_client import wait_for  # noqa: E402
+from tactile_cdma.body_cloud import BODY_POINT  # noqa: E402
+from tactile_cdma.msg import (  # noqa: E402
+    TactileArray,
+    TactileContact,
+    TactileContacts,
+    TactileSkinInfo,
+)
+from tactile_cdma.ros.body import BodyNode  # noqa: E402
+from tactile_cdma.ros.qos import LATCHED  # noqa: E402
+
+pytestmark = pytest.mark.ros
+STALE_AFTER_S = 1.0
+
+
+class Patch:
+    """Publishes whatever it is told, as the driver /<name>/skin."""
+
+    def __init__(self, node: rclpy.node.Node, name: str) -> None:
+        self._clock, self.frame_id = node.get_clock(), name
+        self.contacts = node.create_publisher(TactileContacts, f"/{name}/skin/contacts", 10)
+        self.arrays = node.create_publisher(TactileArray, f"/{name}/skin/tactile", 10)
+        self.infos = node.create_publisher(TactileSkinInfo, f"/{name}/skin/info", LATCHED)
+
+    def header(self, age_s: float = 0.0) -> Header:
+        stamp_ns = self._clock.now().nanoseconds - round(age_s * 1e9)
+        stamp = Time(sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
+        return Header(stamp=stamp, frame_id=self.frame_id)
+
+    def describe(self, info_id: int, positions: list[Point32], normals: list[Point32]) -> None:
+        self.infos.publish(TactileSkinInfo(info_id=info_id, positions=positions, normals=normals))
+
+    def press(self, pressure_pa: list[float], info_id: int = 1) -> None:
+        values = array("f", pressure_pa)
+        self.arrays.publish(TactileArray(header=self.header(), info_id=info_id, pressure=values))
+
+    def touch(self, age_s: float = 0.0, contacts: int = 0) -> None:
+        header, touches = self.header(age_s), [TactileContact(patch=self.frame_id)] * contacts
+        self.contacts.publish(TactileContacts(header=header, contacts=touches))
+
+
+class World:
+    """A body's node of the patches a and b, of which a is at its origin; and who asks for it."""
+
+    def __init__(self) -> None:
+        rclpy.init()
+        self.body = BodyNode(
+            parameter_overrides=[
+                Parameter("patches", value=["a/skin", "b/skin"]),
+                Parameter("stale_after_s", value=STALE_AFTER_S),
+            ]
+        )
+        self._client = rclpy.create_node("client")
+        self.a, self.b = Patch(self._client, "a"), Patch(self._client, "b")
+        self.contacts: list[TactileContacts] = []
+        self.clouds: list[PointCloud2] = []
+        self.said: dict[str, str] = {}
+        self._tf = self._client.create_publisher(TFMessage, "/tf", 10)
+        for kind, topic, take in (
+            (TactileContacts, "/body/contacts", self.contacts.append),
+            (PointCloud2, "/body/points", self.clouds.append),
+            (DiagnosticArray, "/diagnostics", self._hear),
+        ):
+            self._client.create_subscription(kind, topic, take, 100)
+        self._executor = SingleThreadedExecutor()
+        for node in (self.body, self._client):
+            self._executor.add_node(node)
+
+    def _hear(self, message: DiagnosticArray) -> None:
+        self.said = {value.key: value.value for value in message.status[0].values}
+
+    def mount(self, x_m: float, parent: str = "body", child: str = "a") -> None:
+        transform = TransformStamped(header=Header(frame_id=parent), child_frame_id=child)
+        transform.transform.translation.x = x_m
+        self._tf.publish(TFMessage(transforms=[transform]))
+
+    def goes_on(self) -> bool:
+        """For conditions of wait_for: a little of the nodes' life."""
+        for _ in range(20):
+            self._executor.spin_once(0.001)
+        return True
+
+    def points(self) -> np.ndarray:
+        newest = self.clouds[-1].data if self.clouds else b""
+        return np.frombuffer(newest, dtype=BODY_POINT)
+
+    def end(self) -> None:
+        self._executor.shutdown()
+        self._client.destroy_node()
+        self.body.destroy_node()
+        rclpy.shutdown()
+
+
+@pytest.fixture(scope="module")
+def world() -> Iterator[World]:
+    world = World()
+    yield world
+    world.end()
+
+
+def wait(world: World, condition: object, again: object = lambda: None) -> None:
+    """Until the condition holds; meanwhile, again and again, do this."""
+
+    def holds() -> object:
+        again()  # type: ignore[operator]
+        return world.goes_on() and condition()  # type: ignore[operator]
+
+    wait_for(holds, 30.0)
+
+
+TWO = [Point32(x=0.01 * i) for i in range(2)]
+UP = [Point32(z=1.0)] * 2
+
+
+def two_points(world: World) -> None:
+    """A patch a of two taxels at the body's origin."""
+    world.a.describe(1, TWO, UP)
+
+    def again() -> None:
+        world.mount(0.0)
+        world.a.press([1e3, 2e3])
+
+    wait(world, lambda: world.points()["pressure"].tolist() == [1e3, 2e3], again)
+
+
+def test_a_patch_that_falls_silent_is_drawn_no_more_and_then_nothing_is(world: World) -> None:
+    two_points(world)
+    wait(world, lambda: len(world.points()) == 0)
+    drawn = len(world.clouds)
+    wait(world, lambda: "silent" in world.said["/a/skin"])
+    assert len(world.clouds) == drawn
+
+
+def test_an_array_is_only_drawn_with_the_layout_that_it_is_of(world: World) -> None:
+    two_points(world)
+    world.clouds.clear()
+    wait(world, lambda: world.clouds, lambda: world.a.press([1e3, 2e3, 3e3], info_id=2))
+    assert len(world.points()) == 0
+    world.a.describe(2, [*TWO, Point32(y=0.5)], [*UP, Point32(z=1.0)])
+    wait(world, lambda: len(world.points()) == 3, lambda: world.a.press([1e3] * 3, info_id=2))
+    assert world.points()["y"].tolist() == [0.0, 0.0, 0.5]
+
+
+def test_points_have_no_taxels_without_a_number(world: World) -> None:
+    two_points(world)
+    wait(
+        world,
+        lambda: world.points()["taxel"].tolist() == [1],
+        lambda: world.a.press([math.nan, 5e3]),
+    )
+    wait(world, lambda: len(world.points()) == 0, lambda: world.a.press([math.inf, -math.inf]))
+
+
+def test_a_layout_that_contradicts_itself_is_not_drawn_and_the_node_goes_on(world: World) -> None:
+    two_points(world)
+    world.a.describe(1, TWO, UP[:1])
+    wait(world, lambda: len(world.points()) == 0, lambda: world.a.press([1e3, 2e3]))
+    two_points(world)
+
+
+def test_a_transform_that_is_no_number_is_not_taken(world: World) -> None:
+    two_points(world)
+    world.mount(math.nan)
+    world.mount(0.25)
+    wait(
+        world,
+        lambda: np.allclose(world.points()["x"], [0.25, 0.26]),
+        lambda: world.a.press([1e3, 2e3]),
+    )
+    wait(
+        world,
+        lambda: world.points()["pressure"].tolist() == [3e3, 4e3],
+        lambda: (world.mount(math.nan), world.a.press([3e3, 4e3])),
+    )
+    np.testing.assert_allclose(world.points()["x"], [0.25, 0.26])
+
+
+def test_frames_that_go_round_are_said_and_come_right_again(world: World) -> None:
+    def round_and_round() -> None:
+        world.mount(0.0, parent="joint")
+        world.mount(0.0, parent="a", child="joint")
+        world.a.touch()
+
+    wait(world, lambda: "circle" in world.said["/a/skin"], round_and_round)
+    assert "/a/skin" in world.contacts[-1].absent
+    wait(
+        world,
+        lambda: "/a/skin" not in world.contacts[-1].absent,
+        lambda: (world.mount(0.0), world.a.touch()),
+    )
+
+
+def test_thousands_of_contacts_pass(world: World) -> None:
+    world.mount(0.0)
+    wait(world, lambda: world.contacts[-1].absent == ["/b/skin"], lambda: world.a.touch())
+    world.a.touch(contacts=3000)
+    wait(world, lambda: any(len(message.contacts) == 3000 for message in world.contacts))
+    world.contacts.clear()
+
+
+def test_late_messages_are_no_wrong_clock_but_a_wrong_clock_is_said(world: World) -> None:
+    """A busy computer takes some messages late; a wrong clock is wrong of all."""
+    world.mount(0.0)
+
+    def busy() -> None:
+        world.a.touch(age_s=0.0)
+        world.a.touch(age_s=5.0)
+
+    wait(world, lambda: world.said["/a/skin"].endswith("Hz"), busy)
+    for age_s, text in ((5.0, "+5.0 s off"), (-7200.0, "-7200.0 s off")):
+        wait(
+            world,
+            lambda text=text: text in world.said["/a/skin"],
+            lambda age_s=age_s: world.a.touch(age_s),
+        )
