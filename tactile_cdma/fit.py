@@ -46,10 +46,9 @@ the knowledge of its place and edges a tenth of a chip off ideal allow."""
 BLUR = 0.3
 """Samples around an edge of which it is uncertain on which side of it they were taken."""
 WORD_SHARE = 0.5
-"""A node spoke where its word exceeds this share of the nodes' amplitude: of the loudest word's
-where no other is known …"""
+"""A node spoke where its word exceeds this share of the amplitude that nodes have …"""
 LOUD_SHARE = 0.25
-"""… else also this share of the loudest word's, which may be that of three nodes on one row."""
+"""… and this share of the loudest word, which may be that of three nodes on one row."""
 ODD_SHARE = 0.25
 """Of at least three words so many may be uneven and say nothing about the frame …"""
 STRICTER = 3.0
@@ -227,16 +226,22 @@ def lowest_power(swing_v: float) -> float:
     return (swing_v / 4) ** 2
 
 
-def word_floor(loudest: NDArray[np.float32], spec: FrameSpec) -> NDArray[np.float32]:
-    """Mean |r|, V, that a word exceeds in a frame whose loudest word has this; any shape.
+def word_floor(mean: NDArray[np.float32], spec: FrameSpec) -> NDArray[np.float32]:
+    """Amplitude that the words of a frame exceed, V: (…, n) mean |r| of all nodes to (…, 1).
 
-    The loudest may be that of two or three nodes on one row: where the nodes' amplitude is known,
-    it silences no other.
+    The loudest word may be that of two or three nodes on one row. So the nodes' amplitude is taken
+    where it is known, and else that of the second of at least three loud words.
     """
-    if spec.node_swing_v is None:
-        return np.float32(WORD_SHARE) * loudest
-    usual = np.float32(WORD_SHARE) * np.minimum(loudest, np.float32(spec.node_swing_v))
-    floor: NDArray[np.float32] = np.maximum(np.float32(LOUD_SHARE) * loudest, usual)
+    loudest = mean.max(axis=-1, keepdims=True)
+    floor: NDArray[np.float32] = np.float32(LOUD_SHARE) * loudest
+    if spec.node_swing_v is not None:
+        usual = np.minimum(loudest, np.float32(spec.node_swing_v))
+    elif spec.nodes < 3:
+        usual = loudest
+    else:
+        third, second = np.split(np.partition(mean, (-3, -2), axis=-1)[..., -3:-1], 2, axis=-1)
+        usual = np.where(third > floor, second, loudest)
+    floor = np.maximum(floor, np.float32(WORD_SHARE) * usual)
     return floor
 
 
@@ -245,7 +250,7 @@ def read_words(chips: NDArray[np.float32], spec: FrameSpec) -> WordFit:
     rows, bits = correlate(chips, spec.book), np.float32(spec.line_bits)
     signed = rows[..., spec.first_row : spec.first_row + spec.nodes]
     mean = np.abs(signed).sum(axis=1) / bits
-    active = mean > word_floor(mean.max(axis=1, keepdims=True), spec)
+    active = mean > word_floor(mean, spec)
     amplitude = mean * active
     word_power = np.einsum("cn,cn->c", amplitude, amplitude)
     excess = np.einsum("ckn,ckn->cn", signed, signed) / bits - np.square(mean)

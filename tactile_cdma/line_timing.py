@@ -320,7 +320,7 @@ class LineTiming(Timing):
         spec = self.spec
         level = np.abs(rows[:, spec.first_row : spec.first_row + spec.nodes])
         amplitude: NDArray[np.float32] = level.sum(axis=0) * np.float32(1 / spec.line_bits)
-        amplitude *= amplitude > word_floor(amplitude.max(), spec)
+        amplitude *= amplitude > word_floor(amplitude, spec)
         power = dot(amplitude, amplitude)
         meant = rows
         if spec.drive == UNIPOLAR:

@@ -133,7 +133,7 @@ class NodeTiming(LineTiming):
         amplitude = level.mean(axis=0)
         if self._silent(amplitude):
             return self._idle_frame(start, self._nominal_fit, self._sample_power(volts))
-        spoken = amplitude > word_floor(amplitude.max(), self.spec)
+        spoken = amplitude > word_floor(amplitude, self.spec)
         words = np.where(spoken, np.sign(values) * amplitude, 0)
         scatter = np.square((level - amplitude) * (words != 0)).sum()
         spread = float(scatter / np.square(words).sum()) / len(level)
