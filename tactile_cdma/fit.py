@@ -185,10 +185,7 @@ class WordFit:
         all uneven: a frame that fails as a whole may pass without its most uneven words, but then
         what is left must be cleaner than distortion by slightly wrong timing.
         """
-        active = int(np.count_nonzero(self.amplitude))
-        if not active:
-            return False
-        odd = int(ODD_SHARE * (active + 1))
+        odd = int(ODD_SHARE * (np.count_nonzero(self.amplitude) + 1))
         return self._explained(0, limit, MAX_DISTORTION, spec, noise) or (
             odd > 0
             and self._explained(odd, limit / STRICTER, MAX_DISTORTION / STRICTER, spec, noise)
@@ -198,13 +195,15 @@ class WordFit:
         self, odd: int, limit: float, distortion: float, spec: FrameSpec, noise: float | None
     ) -> bool:
         """As believable, without so many of the most uneven words."""
-        power, misfit = self.power.item(), self.misfit.item()
+        power, misfit = max(self.power.item(), 1e-30), self.misfit.item()
         uneven, word_power = self.uneven[0], np.square(self.amplitude[0])
         if odd:
             order = np.argsort(uneven)
             misfit -= float(uneven[order[-odd:]].sum()) / power
             uneven, word_power = uneven[order[:-odd]], word_power[order[:-odd]]
         active, even_power = int(np.count_nonzero(word_power)), float(word_power.sum())
+        if not even_power > 0:
+            return False
         spread = float(uneven.sum()) / even_power
         if noise is None:
             left, most = 3 * spec.order / active * spread * even_power / power, limit
