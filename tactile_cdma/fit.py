@@ -45,8 +45,14 @@ REACHES = (0.5, 0.25, 0.12)
 the knowledge of its place and edges a tenth of a chip off ideal allow."""
 BLUR = 0.3
 """Samples around an edge of which it is uncertain on which side of it they were taken."""
-MANY_WORDS = 8
-"""Among so many words, one that is uneven says nothing about the frame."""
+WORD_SHARE = 0.5
+"""A node spoke where its word exceeds this share of the amplitude that nodes have …"""
+LOUD_SHARE = 0.25
+"""… and this share of the loudest word, which may be that of three nodes on one row."""
+ODD_SHARE = 0.25
+"""Of at least three words so many may be uneven and say nothing about the frame …"""
+STRICTER = 3.0
+"""… where the others are so much cleaner than they would have to be with them."""
 _TINY = np.float32(1e-30)
 """Of divisors that may be zero."""
 SETTLED = 0.02
@@ -149,9 +155,9 @@ class WordFit:
     signed: (c, k, n) float32, V: those of the nodes' rows.
     amplitude: (c, n) float32, V: mean of |signed| over the bits; 0 where the node is silent.
     pedestal: (c,) float32, V: the level that unipolar nodes add; 0 for bipolar drive.
+    uneven: (c, n) float32, V²: variance of |signed| within active words.
     power: (c,) float32, V²: mean power of the chips that these words account for.
-    spread: (c,) float32: variance of |signed| within active words over their power; of many words
-        the most uneven one is left out.
+    spread: (c,) float32: sum of `uneven` over the power of the words.
     misfit: (c,) float32: power of the chips that the words leave over, relative to `power`.
     """
 
@@ -159,6 +165,7 @@ class WordFit:
     signed: NDArray[np.float32]
     amplitude: NDArray[np.float32]
     pedestal: NDArray[np.float32]
+    uneven: NDArray[np.float32]
     power: NDArray[np.float32]
     spread: NDArray[np.float32]
     misfit: NDArray[np.float32]
@@ -173,19 +180,39 @@ class WordFit:
         noise that makes them spread by s leaves s/active in each of the N rows. Beyond that (and
         its scatter, s is an estimate from few bits) and some distortion there is a signal not
         understood.
+
+        A few words may be those of broken nodes, or of two on one row, while wrong timing makes
+        all uneven: a frame that fails as a whole may pass without its most uneven words, but then
+        what is left must be cleaner than distortion by slightly wrong timing.
         """
-        power, spread, misfit = self.power.item(), self.spread.item(), self.misfit.item()
-        if not power > 0:
+        odd = int(ODD_SHARE * (np.count_nonzero(self.amplitude) + 1))
+        return self._explained(0, limit, MAX_DISTORTION, spec, noise) or (
+            odd > 0
+            and self._explained(odd, limit / STRICTER, MAX_DISTORTION / STRICTER, spec, noise)
+        )
+
+    def _explained(
+        self, odd: int, limit: float, distortion: float, spec: FrameSpec, noise: float | None
+    ) -> bool:
+        """As believable, without so many of the most uneven words."""
+        power, misfit = max(self.power.item(), 1e-30), self.misfit.item()
+        uneven, word_power = self.uneven[0], np.square(self.amplitude[0])
+        if odd:
+            order = np.argsort(uneven)
+            misfit -= float(uneven[order[-odd:]].sum()) / power
+            uneven, word_power = uneven[order[:-odd]], word_power[order[:-odd]]
+        active, even_power = int(np.count_nonzero(word_power)), float(word_power.sum())
+        if not even_power > 0:
             return False
-        active = max(int(np.count_nonzero(self.amplitude)), 1)
+        spread = float(uneven.sum()) / even_power
         if noise is None:
-            left, most = 3 * spec.order / active * spread, limit
+            left, most = 3 * spec.order / active * spread * even_power / power, limit
         else:
-            left = 3 * noise / max(power, 1e-30)
-            expected = left / 3 * active / spec.order
+            left = 3 * noise / power
+            expected = noise * active / spec.order / even_power
             scatter = math.sqrt(2 / (active * (spec.line_bits - 1)))
             most = min(limit * (1.7 - 0.7 / active), limit / 2 + expected * (1.3 + 4 * scatter))
-        return bool(spread < most and misfit < left + MAX_DISTORTION)
+        return spread < most and misfit < left + distortion
 
 
 def least_power(spec: FrameSpec) -> float:
@@ -198,18 +225,35 @@ def lowest_power(swing_v: float) -> float:
     return (swing_v / 4) ** 2
 
 
+def word_floor(mean: NDArray[np.float32], spec: FrameSpec) -> NDArray[np.float32]:
+    """Amplitude that the words of a frame exceed, V: (…, n) mean |r| of all nodes to (…, 1).
+
+    The loudest word may be that of two or three nodes on one row. So the nodes' amplitude is taken
+    where it is known, and else that of the second of at least three loud words.
+    """
+    loudest = mean.max(axis=-1, keepdims=True)
+    floor: NDArray[np.float32] = np.float32(LOUD_SHARE) * loudest
+    if spec.node_swing_v is not None:
+        usual = np.minimum(loudest, np.float32(spec.node_swing_v))
+    elif spec.nodes < 3:
+        usual = loudest
+    else:
+        third, second = np.split(np.partition(mean, (-3, -2), axis=-1)[..., -3:-1], 2, axis=-1)
+        usual = np.where(third > floor, second, loudest)
+    floor = np.maximum(floor, np.float32(WORD_SHARE) * usual)
+    return floor
+
+
 def read_words(chips: NDArray[np.float32], spec: FrameSpec) -> WordFit:
-    """Words of each hypothesis: chips (c, k, N) float32, V. A node under half the max is silent."""
+    """Words of each hypothesis: chips (c, k, N) float32, V."""
     rows, bits = correlate(chips, spec.book), np.float32(spec.line_bits)
     signed = rows[..., spec.first_row : spec.first_row + spec.nodes]
     mean = np.abs(signed).sum(axis=1) / bits
-    active = mean > 0.5 * mean.max(axis=1, keepdims=True)
+    active = mean > word_floor(mean, spec)
     amplitude = mean * active
     word_power = np.einsum("cn,cn->c", amplitude, amplitude)
     excess = np.einsum("ckn,ckn->cn", signed, signed) / bits - np.square(mean)
     uneven = np.where(active, excess, np.float32(0))
-    # Of many words one may be that of a broken node, or of two; if timing is wrong all are uneven.
-    odd = np.where(np.count_nonzero(active, axis=1) >= MANY_WORDS, uneven.max(axis=1), 0)
     pedestal, meant = np.zeros(len(chips), np.float32), rows
     if spec.drive == UNIPOLAR:
         pedestal = rows[..., 0].sum(axis=1) / bits
@@ -222,8 +266,9 @@ def read_words(chips: NDArray[np.float32], spec: FrameSpec) -> WordFit:
         signed,
         amplitude,
         pedestal,
+        uneven,
         power,
-        (uneven.sum(axis=1) - odd) / np.maximum(word_power, _TINY),
+        uneven.sum(axis=1) / np.maximum(word_power, _TINY),
         total / np.maximum(bits * power, _TINY) - 1,
     )
 

@@ -36,6 +36,7 @@ from .fit import (
     lowest_power,
     read_words,
     refine,
+    word_floor,
 )
 from .frame import BIPOLAR, MAX_STRETCH, UNIPOLAR, FrameSpec
 from .separate import NodeLevels, node_levels
@@ -319,7 +320,7 @@ class LineTiming(Timing):
         spec = self.spec
         level = np.abs(rows[:, spec.first_row : spec.first_row + spec.nodes])
         amplitude: NDArray[np.float32] = level.sum(axis=0) * np.float32(1 / spec.line_bits)
-        amplitude *= amplitude > 0.5 * amplitude.max()
+        amplitude *= amplitude > word_floor(amplitude, spec)
         power = dot(amplitude, amplitude)
         meant = rows
         if spec.drive == UNIPOLAR:

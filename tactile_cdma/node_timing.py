@@ -26,7 +26,7 @@ import math
 import numpy as np
 
 from .clock_keeper import ClockKeeper
-from .fit import MAX_SPREAD, Floats
+from .fit import MAX_SPREAD, Floats, word_floor
 from .frame import FrameSpec
 from .line_timing import LineTiming
 from .sampling import Sampling
@@ -133,7 +133,8 @@ class NodeTiming(LineTiming):
         amplitude = level.mean(axis=0)
         if self._silent(amplitude):
             return self._idle_frame(start, self._nominal_fit, self._sample_power(volts))
-        words = np.where(amplitude > 0.5 * amplitude.max(), np.sign(values) * amplitude, 0)
+        spoken = amplitude > word_floor(amplitude, self.spec)
+        words = np.where(spoken, np.sign(values) * amplitude, 0)
         scatter = np.square((level - amplitude) * (words != 0)).sum()
         spread = float(scatter / np.square(words).sum()) / len(level)
         if spread > MAX_SPREAD:

@@ -125,8 +125,11 @@ def test_a_weak_node_is_named(without_5: list[Packet], node_5: list[Packet]) -> 
     assert "weaker than the others: node 5:" in weak.text
 
 
-def test_two_nodes_of_one_number_are_named(sound: list[Packet], node_5: list[Packet]) -> None:
-    _, doubled = checks(with_node(sound, node_5, 0.9))["nodes"]
+@pytest.mark.parametrize("share", [0.9, 1.0])
+def test_two_nodes_of_one_number_are_named(
+    sound: list[Packet], node_5: list[Packet], share: float
+) -> None:
+    _, doubled = checks(with_node(sound, node_5, share))["nodes"]
     assert doubled.verdict is Verdict.PROBLEM
     assert "two speak on one code row: node 5:" in doubled.text
 

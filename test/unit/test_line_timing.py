@@ -27,7 +27,8 @@ from tactile_cdma.decode import decode
 from tactile_cdma.encode import line_chips
 from tactile_cdma.errors import SpecError
 from tactile_cdma.fit import Line, refine
-from tactile_cdma.frame import FrameSpec
+from tactile_cdma.frame import DEFAULT_AMPLITUDE_V, FrameSpec
+from tactile_cdma.health import NodeHealth, NodeState
 from tactile_cdma.line_timing import CARRIED_FRAMES, LineTiming
 from tactile_cdma.sim.digitizer import stream, truth
 from tactile_cdma.sim.options import Setup, SimOptions
@@ -255,3 +256,80 @@ def test_two_nodes_on_one_row_cost_the_others_nothing(drive: str) -> None:
         volts += rng.normal(0, 0.01, period).astype(np.float32)
         timing.feed(SampleBlock(number * period, volts, sync=True))
     assert timing.rejected <= 2
+
+
+ROW = np.arange(16) == 4
+
+
+def shared_row_blocks(
+    talkers: int, number: int, words: str, frames: int = 40, share: float = 1.0
+) -> tuple[list[SampleBlock], list[np.ndarray]]:
+    """Frames in which so many nodes more speak on node 5's row, and the codes of the others."""
+    rng, spec, result, sent = np.random.default_rng(9), FrameSpec(), [], []
+    active = ROW | (np.arange(16) < talkers - 1)
+    for frame in range(frames):
+        codes = rng.integers(0, 1024, 16)
+        chips = line_chips(spec, codes, active)
+        for _ in range(number):
+            other = {"equal": codes, "alike": codes ^ rng.integers(0, 4, 16)}.get(
+                words, rng.integers(0, 1024, 16)
+            )
+            chips += line_chips(spec, other, ROW, share * DEFAULT_AMPLITUDE_V)
+        volts = np.zeros(1024, np.float32)
+        volts[: 4 * spec.chips] = np.repeat(chips.ravel(), 4)
+        volts += rng.normal(0, 0.01, 1024).astype(np.float32)
+        result.append(SampleBlock(1024 * frame, volts, sync=True))
+        sent.append(np.where(active & ~ROW, codes, -1))
+    return result, sent
+
+
+@pytest.mark.parametrize("talkers", [3, 4, 16])
+@pytest.mark.parametrize(
+    ("number", "words", "share"),
+    [
+        (1, "equal", 1),
+        (1, "alike", 1),
+        (1, "any", 1),
+        (1, "any", 0.3),
+        (1, "equal", -1),
+        (2, "equal", 1),
+        (2, "any", 1),
+    ],
+)
+def test_nodes_on_one_row_cost_no_frame(
+    talkers: int, number: int, words: str, share: float
+) -> None:
+    given, sent = shared_row_blocks(talkers, number, words, share=share)
+    timing, health = LineTiming(SPEC, 4 / SPEC.chip_s), NodeHealth(SPEC)
+    frames = run(timing, given)
+    assert timing.rejected <= 4
+    for frame in frames:
+        assert frame.levels is not None
+        heard, codes = decode(frame.levels, SPEC), sent[round(frame.start / 1024)]
+        assert np.array_equal(np.where(heard.active & ~ROW, heard.codes, -1), codes)
+        health.update(heard)
+    assert not health.invalid[~ROW].any()
+    if number == 1 and share == 1:
+        assert health.nodes(NodeState.DOUBLED) == [5]
+
+
+@pytest.mark.parametrize("number", [0, 1])
+@pytest.mark.parametrize("what", ["another code", "noise", "too long", "cut"])
+def test_what_is_no_frame_is_rejected(what: str, number: int) -> None:
+    """A row with two nodes on it is no excuse for the others."""
+    given, _ = shared_row_blocks(16, number, "any", frames=12)
+    timing, rng = LineTiming(SPEC, 4 / SPEC.chip_s), np.random.default_rng(1)
+    for block in given:
+        volts = block.volts.copy()
+        if what == "another code":
+            chips = volts[: 4 * SPEC.chips].reshape(-1, 4)
+            volts[: 4 * SPEC.chips] = rng.permutation(chips).ravel()
+        elif what == "noise":
+            volts[: 4 * SPEC.chips] = rng.normal(0, 1, 4 * SPEC.chips)
+        elif what == "too long":
+            volts[:960] = volts[np.arange(960) * 5 // 6]
+        else:
+            volts[400:] = 0
+        assert not timing.feed(replace(block, volts=volts))
+    timing.flush()
+    assert timing.rejected == len(given)
