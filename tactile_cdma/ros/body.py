@@ -45,6 +45,7 @@ from .body_parameters import body_setup, declared
 from .body_report import PatchState, body_status
 from .contacts import RELIABLE
 from .convert import point_cloud
+from .gate import Gate
 from .patch_feed import PatchFeed, nanoseconds
 from .pictures import PICTURE
 from .process import run_node
@@ -67,8 +68,9 @@ class BodyNode(Node):
         self._wrench = self._publisher(WrenchStamped, "~/wrench", RELIABLE)
         self._points = self._publisher(PointCloud2, "~/points", PICTURE)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._gate = Gate(self, self._publish_points)
         self._feeds = {
-            name: PatchFeed(self, name, index, self._take_contacts)
+            name: PatchFeed(self, name, index, self._take_contacts, self._gate)
             for index, name in enumerate(self._setup.patches)
         }
         self._transforms = TransformListener(self)
@@ -77,10 +79,11 @@ class BodyNode(Node):
         self._published_s = 0.0  # when contacts were, or would have been, last published
         self._sequence = 0
         self._drawn: list[PatchFeed] = []  # patches that the last points are of
+        self._are_points_due = False
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on where simulated time stands
         self.create_timer(TICK_S, self._tick, clock=steady)
         self.create_timer(REPORT_S, self._report, clock=steady)
-        self.create_timer(1.0 / self._setup.visual_rate_hz, self._publish_points, clock=steady)
+        self.create_timer(1.0 / self._setup.visual_rate_hz, self._ask_for_points, clock=steady)
 
     def _publisher(self, kind: Any, topic: str, qos: QoSProfile) -> Publisher:
         declare = partial(declared, self)
@@ -97,6 +100,8 @@ class BodyNode(Node):
         for feed in self._feeds.values():
             feed.follow(contacts, points)
         self._transforms.follow(contacts or points)
+        if points:
+            self._gate.open()  # who is silent is seen, however seldom points are drawn
         now_s = time.monotonic()
         if not contacts:
             self._rounds.forget()
@@ -151,6 +156,11 @@ class BodyNode(Node):
 
     # Points
 
+    def _ask_for_points(self) -> None:
+        if self._points.get_subscription_count():
+            self._are_points_due = True
+            self._gate.open()
+
     def _publish_points(self) -> None:
         """The latest of every patch, where any of it is new, or a patch has come or gone."""
         now_s, stamps, clouds = time.monotonic(), [], []
@@ -160,9 +170,9 @@ class BodyNode(Node):
             if feed.silent_s(now_s) <= self._setup.stale_after_s
         ]
         is_new = any(feed.is_new for feed in present) or present != self._drawn
-        if not self._points.get_subscription_count() or not is_new:
+        if not self._are_points_due or not is_new:
             return
-        self._drawn = present
+        self._are_points_due, self._drawn = False, present
         for feed in present:
             feed.is_new = False
             pose = self._pose(feed, feed.array.header.frame_id) if feed.array else None

@@ -25,6 +25,7 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point32
 from numpy.typing import NDArray
+from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
@@ -35,6 +36,7 @@ from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 from ..body_cloud import PatchCloud
 from ..poses import Pose
 from .contacts import RELIABLE
+from .gate import Gate
 from .qos import LATCHED
 
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -46,10 +48,13 @@ class PatchFeed:
     """The latest of one patch's topics.
 
     node_name: fully qualified, of the patch's driver. contacts, array: the latest messages, None:
-    none since they are followed. is_new: the array has not been drawn.
+    none since they are followed. is_new: the array has not been drawn. gate: arrays come through
+    it.
     """
 
-    def __init__(self, node: Node, node_name: str, index: int, on_contacts: NewContacts) -> None:
+    def __init__(
+        self, node: Node, node_name: str, index: int, on_contacts: NewContacts, gate: Gate
+    ) -> None:
         self.node_name = node_name
         self.contacts: TactileContacts | None = None
         self.array: TactileArray | None = None
@@ -58,6 +63,7 @@ class PatchFeed:
         self._late_s = math.inf
         self._counted, self._reported_s = 0, -math.inf
         self._node, self._index, self._on_contacts = node, index, on_contacts
+        self._gate = gate
         self._cloud: tuple[int, PatchCloud] | None = None
         self._for_contacts: list[Subscription] = []
         self._for_points: list[Subscription] = []
@@ -80,7 +86,7 @@ class PatchFeed:
         return late_s if late_s < math.inf else 0.0
 
     def rate_hz(self, now_s: float) -> float:
-        """Of its frames since this was last asked."""
+        """Of its frames that were taken since this was last asked."""
         rate_hz = self._counted / (now_s - self._reported_s)
         self._counted, self._reported_s = 0, now_s
         return rate_hz
@@ -105,7 +111,7 @@ class PatchFeed:
         if points and not self._for_points:
             self._for_points = [
                 self._subscribe(TactileSkinInfo, "info", self._take_info, LATCHED),
-                self._subscribe(TactileArray, "tactile", self._take_array, LATEST),
+                self._subscribe(TactileArray, "tactile", self._take_array, LATEST, self._gate),
             ]
         elif not points and self._for_points:
             self._drop(self._for_points)
@@ -127,9 +133,15 @@ class PatchFeed:
         return cloud.points(pressure_pa, max_pa, pose)
 
     def _subscribe(
-        self, kind: Any, topic: str, take: Callable[[Any], None], qos: QoSProfile
+        self,
+        kind: Any,
+        topic: str,
+        take: Callable[[Any], None],
+        qos: QoSProfile,
+        group: CallbackGroup | None = None,
     ) -> Subscription:
-        return self._node.create_subscription(kind, f"{self.node_name}/{topic}", take, qos)
+        full_name = f"{self.node_name}/{topic}"
+        return self._node.create_subscription(kind, full_name, take, qos, callback_group=group)
 
     def _drop(self, subscriptions: list[Subscription]) -> None:
         for subscription in subscriptions:

@@ -242,8 +242,8 @@ def test_late_messages_are_no_wrong_clock_but_a_wrong_clock_is_said(world: World
     world.mount(0.0)
 
     def busy() -> None:
-        world.a.touch(age_s=5.0)
         world.a.touch(age_s=0.0)
+        world.a.touch(age_s=5.0)
 
     wait(world, lambda: world.said["/a/skin"].endswith("Hz"), busy)
     for age_s, text in ((5.0, "+5.0 s off"), (-7200.0, "-7200.0 s off")):
