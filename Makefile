@@ -8,7 +8,7 @@
 # make firmware-figures what they take: share of time awake, load of the digitizer
 # make setup   the environment in .venv only; everything else does this first
 # make bench-error, -speed, -skip, -timing, -scale, -ros, -crest, -pressure, -contact, -pictures,
-#              -stuck
+#              -stuck, -body
 #              QUICK=1: within 40 s each, else up to 7 min
 # make lint    ruff and mypy;  make clean: remove .venv and what tests leave
 # DISTRO=kilted with any of these: ROS 2 Kilted instead of Jazzy, in .venv-kilted

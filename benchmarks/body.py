@@ -111,6 +111,7 @@ def measure(load: str, contacts: bool, taxels: int) -> Result:
 def listen(body_pid: int, contacts: bool, points: bool) -> Result:
     """Subscribe to the body's topics once all its patches are there."""
     import rclpy
+    from rclpy.executors import SingleThreadedExecutor
     from sensor_msgs.msg import PointCloud2
 
     from tactile_cdma.msg import TactileContacts
@@ -132,19 +133,22 @@ def listen(body_pid: int, contacts: bool, points: bool) -> Result:
         node.create_subscription(TactileContacts, "/body/contacts", take_contacts, RELIABLE)
     if points:
         node.create_subscription(PointCloud2, "/body/points", take_points, PICTURE, raw=True)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
 
     def spin_until(deadline_s: float) -> None:
         while time.monotonic() < deadline_s:
-            rclpy.spin_once(node, timeout_sec=0.1)
+            executor.spin_once(0.1)
 
     while not (result.age_ms or not contacts) or not (result.points or not points):
-        rclpy.spin_once(node, timeout_sec=0.1)
+        executor.spin_once(0.1)
     spin_until(time.monotonic() + WARM_UP_S)
     result.age_ms.clear()
     result.points = 0
     busy_s, begin_s = cpu_s(body_pid), time.monotonic()
     spin_until(begin_s + SECONDS)
     result.share = (cpu_s(body_pid) - busy_s) / (time.monotonic() - begin_s)
+    executor.shutdown()
     node.destroy_node()
     rclpy.shutdown()
     return result

@@ -35,12 +35,13 @@ from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 
 from ..body_cloud import PatchCloud
 from ..poses import Pose
-from .contacts import RELIABLE
 from .gate import Gate
 from .qos import LATCHED
 
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Of arrays: points are drawn less often than they come."""
+FRESH = QoSProfile(depth=2)
+"""Of contacts: who falls behind goes on with the newest, instead of being late from then on."""
 NewContacts = Callable[["PatchFeed", TactileContacts], None]
 
 
@@ -103,7 +104,7 @@ class PatchFeed:
         """Subscribe to what contacts and points of the body take, and to no more."""
         if contacts and not self._for_contacts:
             self._for_contacts = [
-                self._subscribe(TactileContacts, "contacts", self._take_contacts, RELIABLE)
+                self._subscribe(TactileContacts, "contacts", self._take_contacts, FRESH)
             ]
         elif not contacts and self._for_contacts:
             self._drop(self._for_contacts)
