@@ -34,6 +34,7 @@ from tactile_cdma.errors import TactileError
 from tactile_cdma.parameters import Value
 
 SHARE = Path(__file__).parent.parent  # of the installed package, or the checkout
+PARAMS = str(SHARE / "config" / "skin.yaml")
 RVIZ_TOPICS = ("heatmap", "markers", "points", "pressure_image", "wrench")
 OF_ONE_PATCH = ("port", "namespace", "frame_id")
 RESPAWN_DELAY_S = 2.0
@@ -43,7 +44,7 @@ def generate_launch_description() -> LaunchDescription:
     arguments = [
         DeclareLaunchArgument(
             "params_file",
-            default_value=str(SHARE / "config" / "skin.yaml"),
+            default_value=PARAMS,
             description="parameters of the driver",
         ),
         DeclareLaunchArgument(
@@ -104,6 +105,8 @@ def start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
 
 def one_patch(get: dict[str, str]) -> list[LaunchDescriptionEntity]:
     """Return the driver of a single patch."""
+    if get["only"]:
+        raise RuntimeError("only chooses from a body file: name that, too, by patches:=…")
     overrides = {"port": get["port"], "frame_id": get["frame_id"]}
     # options stay, as in port:=sim://?scene=hand
     if get["sim"] == "true" and not overrides["port"].startswith("sim://"):
@@ -115,6 +118,7 @@ def one_patch(get: dict[str, str]) -> list[LaunchDescriptionEntity]:
 def whole_body(get: dict[str, str]) -> list[LaunchDescriptionEntity]:
     """Return the drivers of a body's patches, started again where they die, and its own node."""
     given = [name for name in OF_ONE_PATCH if get[name]] + ["sim"] * (get["sim"] == "true")
+    given += ["params_file"] * (get["params_file"] != PARAMS)
     if given:
         raise RuntimeError(f"{given[0]} is of one patch: with patches:=… the body file says it")
     path = Path(get["patches"]).expanduser().absolute()
