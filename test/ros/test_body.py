@@ -117,23 +117,32 @@ class Body:
         self.diagnostics: list[DiagnosticStatus] = []
         self.tf = self.client.create_publisher(TFMessage, "/tf", 10)
         self.client.create_subscription(DiagnosticArray, "/diagnostics", self._take, 10)
-        self._executor = SingleThreadedExecutor()
-        for node in (self.client, *self.drivers):
-            self._executor.add_node(node)
+        # The client by itself: an executor's time for one message grows with all that its nodes
+        # have, and drivers have much; it would hear of things ever later.
+        self._executor, for_drivers = SingleThreadedExecutor(), SingleThreadedExecutor()
+        self._executor.add_node(self.client)
+        for node in self.drivers:
+            for_drivers.add_node(node)
         self._ended = threading.Event()
-        self._spinning = threading.Thread(target=self._spin)
-        self._spinning.start()
+        self._spinning = [
+            threading.Thread(target=self._spin, args=(executor,))
+            for executor in (self._executor, for_drivers)
+        ]
+        for thread in self._spinning:
+            thread.start()
 
-    def _spin(self) -> None:
+    def _spin(self, executor: SingleThreadedExecutor) -> None:
         while not self._ended.is_set():
-            self._executor.spin_once(0.1)
+            executor.spin_once(0.1)
+        executor.shutdown()
 
     def _take(self, message: DiagnosticArray) -> None:
         self.diagnostics += [s for s in message.status if s.name == "body: patches"]
 
     def subscribe(self, kind: Any, topic: str, take: Callable[[Any], object]) -> Any:
-        # Deep: this process is busy with five drivers.
-        return self.client.create_subscription(kind, topic, take, 1000)
+        # Deep: this process is busy with five drivers. But of points only the latest count.
+        depth = 1 if kind is PointCloud2 else 1000
+        return self.client.create_subscription(kind, topic, take, depth)
 
     def unsubscribe(self, subscription: Any) -> None:
         # Not in this thread: the executor may be waiting for it.
@@ -168,8 +177,8 @@ class Body:
 
     def end(self) -> None:
         self._ended.set()
-        self._spinning.join()
-        self._executor.shutdown()
+        for thread in self._spinning:
+            thread.join()
         for node in (self.client, *self.drivers):
             node.destroy_node()
         for process in self.processes:
