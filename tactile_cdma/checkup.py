@@ -83,8 +83,8 @@ def stream(pipeline: Pipeline, window: Window, latest: TactileFrame | None) -> I
     calling = clocks is not None and clocks.busy
     if share < SLOW and not calling:
         cause = (
-            "is the digitizer or this computer too slow, or is the line disturbed (see rejected "
-            "bursts, lost packets and CPU)?"
+            "is the digitizer, a replay or this computer too slow, or is the line disturbed (see "
+            "rejected bursts, lost packets and CPU)?"
         )
         key, level = ("slow", Level.WARN) if share >= VERY_SLOW else ("very slow", Level.ERROR)
         yield Finding(key, level, f"frames come at {share:.0%} of their rate: {cause}")

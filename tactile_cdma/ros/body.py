@@ -44,9 +44,9 @@ from .body_contacts import body_contacts
 from .body_parameters import body_setup, declared
 from .body_report import PatchState, body_status
 from .contacts import RELIABLE
-from .convert import point_cloud
+from .convert import nanoseconds, point_cloud
 from .gate import Gate
-from .patch_feed import PatchFeed, nanoseconds
+from .patch_feed import PatchFeed
 from .pictures import PICTURE
 from .process import run_node
 from .qos import offered
@@ -83,7 +83,10 @@ class BodyNode(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on where simulated time stands
         self.create_timer(TICK_S, self._tick, clock=steady)
         self.create_timer(REPORT_S, self._report, clock=steady)
-        self.create_timer(1.0 / self._setup.visual_rate_hz, self._ask_for_points, clock=steady)
+        self._points_timer = self.create_timer(
+            1.0 / self._setup.visual_rate_hz, self._ask_for_points, clock=steady
+        )
+        self._points_timer.cancel()  # until somebody asks
 
     def _publisher(self, kind: Any, topic: str, qos: QoSProfile) -> Publisher:
         declare = partial(declared, self)
@@ -101,7 +104,11 @@ class BodyNode(Node):
             feed.follow(contacts, points)
         self._transforms.follow(contacts or points)
         if points:
+            if self._points_timer.is_canceled():
+                self._points_timer.reset()
             self._gate.open()  # who is silent is seen, however seldom points are drawn
+        else:
+            self._points_timer.cancel()
         now_s = time.monotonic()
         if not contacts:
             self._rounds.forget()
@@ -157,9 +164,8 @@ class BodyNode(Node):
     # Points
 
     def _ask_for_points(self) -> None:
-        if self._points.get_subscription_count():
-            self._are_points_due = True
-            self._gate.open()
+        self._are_points_due = True
+        self._gate.open()
 
     def _publish_points(self) -> None:
         """The latest of every patch, where any of it is new, or a patch has come or gone."""

@@ -181,6 +181,11 @@ def nanoseconds(stamp: Time) -> int:
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
+def rows(points: Sequence[Point32]) -> NDArray[np.float32]:
+    """Places or vectors as an array, (t, 3)."""
+    return np.array([(p.x, p.y, p.z) for p in points], dtype=np.float32).reshape(-1, 3)
+
+
 def point(place: NDArray[np.floating]) -> Point:
     """A place, (3,)."""
     x, y, z = place.tolist()

@@ -18,12 +18,11 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point32
 from numpy.typing import NDArray
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
@@ -35,6 +34,7 @@ from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 
 from ..body_cloud import PatchCloud
 from ..poses import Pose
+from .convert import nanoseconds, rows
 from .gate import Gate
 from .qos import LATCHED
 
@@ -168,15 +168,5 @@ class PatchFeed:
         if len(message.positions) != len(message.normals):
             self._cloud = None  # of no driver of ours
             return
-        cloud = PatchCloud(_array(message.positions), _array(message.normals), self._index)
+        cloud = PatchCloud(rows(message.positions), rows(message.normals), self._index)
         self._cloud = message.info_id, cloud
-
-
-def _array(points: Sequence[Point32]) -> NDArray[np.float32]:
-    """(t, 3)."""
-    return np.array([(p.x, p.y, p.z) for p in points], dtype=np.float32).reshape(-1, 3)
-
-
-def nanoseconds(stamp: Time) -> int:
-    """A stamp as one number."""
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)

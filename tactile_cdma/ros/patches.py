@@ -17,8 +17,6 @@
 from __future__ import annotations
 
 import numpy as np
-from geometry_msgs.msg import Point32
-from numpy.typing import NDArray
 
 from tactile_cdma.msg import TactileSkinInfo
 
@@ -26,6 +24,7 @@ from ..body_file import NODE_NAME as NODE_NAME  # viewers take it from here
 from ..layout import Layout
 from ..layout_shapes import seen_from_outside
 from ..proximity import usual_distance_m
+from .convert import rows
 
 ARRAY_TOPIC = "tactile"
 
@@ -41,7 +40,7 @@ def layout_of(info: TactileSkinInfo) -> Layout:
 
     Places on the unrolled skin are not among it: an irregular skin's are seen from outside.
     """
-    positions_m, normals = _rows(info.positions), _rows(info.normals)
+    positions_m, normals = rows(info.positions), rows(info.normals)
     areas_m2 = np.array(info.area, dtype=np.float32)
     irregular = info.height == 1 and info.width > 1
     pitch_m = usual_distance_m(positions_m, normals) if irregular else None
@@ -57,7 +56,3 @@ def layout_of(info: TactileSkinInfo) -> Layout:
         pitch_m=pitch_m or float(np.sqrt(np.median(areas_m2))),
         irregular=irregular,
     )
-
-
-def _rows(points: list[Point32]) -> NDArray[np.float32]:
-    return np.array([(p.x, p.y, p.z) for p in points], dtype=np.float32).reshape(-1, 3)

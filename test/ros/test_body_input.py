@@ -166,7 +166,7 @@ def test_a_patch_that_falls_silent_is_drawn_no_more_and_then_nothing_is(world: W
     two_points(world)
     wait(world, lambda: len(world.points()) == 0)
     drawn = len(world.clouds)
-    wait(world, lambda: "silent" in world.said["/a/skin"])
+    wait(world, lambda: "silent" in world.said.get("/a/skin", ""))
     assert len(world.clouds) == drawn
 
 
@@ -220,7 +220,7 @@ def test_frames_that_go_round_are_said_and_come_right_again(world: World) -> Non
         world.mount(0.0, parent="a", child="joint")
         world.a.touch()
 
-    wait(world, lambda: "circle" in world.said["/a/skin"], round_and_round)
+    wait(world, lambda: "circle" in world.said.get("/a/skin", ""), round_and_round)
     assert "/a/skin" in world.contacts[-1].absent
     wait(
         world,
@@ -245,10 +245,10 @@ def test_late_messages_are_no_wrong_clock_but_a_wrong_clock_is_said(world: World
         world.a.touch(age_s=0.0)
         world.a.touch(age_s=5.0)
 
-    wait(world, lambda: world.said["/a/skin"].endswith("Hz"), busy)
+    wait(world, lambda: world.said.get("/a/skin", "").endswith("Hz"), busy)
     for age_s, text in ((5.0, "+5.0 s off"), (-7200.0, "-7200.0 s off")):
         wait(
             world,
-            lambda text=text: text in world.said["/a/skin"],
+            lambda text=text: text in world.said.get("/a/skin", ""),
             lambda age_s=age_s: world.a.touch(age_s),
         )
