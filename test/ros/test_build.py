@@ -46,29 +46,43 @@ def run(*command: str | Path, cwd: Path, env: dict[str, str] | None = None) -> s
     return done.stdout
 
 
-@pytest.mark.parametrize("options", [(), ("--symlink-install",)], ids=["copied", "symlinks"])
-def test_colcon_build(tmp_path: Path, options: tuple[str, ...]) -> None:
+def test_colcon_build(tmp_path: Path) -> None:
     colcon = shutil.which("colcon", path=f"{BIN}{os.pathsep}{os.environ['PATH']}")
     assert colcon is not None, "colcon is missing from the environment"
     source = shutil.copytree(ROOT, tmp_path / "src" / "tactile_cdma", ignore=IGNORED)
-    prefixes = os.environ["AMENT_PREFIX_PATH"]
+    # What is compiled serves both ways to install it.
+    for options, base in ((), "install"), (("--symlink-install",), "links"):
+        build(colcon, tmp_path, base, *options)
+        prefix = tmp_path / base / "tactile_cdma"
+        share = prefix / "share" / "tactile_cdma"
+        for program in ROOT.glob("scripts/*"):
+            assert os.access(prefix / "lib" / "tactile_cdma" / program.name, os.X_OK)
+        for path in [*ROOT.glob("launch/*.py"), *ROOT.glob("config/*.*"), *ROOT.glob("urdf/*")]:
+            assert (share / path.relative_to(ROOT)).is_file()
+        imported = imported_from(tmp_path, base)
+        assert imported.is_relative_to(prefix)
+        assert imported.resolve().is_relative_to(source if options else prefix)
+
+
+def build(colcon: str, workspace: Path, base: str, *options: str) -> None:
+    """Build the package of a workspace, and install it."""
+    # Where a link is to be made that was a folder before.
+    shutil.rmtree(workspace / "build" / "tactile_cdma" / "ament_cmake_python", ignore_errors=True)
     run(
-        *(colcon, "--log-base", "log", "build", *options),
+        *(colcon, "--log-base", "log", "build", "--install-base", base, *options),
         *("--cmake-args", "-DBUILD_TESTING=OFF", f"-DPython3_EXECUTABLE={sys.executable}"),
         # C++ is not used here: not optimising it saves half of the time
         *("-DCMAKE_BUILD_TYPE=Debug", "-DCMAKE_CXX_FLAGS=-O0", "--no-warn-unused-cli"),
-        cwd=tmp_path,
-        env={**os.environ, "CMAKE_PREFIX_PATH": prefixes},
+        cwd=workspace,
+        env={**os.environ, "CMAKE_PREFIX_PATH": os.environ["AMENT_PREFIX_PATH"]},
     )
 
-    prefix = tmp_path / "install" / "tactile_cdma"
-    share = prefix / "share" / "tactile_cdma"
-    for name in ("skin_driver", "skin_view", "tactile-cdma"):
-        assert os.access(prefix / "lib" / "tactile_cdma" / name, os.X_OK)
-    for path in [*ROOT.glob("launch/*.py"), *ROOT.glob("config/*.*"), ROOT / "package.xml"]:
-        assert (share / path.relative_to(ROOT)).is_file()
 
-    # As a user has it: the workspace sourced, and this checkout not on the path.
+def imported_from(workspace: Path, base: str) -> Path:
+    """Use messages and code as a user does; the file that the package was imported from.
+
+    With the workspace sourced, and this checkout not on the path.
+    """
     program = (
         f"import sys; sys.path = [path for path in sys.path if path != {str(ROOT)!r}];"
         "from tactile_cdma.msg import TactileArray, TactileSkinInfo;"
@@ -78,13 +92,11 @@ def test_colcon_build(tmp_path: Path, options: tuple[str, ...]) -> None:
         "from tactile_cdma.codes import code_book; import tactile_cdma.sim;"
         "print(tactile_cdma.__file__)"
     )
-    sourced = f'. "{tmp_path}/install/local_setup.sh" && exec "$0" -c "$1"'
+    sourced = f'. "{workspace}/{base}/local_setup.sh" && exec "$0" -c "$1"'
     # colcon's scripts stumble over a blank in the path of the Python that they were made with
     environment = {**os.environ, "COLCON_PYTHON_EXECUTABLE": os.path.realpath(sys.executable)}
-    answer = run("sh", "-c", sourced, sys.executable, program, cwd=tmp_path, env=environment)
-    imported = Path(answer.strip().splitlines()[-1])
-    assert imported.is_relative_to(prefix)
-    assert imported.resolve().is_relative_to(source if options else prefix)
+    answer = run("sh", "-c", sourced, sys.executable, program, cwd=workspace, env=environment)
+    return Path(answer.strip().splitlines()[-1])
 
 
 def test_pip_install_gives_the_command_without_ros(tmp_path: Path) -> None:
