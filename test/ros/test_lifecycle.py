@@ -16,6 +16,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import tempfile
 import threading
@@ -210,6 +211,22 @@ def test_a_defect_is_told_of_releases_everything_and_can_be_outlived(tmp_path: P
         assert client.change(Transition.TRANSITION_CONFIGURE)
         assert client.change(Transition.TRANSITION_ACTIVATE)
         wait_for(lambda: client.arrays)
+
+
+def test_a_destroyed_node_leaves_no_services_behind() -> None:
+    gc.disable()  # which would find them some time
+    watcher = rclpy.create_node("watcher")
+
+    def services() -> set[str]:
+        return {name for name, _ in watcher.get_service_names_and_types()}
+
+    try:
+        with running(autostart=False):
+            wait_for(lambda: "/skin/change_state" in services())
+        wait_for(lambda: not services() & {"/skin/change_state", "/skin/get_state", "/skin/tare"})
+    finally:
+        watcher.destroy_node()
+        gc.enable()
 
 
 def test_transitions_work_by_call_too_and_a_node_may_go_in_any_state() -> None:

@@ -167,6 +167,15 @@ def test_each_picture_is_drawn_only_while_somebody_looks_at_it() -> None:
         assert not drawn
 
 
+def test_no_frame_is_drawn_twice() -> None:
+    images: list[Image] = []
+    with running(port="sim://?scene=all&threshold=0", frame_period_ms=100) as (_, client):
+        client.create_subscription(Image, "/skin/heatmap", images.append, PICTURE)
+        wait_for(lambda: len(images) > 8)
+    stamps = [(image.header.stamp.sec, image.header.stamp.nanosec) for image in images]
+    assert len(set(stamps)) == len(stamps)
+
+
 def noted(calls: list[str], name: str, draw: Callable[..., Any]) -> Callable[..., Any]:
     """The same function, which also leaves its name."""
 

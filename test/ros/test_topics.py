@@ -16,7 +16,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -37,6 +36,7 @@ from tf2_msgs.msg import TFMessage  # noqa: E402
 from skin_client import Client, running, wait_for  # noqa: E402
 from tactile_cdma.msg import TactileArray  # noqa: E402
 from tactile_cdma.parameters import read_file  # noqa: E402
+from tactile_cdma.poses import Pose  # noqa: E402
 from tactile_cdma.ros.node import SkinNode  # noqa: E402
 from tactile_cdma.ros.pictures import TOPICS  # noqa: E402
 from tactile_cdma.ros.qos import LATCHED  # noqa: E402
@@ -113,7 +113,7 @@ def test_qos_that_nothing_takes_is_warned_of(topic: str, policy: str) -> None:
 
 def test_tf_is_told_where_the_skin_is_from_configure_to_cleanup() -> None:
     told: list[TFMessage] = []
-    mount = {"mount_xyz_m": [0.1, 0.0, -0.2], "mount_rpy_rad": [0.0, 0.0, math.pi / 2]}
+    mount = {"mount_xyz_m": [0.1, 0.0, -0.2], "mount_rpy_rad": [0.2, -0.4, 0.9]}
     with running(autostart=False, parent_frame="palm", frame_id="pad", **mount) as (_, client):
         client.create_subscription(TFMessage, "/tf_static", told.append, LATCHED)
         assert client.change(Transition.TRANSITION_CONFIGURE)
@@ -122,7 +122,9 @@ def test_tf_is_told_where_the_skin_is_from_configure_to_cleanup() -> None:
         assert (transform.header.frame_id, transform.child_frame_id) == ("palm", "pad")
         place, turn = transform.transform.translation, transform.transform.rotation
         assert (place.x, place.y, place.z) == (0.1, 0.0, -0.2)
-        assert np.allclose((turn.x, turn.y, turn.z, turn.w), (0, 0, math.sqrt(0.5), math.sqrt(0.5)))
+        turned = Pose.of_quaternion((0, 0, 0), (turn.x, turn.y, turn.z, turn.w))
+        expected = Pose.of_rpy((0, 0, 0), mount["mount_rpy_rad"])
+        np.testing.assert_allclose(turned.rotation, expected.rotation, atol=1e-12)
         assert client.set(mount_xyz_m=[1, 2, 3]) == (True, "")  # whole numbers will do
         wait_for(lambda: told[-1].transforms[0].transform.translation.z == 3.0)
         assert client.change(Transition.TRANSITION_CLEANUP)
