@@ -10,6 +10,8 @@
 # make bench-error, -speed, -skip, -timing, -scale, -ros, -crest, -pressure, -contact, -pictures,
 #              -stuck, -body
 #              QUICK=1: within 40 s each, else up to 7 min
+# make torture faults of every kind, against the truth; SEED=n, ONLY="line day"
+#              QUICK=1: within 50 s, else within 30 min; docs/reliability.md tells of the last one
 # make lint    ruff and mypy;  make clean: remove .venv and what tests leave
 # DISTRO=kilted with any of these: ROS 2 Kilted instead of Jazzy, in .venv-kilted
 
@@ -22,12 +24,14 @@ PATCHES ?=
 WEB ?=
 SECONDS ?=
 FIRMWARE ?=
+ONLY ?=
+SEED ?= 1
 PYTEST ?= -n 4 --dist loadgroup
 export LC_ALL ?= C.UTF-8
 
 BIN = $(VENV)/bin
 .DEFAULT_GOAL := help
-.PHONY: help run test lint setup bench-setup view view-setup clean firmware firmware-test firmware-figures firmware-tools
+.PHONY: help run test lint setup bench-setup view view-setup torture clean firmware firmware-test firmware-figures firmware-tools
 
 help:
 	@sed -n 's/^# //p' Makefile
@@ -75,6 +79,9 @@ bench-setup:
 
 bench-%: bench-setup
 	@"$(BIN)/python" -m benchmarks.$*
+
+torture: setup
+	@"$(BIN)/python" -m torture $(ONLY) --seed $(SEED)
 
 clean:
 	$(MAKE) -C firmware clean

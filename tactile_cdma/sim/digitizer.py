@@ -158,6 +158,8 @@ class VirtualDigitizer:
     speed 0 packets are made as they are asked for, so there is never one to drop; without a stream
     time then passes as usual.
 
+    started_s: its own time at START, s; later by what overruns have cost since.
+
     clock: host time, s. Not thread-safe.
     """
 
@@ -175,7 +177,7 @@ class VirtualDigitizer:
         self._output = bytearray(1)  # a delimiter ends whatever was on the line before
         self._stream: Iterator[Block] | None = None
         self._blocks: deque[Block] = deque()  # made and not yet sent
-        self._started_s = self._prepare_s = 0.0
+        self.started_s = self._prepare_s = 0.0
         self._frames_lost = 0  # since START
         self._overrun = False  # before the next block
         self._truth: Iterator[NodeFrame] | None = None
@@ -284,7 +286,7 @@ class VirtualDigitizer:
         before = self._index_lost
         self._frames_lost += lost
         self.samples_lost += self._index_lost - before
-        self._started_s += lost * period_s
+        self.started_s += lost * period_s
         self._prepare_s += lost * period_s
         self._report_s = max(self._report_s, self._now_s)
         self._overrun = True
@@ -309,7 +311,7 @@ class VirtualDigitizer:
             block = self._blocks.popleft()
             self._prepare_s = self._due_s + (0.0 if self._hurried else _PREPARE_S)
             make = Quiet.of if block.quiet else Samples
-            device_time_us = round((self._started_s + block.begin_s) * 1e6)
+            device_time_us = round((self.started_s + block.begin_s) * 1e6)
             self._send(
                 make(
                     device_time_us,
@@ -327,7 +329,7 @@ class VirtualDigitizer:
         """Find out when something is due next."""
         self._due_s = self._report_s
         if self._blocks:
-            self._due_s = min(self._due_s, self._started_s + self._blocks[0].due_s)
+            self._due_s = min(self._due_s, self.started_s + self._blocks[0].due_s)
         elif self._stream is not None:
             self._due_s = min(self._due_s, self._prepare_s)
 
@@ -363,7 +365,7 @@ class VirtualDigitizer:
                 self._stop()
                 self._roll_calls = RollCalls()
                 self._stream = stream(self.options, self.setup, self._roll_calls)
-                self._started_s = self._prepare_s = self._now_s
+                self.started_s = self._prepare_s = self._now_s
                 self._frames_lost, self._overrun = 0, False
                 self._truth = None
             case Stop():

@@ -1,0 +1,116 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""`make torture`: runs the campaigns, tells what came of them, and sums up in the last line."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from .outcome import Outcome, Plan, from_json, summary, to_json
+
+CAMPAIGNS = {  # name: seconds after which it hangs, quick and full; the longest first
+    "day": (45, 1500),
+    "soak": (45, 1200),
+    "load": (45, 900),
+    "connection": (45, 900),
+    "line": (45, 900),
+    "signals": (45, 900),
+    "hostile": (45, 900),
+}
+RESULTS = Path(__file__).resolve().parent.parent / "docs" / "reliability.json"
+WIDTH = 58
+
+
+def main() -> int:
+    """Run what was asked for; 1 if anything happened that must not happen."""
+    parser = argparse.ArgumentParser(prog="python -m torture", description=__doc__)
+    parser.add_argument("campaign", nargs="*", choices=[*CAMPAIGNS, []], help="default: all")
+    parser.add_argument("--quick", action="store_true", default=os.environ.get("QUICK", "0") != "0")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--json", type=Path, help="where a single campaign leaves its outcomes")
+    arguments = parser.parse_args()
+    plan = Plan(arguments.quick, arguments.seed)
+    names: Sequence[str] = arguments.campaign or list(CAMPAIGNS)
+    if arguments.json:
+        found = {name: list(_run(name, plan)) for name in names}
+        arguments.json.write_text(json.dumps(_content(found, plan), indent=1) + "\n")
+        return 0
+    started = time.monotonic()
+    found = _in_processes(names, plan)
+    outcomes = [outcome for name in names for outcome in found[name]]
+    if not arguments.campaign and not plan.quick:
+        RESULTS.write_text(json.dumps(_content(found, plan), indent=1, ensure_ascii=False) + "\n")
+    print(f"{time.monotonic() - started:.0f} s, seed {plan.seed}")
+    print(summary(outcomes))
+    return int(not all(outcome.good for outcome in outcomes))
+
+
+def _run(name: str, plan: Plan) -> Iterator[Outcome]:
+    outcomes: Iterator[Outcome] = importlib.import_module(f"torture.{name}").run(plan)
+    yield from outcomes
+
+
+def _in_processes(names: Sequence[str], plan: Plan) -> dict[str, list[Outcome]]:
+    """Every campaign in a process of its own, as many at once as there are cores."""
+    with TemporaryDirectory() as folder, ThreadPoolExecutor(os.cpu_count()) as pool:
+        futures = {name: pool.submit(_in_process, name, plan, Path(folder)) for name in names}
+        return {name: futures[name].result() for name in names}
+
+
+def _in_process(name: str, plan: Plan, folder: Path) -> list[Outcome]:
+    file = folder / f"{name}.json"
+    limit_s = CAMPAIGNS[name][0 if plan.quick else 1]
+    command = [sys.executable, "-m", "torture", name, "--seed", str(plan.seed), "--json", str(file)]
+    command += ["--quick"] if plan.quick else []
+    try:
+        done = subprocess.run(command, timeout=limit_s, capture_output=True, text=True)
+    except subprocess.TimeoutExpired:
+        outcomes = [Outcome(f"{name}: not over after {limit_s} s", 0, hangs=1)]
+    else:
+        if done.returncode:
+            print(done.stderr, file=sys.stderr)
+            outcomes = [Outcome(f"{name}: ended with {done.returncode}", 0, crashes=1)]
+        else:
+            outcomes = [from_json(row) for row in json.loads(file.read_text())["campaigns"][name]]
+    for outcome in outcomes:
+        print(_line(name, outcome), flush=True)
+    return outcomes
+
+
+def _line(name: str, outcome: Outcome) -> str:
+    bad = "" if outcome.good else f"  {summary([outcome])}"
+    return f"{name:<11} {outcome.times:>9,} × {outcome.fault:<{WIDTH}} {outcome.said}{bad}".rstrip()
+
+
+def _content(found: dict[str, list[Outcome]], plan: Plan) -> dict[str, object]:
+    return {
+        "seed": plan.seed,
+        "quick": plan.quick,
+        "campaigns": {name: [to_json(o) for o in outcomes] for name, outcomes in found.items()},
+    }
+
+
+if __name__ == "__main__":
+    sys.exit(main())

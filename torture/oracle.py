@@ -1,0 +1,126 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Knows what the nodes of simulated skins really said, and holds published frames against it."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_cdma.pipeline import TactileFrame
+from tactile_cdma.sim.digitizer import truth
+from tactile_cdma.sim.nodes import NodeFrame
+from tactile_cdma.sim.options import Setup, SimOptions
+
+KEPT = 4096
+"""True frames kept for published ones that come late."""
+NEAR = 0.25
+"""Share of a frame period by which a published frame may be off its true start."""
+
+
+@dataclass
+class Stream:
+    """The true frames from a START on. started_s: device time of the START."""
+
+    options: SimOptions
+    setup: Setup
+    started_s: float
+    _coming: Iterator[NodeFrame] = field(init=False)
+    _past: deque[NodeFrame] = field(init=False, default_factory=lambda: deque(maxlen=KEPT))
+
+    def __post_init__(self) -> None:
+        self._coming = truth(self.options, self.setup)
+
+    def frame_at(self, t_start: float) -> NodeFrame | None:
+        """The frame whose first chip begins about then, device s; None if there is none."""
+        period_s = self.setup.spec.frame_period_s
+        since_s = t_start - self.started_s
+        while not self._past or self._past[-1].start_s < since_s - period_s / 2:
+            self._past.append(next(self._coming))
+        before = (self._past[-1].start_s - since_s) / period_s
+        place = len(self._past) - 1 - round(before)
+        if not 0 <= place < len(self._past):
+            return None
+        frame = self._past[place]
+        return frame if abs(frame.start_s - since_s) < NEAR * period_s else None
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What is to be said of one published frame.
+
+    number: of the true frame since START; None: there was no such frame, all its words are wrong.
+    stream: which START it belongs to, counted from 0.
+    wrong: (n,) bool, nodes that are published with another word than they sent, or that were
+        silent. missed: (n,) bool, nodes that spoke and were not published.
+    lost: true frames since the last published one of the same stream; None for a stream's first.
+    uncounted: by how much the published sequence differs from that.
+    """
+
+    number: int | None
+    stream: int
+    wrong: NDArray[np.bool_]
+    missed: NDArray[np.bool_]
+    lost: int | None
+    uncounted: int
+
+
+class Oracle:
+    """Tells of every published frame, in their order, what is wrong with it."""
+
+    def __init__(self) -> None:
+        self.streams: list[Stream] = []
+        self._last: tuple[int, int, int] | None = None  # stream, number, sequence
+
+    def began(self, options: SimOptions, setup: Setup, started_s: float) -> None:
+        """A digitizer obeyed START, at this time of its clock."""
+        self.streams.append(Stream(options, setup, started_s))
+
+    def check(self, frame: TactileFrame) -> Verdict:
+        """What is to be said of a published frame."""
+        index, true = self._find(frame)
+        words = frame.words
+        if true is None:
+            return Verdict(None, index, words.active, np.zeros_like(words.active), None, 0)
+        wrong = words.active & (~true.active | (words.codes != true.codes))
+        lost, uncounted = None, 0
+        if self._last is not None and self._last[0] == index:
+            lost = true.number - self._last[1] - 1
+            uncounted = abs(frame.sequence - self._last[2] - 1 - lost)
+        self._last = (index, true.number, frame.sequence)
+        return Verdict(true.number, index, wrong, true.active & ~words.active, lost, uncounted)
+
+    def _find(self, frame: TactileFrame) -> tuple[int, NodeFrame | None]:
+        """The newest stream that has such a frame, and that frame.
+
+        After a restart frames of the old stream may still come; clocks that start anew can make
+        both plausible, and then the words decide.
+        """
+        found: tuple[int, NodeFrame | None] = (len(self.streams) - 1, None)
+        oldest = self._last[0] if self._last else 0
+        for index in range(len(self.streams) - 1, oldest - 1, -1):
+            true = self.streams[index].frame_at(frame.t_start)
+            if true is None:
+                continue
+            spoke = frame.words.active
+            if np.array_equal(frame.words.codes[spoke], true.codes[spoke]):
+                return index, true
+            if found[1] is None:
+                found = (index, true)
+        return found
