@@ -21,8 +21,14 @@ import zlib
 from tempfile import TemporaryDirectory
 
 import pytest
+from hypothesis import settings
 
 DOMAINS = 101  # domain ids that leave room below Linux's ephemeral ports
+
+
+# How long an example takes says more about the machine than about the code.
+settings.register_profile("any machine", deadline=None)
+settings.load_profile("any machine")
 
 
 def pytest_configure(config: pytest.Config) -> None:

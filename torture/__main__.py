@@ -29,6 +29,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from .outcome import Outcome, Plan, from_json, summary, to_json
+from .page import keep
 
 CAMPAIGNS = {  # name: seconds after which it hangs, quick and full; the longest first
     "day": (45, 1500),
@@ -39,7 +40,6 @@ CAMPAIGNS = {  # name: seconds after which it hangs, quick and full; the longest
     "signals": (45, 900),
     "hostile": (45, 900),
 }
-RESULTS = Path(__file__).resolve().parent.parent / "docs" / "reliability.json"
 WIDTH = 58
 
 
@@ -54,14 +54,14 @@ def main() -> int:
     plan = Plan(arguments.quick, arguments.seed)
     names: Sequence[str] = arguments.campaign or list(CAMPAIGNS)
     if arguments.json:
-        found = {name: list(_run(name, plan)) for name in names}
-        arguments.json.write_text(json.dumps(_content(found, plan), indent=1) + "\n")
+        rows = [to_json(outcome) for name in names for outcome in _run(name, plan)]
+        arguments.json.write_text(json.dumps(rows))
         return 0
     started = time.monotonic()
     found = _in_processes(names, plan)
     outcomes = [outcome for name in names for outcome in found[name]]
     if not arguments.campaign and not plan.quick:
-        RESULTS.write_text(json.dumps(_content(found, plan), indent=1, ensure_ascii=False) + "\n")
+        keep(found, plan.seed, time.monotonic() - started)
     print(f"{time.monotonic() - started:.0f} s, seed {plan.seed}")
     print(summary(outcomes))
     return int(not all(outcome.good for outcome in outcomes))
@@ -93,7 +93,7 @@ def _in_process(name: str, plan: Plan, folder: Path) -> list[Outcome]:
             print(done.stderr, file=sys.stderr)
             outcomes = [Outcome(f"{name}: ended with {done.returncode}", 0, crashes=1)]
         else:
-            outcomes = [from_json(row) for row in json.loads(file.read_text())["campaigns"][name]]
+            outcomes = [from_json(row) for row in json.loads(file.read_text())]
     for outcome in outcomes:
         print(_line(name, outcome), flush=True)
     return outcomes
@@ -102,14 +102,6 @@ def _in_process(name: str, plan: Plan, folder: Path) -> list[Outcome]:
 def _line(name: str, outcome: Outcome) -> str:
     bad = "" if outcome.good else f"  {summary([outcome])}"
     return f"{name:<11} {outcome.times:>9,} × {outcome.fault:<{WIDTH}} {outcome.said}{bad}".rstrip()
-
-
-def _content(found: dict[str, list[Outcome]], plan: Plan) -> dict[str, object]:
-    return {
-        "seed": plan.seed,
-        "quick": plan.quick,
-        "campaigns": {name: [to_json(o) for o in outcomes] for name, outcomes in found.items()},
-    }
 
 
 if __name__ == "__main__":

@@ -52,7 +52,7 @@ def test_values_know_their_lines(tmp_path: Path) -> None:
         ("[" * 100_000, "line 1: nested deeper than 16 levels"),
         (b"a: \xff\xfe", "UTF-8"),
         ("a: \x01", "not a YAML file"),
-        (b"#" * (MOST_BYTES + 1), "larger than 16 MB"),
+        pytest.param(b"#" * (MOST_BYTES + 1), "larger than 16 MB", id="too large"),
     ],
 )
 def test_what_is_no_plain_yaml_is_refused(tmp_path: Path, text: str | bytes, words: str) -> None:

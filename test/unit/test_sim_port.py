@@ -77,14 +77,15 @@ def test_speed_0_gives_the_same_samples_faster(port: serial.SerialBase) -> None:
 def test_a_packet_wakes_the_reader_at_once(port: serial.SerialBase) -> None:
     start(port)
     parser, delays = PacketParser(), []
-    while len(delays) < 60:
+    while len(delays) < 120:
         data = port.read(1)
         read_s = time.monotonic()
         for packet in parser.feed(data + port.read(port.in_waiting)):
             if isinstance(packet, Samples):
                 end_s = packet.device_time_us * 1e-6 + len(packet.counts) / 80e3
                 delays.append(read_s - end_s)
-    assert np.median(delays) - min(delays) < 1e-3
+    # Of a busy machine the quick ones only: polling would spread all of them.
+    assert np.percentile(delays, 10) - min(delays) < 1e-3
 
 
 def test_read_waits_no_longer_than_the_timeout(port: serial.SerialBase) -> None:

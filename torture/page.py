@@ -1,0 +1,66 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The table of docs/reliability.md, from what the last full run of `make torture` left."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable
+from pathlib import Path
+
+from .outcome import COUNTS, Outcome, from_json, summary, to_json
+
+DOCS = Path(__file__).resolve().parent.parent / "docs"
+RESULTS = DOCS / "reliability.json"
+PAGE = DOCS / "reliability.md"
+BEGIN, END = "<!-- begin torture -->\n", "<!-- end -->"
+
+
+def keep(found: dict[str, list[Outcome]], seed: int, seconds: float) -> None:
+    """Write the outcomes of every campaign, and the page's table."""
+    rows = {name: [to_json(outcome) for outcome in outcomes] for name, outcomes in found.items()}
+    content = {"seed": seed, "seconds": round(seconds), "campaigns": rows}
+    RESULTS.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    PAGE.write_text(updated(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+def updated(page: str) -> str:
+    """The page with the table of the outcomes that were kept."""
+    before, rest = page.split(BEGIN)
+    after = rest.split(END, 1)[1]
+    content = json.loads(RESULTS.read_text(encoding="utf-8"))
+    found = {name: list(map(from_json, rows)) for name, rows in content["campaigns"].items()}
+    return before + BEGIN + _table(found, content["seconds"]) + END + after
+
+
+def _table(found: dict[str, list[Outcome]], seconds: int) -> str:
+    lines = [
+        "| `ONLY=` | what was done | times | wrong | uncounted | crashes | hangs | |",
+        "|---|---|--:|--:|--:|--:|--:|---|",
+    ]
+    lines += [_row(name, outcome) for name, outcomes in found.items() for outcome in outcomes]
+    everything: Iterable[Outcome] = [o for outcomes in found.values() for o in outcomes]
+    lines += ["", f"{seconds} s: `{summary(everything)}`", ""]
+    return "\n".join(lines)
+
+
+def _row(name: str, outcome: Outcome) -> str:
+    said = outcome.said
+    if not math.isnan(outcome.rss_slope_kb_per_h):
+        said = f"{said}; {outcome.rss_slope_kb_per_h:.0f} kB/h".removeprefix("; ")
+    counts = " | ".join(str(getattr(outcome, count)) for count in COUNTS)
+    cells = (f"`{name}`", outcome.fault, f"{outcome.times:,}", counts, said)
+    return f"| {' | '.join(cells)} |".replace("  ", " ")
