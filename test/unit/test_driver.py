@@ -28,11 +28,12 @@ import numpy as np
 import pytest
 import serial
 
-from tactile_cdma.driver import WAITING, Driver, Session
+from tactile_cdma.driver import WAITING, Driver
 from tactile_cdma.errors import PortError, SpecError
 from tactile_cdma.messages import Start
 from tactile_cdma.pipeline import TactileFrame
 from tactile_cdma.protocol import PacketParser, PacketWriter
+from tactile_cdma.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import serve

@@ -26,12 +26,13 @@ from hypothesis import strategies as st
 from test_driver import Watch, wait_for
 
 from tactile_cdma.cli import main
-from tactile_cdma.driver import Driver, Session
+from tactile_cdma.driver import Driver
 from tactile_cdma.errors import ParameterError
 from tactile_cdma.identity import parse_id, shown_id
 from tactile_cdma.messages import Configure, GetInfo, Start, Stop
 from tactile_cdma.pipeline import Pipeline, TactileFrame
 from tactile_cdma.protocol import PacketParser
+from tactile_cdma.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.skin_config import SkinConfig
