@@ -28,14 +28,16 @@ from .errors import PortError, RecordingEndError
 from .pipeline import Pipeline, TactileFrame
 from .session import Session
 from .skin_config import SkinConfig
-from .source import Port
+from .source import Port, is_away
 from .stuck import StuckNodes
 from .vitals import Vitals
 
 CONNECT_S = 0.5
 """Longer than a port in order takes to open."""
-RETRY_S = (0.2, 0.5, 1.0, 2.0)
-"""Pauses between attempts to open a port; the last one repeats."""
+RETRY_S = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
+"""Pauses between attempts to get frames from a port; the last one repeats."""
+AWAY_S = 0.02
+"""A device that is not there is looked for so often, which takes microseconds."""
 LOOK_S = 0.05
 """How much waits in the port is looked at so often, for that takes 10 µs."""
 WAITING = "waiting for the first frame"
@@ -113,11 +115,11 @@ class Driver:
     def _run(self) -> None:
         attempt = 0
         while not self._stop.is_set():
+            frames = self.pipeline.counters.frames
             try:
                 with self._open() as port:
                     if self._stop.is_set():
                         return
-                    attempt = 0
                     self.connections += 1
                     self._stream(port)
             except RecordingEndError as end:
@@ -127,10 +129,20 @@ class Driver:
                 self._report(str(error))
             except Exception:  # a defect of ours must neither go unseen nor end the skin for good
                 self._report(f"internal error, starting again: {traceback.format_exc()}")
-            else:
-                continue
-            self._stop.wait(RETRY_S[min(attempt, len(RETRY_S) - 1)])
-            attempt += 1
+            if self.pipeline.counters.frames > frames:
+                attempt = 0
+            came_back = self._pause(RETRY_S[min(attempt, len(RETRY_S) - 1)])
+            attempt = 0 if came_back else attempt + 1
+
+    def _pause(self, pause_s: float) -> bool:
+        """Wait before the port is opened again; no longer, and True, if it just came back."""
+        end_s, away = time.monotonic() + pause_s, is_away(self.url)
+        while (left_s := end_s - time.monotonic()) > 0:
+            if self._stop.wait(min(left_s, AWAY_S)):
+                return False
+            if away and not is_away(self.url):
+                return True
+        return False
 
     def _open(self) -> Port:
         """The port given at the start, or the port anew; raises PortError."""

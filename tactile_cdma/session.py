@@ -27,6 +27,7 @@ from .messages import (
     Packet,
     RollCall,
     Start,
+    Status,
     Stop,
 )
 from .parameters import GAP
@@ -37,6 +38,9 @@ from .skin_config import SkinConfig
 
 PATIENCE_S = 1.0
 """A digitizer that says nothing useful for so long is asked again."""
+SOON_S = 0.1
+"""One that says that it does not stream is asked again so long after the last time: a STATUS that
+crossed START on the wire is set right by the ACK before that."""
 MOST_CALLS = 3
 """Roll calls in a row that may come to nothing."""
 
@@ -66,8 +70,9 @@ class Session:
                 quiet = quiet_uv(config.spec)
                 self._setting = (Configure(layout, SyncMode.DRIVE, integrated, quiet),)
         self._frames = -1
-        self._restarts = self._bytes = 0
-        self._deadline = -math.inf
+        self._restarts = self._bytes = self._packets = 0
+        self._deadline = self._soon_s = -math.inf
+        self._status: Status | None = None  # the last one when it was asked again
 
     def open(self) -> bytes:
         """Configure (where asked to) and start the digitizer; where it counts, ask who it is."""
@@ -87,20 +92,43 @@ class Session:
 
     def watch(self, pipeline: Pipeline, now_s: float) -> bytes:
         """Requests that are due: nothing came of the last ones, or it is now known who is there."""
+        if self._frames < 0:  # open() was just before
+            self._soon_s = now_s + SOON_S
         if pipeline.info is not None and (start := self.introduced(pipeline.info)):
-            self._deadline = self._due_s(pipeline, now_s)
+            self._asked(pipeline, now_s)
             return start
         if self._calls_roll and (request := self._roll_call(pipeline, now_s)):
             return request
-        stuck = pipeline.counters.frames == self._frames
-        if stuck and now_s < self._deadline:
-            return b""
-        if stuck:
+        if pipeline.counters.frames != self._frames:
+            self._note(pipeline, now_s)
+        if now_s >= self._deadline:
             self.problem = self._why(pipeline)
+        elif self._is_idle(pipeline) and now_s >= self._soon_s:
+            self.problem = None
+        else:
+            return b""
+        self._asked(pipeline, now_s)
+        return self.open()
+
+    def _is_idle(self, pipeline: Pipeline) -> bool:
+        """Whether a digitizer that was to stream says that it does not: it was reset.
+
+        Every STATUS counts once, so that one which cannot stream is not asked without end.
+        """
+        news = pipeline.status is not self._status
+        return self._ours and news and pipeline.streaming is False
+
+    def _asked(self, pipeline: Pipeline, now_s: float) -> None:
+        """The digitizer is asked to stream."""
+        self._status, self._soon_s = pipeline.status, now_s + SOON_S
+        self._note(pipeline, now_s)
+
+    def _note(self, pipeline: Pipeline, now_s: float) -> None:
+        """How far it is, for what comes of it."""
+        counters = pipeline.parser.counters
         self._frames, self._restarts = pipeline.counters.frames, pipeline.counters.restarts
-        self._bytes = pipeline.parser.counters.bytes
+        self._bytes, self._packets = counters.bytes, counters.packets
         self._deadline = self._due_s(pipeline, now_s)
-        return self.open() if stuck else b""
 
     def _due_s(self, pipeline: Pipeline, now_s: float) -> float:
         """When frames must have come of a request that is sent now."""
@@ -136,6 +164,8 @@ class Session:
             return f"the digitizer refused command 0x{command:02x}: {reason.replace('_', ' ')}"
         if pipeline.info is None:
             return diagnose(counters)
+        if counters.packets == self._packets:
+            return "bytes arrive, but no packets any more: another device, or another baud rate?"
         if pipeline.counters.restarts > self._restarts + 1:
             return "the digitizer's clock and its count of samples contradict each other"
         if pipeline.rejected:

@@ -135,6 +135,8 @@ class Port:
         """Send bytes."""
         try:
             self._serial.write(data)
+        except serial.SerialTimeoutException:
+            raise PortError(f"{self.url}: takes no bytes; is the digitizer powered?") from None
         except (OSError, TerminalError) as error:
             raise PortError(f"{self.url}: lost while writing; unplugged? ({error})") from None
 
@@ -200,6 +202,17 @@ def serial_ports() -> list[SerialPort]:
 def device_of(url: str) -> str:
     """The device that usb://SERIAL is now; any other port as it is. Raises PortError."""
     return find_usb(url, serial_ports()) if url.startswith(USB) else url
+
+
+def is_away(url: str) -> bool:
+    """Whether it is certain that a port cannot be opened: no such device, or no permission.
+
+    Takes microseconds. Of anything but a device path nothing is certain.
+    """
+    if "://" in url or "\0" in url:
+        return False
+    effective = os.access in os.supports_effective_ids
+    return not os.access(url, os.R_OK | os.W_OK, effective_ids=effective)
 
 
 def find_usb(url: str, ports: Sequence[SerialPort]) -> str:
