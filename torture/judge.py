@@ -1,0 +1,163 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Holds the frames that one driver publishes against what its digitizers really saw, and when."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass
+
+from tactile_cdma.pipeline import TactileFrame
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
+
+from .oracle import Oracle, Verdict
+
+MOST_MISSING = 2
+"""Frames after a START that the driver may leave out."""
+
+
+class Digitizer(VirtualDigitizer):
+    """A virtual digitizer, powered up now, that tells a judge of every START it obeys."""
+
+    def __init__(self, options: SimOptions, judge: Judge) -> None:
+        self.powered_s = time.monotonic()
+        super().__init__(options)
+        self._judge = judge
+        self._told = (False, 0.0)
+
+    def advance(self, wanted: int = 1) -> float:
+        """See VirtualDigitizer. An overrun displaces all that comes, as a START does."""
+        due_s = super().advance(wanted)
+        self._tell()
+        return due_s
+
+    def receive(self, data: bytes) -> None:
+        """See VirtualDigitizer."""
+        super().receive(data)
+        self._tell()
+
+    def _tell(self) -> None:
+        state = (self.streaming, self.started_s)
+        if self.streaming and state != self._told:
+            self._judge.began(self)
+        self._told = state
+
+
+@dataclass(frozen=True, slots=True)
+class _Published:
+    """A published frame that was judged. true_s: host time of its middle. late_s: its stamp's."""
+
+    sequence: int
+    stream: int
+    true_s: float
+    late_s: float
+
+
+class Judge:
+    """Takes what a driver publishes, and sums up what is wrong with it.
+
+    wrong_values: nodes with another word than they said, frames that never were, stamps from
+        before the frame or after its publication.
+    uncounted_losses: frames missing that the sequence does not tell, or the other way round.
+    missing: of every stream that was published, how many frames of its beginning were not.
+    """
+
+    def __init__(self) -> None:
+        self.wrong_values = self.uncounted_losses = self.frames = 0
+        self.missing: list[int] = []
+        self._queue: deque[tuple[TactileFrame, float]] = deque()
+        self._oracle = Oracle()
+        self._powered_s: list[float] = []  # of each stream's digitizer, host s
+        self._last: _Published | None = None
+        self._first_sequence = 0
+
+    def take(self, frame: TactileFrame) -> None:
+        """A frame was published; in the driver's thread."""
+        self._queue.append((frame, time.monotonic()))
+
+    def began(self, digitizer: Digitizer) -> None:
+        """A digitizer obeyed a START: whatever was published until now is of those before."""
+        self.settle()
+        for stream in self._oracle.streams[-3:-2]:
+            stream.forget()
+        self._oracle.began(digitizer.options, digitizer.setup, digitizer.started_s)
+        self._powered_s.append(digitizer.powered_s)
+
+    @property
+    def streams(self) -> int:
+        """How many STARTs there were."""
+        return len(self._powered_s)
+
+    def hears(self, device: object) -> bool:
+        """Whether frames of the newest stream were published, and it is this digitizer's."""
+        self.settle()
+        if not isinstance(device, Digitizer) or self._last is None:
+            return False
+        newest = self._last.stream == self.streams - 1
+        return newest and self._powered_s[-1] == device.powered_s
+
+    def reached(self, true_s: float) -> bool:
+        """Whether a frame that was later than this, host s, was published."""
+        self.settle()
+        return self._last is not None and self._last.true_s > true_s
+
+    @property
+    def late(self) -> int:
+        """How often more frames were missing after a START than may be."""
+        return sum(missing > MOST_MISSING for missing in self.missing)
+
+    def settle(self) -> None:
+        """Judge what was published since the last time."""
+        while self._queue:
+            self._judge(*self._queue.popleft())
+
+    def account(self, lost_frames: int) -> int:
+        """How far off the driver's count of lost frames is, after all was published."""
+        self.settle()
+        if self._last is None:
+            return lost_frames
+        passed = self._last.sequence - self._first_sequence + 1
+        return abs(passed - self.frames - lost_frames)
+
+    def _judge(self, frame: TactileFrame, published_s: float) -> None:
+        verdict = self._oracle.check(frame)
+        if verdict.number is None:
+            self.wrong_values += max(1, int(verdict.wrong.sum()))
+            return
+        self.wrong_values += int(verdict.wrong.sum() + verdict.missed.sum())
+        self.uncounted_losses += verdict.uncounted
+        period_s = self._oracle.streams[verdict.stream].setup.spec.frame_period_s
+        true_s = self._powered_s[verdict.stream] + frame.t_middle
+        self.wrong_values += not true_s - period_s < frame.t_host < published_s
+        now = _Published(frame.sequence, verdict.stream, true_s, frame.t_host - true_s)
+        self._follow(now, verdict, period_s)
+        self._last = now
+        self.frames += 1
+
+    def _follow(self, now: _Published, verdict: Verdict, period_s: float) -> None:
+        """Hold the first frame of a stream against the last one of another."""
+        if self._last is None:
+            self._first_sequence = now.sequence
+        elif now.stream != self._last.stream:
+            # Only the host's clock knows how many periods passed; stamps may be late.
+            passed = (now.true_s - self._last.true_s) / period_s
+            slack = 1 + (abs(now.late_s) + abs(self._last.late_s)) / period_s
+            step = now.sequence - self._last.sequence
+            self.uncounted_losses += abs(step - max(1, passed)) > slack
+        if self._last is None or now.stream != self._last.stream:
+            assert verdict.number is not None
+            self.missing.append(verdict.number)
