@@ -35,7 +35,7 @@ from .plug import Host, Tty, as_ordinary_user
 from .strangers import STRANGERS, Rng
 from .trial import Trial, Turns, side_by_side, together
 
-WARM = 50
+WARM = 20
 """Replugs after which nothing may grow any more."""
 STALLS_S = {0.01: (5, 50), 0.1: (3, 30), 1.0: (1, 10), 10.0: (0, 2)}
 """Length of a stall: how many, quick and full."""
@@ -45,10 +45,12 @@ SCENES = ("moving", "press", "all")
 
 def run(plan: Plan) -> Iterator[Outcome]:
     """Everything that a connection may suffer."""
-    with TemporaryDirectory() as folder, as_ordinary_user(Path(folder)):
+    with TemporaryDirectory() as folder:
         yield _replugs(plan, Path(folder))
         kinds = (_stalls, _resets, _hosts, _ports, _strangers)  # the longest first
         yield from outcomes([trial for kind in kinds for trial in kind(plan, Path(folder))])
+    with TemporaryDirectory() as folder, as_ordinary_user(Path(folder)):
+        yield from outcomes(_permission(plan, Path(folder)))
 
 
 def outcomes(started: list[tuple[Trial, Turns]]) -> Iterator[Outcome]:
@@ -73,7 +75,7 @@ def some_skin(rng: Rng) -> SimOptions:
 def _replugs(plan: Plan, folder: Path) -> Outcome:
     trial = Trial("unplugged and plugged in again", plan, Tty(folder / "replugged"))
     side_by_side(
-        [trial.run(lambda trial: replugs(trial, _rng(plan, 0), 60 if plan.quick else 1000))]
+        [trial.run(lambda trial: replugs(trial, _rng(plan, 0), 40 if plan.quick else 1000))]
     )
     return trial.outcome()
 
@@ -91,11 +93,11 @@ def replugs(trial: Trial, rng: Rng, times: int) -> Turns:
                 yield from trial.until(_asked(trial.plug))
             case "answering":
                 yield from trial.until(_asked(trial.plug))
-                trial.plug.step(0.0, int(rng.integers(1, 200)))
+                trial.plug.step(int(rng.integers(1, 200)))
             case _:
                 yield from trial.resumes()
                 yield from trial.after(rng.uniform(0, 0.02))
-                trial.plug.step(0.0, int(rng.integers(1, 200)))
+                trial.plug.step(int(rng.integers(1, 200)))
         trial.plug.unplug()
         trial.times += 1
         yield from trial.after(rng.uniform(0, 0.03))
@@ -155,7 +157,7 @@ def resets(trial: Trial, rng: Rng, times: int) -> Turns:
     yield from trial.resumes()
     for _ in range(times):
         yield from trial.after(rng.uniform(0, 0.25))
-        trial.plug.step(0.0, int(rng.integers(1, 200)))
+        trial.plug.step(int(rng.integers(1, 200)))
         trial.plug.swap(trial.digitizer(some_skin(rng)))
         trial.times += 1
         yield from trial.resumes()
@@ -216,7 +218,7 @@ def _repeated(
 def line_stalls(trial: Trial, stall_s: float) -> Turns:
     """No byte gets through; the digitizer goes on, and drops what it has no room for."""
     trial.plug.stalled = True
-    yield from trial.after(stall_s)
+    yield from trial.stall(stall_s)
     trial.plug.stalled = False
 
 
@@ -224,7 +226,9 @@ def consumer_stalls(trial: Trial, stall_s: float) -> Turns:
     """Whoever takes the frames holds the driver's thread up, so that nobody reads the port."""
     trial.hold_s = stall_s
     yield from trial.until(lambda: not trial.hold_s)
-    yield from trial.after(stall_s)
+    trial.plug.hasty = True
+    yield from trial.stall(stall_s)
+    trial.plug.hasty = False
 
 
 # Others on the port
@@ -269,7 +273,6 @@ def _ports(plan: Plan, folder: Path) -> list[tuple[Trial, Turns]]:
     times = 1 if plan.quick else 10
     kinds: tuple[tuple[str, Callable[[Trial, Rng], Turns], dict[str, object]], ...] = (
         ("port busy", busy, {}),
-        ("permission taken away", forbidden, {}),
         ("port takes no bytes", unwritable, {}),
         ("another skin's digitizer", others, {"digitizer_id": _OURS.hex()}),
         ("digitizer set otherwise", otherwise, {}),
@@ -280,6 +283,11 @@ def _ports(plan: Plan, folder: Path) -> list[tuple[Trial, Turns]]:
         rng = _rng(plan, 5, number)
         started.append((trial, trial.run(_several(faults, rng, times))))
     return started
+
+
+def _permission(plan: Plan, folder: Path) -> list[tuple[Trial, Turns]]:
+    trial = Trial("permission taken away", plan, Tty(folder / "port"))
+    return [(trial, trial.run(_several(forbidden, _rng(plan, 6), 2 if plan.quick else 20)))]
 
 
 def _several(

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from tactile_cdma.pipeline import TactileFrame
@@ -33,24 +34,21 @@ MOST_MISSING = 2
 class Digitizer(VirtualDigitizer):
     """A virtual digitizer, powered up now, that tells a judge of every START it obeys."""
 
-    def __init__(self, options: SimOptions, judge: Judge) -> None:
-        self.powered_s = time.monotonic()
-        super().__init__(options)
+    def __init__(self, options: SimOptions, clock: Callable[[], float], judge: Judge) -> None:
+        """clock: its time, which may stand at times, but is no faster than the host's."""
+        self.powered_s, self._power_s = time.monotonic(), clock()
+        super().__init__(options, clock)
         self._judge = judge
         self._told = (False, 0.0)
 
-    def advance(self, wanted: int = 1) -> float:
-        """See VirtualDigitizer. An overrun displaces all that comes, as a START does."""
-        due_s = super().advance(wanted)
-        self._tell()
-        return due_s
+    @property
+    def now_s(self) -> float:
+        """Its own time, s."""
+        return self._clock() - self._power_s
 
     def receive(self, data: bytes) -> None:
         """See VirtualDigitizer."""
         super().receive(data)
-        self._tell()
-
-    def _tell(self) -> None:
         state = (self.streaming, self.started_s)
         if self.streaming and state != self._told:
             self._judge.began(self)
@@ -59,10 +57,15 @@ class Digitizer(VirtualDigitizer):
 
 @dataclass(frozen=True, slots=True)
 class _Published:
-    """A published frame that was judged. true_s: host time of its middle. late_s: its stamp's."""
+    """A published frame that was judged.
+
+    device_s: time of its middle. true_s: the same, as host time, at the earliest. late_s: of its
+    stamp, at most.
+    """
 
     sequence: int
     stream: int
+    device_s: float
     true_s: float
     late_s: float
 
@@ -104,16 +107,21 @@ class Judge:
 
     def hears(self, device: object) -> bool:
         """Whether frames of the newest stream were published, and it is this digitizer's."""
+        return self._heard_s(device) is not None
+
+    def reached(self, digitizer: Digitizer, device_s: float) -> bool:
+        """Whether a frame of its newest stream and after this was published."""
+        heard_s = self._heard_s(digitizer)
+        return heard_s is not None and heard_s > device_s
+
+    def _heard_s(self, device: object) -> float | None:
+        """Device time of the last frame, if it is of the newest stream and this digitizer's."""
         self.settle()
         if not isinstance(device, Digitizer) or self._last is None:
-            return False
+            return None
         newest = self._last.stream == self.streams - 1
-        return newest and self._powered_s[-1] == device.powered_s
-
-    def reached(self, true_s: float) -> bool:
-        """Whether a frame that was later than this, host s, was published."""
-        self.settle()
-        return self._last is not None and self._last.true_s > true_s
+        ours = newest and self._powered_s[-1] == device.powered_s
+        return self._last.device_s if ours else None
 
     @property
     def late(self) -> int:
@@ -143,7 +151,8 @@ class Judge:
         period_s = self._oracle.streams[verdict.stream].setup.spec.frame_period_s
         true_s = self._powered_s[verdict.stream] + frame.t_middle
         self.wrong_values += not true_s - period_s < frame.t_host < published_s
-        now = _Published(frame.sequence, verdict.stream, true_s, frame.t_host - true_s)
+        late_s = frame.t_host - true_s
+        now = _Published(frame.sequence, verdict.stream, frame.t_middle, true_s, late_s)
         self._follow(now, verdict, period_s)
         self._last = now
         self.frames += 1

@@ -21,14 +21,15 @@ import os
 import select
 import socket
 import struct
+import time
 import tty
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Protocol
 
-STEP_S = 2e-3
-"""A step waits at most so long."""
+TICK_S = 3e-3
+"""The time of digitizers goes on by so much with a step, at most."""
 MOST = 65_536
 
 
@@ -49,12 +50,16 @@ class Plug:
     """The far end of a port.
 
     device: what is there; None: nothing. stalled: the device goes on, but no byte gets through.
+    now_s: the time that digitizers keep, s. It stands while what they said is not read, so that a
+        busy machine is no fault; but not where it is hasty, or in a stall.
     Nothing happens but in `step`, so that the caller chooses the moment of every fault.
     """
 
     def __init__(self) -> None:
         self.device: Device | None = None
-        self.stalled = False
+        self.stalled = self.hasty = False
+        self.now_s = 0.0
+        self._host_s = time.monotonic()
         self._outgoing = b""
 
     @property
@@ -74,19 +79,23 @@ class Plug:
         """Take the port away."""
         self.device, self._outgoing = None, b""
 
-    def step(self, wait_s: float = STEP_S, most: int = MOST) -> None:
+    def step(self, most: int = MOST) -> None:
         """Carry bytes both ways, at most so many to the host."""
+        self._tick()
         if self.device is None:
-            select.select([], [], [], wait_s)
             return
-        due_s = self.device.advance(MOST)
-        if self.stalled:
-            select.select([], [], [], min(due_s, wait_s))
-            return
-        self._outgoing = self._outgoing or self.device.take(most)
-        self._outgoing = self._carry(self.device, self._outgoing, min(due_s, wait_s))
+        self.device.advance(MOST)
+        if not self.stalled:
+            self._outgoing = self._outgoing or self.device.take(most)
+            self._outgoing = self._carry(self.device, self._outgoing)
 
-    def _carry(self, device: Device, outgoing: bytes, wait_s: float) -> bytes:
+    def _tick(self) -> None:
+        host_s = time.monotonic()
+        if self.stalled or self.hasty or not self._outgoing:
+            self.now_s += min(host_s - self._host_s, TICK_S)
+        self._host_s = host_s
+
+    def _carry(self, device: Device, outgoing: bytes) -> bytes:
         """Exchange bytes with whoever has the port open; returns what was not taken."""
         raise NotImplementedError
 
@@ -148,9 +157,9 @@ class Tty(Plug):
             while True:
                 os.write(self.side, bytes(1024))
 
-    def _carry(self, device: Device, outgoing: bytes, wait_s: float) -> bytes:
+    def _carry(self, device: Device, outgoing: bytes) -> bytes:
         writing = [self.host] if outgoing else []
-        readable, writable, _ = select.select([self.host], writing, [], wait_s)
+        readable, writable, _ = select.select([self.host], writing, [], 0)
         if readable:
             device.receive(os.read(self.host, MOST))
         if writable:
@@ -203,11 +212,11 @@ class Host(Plug):
         if self._client is not None:
             self._client.shutdown(socket.SHUT_WR)
 
-    def _carry(self, device: Device, outgoing: bytes, wait_s: float) -> bytes:
+    def _carry(self, device: Device, outgoing: bytes) -> bytes:
         assert self._server is not None
         reading = [self._server, *([self._client] if self._client else [])]
         writing = [self._client] if self._client and outgoing else []
-        readable, writable, _ = select.select(reading, writing, [], wait_s)
+        readable, writable, _ = select.select(reading, writing, [], 0)
         if self._server in readable:
             self.hang_up()
             self._client, _ = self._server.accept()

@@ -93,7 +93,7 @@ class Trial:
 
     def digitizer(self, options: SimOptions) -> Digitizer:
         """One that is powered up now, and judged by."""
-        return Digitizer(options, self.judge)
+        return Digitizer(options, lambda: self.plug.now_s, self.judge)
 
     def until(self, condition: Callable[[], object]) -> Turns:
         """Go on until this holds; raises HangError where it never does."""
@@ -101,13 +101,18 @@ class Trial:
         while not condition():
             if time.monotonic() > end_s:
                 raise HangError
-            self.plug.step(0.0)
+            self.plug.step()
             yield
 
     def after(self, seconds: float) -> Turns:
         """Go on for so long."""
         end_s = time.monotonic() + seconds
         yield from self.until(lambda: time.monotonic() >= end_s)
+
+    def stall(self, seconds: float) -> Turns:
+        """Go on for so much of the digitizer's time."""
+        end_s = self.plug.now_s + seconds
+        yield from self.until(lambda: self.plug.now_s >= end_s)
 
     def told(self, *texts: str) -> Turns:
         """Go on until the driver gives a reason with one of these texts in it."""
@@ -128,8 +133,10 @@ class Trial:
 
     def caught_up(self) -> Turns:
         """Go on until a frame is published that is not on the line yet."""
-        now_s = time.monotonic()
-        yield from self.until(lambda: self.judge.reached(now_s))
+        digitizer = self.plug.device
+        assert isinstance(digitizer, Digitizer)
+        now_s = digitizer.now_s
+        yield from self.until(lambda: self.judge.reached(digitizer, now_s))
 
     def _flows(self) -> bool:
         return self.judge.hears(self.plug.device) and self.driver.problem is None
