@@ -184,18 +184,20 @@ def _stalls(plan: Plan, folder: Path) -> list[tuple[Trial, Turns]]:
     started = []
     for number, (stall_s, counts) in enumerate(STALLS_S.items()):
         times = counts[0 if plan.quick else 1]
-        for name, stalls in (("line", line_stalls), ("consumer", consumer_stalls)):
+        for name, stall in (("line", line_stalls), ("consumer", consumer_stalls)):
             plug = Tty(folder / f"{name}{number}")
             trial = Trial(f"{name} stalls for {stall_s:g} s", plan, plug)
             rng = _rng(plan, 3, number, len(name))
             if times:
-                started.append((trial, trial.run(_repeated(stalls, rng, stall_s, times))))
+                started.append((trial, trial.run(stalls(stall, rng, stall_s, times))))
     return started
 
 
-def _repeated(
-    stalls: Callable[[Trial, float], Turns], rng: Rng, stall_s: float, times: int
+def stalls(
+    stall: Callable[[Trial, float], Turns], rng: Rng, stall_s: float, times: int
 ) -> Callable[[Trial], Turns]:
+    """So many of one length, and an account of the packets that they cost."""
+
     def faults(trial: Trial) -> Turns:
         digitizer = trial.digitizer(replace(some_skin(rng), scene="all"))
         trial.plug.plug(digitizer)
@@ -203,7 +205,7 @@ def _repeated(
         for _ in range(times):
             yield from trial.after(rng.uniform(0, 0.1))
             trial.times += 1
-            yield from stalls(trial, stall_s)
+            yield from stall(trial, stall_s)
             yield from trial.caught_up()
         yield from trial.counted(
             lambda: trial.driver.pipeline.packet_counts["lost_packets"],
@@ -240,13 +242,14 @@ def _strangers(plan: Plan, folder: Path) -> list[tuple[Trial, Turns]]:
         fault = "wrong baud rate" if "baud" in name else "another device on the port"
         trial = Trial(fault, plan, Tty(folder / f"stranger{number}"))
         rng = _rng(plan, 4, number)
-        faults = _visits(name, rng, 1 if plan.quick else 10)
+        faults = visits(name, rng, 1 if plan.quick else 10)
         trial.said = "named, and none of it published; then the digitizer"
         started.append((trial, trial.run(faults)))
     return started
 
 
-def _visits(name: str, rng: Rng, times: int) -> Callable[[Trial], Turns]:
+def visits(name: str, rng: Rng, times: int) -> Callable[[Trial], Turns]:
+    """A stranger comes, is found out, and goes; then the digitizer comes."""
     make, texts = STRANGERS[name]
 
     def faults(trial: Trial) -> Turns:
@@ -375,11 +378,11 @@ def _hosts(plan: Plan, folder: Path) -> list[tuple[Trial, Turns]]:
     started = []
     for number, (what, fault) in enumerate(kinds.items()):
         trial = Trial(f"network host {what}", plan, Host())
-        started.append((trial, trial.run(_hosted(fault, _rng(plan, 7, number), times))))
+        started.append((trial, trial.run(hosted(fault, _rng(plan, 7, number), times))))
     return started
 
 
-def _hosted(fault: Callable[[Trial, Rng], Turns], rng: Rng, times: int) -> Callable[[Trial], Turns]:
+def hosted(fault: Callable[[Trial, Rng], Turns], rng: Rng, times: int) -> Callable[[Trial], Turns]:
     def faults(trial: Trial) -> Turns:
         trial.plug.plug(trial.digitizer(some_skin(rng)))
         yield from trial.resumes()

@@ -46,6 +46,7 @@ class Trial:
     """One driver, whose port is at a plug, and what came of the faults put in.
 
     times: faults so far. said: for the table. hold_s: how long the next frame's consumer takes.
+    limit_s: after which what does not go on hangs.
     resumed_s: how long the driver took each time, from when port and digitizer were there until it
     published a frame.
     """
@@ -59,7 +60,7 @@ class Trial:
         self.hold_s = 0.0
         self.resumed_s: list[float] = []
         self.judge = Judge()
-        self._limit_s = 10.0 if plan.quick else 30.0
+        self.limit_s = 10.0 if plan.quick else 30.0
         config = SkinConfig.of(dict(parameters or {}))
         self.driver = Driver(config, plug.url, BAUD, self._consume, self._note)
 
@@ -97,7 +98,7 @@ class Trial:
 
     def until(self, condition: Callable[[], object]) -> Turns:
         """Go on until this holds; raises HangError where it never does."""
-        end_s = time.monotonic() + self._limit_s
+        end_s = time.monotonic() + self.limit_s
         while not condition():
             if time.monotonic() > end_s:
                 raise HangError
