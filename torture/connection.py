@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 import fcntl
+import gc
 import os
 import statistics
 import threading
@@ -125,6 +126,7 @@ def _held() -> int:
 
 
 def _memory_kb() -> int:
+    gc.collect()  # what waits for that is not growth
     resident = Path("/proc/self/statm").read_text().split()[1]
     return int(resident) * os.sysconf("SC_PAGE_SIZE") // 1024
 

@@ -16,6 +16,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable
@@ -25,10 +26,14 @@ from tactile_cdma.pipeline import TactileFrame
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 
-from .oracle import Oracle, Verdict
+from .oracle import Oracle, Stream, Verdict
 
 MOST_MISSING = 2
 """Frames after a START that the driver may leave out."""
+EARLY_S = 0.05
+"""Stamps may be so early: clocks' rates are believed within 1e-3, from what came in 30 s."""
+LONG_AGO = Stream(SimOptions(), SimOptions().setup(), math.inf)
+"""A stream without frames."""
 
 
 class Digitizer(VirtualDigitizer):
@@ -59,12 +64,13 @@ class Digitizer(VirtualDigitizer):
 class _Published:
     """A published frame that was judged.
 
-    device_s: time of its middle. true_s: the same, as host time, at the earliest. late_s: of its
-    stamp, at most.
+    connection: the driver's. device_s: time of its middle. true_s: the same, as host time, at the
+    earliest. late_s: of its stamp, at most.
     """
 
     sequence: int
     stream: int
+    connection: int
     device_s: float
     true_s: float
     late_s: float
@@ -82,21 +88,21 @@ class Judge:
     def __init__(self) -> None:
         self.wrong_values = self.uncounted_losses = self.frames = 0
         self.missing: list[int] = []
-        self._queue: deque[tuple[TactileFrame, float]] = deque()
+        self._queue: deque[tuple[TactileFrame, int, float]] = deque()
         self._oracle = Oracle()
         self._powered_s: list[float] = []  # of each stream's digitizer, host s
         self._last: _Published | None = None
         self._first_sequence = 0
 
-    def take(self, frame: TactileFrame) -> None:
-        """A frame was published; in the driver's thread."""
-        self._queue.append((frame, time.monotonic()))
+    def take(self, frame: TactileFrame, connection: int = 0) -> None:
+        """A frame was published, by the driver's thread, over so many connections."""
+        self._queue.append((frame, connection, time.monotonic()))
 
     def began(self, digitizer: Digitizer) -> None:
         """A digitizer obeyed a START: whatever was published until now is of those before."""
         self.settle()
-        for stream in self._oracle.streams[-3:-2]:
-            stream.forget()
+        # No frame of those long before will come: they are not worth their memory.
+        self._oracle.streams[:-2] = [LONG_AGO] * len(self._oracle.streams[:-2])
         self._oracle.began(digitizer.options, digitizer.setup, digitizer.started_s)
         self._powered_s.append(digitizer.powered_s)
 
@@ -141,32 +147,32 @@ class Judge:
         passed = self._last.sequence - self._first_sequence + 1
         return abs(passed - self.frames - lost_frames)
 
-    def _judge(self, frame: TactileFrame, published_s: float) -> None:
+    def _judge(self, frame: TactileFrame, connection: int, published_s: float) -> None:
         verdict = self._oracle.check(frame)
         if verdict.number is None:
             self.wrong_values += max(1, int(verdict.wrong.sum()))
             return
         self.wrong_values += int(verdict.wrong.sum() + verdict.missed.sum())
-        self.uncounted_losses += verdict.uncounted
         period_s = self._oracle.streams[verdict.stream].setup.spec.frame_period_s
         true_s = self._powered_s[verdict.stream] + frame.t_middle
-        self.wrong_values += not true_s - period_s < frame.t_host < published_s
+        self.wrong_values += not true_s - EARLY_S < frame.t_host < published_s
         late_s = frame.t_host - true_s
-        now = _Published(frame.sequence, verdict.stream, frame.t_middle, true_s, late_s)
+        now = _Published(frame.sequence, verdict.stream, connection, frame.t_middle, true_s, late_s)
         self._follow(now, verdict, period_s)
         self._last = now
         self.frames += 1
 
     def _follow(self, now: _Published, verdict: Verdict, period_s: float) -> None:
-        """Hold the first frame of a stream against the last one of another."""
-        if self._last is None:
+        """Hold a frame against the one before it."""
+        last = self._last
+        if last is None:
             self._first_sequence = now.sequence
-        elif now.stream != self._last.stream:
-            # Only the host's clock knows how many periods passed; stamps may be late.
-            passed = (now.true_s - self._last.true_s) / period_s
-            slack = 1 + (abs(now.late_s) + abs(self._last.late_s)) / period_s
-            step = now.sequence - self._last.sequence
-            self.uncounted_losses += abs(step - max(1, passed)) > slack
-        if self._last is None or now.stream != self._last.stream:
+        elif (now.stream, now.connection) == (last.stream, last.connection):
+            self.uncounted_losses += verdict.uncounted
+        else:  # only the host's clock knows how many periods passed, and stamps may be late
+            passed = (now.true_s - last.true_s) / period_s
+            slack = 1 + (abs(now.late_s) + abs(last.late_s)) / period_s
+            self.uncounted_losses += abs(now.sequence - last.sequence - max(1, passed)) > slack
+        if last is None or now.stream != last.stream:
             assert verdict.number is not None
             self.missing.append(verdict.number)

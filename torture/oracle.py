@@ -47,20 +47,12 @@ class Stream:
     def __post_init__(self) -> None:
         self._coming = truth(self.options, self.setup)
 
-    def forget(self) -> None:
-        """No frame of it will come any more: give its memory back."""
-        self._coming = iter(())
-        self._past.clear()
-
     def frame_at(self, t_start: float) -> NodeFrame | None:
         """The frame whose first chip begins about then, device s; None if there is none."""
         period_s = self.setup.spec.frame_period_s
         since_s = t_start - self.started_s
         while not self._past or self._past[-1].start_s < since_s - period_s / 2:
-            frame = next(self._coming, None)
-            if frame is None:
-                return None
-            self._past.append(frame)
+            self._past.append(next(self._coming))
         before = (self._past[-1].start_s - since_s) / period_s
         place = len(self._past) - 1 - round(before)
         if not 0 <= place < len(self._past):

@@ -28,7 +28,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Protocol
 
-TICK_S = 3e-3
+TICK_S = 10e-3
 """The time of digitizers goes on by so much with a step, at most."""
 MOST = 65_536
 

@@ -96,9 +96,12 @@ class Trial:
         """One that is powered up now, and judged by."""
         return Digitizer(options, lambda: self.plug.now_s, self.judge)
 
-    def until(self, condition: Callable[[], object]) -> Turns:
-        """Go on until this holds; raises HangError where it never does."""
-        end_s = time.monotonic() + self.limit_s
+    def until(self, condition: Callable[[], object], least_s: float = 0.0) -> Turns:
+        """Go on until this holds; raises HangError where it never does.
+
+        least_s: how long it takes where nothing is wrong.
+        """
+        end_s = time.monotonic() + 10 * least_s + self.limit_s
         while not condition():
             if time.monotonic() > end_s:
                 raise HangError
@@ -108,12 +111,12 @@ class Trial:
     def after(self, seconds: float) -> Turns:
         """Go on for so long."""
         end_s = time.monotonic() + seconds
-        yield from self.until(lambda: time.monotonic() >= end_s)
+        yield from self.until(lambda: time.monotonic() >= end_s, seconds)
 
     def stall(self, seconds: float) -> Turns:
         """Go on for so much of the digitizer's time."""
         end_s = self.plug.now_s + seconds
-        yield from self.until(lambda: self.plug.now_s >= end_s)
+        yield from self.until(lambda: self.plug.now_s >= end_s, seconds)
 
     def told(self, *texts: str) -> Turns:
         """Go on until the driver gives a reason with one of these texts in it."""
@@ -147,7 +150,7 @@ class Trial:
         return any(thread.name == f"skin {self.plug.url}" for thread in threading.enumerate())
 
     def _consume(self, frame: TactileFrame) -> None:
-        self.judge.take(frame)
+        self.judge.take(frame, self.driver.connections)
         if self.hold_s:
             hold_s, self.hold_s = self.hold_s, 0.0
             time.sleep(hold_s)

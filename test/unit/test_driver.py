@@ -148,6 +148,30 @@ def test_unplugging_and_plugging_in_again_resumes(tmp_path: Path) -> None:
             assert str(path) in (watch.problems[-1] or "")
 
 
+def test_a_device_that_comes_back_ends_the_pause(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tactile_cdma.driver.RETRY_S", (3600.0,))
+    path, watch = tmp_path / "skin", Watch()
+    with watch.driver(str(path)):
+        wait_for(lambda: watch.problems)
+        with virtual_tty(path):
+            wait_for(lambda: len(watch.frames) > 2)
+
+
+def test_a_port_that_takes_no_bytes_is_named() -> None:
+    with raw_pty() as (_, name):
+        full = os.open(name, os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY)
+        with suppress(BlockingIOError):
+            while True:
+                os.write(full, bytes(4096))
+        watch = Watch()
+        with watch.driver(name):
+            wait_for(lambda: watch.problems)
+        os.close(full)
+    assert "takes no bytes" in (watch.problems[0] or "")
+
+
 def test_a_digitizer_that_restarts_is_started_again() -> None:
     with raw_pty() as (host, name):
         os.set_blocking(host, False)

@@ -23,12 +23,13 @@ import tty
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import FileIO
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tactile_cdma.errors import PortError
-from tactile_cdma.source import READ_SIZE, Port
+from tactile_cdma.source import READ_SIZE, Port, is_away
 
 
 @contextmanager
@@ -140,3 +141,13 @@ def test_what_waits_in_a_port_is_told_and_a_lost_port_is_an_error() -> None:
         port.close()
         with pytest.raises(PortError, match="unplugged"):
             _ = port.waiting
+
+
+def test_a_device_is_away_while_it_cannot_be_opened(tmp_path: Path) -> None:
+    device, link = tmp_path / "device", tmp_path / "link"
+    link.symlink_to(device)
+    assert is_away(str(link))
+    device.touch()
+    assert not is_away(str(link))
+    for url in ("usb://1234", "socket://127.0.0.1:1", "sim://", "no\0path"):
+        assert not is_away(url)
