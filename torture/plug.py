@@ -153,9 +153,11 @@ class Tty(Plug):
     def fill(self) -> None:
         """Leave no room for what the host writes, as a device does that takes nothing."""
         os.set_blocking(self.side, False)
-        with suppress(BlockingIOError):
-            while True:
-                os.write(self.side, bytes(1024))
+        for _ in range(3):  # the kernel makes some room a little later
+            with suppress(BlockingIOError):
+                while True:
+                    os.write(self.side, bytes(1024))
+            time.sleep(0.01)
 
     def _carry(self, device: Device, outgoing: bytes) -> bytes:
         writing = [self.host] if outgoing else []
