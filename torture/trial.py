@@ -16,12 +16,15 @@
 
 from __future__ import annotations
 
+import statistics
 import threading
 import time
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from dataclasses import replace
 from itertools import islice
 from typing import TypeAlias
+
+import numpy as np
 
 from tactile_cdma.driver import Driver
 from tactile_cdma.pipeline import TactileFrame
@@ -35,7 +38,10 @@ from .plug import Plug
 BAUD = 2_000_000
 ROUND_S = 5e-4
 """Pause after every trial had its turn."""
+SCENES = ("moving", "press", "all")
+Rng: TypeAlias = np.random.Generator
 Turns: TypeAlias = Generator[None, None, None]
+Started: TypeAlias = "tuple[Trial, Turns]"
 
 
 class HangError(Exception):
@@ -146,6 +152,16 @@ class Trial:
         return self.judge.hears(self.plug.device) and self.driver.problem is None
 
     @property
+    def took(self) -> str:
+        """How long it took until frames came, in words."""
+        took_ms = [1e3 * seconds for seconds in self.resumed_s]
+        missing = max(self.judge.missing, default=0)
+        return (
+            f"frames after {statistics.median(took_ms):.0f} ms (at most {max(took_ms):.0f}), "
+            f"{missing} missing at most"
+        )
+
+    @property
     def _lives(self) -> bool:
         return any(thread.name == f"skin {self.plug.url}" for thread in threading.enumerate())
 
@@ -157,6 +173,16 @@ class Trial:
 
     def _note(self, problem: str | None) -> None:
         self.crashes += problem is not None and problem.startswith("internal error")
+
+
+def rng_of(plan: Plan, *place: int) -> Rng:
+    """The random numbers of one kind of fault."""
+    return np.random.default_rng([plan.seed, *place])
+
+
+def some_skin(rng: Rng) -> SimOptions:
+    """A skin that is touched, another one each time."""
+    return SimOptions(seed=int(rng.integers(1 << 32)), scene=str(rng.choice(SCENES)))
 
 
 def side_by_side(trials: Iterable[Turns], at_once: int = 5) -> None:
@@ -172,7 +198,14 @@ def side_by_side(trials: Iterable[Turns], at_once: int = 5) -> None:
 _OVER = object()
 
 
-def together(outcomes: Iterable[Outcome]) -> Outcome:
+def outcomes(started: list[Started]) -> Iterator[Outcome]:
+    """What comes of these trials, those of one fault together."""
+    side_by_side(turns for _, turns in started)
+    for fault in dict.fromkeys(trial.fault for trial, _ in started):
+        yield _together(trial.outcome() for trial, _ in started if trial.fault == fault)
+
+
+def _together(outcomes: Iterable[Outcome]) -> Outcome:
     """The sum of outcomes of one kind of fault."""
     first, *others = outcomes
     for other in others:

@@ -30,12 +30,12 @@ from tactile_cdma.pipeline import Pipeline, TactileFrame
 from tactile_cdma.session import Session
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.skin_config import SkinConfig
-from torture import connection
+from torture import network, stalling, unplugging, wrong_port
 from torture.judge import Digitizer, Judge
 from torture.outcome import Plan
 from torture.plug import Host, Plug, Tty
 from torture.strangers import misread
-from torture.trial import Trial, Turns, side_by_side
+from torture.trial import Trial, Turns, outcomes, side_by_side
 
 PLAN = Plan(quick=True, seed=1)
 CONFIG = SkinConfig.of({})
@@ -45,20 +45,20 @@ PERIOD_S = CONFIG.spec.frame_period_s
 def test_a_slice_of_the_campaign(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     kinds: list[tuple[Plug, Callable[[Trial], Turns]]] = [
-        (Tty(tmp_path / "reset"), lambda trial: connection.resets(trial, rng, 3)),
-        (Tty(tmp_path / "line"), connection.stalls(connection.line_stalls, rng, 0.9, 1)),
-        (Tty(tmp_path / "consumer"), connection.stalls(connection.consumer_stalls, rng, 0.9, 1)),
-        (Tty(tmp_path / "text"), connection.visits("text", rng, 1)),
-        (Host(), connection.hosted(connection.vanish, rng, 1)),
+        (Tty(tmp_path / "reset"), lambda trial: unplugging.resets(trial, rng, 3)),
+        (Tty(tmp_path / "line"), stalling.stalls(stalling.line_stalls, rng, 0.9, 1)),
+        (Tty(tmp_path / "consumer"), stalling.stalls(stalling.consumer_stalls, rng, 0.9, 1)),
+        (Tty(tmp_path / "text"), wrong_port.visits("text", rng, 1)),
+        (Host(), network.hosted(network.vanish, rng, 1)),
     ]
     trials = [(Trial(plug.url, PLAN, plug), faults) for plug, faults in kinds]
-    outcomes = list(connection.outcomes([(trial, trial.run(faults)) for trial, faults in trials]))
+    found = list(outcomes([(trial, trial.run(faults)) for trial, faults in trials]))
     alone = Trial("replugs", PLAN, Tty(tmp_path / "replugged"))  # it counts what the process holds
-    side_by_side([alone.run(lambda trial: connection.replugs(trial, rng, 8))])
-    outcomes.append(alone.outcome())
-    assert [outcome for outcome in outcomes if not outcome.good] == []
-    assert sum(outcome.times for outcome in outcomes) == 15
-    assert not outcomes[1].said.startswith("0 packets")
+    side_by_side([alone.run(lambda trial: unplugging.replugs(trial, rng, 8))])
+    found.append(alone.outcome())
+    assert [outcome for outcome in found if not outcome.good] == []
+    assert sum(outcome.times for outcome in found) == 15
+    assert not found[1].said.startswith("0 packets")
 
 
 class Line:
