@@ -30,8 +30,8 @@ from .oracle import Oracle, Stream, Verdict
 
 MOST_MISSING = 2
 """Frames after a START that the driver may leave out."""
-EARLY_S = 0.05
-"""Stamps may be so early: clocks' rates are believed within 1e-3, from what came in 30 s."""
+CLOCK_S = 0.05
+"""Stamps may be so far off: clocks' rates are believed within 1e-3, from what came in 30 s."""
 LONG_AGO = Stream(SimOptions(), SimOptions().setup(), math.inf)
 """A stream without frames."""
 
@@ -41,7 +41,7 @@ class Digitizer(VirtualDigitizer):
 
     def __init__(self, options: SimOptions, clock: Callable[[], float], judge: Judge) -> None:
         """clock: its time, which may stand at times, but is no faster than the host's."""
-        self.powered_s, self._power_s = time.monotonic(), clock()
+        self.powered_s, self._power_s = judge.clock(), clock()
         super().__init__(options, clock)
         self._judge = judge
         self._told = (False, 0.0)
@@ -80,23 +80,26 @@ class Judge:
     """Takes what a driver publishes, and sums up what is wrong with it.
 
     wrong_values: nodes with another word than they said, frames that never were, stamps from
-        before the frame or after its publication.
+        before the frame or after its publication, as long as the digitizer's time did not stand.
     uncounted_losses: frames missing that the sequence does not tell, or the other way round.
     missing: of every stream that was published, how many frames of its beginning were not.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        """clock: host time, s."""
+        self.clock = clock
         self.wrong_values = self.uncounted_losses = self.frames = 0
         self.missing: list[int] = []
         self._queue: deque[tuple[TactileFrame, int, float]] = deque()
         self._oracle = Oracle()
         self._powered_s: list[float] = []  # of each stream's digitizer, host s
+        self._digitizer: Digitizer | None = None
         self._last: _Published | None = None
         self._first_sequence = 0
 
     def take(self, frame: TactileFrame, connection: int = 0) -> None:
         """A frame was published, by the driver's thread, over so many connections."""
-        self._queue.append((frame, connection, time.monotonic()))
+        self._queue.append((frame, connection, self.clock()))
 
     def began(self, digitizer: Digitizer) -> None:
         """A digitizer obeyed a START: whatever was published until now is of those before."""
@@ -105,6 +108,7 @@ class Judge:
         self._oracle.streams[:-2] = [LONG_AGO] * len(self._oracle.streams[:-2])
         self._oracle.began(digitizer.options, digitizer.setup, digitizer.started_s)
         self._powered_s.append(digitizer.powered_s)
+        self._digitizer = digitizer
 
     @property
     def streams(self) -> int:
@@ -139,6 +143,14 @@ class Judge:
         while self._queue:
             self._judge(*self._queue.popleft())
 
+    @property
+    def _keeps_pace(self) -> bool:
+        """Whether the digitizer's time has not stood; no real one's does, and stamps are by it."""
+        digitizer = self._digitizer
+        return digitizer is not None and (
+            self.clock() - digitizer.powered_s - digitizer.now_s < CLOCK_S
+        )
+
     def account(self, lost_frames: int) -> int:
         """How far off the driver's count of lost frames is, after all was published."""
         self.settle()
@@ -155,7 +167,8 @@ class Judge:
         self.wrong_values += int(verdict.wrong.sum() + verdict.missed.sum())
         period_s = self._oracle.streams[verdict.stream].setup.spec.frame_period_s
         true_s = self._powered_s[verdict.stream] + frame.t_middle
-        self.wrong_values += not true_s - EARLY_S < frame.t_host < published_s
+        if self._keeps_pace:
+            self.wrong_values += not true_s - CLOCK_S < frame.t_host < published_s + CLOCK_S
         late_s = frame.t_host - true_s
         now = _Published(frame.sequence, verdict.stream, connection, frame.t_middle, true_s, late_s)
         self._follow(now, verdict, period_s)

@@ -16,7 +16,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -62,24 +61,23 @@ def test_a_slice_of_the_campaign(tmp_path: Path) -> None:
 
 
 class Line:
-    """Digitizers one after the other, decoded faster than time, but in the past."""
+    """Digitizers one after the other, decoded in a time of their own."""
 
     def __init__(self) -> None:
-        self.judge, self.now_s = Judge(), 0.0
-        self._pipeline, self._begin_s = Pipeline(CONFIG), time.monotonic() - 100
+        self.now_s = 0.0
+        self.judge, self._pipeline = Judge(lambda: self.now_s), Pipeline(CONFIG)
 
     def publish(
         self, count: int, damage: Callable[[list[TactileFrame]], list[TactileFrame]]
     ) -> Judge:
         """Frames of a digitizer that was powered up just now, with something wrong."""
         digitizer = Digitizer(SimOptions(scene="all"), lambda: self.now_s, self.judge)
-        digitizer.powered_s = self._begin_s + self.now_s
         digitizer.receive(Session(CONFIG).open())
         frames: list[TactileFrame] = []
         while len(frames) < count:
             self.now_s += 1e-3
             digitizer.advance()
-            frames += self._pipeline.feed(digitizer.take(1 << 16), self._begin_s + self.now_s)
+            frames += self._pipeline.feed(digitizer.take(1 << 16), self.now_s)
         for frame in damage(frames[:count]):
             self.judge.take(frame)
         self.judge.settle()
