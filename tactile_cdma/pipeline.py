@@ -99,6 +99,8 @@ class Pipeline:
     problem: why nothing can be decoded just now, in one sentence; None while all is well.
     info: the digitizer's last description of itself, None before the first.
     refusal: the last command that the digitizer refused and did not obey since.
+    streaming: whether the digitizer says that it streams, by its last STATUS or as it obeyed a
+        START since; None while it has said nothing.
     """
 
     def __init__(self, config: SkinConfig, background: bool = True) -> None:
@@ -120,6 +122,7 @@ class Pipeline:
         self.info: Info | None = None
         self.status: Status | None = None
         self.refusal: Ack | None = None
+        self.streaming: bool | None = None
         self.problem: str | None = None
         self._earlier_packets: Counter[str] = Counter()
         self._clock = DeviceClock()
@@ -181,7 +184,7 @@ class Pipeline:
                     self.info = self._timing = None
                     self.problem = str(packet)
                 case Status():
-                    self.status = packet
+                    self.status, self.streaming = packet, packet.streaming
                 case Ack():
                     self._acknowledged(packet)
         return frames
@@ -209,13 +212,15 @@ class Pipeline:
         """The port was opened anew: whatever was under way, or held, is void."""
         # At once, for whoever reads the counts meanwhile.
         self._earlier_packets, self.parser = self.packet_counts, PacketParser()
-        self.status = None
+        self.status = self.streaming = None
         self.close()
         self.info = self.refusal = self._timing = self._next_index = None
         self.problem = None
         self._forget()
 
     def _acknowledged(self, ack: Ack) -> None:
+        if ack.command == PacketType.START and ack.result == Result.OK:
+            self.streaming = True
         if ack.result != Result.OK:
             self.refusal = ack
             if ack.command == PacketType.ROLL_CALL and isinstance(self._timing, NodeTiming):

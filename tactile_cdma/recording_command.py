@@ -24,7 +24,6 @@ from pathlib import Path
 from typing import Any
 
 from .arguments import add_skin_options, given, positive
-from .driver import Session
 from .errors import CaptureError, PortError, TactileError
 from .interrupt import stop_event
 from .messages import Info
@@ -34,6 +33,7 @@ from .pipeline import Pipeline
 from .protocol import PacketParser, diagnose
 from .recording import Description
 from .recording_file import Recorder, describe, is_recording, survey
+from .session import Session
 from .skin_config import SkinConfig
 from .source import Port
 

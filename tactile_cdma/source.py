@@ -19,6 +19,7 @@ from __future__ import annotations
 import errno
 import os
 import select
+import socket
 import time
 from collections.abc import Sequence
 from contextlib import suppress
@@ -42,6 +43,8 @@ except ImportError:  # not a POSIX system
 READ_TIMEOUT_S = 0.1
 READ_SIZE = 65_536
 """Bytes that one read takes at most; a tty hands out 4 kB at once."""
+HOST_GONE_S = 5.0
+"""A host in the network that acknowledges nothing for so long is gone."""
 HANDLERS = ("tactile_cdma.sim", "tactile_cdma.replay")
 """What makes sim:// and replay:// ports like any other."""
 USB = "usb://"
@@ -77,6 +80,7 @@ class Port:
                 self._serial.exclusive = True
             self._serial.open()
             _hurry(self._serial)
+            _give_up_soon(self._serial, pyserial_url)
             self._serial.reset_input_buffer()  # of what came for whoever had it open before
             self._poll = _poll(self._serial, pyserial_url)
         except (SpecError, CaptureError) as error:  # an option of a URL, the file of replay://
@@ -135,6 +139,8 @@ class Port:
         """Send bytes."""
         try:
             self._serial.write(data)
+        except serial.SerialTimeoutException:
+            raise PortError(f"{self.url}: takes no bytes; is the digitizer powered?") from None
         except (OSError, TerminalError) as error:
             raise PortError(f"{self.url}: lost while writing; unplugged? ({error})") from None
 
@@ -153,6 +159,13 @@ class Port:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+def _give_up_soon(port: serial.SerialBase, url: str) -> None:
+    """Have a network port fail where its host is gone, not after minutes as TCP would."""
+    if url.startswith("socket://") and hasattr(socket, "TCP_USER_TIMEOUT"):
+        with socket.fromfd(port.fileno(), socket.AF_INET, socket.SOCK_STREAM) as link:
+            link.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(HOST_GONE_S * 1e3))
 
 
 def _hurry(port: serial.SerialBase) -> None:
@@ -200,6 +213,17 @@ def serial_ports() -> list[SerialPort]:
 def device_of(url: str) -> str:
     """The device that usb://SERIAL is now; any other port as it is. Raises PortError."""
     return find_usb(url, serial_ports()) if url.startswith(USB) else url
+
+
+def is_away(url: str) -> bool:
+    """Whether it is certain that a port cannot be opened: no such device, or no permission.
+
+    Takes microseconds. Of anything but a device path nothing is certain.
+    """
+    if "://" in url or "\0" in url:
+        return False
+    effective = os.access in os.supports_effective_ids
+    return not os.access(url, os.R_OK | os.W_OK, effective_ids=effective)
 
 
 def find_usb(url: str, ports: Sequence[SerialPort]) -> str:

@@ -26,12 +26,12 @@ from emulated import EmulatedSkin, EmulationError
 from rp2040 import CPU_HZ, EmulatorError, Rp2040
 from rp2040_skin import IMAGE
 from skin import reference_amplifier, reference_nodes
-from tactile_cdma.driver import Session
 from tactile_cdma.frame import FrameSpec
 from tactile_cdma.messages import Configure, FrameLayout, Samples, Start, Status
 from tactile_cdma.node_memory import MCUS
 from tactile_cdma.parameters import read_file
 from tactile_cdma.protocol import PacketParser, PacketWriter
+from tactile_cdma.session import Session
 from tactile_cdma.skin_config import SkinConfig
 
 SETTLED_NS, SPAN_NS = 300_000_000, 1_000_000_000

@@ -23,12 +23,12 @@ from numpy.typing import NDArray
 
 from emulated import EDGE, EmulatedNodes
 from skin import PressedSkin
-from tactile_cdma.driver import Session
 from tactile_cdma.encode import frame_levels, line_chips
 from tactile_cdma.frame import FrameSpec
 from tactile_cdma.messages import Quiet, Samples
 from tactile_cdma.pipeline import Pipeline, TactileFrame
 from tactile_cdma.protocol import PacketParser
+from tactile_cdma.session import Session
 from tactile_cdma.skin_config import SkinConfig
 
 STEP_NS = 20_000_000

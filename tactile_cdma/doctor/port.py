@@ -22,13 +22,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ..driver import Session
 from ..errors import PortError, TactileError
 from ..introduction import introduction
 from ..offline import parameters_of
 from ..parameters import BY_NAME, Value, read_file
 from ..pipeline import Pipeline
 from ..ports_command import described_info
+from ..session import Session
 from ..skin_config import SkinConfig
 from ..source import Port, leave_alone_if_open
 from .report import Check, ok, problem

@@ -32,11 +32,12 @@ from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
 from ..body_file import NODE_NAME
-from ..driver import WAITING, Driver, Session
+from ..driver import WAITING, Driver
 from ..errors import ParameterError, TactileError
 from ..parameters import Values
 from ..pipeline import TactileFrame
 from ..rest_file import rest_path
+from ..session import Session
 from ..skin_config import SkinConfig
 from ..source import Port
 from . import convert

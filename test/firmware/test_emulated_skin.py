@@ -26,12 +26,12 @@ from conftest import need
 
 from emulated import Amplifier, EmulatedSkin, Node
 from skin import reference_nodes
-from tactile_cdma.driver import Session
 from tactile_cdma.errors import SpecError
 from tactile_cdma.messages import Quiet, RollCall, Samples
 from tactile_cdma.node_memory import node_memory
 from tactile_cdma.pipeline import Pipeline, TactileFrame
 from tactile_cdma.protocol import PacketParser, PacketWriter
+from tactile_cdma.session import Session
 from tactile_cdma.skin_config import SkinConfig
 
 MS = 1_000_000

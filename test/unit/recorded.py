@@ -17,7 +17,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from tactile_cdma.driver import Session
+from tactile_cdma.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.skin_config import SkinConfig

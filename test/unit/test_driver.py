@@ -28,11 +28,12 @@ import numpy as np
 import pytest
 import serial
 
-from tactile_cdma.driver import WAITING, Driver, Session
+from tactile_cdma.driver import WAITING, Driver
 from tactile_cdma.errors import PortError, SpecError
 from tactile_cdma.messages import Start
 from tactile_cdma.pipeline import TactileFrame
 from tactile_cdma.protocol import PacketParser, PacketWriter
+from tactile_cdma.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import serve
@@ -145,6 +146,32 @@ def test_unplugging_and_plugging_in_again_resumes(tmp_path: Path) -> None:
             problems = len(watch.problems)
             wait_for(lambda problems=problems: len(watch.problems) > problems)
             assert str(path) in (watch.problems[-1] or "")
+
+
+def test_a_device_that_comes_back_ends_the_pause(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tactile_cdma.driver.RETRY_S", (3600.0,))
+    path, watch = tmp_path / "skin", Watch()
+    with watch.driver(str(path)):
+        wait_for(lambda: watch.problems)
+        with virtual_tty(path):
+            wait_for(lambda: len(watch.frames) > 2)
+
+
+def test_a_port_that_takes_no_bytes_is_named() -> None:
+    with raw_pty() as (_, name):
+        full = os.open(name, os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY)
+        for _ in range(3):  # the kernel makes some room a little later
+            with suppress(BlockingIOError):
+                while True:
+                    os.write(full, bytes(4096))
+            time.sleep(0.05)
+        watch = Watch()
+        with watch.driver(name):
+            wait_for(lambda: watch.problems)
+        os.close(full)
+    assert "takes no bytes" in (watch.problems[0] or "")
 
 
 def test_a_digitizer_that_restarts_is_started_again() -> None:

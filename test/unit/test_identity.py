@@ -26,12 +26,13 @@ from hypothesis import strategies as st
 from test_driver import Watch, wait_for
 
 from tactile_cdma.cli import main
-from tactile_cdma.driver import Driver, Session
+from tactile_cdma.driver import Driver
 from tactile_cdma.errors import ParameterError
 from tactile_cdma.identity import parse_id, shown_id
 from tactile_cdma.messages import Configure, GetInfo, Start, Stop
 from tactile_cdma.pipeline import Pipeline, TactileFrame
 from tactile_cdma.protocol import PacketParser
+from tactile_cdma.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.skin_config import SkinConfig
@@ -75,15 +76,23 @@ class Talk:
         self.digitizer = VirtualDigitizer(clock=lambda: self.now_s)
 
     def exchange(self, seconds: float) -> list[TactileFrame]:
-        """What the driver's loop does."""
-        frames = []
+        """What the driver does with a port, from opening to closing it."""
+        self.open()
+        frames = self.go_on(seconds)
+        self._send(self.session.close())
+        return frames
+
+    def open(self) -> None:
         self._send(self.session.open())
+
+    def go_on(self, seconds: float) -> list[TactileFrame]:
+        """What its loop does."""
+        frames = []
         for _ in range(round(seconds / 0.01)):
             self.now_s += 0.01
             self.digitizer.advance()
             frames += self.pipeline.feed(self.digitizer.take(1 << 20), self.now_s)
             self._send(self.session.watch(self.pipeline, self.now_s))
-        self._send(self.session.close())
         return frames
 
     def _send(self, data: bytes) -> None:

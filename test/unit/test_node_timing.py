@@ -18,12 +18,12 @@ import numpy as np
 import pytest
 
 from tactile_cdma._protocol import PacketType, Result
-from tactile_cdma.driver import Session
 from tactile_cdma.errors import SpecError
 from tactile_cdma.messages import Ack, RollCall, Samples
 from tactile_cdma.parameters import Value
 from tactile_cdma.pipeline import Pipeline, TactileFrame
 from tactile_cdma.protocol import PacketParser, PacketWriter
+from tactile_cdma.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.skin_config import SkinConfig

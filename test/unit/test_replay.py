@@ -25,13 +25,14 @@ import pytest
 
 from tactile_cdma.capture import read_bytes
 from tactile_cdma.cli import main
-from tactile_cdma.driver import WAITING, Driver, Session
+from tactile_cdma.driver import WAITING, Driver
 from tactile_cdma.errors import PortError, RecordingEndError
 from tactile_cdma.offline import raw_frames
 from tactile_cdma.pipeline import Pipeline, TactileFrame
 from tactile_cdma.recording_file import Recorder, describe, survey
 from tactile_cdma.replay.options import ReplayOptions
 from tactile_cdma.replay.player import Player
+from tactile_cdma.session import Session
 from tactile_cdma.skin_config import SkinConfig
 from tactile_cdma.source import Port
 

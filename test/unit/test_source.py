@@ -23,12 +23,13 @@ import tty
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import FileIO
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tactile_cdma.errors import PortError
-from tactile_cdma.source import READ_SIZE, Port
+from tactile_cdma.source import HOST_GONE_S, READ_SIZE, Port, is_away
 
 
 @contextmanager
@@ -140,3 +141,23 @@ def test_what_waits_in_a_port_is_told_and_a_lost_port_is_an_error() -> None:
         port.close()
         with pytest.raises(PortError, match="unplugged"):
             _ = port.waiting
+
+
+def test_a_device_is_away_while_it_cannot_be_opened(tmp_path: Path) -> None:
+    device, link = tmp_path / "device", tmp_path / "link"
+    link.symlink_to(device)
+    assert is_away(str(link))
+    device.touch()
+    assert not is_away(str(link))
+    for url in ("usb://1234", "socket://127.0.0.1:1", "sim://", "no\0path"):
+        assert not is_away(url)
+
+
+@pytest.mark.skipif(not hasattr(socket, "TCP_USER_TIMEOUT"), reason="Linux tells TCP how long")
+def test_a_host_that_acknowledges_nothing_is_given_up() -> None:
+    """By the kernel, which fails the read then; else it would go on for a quarter of an hour."""
+    with socket_port() as (_, port):
+        own = socket.fromfd(port._serial.fileno(), socket.AF_INET, socket.SOCK_STREAM)
+        with own:
+            given_up_ms = own.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT)
+    assert given_up_ms == HOST_GONE_S * 1e3

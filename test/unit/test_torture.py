@@ -23,8 +23,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactile_cdma.driver import Session
 from tactile_cdma.pipeline import Pipeline, TactileFrame
+from tactile_cdma.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.skin_config import SkinConfig

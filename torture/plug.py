@@ -1,0 +1,260 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What is behind a port, and how it comes and goes: a tty that can be unplugged, a network host."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import select
+import socket
+import struct
+import time
+import tty
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Protocol
+
+TICK_S = 10e-3
+"""The time of digitizers goes on by so much with a step, at most."""
+MOST = 65_536
+
+
+class Device(Protocol):
+    """What can be plugged in: a digitizer, or something else that says and hears bytes."""
+
+    def receive(self, data: bytes) -> None:
+        """Take bytes of the host."""
+
+    def advance(self, wanted: int) -> float:
+        """Do what is due by now; return the seconds until something else is due."""
+
+    def take(self, size: int) -> bytes:
+        """Give away at most `size` bytes for the host."""
+
+
+class Plug:
+    """The far end of a port.
+
+    device: what is there; None: nothing. stalled: the device goes on, but no byte gets through.
+    now_s: the time that digitizers keep, s. It stands while what they said is not read, so that a
+        busy machine is no fault; but not where it is hasty, or in a stall.
+    Nothing happens but in `step`, so that the caller chooses the moment of every fault.
+    """
+
+    def __init__(self) -> None:
+        self.device: Device | None = None
+        self.stalled = self.hasty = False
+        self.now_s = 0.0
+        self._host_s = time.monotonic()
+        self._outgoing = b""
+
+    @property
+    def url(self) -> str:
+        """The port that the driver opens."""
+        raise NotImplementedError
+
+    def plug(self, device: Device) -> None:
+        """Have the port there, and this device behind it."""
+        self.swap(device)
+
+    def swap(self, device: Device) -> None:
+        """Put another device behind a port that stays: what the last one had to say is lost."""
+        self.device, self._outgoing = device, b""
+
+    def unplug(self) -> None:
+        """Take the port away."""
+        self.device, self._outgoing = None, b""
+
+    def step(self, most: int = MOST) -> None:
+        """Carry bytes both ways, at most so many to the host."""
+        self._tick()
+        if self.device is None:
+            return
+        self.device.advance(MOST)
+        if not self.stalled:
+            self._outgoing = self._outgoing or self.device.take(most)
+            self._outgoing = self._carry(self.device, self._outgoing)
+
+    def _tick(self) -> None:
+        host_s = time.monotonic()
+        if self.stalled or self.hasty or not self._outgoing:
+            self.now_s += min(host_s - self._host_s, TICK_S)
+        self._host_s = host_s
+
+    def _carry(self, device: Device, outgoing: bytes) -> bytes:
+        """Exchange bytes with whoever has the port open; returns what was not taken."""
+        raise NotImplementedError
+
+
+class Tty(Plug):
+    """A pseudo-terminal under a link, made anew whenever it is plugged in."""
+
+    def __init__(self, link: Path) -> None:
+        super().__init__()
+        self._link = link
+        self.host = self.side = -1  # descriptors: the device's end, and the host's
+
+    @property
+    def url(self) -> str:
+        """The link."""
+        return str(self._link)
+
+    @property
+    def asked(self) -> bool:
+        """Whether bytes of the host wait to be received."""
+        return bool(select.select([self.host], [], [], 0)[0])
+
+    def plug(self, device: Device) -> None:
+        """Make the terminal and its link."""
+        self.make()
+        self.show(device)
+
+    def make(self) -> None:
+        """Make the terminal, which has no name yet that anybody knows."""
+        self.host, self.side = os.openpty()
+        tty.setraw(self.side)
+        os.set_blocking(self.host, False)
+
+    def show(self, device: Device) -> None:
+        """Link the terminal."""
+        self.swap(device)
+        self._link.symlink_to(os.ttyname(self.side))
+
+    def unplug(self) -> None:
+        """Take the terminal away, and its link."""
+        if self.device is not None:
+            self._link.unlink()
+            os.close(self.host)
+            os.close(self.side)
+        super().unplug()
+
+    def permit(self, mode: int) -> None:
+        """Who may open the terminal."""
+        os.chmod(os.ttyname(self.side), mode)
+
+    def lock(self, how: int) -> None:
+        """Have it to oneself, or not any more: fcntl.LOCK_EX or LOCK_UN."""
+        fcntl.flock(self.side, how)
+
+    def fill(self) -> None:
+        """Leave no room for what the host writes, as a device does that takes nothing."""
+        os.set_blocking(self.side, False)
+        for _ in range(3):  # the kernel makes some room a little later
+            with suppress(BlockingIOError):
+                while True:
+                    os.write(self.side, bytes(1024))
+            time.sleep(0.01)
+
+    def _carry(self, device: Device, outgoing: bytes) -> bytes:
+        writing = [self.host] if outgoing else []
+        readable, writable, _ = select.select([self.host], writing, [], 0)
+        if readable:
+            device.receive(os.read(self.host, MOST))
+        if writable:
+            outgoing = outgoing[os.write(self.host, outgoing) :]
+        return outgoing
+
+
+class Host(Plug):
+    """A host in the network that serves a port to one client at a time."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            self._address = server.getsockname()
+        self._server: socket.socket | None = None
+        self._client: socket.socket | None = None
+
+    @property
+    def url(self) -> str:
+        """Its address, the same for ever."""
+        return "socket://{}:{}".format(*self._address)
+
+    def plug(self, device: Device) -> None:
+        """Begin to listen, with the device switched on."""
+        self._server = socket.create_server(self._address, reuse_port=False)
+        super().plug(device)
+
+    def unplug(self) -> None:
+        """Be gone, in order."""
+        self.hang_up()
+        if self._server is not None:
+            self._server.close()
+        self._server = None
+        super().unplug()
+
+    def hang_up(self) -> None:
+        """End the client's connection."""
+        if self._client is not None:
+            self._client.close()
+        self._client = None
+
+    def reset(self) -> None:
+        """End the client's connection as a host does that was restarted."""
+        if self._client is not None:
+            self._client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        self.hang_up()
+
+    def half_close(self) -> None:
+        """Say that nothing more will come, and go on listening to the client."""
+        if self._client is not None:
+            self._client.shutdown(socket.SHUT_WR)
+
+    def _carry(self, device: Device, outgoing: bytes) -> bytes:
+        assert self._server is not None
+        reading = [self._server, *([self._client] if self._client else [])]
+        writing = [self._client] if self._client and outgoing else []
+        readable, writable, _ = select.select(reading, writing, [], 0)
+        if self._server in readable:
+            self.hang_up()
+            self._client, _ = self._server.accept()
+            self._client.setblocking(False)
+        elif readable:
+            self._hear(device)
+        if writable and self._client is not None:
+            with suppress(OSError):  # the client has gone: the next read will tell
+                outgoing = outgoing[self._client.send(outgoing) :]
+        # As a tty's: what comes while nobody listens is lost.
+        return outgoing if self._client is not None else b""
+
+    def _hear(self, device: Device) -> None:
+        assert self._client is not None
+        try:
+            data = self._client.recv(MOST)
+        except OSError:
+            data = b""
+        if data:
+            device.receive(data)
+        else:
+            self.hang_up()
+
+
+@contextmanager
+def as_ordinary_user(folder: Path) -> Iterator[None]:
+    """With the rights of nobody in particular, and this folder theirs: root may open anything."""
+    if os.geteuid() != 0:
+        yield
+        return
+    os.chown(folder, NOBODY, NOBODY)
+    os.seteuid(NOBODY)
+    try:
+        yield
+    finally:
+        os.seteuid(0)
+
+
+NOBODY = 65_534
