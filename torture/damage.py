@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
@@ -41,7 +42,8 @@ LARGEST_BURST = 100_000
 class Kind:
     """A kind of fault. It is done to `packets` or more in a row, of at least `size` bytes in all.
 
-    weight: how many faults of other kinds take as long. hold_s: pause of the host's time between its clumps. forges: it makes another packet of one.
+    weight: how many faults of other kinds take as long. hold_s: pause of the host's time between
+    its clumps. forges: it makes another packet of one.
     """
 
     name: str
@@ -63,7 +65,7 @@ def flipped(rate: float, packets: Packets, _: Packets, rng: np.random.Generator)
 
 def dropped(packets: Packets, _: Packets, rng: np.random.Generator) -> list[bytes]:
     """A run of bytes is missing."""
-    before, run, after = _cut(b"".join(packets), rng)
+    before, _run, after = _cut(b"".join(packets), rng)
     return [before + after]
 
 
@@ -101,7 +103,7 @@ def in_clumps(packets: Packets, _: Packets, rng: np.random.Generator) -> list[by
     """All comes, cut anywhere, with pauses."""
     data = b"".join(packets)
     cuts = [0, *sorted(rng.integers(len(data), size=3).tolist()), len(data)]
-    return [data[a:b] for a, b in zip(cuts, cuts[1:], strict=False)]
+    return [data[a:b] for a, b in pairwise(cuts)]
 
 
 def without_one(packets: Packets, _: Packets, rng: np.random.Generator) -> list[bytes]:
@@ -160,15 +162,11 @@ def _cut(data: bytes, rng: np.random.Generator) -> tuple[bytes, bytes, bytes]:
     return data[:place], data[place:stop], data[stop:]
 
 
+_EXPOSED = {6: (120_000, 20), 5: (12_000, 3), 4: (1200, 1), 3: (500, 1), 2: (1, 1)}
+"""Power of ten: bytes among which a bit or more is expected, and weight."""
 FLIPS = tuple(
     Kind(f"bits flipped, 1 in 10^{power}", partial(flipped, 10.0**-power), 1, size, weight)
-    for power, size, weight in (
-        (6, 120_000, 20),
-        (5, 12_000, 3),
-        (4, 1200, 1),
-        (3, 500, 1),
-        (2, 1, 1),
-    )
+    for power, (size, weight) in _EXPOSED.items()
 )
 OF_BYTES = (
     Kind("bytes dropped", dropped),

@@ -25,8 +25,10 @@ from dataclasses import dataclass
 
 from tactile_cdma.messages import Info, Quiet, Received, Samples
 
-KEPT = 1024
+KEPT = 2048
 """Packets that are remembered, for those that come again."""
+RECENT = 1024
+"""Of these, how many may be sent again: what is under way meanwhile must not drive them out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,12 +74,17 @@ class Ledger:
         self.counts = Counts()
         self.stretches: list[Stretch] = []
         self.sent_until = 0  # index of the sample that is to be sent next
-        self.past: deque[bytes] = deque(maxlen=KEPT)
+        self._past: deque[bytes] = deque(maxlen=KEPT)
         self._sent: dict[bytes, tuple[int, Sent]] = {}
         self._number = 0
         self._newest: int | None = None  # that arrived
         self._run = b""  # since the last delimiter
         self._described = False
+
+    @property
+    def past(self) -> list[bytes]:
+        """The packets that were sent last, in their order."""
+        return list(self._past)[-RECENT:]
 
     def sent(self, packet: bytes, said: Received, start: int) -> None:
         """The digitizer has sent this. said: its contents. start: number of the last START."""
@@ -86,9 +93,9 @@ class Ledger:
             count = said.count if isinstance(said, Quiet) else len(said.counts)
             entry = Sent(start, said.first_index, said.first_index + count)
             self.sent_until = entry.end
-        if len(self.past) == KEPT:
-            self._sent.pop(self.past[0][:-1], None)
-        self.past.append(packet)
+        if len(self._past) == KEPT:
+            self._sent.pop(self._past[0][:-1], None)
+        self._past.append(packet)
         self._sent[packet[:-1]] = self._number, entry
         self._number += 1
 
@@ -96,7 +103,7 @@ class Ledger:
         """The packet that was sent last has become another one."""
         number, entry = self._sent.pop(packet[:-1])
         self._sent[claim[:-1]] = number, Sent(entry.start, impossible=True)
-        self.past[-1] = claim
+        self._past[-1] = claim
 
     def arrived(self, data: bytes) -> None:
         """These bytes were handed to the receiver."""

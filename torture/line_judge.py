@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,9 +39,8 @@ NEAR_PA = 0.5
 """By how much a pressure may be off what its word says: float32 holds 0.01 Pa."""
 
 
-
 class Judge:
-    """Follows one driver on one line. late_frames: whole ones that came to nothing after a fault."""
+    """Follows one driver on one line."""
 
     def __init__(self, config: SkinConfig, ledger: Ledger, frame_samples: float) -> None:
         """frame_samples: samples from one frame's start to the next one's."""
@@ -61,7 +60,21 @@ class Judge:
         self._oracle.began(options, setup, started_s)
 
     def look(self, frames: Sequence[TactileFrame], pipeline: Pipeline) -> Counter[str]:
-        """What is wrong with these frames and with the counts, now that all of it was decoded."""
+        """What is wrong with these frames and with the counts, now that all of it was decoded.
+
+        Beside the counts of an Outcome it tells of `frames` that were published, of `lost_frames`,
+        and of `late_frames`: whole ones of which nothing came, too soon after a fault.
+        """
+        found = self.look_at_frames(frames)
+        self._lost += found["lost_frames"]
+        found["uncounted_losses"] += self._miscounted(pipeline)
+        late, missing = self._missing()
+        found["late_frames"] += late
+        found["hangs"] += missing
+        return found
+
+    def look_at_frames(self, frames: Sequence[TactileFrame]) -> Counter[str]:
+        """As `look`, of the frames alone."""
         found: Counter[str] = Counter(frames=len(frames))
         for frame in frames:
             verdict = self._oracle.check(frame)
@@ -70,11 +83,6 @@ class Judge:
             found["lost_frames"] += verdict.lost or 0
             if verdict.number is not None:
                 self._published.add((verdict.stream, verdict.number))
-        self._lost += found["lost_frames"]
-        found["uncounted_losses"] += self._miscounted(pipeline)
-        late, missing = self._missing()
-        found["late_frames"] += late
-        found["hangs"] += missing
         return found
 
     def _wrong(self, frame: TactileFrame, verdict: Verdict) -> int:
@@ -100,7 +108,7 @@ class Judge:
         return new
 
     def _missing(self) -> tuple[int, int]:
-        """Frames that arrived whole and were not published: too soon after a fault, and too late."""
+        """Whole frames of which nothing came, and those of them that are too long after a fault."""
         late = missing = 0
         for stretch in self._ledger.stretches:
             for number, since in self._whole(stretch):
@@ -138,7 +146,8 @@ class Held:
         self._codes[words.active] = words.codes[words.active]
         self._heard_s[words.active] = frame.t_middle
         curves = config.calibration.curves
-        expected_pa: NDArray[np.float64] = curves.pressure(config.adc.voltage(self._codes))
+        voltage_v = config.adc.voltage(self._codes).astype(np.float32)
+        expected_pa: NDArray[np.float32] = curves.pressure(voltage_v)
         expected_pa[self._codes == (1 << config.adc.bits) - 1] = 0.0  # "so much or more" is rest
         expected_pa[frame.t_middle - self._heard_s > config.stale_after_s] = np.nan
         pressure_pa = frame.readings.pressure_pa

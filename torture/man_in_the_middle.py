@@ -24,9 +24,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from tactile_cdma._protocol import PacketType, Result
-from tactile_cdma.messages import Ack, Quiet, Samples
+from tactile_cdma.messages import Ack
 from tactile_cdma.protocol import PacketParser
 from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import Setup
 from tactile_cdma.sim.pty import Digitizer
 
 from .damage import Kind
@@ -61,14 +62,20 @@ class ManInTheMiddle:
 
     Nothing passes but while there is a schedule, nor before the host's first command.
 
-    ledger: what was sent and what arrived. starts: device times, s, at which streams began.
-    spoil: what becomes of the host's next commands.
+    ledger: what was sent and what arrived. starts: device times, s, at which streams began, and how
+    the digitizer was set then.
     """
 
-    def __init__(self, digitizer: VirtualDigitizer, begin: Counted | None = None) -> None:
+    def __init__(
+        self,
+        digitizer: VirtualDigitizer,
+        begin: Counted | None = None,
+        spoil: Callable[[bytes], bytes] | None = None,
+    ) -> None:
+        """begin: where the digitizer's counters are. spoil: the host's first commands, to these."""
         self.ledger = Ledger()
-        self.starts: list[float] = []
-        self.spoil: Callable[[bytes], bytes] | None = None
+        self.starts: list[tuple[float, Setup]] = []
+        self._spoil = spoil
         self._virtual, self._begin = digitizer, begin or Counted()
         self._digitizer: Digitizer = Renumbered(digitizer, begin) if begin else digitizer
         self._spoken_to = False
@@ -100,8 +107,8 @@ class ManInTheMiddle:
     def receive(self, data: bytes) -> None:
         """Take bytes of the host."""
         self._spoken_to = True
-        if self.spoil is not None:
-            data, self.spoil = self.spoil(data), None
+        if self._spoil is not None:
+            data, self._spoil = self._spoil(data), None
         self._digitizer.receive(data)
 
     def advance(self, wanted: int) -> float:
@@ -161,7 +168,7 @@ class ManInTheMiddle:
     def _harm(self, schedule: Schedule) -> None:
         """Do to the packets that were kept what the schedule wants."""
         kind, window, self._exposed = schedule.kind, self._exposed, []
-        clumps = kind.damage(window, tuple(self.ledger.past), schedule.rng)
+        clumps = kind.damage(window, self.ledger.past, schedule.rng)
         harmed = kind.hold_s > 0 or b"".join(clumps) != b"".join(window)
         if kind.forges and harmed:
             self.ledger.forged(window[0], clumps[0])
@@ -174,7 +181,8 @@ class ManInTheMiddle:
         """Take down what the digitizer sends."""
         for said in self._parser.feed(packet):
             if isinstance(said, Ack) and (said.command, said.result) == _STARTED:
-                self.starts.append(self._virtual.started_s + self._begin.device_time_us * 1e-6)
+                started_s = self._virtual.started_s + self._begin.device_time_us * 1e-6
+                self.starts.append((started_s, self._virtual.setup))
                 self._peace_until = None
             self.ledger.sent(packet, said, len(self.starts) - 1)
 
