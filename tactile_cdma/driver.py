@@ -226,7 +226,7 @@ class Session:
                 quiet = quiet_uv(config.spec)
                 self._setting = (Configure(layout, SyncMode.DRIVE, integrated, quiet),)
         self._frames = -1
-        self._restarts = self._bytes = 0
+        self._impossible = self._bytes = 0
         self._deadline = -math.inf
 
     def open(self) -> bytes:
@@ -257,7 +257,8 @@ class Session:
             return b""
         if stuck:
             self.problem = self._why(pipeline)
-        self._frames, self._restarts = pipeline.counters.frames, pipeline.counters.restarts
+        counters = pipeline.counters
+        self._frames, self._impossible = counters.frames, counters.implausible_packets
         self._bytes = pipeline.parser.counters.bytes
         self._deadline = self._due_s(pipeline, now_s)
         return self.open() if stuck else b""
@@ -296,7 +297,7 @@ class Session:
             return f"the digitizer refused command 0x{command:02x}: {reason.replace('_', ' ')}"
         if pipeline.info is None:
             return diagnose(counters)
-        if pipeline.counters.restarts > self._restarts + 1:
+        if pipeline.counters.implausible_packets > self._impossible + 1:
             return "the digitizer's clock and its count of samples contradict each other"
         if pipeline.rejected:
             return "samples arrive, but no frame fits: check chip_us, order and bits"

@@ -23,7 +23,7 @@ the driver counted what was lost exactly, and whether it went on at once.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -72,10 +72,17 @@ COMMANDS = "damaged commands: frames come all the same"
 
 def run(plan: Plan) -> Iterator[Outcome]:
     """One outcome per kind of damage; see the module."""
-    patience_s = 10.0 if plan.quick else 30.0
+    yield from harmed(STREAMS, plan)
+    for name, begin in WRAPS.items():
+        yield wrapped(name, begin, plan)
+    yield spoilt_commands(6 if plan.quick else 200, plan)
+
+
+def harmed(streams: Mapping[Stream, int], plan: Plan) -> Iterator[Outcome]:
+    """All kinds of damage on streams, each given how many faults it bears."""
     tallies = {kind: Tally() for kind in KINDS}
-    for number, (stream, times) in enumerate(STREAMS.items()):
-        with Rig(stream, plan.seed + number, patience_s) as rig:
+    for number, (stream, times) in enumerate(streams.items()):
+        with Rig(stream, plan.seed + number, patience_s(plan)) as rig:
             for kind in KINDS:
                 wanted = times // kind.weight
                 if plan.quick:  # what takes long is done to some streams only
@@ -83,9 +90,11 @@ def run(plan: Plan) -> Iterator[Outcome]:
                 harm(rig, tallies[kind], kind, wanted, [plan.seed, number])
     for kind, tally in tallies.items():
         yield tally.outcome(kind.name)
-    for name, begin in WRAPS.items():
-        yield wrapped(name, begin, plan, patience_s)
-    yield spoilt_commands(6 if plan.quick else 200, plan, patience_s)
+
+
+def patience_s(plan: Plan) -> float:
+    """What stands still for so long hangs."""
+    return 10.0 if plan.quick else 30.0
 
 
 @dataclass
@@ -114,33 +123,33 @@ def harm(rig: Rig, tally: Tally, kind: Kind, times: int, seed: Sequence[int]) ->
     tally.bytes += schedule.bytes
 
 
-def wrapped(name: str, begin: Counted, plan: Plan, patience_s: float) -> Outcome:
+def wrapped(name: str, begin: Counted, plan: Plan) -> Outcome:
     """Packets are lost while a counter wraps, or is near its end."""
     tally = Tally()
     for number, stream in enumerate(list(STREAMS)[: 2 if plan.quick else None]):
-        with Rig(replace(stream, begin=begin), plan.seed + number, patience_s) as rig:
+        with Rig(replace(stream, begin=begin), plan.seed + number, patience_s(plan)) as rig:
             harm(rig, tally, LOST, WRAP_FAULTS, [plan.seed, number])
     return tally.outcome(f"packets dropped near a wrap: {name}")
 
 
-def spoilt_commands(times: int, plan: Plan, patience_s: float) -> Outcome:
+def spoilt_commands(times: int, plan: Plan) -> Outcome:
     """The first commands of the host are damaged on their way to the digitizer."""
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        sessions = [pool.submit(_spoilt, number, plan.seed, patience_s) for number in range(times)]
+        sessions = [pool.submit(_spoilt, number, plan) for number in range(times)]
         found = sum((session.result() for session in sessions), Counter[str]())
     counts = {count: found[count] for count in COUNTS}
     return Outcome(COMMANDS, times, **counts, said=f"{found['frames']:,} frames published")
 
 
-def _spoilt(number: int, seed: int, patience_s: float) -> Counter[str]:
+def _spoilt(number: int, plan: Plan) -> Counter[str]:
     """One driver whose first commands are damaged."""
-    rng = np.random.default_rng([seed, number])
+    rng = np.random.default_rng([plan.seed, number])
     kind = OF_COMMANDS[number % len(OF_COMMANDS)]
     stream = list(STREAMS)[number % len(STREAMS)]
     with Rig(
         stream,
-        seed + number,
-        patience_s,
+        plan.seed + number,
+        patience_s(plan),
         spoil=lambda data: b"".join(kind.damage([data], [data], rng)),
     ) as rig:
         return rig.receive(FRAMES, rng)

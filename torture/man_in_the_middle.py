@@ -183,7 +183,7 @@ class ManInTheMiddle:
             if isinstance(said, Ack) and (said.command, said.result) == _STARTED:
                 started_s = self._virtual.started_s + self._begin.device_time_us * 1e-6
                 self.starts.append((started_s, self._virtual.setup))
-                self._peace_until = None
+                self.ledger.sent_until, self._peace_until = self._begin.first_index, None
             self.ledger.sent(packet, said, len(self.starts) - 1)
 
 
