@@ -242,6 +242,19 @@ def test_an_intact_packet_with_impossible_contents_costs_itself_and_nothing_else
     assert not any((f.readings.status & Status.STALE).any() for f in frames[-15:])
 
 
+@pytest.mark.parametrize("params", [{}, {"samples_per_chip": 1}], ids=str)
+def test_a_frame_without_its_mark_costs_itself_and_nothing_else(params: dict) -> None:
+    """Its chips are no gap, from which to learn what noise is."""
+    config, url = SkinConfig.of(params), "sim://?scene=all&threshold=0"
+    packets = PacketParser().feed(stream(config, url, 40))
+    marks = [i for i, p in enumerate(packets) if isinstance(p, Samples) and p.sync]
+    packets[marks[20]] = replace(packets[marks[20]], sync=False)
+    writer = PacketWriter()
+    frames = run(config, b"".join(map(writer.encode, packets)))
+    assert_true(frames, config, url)
+    assert [f.sequence for f in frames] == [n for n in range(len(frames) + 1) if n != 20]
+
+
 def test_a_long_loss_is_believed_when_it_is_confirmed() -> None:
     config = SkinConfig.of({"samples_per_chip": 1})
     packets = PacketParser().feed(stream(config, "sim://?scene=all", 20))
