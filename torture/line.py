@@ -85,8 +85,8 @@ def harmed(streams: Mapping[Stream, int], plan: Plan) -> Iterator[Outcome]:
         with Rig(stream, plan.seed + number, patience_s(plan)) as rig:
             for kind in KINDS:
                 wanted = times // kind.weight
-                if plan.quick:  # what takes long is done to some streams only
-                    wanted = 0 if number % kind.weight else QUICK
+                if plan.quick:  # what takes long is done once, to some streams only
+                    wanted = QUICK if kind.weight == 1 else number % kind.weight == 0
                 harm(rig, tallies[kind], kind, wanted, [plan.seed, number])
     for kind, tally in tallies.items():
         yield tally.outcome(kind.name)

@@ -71,9 +71,9 @@ def short(kind: Kind) -> Kind:
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
 def test_the_schedule_depends_on_the_seed_alone(kind: Kind) -> None:
-    man, schedule, data = carried(short(kind), 2, 5)
-    assert carried(short(kind), 2, 5)[2] == data
-    assert schedule.tried == 2
+    man, schedule, data = carried(short(kind), 1, 4)
+    assert carried(short(kind), 1, 4)[2] == data
+    assert schedule.tried == 1
     assert schedule.done or kind in FLIPS[:2] or kind == HELD
     assert man.ledger.counts.bytes == len(data)
 
@@ -89,7 +89,7 @@ def test_clumps_are_held_back() -> None:
     assert man.take(1) == b""
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(st.sampled_from(KINDS), st.integers(0, 2**32 - 1))
 def test_the_ledger_knows_what_any_receiver_must_count(kind: Kind, seed: int) -> None:
     """It compares bytes, the parser decodes them: they come to the same."""
