@@ -41,10 +41,10 @@ ALWAYS = {"threshold": 0}
 """Every node speaks in every frame."""
 MANY = {"nodes": 256, "samples_per_chip": 1, "chip_us": 5.0, "frame_period_ms": 20.0}
 STREAMS = {
-    Stream("chips", {"samples_per_chip": 1}, ALWAYS): 450,
+    Stream("chips", {"samples_per_chip": 1}, ALWAYS): 500,
     Stream("samples", {}, ALWAYS): 150,
     Stream("silence", {}, {"scene": "press"}): 150,
-    Stream("silent chips", {"samples_per_chip": 1}, {"scene": "presses"}): 360,
+    Stream("silent chips", {"samples_per_chip": 1}, {"scene": "presses"}): 400,
     Stream("parity", {"parity": True, "samples_per_chip": 2}, ALWAYS): 80,
     Stream("gaps", {"timing": "gap"}, ALWAYS): 25,
     Stream("silent gaps", {"timing": "gap"}, {"scene": "press"}): 25,

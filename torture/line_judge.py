@@ -32,7 +32,8 @@ from .ledger import Counts, Ledger, Stretch
 from .oracle import Oracle, Verdict
 
 MAY_MISS = 2
-"""Frames that may be missing after a fault although they arrived whole."""
+"""Frames that may be missing after a fault although they arrived whole, where they have no marks:
+they are found by a gap before and after them. Where they have, none may."""
 NEAR_CHIPS = 0.5
 """By how much a frame in which somebody spoke may be off its true start."""
 NEAR_PA = 0.5
@@ -49,6 +50,7 @@ class Judge:
         self._held = Held(config)
         self._differences: Counter[str] = Counter()
         self._newest: TactileFrame | None = None
+        self._newest_sequence = -1
         self._published: set[tuple[int, int]] = set()
         self._looked_at: tuple[int, int] = (0, -1)  # stream and number of frames judged as missing
         self._lost = 0
@@ -80,10 +82,15 @@ class Judge:
             verdict = self._oracle.check(frame)
             found["wrong_values"] += self._wrong(frame, verdict)
             found["uncounted_losses"] += verdict.uncounted
-            found["lost_frames"] += verdict.lost or 0
+            found["lost_frames"] += self._passed_over(frame, verdict)
             if verdict.number is not None:
                 self._published.add((verdict.stream, verdict.number))
         return found
+
+    def _passed_over(self, frame: TactileFrame, verdict: Verdict) -> int:
+        """Frames lost before this one: after a START only the host's clock can tell how many."""
+        before, self._newest_sequence = self._newest_sequence, frame.sequence
+        return frame.sequence - before - 1 if verdict.lost is None else verdict.lost
 
     def _wrong(self, frame: TactileFrame, verdict: Verdict) -> int:
         """Words, times and pressures of a frame that are not what they should be."""
@@ -110,13 +117,14 @@ class Judge:
     def _missing(self) -> tuple[int, int]:
         """Whole frames of which nothing came, and those of them that are too long after a fault."""
         late = missing = 0
+        may_miss = MAY_MISS if self._config.timing == GAP else 0
         for stretch in self._ledger.stretches:
             for number, since in self._whole(stretch):
                 if (stretch.start, number) <= self._looked_at:
                     continue
                 self._looked_at = (stretch.start, number)
                 if (stretch.start, number) not in self._published:
-                    late, missing = late + 1, missing + (since >= MAY_MISS)
+                    late, missing = late + 1, missing + (since >= may_miss)
         del self._ledger.stretches[:-1]
         self._published = {frame for frame in self._published if frame > self._looked_at}
         return late, missing

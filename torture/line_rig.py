@@ -68,7 +68,8 @@ class Rig:
         self._patience_s = patience_s
         self.config = SkinConfig.of({"drift_pa_per_min": 0.0, **stream.parameters})
         options = SimOptions(**{"seed": seed, "speed": 0.0, **stream.options})  # type: ignore[arg-type]
-        self._digitizer = VirtualDigitizer(options)
+        # At speed 0 its time passes with its samples; the host's must not decide when it reports.
+        self._digitizer = VirtualDigitizer(options, clock=lambda: 0.0)
         self.man = ManInTheMiddle(self._digitizer, stream.begin, spoil)
         self.frames: list[TactileFrame] = []
         self.problems: list[str] = []

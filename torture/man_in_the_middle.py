@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tactile_cdma._protocol import PacketType, Result
+from tactile_cdma._protocol import PacketType, Result, SyncMode
 from tactile_cdma.messages import Ack
 from tactile_cdma.protocol import PacketParser
 from tactile_cdma.sim.digitizer import VirtualDigitizer
@@ -38,8 +38,10 @@ CHUNK = 4096
 """Bytes taken from the digitizer at once."""
 POLL_S = 2e-3
 """Between looks at whether there is something to do."""
-PEACE = (3.1, 4.1)
+PEACE = (1.1, 2.1)
 """Frame periods between two faults: time enough to recover, and to show it."""
+PEACE_WITHOUT_MARKS = (3.1, 4.1)
+"""The same where frames have to be looked for."""
 
 
 @dataclass
@@ -125,9 +127,7 @@ class ManInTheMiddle:
                 if self._schedule is None:  # the rest waits for the next one
                     self._partial = b"\0".join((*runs[number + 1 :], self._partial))
                     break
-        if self._leaving:
-            return max(self._free_s - time.monotonic(), 0.0)
-        return POLL_S
+        return max(self._free_s - time.monotonic(), POLL_S)
 
     def take(self, size: int) -> bytes:
         """Give away at most `size` bytes for the host."""
@@ -152,7 +152,8 @@ class ManInTheMiddle:
         assert schedule is not None
         self._note(packet)
         if self._peace_until is None:
-            frames = schedule.rng.uniform(*PEACE)
+            marked = self._virtual.setup.sync != SyncMode.NONE
+            frames = schedule.rng.uniform(*(PEACE if marked else PEACE_WITHOUT_MARKS))
             self._peace_until = self.ledger.sent_until + round(frames * self.frame_samples)
         kind = schedule.kind
         if self.ledger.sent_until < self._peace_until or schedule.tried == schedule.times:
