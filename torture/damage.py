@@ -162,7 +162,7 @@ def _cut(data: bytes, rng: np.random.Generator) -> tuple[bytes, bytes, bytes]:
     return data[:place], data[place:stop], data[stop:]
 
 
-_EXPOSED = {6: (120_000, 20), 5: (12_000, 3), 4: (1200, 1), 3: (500, 1), 2: (1, 1)}
+_EXPOSED = {6: (200_000, 33), 5: (12_000, 3), 4: (1200, 1), 3: (500, 1), 2: (1, 1)}
 """Power of ten: bytes among which a bit or more is expected, and weight."""
 FLIPS = tuple(
     Kind(f"bits flipped, 1 in 10^{power}", partial(flipped, 10.0**-power), 1, size, weight)

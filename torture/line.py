@@ -110,7 +110,7 @@ class Tally:
         found = self.found
         said = (
             f"{self.bytes / 1e3:,.0f} kB hit; {found['frames']:,} frames published, "
-            f"{found['lost_frames']:,} lost and counted, {found['late_frames']} of these to recover"
+            f"{found['lost_frames']:,} lost and counted, {found['late_frames']} whole but unmarked"
         )
         return Outcome(name, self.times, **{count: found[count] for count in COUNTS}, said=said)
 
@@ -145,7 +145,7 @@ def _spoilt(number: int, plan: Plan) -> Counter[str]:
     """One driver whose first commands are damaged."""
     rng = np.random.default_rng([plan.seed, number])
     kind = OF_COMMANDS[number % len(OF_COMMANDS)]
-    stream = list(STREAMS)[number % len(STREAMS)]
+    stream = list(STREAMS)[number // len(OF_COMMANDS) % len(STREAMS)]
     with Rig(
         stream,
         plan.seed + number,

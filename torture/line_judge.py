@@ -65,7 +65,7 @@ class Judge:
         """What is wrong with these frames and with the counts, now that all of it was decoded.
 
         Beside the counts of an Outcome it tells of `frames` that were published, of `lost_frames`,
-        and of `late_frames`: whole ones of which nothing came, too soon after a fault.
+        and of `late_frames`: whole ones of which nothing came, too soon after a hole or the start.
         """
         found = self.look_at_frames(frames)
         self._lost += found["lost_frames"]
