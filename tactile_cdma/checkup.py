@@ -67,6 +67,9 @@ LOSSES = {
     "digitizer_command_errors": "commands reach the digitizer broken: check cable and baud",
     "lost_packets": "packets are missing: the link, or this computer, drops bytes; check the cable",
     "jumps": "the digitizer numbers its packets anew: is it reset by its supply, or read twice?",
+    "repeated_packets": (
+        "packets come twice, or after later ones: what is between here and the digitizer?"
+    ),
     "restarts": "the digitizer began anew: check its supply",
     "resyncs": "runs of bytes that are no packet: is baud right, and nobody else on the port?",
     "malformed": "packets that no digitizer of this protocol sends: update whichever is older",

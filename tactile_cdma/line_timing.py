@@ -445,6 +445,7 @@ class LineTiming(Timing):
     def _close_at(self, start: int, fit: Fit) -> float:
         """The frame in progress is done: its begin, and the gap from its end on."""
         self._start = None
+        if self._integrated:  # no gap is sent; a word's index is the begin of its chip
+            return float(start)
         self._gap_begin = start + math.ceil(fit.end(self.spec) + 0.5 * fit.chip)
-        # An integrated word's index is the begin of its chip, a raw sample's is its instant.
-        return float(start) if self._integrated else start + fit.start
+        return start + fit.start  # of a raw sample it is the instant

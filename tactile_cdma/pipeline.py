@@ -26,6 +26,7 @@ from ._protocol import PacketType, Result, SyncMode
 from .baseline import Baseline
 from .clock import DeviceClock
 from .clock_keeper import ClockReport
+from .continuity import AnySamples, Continuity, Pace, count_of
 from .decode import Words, decode, silent
 from .drift import DriftTracker, nodes_beside
 from .errors import SpecError
@@ -51,8 +52,6 @@ from .taxels import Readings, Taxels
 from .timing import FrameLevels, QuietBlock, SampleBlock
 
 _TICK_S = 1e-6
-_CLOCK_SLACK_S = 0.05
-"""Difference of device time and sample count beyond which one of them was restarted."""
 _MAX_DEVICE_TIME_US = 1 << 53
 """285 years, and what a float holds without rounding."""
 _MAX_SAMPLES_PER_CHIP = 1000
@@ -128,7 +127,9 @@ class Pipeline:
         self._clock = DeviceClock()
         self._timing: LineTiming | GapTiming | None = None
         self._anchors: deque[tuple[int, float]] = deque(maxlen=4096)
-        self._next_index: int | None = None
+        # From here on samples are counted in here: indices near 2⁶⁴ are no exact floats.
+        self._base = 0
+        self._continuity = Continuity()
         self._sequence = -1
         self._last_start_s: float | None = None
         self._last_t_host = -math.inf
@@ -174,10 +175,8 @@ class Pipeline:
         frames: list[TactileFrame] = []
         for packet in self.parser.feed(data):
             match packet:
-                case Samples():
+                case Samples() | Quiet():
                     frames += self._samples(packet, t_host)
-                case Quiet():
-                    frames += self._quiet(packet, t_host)
                 case Info():
                     self._describe(packet)
                 case OtherVersion():
@@ -214,7 +213,8 @@ class Pipeline:
         self._earlier_packets, self.parser = self.packet_counts, PacketParser()
         self.status = self.streaming = None
         self.close()
-        self.info = self.refusal = self._timing = self._next_index = None
+        self.info = self.refusal = self._timing = None
+        self._continuity = Continuity()
         self.problem = None
         self._forget()
 
@@ -251,72 +251,59 @@ class Pipeline:
         except SpecError as error:
             self.problem = f"the digitizer's sampling does not fit: {error}"
 
-    def _samples(self, packet: Samples, t_host: float) -> list[TactileFrame]:
-        if not self._arrived(packet, len(packet.counts), t_host):
+    def _samples(self, packet: AnySamples, t_host: float) -> list[TactileFrame]:
+        """The frames that samples complete, or what stands for silent ones."""
+        if self.info is None or self._timing is None:
+            self.counters.unannounced_samples += count_of(packet)
             return []
-        assert self.info is not None and self._timing is not None
-        volts = self.info.volts(packet.counts)
-        block = SampleBlock(packet.first_index, volts, packet.sync, packet.called)
-        return [self._frame(chips) for chips in self._timing.feed(block)]
-
-    def _quiet(self, packet: Quiet, t_host: float) -> list[TactileFrame]:
-        """Samples that nobody spoke in."""
-        info, timing = self.info, self._timing
-        if info and not _is_plausible(packet, info, self.config.spec.frame_period_s):
+        spec = self.config.spec
+        if not _is_plausible(packet, self.info, spec.frame_period_s):
             self.counters.implausible_packets += 1
             return []
-        if not self._arrived(packet, packet.count, t_host):
-            return []
+        pace = Pace.of(self.info, spec)
+        believed, impossible = self._continuity.believed(packet, pace)
+        self.counters.implausible_packets += impossible
+        frames: list[TactileFrame] = []
+        for taken in believed:
+            self._account(taken, pace, t_host)
+            frames += [self._frame(heard) for heard in self._heard(taken)]
+        return frames
+
+    def _account(self, packet: AnySamples, pace: Pace, t_host: float) -> None:
+        """Keep account of samples in index and time."""
+        assert self._timing is not None
+        count, t_device = count_of(packet), packet.device_time_us * 1e-6
+        self.counters.samples += count
+        lost = self._continuity.lost_before(packet, pace)
+        if lost is None:
+            self._restart()
+        elif lost:
+            self.counters.lost_samples += lost
+            self._timing.reset()
+        if not self._anchors:
+            self._base = packet.first_index
+        self._anchors.append((packet.first_index - self._base, t_device))
+        self._clock.observe(t_device + count / pace.rate_hz, t_host)
+
+    def _heard(self, packet: AnySamples) -> list[FrameLevels]:
+        """What the timing makes of samples."""
+        info, timing = self.info, self._timing
         assert info is not None and timing is not None
+        index = packet.first_index - self._base
+        if isinstance(packet, Samples):
+            volts = info.volts(packet.counts)
+            return timing.feed(SampleBlock(index, volts, packet.sync, packet.called))
         block = QuietBlock(
-            packet.first_index,
+            index,
             packet.count,
             (packet.mean - info.zero_count) * info.volts_per_count,
             packet.variance * info.volts_per_count**2,
             packet.sync,
             packet.called,
         )
-        if isinstance(timing, LineTiming):
-            levels = timing.quiet(block)
-        else:
-            levels = timing.feed(block.samples())
-        return [self._frame(frame) for frame in levels]
-
-    def _arrived(self, packet: Samples | Quiet, count: int, t_host: float) -> bool:
-        """Keep account of samples in index and time; whether they are of use."""
-        if self.info is None or self._timing is None:
-            self.counters.unannounced_samples += count
-            return False
-        if packet.device_time_us > _MAX_DEVICE_TIME_US:
-            self.counters.implausible_packets += 1
-            return False
-        self.counters.samples += count
-        t_device = packet.device_time_us * 1e-6
-        if self._next_index is not None:
-            missing = packet.first_index - self._next_index
-            if missing < 0 or not self._continues(packet.first_index, t_device):
-                self._restart()
-            elif missing:
-                self.counters.lost_samples += missing
-                self._timing.reset()
-        self._next_index = packet.first_index + count
-        self._anchors.append((packet.first_index, t_device))
-        self._clock.observe(t_device + count / self.info.sample_rate_hz, t_host)
-        return True
-
-    def _continues(self, index: int, t_device: float) -> bool:
-        """Whether the device's time has advanced as its count of samples says.
-
-        Where chips are integrated the gaps between frames are not counted, so time may run ahead
-        by one gap for every frame.
-        """
-        assert self.info is not None
-        spec, (last_index, last_s) = self.config.spec, self._anchors[-1]
-        counted_s = (index - last_index) / self.info.sample_rate_hz
-        slack_s = _CLOCK_SLACK_S
-        if self.info.integrated:
-            slack_s += spec.frame_period_s + counted_s * (spec.frame_period_s / spec.frame_s - 1)
-        return -_CLOCK_SLACK_S <= t_device - last_s - counted_s <= slack_s + 0.01 * counted_s
+        return (
+            timing.quiet(block) if isinstance(timing, LineTiming) else timing.feed(block.samples())
+        )
 
     def _restart(self) -> None:
         """The digitizer began anew: its count went back, or its clock and count part ways."""
@@ -384,8 +371,12 @@ class Pipeline:
         return t_device + (index - first_index) / self.info.sample_rate_hz
 
 
-def _is_plausible(packet: Quiet, info: Info, period_s: float) -> bool:
-    """Whether samples within quiet_uv of each other may have these sums, and last so long."""
+def _is_plausible(packet: AnySamples, info: Info, period_s: float) -> bool:
+    """Whether a digitizer's clock may get so far, and silence have these sums and last so long."""
+    if packet.device_time_us > _MAX_DEVICE_TIME_US:
+        return False
+    if isinstance(packet, Samples):
+        return True
     range_v = (info.max_count - info.min_count) * info.volts_per_count
     half_v = 0.5 * (info.quiet_uv * 1e-6 or range_v) + info.volts_per_count
     variance_v2 = packet.variance * info.volts_per_count**2

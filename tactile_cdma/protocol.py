@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from array import array
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -55,6 +56,9 @@ from .messages import (
     build,
 )
 
+MAX_REPEATED = 64
+"""Packets in a row that are taken for repeated ones; with another the sender has restarted."""
+
 
 @dataclass(slots=True)
 class Counters:
@@ -73,7 +77,9 @@ class Counters:
     lost_packets: int = 0
     """Missing from the sequence, for whatever reason."""
     jumps: int = 0
-    """The sequence went back or far ahead: a digitizer that restarted, or a repeated packet."""
+    """The sequence went back or far ahead: the sender restarted."""
+    repeated_packets: int = 0
+    """Of the digitizer: came before, or later than its successors. Dropped."""
     resyncs: int = 0
     """Runs longer than any packet without a delimiter."""
     text_bytes: int = 0
@@ -89,16 +95,23 @@ class PacketParser:
 
     The sequence tells what was lost: a gap of up to MAX_GAP packets is a loss of that many.
     Anything else, that is a step back (0xFFFF → 0 is none) or a step further ahead, counts as one
-    jump and no loss, and counting goes on from there: that is what a digitizer that restarts looks
-    like. A packet that comes twice is passed on twice, as a step back; a serial line doesn't do
-    that, and the consumer of Samples sees it in first_index, which also tells exactly how many
-    samples any of this has cost.
+    jump and no loss, and counting goes on from there: that is what a sender that restarts looks
+    like.
+
+    A packet of the digitizer that comes again, by its sequence and its CRC, is dropped and counted,
+    as is one that comes after later ones: its loss was counted before. A restart is hardly taken
+    for that, as other samples at other times have other CRCs; where they are the same, as in a
+    recording that is played in a loop, MAX_REPEATED packets are dropped and no more. Commands are
+    all passed on: each host counts from 0, and nothing else is in the shortest of them.
     """
 
     def __init__(self) -> None:
         self._partial = bytearray()  # begins after the last delimiter
         self._skipping = False  # within a run that is too long for a packet
         self._expected: int | None = None
+        # CRC of the last packet of each sequence, or what is known of it else.
+        self._past = array("q", [_NEVER]) * _SEQUENCES
+        self._repeated = 0  # in a row, up to now
         self._seen = Counters()
 
     @property
@@ -155,8 +168,10 @@ class PacketParser:
             self._seen.malformed += 1
             return None
         type_byte, sequence = _HEADER.unpack_from(raw)
-        if sequence != self._expected:
-            self._missed(sequence)
+        (crc,) = _CRC.unpack_from(raw, len(raw) - _CRC.size)
+        if sequence != self._expected and not self._follows(type_byte, sequence, crc):
+            return None
+        self._past[sequence], self._repeated = crc, 0
         self._expected = (sequence + 1) % _SEQUENCES
         if type_byte == PacketType.SAMPLES:
             return self._samples(sequence, raw)
@@ -166,14 +181,23 @@ class PacketParser:
         if not self._seen.packets:
             self._seen.text_bytes += _text(run)
 
-    def _missed(self, sequence: int) -> None:
-        """Keep account of a step in the sequence, by the rule that the class describes."""
-        if self._expected is not None:
-            gap = (sequence - self._expected) % _SEQUENCES
-            if gap <= MAX_GAP:
-                self._seen.lost_packets += gap
-            else:
-                self._seen.jumps += 1
+    def _follows(self, type_byte: int, sequence: int, crc: int) -> bool:
+        """Whether a packet out of sequence is news; keeps account by the rules of the class."""
+        if self._expected is None:
+            return True
+        gap = (sequence - self._expected) % _SEQUENCES
+        if gap <= MAX_GAP:
+            self._seen.lost_packets += gap
+            for ahead in range(gap):
+                self._past[(self._expected + ahead) % _SEQUENCES] = _MISSING
+            return True
+        known = self._past[sequence] in (crc, _MISSING) and not type_byte & _COMMAND_BIT
+        if known and self._repeated < MAX_REPEATED:
+            self._repeated += 1
+            self._seen.repeated_packets += 1
+            return False
+        self._seen.jumps += 1
+        return True
 
     def _samples(self, sequence: int, raw: bytes) -> Samples | None:
         """Samples, which are nearly all of the traffic: taken from the bytes without copying."""
@@ -276,6 +300,8 @@ _SAMPLES_END = _HEADER.size + WIRE["Samples"].size + _CRC.size
 """Bytes in a packet of samples beside these."""
 _COMMAND_BIT = 0x80
 _SEQUENCES = 2**16
+_NEVER, _MISSING = -1, -2
+"""In place of a CRC: no such packet came up to now; it was counted as lost."""
 _MAX_RAW = (
     _HEADER.size
     + max(2 * MAX_SAMPLES + WIRE["Samples"].size, *(wire.size for wire in WIRE.values()))

@@ -70,7 +70,7 @@ class Session:
                 quiet = quiet_uv(config.spec)
                 self._setting = (Configure(layout, SyncMode.DRIVE, integrated, quiet),)
         self._frames = -1
-        self._restarts = self._bytes = self._packets = 0
+        self._impossible = self._bytes = self._packets = 0
         self._deadline = self._soon_s = -math.inf
         self._status: Status | None = None  # the last one when it was asked again
 
@@ -126,7 +126,8 @@ class Session:
     def _note(self, pipeline: Pipeline, now_s: float) -> None:
         """How far it is, for what comes of it."""
         counters = pipeline.parser.counters
-        self._frames, self._restarts = pipeline.counters.frames, pipeline.counters.restarts
+        counters = pipeline.counters
+        self._frames, self._impossible = counters.frames, counters.implausible_packets
         self._bytes, self._packets = counters.bytes, counters.packets
         self._deadline = self._due_s(pipeline, now_s)
 
@@ -166,7 +167,7 @@ class Session:
             return diagnose(counters)
         if counters.packets == self._packets:
             return "bytes arrive, but no packets any more: another device, or another baud rate?"
-        if pipeline.counters.restarts > self._restarts + 1:
+        if pipeline.counters.implausible_packets > self._impossible + 1:
             return "the digitizer's clock and its count of samples contradict each other"
         if pipeline.rejected:
             return "samples arrive, but no frame fits: check chip_us, order and bits"

@@ -22,6 +22,7 @@ import time
 import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,8 +31,8 @@ import serial
 
 from tactile_cdma.driver import WAITING, Driver
 from tactile_cdma.errors import PortError, SpecError
-from tactile_cdma.messages import Start
-from tactile_cdma.pipeline import TactileFrame
+from tactile_cdma.messages import Samples, Start
+from tactile_cdma.pipeline import Pipeline, TactileFrame
 from tactile_cdma.protocol import PacketParser, PacketWriter
 from tactile_cdma.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
@@ -172,6 +173,21 @@ def test_a_port_that_takes_no_bytes_is_named() -> None:
             wait_for(lambda: watch.problems)
         os.close(full)
     assert "takes no bytes" in (watch.problems[0] or "")
+
+
+def test_a_clock_that_contradicts_the_count_of_samples_is_named() -> None:
+    digitizer, config = VirtualDigitizer(SimOptions(speed=0)), SkinConfig.of({})
+    session, pipeline, writer = Session(config), Pipeline(config), PacketWriter()
+    digitizer.receive(session.open())
+    digitizer.advance(100_000)
+    for number, packet in enumerate(PacketParser().feed(digitizer.take(100_000))):
+        if isinstance(packet, Samples):
+            packet = replace(packet, device_time_us=packet.device_time_us + number * 10**7)
+        pipeline.feed(writer.encode(packet), 0.0)
+        if number == 20:
+            session.watch(pipeline, 0.0)
+    assert session.watch(pipeline, 10.0)
+    assert "clock and its count of samples contradict each other" in (session.problem or "")
 
 
 def test_a_digitizer_that_restarts_is_started_again() -> None:

@@ -195,15 +195,100 @@ def test_lost_frames_leave_a_gap_in_the_sequence() -> None:
 
 
 def test_a_restarted_digitizer_is_followed() -> None:
+    """Even if it takes as long to start as before: its clock, sequence and index are the same."""
     config = SkinConfig.of({})
-    data = stream(config, "sim://?scene=all&seed=1&threshold=0", 10)
     pipeline = Pipeline(config)
-    first = pipeline.feed(data, 0.0)
-    second = pipeline.feed(data, 1.28)  # a hundred frame periods later
+    first = pipeline.feed(stream(config, "sim://?scene=all&seed=1&threshold=0", 10), 0.0)
+    again = stream(config, "sim://?scene=all&seed=2&threshold=0", 10)
+    second = pipeline.feed(again, 1.28)  # a hundred frame periods later
     assert pipeline.counters.restarts == 1
     assert len(second) >= len(first) - 1
     assert second[0].sequence - first[0].sequence == pytest.approx(100, abs=12)
     assert (np.diff([f.sequence for f in second]) == 1).all()
+
+
+def in_the_middle(change: dict[str, int]) -> tuple[Pipeline, list[TactileFrame]]:
+    """What comes of a stream in which the 21st frame claims another place."""
+    config = SkinConfig.of({"samples_per_chip": 1})
+    packets = PacketParser().feed(stream(config, "sim://?scene=all&heartbeat=40", 60))
+    marks = [i for i, p in enumerate(packets) if isinstance(p, Samples) and p.sync]
+    packets[marks[20]] = replace(packets[marks[20]], **change)
+    writer, pipeline = PacketWriter(), Pipeline(config)
+    return pipeline, pipeline.feed(b"".join(map(writer.encode, packets)), 1.0)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"first_index": 2**60},
+        {"first_index": 2**64 - 1},
+        {"first_index": 0},
+        {"device_time_us": 2**45},
+        {"device_time_us": 2**64 - 1},
+        {"device_time_us": 0},
+        {"first_index": 2**53, "device_time_us": 2**52},
+    ],
+)
+def test_an_intact_packet_with_impossible_contents_costs_itself_and_nothing_else(
+    change: dict[str, int],
+) -> None:
+    pipeline, frames = in_the_middle(change)
+    counters = pipeline.counters
+    assert (counters.implausible_packets, counters.restarts) == (1, 0)
+    assert (counters.lost_samples, counters.lost_frames) == (200, 1)
+    assert [f.sequence for f in frames] == [n for n in range(len(frames) + 1) if n != 20]
+    period_s = pipeline.config.spec.frame_period_s
+    assert all(f.t_start == pytest.approx(f.sequence * period_s, abs=2e-6) for f in frames)
+    assert not any((f.readings.status & Status.STALE).any() for f in frames[-15:])
+
+
+@pytest.mark.parametrize("params", [{}, {"samples_per_chip": 1}], ids=str)
+def test_a_frame_without_its_mark_costs_itself_and_nothing_else(params: dict) -> None:
+    """Its chips are no gap, from which to learn what noise is."""
+    config, url = SkinConfig.of(params), "sim://?scene=all&threshold=0"
+    packets = PacketParser().feed(stream(config, url, 40))
+    marks = [i for i, p in enumerate(packets) if isinstance(p, Samples) and p.sync]
+    packets[marks[20]] = replace(packets[marks[20]], sync=False)
+    writer = PacketWriter()
+    frames = run(config, b"".join(map(writer.encode, packets)))
+    assert_true(frames, config, url)
+    assert [f.sequence for f in frames] == [n for n in range(len(frames) + 1) if n != 20]
+
+
+def test_a_long_loss_is_believed_when_it_is_confirmed() -> None:
+    config = SkinConfig.of({"samples_per_chip": 1})
+    packets = PacketParser().feed(stream(config, "sim://?scene=all", 20))
+    later: list[object] = [
+        replace(p, first_index=p.first_index + 10**6, device_time_us=p.device_time_us + 64 * 10**6)
+        if isinstance(p, Samples)
+        else p
+        for p in packets
+    ]
+    writer, pipeline = PacketWriter(), Pipeline(config)
+    half = next(i for i, p in enumerate(packets) if isinstance(p, Samples) and p.first_index > 1999)
+    sent = [*packets[:half], *later[half:]]
+    frames = pipeline.feed(b"".join(map(writer.encode, sent)), 1.0)
+    counters = pipeline.counters
+    assert (counters.lost_samples, counters.lost_frames) == (10**6, 5000)
+    assert (counters.restarts, counters.implausible_packets) == (0, 0)
+    assert frames[-1].sequence == len(frames) - 1 + 5000
+
+
+@pytest.mark.parametrize("params", [{}, {"timing": "gap"}, {"samples_per_chip": 1}], ids=str)
+@pytest.mark.parametrize("begin", [2**32 - 3000, 2**53 - 3000, 2**63 - 3000, 2**64 - 2**20])
+def test_indices_of_any_size_give_the_same_frames(params: dict, begin: int) -> None:
+    config = SkinConfig.of(params)
+    packets = PacketParser().feed(stream(config, "sim://?scene=all&seed=1", 8))
+    writer = PacketWriter()
+    moved = [
+        replace(p, first_index=p.first_index + begin) if isinstance(p, Samples) else p
+        for p in packets
+    ]
+    frames = run(config, b"".join(map(writer.encode, packets)))
+    late = run(config, b"".join(map(writer.encode, moved)))
+    assert [f.t_start for f in late] == [f.t_start for f in frames]
+    for a, b in zip(late, frames, strict=True):
+        assert np.array_equal(a.words.codes, b.words.codes)
 
 
 @pytest.mark.parametrize(

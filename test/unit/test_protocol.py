@@ -63,6 +63,7 @@ from tactile_cdma.messages import (
 )
 from tactile_cdma.protocol import (
     MAX_PACKET,
+    MAX_REPEATED,
     Counters,
     PacketParser,
     PacketWriter,
@@ -522,16 +523,59 @@ def test_lost_packets_follow_from_the_sequence() -> None:
     assert lost_and_jumps(0, 1 + MAX_GAP) == (MAX_GAP, 0)
 
 
-def test_restarts_and_repetitions_are_no_losses() -> None:
+def test_restarts_are_no_losses() -> None:
     assert lost_and_jumps(0, 2 + MAX_GAP, 3 + MAX_GAP) == (0, 1)
     assert lost_and_jumps(40_000, 0, 1, 2) == (0, 1)
     assert lost_and_jumps(30, 0, 1, 2) == (0, 1)
+
+
+def test_commands_that_come_again_are_passed_on_again() -> None:
+    """Every host numbers them from 0, and most have no contents that could differ."""
     assert lost_and_jumps(5, 6, 6, 7) == (0, 1)
-    assert lost_and_jumps(5, 6, 7, 5, 6, 7, 8) == (0, 1)
-
-
-def test_packets_in_the_wrong_order_are_all_passed_on() -> None:
     assert lost_and_jumps(5, 7, 6, 8) == (2, 1)
+    assert len(parse(body(PacketType.START, b"", 2) * 3)[0]) == 3
+
+
+def numbered(*sequences: int, uptime_us: int = 0) -> bytes:
+    """STATUS packets of these sequences, which tell one digitizer from another by their uptime."""
+    return b"".join(PacketWriter(s).encode(Status(uptime_us + s)) for s in sequences)
+
+
+@given(
+    st.permutations(range(24)), st.lists(st.integers(0, 23), max_size=24), st.integers(0, 65_535)
+)
+def test_each_packet_is_passed_on_once_and_none_after_later_ones(
+    order: list[int], again: list[int], first: int
+) -> None:
+    arrived = [24, *(25 + number for number in order), *(25 + number for number in again), 49]
+    sequences = [(first + number) % 2**16 for number in arrived]
+    received, counters = parse(numbered(*sequences))
+    newest = [n for place, n in enumerate(arrived) if n > max(arrived[:place], default=0)]
+    assert [packet.sequence for packet in received] == [(first + n) % 2**16 for n in newest]
+    assert counters.repeated_packets == len(arrived) - len(newest)
+    assert counters.lost_packets == 26 - len(newest)
+    assert counters.jumps == 0
+
+
+def test_packets_of_long_ago_are_known_again() -> None:
+    wires = [numbered(s) for s in range(9_000)]
+    parser = PacketParser()
+    assert len(parser.feed(b"".join(wires))) == 9_000
+    assert parser.feed(wires[7] + wires[8_999] + b"".join(wires[20:50])) == []
+    counters = parser.counters
+    assert (counters.repeated_packets, counters.lost_packets, counters.jumps) == (32, 0, 0)
+
+
+def test_a_restart_is_not_taken_for_a_repetition() -> None:
+    received, counters = parse(numbered(*range(100)) + numbered(*range(50), uptime_us=1))
+    assert len(received) == 150
+    assert (counters.repeated_packets, counters.lost_packets, counters.jumps) == (0, 0, 1)
+
+
+def test_a_restart_that_repeats_all_is_believed_after_a_while() -> None:
+    received, counters = parse(numbered(*range(200)) * 2)
+    assert len(received) == 400 - MAX_REPEATED
+    assert (counters.repeated_packets, counters.jumps) == (MAX_REPEATED, 1)
 
 
 def test_a_dropped_packet_shows_at_the_receiver() -> None:

@@ -1,0 +1,103 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Which packets of samples go on from each other, and what was lost between them. No I/O."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from .frame import FrameSpec
+from .messages import Info, Quiet, Samples
+
+AnySamples: TypeAlias = Samples | Quiet
+
+CLOCK_SLACK_S = 0.05
+"""Difference of device time and sample count beyond which one of them was restarted."""
+MAX_LEAP_S = 10.0
+"""A loss that lasts longer is believed when a second packet confirms it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """How the digitizer's time advances with its count of samples.
+
+    rate_hz: samples per second of what is counted. unsaid: the share by which time may run ahead
+    of that, and by slack_s more.
+    """
+
+    rate_hz: float
+    unsaid: float
+    slack_s: float
+
+    @classmethod
+    def of(cls, info: Info, spec: FrameSpec) -> Pace:
+        """Where chips are integrated, gaps are not counted: time is ahead by one for each frame."""
+        if not info.integrated:
+            return cls(info.sample_rate_hz, 0.01, CLOCK_SLACK_S)
+        gaps = spec.frame_period_s / spec.frame_s - 1
+        return cls(info.sample_rate_hz, gaps + 0.01, CLOCK_SLACK_S + spec.frame_period_s)
+
+    def fits(self, before: AnySamples, packet: AnySamples) -> bool:
+        """Whether time has advanced from one packet to the other as the count of samples says."""
+        counted_s = (packet.first_index - before.first_index) / self.rate_hz
+        ahead_s = (packet.device_time_us - before.device_time_us) * 1e-6 - counted_s
+        return -CLOCK_SLACK_S <= ahead_s <= self.slack_s + self.unsaid * counted_s
+
+
+class Continuity:
+    """Follows a stream of samples: what goes on, what is lost, and when it begins anew.
+
+    A packet that does not go on from the one before waits: where the next one goes on from it, the
+    digitizer has begun anew, or has lost much; else its contents were impossible.
+    """
+
+    def __init__(self) -> None:
+        self._last: AnySamples | None = None
+        self._waiting: AnySamples | None = None
+
+    def believed(self, packet: AnySamples, pace: Pace) -> tuple[list[AnySamples], int]:
+        """What is to be taken now that this packet came, and how many were impossible."""
+        waiting, self._waiting = self._waiting, None
+        if self._last is None or _follows(self._last, packet, pace):
+            return [packet], int(waiting is not None)
+        if waiting is not None and _follows(waiting, packet, pace):
+            return [waiting, packet], 0
+        self._waiting = packet
+        return [], int(waiting is not None)
+
+    def lost_before(self, packet: AnySamples, pace: Pace) -> int | None:
+        """Samples missing between the packet taken last and this one; None: a new beginning."""
+        last, self._last = self._last, packet
+        if last is None:
+            return 0
+        missing = packet.first_index - _end(last)
+        return missing if missing >= 0 and pace.fits(last, packet) else None
+
+
+def count_of(packet: AnySamples) -> int:
+    """How many samples a packet stands for."""
+    return packet.count if isinstance(packet, Quiet) else len(packet.counts)
+
+
+def _end(packet: AnySamples) -> int:
+    """Index of the sample that follows."""
+    return packet.first_index + count_of(packet)
+
+
+def _follows(before: AnySamples, packet: AnySamples, pace: Pace) -> bool:
+    """Whether a packet comes after another one, with no more lost than is believed at once."""
+    missing = packet.first_index - _end(before)
+    return 0 <= missing <= MAX_LEAP_S * pace.rate_hz and pace.fits(before, packet)

@@ -1,0 +1,191 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A man in the middle of the line: a digitizer whose bytes come to harm, by a seeded schedule."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from tactile_cdma._protocol import PacketType, Result, SyncMode
+from tactile_cdma.messages import Ack
+from tactile_cdma.protocol import PacketParser
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import Setup
+from tactile_cdma.sim.pty import Digitizer
+
+from .damage import Kind
+from .ledger import Ledger
+from .renumbered import Counted, Renumbered
+
+CHUNK = 4096
+"""Bytes taken from the digitizer at once."""
+POLL_S = 2e-3
+"""Between looks at whether there is something to do."""
+PEACE = (1.1, 2.1)
+"""Frame periods between two faults: time enough to recover, and to show it."""
+PEACE_WITHOUT_MARKS = (3.1, 4.1)
+"""The same where frames have to be looked for."""
+
+
+@dataclass
+class Schedule:
+    """So many faults of a kind, one after the other, with a few sound frames before each.
+
+    done: how many really did something. bytes: of the line that were exposed to them.
+    """
+
+    kind: Kind
+    times: int
+    rng: np.random.Generator
+    done: int = 0
+    tried: int = 0
+    bytes: int = 0
+
+
+class ManInTheMiddle:
+    """Stands between a virtual digitizer and a host; see tactile_cdma.sim.pty.Digitizer.
+
+    Nothing passes but while there is a schedule, nor before the host's first command.
+
+    ledger: what was sent and what arrived. starts: device times, s, at which streams began, and how
+    the digitizer was set then.
+    """
+
+    def __init__(
+        self,
+        digitizer: VirtualDigitizer,
+        begin: Counted | None = None,
+        spoil: Callable[[bytes], bytes] | None = None,
+    ) -> None:
+        """begin: where the digitizer's counters are. spoil: the host's first commands, to these."""
+        self.ledger = Ledger()
+        self.starts: list[tuple[float, Setup]] = []
+        self._spoil = spoil
+        self._virtual, self._begin = digitizer, begin or Counted()
+        self._digitizer: Digitizer = Renumbered(digitizer, begin) if begin else digitizer
+        self._spoken_to = False
+        self._schedule: Schedule | None = None
+        self._parser = PacketParser()  # of what the digitizer says, unharmed
+        self._partial = b""
+        self._exposed: list[bytes] = []
+        self._peace_until: int | None = None
+        self._leaving: deque[tuple[bytes, float]] = deque()  # clumps, and the pause after each
+        self._free_s = 0.0
+
+    @property
+    def frame_samples(self) -> float:
+        """Samples of a frame period, as they are counted."""
+        setup = self._virtual.setup
+        if setup.integrated:
+            return setup.spec.chips
+        return setup.rate_hz * setup.spec.frame_period_s
+
+    def begin(self, schedule: Schedule) -> None:
+        """Carry bytes, and harm them by this schedule until it is over."""
+        self._peace_until = None
+        self._schedule = schedule
+
+    def over(self) -> bool:
+        """Whether the last schedule is done with, and everything was handed on."""
+        return self._schedule is None and not self._leaving
+
+    def receive(self, data: bytes) -> None:
+        """Take bytes of the host."""
+        self._spoken_to = True
+        if self._spoil is not None:
+            data, self._spoil = self._spoil(data), None
+        self._digitizer.receive(data)
+
+    def advance(self, wanted: int) -> float:
+        """Do what is due by now; return the seconds until something else is due."""
+        if not self._spoken_to:
+            return POLL_S
+        while self._schedule is not None and sum(len(data) for data, _ in self._leaving) < wanted:
+            self._digitizer.advance(CHUNK)
+            if not (data := self._digitizer.take(CHUNK)):
+                break
+            *runs, self._partial = (self._partial + data).split(b"\0")
+            for number, run in enumerate(runs):
+                self._pass(run + b"\0")
+                if self._schedule is None:  # the rest waits for the next one
+                    self._partial = b"\0".join((*runs[number + 1 :], self._partial))
+                    break
+        return max(self._free_s - time.monotonic(), POLL_S)
+
+    def take(self, size: int) -> bytes:
+        """Give away at most `size` bytes for the host."""
+        data, hold_s = b"", 0.0
+        while (
+            self._leaving and not hold_s and time.monotonic() >= self._free_s and len(data) < size
+        ):
+            clump, hold_s = self._leaving.popleft()
+            room = size - len(data)
+            data += clump[:room]
+            if clump[room:]:
+                self._leaving.appendleft((clump[room:], hold_s))
+                hold_s = 0.0
+        if hold_s:
+            self._free_s = time.monotonic() + hold_s
+        self.ledger.arrived(data)
+        return data
+
+    def _pass(self, packet: bytes) -> None:
+        """Let a packet pass, or keep it for what is to be done to it."""
+        schedule = self._schedule
+        assert schedule is not None
+        self._note(packet)
+        if self._peace_until is None:
+            marked = self._virtual.setup.sync != SyncMode.NONE
+            frames = schedule.rng.uniform(*(PEACE if marked else PEACE_WITHOUT_MARKS))
+            self._peace_until = self.ledger.sent_until + round(frames * self.frame_samples)
+        kind = schedule.kind
+        if self.ledger.sent_until < self._peace_until or schedule.tried == schedule.times:
+            self._leaving.append((packet, 0.0))
+            if self.ledger.sent_until >= self._peace_until:
+                self._schedule = None
+            return
+        self._exposed.append(packet)
+        if len(self._exposed) >= kind.packets and sum(map(len, self._exposed)) >= kind.size:
+            self._harm(schedule)
+            self._peace_until = None
+
+    def _harm(self, schedule: Schedule) -> None:
+        """Do to the packets that were kept what the schedule wants."""
+        kind, window, self._exposed = schedule.kind, self._exposed, []
+        clumps = kind.damage(window, self.ledger.past, schedule.rng)
+        harmed = kind.hold_s > 0 or b"".join(clumps) != b"".join(window)
+        if kind.forges and harmed:
+            self.ledger.forged(window[0], clumps[0])
+        schedule.tried += 1
+        schedule.done += harmed
+        schedule.bytes += sum(map(len, window))
+        self._leaving += ((clump, kind.hold_s) for clump in clumps)
+
+    def _note(self, packet: bytes) -> None:
+        """Take down what the digitizer sends."""
+        for said in self._parser.feed(packet):
+            if isinstance(said, Ack) and (said.command, said.result) == _STARTED:
+                started_s = self._virtual.started_s + self._begin.device_time_us * 1e-6
+                self.starts.append((started_s, self._virtual.setup))
+                self.ledger.sent_until, self._peace_until = self._begin.first_index, None
+            self.ledger.sent(packet, said, len(self.starts) - 1)
+
+
+_STARTED = (PacketType.START, Result.OK)
