@@ -127,7 +127,7 @@ def test_zero_amplitude_means_learnt_and_minus_one_natural_signs() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "no 'ros__parameters' section"),
+        ("", "the file is empty"),
         ("nodes: 16", "no 'ros__parameters' section"),
         ("/**: {ros__parameters: {nodess: 3}}", "did you mean 'nodes'"),
         ("/**: [", "not a YAML file"),

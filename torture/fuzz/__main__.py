@@ -47,9 +47,7 @@ def main() -> int:
     runs = shares(wanted, arguments.count)
 
     def one(name: str) -> Found:
-        found = search(
-            name, arguments.folder / name, runs[name], arguments.seconds, arguments.seed
-        )
+        found = search(name, arguments.folder / name, runs[name], arguments.seconds, arguments.seed)
         print(found, *found.finds, sep="\n  ", flush=True)
         return found
 

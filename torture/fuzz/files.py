@@ -24,10 +24,10 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from tactile_cdma.body_file import read_body
 from tactile_cdma.calibrating.load_table import read_table
 from tactile_cdma.calibration import AdcScale, Calibration, PressureCurve
 from tactile_cdma.calibration_file import read_calibration, write_calibration
-from tactile_cdma.body_file import read_body
 from tactile_cdma.capture import is_text, read_bytes, read_scope_csv
 from tactile_cdma.errors import (
     BodyError,

@@ -54,7 +54,7 @@ CONFIG = SkinConfig.of({"nodes": 3, "bits": 8, "chip_us": 50.0, "frame_period_ms
 FRAMES = 5
 """True frames of an input."""
 TICK_S = 1e-6
-"""Of the digitizer's clock: by so much a frame moves with the packet that its time is taken from."""
+"""Of the digitizer's clock, from one of whose packets a frame has its time."""
 
 
 def read_packets(data: bytes) -> None:
@@ -186,7 +186,7 @@ def read_offline(data: bytes) -> None:
 
 
 def read_commands(data: bytes) -> None:
-    """What a host may send to the virtual digitizer, intact and not; each command has one answer."""
+    """Commands to the virtual digitizer that make sense or not: each has one answer."""
     digitizer = VirtualDigitizer(SimOptions(), lambda: 0.0)
     kinds = (Configure.TYPE, GetInfo.TYPE, Start.TYPE, Stop.TYPE, RollCall.TYPE)
     for kind, payload in _changed(data, kinds):
