@@ -23,6 +23,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from .search import Found, search
+from .targets import TARGETS
 
 WEIGHTS = {"packets": 40, "bodies": 20, "line": 2, "digitizer": 4, "offline": 1, "commands": 1}
 """Shares of the inputs; targets that are quick get more. Others: 4."""
@@ -32,7 +33,7 @@ LONGEST_S = 1_000_000
 
 def main() -> int:
     """Search; 1 if anything was found."""
-    names = _target_names()
+    names = list(TARGETS)
     parser = argparse.ArgumentParser(prog="python -m torture.fuzz", description=__doc__)
     parser.add_argument("target", nargs="*", choices=[*names, []], help="default: all")
     parser.add_argument("--count", type=int, default=1_000_000, help="inputs in all")
@@ -48,12 +49,12 @@ def main() -> int:
 
     def one(name: str) -> Found:
         found = search(name, arguments.folder / name, runs[name], arguments.seconds, arguments.seed)
-        print(found, *found.finds, sep="\n  ", flush=True)
+        print(found, flush=True)
         return found
 
     with ThreadPoolExecutor(arguments.jobs) as pool:
         results = list(pool.map(one, sorted(wanted, key=lambda name: -runs[name])))
-    finds = sum(found.crashes + found.slow for found in results)
+    finds = sum(len(found.finds) for found in results)
     print(f"inputs={sum(found.inputs for found in results)} finds={finds}")
     return int(finds > 0)
 
@@ -62,12 +63,6 @@ def shares(names: list[str], count: int) -> dict[str, int]:
     """How many of the inputs each target gets."""
     weights = {name: WEIGHTS.get(name, USUAL_WEIGHT) for name in names}
     return {name: -(-count * weight // sum(weights.values())) for name, weight in weights.items()}
-
-
-def _target_names() -> list[str]:
-    from .targets import TARGETS
-
-    return list(TARGETS)
 
 
 if __name__ == "__main__":

@@ -12,15 +12,25 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Inputs that are nearly right, where there is no atheris to make better ones."""
+"""Inputs that are nearly right, at once, or where there is no atheris to make better ones."""
 
 from __future__ import annotations
 
 import random
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+
+from .target import Target
 
 _TELLING = (b"\0", b"\xff", b"\x80", b"\x7f", b"-", b"9" * 20, b"nan", b"1e999", b"\n", b"[" * 20)
 """Bytes that readers stumble over."""
+
+
+def inputs(target: Target, seed: int) -> Iterator[bytes]:
+    """Endlessly, the target's seeds first."""
+    rng, seeds = random.Random(f"{target.name} {seed}"), list(target.seeds().values())
+    yield from (known[: target.most_bytes] for known in seeds)
+    while True:
+        yield mutated(rng, seeds)[: target.most_bytes]
 
 
 def mutated(rng: random.Random, seeds: Sequence[bytes]) -> bytes:

@@ -23,7 +23,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from .target import CRASH, SLOW
+from .target import CRASH
 
 MARGIN_S = 120
 """A process that takes so much longer than it was given hangs."""
@@ -34,24 +34,23 @@ class Found:
     """What came of a search.
 
     inputs: tried. per_s: inputs per second. coverage: branches of the driver that were reached; 0:
-    not measured. crashes, slow: finds. peak_mb: memory of the process at most.
-    finds: where they lie, and the first line of what is to be said of each.
+    not measured. peak_mb: memory of the process at most. finds: the kind of each, and what is to
+    be said of it: where it lies first.
     """
 
     target: str
     inputs: int
     per_s: int
     coverage: int
-    crashes: int
-    slow: int
     peak_mb: int
-    finds: tuple[str, ...]
+    finds: tuple[tuple[str, str], ...]
 
     def __str__(self) -> str:
-        return (
+        head = (
             f"{self.target:<12} inputs={self.inputs} per_s={self.per_s} coverage={self.coverage} "
-            f"peak_mb={self.peak_mb} finds={self.crashes + self.slow}"
+            f"peak_mb={self.peak_mb} finds={len(self.finds)}"
         )
+        return "\n".join([head, *(f"    {kind}: {text}" for kind, text in self.finds)])
 
 
 def search(target: str, folder: Path, runs: int, seconds: int, seed: int) -> Found:
@@ -68,19 +67,17 @@ def search(target: str, folder: Path, runs: int, seconds: int, seed: int) -> Fou
         said, ended = done.stderr.decode(errors="replace"), done.returncode
     except subprocess.TimeoutExpired as error:
         said, ended = (error.stderr or b"").decode(errors="replace"), -1
-    finds = sorted(path for path in (folder / "finds").iterdir() if path.suffix)
-    lines = [f"{path}: {path.read_text().splitlines()[0]}" for path in finds]
+    left = [path for path in sorted((folder / "finds").iterdir()) if path.suffix]
+    finds = [(path.suffix[1:], f"{path}: {path.read_text().splitlines()[0]}") for path in left]
     if ended:
-        lines.append(f"{folder}: the process ended with {ended}: {said[-2000:]}")
+        finds.append((CRASH, f"{folder}: the process ended with {ended}: {said[-2000:]}"))
     return Found(
         target=target,
         inputs=_last(r"number_of_executed_units: (\d+)", said),
         per_s=_last(r"average_exec_per_sec: +(\d+)", said),
         coverage=_last(r"cov: (\d+)", said),
-        crashes=sum(path.suffix == f".{CRASH}" for path in finds) + (ended != 0),
-        slow=sum(path.suffix == f".{SLOW}" for path in finds),
         peak_mb=_last(r"peak_rss_mb: +(\d+)", said),
-        finds=tuple(lines),
+        finds=tuple(finds),
     )
 
 

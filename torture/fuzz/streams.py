@@ -47,7 +47,7 @@ from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.skin_config import SkinConfig
 
-from .target import Target
+from .target import MiscountError, Target
 
 CONFIG = SkinConfig.of({"nodes": 3, "bits": 8, "chip_us": 50.0, "frame_period_ms": 4.0})
 """A small skin, for speed."""
@@ -145,7 +145,8 @@ def read_line(data: bytes) -> None:
 
 def _check_line(pipeline: Pipeline, frames: list[TactileFrame]) -> None:
     counters = pipeline.parser.counters
-    assert counters.packets + counters.lost_packets == len(_true_stream()), "losses miscounted"
+    if counters.packets + counters.lost_packets != len(_true_stream()):
+        raise MiscountError(f"{counters} of {len(_true_stream())} packets")
     for frame in frames:
         true = _true_frames().get(_number(frame))
         assert true is not None, "a frame that was never sent"
@@ -153,7 +154,8 @@ def _check_line(pipeline: Pipeline, frames: list[TactileFrame]) -> None:
         assert np.array_equal(frame.words.active, true.words.active), "others spoke"
         assert np.array_equal(frame.words.codes, true.words.codes), "other words"
         passed = frame.sequence - frames[0].sequence
-        assert passed == _number(frame) - _number(frames[0]), "frames miscounted"
+        if passed != _number(frame) - _number(frames[0]):
+            raise MiscountError(f"{passed} frames")
 
 
 def read_digitizer(data: bytes) -> None:

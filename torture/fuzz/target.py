@@ -35,16 +35,16 @@ HANG_S = 10.0
 """After so much of it an input is given up."""
 MOST_TEXT = 4096
 """Characters of an error's text, at most."""
-CRASH, SLOW = "crash", "slow"
+CRASH, SLOW, WRONG, UNCOUNTED = "crash", "slow", "wrong", "uncounted"
 
 
 @dataclass(frozen=True, slots=True)
 class Target:
     """Something that reads bytes of others.
 
-    run: reads them; raises AssertionError where what it promises does not hold. refuses: the
-    errors by which it may refuse them. seeds: inputs to begin with, by what they are.
-    most_bytes: of an input.
+    run: reads them; raises AssertionError where what it promises does not hold, MiscountError for
+    a loss. refuses: the errors by which it may refuse them. seeds: inputs to begin with, by what
+    they are. most_bytes: of an input.
     """
 
     name: str
@@ -56,11 +56,15 @@ class Target:
 
 @dataclass(frozen=True, slots=True)
 class Find:
-    """An input that did what none must do. kind: CRASH or SLOW; where: to tell finds apart."""
+    """An input that did what none must do. kind: CRASH, SLOW, …; where: to tell finds apart."""
 
     kind: str
     where: str
     text: str
+
+
+class MiscountError(AssertionError):
+    """A loss that was not counted, or one counted that was none."""
 
 
 class _HangError(BaseException):
@@ -93,10 +97,17 @@ def _attempt(target: Target, data: bytes) -> Find | None:
     except _HangError:
         return Find(SLOW, _where(), traceback.format_exc())
     except Exception as error:
-        return Find(CRASH, f"{_where()} {type(error).__name__}", traceback.format_exc())
+        where = f"{_where()} {type(error).__name__}"
+        return Find(_kind(error), where, traceback.format_exc())
     if (took_s := time.thread_time() - begun_s) > SLOW_S:
         return Find(SLOW, target.name, f"took {took_s:.1f} s of processor time")
     return None
+
+
+def _kind(error: Exception) -> str:
+    if isinstance(error, MiscountError):
+        return UNCOUNTED
+    return WRONG if isinstance(error, AssertionError) else CRASH
 
 
 def _unfit(text: str) -> str:

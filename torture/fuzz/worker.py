@@ -14,27 +14,35 @@
 
 """One target, searched in a process of its own: by coverage with atheris, else by mutations alone.
 
-python -m torture.fuzz.worker TARGET FOLDER RUNS SECONDS SEED: seeds are taken from FOLDER/seeds,
-finds left in FOLDER/finds. What it came to is told on stderr, in the words of libFuzzer.
+python -m torture.fuzz.worker TARGET FOLDER RUNS SECONDS SEED: inputs that reached something new are
+kept in FOLDER/seeds, finds in FOLDER/finds. What it came to is told on stderr as libFuzzer does.
 """
 
 from __future__ import annotations
 
 import hashlib
 import importlib.util
-import random
 import resource
 import sys
 import time
 from collections.abc import Callable
+from itertools import islice
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from .mutation import mutated
+if TYPE_CHECKING:
+    from .target import Target
 
 ROOM = 1 << 30
 """Bytes that a process may grow by; what asks for more gets a MemoryError, which is a find."""
 DEAD_S = 60
 """Wall-clock time after which an input that cannot even be given up ends the process."""
+NUMERIC = [
+    f"tactile_cdma.{name}"
+    for name in ("clock", "codes", "decode", "fit", "frame", "paley", "pressure", "separate")
+    + ("sim", "taxels", "transform")
+]
+"""What takes arrays, not bytes: its branches are not looked at, which takes time."""
 
 
 def main() -> int:
@@ -46,14 +54,16 @@ def main() -> int:
         return 0
     import atheris
 
-    with atheris.instrument_imports(include=["tactile_cdma"]):
-        one_input, most_bytes = _prepare(name, folder)
+    with atheris.instrument_imports(include=["tactile_cdma"], exclude=NUMERIC):
+        one_input, target = _prepare(name, folder)
+    for known in target.seeds().values():
+        (folder / "seeds" / hashlib.sha1(known).hexdigest()).write_bytes(known)
     options = [
         str(folder / "seeds"),
         f"-runs={runs}",
         f"-max_total_time={seconds}",
         f"-seed={seed}",
-        f"-max_len={most_bytes}",
+        f"-max_len={target.most_bytes}",
         f"-artifact_prefix={folder / 'finds'}/",
         f"-timeout={DEAD_S}",
         "-rss_limit_mb=4096",
@@ -64,17 +74,13 @@ def main() -> int:
     return 0
 
 
-def _prepare(name: str, folder: Path) -> tuple[Callable[[bytes], None], int]:
-    """What takes an input, and how long inputs may be."""
+def _prepare(name: str, folder: Path) -> tuple[Callable[[bytes], None], Target]:
+    """What takes an input and keeps it if it is a find, one for each place."""
     from .target import trying
     from .targets import TARGETS
 
-    target = TARGETS[name]
-    for seed in target.seeds().values():
-        (folder / "seeds" / hashlib.sha1(seed).hexdigest()).write_bytes(seed)
+    target, known = TARGETS[name], set[str]()
     attempt = trying(target).__enter__()  # until the process ends
-
-    known: set[str] = set()
 
     def one_input(data: bytes) -> None:
         find = attempt(data)
@@ -85,24 +91,26 @@ def _prepare(name: str, folder: Path) -> tuple[Callable[[bytes], None], int]:
         path.write_bytes(data)
         path.with_suffix(f".{find.kind}").write_text(f"{find.where}\n{find.text}\n")
 
-    for seed in target.seeds().values():
-        one_input(seed)  # what is made once only is made before memory is limited
+    for data in target.seeds().values():
+        one_input(data)  # what is made once only is made before memory is limited
     limit = _virtual_bytes() + ROOM
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
-    return one_input, target.most_bytes
+    return one_input, target
 
 
 def _by_chance(name: str, folder: Path, runs: int, seconds: int, seed: int) -> None:
-    one_input, most_bytes = _prepare(name, folder)
-    seeds = [path.read_bytes() for path in sorted((folder / "seeds").iterdir())]
-    rng, until_s = random.Random(seed), time.monotonic() + seconds
-    done, begun_s = 0, time.monotonic()
-    while done < runs and time.monotonic() < until_s:
-        one_input(mutated(rng, seeds)[:most_bytes])
+    from .mutation import inputs
+
+    one_input, target = _prepare(name, folder)
+    begun_s, done = time.monotonic(), 0
+    for data in islice(inputs(target, seed), runs):
+        if time.monotonic() > begun_s + seconds:
+            break
+        one_input(data)
         done += 1
-    rate = done / max(time.monotonic() - begun_s, 1e-3)
+    per_s = done / max(time.monotonic() - begun_s, 1e-3)
     print(f"stat::number_of_executed_units: {done}", file=sys.stderr)
-    print(f"stat::average_exec_per_sec: {rate:.0f}", file=sys.stderr)
+    print(f"stat::average_exec_per_sec: {per_s:.0f}", file=sys.stderr)
 
 
 def _virtual_bytes() -> int:
