@@ -48,7 +48,7 @@ YAML: dict[str, Callable[[Path], object]] = {
     "layout": lambda path: read_layout(path, Wiring()),
     "calibration": lambda path: read_calibration(path, 3, AdcScale(), PressureCurve.two_stage()),
     "body": read_body,
-    "rest": read_rest,
+    "rest": lambda path: _read_rest(path),
     "parameters": read_file,
 }
 OTHERS: dict[str, Callable[[Path], object]] = {
@@ -62,12 +62,7 @@ OTHERS: dict[str, Callable[[Path], object]] = {
 }
 """What reads a file of a user."""
 YAML_BOMBS: dict[str, Callable[[], bytes]] = {
-    "aliases that multiply": lambda: (
-        b"a0: &a0 [x]\n"
-        + b"".join(
-            b"a%d: &a%d [%s]\n" % (i, i, b",".join([b"*a%d" % (i - 1)] * 9)) for i in range(1, 30)
-        )
-    ),
+    "aliases that multiply": lambda: _multiplying(30),
     "lists in lists": lambda: b"a: " + b"[" * 1_000_000,
     "keys in keys": lambda: b"{a: " * 500_000,
     "millions of values": lambda: b"a: [" + b"1," * (MOST_BYTES // 2 - 10) + b"1]",
@@ -80,6 +75,17 @@ YAML_BOMBS: dict[str, Callable[[], bytes]] = {
     "not a number": lambda: b"/**: {ros__parameters: {chip_us: .nan, baud: .inf}}",
     "controls of a terminal": lambda: b'"\\e]0;owned\\a\\u202E\\0": "\\e[2J"\n',
 }
+
+
+def _read_rest(path: Path) -> None:
+    if read_rest(path) is None:  # that is no error
+        raise FileNotFoundError(path)
+
+
+def _multiplying(times: int) -> bytes:
+    """Each list holds the one before nine times."""
+    lists = [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, times)]
+    return "\n".join(["a0: &a0 [x]", *lists]).encode()
 
 
 def crafted_recording(size: int) -> bytes:

@@ -39,8 +39,19 @@ DEAD_S = 60
 """Wall-clock time after which an input that cannot even be given up ends the process."""
 NUMERIC = [
     f"tactile_cdma.{name}"
-    for name in ("clock", "codes", "decode", "fit", "frame", "paley", "pressure", "separate")
-    + ("sim", "taxels", "transform")
+    for name in [
+        "clock",
+        "codes",
+        "decode",
+        "fit",
+        "frame",
+        "paley",
+        "pressure",
+        "separate",
+        "sim",
+        "taxels",
+        "transform",
+    ]
 ]
 """What takes arrays, not bytes: its branches are not looked at, which takes time."""
 
