@@ -32,7 +32,7 @@ from tactile_cdma.capture import MOST_CSV_BYTES, is_text, read_bytes, read_scope
 from tactile_cdma.errors import TactileError
 from tactile_cdma.layout_file import read_layout
 from tactile_cdma.layout_nodes import Wiring
-from tactile_cdma.marked_yaml import MOST_BYTES
+from tactile_cdma.marked_yaml import MOST_BYTES, MOST_TEXT
 from tactile_cdma.parameters import read_file
 from tactile_cdma.programmer import read_memory
 from tactile_cdma.recording import MAGIC, RecordingParser
@@ -66,7 +66,7 @@ YAML_BOMBS: dict[str, Callable[[], bytes]] = {
     "lists in lists": lambda: b"a: " + b"[" * 1_000_000,
     "keys in keys": lambda: b"{a: " * 500_000,
     "millions of values": lambda: b"a: [" + b"1," * (MOST_BYTES // 2 - 10) + b"1]",
-    "a text without end": lambda: b"a: " + b"x" * (MOST_BYTES - 4),
+    "a text without end": lambda: b"a: " + b"x" * (4 * MOST_TEXT),
     "a number without end": lambda: b"/**: {ros__parameters: {nodes: " + b"9" * 60_000 + b"}}",
     "a key without end": lambda: b"/**: {ros__parameters: {" + b"n" * 60_000 + b": 1}}",
     "more than is read": lambda: b"#" * (MOST_BYTES + 1),

@@ -37,22 +37,8 @@ ROOM = 1 << 30
 """Bytes that a process may grow by; what asks for more gets a MemoryError, which is a find."""
 DEAD_S = 60
 """Wall-clock time after which an input that cannot even be given up ends the process."""
-NUMERIC = [
-    f"tactile_cdma.{name}"
-    for name in [
-        "clock",
-        "codes",
-        "decode",
-        "fit",
-        "frame",
-        "paley",
-        "pressure",
-        "separate",
-        "sim",
-        "taxels",
-        "transform",
-    ]
-]
+_NAMES = "clock codes decode fit frame paley pressure separate sim taxels transform"
+NUMERIC = [f"tactile_cdma.{name}" for name in _NAMES.split()]
 """What takes arrays, not bytes: its branches are not looked at, which takes time."""
 
 
