@@ -338,9 +338,10 @@ def test_heads_that_all_claim_a_megabyte_are_not_all_believed() -> None:
 
 def test_a_damaged_recording_is_searched_to_its_end_all_the_same() -> None:
     encoder = RecordingEncoder(ABOUT, 7)
+    begin = encoder.begin()
     large = [encoder.chunk(bytes([i]) * (MOST_BYTES // 2), i * 1e-3) for i in range(12)]
     damaged = [part[:-1] + b"?" for part in large[:-1]] + large[-1:]
     parser = RecordingParser()
-    chunks = parser.feed(encoder.begin() + b"".join(damaged)) + parser.finish()
+    chunks = parser.feed(begin + b"".join(damaged)) + parser.finish()
     assert [chunk.data[:1] for chunk in chunks] == [bytes([11])]
     assert parser.lost_bytes == 11 * MOST_BYTES // 2
