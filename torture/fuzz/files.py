@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Files that users name, as targets. They are written to memory (tmpfs) where there is some."""
+"""Files that users name, as targets."""
 
 from __future__ import annotations
 
@@ -61,8 +61,7 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 
 @cache
 def _folder() -> TemporaryDirectory[str]:
-    memory = Path("/dev/shm")
-    return TemporaryDirectory(prefix="tactile_cdma-", dir=memory if memory.is_dir() else None)
+    return TemporaryDirectory(prefix="tactile_cdma-")
 
 
 def _in_file(read: Callable[[Path], object], suffix: str) -> Callable[[bytes], None]:

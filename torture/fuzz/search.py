@@ -22,9 +22,12 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from .target import CRASH
 
+MEMORY = Path("/dev/shm")
+"""Where inputs that have to be files are written, if it is there."""
 MARGIN_S = 120
 """A process that takes so much longer than it was given hangs."""
 
@@ -59,14 +62,15 @@ def search(target: str, folder: Path, runs: int, seconds: int, seed: int) -> Fou
         (folder / name).mkdir(parents=True, exist_ok=True)
     command = [sys.executable, "-m", "torture.fuzz.worker", target, str(folder)]
     command += [str(number) for number in (runs, seconds, seed)]
-    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
-    try:
-        done = subprocess.run(
-            command, capture_output=True, timeout=seconds + MARGIN_S, env=environment
-        )
-        said, ended = done.stderr.decode(errors="replace"), done.returncode
-    except subprocess.TimeoutExpired as error:
-        said, ended = (error.stderr or b"").decode(errors="replace"), -1
+    with TemporaryDirectory(dir=MEMORY if MEMORY.is_dir() else None) as scratch:
+        environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "TMPDIR": scratch}
+        try:
+            done = subprocess.run(
+                command, capture_output=True, timeout=seconds + MARGIN_S, env=environment
+            )
+            said, ended = done.stderr.decode(errors="replace"), done.returncode
+        except subprocess.TimeoutExpired as error:
+            said, ended = (error.stderr or b"").decode(errors="replace"), -1
     left = [path for path in sorted((folder / "finds").iterdir()) if path.suffix]
     finds = [(path.suffix[1:], f"{path}: {path.read_text().splitlines()[0]}") for path in left]
     if ended:
