@@ -29,6 +29,7 @@ from .errors import BodyError, ParameterError
 from .identity import parse_id, shown_id
 from .marked_yaml import Mapping as Keys
 from .marked_yaml import Marked, read_marked
+from .named_file import expanded
 from .parameters import BY_NAME, REPLAY, SIMULATION, Parameter, Value, read_file, unknown
 
 NODE_NAME = "skin"
@@ -182,9 +183,9 @@ _TYPES: dict[type, Callable[[Marked, str], Any]] = {
 def _path(value: Marked, text: str) -> Path:
     """A path of the file's, from its folder or the home folder (~) on."""
     try:
-        return (value.origin.path.parent / Path(text).expanduser()).absolute()
-    except RuntimeError:
-        raise value.refuse(f"{text}: no such user's home") from None
+        return (value.origin.path.parent / expanded(text)).absolute()
+    except ValueError as error:
+        raise value.refuse(f"{text}: {error}") from None
 
 
 def _frame(value: Marked, what: str) -> str:

@@ -24,10 +24,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import CaptureError
+from .named_file import open_named, read_named
 from .parameters import Value
 from .recording import RecordingParser
 from .recording_file import describe, is_recording, read_chunks, survey
 
+MOST_CSV_BYTES = 256 << 20
+"""Of an oscilloscope's file, about ten million samples; it is held in memory as a whole. Recordings
+and raw bytes are read piece by piece and may be of any size."""
 _READ_BYTES = 1 << 16
 
 _HEADER_LINES = 64
@@ -57,9 +61,7 @@ def is_text(path: Path) -> bool:
     Raises CaptureError where it cannot be read or is empty.
     """
     try:
-        if path.exists() and not path.is_file():  # a FIFO would wait for somebody who writes
-            raise CaptureError(f"{path}: not a file; a capture is read more than once")
-        with path.open("rb") as file:
+        with open_named(path) as file:  # no pipe: a capture is read more than once
             head = file.read(65_536)
     except OSError as error:
         raise CaptureError(f"{path}: {error.strerror}") from None
@@ -82,7 +84,7 @@ def read_bytes(path: Path) -> Iterator[tuple[bytes, float]]:
             for chunk in read_chunks(path, parser):
                 yield chunk.data, description.t_host(chunk.time_ns)
             return
-        with path.open("rb") as file:
+        with open_named(path) as file:
             while data := file.read(_READ_BYTES):
                 yield data, 0.0
     except OSError as error:
@@ -107,9 +109,11 @@ def read_scope_csv(path: Path) -> ScopeCapture:
     Raises CaptureError, naming the line, where this is not such a file.
     """
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise CaptureError(f"{path}: {error}") from None
+        lines = read_named(path, MOST_CSV_BYTES).decode(encoding="utf-8-sig").splitlines()
+    except OSError as error:
+        raise CaptureError(f"{path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise CaptureError(f"{path}: not a text file in UTF-8") from None
     header, delimiter = _header(path, lines)
     body = lines[header:]
     if delimiter != ",":

@@ -29,9 +29,17 @@ TactileError
 └── TransformError    tf frames that nothing connects, or that go round in a circle
 """
 
+from .plain_text import plain
+
 
 class TactileError(Exception):
-    """Base of all errors of this package; its text is meant for the person at the bench."""
+    """Base of all errors of this package; its text is meant for the person at the bench.
+
+    It may quote files and devices of strangers: what a terminal would obey is shown escaped.
+    """
+
+    def __str__(self) -> str:
+        return plain(super().__str__())
 
 
 class SpecError(TactileError, ValueError):

@@ -28,6 +28,7 @@ from .layout_file import read_layout
 from .layout_nodes import Wiring, listed
 from .layout_picture import draw_layout
 from .parameters import BY_NAME, Values, read_file
+from .plain_text import plain
 
 
 def add_to(commands: Any) -> None:
@@ -69,7 +70,7 @@ def describe_layout(layout: Layout) -> str:
     area_mm2 = layout.areas_m2[real] * 1e6
     arranged = "irregular" if layout.irregular else f"{layout.rows} × {layout.columns}"
     lines = [
-        f"{layout.name}: {arranged}, {np.count_nonzero(real)} taxels, {layout.wired} nodes",
+        f"{plain(layout.name)}: {arranged}, {np.count_nonzero(real)} taxels, {layout.wired} nodes",
         f"pitch {layout.pitch_m * 1e3:.4g} mm, centres within {size_mm} mm",
         f"area {area_mm2.sum() / 100:.4g} cm², {area_mm2.min():.4g}…{area_mm2.max():.4g} mm² each",
         f"neighbours of a taxel: {beside.min()}…{beside.max()}",

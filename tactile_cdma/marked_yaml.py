@@ -31,9 +31,15 @@ from typing import Any
 import yaml
 
 from .errors import TactileError
+from .named_file import read_named
 
 MOST_BYTES = 1 << 24
 MOST_DEPTH = 16
+MOST_EVENTS = 1 << 21
+"""Values, keys, and beginnings and ends of lists: as many as 65,535 taxels with all that they may
+have, twice."""
+MOST_TEXT = 1 << 16
+"""Characters of one value."""
 _WHOLE = re.compile("0|-?[1-9][0-9]{0,17}")
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
@@ -158,22 +164,29 @@ def read_marked(path: Path, error: type[TactileError]) -> Marked:
     """
     origin = Origin(path, error)
     try:
-        with path.open("rb") as file:
-            raw = file.read(MOST_BYTES + 1)
+        raw = read_named(path, MOST_BYTES)
     except OSError as problem:
         # Where a relative path begins is what may be wrong with it.
         raise Origin(path.absolute(), error).refuse(problem.strerror or str(problem)) from None
-    if len(raw) > MOST_BYTES:
-        raise origin.refuse(f"is larger than {MOST_BYTES >> 20} MB; is it the right file?")
     try:
         events = yaml.parse(raw.decode(encoding="utf-8"), Loader=_LOADER)
-        return _document(events, origin)
+        return _document(_bounded(events, origin), origin)
     except UnicodeDecodeError:
         raise origin.refuse("not a text file in UTF-8") from None
     except yaml.YAMLError as problem:
         mark = getattr(problem, "problem_mark", None)
         said = getattr(problem, "problem", None) or " ".join(str(problem).split())
         raise origin.refuse(f"not a YAML file: {said}", mark.line + 1 if mark else None) from None
+
+
+def _bounded(events: Iterator[yaml.Event], origin: Origin) -> Iterator[yaml.Event]:
+    """Refuses files that would fill the memory: a value takes some hundred bytes."""
+    for number, event in enumerate(events):
+        if number > MOST_EVENTS:
+            raise origin.refuse(f"holds more than {MOST_EVENTS} values", _line(event))
+        if isinstance(event, yaml.ScalarEvent) and len(event.value) > MOST_TEXT:
+            raise origin.refuse(f"a text of more than {MOST_TEXT} characters", _line(event))
+        yield event
 
 
 def _document(events: Iterator[yaml.Event], origin: Origin) -> Marked:

@@ -22,17 +22,17 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 import reprlib
 from array import array
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from .errors import ParameterError
 from .frame import BIPOLAR, DEFAULT_AMPLITUDE_V, UNIPOLAR
+from .marked_yaml import Marked, read_marked
 
 Value = bool | int | float | str | tuple[float, ...]
 Values = Mapping[str, Any]
@@ -347,39 +347,54 @@ def unknown(name: str, known: Iterable[str]) -> str:
 def read_file(path: Path) -> dict[str, Value]:
     """Values of a ROS 2 parameter file (every node's `ros__parameters` merged in file order).
 
-    Raises ParameterError, naming the file, for anything that is not such a file.
+    Raises ParameterError, naming file and line, for anything that is not such a file.
     """
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ParameterError(f"{path}: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        raise ParameterError(f"{path}: not a YAML file: {' '.join(str(error).split())}") from None
-    values: dict[str, object] = {}
-    try:
-        sections = list(_sections(content))
-    except RecursionError:
-        raise ParameterError(f"{path}: sections that contain themselves") from None
+    file = read_marked(path, ParameterError)
+    sections = list(_sections(file))
     if not sections:
-        raise ParameterError(
-            f"{path}: no 'ros__parameters' section; is this a ROS 2 parameter file?"
-        )
+        raise file.refuse("no 'ros__parameters' section; is this a ROS 2 parameter file?")
+    values: dict[str, Value] = {}
     for section in sections:
-        values.update(section)
-    try:
-        return check_values(values)
-    except ParameterError as error:
-        raise ParameterError(f"{path}: {error}") from None
+        for name, value in section.items():
+            if not name.startswith(STANDARD_PARAMETERS):
+                values[name] = _checked(name, value)
+    return values
 
 
-def _sections(content: object) -> Iterable[Mapping[str, object]]:
-    if isinstance(content, Mapping):
-        for name, below in content.items():
-            if name == "ros__parameters" and isinstance(below, Mapping):
-                yield {
-                    str(key): value
-                    for key, value in below.items()
-                    if not str(key).startswith(STANDARD_PARAMETERS)
-                }
+def _sections(file: Marked) -> Iterator[Mapping[str, Marked]]:
+    if isinstance(file.content, dict):
+        for name, below in file.content.items():
+            if name == "ros__parameters" and isinstance(below.content, dict):
+                yield below.content
             else:
                 yield from _sections(below)
+
+
+def _checked(name: str, value: Marked) -> Value:
+    try:
+        return check_values({name: _typed(value)})[name]
+    except ParameterError as error:
+        raise value.refuse(str(error)) from None
+
+
+def _typed(value: Marked) -> object:
+    """A value in the type that ROS 2's reader of such files takes it for."""
+    if isinstance(value.content, list):
+        return [_typed(item) for item in value.content]
+    if isinstance(value.content, dict):
+        raise value.refuse("keys with values, where one value must be")
+    text = value.content
+    if value.quoted:
+        return text
+    if value.is_null:
+        return None
+    if _INTEGER.fullmatch(text):
+        return int(text, 16 if "x" in text else 10)
+    if _NUMBER.fullmatch(text):
+        return float(text)
+    return _TRUTH.get(text.lower(), text)
+
+
+_INTEGER = re.compile("[-+]?(0|[1-9][0-9]{0,17}|0x[0-9a-fA-F]{1,15})")
+_NUMBER = re.compile(r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+|[0-9]+(?=[eE]))([eE][-+]?[0-9]{1,3})?")
+_TRUTH = {"true": True, "yes": True, "on": True, "false": False, "no": False, "off": False}

@@ -28,6 +28,7 @@ from .identity import shown_id
 from .introduction import introduction
 from .messages import Info
 from .parameters import BY_NAME
+from .plain_text import plain
 from .source import USB, Port, SerialPort, leave_alone_if_open, serial_ports
 
 MOST_AT_ONCE = 64
@@ -102,8 +103,8 @@ def described(answer: Answer) -> str:
     elif answer.reason:
         lines.append(f"    no digitizer: {answer.reason}")
     if answer.port.usb_serial:
-        lines.append(f"    {USB}{answer.port.usb_serial}")
-    return "\n".join([*lines, *(f"    {link}" for link in answer.port.links)])
+        lines.append(plain(f"    {USB}{answer.port.usb_serial}"))
+    return "\n".join([*lines, *(plain(f"    {link}") for link in answer.port.links)])
 
 
 def described_info(info: Info) -> str:

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from .errors import NodeMemoryError
 from .intel_hex import from_hex, to_hex
+from .named_file import read_named
 from .node_memory import NodeRecord, read_node_memory
 
 HEX, RAW = (".hex", ".eep"), (".bin",)
@@ -32,6 +33,8 @@ HEX, RAW = (".hex", ".eep"), (".bin",)
 PARTS = {"atmega328p": "m328p", "attiny85": "t85"}
 """What avrdude calls the microcontrollers."""
 AVRDUDE = "avrdude"
+MOST_BYTES = 1 << 20
+"""Of a file: Intel HEX of 64 kB takes 180 kB."""
 
 
 def write_memory(path: Path, data: bytes) -> None:
@@ -63,7 +66,7 @@ def read_memory(path: Path) -> tuple[NodeRecord, NDArray[np.int8]]:
     """
     is_hex = _is_hex(path)
     try:
-        content = path.read_bytes()
+        content = read_named(path, MOST_BYTES)
         return read_node_memory(from_hex(content.decode("latin-1")) if is_hex else content)
     except OSError as error:
         raise NodeMemoryError(f"{path}: {error.strerror}") from None

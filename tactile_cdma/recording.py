@@ -54,7 +54,11 @@ _HEAD = struct.Struct("<3scIIqQ")
 _CRC = struct.Struct("<I")
 HEAD_BYTES = _HEAD.size + _CRC.size
 """Of a record, before what it holds."""
-_LATEST_NS = 2**63 - 1
+_MOST = 2**63 - 1
+"""ns, or bytes."""
+_LEAST_VAIN, _VAIN_PER_BYTE = 16 * MOST_BYTES, 16
+"""Bytes of what looked like records, and was none, that are looked at: some in any file, and more
+in a long one. A file made of heads that all claim a megabyte would take hours else."""
 POSITION = struct.Struct("<Q")
 """The last bytes of a recording: where the record that ends it begins."""
 
@@ -201,6 +205,7 @@ class RecordingParser:
         self._identity: int | None = None
         self._offset: int | None = None if resumed else 0
         self._time_ns = 0
+        self._passed = self._vain = 0  # bytes that are done with; see _LEAST_VAIN
 
     def feed(self, data: bytes) -> list[Chunk]:
         """The chunks that these bytes complete.
@@ -231,7 +236,7 @@ class RecordingParser:
                 begin = len(held) if at_end else max(place, len(held) - len(_MARK) + 1)
             self._skip(begin - place)
             place = begin
-            size = self._size(place)
+            size = self._size(place) if self._worth_trying(place) else None
             if size is not None and place + size > len(held):
                 if not at_end:
                     break
@@ -240,10 +245,16 @@ class RecordingParser:
                 place += size
                 self._in_damage = False
             elif place < len(held):
+                self._vain += size or 0
                 self._skip(1)
                 place += 1
+        self._passed += place
         del held[:place]
         return found
+
+    def _worth_trying(self, place: int) -> bool:
+        """Whether not too much was looked at in vain for what may begin here to be tried."""
+        return self._vain <= _LEAST_VAIN + _VAIN_PER_BYTE * (self._passed + place)
 
     def _size(self, place: int) -> int | None:
         """Bytes that a record which begins here takes; None: there is none."""
@@ -290,7 +301,7 @@ class RecordingParser:
                 return True
             (position,) = POSITION.unpack(content[-POSITION.size :])
             said = json.loads(content[: -POSITION.size])
-            index = tuple((int(time), int(place)) for time, place in said["index"])
+            index = tuple((_count(time), _count(place)) for time, place in said["index"])
             end = End(time_ns, position, str(said["sha256"]), index)
             if self.description is None:
                 self.description = _description(said["description"])
@@ -326,9 +337,17 @@ def _description(said: Any) -> Description:
             f"a recording of version {said['version']}, but this program reads version {VERSION}"
         )
     description = Description(**{field.name: said[field.name] for field in fields(Description)})
-    times = (description.wall_ns, description.monotonic_ns)
-    if not all(type(time_ns) is int and 0 <= time_ns <= _LATEST_NS for time_ns in times):
-        raise TypeError(f"no times: {times}")
+    for number in (description.wall_ns, description.monotonic_ns, description.baud):
+        _count(number)
+    if not isinstance(description.port, str) or not isinstance(description.package_version, str):
+        raise TypeError("no names of port and package")
     if not isinstance(description.parameters, dict):
-        raise TypeError(f"no parameters: {description.parameters}")
+        raise TypeError("no parameters")
     return description
+
+
+def _count(said: Any) -> int:
+    """A time in ns, or a place in the file; raises TypeError for anything else."""
+    if type(said) is not int or not 0 <= said <= _MOST:
+        raise TypeError(f"no time or place: {said}")
+    return said

@@ -30,6 +30,7 @@ from .messages import Info
 from .offline import offline_values, raw_frames
 from .parameters import BY_NAME, Value
 from .pipeline import Pipeline
+from .plain_text import plain
 from .protocol import PacketParser, diagnose
 from .recording import Description
 from .recording_file import Recorder, describe, is_recording, survey
@@ -103,7 +104,7 @@ def _info(arguments: argparse.Namespace) -> int:
         raise CaptureError(f"{path}: {error.strerror}") from None
     description, found = describe(path), survey(path)
     for name, value in _about(description).items():
-        print(f"{name}: {value}")
+        print(f"{name}: {plain(value)}")
     print(f"length: {found.length_s:.3f} s, {found.bytes} bytes in {found.chunks} pieces")
     _say_frames(path, given(arguments))
     print("checksum: " + ("; ".join(found.notes) or "right"))

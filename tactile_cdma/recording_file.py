@@ -16,7 +16,6 @@
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import secrets
 import time
@@ -28,6 +27,7 @@ from types import TracebackType
 
 from . import __version__
 from .errors import CaptureError
+from .named_file import open_named
 from .parameters import Value
 from .recording import (
     MAGIC,
@@ -115,9 +115,7 @@ class Survey:
 
 def is_recording(path: Path) -> bool:
     """Whether a file begins, or is named, as a recording; raises OSError."""
-    if path.exists() and not path.is_file():  # a FIFO would wait for somebody who writes
-        raise OSError(errno.EINVAL, "not a file")
-    with path.open("rb") as file:
+    with open_named(path) as file:
         return file.read(len(MAGIC)) == MAGIC or path.suffix == SUFFIX
 
 
@@ -142,7 +140,7 @@ def read_chunks(path: Path, parser: RecordingParser, position: int = 0) -> Itera
     Raises CaptureError where the file cannot be read, or is of another version.
     """
     try:
-        with path.open("rb") as file:
+        with open_named(path) as file:
             file.seek(position)
             while data := file.read(_READ_BYTES):
                 yield from parser.feed(data)
@@ -156,7 +154,7 @@ def read_chunks(path: Path, parser: RecordingParser, position: int = 0) -> Itera
 def read_end(path: Path) -> End | None:
     """The last record, without reading the others; None where it is missing or damaged."""
     try:
-        with path.open("rb") as file:
+        with open_named(path) as file:
             size = file.seek(0, 2)
             file.seek(max(0, size - POSITION.size))
             tail = file.read()
@@ -194,7 +192,7 @@ def survey(path: Path) -> Survey:
 def _sha256(path: Path, size: int) -> str:
     """Of the first bytes of a file."""
     digest = hashlib.sha256()
-    with path.open("rb") as file:
+    with open_named(path) as file:
         while size > 0 and (data := file.read(min(size, _READ_BYTES))):
             digest.update(data)
             size -= len(data)

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from .errors import RestError
 from .marked_yaml import Mapping, read_marked
+from .named_file import expanded
 from .whole_file import replace_file
 
 SCHEMA = "tactile_cdma/rest"
@@ -81,11 +82,11 @@ def rest_path(folder: str, node: str) -> Path:
     folder: may begin with ~; empty: $ROS_HOME/tactile_cdma, or ~/.ros/tactile_cdma.
     Raises RestError where ~ is of a user that there is not.
     """
-    parent = Path(folder or Path(os.environ.get("ROS_HOME") or "~/.ros", "tactile_cdma"))
+    text = folder or f"{os.environ.get('ROS_HOME') or '~/.ros'}/tactile_cdma"
     try:
-        parent = parent.expanduser()
-    except RuntimeError:
-        raise RestError(f"no folder for tare and drift: {parent}: no such user's home") from None
+        parent = expanded(text)
+    except ValueError as error:
+        raise RestError(f"no folder for tare and drift: {text}: {error}") from None
     return parent / f"{node.strip('/').replace('/', '.')}{_SUFFIX}"
 
 

@@ -95,7 +95,6 @@ class RollCallListener:
             )
         self.spec, self.sampling = spec, sampling
         self.heard: dict[int, HeardClock] = {}
-        self._rows = spec.node_rows
 
     @property
     def samples(self) -> int:
@@ -113,7 +112,9 @@ class RollCallListener:
         if samples.size < self.samples:
             raise SpecError(f"{samples.size} samples of a roll-call frame; it takes {self.samples}")
         line = np.asarray(samples[: self.samples], dtype=np.float64)
-        clock = hear_node(line, self._rows[node], self.spec, self.sampling, noise_rms_v)
+        # One row at a time: those of all nodes of a large skin are gigabytes.
+        (row,) = self.spec.book.rows([self.spec.rows[node]])
+        clock = hear_node(line, row, self.spec, self.sampling, noise_rms_v)
         if not clock.refusal:
             self.heard[node] = clock
         return clock

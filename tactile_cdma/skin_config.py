@@ -31,6 +31,7 @@ from .identity import parse_id, shown_id
 from .layout import Layout
 from .layout_file import read_layout
 from .layout_nodes import Wiring
+from .named_file import expanded
 from .parameters import BY_NAME, GAP, NATURAL_SIGNS, PARAMETERS, Values, check_values
 
 
@@ -200,9 +201,9 @@ def _calibration(get: Values, spec: FrameSpec, adc: AdcScale, curve: PressureCur
 def user_path(name: str, text: str) -> Path:
     """A parameter's path, from the working folder or the home folder (~) on."""
     try:
-        return Path(text).expanduser()
-    except RuntimeError:
-        raise SpecError(f"{name} is {text}: no such user's home") from None
+        return expanded(text)
+    except ValueError as error:
+        raise SpecError(f"{name} is {text}: {error}") from None
 
 
 def _check_roll_call(spec: FrameSpec, timing: str, samples_per_chip: int) -> None:

@@ -32,6 +32,7 @@ import serial
 from serial.tools import list_ports
 
 from .errors import CaptureError, PortError, RecordingEndError, SpecError
+from .plain_text import plain
 
 try:
     import termios
@@ -190,7 +191,7 @@ class SerialPort:
     def __str__(self) -> str:
         number = f"USB serial number {self.usb_serial}" if self.usb_serial else ""
         said = ", ".join(part for part in (self.description, number) if part)
-        return f"{self.device} ({said})" if said else self.device
+        return plain(f"{self.device} ({said})" if said else self.device)
 
 
 def serial_ports() -> list[SerialPort]:

@@ -20,7 +20,7 @@ from pathlib import Path
 import pytest
 
 from tactile_cdma.errors import LayoutError
-from tactile_cdma.marked_yaml import MOST_BYTES, Marked, read_marked
+from tactile_cdma.marked_yaml import MOST_BYTES, MOST_TEXT, Marked, read_marked
 
 
 def read(tmp_path: Path, text: str | bytes) -> Marked:
@@ -83,6 +83,19 @@ def test_a_whole_number_is_written_in_one_way(tmp_path: Path, text: str) -> None
     value = read(tmp_path, f"a: {text}").mapping("it")["a"]
     with pytest.raises(LayoutError, match=r"line 1: a is '.*'; it must be a whole number"):
         value.whole("a", 0, 100)
+
+
+def test_long_texts_and_too_many_values_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "long.yaml"
+    path.write_text("a: " + "x" * (MOST_TEXT + 1))
+    with pytest.raises(LayoutError, match="line 1: a text of more than"):
+        read_marked(path, LayoutError)
+    monkeypatch.setattr("tactile_cdma.marked_yaml.MOST_EVENTS", 100)
+    path.write_text("a: [" + "1,\n" * 100 + "1]")
+    with pytest.raises(LayoutError, match="holds more than 100 values"):
+        read_marked(path, LayoutError)
 
 
 def test_folders_and_missing_files_are_refused(

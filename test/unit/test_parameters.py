@@ -127,11 +127,18 @@ def test_zero_amplitude_means_learnt_and_minus_one_natural_signs() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "no 'ros__parameters' section"),
+        ("", "the file is empty"),
         ("nodes: 16", "no 'ros__parameters' section"),
         ("/**: {ros__parameters: {nodess: 3}}", "did you mean 'nodes'"),
         ("/**: [", "not a YAML file"),
         ("/**: {ros__parameters: {nodes: 0}}", "nodes is 0"),
+        ("/**:\n  ros__parameters:\n    bits: 99\n", "line 3: bits is 99"),
+        ("/**: {ros__parameters: {skin: {a: 1}}}", "keys with values"),
+        ("/**: {ros__parameters: {skin: 2001-99-99, nodes: ~}}", "nodes must be an integer"),
+        ("/**: {ros__parameters: {nodes: " + "9" * 5000 + "}}", "nodes must be an integer"),
+        ("a: &a {b: *a}", "aliases"),
+        ("a: " + "[" * 100_000, "nested deeper"),
+        ("/**: {ros__parameters: {nodes: 010}}", "nodes must be an integer"),
     ],
 )
 def test_broken_files_are_refused_by_name(tmp_path: Path, text: str, message: str) -> None:
@@ -151,6 +158,24 @@ def test_sections_of_namespaced_files_are_found(tmp_path: Path) -> None:
     path = tmp_path / "names.yaml"
     path.write_text(yaml.safe_dump({"/left/skin": {"ros__parameters": {"bits": 12}}}))
     assert read_file(path) == {"bits": 12}
+
+
+def test_values_have_the_types_that_ros_reads(tmp_path: Path) -> None:
+    path = tmp_path / "types.yaml"
+    path.write_text(
+        "/**: {ros__parameters: {chip_us: 5e1, frame_period_ms: 20, sign_seed: 0x10, parity: yes,\n"
+        "  roll_call: OFF, digitizer_id: '0', mount_xyz_m: [1, -.5, 2.], skin: a b}}"
+    )
+    assert read_file(path) == {
+        "chip_us": 50.0,
+        "frame_period_ms": 20.0,
+        "sign_seed": 16,
+        "parity": True,
+        "roll_call": False,
+        "digitizer_id": "0",
+        "mount_xyz_m": (1.0, -0.5, 2.0),
+        "skin": "a b",
+    }
 
 
 def test_the_table_in_the_readme_is_fresh() -> None:

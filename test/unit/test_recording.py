@@ -19,6 +19,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import struct
 from pathlib import Path
 
 import pytest
@@ -312,3 +313,35 @@ def test_a_pipe_is_refused_without_waiting_for_its_other_end(tmp_path: Path) -> 
         is_recording(pipe)
     with pytest.raises(CaptureError, match="not a file"):
         is_text(pipe)
+
+
+@pytest.mark.parametrize(
+    "entry", ["[1e999, 0]", "[0, -5]", f"[0, {2**70}]", "[NaN, 1]", "[0, 1.5]"]
+)
+def test_an_index_of_impossible_places_is_no_end(entry: str) -> None:
+    encoder = RecordingEncoder(ABOUT, 7)
+    begin = encoder.begin() + encoder.chunk(b"abc", 0.0)
+    content = f'{{"description": null, "sha256": "", "index": [{entry}]}}'.encode()
+    end = encoder._record(b"F", content + struct.pack("<Q", len(begin)))
+    parser = RecordingParser()
+    assert [chunk.data for chunk in parser.feed(begin + end) + parser.finish()] == [b"abc"]
+    assert parser.end is None
+
+
+def test_heads_that_all_claim_a_megabyte_are_not_all_believed() -> None:
+    head = struct.pack("<3scIIqQ", b"\xf1SK", b"D", 7, MOST_BYTES, 0, 0) + b"crc!"
+    parser = RecordingParser()
+    parser.feed(MAGIC + head * (4 * MOST_BYTES // len(head)))
+    # Else each of them would be: 100,000 checksums of a megabyte.
+    assert parser._vain < 128 * MOST_BYTES
+
+
+def test_a_damaged_recording_is_searched_to_its_end_all_the_same() -> None:
+    encoder = RecordingEncoder(ABOUT, 7)
+    begin = encoder.begin()
+    large = [encoder.chunk(bytes([i]) * (MOST_BYTES // 2), i * 1e-3) for i in range(12)]
+    damaged = [part[:-1] + b"?" for part in large[:-1]] + large[-1:]
+    parser = RecordingParser()
+    chunks = parser.feed(begin + b"".join(damaged)) + parser.finish()
+    assert [chunk.data[:1] for chunk in chunks] == [bytes([11])]
+    assert parser.lost_bytes == 11 * MOST_BYTES // 2

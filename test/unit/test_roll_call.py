@@ -14,6 +14,8 @@
 
 """A node's clock from a frame in which it speaks alone."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -112,3 +114,12 @@ def test_misuse_is_refused() -> None:
     roll = RollCallListener(spec_of(16, 20), Sampling(2.0))
     with pytest.raises(SpecError, match="takes 4"):
         roll.hear(0, np.zeros(300, np.float32), NOISE)
+
+
+def test_a_listener_to_many_nodes_does_not_hold_all_their_rows() -> None:
+    spec = FrameSpec(nodes=16_000, order=16_384, chip_s=1e-7, frame_period_s=0.1)
+    tracemalloc.start()
+    RollCallListener(spec, Sampling(4.0))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 1 << 20  # all rows are 262 MB, and of a skin of 65,000 nodes 4 GB

@@ -1,0 +1,59 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Files that somebody names: only regular ones, and of those read whole none beyond a size."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from pathlib import Path
+from typing import BinaryIO
+
+
+def open_named(path: Path) -> BinaryIO:
+    """A file to read. Raises OSError, too, for what would keep its reader waiting, or never end."""
+    try:
+        mode = os.stat(path).st_mode
+    except ValueError:  # NUL, or half a character
+        raise OSError(errno.EINVAL, "no file can have this name") from None
+    if stat.S_ISDIR(mode):
+        raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if not stat.S_ISREG(mode):
+        raise OSError(errno.EINVAL, "not a file")
+    return path.open("rb")
+
+
+def read_named(path: Path, most_bytes: int) -> bytes:
+    """All of a file. Raises OSError as open_named does, and for more than most_bytes of it."""
+    with open_named(path) as file:
+        if os.fstat(file.fileno()).st_size > most_bytes:
+            raise OSError(
+                errno.EFBIG, f"is larger than {most_bytes >> 20} MB; is it the right file?"
+            )
+        return file.read(most_bytes)  # no more, should it grow meanwhile
+
+
+def expanded(text: str) -> Path:
+    """A path as users write it, from the working folder or the home folder (~) on.
+
+    Raises ValueError, saying why there cannot be such a path.
+    """
+    if "\0" in text:
+        raise ValueError("no file can have this name")
+    try:
+        return Path(text).expanduser()
+    except RuntimeError:
+        raise ValueError("no such user's home") from None

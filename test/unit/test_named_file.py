@@ -1,0 +1,62 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Files that somebody names: what could keep a reader waiting, or fill its memory, is refused."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from tactile_cdma.named_file import expanded, open_named, read_named
+
+
+def test_a_file_is_read_up_to_its_limit(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"x" * (1 << 20))
+    assert len(read_named(path, 1 << 20)) == 1 << 20
+    with path.open("ab") as file:
+        file.write(b"x")
+    with pytest.raises(OSError, match="larger than 1 MB"):
+        read_named(path, 1 << 20)
+
+
+def test_what_is_no_regular_file_is_refused_without_waiting(tmp_path: Path) -> None:
+    pipe, link = tmp_path / "pipe", tmp_path / "link"
+    os.mkfifo(pipe)
+    link.symlink_to("/dev/zero")
+    for path in (pipe, link):
+        with pytest.raises(OSError, match="not a file"):
+            open_named(path)
+    with pytest.raises(OSError, match="Is a directory"):
+        open_named(tmp_path)
+    with pytest.raises(OSError, match="No such file"):
+        open_named(tmp_path / "none")
+
+
+@pytest.mark.parametrize("name", ["a\0b", "a\ud800"])
+def test_names_that_no_file_can_have_are_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(OSError, match="no file can have this name"):
+        open_named(tmp_path / name)
+
+
+def test_paths_of_users_begin_in_the_home_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", "/home/somebody")
+    assert expanded("~/skin.yaml") == Path("/home/somebody/skin.yaml")
+    assert expanded("skin.yaml") == Path("skin.yaml")
+    for text, reason in (("~nobody-of-this-name/a", "no such user"), ("~\0", "no file can have")):
+        with pytest.raises(ValueError, match=reason):
+            expanded(text)

@@ -1,0 +1,246 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Files that users name, as targets."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from tactile_cdma.body_file import read_body
+from tactile_cdma.calibrating.load_table import read_table
+from tactile_cdma.calibration import AdcScale, Calibration, PressureCurve
+from tactile_cdma.calibration_file import read_calibration, write_calibration
+from tactile_cdma.capture import is_text, read_bytes, read_scope_csv
+from tactile_cdma.errors import (
+    BodyError,
+    CalibrationError,
+    CaptureError,
+    LayoutError,
+    NodeMemoryError,
+    ParameterError,
+    RestError,
+    TactileError,
+)
+from tactile_cdma.frame import FrameSpec
+from tactile_cdma.layout_file import read_layout
+from tactile_cdma.layout_nodes import Wiring
+from tactile_cdma.node_memory import describe_memory, node_memory
+from tactile_cdma.offline import decode_scope, offline_values
+from tactile_cdma.parameters import read_file
+from tactile_cdma.programmer import read_memory, write_memory
+from tactile_cdma.recording import Description, RecordingEncoder, RecordingParser
+from tactile_cdma.recording_file import describe, survey
+from tactile_cdma.rest_file import RestState, read_rest, write_rest
+from tactile_cdma.skin_config import SkinConfig
+
+from .target import Target
+
+CURVE = PressureCurve.two_stage()
+ADC = AdcScale()
+NODES = 3
+ROOT = Path(__file__).resolve().parent.parent.parent
+
+
+@cache
+def _folder() -> TemporaryDirectory[str]:
+    return TemporaryDirectory(prefix="tactile_cdma-")
+
+
+def _in_file(read: Callable[[Path], object], suffix: str) -> Callable[[bytes], None]:
+    """Reads a file that holds the data."""
+
+    def run(data: bytes) -> None:
+        path = Path(_folder().name, f"input{suffix}")
+        path.write_bytes(data)
+        read(path)
+
+    return run
+
+
+def _written(write: Callable[[Path], object], suffix: str) -> bytes:
+    """What is written to a file."""
+    path = Path(_folder().name, f"seed{suffix}")
+    path.unlink(missing_ok=True)
+    write(path)
+    return path.read_bytes()
+
+
+def _read_scope(path: Path) -> None:
+    if not is_text(path):
+        return
+    config = SkinConfig.of({"nodes": NODES, "bits": 8, "timing": "gap"})
+    for _ in decode_scope(read_scope_csv(path), config):
+        pass
+
+
+def _read_recording(path: Path) -> None:
+    """At once and piece by piece; then as the command line does."""
+    data = path.read_bytes()
+    at_once, one_by_one = RecordingParser(), RecordingParser()
+    chunks = at_once.feed(data) + at_once.finish()
+    size = 1 + len(data) % 61
+    split = [
+        chunk
+        for begin in range(0, len(data), size)
+        for chunk in one_by_one.feed(data[begin : begin + size])
+    ]
+    assert chunks == split + one_by_one.finish(), "other chunks when split otherwise"
+    seen = [(p.description, p.end, p.damaged, p.lost_bytes) for p in (at_once, one_by_one)]
+    assert seen[0] == seen[1], "other counts when split otherwise"
+    described, surveyed = describe(path), survey(path)
+    described.wall_s(described.t_host(0))
+    assert surveyed.bytes == sum(len(chunk.data) for chunk in chunks)
+    if at_once.end is not None:
+        at_once.end.position_of(0)
+
+
+def _read_capture(path: Path) -> None:
+    """As far as parameters: what decoding does with the bytes other targets try."""
+    for _ in read_bytes(path):
+        pass
+    SkinConfig.of(offline_values(path, {"nodes": NODES}))
+
+
+def _read_memory(path: Path) -> None:
+    describe_memory(*read_memory(path))
+
+
+def _seeds_of_scope() -> Mapping[str, bytes]:
+    time_s = np.arange(60) * 1e-5
+    rows = [f"{t:.6f},{v:.3f}" for t, v in zip(time_s, np.sin(time_s * 1e5), strict=True)]
+    text = "\n".join(rows)
+    return {
+        "plain": text.encode(),
+        "headed": f"Source,CH1\nSecond,Volt\n{text}\n".encode(),
+        "commas": text.replace(",", ";").replace(".", ",").encode(),
+        "gaps": text.replace("0.000300,", "0.000800,").replace(",0.5", ",nan").encode(),
+        "tabs": text.replace(",", "\t").encode(),
+    }
+
+
+def _recording(parts: list[bytes], **changes: object) -> bytes:
+    about = Description(10**18, 10**9, "sim://", 2_000_000, {"nodes": NODES}, "1")
+    encoder = RecordingEncoder(about, 7)
+    pieces = [encoder.begin()]
+    pieces += [encoder.chunk(part, 1.0 + i * 0.6) for i, part in enumerate(parts)]
+    return b"".join([*pieces, encoder.end(4.0)])
+
+
+def _seeds_of_recordings() -> Mapping[str, bytes]:
+    whole = _recording([b"abc", b"", b"defg" * 5])
+    return {
+        "whole": whole,
+        "cut": whole[:-40],
+        "damaged": whole[:-90] + b"?" + whole[-89:],
+        "empty": _recording([]),
+        "headless": whole[8:],
+        "nested": _recording([whole]),
+        "crafted": b"\x89SKIN\r\n\0" + struct.pack("<3scIIqQ", b"\xf1SK", b"D", 7, 999, 0, 0) * 9,
+    }
+
+
+def _seeds_of_captures() -> Mapping[str, bytes]:
+    from .streams import _true_stream
+
+    stream = b"".join(_true_stream())
+    return {"bytes": stream, "recording": _recording([stream])}
+
+
+def _seeds_of_calibrations() -> Mapping[str, bytes]:
+    calibration = Calibration.of_nodes({1: CURVE, 3: CURVE}, CURVE, NODES)
+    return {
+        "sealed": _written(lambda path: write_calibration(path, calibration, ADC), ".yaml"),
+    }
+
+
+def _seeds_of_layouts() -> Mapping[str, bytes]:
+    files = sorted((ROOT / "config" / "layouts").glob("*.yaml"))
+    return {file.stem: file.read_bytes() for file in files} | {
+        "sphere": b"schema: tactile_cdma/layout\nversion: 1\nshape: sphere\nrows: 2\ncolumns: 2\n"
+        b"pitch_mm: 5\nradius_mm: 40\nnodes: [[1, 2], [0, 3]]\nmasked: [2]\n",
+        "list": b"schema: tactile_cdma/layout\nversion: 1\nshape: list\ntaxels:\n"
+        b"- {position_mm: [0, 0, 0], node: 1}\n"
+        b"- {position_mm: [5, 0, 1], normal: [0, 1, 1], area_mm2: 9, node: 2}\n",
+    }
+
+
+def _seeds_of_bodies() -> Mapping[str, bytes]:
+    return {
+        "shipped": (ROOT / "config" / "body.yaml").read_bytes(),
+        "small": b"frame_id: torso\npatches:\n  palm:\n    parameters: {port: 'sim://', nodes: 9,\n"
+        b"      mount_xyz_m: [0, 0, 1.5], autostart: false}\n",
+    }
+
+
+def _seeds_of_rests() -> Mapping[str, bytes]:
+    rest_v = np.array([0.1, -0.2, 0], np.float32)
+    state = RestState("a", True, NODES, "", "x", "2026-01-01", "", rest_v, None)
+    return {"tared": _written(lambda path: write_rest(path, state), ".yaml")}
+
+
+def _seeds_of_parameters() -> Mapping[str, bytes]:
+    return {
+        "shipped": (ROOT / "config" / "skin.yaml").read_bytes(),
+        "small": b"/**:\n  ros__parameters:\n    nodes: 9\n    chip_us: 5e1\n    roll_call: yes\n"
+        b"    port: 'sim://'\n    mount_xyz_m: [0, 1, 2.5]\n    use_sim_time: false\n",
+    }
+
+
+def _seeds_of_loads() -> Mapping[str, bytes]:
+    return {
+        "points": b"# loads\nnode,pressure_kpa,voltage_v\n1,0,3.3\n1,50,1.65\n2,0,3.2\n",
+        "forces": b'"time_ms";"force_n"\n0;0,5\n10;1,5\n\n',
+    }
+
+
+def _seeds_of_memories(suffix: str) -> Mapping[str, bytes]:
+    data = node_memory(FrameSpec(nodes=NODES), 2)
+    return {"node": _written(lambda path: write_memory(path, data), suffix)}
+
+
+def _file(
+    name: str,
+    read: Callable[[Path], object],
+    seeds: Callable[[], Mapping[str, bytes]],
+    refuses: type[TactileError],
+    suffix: str = ".yaml",
+) -> Target:
+    return Target(name, _in_file(read, suffix), seeds, (refuses,))
+
+
+TARGETS = (
+    _file("scope", _read_scope, _seeds_of_scope, CaptureError, ".csv"),
+    _file("recording", _read_recording, _seeds_of_recordings, CaptureError, ".skin"),
+    _file("capture", _read_capture, _seeds_of_captures, TactileError, ".bin"),
+    _file(
+        "calibration",
+        lambda path: read_calibration(path, NODES, ADC, CURVE),
+        _seeds_of_calibrations,
+        CalibrationError,
+    ),
+    _file("layout", lambda path: read_layout(path, Wiring()), _seeds_of_layouts, LayoutError),
+    _file("body", read_body, _seeds_of_bodies, BodyError),
+    _file("rest", read_rest, _seeds_of_rests, RestError),
+    _file("parameters", read_file, _seeds_of_parameters, ParameterError),
+    _file("loads", lambda path: read_table(path, 1e-4), _seeds_of_loads, CalibrationError, ".csv"),
+    _file("hex", _read_memory, lambda: _seeds_of_memories(".hex"), NodeMemoryError, ".hex"),
+    _file("memory", _read_memory, lambda: _seeds_of_memories(".bin"), NodeMemoryError, ".bin"),
+)

@@ -1,0 +1,133 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What is fuzzed, and what counts as a find."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+import traceback
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+
+from tactile_cdma.errors import TactileError
+
+SLOW_S = 1.0
+"""Processor time that one input may take."""
+HANG_S = 10.0
+"""After so much of it an input is given up."""
+MOST_TEXT = 4096
+"""Characters of an error's text, at most."""
+CRASH, SLOW, WRONG, UNCOUNTED = "crash", "slow", "wrong", "uncounted"
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """Something that reads bytes of others.
+
+    run: reads them; raises AssertionError where what it promises does not hold, MiscountError for
+    a loss. refuses: the errors by which it may refuse them. seeds: inputs to begin with, by what
+    they are. most_bytes: of an input.
+    """
+
+    name: str
+    run: Callable[[bytes], object]
+    seeds: Callable[[], Mapping[str, bytes]]
+    refuses: tuple[type[TactileError], ...] = ()
+    most_bytes: int = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Find:
+    """An input that did what none must do. kind: CRASH, SLOW, …; where: to tell finds apart."""
+
+    kind: str
+    where: str
+    text: str
+
+
+class MiscountError(AssertionError):
+    """A loss that was not counted, or one counted that was none."""
+
+
+class _HangError(BaseException):
+    """Taken for no error of the target's."""
+
+
+@contextmanager
+def trying(target: Target) -> Iterator[Callable[[bytes], Find | None]]:
+    """What lets the target read data: None where it does, or refuses them as it may."""
+    before = signal.signal(signal.SIGVTALRM, _give_up)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # a warning would be printed over a user's terminal
+            yield lambda data: _attempt(target, data)
+    finally:
+        signal.signal(signal.SIGVTALRM, before)
+
+
+def _attempt(target: Target, data: bytes) -> Find | None:
+    begun_s = time.thread_time()
+    try:
+        signal.setitimer(signal.ITIMER_VIRTUAL, HANG_S)
+        try:
+            target.run(data)
+        finally:
+            signal.setitimer(signal.ITIMER_VIRTUAL, 0)
+    except target.refuses as error:
+        if wrong := _unfit(str(error)):
+            return Find(CRASH, f"{_where()} {wrong}", repr(str(error)[:MOST_TEXT]))
+    except _HangError:
+        return Find(SLOW, _where(), traceback.format_exc())
+    except Exception as error:
+        where = f"{_where()} {type(error).__name__}"
+        return Find(_kind(error), where, traceback.format_exc())
+    if (took_s := time.thread_time() - begun_s) > SLOW_S:
+        return Find(SLOW, target.name, f"took {took_s:.1f} s of processor time")
+    return None
+
+
+def _kind(error: Exception) -> str:
+    if isinstance(error, MiscountError):
+        return UNCOUNTED
+    return WRONG if isinstance(error, AssertionError) else CRASH
+
+
+def _unfit(text: str) -> str:
+    """What makes a text unfit for a terminal or a log."""
+    if not text:
+        return "says nothing"
+    if len(text) > MOST_TEXT:
+        return "says too much"
+    return "" if text.isprintable() else "says control characters"
+
+
+def _where() -> str:
+    """The last place of ours that the present exception came through."""
+    ours = "unknown"
+    for frame, line in traceback.walk_tb(sys.exc_info()[2]):
+        file = Path(frame.f_code.co_filename)
+        if "tactile_cdma" in file.parts or "torture" in file.parts:
+            ours = f"{file.name}:{line}"
+    return ours
+
+
+def _give_up(signum: int, frame: FrameType | None) -> None:
+    raise _HangError

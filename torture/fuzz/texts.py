@@ -1,0 +1,72 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Short texts that users give, as targets: URLs, ids."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from tactile_cdma.errors import ParameterError, PortError, SpecError, TactileError
+from tactile_cdma.identity import parse_id, shown_id
+from tactile_cdma.replay.options import ReplayOptions
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.source import SerialPort, find_usb
+
+from .target import Target
+
+PORTS = (SerialPort("/dev/ttyACM0", "a board", "E661"), SerialPort("/dev/ttyACM1", "twin", "77"))
+
+
+def read_sim(data: bytes) -> None:
+    """The options of a simulated skin."""
+    SimOptions.from_url("sim://?" + data.decode(errors="replace"))
+
+
+def read_replay(data: bytes) -> None:
+    """The options of a replay."""
+    ReplayOptions.from_url("replay://" + data.decode(errors="replace"))
+
+
+def read_names(data: bytes) -> None:
+    """A digitizer's id; a USB serial number."""
+    text = data.decode(errors="replace")
+    try:
+        digitizer_id = parse_id(text)
+        assert parse_id(shown_id(digitizer_id)) == digitizer_id, "shown as another one"
+    except ParameterError:
+        find_usb("usb://" + text, PORTS)
+
+
+def _seeds_of_sim() -> Mapping[str, bytes]:
+    return {
+        "scene": b"scene=hand&noise=0.02&dead=3,17&seed=1",
+        "frame": b"nodes=9&bits=12&order=16&chip_us=20&timing=gap&stretch=0.05",
+        "layout": b"layout=/nowhere.yaml&speed=0",
+    }
+
+
+def _seeds_of_replay() -> Mapping[str, bytes]:
+    return {"file": b"touch.skin?speed=2&loop=1&start=0.5&end=9", "home": b"~/a%20b.skin"}
+
+
+def _seeds_of_names() -> Mapping[str, bytes]:
+    return {"id": b"0xE6:60:58:38:83:72:A4:32", "usb": b"e661", "twice": b"77"}
+
+
+TARGETS = (
+    Target("sim", read_sim, _seeds_of_sim, (SpecError,), 256),
+    Target("replay", read_replay, _seeds_of_replay, (SpecError,), 256),
+    Target("names", read_names, _seeds_of_names, (PortError, TactileError), 128),
+)

@@ -1,0 +1,119 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""One target, searched in a process of its own: by coverage with atheris, else by mutations alone.
+
+python -m torture.fuzz.worker TARGET FOLDER RUNS SECONDS SEED: inputs that reached something new are
+kept in FOLDER/seeds, finds in FOLDER/finds. What it came to is told on stderr as libFuzzer does.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import resource
+import sys
+import time
+from collections.abc import Callable
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .target import Target
+
+ROOM = 1 << 30
+"""Bytes that a process may grow by; what asks for more gets a MemoryError, which is a find."""
+DEAD_S = 60
+"""Wall-clock time after which an input that cannot even be given up ends the process."""
+_NAMES = "clock codes decode fit frame paley pressure separate sim taxels transform"
+NUMERIC = [f"tactile_cdma.{name}" for name in _NAMES.split()]
+"""What takes arrays, not bytes: its branches are not looked at, which takes time."""
+
+
+def main() -> int:
+    """Search; 0 where nothing ended the process."""
+    name, folder = sys.argv[1], Path(sys.argv[2])
+    runs, seconds, seed = map(int, sys.argv[3:6])
+    if importlib.util.find_spec("atheris") is None:
+        _by_chance(name, folder, runs, seconds, seed)
+        return 0
+    import atheris
+
+    with atheris.instrument_imports(include=["tactile_cdma"], exclude=NUMERIC):
+        one_input, target = _prepare(name, folder)
+    for known in target.seeds().values():
+        (folder / "seeds" / hashlib.sha1(known).hexdigest()).write_bytes(known)
+    options = [
+        str(folder / "seeds"),
+        f"-runs={runs}",
+        f"-max_total_time={seconds}",
+        f"-seed={seed}",
+        f"-max_len={target.most_bytes}",
+        f"-artifact_prefix={folder / 'finds'}/",
+        f"-timeout={DEAD_S}",
+        "-rss_limit_mb=4096",
+        "-print_final_stats=1",
+    ]
+    atheris.Setup([sys.argv[0], *options], one_input)
+    atheris.Fuzz()  # ends the process
+    return 0
+
+
+def _prepare(name: str, folder: Path) -> tuple[Callable[[bytes], None], Target]:
+    """What takes an input and keeps it if it is a find, one for each place."""
+    from .target import trying
+    from .targets import TARGETS
+
+    target, known = TARGETS[name], set[str]()
+    attempt = trying(target).__enter__()  # until the process ends
+
+    def one_input(data: bytes) -> None:
+        find = attempt(data)
+        if find is None or find.where in known:
+            return
+        known.add(find.where)
+        path = folder / "finds" / f"{name}-{hashlib.sha1(data).hexdigest()[:12]}"
+        path.write_bytes(data)
+        path.with_suffix(f".{find.kind}").write_text(f"{find.where}\n{find.text}\n")
+
+    for data in target.seeds().values():
+        one_input(data)  # what is made once only is made before memory is limited
+    limit = _virtual_bytes() + ROOM
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    return one_input, target
+
+
+def _by_chance(name: str, folder: Path, runs: int, seconds: int, seed: int) -> None:
+    from .mutation import inputs
+
+    one_input, target = _prepare(name, folder)
+    begun_s, done = time.monotonic(), 0
+    for data in islice(inputs(target, seed), runs):
+        if time.monotonic() > begun_s + seconds:
+            break
+        one_input(data)
+        done += 1
+    per_s = done / max(time.monotonic() - begun_s, 1e-3)
+    print(f"stat::number_of_executed_units: {done}", file=sys.stderr)
+    print(f"stat::average_exec_per_sec: {per_s:.0f}", file=sys.stderr)
+
+
+def _virtual_bytes() -> int:
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    return pages * resource.getpagesize()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,139 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Bytes without end that a driver might be given, and how much memory they make it hold."""
+
+from __future__ import annotations
+
+import random
+import time
+import tracemalloc
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import count
+
+import numpy as np
+
+from tactile_cdma._protocol import MAX_SAMPLES, SyncMode
+from tactile_cdma.messages import FrameLayout, Info, Quiet, Samples
+from tactile_cdma.parameters import GAP, LINE
+from tactile_cdma.pipeline import Pipeline
+from tactile_cdma.protocol import PacketWriter, wrap
+from tactile_cdma.skin_config import SkinConfig
+
+CHUNK = 1 << 16
+"""Bytes that come at once."""
+MOST_HELD = 16 << 20
+"""Bytes that a pipeline may hold, with what it takes to deal with a chunk."""
+Garbage = Callable[[random.Random], Iterator[bytes]]
+
+
+def _same(chunk: bytes) -> Garbage:
+    def endless(rng: random.Random) -> Iterator[bytes]:
+        while True:
+            yield chunk
+
+    return endless
+
+
+def _noise(rng: random.Random) -> Iterator[bytes]:
+    while True:
+        yield rng.randbytes(CHUNK)
+
+
+def _bodies(rng: random.Random) -> Iterator[bytes]:
+    """Intact packets of any type with any content."""
+    while True:
+        yield b"".join(wrap(rng.randbytes(rng.randint(1, 100))) for _ in range(256))
+
+
+def _samples(place: str) -> Garbage:
+    """Intact packets of noise on the line."""
+
+    def endless(rng: random.Random) -> Iterator[bytes]:
+        writer, index = PacketWriter(), 0
+        noise = np.random.default_rng(rng.getrandbits(32))
+        for number in count():
+            volts = noise.normal(0, 2000, MAX_SAMPLES).astype(np.int16)
+            if place == "anywhere":
+                index = rng.getrandbits(64)
+            time_us = rng.getrandbits(60) if place == "anywhere" else round(index / RATE_HZ * 1e6)
+            marked = place == "marked" or (place == "anywhere" and number % 2 == 0)
+            yield writer.encode(Samples(time_us, index, volts, sync=marked))
+            index += MAX_SAMPLES
+
+    return endless
+
+
+def _quiet(rng: random.Random) -> Iterator[bytes]:
+    writer, index = PacketWriter(), 0
+    while True:
+        index += rng.randint(1, 500)
+        time_us = round(index / RATE_HZ * 1e6)
+        yield writer.encode(Quiet(time_us, index, rng.randint(1, 900), 0, 0, sync=True))
+
+
+KINDS: dict[str, tuple[str, Garbage]] = {
+    "zeros": (LINE, _same(bytes(CHUNK))),
+    "ones": (LINE, _same(b"\xff" * CHUNK)),
+    "text": (LINE, _same(b"reading 1.25 V\r\n" * (CHUNK // 16))),
+    "noise": (LINE, _noise),
+    "intact packets of nonsense": (LINE, _bodies),
+    "samples without marks": (LINE, _samples("unmarked")),
+    "samples that are all marked": (LINE, _samples("marked")),
+    "samples of any place and time": (LINE, _samples("anywhere")),
+    "quiet frames of any length": (LINE, _quiet),
+    "samples of noise without gaps": (GAP, _samples("unmarked")),
+}
+"""Timing of the driver that is fed, and what it is fed."""
+CONFIGS = {timing: SkinConfig.of({"timing": timing}) for timing in (LINE, GAP)}
+RATE_HZ = CONFIGS[LINE].samples_per_chip / CONFIGS[LINE].spec.chip_s
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """fed: bytes that came. most: bytes that the pipeline held of them at once, at most."""
+
+    fed: int
+    most: int
+
+
+def feed(kind: str, seed: int, most_bytes: int, most_s: float, pipeline: Pipeline) -> Held:
+    """Feed INFO, then so many bytes, or for so much processor time."""
+    pipeline.feed(PacketWriter().encode(_info(pipeline.config)), 0.0)
+    chunks, fed = KINDS[kind][1](random.Random(seed)), 0
+    tracemalloc.start()
+    before, _ = tracemalloc.get_traced_memory()
+    until_s = time.thread_time() + most_s
+    while fed < most_bytes and time.thread_time() < until_s:
+        data = next(chunks)
+        pipeline.feed(data, fed * 1e-6)
+        fed += len(data)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    return Held(fed, peak - before)
+
+
+def pipeline_for(kind: str) -> Pipeline:
+    """Of a driver that such garbage is meant for."""
+    return Pipeline(CONFIGS[KINDS[kind][0]], background=False)
+
+
+def _info(config: SkinConfig) -> Info:
+    return Info(
+        frame=FrameLayout.of(config.spec, config.samples_per_chip),
+        sample_rate_uhz=round(RATE_HZ * 1e6),
+        volts_per_count=1e-3,
+        sync_mode=SyncMode.NONE if config.timing == GAP else SyncMode.DRIVE,
+    )
