@@ -136,23 +136,25 @@ static void receive(struct bench *bench, const uint8_t *bytes, size_t size)
         receive_piece(bench, bytes + piece, size - piece);
 }
 
-static void ask_pulses(struct bench *bench, uint64_t samples, unsigned more)
+/* The pulses that must come before the next sample, and up to `more`. */
+static void ask_pulses(struct bench *bench, unsigned more)
 {
     struct host *host = &bench->host;
     struct session *session = present(bench);
     struct dg_pulse pulse;
 
-    while (session && session->line.settings.marked &&
-           (!line_has_pulses(&session->line, samples) ||
-            (more && line_ahead(&session->line) < PULSES_AHEAD - 2))) {
+    if (!session || !session->line.settings.marked) {
+        MUST(!dg_pulse(&bench->dg, &pulse), WRONG_VALUE);
+        return;
+    }
+    struct line *line = &session->line;
+    while (line_covered(line) <= line->size || (more && line_ahead(line) < PULSES_AHEAD)) {
+        bool frame = line->chip == 0;
         more -= more > 0;
-        bool frame = session->line.chip == 0;
         MUST(dg_pulse(&bench->dg, &pulse), WRONG_VALUE);
-        line_pulse(&session->line, &pulse, frame && host->call_asked);
+        line_pulse(line, &pulse, frame && host->call_asked);
         host->call_asked &= !frame;
     }
-    if (!session || !session->line.settings.marked)
-        MUST(!dg_pulse(&bench->dg, &pulse), WRONG_VALUE);
 }
 
 /* At rest, rising, or anything. */
@@ -170,25 +172,29 @@ static void sample(struct bench *bench, uint16_t *counts, size_t size)
     }
 }
 
+/* Samples, or their loss, as far as pulses were given out; then pulses again. */
 static void take_samples(struct bench *bench, bool lost)
 {
     uint16_t counts[MOST_AT_ONCE];
     size_t size = input_u16(&bench->input) % MOST_AT_ONCE;
+    unsigned pulses = input_u8(&bench->input) % 64;
     struct session *session = present(bench);
 
-    if (size > bench->samples_left)
-        size = bench->samples_left;
+    size = size < bench->samples_left ? size : bench->samples_left;
     bench->samples_left -= size;
-    if (session)
-        ask_pulses(bench, session->line.size + size, 0);
-    if (!lost)
-        sample(bench, counts, size);
-    if (session)
-        line_add(&session->line, lost ? NULL : counts, size);
-    if (lost)
-        dg_lost(&bench->dg, (uint32_t)size);
-    else
-        dg_samples(&bench->dg, counts, size);
+    sample(bench, counts, size);
+    for (size_t done = 0, some; done < size; done += some) {
+        ask_pulses(bench, pulses);
+        some = size - done;
+        if (session && line_covered(&session->line) - session->line.size < some)
+            some = line_covered(&session->line) - session->line.size;
+        if (session)
+            line_add(&session->line, lost ? NULL : counts + done, some);
+        if (lost)
+            dg_lost(&bench->dg, (uint32_t)some);
+        else
+            dg_samples(&bench->dg, counts + done, some);
+    }
 }
 
 static void pass_time(struct bench *bench)
@@ -243,7 +249,7 @@ static void step(struct bench *bench)
         take_samples(bench, true);
         break;
     case 9:
-        ask_pulses(bench, 0, input_u8(input));
+        ask_pulses(bench, input_u8(input));
         pass_time(bench);
         break;
     case 10:

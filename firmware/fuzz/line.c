@@ -80,12 +80,12 @@ void line_pulse(struct line *line, const struct dg_pulse *pulse, bool call)
     }
 }
 
-bool line_has_pulses(const struct line *line, uint64_t samples)
+uint64_t line_covered(const struct line *line)
 {
     const struct settings *settings = &line->settings;
     wide next = frame_begin(line, line->frame) + settings_chip(settings, line->chip);
 
-    return !settings->marked || settings_sample(settings, next) >= samples;
+    return settings->marked ? settings_sample(settings, next) : UINT64_MAX;
 }
 
 uint64_t line_ahead(const struct line *line)

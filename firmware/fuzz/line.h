@@ -56,8 +56,8 @@ void line_add(struct line *line, const uint16_t *counts, size_t size);
 
 /* The next pulse. call: whether a roll call was asked for since the last frame's. */
 void line_pulse(struct line *line, const struct dg_pulse *pulse, bool call);
-/* Whether all pulses were given out that come before so many samples. */
-bool line_has_pulses(const struct line *line, uint64_t samples);
+/* So many samples come before what the next pulse announces. */
+uint64_t line_covered(const struct line *line);
 /* Frames by which pulses are ahead of the samples. */
 uint64_t line_ahead(const struct line *line);
 
