@@ -51,15 +51,15 @@ static struct tp_node_record record_of(struct input *input)
         .sign = flags & 1 ? 1 : -1,
         .bits = 8 + input_u8(input) % 3,
         .parity = flags >> 1 & 1,
-        .order = 1 + input_u16(input) % (flags & 0x40 ? 8 * ROW_OCTETS : 40),
+        .order = (uint16_t)(1 + input_u16(input) % (flags & 0x40 ? 8 * ROW_OCTETS : 40)),
         .chip_ns = 30000 + input_u16(input),
         .discipline = flags >> 2 & 1,
         .threshold = input_u8(input),
         .heartbeat = input_u8(input),
     };
 
-    record.node = 1 + input_u8(input) % record.nodes;
-    record.turn = record.heartbeat ? input_u8(input) % record.heartbeat : 0;
+    record.node = (uint16_t)(1 + input_u8(input) % record.nodes);
+    record.turn = (uint16_t)(record.heartbeat ? input_u8(input) % record.heartbeat : 0);
     if (flags & 8) {
         record.resync_chips = 1 + input_u16(input) % 500;
         record.guard_chips = 4 + input_u8(input) % 8;
