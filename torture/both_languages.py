@@ -56,12 +56,14 @@ def same_answers(replay: Path, plan: Plan) -> Outcome:
     rng = np.random.default_rng(plan.seed)
     batches, wrong, uncounted = (10 if plan.quick else 500), 0, 0
     for _ in range(batches):
-        # STOP comes in one go with the rest: the simulator never has to make a strange skin's frames
+        # STOP comes in one go with the rest: the simulator need not make a strange skin's frames
         data = b"".join(hostile_packet(rng) for _ in range(PACKETS)) + b"\0" + wrap(b"\x83\0\0")
         differ = compare(replayed(replay, [("r", data), SECOND, SEND]), simulated(data))
         wrong += differ[0]
         uncounted += differ[1]
-    return Outcome("packets, to the digitizers in C and Python", batches * PACKETS, wrong, uncounted)
+    return Outcome(
+        "packets, to the digitizers in C and Python", batches * PACKETS, wrong, uncounted
+    )
 
 
 def hostile_packet(rng: np.random.Generator) -> bytes:

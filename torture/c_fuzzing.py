@@ -14,8 +14,8 @@
 
 """Builds and runs the harnesses of firmware/fuzz, and tells what they found.
 
-With clang, libFuzzer looks for inputs that reach new code; without it, mutants of the kept cases are
-run, which finds much less.
+With clang, libFuzzer looks for inputs that reach new code; without it, mutants of the kept cases
+are run, which finds much less.
 """
 
 from __future__ import annotations
@@ -80,7 +80,11 @@ def fuzz(
     command = [str(program), f"-runs={count}", f"-seed={seed}"]
     with TemporaryDirectory() as new:
         if kind == "libfuzzer":
-            command += [f"-timeout={hang_s}", f"-max_total_time={seconds:.0f}", "-print_final_stats=1"]
+            command += [
+                f"-timeout={hang_s}",
+                f"-max_total_time={seconds:.0f}",
+                "-print_final_stats=1",
+            ]
             command += [f"-artifact_prefix={new}/", new]
         command.append(str(corpus))
         try:

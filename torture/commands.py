@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The firmware's core under hostile bytes: whatever a host sends, a memory holds or a pulse says."""
+"""The firmware under hostile bytes: whatever a host sends, a memory holds or a pulse says."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from pathlib import Path
 from .both_languages import same_answers, same_samples
 from .c_fuzzing import BUILD, CORPUS, Fuzzed, Kind, best_kind, build, fuzz, harnesses
 from .outcome import Outcome, Plan
+from .sync_storms import storms
 
 WHAT = {
     "framing": "bytes to the C packet reader, packets of its writer",
@@ -53,6 +54,7 @@ def run(plan: Plan) -> Iterator[Outcome]:
     replay = BUILD / "replay" / "replay"
     yield same_answers(replay, plan)
     yield same_samples(replay, plan)
+    yield from storms(plan)
 
 
 def fuzzed(program: Path, kind: Kind, plan: Plan) -> Outcome:
@@ -72,5 +74,6 @@ def outcome(what: str, kind: Kind, found: Fuzzed) -> Outcome:
         uncounted_losses=int(found.fault == "uncounted loss"),
         crashes=int(found.fault == "crash"),
         hangs=int(found.fault == "hang"),
-        said=found.said or ("libFuzzer" if kind == "libfuzzer" else "no clang: mutants of kept cases"),
+        said=found.said
+        or ("libFuzzer" if kind == "libfuzzer" else "no clang: mutants of kept cases"),
     )

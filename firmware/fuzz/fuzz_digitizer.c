@@ -24,9 +24,9 @@
 #include "line.h"
 #include "must.h"
 
-#define MOST_SAMPLES 40000 /* of an input */
+#define MOST_SAMPLES 12000 /* of an input */
 #define MOST_SESSIONS 16
-#define MOST_AT_ONCE 2048
+#define MOST_AT_ONCE 1024
 
 static const struct dg_board boards[] = {
     {"rp2040", 48, 96, 65536, 0x1p-10f, 2048, 0, 4095},

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The C core under any input: what was found once stays mended, and the harnesses do find faults."""
+"""The C core under any input: what was found stays mended, and the harnesses do find faults."""
 
 from __future__ import annotations
 
