@@ -77,14 +77,10 @@ def fuzz(
 
     An input that takes hang_s is a hang.
     """
-    command = [str(program), f"-runs={count}", f"-seed={seed}"]
+    command = [str(program), f"-runs={count}", f"-seed={seed}", f"-max_total_time={seconds:.0f}"]
     with TemporaryDirectory() as new:
         if kind == "libfuzzer":
-            command += [
-                f"-timeout={hang_s}",
-                f"-max_total_time={seconds:.0f}",
-                "-print_final_stats=1",
-            ]
+            command += [f"-timeout={hang_s}", "-print_final_stats=1"]
             command += [f"-artifact_prefix={new}/", new]
         command.append(str(corpus))
         try:

@@ -39,9 +39,9 @@ COUNTS = {  # inputs, quick and full; about 2 s of one core, and 40 s
     "node": (20_000, 1_000_000),
     "board": (2_000, 150_000),
 }
-MOST_S = (2, 45)
+MOST_S = (2, 40)
 """What a harness takes at most, on a busy machine: then it has run fewer inputs."""
-HANG_S = (10, 30)
+HANG_S = (20, 30)
 
 
 def run(plan: Plan) -> Iterator[Outcome]:

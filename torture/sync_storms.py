@@ -40,7 +40,7 @@ PERIOD_NS = round(SPEC.frame_period_s * 1e9)
 CHIP_NS = round(SPEC.chip_s * 1e9)
 UNIT_NS, LEAD_NS = SYNC_UNIT_US * 1000, SYNC_LEAD * SYNC_UNIT_US * 1000
 RECOVERY = 32
-"""Frames after a storm: a node may have to start anew, which takes 70 ms, or to hear a roll call."""
+"""Frames after a storm: a node may have to start anew, which takes 70 ms, or to sit out a call."""
 JUDGED = 2
 """The last of them must be right."""
 VREF_V = 3.3
@@ -64,7 +64,7 @@ def node_of(mcu: str, memory: bytes) -> Node:
 def storms_at(node: Node, plan: Plan) -> Outcome:
     """Storms of up to 60 ms at one node, which must say its word NODE after each."""
     rng = np.random.default_rng(plan.seed)
-    count, wrong, hangs, now_ns = (10 if plan.quick else 1000), 0, 0, 100_000_000
+    count, wrong, hangs, now_ns = (10 if plan.quick else 400), 0, 0, 100_000_000
     with EmulatedNodes([node]) as skin:
         for _ in range(count):
             code = int(rng.integers(1, 2**SPEC.bits - 1))

@@ -18,12 +18,11 @@ SEED ?= 1
 .PHONY: fuzz fuzz-libfuzzer fuzz-standalone
 fuzz: fuzz-$(FUZZ_KIND)
 	@set -e; for name in $(FUZZ_NAMES); do \
-	    mkdir -p $(FUZZ_OUT)/found/$$name; \
-	    echo "$$name:"; \
+	    echo "$$name: $(COUNT) inputs"; mkdir -p $(FUZZ_OUT)/corpus/$$name; \
 	    $(FUZZ_OUT)/$(FUZZ_KIND)/$$name -runs=$(COUNT) -seed=$(SEED) $(FUZZ_OPTIONS_$(FUZZ_KIND)) \
-	        $(FUZZ_CORPUS)/firmware_$$name; \
+	        $(FUZZ_OUT)/corpus/$$name $(FUZZ_CORPUS)/firmware_$$name; \
 	done
-FUZZ_OPTIONS_libfuzzer = -artifact_prefix=$(FUZZ_OUT)/found/$$name/ -verbosity=0 -print_final_stats=1
+FUZZ_OPTIONS_libfuzzer = -artifact_prefix=$(FUZZ_OUT)/found-$$name- -verbosity=0
 
 # What is built: kind; compiler and its option for objects; what is linked besides
 define fuzz_kind

@@ -14,9 +14,9 @@
 
 /* Runs a harness where there is no libFuzzer:
  *
- *     HARNESS [-runs=N] [-seed=N] FILE-OR-FOLDER …
+ *     HARNESS [-runs=N] [-seed=N] [-max_total_time=S] FILE-OR-FOLDER …
  *
- * The files, then N mutants of them. It knows nothing of coverage: it shows that what was found once
+ * The files, then N mutants of them, as many as S seconds allow. It knows nothing of coverage: it shows that what was found once
  * stays mended, and little more. */
 #include <dirent.h>
 #include <stdint.h>
@@ -24,6 +24,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
+#include <time.h>
 
 #define MOST 4096 /* bytes of an input */
 
@@ -147,13 +148,16 @@ int main(int argc, char **argv)
 {
     struct corpus corpus = {0};
     static struct file mutant;
-    unsigned long runs = 0;
+    unsigned long runs = 0, done = 0;
+    time_t begin = time(NULL), most_s = 0;
 
     for (int i = 1; i < argc; i++) {
         if (!strncmp(argv[i], "-runs=", 6))
             runs = strtoul(argv[i] + 6, NULL, 10);
         else if (!strncmp(argv[i], "-seed=", 6))
             seed = strtoul(argv[i] + 6, NULL, 10);
+        else if (!strncmp(argv[i], "-max_total_time=", 16))
+            most_s = strtol(argv[i] + 16, NULL, 10);
         else
             add(&corpus, argv[i]);
     }
@@ -161,13 +165,13 @@ int main(int argc, char **argv)
         fail("no input", argc > 1 ? argv[argc - 1] : "");
     for (size_t i = 0; i < corpus.size; i++)
         run(&corpus.files[i]);
-    for (unsigned long i = 0; i < runs; i++) {
+    for (; done < runs && (!most_s || time(NULL) - begin < most_s); done++) {
         mutant = corpus.files[random_number(corpus.size)];
         for (uint64_t changes = 1 + random_number(6); changes; changes--)
             mutate(&mutant, &corpus);
         run(&mutant);
     }
-    printf("%lu inputs\n", (unsigned long)corpus.size + runs);
+    printf("%lu inputs\n", (unsigned long)corpus.size + done);
     free(corpus.files);
     return 0;
 }
