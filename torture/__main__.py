@@ -39,6 +39,7 @@ CAMPAIGNS = {  # name: seconds after which it hangs, quick and full; the longest
     "line": (45, 900),
     "signals": (45, 900),
     "hostile": (45, 900),
+    "commands": (45, 900),
 }
 WIDTH = 58
 

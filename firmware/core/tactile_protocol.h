@@ -262,7 +262,7 @@ struct __attribute__((packed)) tp_status {
     uint32_t samples_lost; /* samples that overruns cost since power-up */
     uint32_t packets_dropped; /* packets numbered but never sent since power-up */
     uint32_t commands_refused; /* acknowledged with another result than OK */
-    uint32_t command_errors; /* packets from the host that were broken: no COBS, wrong CRC, too long */
+    uint32_t command_errors; /* packets from the host that were broken (no COBS, wrong CRC, too long), or no commands, as from a line that echoes */
     uint32_t sync_faults; /* sync edges that came late or not at all */
     uint8_t streaming; /* between START and STOP */
 };

@@ -98,6 +98,8 @@ size_t board_read(struct virtual_board *board, uint8_t *bytes, size_t size)
 {
     if (size > board->received_size)
         size = board->received_size;
+    if (!size)
+        return 0; /* there may be no memory to copy from, either */
     memcpy(bytes, board->received, size);
     board->received_size -= size;
     memmove(board->received, board->received + size, board->received_size);
@@ -140,10 +142,10 @@ static void take_samples(struct virtual_board *board)
         double first_ns = stream_ns(board, board->taken * ticks + ticks / 2);
         double step_ns = ticks * board->tick_ns;
         double due = ceil(((double)board->now_ns - first_ns) / step_ns);
-        size_t size = due < BLOCK ? (size_t)due : BLOCK;
 
         if (due <= 0)
             return;
+        size_t size = due < BLOCK ? (size_t)due : BLOCK;
         skin_volts(board->skin, first_ns, step_ns, volts, size);
         for (size_t i = 0; i < size; i++) {
             double count = volts[i] / FULL_SCALE_V * COUNTS;

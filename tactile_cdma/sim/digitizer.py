@@ -170,7 +170,7 @@ class VirtualDigitizer:
         self.setup = self.options.setup()
         self.packets_dropped = self.samples_lost = 0
         self._roll_calls = RollCalls()
-        self.commands_refused = 0
+        self.commands_refused = self._commands = 0
         self._clock, self._host_s = clock, clock()
         self._now_s = self._due_s = self._report_s = 0.0
         self._parser, self._writer = PacketParser(), PacketWriter()
@@ -197,6 +197,7 @@ class VirtualDigitizer:
         """Obey the commands that these bytes complete, and answer them."""
         self.advance(0)  # what was due before comes first
         for packet in self._parser.feed(data):
+            self._commands += isinstance(packet, Command | Rejected)
             if isinstance(packet, Command):
                 self._obey(packet)
             elif isinstance(packet, Rejected):
@@ -263,7 +264,8 @@ class VirtualDigitizer:
     @property
     def _command_errors(self) -> int:
         seen = self._parser.counters
-        return seen.framing_errors + seen.crc_errors + seen.resyncs
+        broken = seen.framing_errors + seen.crc_errors + seen.resyncs
+        return broken + seen.packets - self._commands  # an echo of its own, for one
 
     @property
     def _hurried(self) -> bool:

@@ -348,6 +348,12 @@ def test_broken_commands_are_counted_and_not_answered() -> None:
     assert bench.run(1.1, 0.1)[-1].command_errors == 3
 
 
+def test_its_own_packets_coming_back_are_counted_as_the_firmware_does() -> None:
+    bench = Bench()
+    bench.digitizer.receive(PacketWriter().encode(Status(0)) + wrap(b"\x82") + wrap(b"\x7f\0\0"))
+    assert bench.run(1.1, 0.1)[-1].command_errors == 3
+
+
 def test_reports_come_every_second() -> None:
     bench = Bench()
     packets = bench.run(5.05, 0.05)

@@ -1,0 +1,134 @@
+// Copyright 2026 tactile_cdma maintainers
+//
+// Licensed under the Apache License, Version 2.0 (the "License");
+// you may not use this file except in compliance with the License.
+// You may obtain a copy of the License at
+//
+//     http://www.apache.org/licenses/LICENSE-2.0
+//
+// Unless required by applicable law or agreed to in writing, software
+// distributed under the License is distributed on an "AS IS" BASIS,
+// WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+// See the License for the specific language governing permissions and
+// limitations under the License.
+
+/* The emulated skin's digitizer, with nobody on its line: bytes of a host that come, and are read, at
+ * any time, over a link of any speed. */
+#include "virtual_board.h"
+
+#include "commands.h"
+#include "digitizer.h"
+#include "host.h"
+#include "input.h"
+#include "must.h"
+
+#define MOST_NS 60000000 /* of an input */
+#define REST_V 1.65
+
+static const struct dg_board as_emulated = {
+    .ticks_per_us = 48,
+    .min_ticks = 96,
+    .max_ticks = 65536,
+    .volts_per_count = (float)(3.3 / 4096),
+    .zero_count = 2048,
+    .max_count = 4095,
+};
+
+struct bench {
+    struct input input;
+    struct virtual_board *board;
+    struct host host;
+    int64_t now_ns;
+    uint64_t next;    /* index of the sample after the last one heard of */
+    uint32_t missing; /* packets, then */
+};
+
+/* A line at rest, of which nothing is lost but what was dropped. */
+static void hear_samples(void *context, const struct line_packet *packet, uint64_t place)
+{
+    struct bench *bench = context;
+    bool dropped = bench->host.missing != bench->missing;
+
+    (void)place;
+    MUST(packet->first == bench->next || packet->first == 0 || dropped, UNCOUNTED_LOSS);
+    MUST(!(packet->flags & TP_FLAG_OVERRUN), UNCOUNTED_LOSS);
+    for (uint32_t i = 0; packet->words && i < packet->count; i++) {
+        uint16_t sent;
+        memcpy(&sent, packet->words + 2 * i, sizeof sent);
+        sent ^= TP_SAMPLE_XOR;
+        MUST(sent == 2048 || sent == 8 * 2048, WRONG_VALUE);
+    }
+    bench->next = packet->first + packet->count;
+    bench->missing = bench->host.missing;
+}
+
+static void listen(struct bench *bench)
+{
+    uint8_t bytes[4096];
+    size_t size;
+
+    while ((size = board_read(bench->board, bytes, sizeof bytes)) != 0)
+        host_hears(&bench->host, bytes, size);
+}
+
+static void write(struct bench *bench, const uint8_t *bytes, size_t size)
+{
+    host_sends(&bench->host, bytes, size);
+    board_write(bench->board, bytes, size);
+}
+
+static void run(struct bench *bench, int64_t ns)
+{
+    bench->now_ns += ns;
+    board_run(bench->board, bench->now_ns);
+}
+
+static void step(struct bench *bench)
+{
+    uint8_t wire[COMMANDS_MAX];
+    const uint8_t *bytes;
+    size_t size;
+
+    switch (input_u8(&bench->input) % 5) {
+    case 0:
+        size = input_bytes(&bench->input, &bytes, input_u8(&bench->input));
+        write(bench, bytes, size);
+        break;
+    case 1:
+        write(bench, wire, commands_any(&bench->input, wire));
+        break;
+    case 2:
+        size = commands_configure(&bench->input, &as_emulated, wire);
+        size += commands_plain(&bench->input, TP_START, wire + size);
+        write(bench, wire, size);
+        break;
+    case 3:
+        run(bench, input_u16(&bench->input) * 200);
+        break;
+    case 4:
+        listen(bench);
+        break;
+    }
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
+{
+    static struct bench bench;
+    struct amplifier amplifier = {.offset_v = REST_V, .polarity = 1, .high_v = 3.3};
+    struct skin *skin = skin_create(&amplifier);
+
+    memset(&bench, 0, sizeof bench);
+    bench.input = (struct input){bytes, size};
+    uint32_t rate = input_u16(&bench.input) * 64u;
+    bench.board = board_create(skin, REST_V, (input_u8(&bench.input) - 128) * 1e-4, rate);
+    host_init(&bench.host, &as_emulated);
+    bench.host.samples = hear_samples;
+    bench.host.context = &bench;
+    while (bench.input.left && bench.now_ns < MOST_NS)
+        step(&bench);
+    listen(&bench);
+    host_free(&bench.host);
+    board_free(bench.board);
+    skin_free(skin);
+    return 0;
+}

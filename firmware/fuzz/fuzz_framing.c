@@ -1,0 +1,121 @@
+// Copyright 2026 tactile_cdma maintainers
+//
+// Licensed under the Apache License, Version 2.0 (the "License");
+// you may not use this file except in compliance with the License.
+// You may obtain a copy of the License at
+//
+//     http://www.apache.org/licenses/LICENSE-2.0
+//
+// Unless required by applicable law or agreed to in writing, software
+// distributed under the License is distributed on an "AS IS" BASIS,
+// WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+// See the License for the specific language governing permissions and
+// limitations under the License.
+
+/* Bytes as they come, through the core's reader and through a plain one; and packets of any size from
+ * the core's writer, wherever its ring ends. */
+#include "framing.h"
+#include "input.h"
+#include "must.h"
+#include "packet.h"
+
+#define MOST_ROOM 3000
+
+/* What the core finds in bytes must be what is there. */
+static void read(const uint8_t *bytes, size_t size)
+{
+    static uint8_t body[FRAMING_MAX_RUN];
+    struct packet_reader reader = {0};
+    uint32_t errors = 0;
+    size_t begin = 0;
+
+    for (size_t i = 0; i < size; i++) {
+        bool whole = packet_read(&reader, bytes[i]);
+        if (bytes[i]) {
+            MUST(!whole, WRONG_VALUE);
+            continue;
+        }
+        size_t body_size = framing_unwrap(bytes + begin, i - begin, body);
+        errors += !body_size && i > begin;
+        begin = i + 1;
+        MUST(whole == (body_size > 0), WRONG_VALUE);
+        MUST(reader.errors == errors, UNCOUNTED_LOSS);
+        if (!whole)
+            continue;
+        size_t kept = body_size - sizeof reader.header;
+        MUST(reader.payload_size == kept, WRONG_VALUE);
+        kept = kept < PACKET_KEPT ? kept : PACKET_KEPT;
+        MUST(!memcmp(&reader.header, body, sizeof reader.header), WRONG_VALUE);
+        MUST(!memcmp(reader.payload, body + sizeof reader.header, kept), WRONG_VALUE);
+    }
+}
+
+/* Takes all that lies in the ring; it must be this packet, or nothing if there is none. */
+static void take(struct packet_writer *writer, const uint8_t *wire, size_t size)
+{
+    const uint8_t *bytes;
+    size_t taken = 0;
+
+    for (size_t some; (some = packet_output(writer, &bytes)) != 0; taken += some) {
+        MUST(taken + some <= size && !memcmp(bytes, wire + taken, some), WRONG_VALUE);
+        packet_sent(writer, some);
+    }
+    MUST(taken == size, WRONG_VALUE);
+}
+
+/* Packets of the input through a ring of a size of its own. */
+static void write(struct input *input)
+{
+    static uint8_t wire[TP_MAX_PACKET], body[MOST_ROOM + 16];
+    size_t room = 16 + input_u16(input) % MOST_ROOM;
+    uint8_t *ring = malloc(room);
+    struct packet_writer writer;
+    struct tp_header header = {0, 0};
+    uint32_t dropped = 0;
+
+    packet_writer_init(&writer, ring, room);
+    take(&writer, (const uint8_t *)"", 1);
+    while (input->left) {
+        const uint8_t *payload;
+        size_t reserve = input_u8(input), piece = 1 + input_u8(input);
+        header.type = input_u8(input);
+        size_t size = input_bytes(input, &payload, input_u16(input) % (MOST_ROOM - 16));
+        bool fits = PACKET_MAX(size) + reserve <= room;
+        MUST(packet_open(&writer, header.type, size, reserve) == fits, UNCOUNTED_LOSS);
+        dropped += !fits;
+        if (fits) {
+            for (size_t i = 0; i < size; i += piece)
+                packet_put(&writer, payload + i, size - i < piece ? size - i : piece);
+            packet_close(&writer);
+            memcpy(body, &header, sizeof header);
+            memcpy(body + sizeof header, payload, size);
+            take(&writer, wire, framing_wrap(body, sizeof header + size, wire));
+        }
+        header.sequence++;
+    }
+    MUST(writer.dropped == dropped, UNCOUNTED_LOSS);
+    free(ring);
+}
+
+/* The input's first byte says what is done with the others. */
+int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
+{
+    static uint8_t wire[TP_MAX_PACKET], body[MOST_ROOM + 16];
+    struct input input = {bytes, size};
+
+    switch (input_u8(&input) % 3) {
+    case 0:
+        read(input.bytes, input.left);
+        break;
+    case 1:
+        size = input_bytes(&input, &bytes, MOST_ROOM);
+        memcpy(body, bytes, size);
+        size = framing_wrap(body, size, wire);
+        read(wire, size);
+        break;
+    case 2:
+        write(&input);
+        break;
+    }
+    return 0;
+}

@@ -1,0 +1,220 @@
+// Copyright 2026 tactile_cdma maintainers
+//
+// Licensed under the Apache License, Version 2.0 (the "License");
+// you may not use this file except in compliance with the License.
+// You may obtain a copy of the License at
+//
+//     http://www.apache.org/licenses/LICENSE-2.0
+//
+// Unless required by applicable law or agreed to in writing, software
+// distributed under the License is distributed on an "AS IS" BASIS,
+// WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+// See the License for the specific language governing permissions and
+// limitations under the License.
+
+/* A sensing node whose memory, sync pulses and readings are the input's: what it believes, what it
+ * says, and that it takes its turns. */
+#include <stdlib.h>
+
+#include "discipline.h"
+#include "event.h"
+#include "frame.h"
+#include "framing.h"
+#include "input.h"
+#include "must.h"
+#include "node_memory.h"
+#include "sequencer.h"
+#include "sync_pulse.h"
+
+#define MEMORY 1024 /* bytes of an ATmega328P's EEPROM; an ATtiny85 has fewer */
+#define ROW_OCTETS 121
+#define TICKS_PER_US 8
+#define UNIT_TICKS (TP_SYNC_UNIT_US * TICKS_PER_US)
+
+static const struct node_limits limits = {8 * ROW_OCTETS, 30000, 900, 96};
+static uint8_t memory[MEMORY];
+
+static uint8_t read_memory(uint16_t address)
+{
+    MUST(address < MEMORY, WRONG_VALUE);
+    return memory[address];
+}
+
+/* Of a node that can mostly do what it says. */
+static struct tp_node_record record_of(struct input *input)
+{
+    uint8_t flags = input_u8(input);
+    struct tp_node_record record = {
+        .magic = TP_NODE_MAGIC,
+        .version = TP_NODE_VERSION,
+        .nodes = 1 + input_u8(input) % 12,
+        .sign = flags & 1 ? 1 : -1,
+        .bits = 8 + input_u8(input) % 3,
+        .parity = flags >> 1 & 1,
+        .order = (uint16_t)(1 + input_u16(input) % (flags & 0x40 ? 8 * ROW_OCTETS : 40)),
+        .chip_ns = 30000 + input_u16(input),
+        .discipline = flags >> 2 & 1,
+        .threshold = input_u8(input),
+        .heartbeat = input_u8(input),
+    };
+
+    record.node = (uint16_t)(1 + input_u8(input) % record.nodes);
+    record.turn = (uint16_t)(record.heartbeat ? input_u8(input) % record.heartbeat : 0);
+    if (flags & 8) {
+        record.resync_chips = 1 + input_u16(input) % 500;
+        record.guard_chips = 4 + input_u8(input) % 8;
+    }
+    uint32_t chips = (record.bits + record.parity) * (uint32_t)record.order;
+    uint64_t span = frame_span(chips, record.resync_chips, record.guard_chips);
+    record.frame_period_us = (uint32_t)(span * record.chip_ns / 1000) + 965 + input_u16(input);
+    if (flags & 0x80) /* and anything in one place */
+        ((uint8_t *)&record)[input_u8(input) % sizeof record] = input_u8(input);
+    return record;
+}
+
+/* Any bytes, or a record and a row that fit their CRC. */
+static void write_memory(struct input *input)
+{
+    const uint8_t *bytes;
+
+    memset(memory, 0xFF, sizeof memory);
+    if (input_u8(input) % 8 == 0) {
+        size_t size = input_bytes(input, &bytes, MEMORY);
+        memcpy(memory, bytes, size);
+        return;
+    }
+    struct tp_node_record record = record_of(input);
+    size_t octets = (record.order + 7u) / 8, size = sizeof record + octets;
+    size = size < MEMORY - sizeof(uint32_t) ? size : MEMORY - sizeof(uint32_t);
+    memcpy(memory, &record, sizeof record);
+    octets = input_bytes(input, &bytes, octets < 8 ? octets : 8);
+    memcpy(memory + sizeof record, bytes, octets);
+    uint32_t crc = framing_crc(memory, size);
+    memcpy(memory + size, &crc, sizeof crc);
+}
+
+/* What a good memory must have. */
+static void check_record(const struct tp_node_record *record)
+{
+    size_t size = sizeof *record + (record->order + 7u) / 8;
+    uint64_t chips = (uint64_t)(record->bits + record->parity) * record->order;
+    uint64_t slots = record->resync_chips ? (chips - 1) / record->resync_chips : 0;
+    uint64_t used_ns = (chips + slots * record->guard_chips) * record->chip_ns;
+    uint32_t crc;
+
+    memcpy(&crc, memory + size, sizeof crc);
+    MUST(crc == framing_crc(memory, size), WRONG_VALUE);
+    MUST(record->order >= 1 && record->order <= limits.order, WRONG_VALUE);
+    MUST(record->bits >= 8 && record->bits <= 10 && record->node <= record->nodes, WRONG_VALUE);
+    MUST(used_ns + 964000 <= record->frame_period_us * 1000ull, WRONG_VALUE);
+}
+
+/* Every chip of a word, by the definition of a frame. */
+static void check_chips(const struct tp_node_record *record, const uint8_t *row, uint16_t code)
+{
+    struct sequencer sequencer;
+    uint32_t bits = record->bits + record->parity;
+    uint16_t word = code & (uint16_t)((1u << record->bits) - 1);
+
+    if (record->parity)
+        word = (uint16_t)(word << 1 | __builtin_parity(word));
+    sequencer_init(&sequencer, record, row);
+    sequencer_start(&sequencer, code);
+    for (uint32_t chip = 0, all = bits * record->order; chip < all; chip++) {
+        uint32_t place = chip % record->order;
+        bool one = word >> (bits - 1 - chip / record->order) & 1;
+        bool plus = row[place / 8] >> place % 8 & 1;
+        bool high = (one == plus) == (record->sign > 0);
+        bool guard = record->resync_chips && (chip + 1) % record->resync_chips == 0;
+        enum sequencer_next next = chip + 1 == all ? SEQUENCER_END
+                                   : guard         ? SEQUENCER_GUARD
+                                                   : SEQUENCER_CHIP;
+        MUST(sequencer_level(&sequencer) == high, WRONG_VALUE);
+        MUST(sequencer_step(&sequencer) == next, WRONG_VALUE);
+    }
+}
+
+static uint32_t apart(uint32_t a, uint32_t b)
+{
+    return a > b ? a - b : b - a;
+}
+
+/* Pulses at any distance: what is believed is within an eighth of a frame period, and chips are made
+ * of nothing else. */
+static void check_clock(struct discipline *clock, const struct tp_node_record *record, uint32_t ticks)
+{
+    uint32_t nominal = record->frame_period_us * TICKS_PER_US, before = clock->period;
+    bool believed = discipline_period(clock, ticks);
+    double chip = (double)record->chip_ns * TICKS_PER_US / 1000;
+    double clock_error = (double)clock->period / nominal;
+
+    MUST(clock->period == (believed ? ticks : before), WRONG_VALUE);
+    MUST(apart(clock->period, nominal) <= nominal / 8, WRONG_VALUE);
+    MUST(discipline_earliest(clock) <= clock->period, WRONG_VALUE);
+    double off = clock->chip_q16 - 65536 * chip * (record->discipline ? clock_error : 1);
+    MUST(-1 < off && off < 1, WRONG_VALUE);
+}
+
+static bool pressed(const struct event *event, uint16_t code)
+{
+    return apart(code, event->rest) > event->threshold ||
+           apart(code, event->last_sent) > event->threshold;
+}
+
+/* Frames with and without roll calls: the node speaks in its turn of a roll call and in no other, when
+ * it is pressed, and once in a heartbeat. */
+static void check_turns(struct input *input, const struct tp_node_record *record)
+{
+    struct discipline clock;
+    struct event event;
+    uint32_t call = record->nodes, waited = 0; /* frames since a call's first; since the heartbeat */
+    uint16_t rest = input_u16(input) % 1024;
+
+    discipline_init(&clock, record, TICKS_PER_US);
+    event_init(&event, record, rest);
+    while (input->left) {
+        uint8_t kind = input_u8(input);
+        uint16_t code = input_u16(input) % 1024;
+        bool begins = kind % 8 == 0, missed = kind % 8 == 1;
+        call = begins ? 0 : call < record->nodes ? call + 1 : call;
+        bool due = record->heartbeat && (waited == record->turn);
+        bool wanted = call < record->nodes ? call == record->node - 1u
+                                           : !record->threshold || pressed(&event, code) || due;
+        bool talks = begins ? event_talks_first(&event) : event_talks(&event, code);
+        MUST(talks == wanted, WRONG_VALUE);
+        event_frame(&event, begins, talks && !missed, code);
+        MUST(missed || !talks || event.last_sent == code, WRONG_VALUE);
+        waited = due ? (uint32_t)(record->turn - record->heartbeat + 1) : waited + 1;
+        uint32_t nominal = record->frame_period_us * TICKS_PER_US;
+        check_clock(&clock, record, kind & 0x80 ? input_u32(input) : nominal - nominal / 7 + code * 9u);
+    }
+}
+
+/* A pulse of any length says what its nearest length says, within half a unit, or nothing. */
+static void check_pulse(uint32_t ticks)
+{
+    uint8_t units = sync_pulse_units(ticks, UNIT_TICKS);
+
+    MUST(units <= TP_SYNC_CALL, WRONG_VALUE);
+    MUST(units == SYNC_PULSE_GLITCH || apart(ticks, units * UNIT_TICKS) <= UNIT_TICKS / 2, WRONG_VALUE);
+    for (uint32_t unit = 1; unit <= TP_SYNC_CALL; unit++)
+        MUST(units == unit || apart(ticks, unit * UNIT_TICKS) >= UNIT_TICKS / 2, WRONG_VALUE);
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
+{
+    struct input input = {bytes, size};
+    struct tp_node_record record;
+    uint8_t *row = malloc(ROW_OCTETS);
+
+    check_pulse(input_u32(&input) % (8 * UNIT_TICKS));
+    check_pulse(input_u32(&input));
+    write_memory(&input);
+    if (node_memory_load(&record, row, &limits, read_memory) == NODE_MEMORY_GOOD) {
+        check_record(&record);
+        check_chips(&record, row, input_u16(&input));
+        check_turns(&input, &record);
+    }
+    free(row);
+    return 0;
+}

@@ -1,0 +1,248 @@
+// Copyright 2026 tactile_cdma maintainers
+//
+// Licensed under the Apache License, Version 2.0 (the "License");
+// you may not use this file except in compliance with the License.
+// You may obtain a copy of the License at
+//
+//     http://www.apache.org/licenses/LICENSE-2.0
+//
+// Unless required by applicable law or agreed to in writing, software
+// distributed under the License is distributed on an "AS IS" BASIS,
+// WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+// See the License for the specific language governing permissions and
+// limitations under the License.
+
+#include "host.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+#include "must.h"
+#include "setup.h"
+
+#define COMMANDS 0x80
+
+void host_init(struct host *host, const struct dg_board *board)
+{
+    memset(host, 0, sizeof *host);
+    host->board = board;
+    settings_of(&host->settings, board, &setup_default);
+}
+
+void host_free(struct host *host)
+{
+    free(host->answers);
+}
+
+static void keep(struct host_run *run, uint8_t byte)
+{
+    if (run->size < sizeof run->bytes)
+        run->bytes[run->size] = byte;
+    run->size++;
+}
+
+/* What it sends */
+
+static enum tp_result configured(struct host *host, const uint8_t *payload)
+{
+    struct tp_configure asked;
+
+    memcpy(&asked, payload, sizeof asked);
+    enum tp_result result = settings_of(&host->settings, host->board, &asked);
+    if (result == TP_RESULT_OK) {
+        host->restarted |= host->running;
+        host->running = host->call_asked = false;
+    }
+    return result;
+}
+
+static enum tp_result done(struct host *host, uint8_t type, const uint8_t *payload, size_t size)
+{
+    if (type != TP_GET_INFO && type != TP_START && type != TP_STOP && type != TP_CONFIGURE &&
+        type != TP_ROLL_CALL)
+        return TP_RESULT_UNKNOWN_COMMAND;
+    if (size != (type == TP_CONFIGURE ? sizeof(struct tp_configure) : 0))
+        return TP_RESULT_BAD_LENGTH;
+    if (type == TP_CONFIGURE)
+        return configured(host, payload);
+    if (type == TP_ROLL_CALL) {
+        if (!host->running || !host->settings.marked || host->settings.asked.integrated)
+            return TP_RESULT_UNSUPPORTED;
+        host->call_asked = true;
+    } else if (type != TP_GET_INFO) {
+        host->restarted |= type == TP_START || host->running;
+        host->running = type == TP_START;
+        host->call_asked = false;
+    }
+    return TP_RESULT_OK;
+}
+
+static void command(struct host *host, const uint8_t *body, size_t size)
+{
+    struct tp_header header;
+    struct host_answer answer = {0};
+
+    memcpy(&header, body, sizeof header);
+    enum tp_result result = done(host, header.type, body + sizeof header, size - sizeof header);
+    answer.ack = (struct tp_ack){header.type, header.sequence, (uint8_t)result};
+    answer.settings = host->settings;
+    answer.info = header.type == TP_CONFIGURE
+                      ? result == TP_RESULT_OK || result == TP_RESULT_UNSUPPORTED
+                      : header.type == TP_GET_INFO && result == TP_RESULT_OK;
+    host->refused += result != TP_RESULT_OK;
+    host->answers = realloc(host->answers, (host->answers_size + 1) * sizeof answer);
+    host->answers[host->answers_size++] = answer;
+}
+
+void host_sends(struct host *host, const uint8_t *bytes, size_t size)
+{
+    static uint8_t body[FRAMING_MAX_RUN];
+
+    for (size_t i = 0; i < size; i++) {
+        if (bytes[i]) {
+            keep(&host->sent, bytes[i]);
+            continue;
+        }
+        size_t body_size = framing_unwrap(host->sent.bytes, host->sent.size, body);
+        if (body_size && body[0] >= COMMANDS)
+            command(host, body, body_size);
+        else
+            host->errors += host->sent.size > 0;
+        host->sent.size = 0;
+    }
+}
+
+/* What it hears */
+
+static void check_info(const struct host *host, const struct tp_info *info)
+{
+    const struct dg_board *board = host->board;
+    const struct settings *settings = &host->answers[host->answered - 1].settings;
+    int scale = settings->asked.integrated ? 8 : 1;
+
+    MUST(!memcmp(&info->frame, &settings->asked.frame, sizeof info->frame), WRONG_VALUE);
+    MUST(info->sync_mode == settings->asked.sync_mode, WRONG_VALUE);
+    MUST(info->integrated == settings->asked.integrated, WRONG_VALUE);
+    MUST(info->quiet_uv == settings->asked.quiet_uv, WRONG_VALUE);
+    MUST(info->volts_per_count * (float)scale == board->volts_per_count, WRONG_VALUE);
+    MUST(info->zero_count == board->zero_count * scale, WRONG_VALUE);
+    MUST(info->min_count == board->min_count * scale, WRONG_VALUE);
+    MUST(info->max_count == board->max_count * scale, WRONG_VALUE);
+}
+
+/* The answer that this is; those before it were dropped. */
+static void check_ack(struct host *host, const struct tp_ack *ack)
+{
+    while (host->answered < host->answers_size &&
+           memcmp(&host->answers[host->answered].ack, ack, sizeof *ack)) {
+        host->answered++;
+        host->unanswered++;
+    }
+    MUST(host->answered < host->answers_size, WRONG_VALUE);
+    MUST(host->unanswered <= host->missing, UNCOUNTED_LOSS);
+    host->info_due = host->answers[host->answered++].info;
+}
+
+static void check_samples(const struct host *host, const uint8_t *payload, size_t size)
+{
+    struct tp_samples head;
+
+    MUST(size > sizeof head && (size - sizeof head) % 2 == 0, WRONG_VALUE);
+    memcpy(&head, payload, sizeof head);
+    struct line_packet packet = {
+        .device_time_us = head.device_time_us,
+        .first = head.first_index,
+        .flags = head.flags,
+        .count = (uint32_t)(size - sizeof head) / 2,
+        .words = payload + sizeof head,
+    };
+    host->samples(host->context, &packet, host->packet_begin);
+}
+
+static void check_quiet(const struct host *host, const uint8_t *payload, size_t size)
+{
+    struct tp_quiet quiet;
+
+    MUST(size == sizeof quiet, WRONG_VALUE);
+    memcpy(&quiet, payload, sizeof quiet);
+    struct line_packet packet = {
+        .device_time_us = quiet.device_time_us,
+        .first = quiet.first_index,
+        .flags = quiet.flags,
+        .count = quiet.count,
+        .sum = quiet.sum,
+        .sum_of_squares = quiet.sum_of_squares,
+    };
+    host->samples(host->context, &packet, host->packet_begin);
+}
+
+static void packet(struct host *host, const uint8_t *body, size_t size)
+{
+    struct tp_header header;
+    struct tp_info info;
+    struct tp_ack ack;
+    const uint8_t *payload = body + sizeof header;
+
+    memcpy(&header, body, sizeof header);
+    size -= sizeof header;
+    uint16_t missing = (uint16_t)(header.sequence - host->sequence);
+    bool info_due = host->info_due && !missing;
+    host->missing += missing;
+    host->sequence = (uint16_t)(header.sequence + 1);
+    host->info_due = false;
+    MUST(!info_due || header.type == TP_INFO, WRONG_VALUE);
+    switch (header.type) {
+    case TP_INFO:
+        MUST(size == sizeof info, WRONG_VALUE);
+        memcpy(&info, payload, sizeof info);
+        if (info_due)
+            check_info(host, &info);
+        break;
+    case TP_ACK:
+        MUST(size == sizeof ack, WRONG_VALUE);
+        memcpy(&ack, payload, sizeof ack);
+        check_ack(host, &ack);
+        break;
+    case TP_STATUS:
+        MUST(size == sizeof host->status, WRONG_VALUE);
+        memcpy(&host->status, payload, sizeof host->status);
+        break;
+    case TP_SAMPLES:
+        check_samples(host, payload, size);
+        break;
+    default:
+        MUST(header.type == TP_QUIET, WRONG_VALUE);
+        check_quiet(host, payload, size);
+    }
+}
+
+void host_hears(struct host *host, const uint8_t *bytes, size_t size)
+{
+    static uint8_t body[FRAMING_MAX_RUN];
+
+    for (size_t i = 0; i < size; i++) {
+        host->heard_size++;
+        if (bytes[i]) {
+            keep(&host->heard, bytes[i]);
+            continue;
+        }
+        if (host->heard.size) {
+            size_t body_size = framing_unwrap(host->heard.bytes, host->heard.size, body);
+            MUST(body_size > 0, WRONG_VALUE);
+            packet(host, body, body_size);
+        }
+        host->heard.size = 0;
+        host->packet_begin = host->heard_size;
+    }
+}
+
+void host_check_end(const struct host *host)
+{
+    MUST(host->heard.size == 0, WRONG_VALUE);
+    size_t unanswered = host->unanswered + host->answers_size - host->answered;
+    MUST(unanswered <= host->missing, UNCOUNTED_LOSS);
+    MUST(host->status.packets_dropped == host->missing, UNCOUNTED_LOSS);
+    MUST(host->status.commands_refused == host->refused, UNCOUNTED_LOSS);
+    MUST(host->status.command_errors == host->errors, UNCOUNTED_LOSS);
+    MUST(host->status.streaming == host->running, WRONG_VALUE);
+}

@@ -1,0 +1,53 @@
+// Copyright 2026 tactile_cdma maintainers
+//
+// Licensed under the Apache License, Version 2.0 (the "License");
+// you may not use this file except in compliance with the License.
+// You may obtain a copy of the License at
+//
+//     http://www.apache.org/licenses/LICENSE-2.0
+//
+// Unless required by applicable law or agreed to in writing, software
+// distributed under the License is distributed on an "AS IS" BASIS,
+// WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+// See the License for the specific language governing permissions and
+// limitations under the License.
+
+/* What a CONFIGURE means by docs/protocol.md, in exact numbers of 128 bits. */
+#ifndef FUZZ_SETTINGS_H
+#define FUZZ_SETTINGS_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "board.h"
+#include "tactile_protocol.h"
+
+__extension__ typedef __int128 wide;
+
+struct settings {
+    struct tp_configure asked; /* as it holds: HEAR is DRIVE */
+    bool marked;
+    uint32_t ticks_per_us, ticks_per_sample;
+    uint32_t chips;      /* coded ones in a frame */
+    wide first_mark;     /* thousandths of a tick, as all that follows */
+    wide period, chip;
+    uint32_t quiet_counts;
+};
+
+/* What the digitizer has to answer. settings: what holds then, if that is OK. */
+enum tp_result settings_of(struct settings *settings, const struct dg_board *board,
+                           const struct tp_configure *asked);
+
+/* When a chip of a frame begins, after its mark. */
+wide settings_chip(const struct settings *settings, uint32_t chip);
+
+/* Number of the first sample that is taken at or after a time. */
+uint64_t settings_sample(const struct settings *settings, wide time);
+
+/* First sample of frame number `frame`. */
+uint64_t settings_mark(const struct settings *settings, uint64_t frame);
+
+/* A time in µs, to the nearest. */
+uint64_t settings_us(const struct settings *settings, wide time);
+
+#endif

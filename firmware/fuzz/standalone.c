@@ -1,0 +1,177 @@
+// Copyright 2026 tactile_cdma maintainers
+//
+// Licensed under the Apache License, Version 2.0 (the "License");
+// you may not use this file except in compliance with the License.
+// You may obtain a copy of the License at
+//
+//     http://www.apache.org/licenses/LICENSE-2.0
+//
+// Unless required by applicable law or agreed to in writing, software
+// distributed under the License is distributed on an "AS IS" BASIS,
+// WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+// See the License for the specific language governing permissions and
+// limitations under the License.
+
+/* Runs a harness where there is no libFuzzer:
+ *
+ *     HARNESS [-runs=N] [-seed=N] [-max_total_time=S] FILE-OR-FOLDER …
+ *
+ * The files, then N mutants of them, as many as S seconds allow. It knows nothing of coverage: it shows that what was found once
+ * stays mended, and little more. */
+#include <dirent.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <time.h>
+
+#define MOST 4096 /* bytes of an input */
+
+int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size);
+
+struct corpus {
+    struct file {
+        uint8_t bytes[MOST];
+        size_t size;
+    } *files;
+    size_t size;
+};
+
+static uint64_t seed = 1;
+
+/* SplitMix64 (Steele, Lea, Flood 2014) */
+static uint64_t random_number(uint64_t below)
+{
+    uint64_t z = seed += 0x9E3779B97F4A7C15u;
+
+    z = (z ^ z >> 30) * 0xBF58476D1CE4E5B9u;
+    z = (z ^ z >> 27) * 0x94D049BB133111EBu;
+    return (z ^ z >> 31) % below;
+}
+
+static void fail(const char *what, const char *path)
+{
+    fprintf(stderr, "fuzz: %s: %s\n", what, path);
+    exit(2);
+}
+
+static void add_file(struct corpus *corpus, const char *path)
+{
+    FILE *file = fopen(path, "rb");
+
+    if (!file)
+        fail("cannot read the input", path);
+    corpus->files = realloc(corpus->files, (corpus->size + 1) * sizeof *corpus->files);
+    struct file *new = &corpus->files[corpus->size++];
+    new->size = fread(new->bytes, 1, MOST, file);
+    fclose(file);
+}
+
+static void add(struct corpus *corpus, const char *path)
+{
+    struct dirent **entries;
+    char name[4096];
+    struct stat about;
+
+    if (stat(path, &about))
+        fail("cannot find the input", path);
+    if (!S_ISDIR(about.st_mode)) {
+        add_file(corpus, path);
+        return;
+    }
+    int count = scandir(path, &entries, NULL, alphasort);
+    for (int i = 0; i < count; i++) {
+        snprintf(name, sizeof name, "%s/%s", path, entries[i]->d_name);
+        if (entries[i]->d_name[0] != '.')
+            add_file(corpus, name);
+        free(entries[i]);
+    }
+    free(entries);
+}
+
+/* The bytes from `from` on are moved to `to`, within the file. */
+static void move(struct file *file, size_t from, size_t to)
+{
+    size_t size = file->size - from;
+
+    if (to + size > MOST)
+        size = MOST - to;
+    memmove(file->bytes + to, file->bytes + from, size);
+    file->size = to + size;
+}
+
+/* One thing is changed: a bit, a byte, some are cut out, put in, or taken from another file. */
+static void mutate(struct file *file, const struct corpus *corpus)
+{
+    size_t place = random_number(file->size + 1), size = 1 + random_number(8);
+    size_t left = file->size - place;
+    const struct file *other = &corpus->files[random_number(corpus->size)];
+
+    switch (random_number(5)) {
+    case 0:
+        if (left)
+            file->bytes[place] ^= (uint8_t)(1u << random_number(8));
+        break;
+    case 1:
+        if (left)
+            file->bytes[place] = (uint8_t)random_number(256);
+        break;
+    case 2:
+        move(file, place + (size < left ? size : left), place);
+        break;
+    case 3:
+        if (place + size <= MOST) {
+            move(file, place, place + size);
+            for (size_t i = 0; i < size; i++)
+                file->bytes[place + i] = (uint8_t)random_number(256);
+        }
+        break;
+    case 4:
+        size = other->size > place ? other->size - place : 0;
+        memcpy(file->bytes + place, other->bytes + place, size);
+        file->size = place + size;
+        break;
+    }
+}
+
+static void run(const struct file *file)
+{
+    uint8_t *bytes = malloc(file->size + !file->size); /* its ends are watched */
+
+    memcpy(bytes, file->bytes, file->size);
+    LLVMFuzzerTestOneInput(bytes, file->size);
+    free(bytes);
+}
+
+int main(int argc, char **argv)
+{
+    struct corpus corpus = {0};
+    static struct file mutant;
+    unsigned long runs = 0, done = 0;
+    time_t begin = time(NULL), most_s = 0;
+
+    for (int i = 1; i < argc; i++) {
+        if (!strncmp(argv[i], "-runs=", 6))
+            runs = strtoul(argv[i] + 6, NULL, 10);
+        else if (!strncmp(argv[i], "-seed=", 6))
+            seed = strtoul(argv[i] + 6, NULL, 10);
+        else if (!strncmp(argv[i], "-max_total_time=", 16))
+            most_s = strtol(argv[i] + 16, NULL, 10);
+        else
+            add(&corpus, argv[i]);
+    }
+    if (!corpus.size)
+        fail("no input", argc > 1 ? argv[argc - 1] : "");
+    for (size_t i = 0; i < corpus.size; i++)
+        run(&corpus.files[i]);
+    for (; done < runs && (!most_s || time(NULL) - begin < most_s); done++) {
+        mutant = corpus.files[random_number(corpus.size)];
+        for (uint64_t changes = 1 + random_number(6); changes; changes--)
+            mutate(&mutant, &corpus);
+        run(&mutant);
+    }
+    printf("%lu inputs\n", (unsigned long)corpus.size + done);
+    free(corpus.files);
+    return 0;
+}

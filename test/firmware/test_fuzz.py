@@ -1,0 +1,85 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The C core under any input: what was found stays mended, and the harnesses do find faults."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from conftest import CORE, FIRMWARE, SANITIZE, STRICT, need, run
+
+from torture.c_fuzzing import BUILD, CORPUS, build, fuzz, harnesses
+
+SECONDS, HANG_S = 20, 30
+DEFECTS = {  # file; what is there; what is there instead; what must be found
+    "a field is read from the wrong place": (
+        "packet.c",
+        "reader->payload[place - sizeof reader->header] = byte",
+        "reader->payload[place - 1] = byte",
+        "crash",
+    ),
+    "the end of a packet is off by one": (
+        "packet.c",
+        "reader->payload_size = reader->raw - sizeof reader->header",
+        "reader->payload_size = reader->raw",
+        "wrong value",
+    ),
+    "a wrong CRC is not counted": (
+        "packet.c",
+        "        reader->errors++;\n        return false;",
+        "        return false;",
+        "uncounted loss",
+    ),
+    "a loop without end": ("cobs.c", "            from++;\n", "", "hang"),
+}
+
+
+@pytest.mark.parametrize("name", harnesses())
+def test_kept_cases_and_mutants_of_them(name: str) -> None:
+    """By any compiler: where there is no clang, too."""
+    need("cc")
+    build("fuzz-standalone")
+    program, corpus = BUILD / "fuzz" / "standalone" / name, CORPUS / f"firmware_{name}"
+    found = fuzz(program, "standalone", corpus, 200, 1, SECONDS, HANG_S)
+    assert (found.fault, found.said) == ("", "")
+    assert found.inputs == 200 + len(list(corpus.iterdir()))
+
+
+@pytest.mark.parametrize("name", harnesses())
+def test_a_slice_of_what_libfuzzer_tries(name: str) -> None:
+    if shutil.which("clang") is None:
+        pytest.skip("no clang on this machine: the core is not fuzzed with libFuzzer")
+    build("fuzz-libfuzzer")
+    program, corpus = BUILD / "fuzz" / "libfuzzer" / name, CORPUS / f"firmware_{name}"
+    found = fuzz(program, "libfuzzer", corpus, 500, 1, SECONDS, HANG_S)
+    assert (found.fault, found.said) == ("", "")
+    assert found.inputs > 0
+
+
+@pytest.mark.parametrize("defect", DEFECTS)
+def test_a_planted_defect_is_found(defect: str, tmp_path: Path) -> None:
+    file, right, wrong, fault = DEFECTS[defect]
+    text = (CORE / file).read_text()
+    assert text.count(right) == 1
+    (tmp_path / file).write_text(text.replace(right, wrong))
+    sound = [CORE / name for name in ("packet.c", "cobs.c", "crc32.c") if name != file]
+    own = [FIRMWARE / "fuzz" / f"{name}.c" for name in ("fuzz_framing", "framing", "standalone")]
+    program = tmp_path / "framing"
+    sources = [*own, *sound, tmp_path / file]
+    run(need("cc"), *STRICT, "-I", FIRMWARE / "fuzz", "-g", *SANITIZE, *sources, "-o", program)
+    found = fuzz(program, "standalone", CORPUS / "firmware_framing", 1000, 1, 2, 2)
+    assert found.fault == fault, found.said
