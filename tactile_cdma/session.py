@@ -125,10 +125,9 @@ class Session:
 
     def _note(self, pipeline: Pipeline, now_s: float) -> None:
         """How far it is, for what comes of it."""
-        counters = pipeline.parser.counters
-        counters = pipeline.counters
+        counters, seen = pipeline.counters, pipeline.parser.counters
         self._frames, self._impossible = counters.frames, counters.implausible_packets
-        self._bytes, self._packets = counters.bytes, counters.packets
+        self._bytes, self._packets = seen.bytes, seen.packets
         self._deadline = self._due_s(pipeline, now_s)
 
     def _due_s(self, pipeline: Pipeline, now_s: float) -> float:
