@@ -42,6 +42,13 @@ FEW_SHARE = 0.25
 """Where fewer nodes stand out, the others are left out of all that is done per node."""
 DOUBLE_SHARE = 1.6
 """A level above this share of a node's amplitude is that of two nodes."""
+LOUD_SHARE = 1.25
+"""Words above this share of a node's amplitude may be those of more than one."""
+CLEAR_RHO = 8.0
+"""Words that stand so far out of the noise have no levels of two nodes by chance."""
+DISTURBED, MOST_ODD = 2.0, 0.25
+"""A bit is flagged below so many times what the levels of that bit are off, of all nodes but so
+many: these may be broken."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,9 +61,9 @@ class Words:
     rho: (n,) float32, amplitude over the noise of one correlation (√N·a/σ in the signal model).
     margin: (n,) float32, |r| of the word's weakest bit over its amplitude.
     doubtful: (n,) bool, active words whose decision was close in at least one bit, or whose parity
-        had to be mended.
-    doubled: (n,) bool, words in which some bits cancel and others have twice the amplitude: two
-        nodes speak on one row.
+        had to be mended, or that are too loud for one node.
+    doubled: (n,) bool, words of which some bits have the level of two nodes or more, and others a
+        much smaller one: more than one node speaks on their row.
     noise_rms_v: σ, noise of one chip sample, V; NaN if unknown.
     """
 
@@ -135,7 +142,7 @@ def decode(
         ).among(some, spec.nodes)
     else:
         read = _read(values, level, amplitude, rho, expected, spec.sign_mask, spec)
-    doubtful = read.doubtful & active
+    doubtful = (read.doubtful | _disturbed(level, amplitude, active, read.margin)) & active
     for node in levels.unresolved:
         doubtful[node] = active[node]
     return Words(
@@ -188,10 +195,38 @@ def _read(
         codes = (codes ^ turn * odd) >> 1
         doubtful |= odd
     doubled = np.zeros_like(doubtful)
-    if doubtful.any():
+    loud = amplitude > np.float32(LOUD_SHARE) * expected
+    if doubtful.any() or loud.any():
+        strongest, two = level.max(axis=0), np.float32(DOUBLE_SHARE) * expected
         cancelling = doubtful & (weakest < np.float32(LOW_MARGIN) * expected)
-        doubled = cancelling & (level.max(axis=0) > np.float32(DOUBLE_SHARE) * expected)
+        three = loud & (rho > CLEAR_RHO) & (weakest < np.float32(0.5) * strongest)
+        doubled = (cancelling | three) & (strongest > two)
+        doubtful |= doubled | (amplitude > two)
     return _Read(codes, margin, doubtful, doubled)
+
+
+def _disturbed(
+    level: NDArray[np.float32],
+    amplitude: NDArray[np.float32],
+    active: NDArray[np.bool_],
+    margin: NDArray[np.float32],
+) -> NDArray[np.bool_]:
+    """Words with a bit that may be wrong by what has hit all nodes in it, (n,).
+
+    A spike or a dip within one bit moves the levels of all nodes there, by about as much, and noise
+    that is estimated from whole frames hardly shows it.
+    """
+    bits, nodes = level.shape
+    nobody = np.zeros(nodes, dtype=bool)
+    least = (margin * amplitude).min(initial=np.inf, where=active)
+    meant = amplitude * active
+    # All that levels are off may be off in one bit.
+    off_power = float(np.einsum("kn,kn->", level, level)) - bits * float(meant @ meant)
+    if nodes <= 2 or least**2 * nodes > DISTURBED**2 * off_power:
+        return nobody
+    off, rank = np.abs(level - meant), round((1 - MOST_ODD) * (nodes - 1))
+    usual = np.partition(off, rank, axis=1)[:, rank]
+    return (level < np.float32(DISTURBED) * usual[:, None]).any(axis=0)
 
 
 @cache

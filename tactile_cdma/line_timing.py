@@ -26,6 +26,7 @@ from ._protocol import TAIL_CHIPS
 from .errors import SpecError
 from .fit import (
     MAX_SPREAD,
+    ODD_SHARE,
     ChipEdges,
     Fit,
     Floats,
@@ -40,7 +41,7 @@ from .fit import (
 )
 from .frame import BIPOLAR, MAX_STRETCH, UNIPOLAR, FrameSpec
 from .separate import NodeLevels, node_levels
-from .timing import FrameLevels, QuietBlock, SampleBlock, Timing
+from .timing import MOST_CLIPPED, FrameLevels, QuietBlock, SampleBlock, Timing
 from .transform import correlate
 
 CHIP_ERROR = 2e-3
@@ -61,6 +62,8 @@ MOST_RISE = 4.0
 """By how much noise may rise from one gap to the next."""
 GAP_WEIGHT = 0.25
 """Of the newest gap in the noise that is expected of the next frame."""
+PROVEN = 30
+"""After so many frames in a row that end in silence their length is known to be right."""
 
 
 @dataclass(slots=True)
@@ -114,6 +117,7 @@ class LineTiming(Timing):
         self._restarted = self._nominal_fit
         self._restart_uses = 0
         self._chip = self._nominal
+        self._silent_ends = 0  # in a row, until proven
 
     def feed(self, block: SampleBlock) -> list[FrameLevels]:
         """Take samples in; return the frames that they complete."""
@@ -144,7 +148,10 @@ class LineTiming(Timing):
         if block.sync:
             frames += self._close()
             self._open(block.first_index)
-            frames += self._idle_frame(block.first_index, self._nominal_fit, block.variance_v2)
+            if self._clipped(np.array([block.mean_v])):
+                self._reject()
+            else:
+                frames += self._idle_frame(block.first_index, self._nominal_fit, block.variance_v2)
         elif self._gap_begin is not None:
             self._at_rest(block.mean_v, block.variance_v2)
         end = block.first_index + block.count
@@ -216,6 +223,9 @@ class LineTiming(Timing):
             return []
         # The energy gate: means of samples have no more power than the samples themselves.
         if power <= self._least_power:
+            if self._clipped(volts[:1]):  # and so are all
+                self._reject()
+                return []
             return self._idle_frame(start, self._nominal_fit, power)
         return self._loud_frame(start, end, volts, final)
 
@@ -353,9 +363,10 @@ class LineTiming(Timing):
         """Whether the line is at rest after the fitted end: the frame is neither longer nor other.
 
         This tells a stretched frame from a shorter fit of its words, and words of more bits than
-        specified. True where nothing was received after the end. A level of rest that is not known
-        yet is the frame's mean where row 0 is free, else it has to be 0, and seen: row 0 would
-        take any other for a node.
+        specified. Once frames are proven to be of this length, some nodes among many may be late.
+        True where nothing was received after the end. A level of rest that is not known yet is the
+        frame's mean where row 0 is free, else it has to be 0, and seen: row 0 would take any other
+        for a node.
         """
         end = fit.end(self.spec) + 0.5
         begin, stop = math.ceil(end + 0.25 * fit.chip), math.floor(end + TAIL_CHIPS * fit.chip)
@@ -373,7 +384,24 @@ class LineTiming(Timing):
             if abs(mean) > 0.4 * least + 4 * math.sqrt(noise * fit.chip / tail.size):
                 return False
         most = noise * fit.chip * (2 + 8 / math.sqrt(tail.size))  # the fewer the more by chance
-        return dot(tail, tail) / tail.size < (0.4 * least) ** 2 + most
+        left = dot(tail, tail) / tail.size
+        if self._centred and left > (0.4 * least) ** 2 + most:
+            tail = tail - self._baseline(line, fit, 0.5 * (begin + stop))
+            left = min(left, dot(tail, tail) / tail.size)
+        if left < (0.4 * least) ** 2 + most:
+            self._silent_ends += 1
+            return True
+        if self._silent_ends < PROVEN:
+            self._silent_ends = 0
+            return False
+        late = int(ODD_SHARE * (np.count_nonzero(amplitude) + 1))
+        return left < late * float(np.square(amplitude).max()) + most
+
+    def _baseline(self, line: Line, fit: Fit, at: float) -> float:
+        """What is under the words, hum for example, as the last bits tell: their means are it."""
+        bit = self.spec.order * fit.chip
+        before, last = line.means(fit.end(self.spec) + bit * np.arange(-2.0, 1.0))
+        return float(last + (last - before) * ((at - fit.end(self.spec)) / bit + 0.5))
 
     def _refined(self, line: Line, chip: float) -> Fit:
         """The frame refined around the first sample; as it was if that leads nowhere."""
@@ -433,6 +461,9 @@ class LineTiming(Timing):
         """The frame whose first sample this is. volts: as received."""
         self._chip = fit.chip
         clipped = self._clipped(volts[: round(fit.end(self.spec) + 0.5)])
+        if clipped > MOST_CLIPPED:
+            self._reject(start + volts.size)
+            return []
         begin = self._close_at(start, fit)
         return [self._heard(begin, fit.chip, levels, self._level_v, clipped)]
 

@@ -38,6 +38,8 @@ ABSURD_V = 1e6
 
 UNEVEN = 0.02
 """Spread of words in which another look at the chips is worth its while: ρ < 7."""
+MOST_CLIPPED = 0.5
+"""Of the samples of a frame: where more are at a rail, nobody can tell who was silent."""
 MIDDLE = 0.78
 """Share of a chip that is clear of edges up to 10 % of a chip off their ideal position."""
 

@@ -144,8 +144,9 @@ def late(most: float) -> Broken:
 def chips_late(turn: Turn) -> Iterator[Waveform]:
     """Its word, late by whole chips: with some orders that is another row."""
     chips = turn.chance.integers(1, turn.spec.order)
+    delay_s = chips * (turn.edges_s[-1] - turn.edges_s[0]) / turn.spec.span_chips
     for levels in turn.said(turn.heard):
-        yield np.concatenate((np.zeros(chips, "f4"), levels))[: levels.size], turn.edges_s
+        yield levels, turn.edges_s + delay_s
 
 
 def half_twice(turn: Turn) -> Iterator[Waveform]:

@@ -57,7 +57,8 @@ class Kind:
 
     nodes: what so many (`count`) nodes say instead of their words; with `victims` each disturbs one
     other in particular. line: what becomes of the line. length, pause: frames that it lasts, and
-    that follow in order. flagged: the nodes must be found out within `length` frames.
+    that follow in order. flagged: the nodes must be found out within `length` frames. range_v: of
+    the amplifier, 0: its default.
     """
 
     name: str
@@ -68,6 +69,7 @@ class Kind:
     length: int = 110
     pause: int = 40
     flagged: bool = True
+    range_v: float = 0.0
 
     def episode(self, number: int) -> int | None:
         """Which of its times the fault is there in a frame; None: it is not."""
@@ -92,9 +94,10 @@ class Skin:
         """The driver's; drift is not followed, so that a word has one pressure."""
         return SkinConfig.of({"drift_pa_per_min": 0.0, "stale_after_s": 1.0} | self.values)
 
-    def simulator(self, seed: int) -> SimOptions:
+    def simulator(self, seed: int, range_v: float) -> SimOptions:
         """The simulator's."""
-        return SimOptions(**({"speed": 0, "seed": seed, "heartbeat": 20} | self.options))  # type: ignore[arg-type]
+        always = {"speed": 0, "seed": seed, "heartbeat": 20, "rail": range_v}
+        return SimOptions(**(always | self.options))  # type: ignore[arg-type]
 
 
 @dataclass
@@ -198,7 +201,7 @@ class Trial:
         self.tally = Tally()
         self._pipeline = Pipeline(skin.config, background=False)
         self._oracle = Oracle()
-        options = skin.simulator(seed)
+        options = skin.simulator(seed, kind.range_v)
         self._digitizer = VirtualDigitizer(options, disturbance=self.faults)
         self._stuck = StuckNodes(skin.config.layout)
         self._complete: dict[int, bool] = {}  # number: whether it has all words of sound nodes
