@@ -46,9 +46,13 @@ LOUD_SHARE = 1.25
 """Words above this share of a node's amplitude may be those of more than one."""
 CLEAR_RHO = 8.0
 """Words that stand so far out of the noise have no levels of two nodes by chance."""
-DISTURBED, MOST_ODD = 2.0, 0.25
-"""A bit is flagged below so many times what the levels of that bit are off, of all nodes but so
-many: these may be broken."""
+OFF, HIT, MOST_ODD = 2.0, 3.5, 0.25
+"""A level is uncertain below OFF times what the levels of its bit are off, of all nodes but MOST_ODD,
+which may be broken; below HIT times that where it is twice that of most bits: something has hit
+this one, and that is not alike for all nodes."""
+UNLIKE, UNLIKE_OTHERS = 0.2, 4.0
+"""A level is uncertain, too, if it is off by more than this share of the word's amplitude, and by
+more than so many times what the levels of its bit are off: something else is on that row."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +146,7 @@ def decode(
         ).among(some, spec.nodes)
     else:
         read = _read(values, level, amplitude, rho, expected, spec.sign_mask, spec)
-    doubtful = (read.doubtful | _disturbed(level, amplitude, active, read.margin)) & active
+    doubtful = (read.doubtful | _disturbed(level, amplitude, active)) & active
     for node in levels.unresolved:
         doubtful[node] = active[node]
     return Words(
@@ -209,24 +213,24 @@ def _disturbed(
     level: NDArray[np.float32],
     amplitude: NDArray[np.float32],
     active: NDArray[np.bool_],
-    margin: NDArray[np.float32],
 ) -> NDArray[np.bool_]:
-    """Words with a bit that may be wrong by what has hit all nodes in it, (n,).
+    """Words with a bit that may be wrong by what has hit the line in it, (n,).
 
-    A spike or a dip within one bit moves the levels of all nodes there, by about as much, and noise
-    that is estimated from whole frames hardly shows it.
+    A spike or a dip within one bit moves the levels of all nodes there, by about as much, and a
+    jump that of some row, and noise that is estimated from whole frames hardly shows it.
     """
     bits, nodes = level.shape
-    nobody = np.zeros(nodes, dtype=bool)
-    least = (margin * amplitude).min(initial=np.inf, where=active)
-    meant = amplitude * active
-    # All that levels are off may be off in one bit.
-    off_power = float(np.einsum("kn,kn->", level, level)) - bits * float(meant @ meant)
-    if nodes <= 2 or least**2 * nodes > DISTURBED**2 * off_power:
-        return nobody
-    off, rank = np.abs(level - meant), round((1 - MOST_ODD) * (nodes - 1))
+    power = np.square(amplitude)
+    uneven = np.einsum("kn,kn->n", level, level) * np.float32(1 / bits) - power
+    # No single level of a word is off by more than its share of this.
+    if nodes <= 2 or not (active & (uneven > UNLIKE**2 * (bits - 1) / bits**2 * power)).any():
+        return np.zeros(nodes, dtype=bool)
+    off, rank = np.abs(level - amplitude * active), round((1 - MOST_ODD) * (nodes - 1))
     usual = np.partition(off, rank, axis=1)[:, rank]
-    return (level < np.float32(DISTURBED) * usual[:, None]).any(axis=0)
+    least = np.where(usual > 2 * np.median(usual), np.float32(HIT), np.float32(OFF)) * usual
+    most = np.maximum(UNLIKE * amplitude, UNLIKE_OTHERS * usual[:, None])
+    uncertain: NDArray[np.bool_] = ((level < least[:, None]) | (off > most)).any(axis=0)
+    return uncertain
 
 
 @cache

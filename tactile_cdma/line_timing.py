@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +65,18 @@ GAP_WEIGHT = 0.25
 """Of the newest gap in the noise that is expected of the next frame."""
 PROVEN = 30
 """After so many frames in a row that end in silence their length is known to be right."""
+
+
+class _End(IntEnum):
+    """What follows a frame: other chips, those of some late nodes, or silence.
+
+    LATE: among those who speak. MISLED: late words may appear as those of silent nodes.
+    """
+
+    OTHER = 0
+    MISLED = 1
+    LATE = 2
+    SILENCE = 3
 
 
 @dataclass(slots=True)
@@ -247,9 +260,9 @@ class LineTiming(Timing):
                 if self._more_needed(fit, end, volts.size, final):
                     return []
                 levels = node_levels(rows, self.spec)
-                if self._ends(line, fit, levels, amplitude):
+                if (after := self._after(line, fit, levels, amplitude)) != _End.OTHER:
                     carried.uses += 1
-                    return self._emit(start, fit, levels, volts)
+                    return self._emit(start, fit, levels, volts, after)
         return self._refined_frame(start, end, line, final)
 
     def _refined_frame(self, start: int, end: int, line: Line, final: bool) -> list[FrameLevels]:
@@ -264,11 +277,10 @@ class LineTiming(Timing):
             if found.believable and not self._silent(found.amplitude):
                 if self._more_needed(fit, end, volts.size, final):
                     return []
-                if fit.end(spec) - volts.size < 0.5 * chip and self._ends(
-                    line, fit, found.levels, found.amplitude
-                ):
+                after = self._after(line, fit, found.levels, found.amplitude)
+                if fit.end(spec) - volts.size < 0.5 * chip and after != _End.OTHER:
                     self._carried = _Carried(fit, ChipEdges(fit, spec, volts.size))
-                    return self._emit(start, fit, found.levels, volts + self._level_v)
+                    return self._emit(start, fit, found.levels, volts + self._level_v, after)
         if power <= 1.6 * self._noise:  # too weak to look for at other stretches
             return self._idle_frame(start, self._nominal_fit, power * self._nominal)
         # The tail shows the level, or that it has not changed: row 0 would take that for a word.
@@ -282,8 +294,9 @@ class LineTiming(Timing):
             found = self._attempt(line, fit, MAX_SPREAD, self._noise or None)
             if self._silent(found.amplitude):
                 return self._idle_frame(start, fit, power * self._nominal)
-            if found.believable and self._ends(line, fit, found.levels, found.amplitude):
-                return self._emit(start, fit, found.levels, volts + self._level_v)
+            after = self._after(line, fit, found.levels, found.amplitude)
+            if found.believable and after != _End.OTHER:
+                return self._emit(start, fit, found.levels, volts + self._level_v, after)
         self._reject(longest + math.ceil(self._nominal))
         return []
 
@@ -309,8 +322,9 @@ class LineTiming(Timing):
         if self._silent(found.amplitude):
             self._restart_uses = 0
             return self._idle_frame(start, fit, self._chip_power(line) * self._nominal)
-        if found.believable and self._ends(line, fit, found.levels, found.amplitude):
-            return self._emit(start, fit, found.levels, line.volts + self._level_v)
+        after = self._after(line, fit, found.levels, found.amplitude)
+        if found.believable and after != _End.OTHER:
+            return self._emit(start, fit, found.levels, line.volts + self._level_v, after)
         self._reject(start + self._nominal_size + math.ceil(self._nominal))
         return []
 
@@ -357,45 +371,48 @@ class LineTiming(Timing):
             return True
         return False
 
-    def _ends(
+    def _after(
         self, line: Line, fit: Fit, levels: NodeLevels, amplitude: NDArray[np.float32]
-    ) -> bool:
+    ) -> _End:
         """Whether the line is at rest after the fitted end: the frame is neither longer nor other.
 
         This tells a stretched frame from a shorter fit of its words, and words of more bits than
         specified. Once frames are proven to be of this length, some nodes among many may be late.
-        True where nothing was received after the end. A level of rest that is not known yet is the
-        frame's mean where row 0 is free, else it has to be 0, and seen: row 0 would take any other
-        for a node.
+        SILENCE where nothing was received after the end. A level of rest that is not known yet is
+        the frame's mean where row 0 is free, else it has to be 0, and seen: row 0 would take any
+        other for a node.
         """
         end = fit.end(self.spec) + 0.5
         begin, stop = math.ceil(end + 0.25 * fit.chip), math.floor(end + TAIL_CHIPS * fit.chip)
         tail = line.volts[begin:stop]
         if tail.size < 0.5 * fit.chip:
-            return self._level_known or self.spec.first_row > 0
+            return _End.SILENCE if self._level_known or self.spec.first_row > 0 else _End.OTHER
         noise = self._noise
         if not self._level_known:
             if self.spec.drive == UNIPOLAR:
-                return True
+                return _End.SILENCE
             noise = levels.noise_v**2 * self.spec.order
         least = float(amplitude[amplitude > 0].min(initial=np.inf))
         if self.spec.first_row == 0:
             mean = float(tail.sum()) / tail.size
             if abs(mean) > 0.4 * least + 4 * math.sqrt(noise * fit.chip / tail.size):
-                return False
+                return _End.OTHER
         most = noise * fit.chip * (2 + 8 / math.sqrt(tail.size))  # the fewer the more by chance
         left = dot(tail, tail) / tail.size
-        if self._centred and left > (0.4 * least) ** 2 + most:
+        if self._centred and left >= (0.4 * least) ** 2 + most:
             tail = tail - self._baseline(line, fit, 0.5 * (begin + stop))
             left = min(left, dot(tail, tail) / tail.size)
         if left < (0.4 * least) ** 2 + most:
             self._silent_ends += 1
-            return True
+            return _End.SILENCE
         if self._silent_ends < PROVEN:
             self._silent_ends = 0
-            return False
-        late = int(ODD_SHARE * (np.count_nonzero(amplitude) + 1))
-        return left < late * float(np.square(amplitude).max()) + most
+            return _End.OTHER
+        silent = int(np.count_nonzero(amplitude == 0))
+        late = int(ODD_SHARE * (amplitude.size - silent + 1))
+        if left >= late * float(np.square(amplitude).max()) + most:
+            return _End.OTHER
+        return _End.LATE if silent <= late else _End.MISLED
 
     def _baseline(self, line: Line, fit: Fit, at: float) -> float:
         """What is under the words, hum for example, as the last bits tell: their means are it."""
@@ -457,7 +474,14 @@ class LineTiming(Timing):
         strongest = float(amplitude.max())
         return strongest**2 <= max(self._least_power, 4 * self._noise / self.spec.order)
 
-    def _emit(self, start: int, fit: Fit, levels: NodeLevels, volts: Floats) -> list[FrameLevels]:
+    def _emit(
+        self,
+        start: int,
+        fit: Fit,
+        levels: NodeLevels,
+        volts: Floats,
+        after: _End = _End.SILENCE,
+    ) -> list[FrameLevels]:
         """The frame whose first sample this is. volts: as received."""
         self._chip = fit.chip
         clipped = self._clipped(volts[: round(fit.end(self.spec) + 0.5)])
@@ -465,7 +489,8 @@ class LineTiming(Timing):
             self._reject(start + volts.size)
             return []
         begin = self._close_at(start, fit)
-        return [self._heard(begin, fit.chip, levels, self._level_v, clipped)]
+        tied = after == _End.MISLED
+        return [self._heard(begin, fit.chip, levels, self._level_v, clipped, tied)]
 
     def _idle_frame(self, start: int, fit: Fit, sample_power: float) -> list[FrameLevels]:
         """A frame in which nobody spoke: what power it has is the noise of its samples."""

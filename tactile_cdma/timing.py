@@ -94,7 +94,8 @@ class FrameLevels:
     noise_rms_v: noise of one chip's level, V; NaN where unknown.
     offset_v: the line's level in silence, V.
     clipped: share of the frame's samples at a rail, 0…1.
-    tied: other words, some chips away, explain the samples as well: these are a guess.
+    tied: other words, some chips away, explain the samples as well, or a node was late, and may be
+        taken for another: these are a guess.
     """
 
     start: float
