@@ -63,6 +63,11 @@ MOST_RISE = 4.0
 """By how much noise may rise from one gap to the next."""
 GAP_WEIGHT = 0.25
 """Of the newest gap in the noise that is expected of the next frame."""
+SEARCH_PER_S = 2e6
+"""Chips that the search of all stretches looks at, for each second of frames: it takes up to 0.15 µs
+for each, and a line that is disturbed must not hold up the stream."""
+LARGEST_SEARCH = 1 << 21
+"""Chips that it looks at at most at once: frames too long for that end where the line is loud."""
 PROVEN = 30
 """After so many frames in a row that end in silence their length is known to be right."""
 
@@ -131,6 +136,7 @@ class LineTiming(Timing):
         self._restart_uses = 0
         self._chip = self._nominal
         self._silent_ends = 0  # in a row, until proven
+        self._search = float(LARGEST_SEARCH)  # chips that may be looked at
 
     def feed(self, block: SampleBlock) -> list[FrameLevels]:
         """Take samples in; return the frames that they complete."""
@@ -197,6 +203,8 @@ class LineTiming(Timing):
                 self._at_rest(mean, max(0.0, squares - count * mean**2) / (count - 1))
                 self._rest[:] = 0
         self._samples.drop(index)
+        earned = SEARCH_PER_S * self.spec.frame_period_s
+        self._search = min(self._search + earned, float(LARGEST_SEARCH))
         tail = 0 if self._integrated else math.ceil(TAIL_CHIPS * self._nominal)
         self._start, self._due = index, index + self._nominal_size + tail
 
@@ -290,6 +298,8 @@ class LineTiming(Timing):
             self._due = longest
             return []
         for stretched in (self._by_loud_end(line), self._all_stretches(line)):
+            if not stretched.size:
+                continue
             fit = self._refined(line, self._strongest(line, stretched))
             found = self._attempt(line, fit, MAX_SPREAD, self._noise or None)
             if self._silent(found.amplitude):
@@ -437,10 +447,14 @@ class LineTiming(Timing):
         return np.minimum(np.maximum(chip, self._nominal), longest)
 
     def _all_stretches(self, line: Line) -> Floats:
-        """All chip durations of frames that end within the samples."""
+        """All chip durations of frames that end within the samples; none if that is too much."""
         spec, step = self.spec, 0.5 / self.spec.chips
         chip: Floats = self._nominal * np.arange(1, 1 + MAX_STRETCH + step, step)
-        return chip[chip * spec.chips <= line.volts.size + self._nominal]
+        chip = chip[chip * spec.chips <= line.volts.size + self._nominal]
+        if chip.size * spec.chips > self._search:
+            return np.empty(0)
+        self._search -= chip.size * spec.chips
+        return chip
 
     def _strongest(self, line: Line, chip: Floats) -> float:
         """The chip duration that explains the most energy."""
