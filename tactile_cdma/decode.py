@@ -47,9 +47,9 @@ LOUD_SHARE = 1.25
 CLEAR_RHO = 8.0
 """Words that stand so far out of the noise have no levels of two nodes by chance."""
 OFF, HIT, MOST_ODD = 2.0, 3.5, 0.25
-"""A level is uncertain below OFF times what the levels of its bit are off, of all nodes but MOST_ODD,
-which may be broken; below HIT times that where it is twice that of most bits: something has hit
-this one, and that is not alike for all nodes."""
+"""A level is uncertain below OFF times what the levels of its bit are off, of all nodes but
+MOST_ODD, which may be broken; below HIT times that where it is twice that of most bits: something
+has hit this one, and that is not alike for all nodes."""
 UNLIKE, UNLIKE_OTHERS = 0.2, 4.0
 """A level is uncertain, too, if it is off by more than this share of the word's amplitude, and by
 more than so many times what the levels of its bit are off: something else is on that row."""

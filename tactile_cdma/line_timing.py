@@ -64,8 +64,8 @@ MOST_RISE = 4.0
 GAP_WEIGHT = 0.25
 """Of the newest gap in the noise that is expected of the next frame."""
 SEARCH_PER_S = 2e6
-"""Chips that the search of all stretches looks at, for each second of frames: it takes up to 0.15 µs
-for each, and a line that is disturbed must not hold up the stream."""
+"""Chips that the search of all stretches looks at, for each second of frames: each takes it up to
+0.15 µs, and a line that is disturbed must not hold up the stream."""
 LARGEST_SEARCH = 1 << 21
 """Chips that it looks at at most at once: frames too long for that end where the line is loud."""
 PROVEN = 30

@@ -17,7 +17,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,11 +90,16 @@ def wander(line: Stretch) -> Level:
     return _with(line, 10 * line.unit_v * np.sin(2 * np.pi * (line.t_s / 2 + line.life.random())))
 
 
-def jump(line: Stretch) -> Level:
-    """A baseline that jumps within a frame and creeps back within 30 ms."""
-    at_s, height = line.life.uniform(0, line.frame_s), 5 * line.unit_v * line.life.uniform(-1, 1)
-    since_s = line.t_s - at_s
-    return _with(line, np.where(since_s >= 0, height * np.exp(-np.maximum(since_s, 0) / 0.03), 0))
+def jump(nodes: float) -> Broken:
+    """A baseline that jumps by up to so many nodes within a frame and creeps back within 30 ms."""
+
+    def added(line: Stretch) -> Level:
+        at_s = line.life.uniform(0, line.frame_s)
+        height, since_s = nodes * line.unit_v * line.life.uniform(-1, 1), line.t_s - at_s
+        fading = np.exp(-np.maximum(since_s, 0) / 0.03)
+        return _with(line, np.where(since_s >= 0, height * fading, 0))
+
+    return added
 
 
 def hard_clipping(share: float) -> Broken:
@@ -107,7 +112,7 @@ def soft_clipping(share: float) -> Broken:
 
     def tired(line: Stretch) -> Level:
         limit_v = np.float32(share * line.peak_v)
-        return limit_v * np.tanh(line.volts / limit_v)
+        return np.asarray(limit_v * np.tanh(line.volts / limit_v), dtype=np.float32)
 
     return tired
 
@@ -159,6 +164,17 @@ def warming(line: Stretch) -> Level:
     """A gain and an offset that drift by 20 % and ten nodes within seconds."""
     course = np.sin(2 * np.pi * (line.t_s / 8 + line.life.random()))
     return (line.volts * (1 + 0.2 * course) + 10 * line.unit_v * course).astype(np.float32)
+
+
+def in_turn(*faults: Broken) -> Broken:
+    """One after the other, on the same line."""
+
+    def all_of_them(line: Stretch) -> Level:
+        for fault in faults:
+            line = replace(line, volts=fault(line))
+        return line.volts
+
+    return all_of_them
 
 
 def _with(line: Stretch, more: Floats) -> Level:

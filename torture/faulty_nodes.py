@@ -30,12 +30,16 @@ from tactile_cdma.sim.disturbance import Waveform
 Floats = NDArray[np.float64]
 Level = NDArray[np.float32]
 
+LONG_S = 1e3
+"""Period of frames that may be longer than they should be: what follows the true one is cut off."""
+
 
 @dataclass(frozen=True)
 class Turn:
     """What a node would say in one frame, and what chance has for it.
 
-    node, other: from 0 on, the latter a sound one. code: its word; None: it is silent. edges_s: (span_chips + 1,) of its chips.
+    node, other: from 0 on, the latter a sound one. code: its word; None: it is silent.
+    edges_s: (span_chips + 1,) of its chips.
     life: drawn once for each time that the node breaks; chance: anew in every frame.
     """
 
@@ -181,16 +185,19 @@ def louder(gain: float) -> Broken:
 
 def other_order(turn: Turn) -> Iterator[Waveform]:
     """Its word in the code book of the next order."""
-    return _of_another(turn, replace(turn.spec, order=smallest_order(turn.spec.order + 1), **LONG))
+    order = smallest_order(turn.spec.order + 1)
+    return _of_another(turn, replace(turn.spec, order=order, frame_period_s=LONG_S))
 
 
 def other_bits(turn: Turn) -> Iterator[Waveform]:
     """Its word with two bits more."""
-    return _of_another(turn, replace(turn.spec, bits=turn.spec.bits + 2, **LONG))
+    bits = turn.spec.bits + 2
+    return _of_another(turn, replace(turn.spec, bits=bits, frame_period_s=LONG_S))
 
 
-LONG = {"frame_period_s": 1e3, "resync_chips": 0, "guard_chips": 0}
-"""Longer frames may reach beyond the period: what follows is cut off."""
+def one_of(*faults: Broken) -> Broken:
+    """One of these, for as long as the node is broken."""
+    return lambda turn: faults[turn.life.integers(len(faults))](turn)
 
 
 def _of_another(turn: Turn, theirs: FrameSpec) -> Iterator[Waveform]:

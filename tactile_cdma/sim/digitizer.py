@@ -373,9 +373,7 @@ class VirtualDigitizer:
             case Start():
                 self._stop()
                 self._roll_calls = RollCalls()
-                self._stream = stream(
-                    self.options, self.setup, self._roll_calls, self._disturbance
-                )
+                self._stream = stream(self.options, self.setup, self._roll_calls, self._disturbance)
                 self.started_s = self._prepare_s = self._now_s
                 self._frames_lost, self._overrun = 0, False
                 self._truth = None
@@ -456,6 +454,6 @@ def _chips(
     if disturbance:
         for levels, own_s in disturbance.added(frame, edges_s):
             means += chip_means(levels, own_s, spec.chip_s)[spec.places]
-        t_s = frame.start_s + (spec.places + 0.5) * spec.chip_s
+        t_s = np.asarray(frame.start_s + (spec.places + 0.5) * spec.chip_s, dtype=np.float64)
         means = disturbance.disturbed(frame, means, t_s)
     return channel.digitize(means, spec, rng, averaged=setup.samples_per_chip)
