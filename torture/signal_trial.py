@@ -308,5 +308,6 @@ class Trial:
             tally.noticed += [frames for frames in found if frames is not None]
             tally.unnoticed += found.count(None)
         sound_s, faulty_s = self._spent
-        tally.cost = float(np.mean(faulty_s) / np.mean(sound_s))
+        if faulty_s:
+            tally.cost = float(np.mean(faulty_s) / np.mean(sound_s))
         tally.slowest_s = max(sound_s + faulty_s)

@@ -180,6 +180,8 @@ def _said(kind: Kind, total: Tally, of_timing: dict[str, Tally]) -> Iterator[str
             yield f"{count:,} {words} {text}, not flagged"
     if total.doubted:
         yield f"{total.doubted:,} {words} wrong and flagged"
+    if total.cautious > 0.01 * total.words:
+        yield f"{total.cautious:,} right and flagged"
     if total.victims:
         yield f"{total.victims:,} wrong words for nodes on the same row"
     if total.cost > 2:
