@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +26,6 @@ from ._protocol import TAIL_CHIPS
 from .errors import SpecError
 from .fit import (
     MAX_SPREAD,
-    ODD_SHARE,
     ChipEdges,
     Fit,
     Floats,
@@ -41,6 +39,7 @@ from .fit import (
     word_floor,
 )
 from .frame import BIPOLAR, MAX_STRETCH, UNIPOLAR, FrameSpec
+from .frame_end import End, FrameEnds
 from .separate import NodeLevels, node_levels
 from .timing import MOST_CLIPPED, FrameLevels, QuietBlock, SampleBlock, Timing
 from .transform import correlate
@@ -68,20 +67,6 @@ SEARCH_PER_S = 2e6
 0.15 µs, and a line that is disturbed must not hold up the stream."""
 LARGEST_SEARCH = 1 << 21
 """Chips that it looks at at most at once: frames too long for that end where the line is loud."""
-PROVEN = 30
-"""After so many frames in a row that end in silence their length is known to be right."""
-
-
-class _End(IntEnum):
-    """What follows a frame: other chips, those of some late nodes, or silence.
-
-    LATE: among those who speak. MISLED: late words may appear as those of silent nodes.
-    """
-
-    OTHER = 0
-    MISLED = 1
-    LATE = 2
-    SILENCE = 3
 
 
 @dataclass(slots=True)
@@ -135,7 +120,7 @@ class LineTiming(Timing):
         self._restarted = self._nominal_fit
         self._restart_uses = 0
         self._chip = self._nominal
-        self._silent_ends = 0  # in a row, until proven
+        self._ends = FrameEnds(spec)
         self._search = float(LARGEST_SEARCH)  # chips that may be looked at
 
     def feed(self, block: SampleBlock) -> list[FrameLevels]:
@@ -268,7 +253,7 @@ class LineTiming(Timing):
                 if self._more_needed(fit, end, volts.size, final):
                     return []
                 levels = node_levels(rows, self.spec)
-                if (after := self._after(line, fit, levels, amplitude)) != _End.OTHER:
+                if (after := self._after(line, fit, levels, amplitude)) != End.OTHER:
                     carried.uses += 1
                     return self._emit(start, fit, levels, volts, after)
         return self._refined_frame(start, end, line, final)
@@ -286,7 +271,7 @@ class LineTiming(Timing):
                 if self._more_needed(fit, end, volts.size, final):
                     return []
                 after = self._after(line, fit, found.levels, found.amplitude)
-                if fit.end(spec) - volts.size < 0.5 * chip and after != _End.OTHER:
+                if fit.end(spec) - volts.size < 0.5 * chip and after != End.OTHER:
                     self._carried = _Carried(fit, ChipEdges(fit, spec, volts.size))
                     return self._emit(start, fit, found.levels, volts + self._level_v, after)
         if power <= 1.6 * self._noise:  # too weak to look for at other stretches
@@ -304,9 +289,10 @@ class LineTiming(Timing):
             found = self._attempt(line, fit, MAX_SPREAD, self._noise or None)
             if self._silent(found.amplitude):
                 return self._idle_frame(start, fit, power * self._nominal)
-            after = self._after(line, fit, found.levels, found.amplitude)
-            if found.believable and after != _End.OTHER:
-                return self._emit(start, fit, found.levels, volts + self._level_v, after)
+            if found.believable:
+                after = self._after(line, fit, found.levels, found.amplitude)
+                if after != End.OTHER:
+                    return self._emit(start, fit, found.levels, volts + self._level_v, after)
         self._reject(longest + math.ceil(self._nominal))
         return []
 
@@ -332,9 +318,10 @@ class LineTiming(Timing):
         if self._silent(found.amplitude):
             self._restart_uses = 0
             return self._idle_frame(start, fit, self._chip_power(line) * self._nominal)
-        after = self._after(line, fit, found.levels, found.amplitude)
-        if found.believable and after != _End.OTHER:
-            return self._emit(start, fit, found.levels, line.volts + self._level_v, after)
+        if found.believable:
+            after = self._after(line, fit, found.levels, found.amplitude)
+            if after != End.OTHER:
+                return self._emit(start, fit, found.levels, line.volts + self._level_v, after)
         self._reject(start + self._nominal_size + math.ceil(self._nominal))
         return []
 
@@ -383,52 +370,10 @@ class LineTiming(Timing):
 
     def _after(
         self, line: Line, fit: Fit, levels: NodeLevels, amplitude: NDArray[np.float32]
-    ) -> _End:
-        """Whether the line is at rest after the fitted end: the frame is neither longer nor other.
-
-        This tells a stretched frame from a shorter fit of its words, and words of more bits than
-        specified. Once frames are proven to be of this length, some nodes among many may be late.
-        SILENCE where nothing was received after the end. A level of rest that is not known yet is
-        the frame's mean where row 0 is free, else it has to be 0, and seen: row 0 would take any
-        other for a node.
-        """
-        end = fit.end(self.spec) + 0.5
-        begin, stop = math.ceil(end + 0.25 * fit.chip), math.floor(end + TAIL_CHIPS * fit.chip)
-        tail = line.volts[begin:stop]
-        if tail.size < 0.5 * fit.chip:
-            return _End.SILENCE if self._level_known or self.spec.first_row > 0 else _End.OTHER
-        noise = self._noise
-        if not self._level_known:
-            if self.spec.drive == UNIPOLAR:
-                return _End.SILENCE
-            noise = levels.noise_v**2 * self.spec.order
-        least = float(amplitude[amplitude > 0].min(initial=np.inf))
-        if self.spec.first_row == 0:
-            mean = float(tail.sum()) / tail.size
-            if abs(mean) > 0.4 * least + 4 * math.sqrt(noise * fit.chip / tail.size):
-                return _End.OTHER
-        most = noise * fit.chip * (2 + 8 / math.sqrt(tail.size))  # the fewer the more by chance
-        left = dot(tail, tail) / tail.size
-        if self._centred and left >= (0.4 * least) ** 2 + most:
-            tail = tail - self._baseline(line, fit, 0.5 * (begin + stop))
-            left = min(left, dot(tail, tail) / tail.size)
-        if left < (0.4 * least) ** 2 + most:
-            self._silent_ends += 1
-            return _End.SILENCE
-        if self._silent_ends < PROVEN:
-            self._silent_ends = 0
-            return _End.OTHER
-        silent = int(np.count_nonzero(amplitude == 0))
-        late = int(ODD_SHARE * (amplitude.size - silent + 1))
-        if left >= late * float(np.square(amplitude).max()) + most:
-            return _End.OTHER
-        return _End.LATE if silent <= late else _End.MISLED
-
-    def _baseline(self, line: Line, fit: Fit, at: float) -> float:
-        """What is under the words, hum for example, as the last bits tell: their means are it."""
-        bit = self.spec.order * fit.chip
-        before, last = line.means(fit.end(self.spec) + bit * np.arange(-2.0, 1.0))
-        return float(last + (last - before) * ((at - fit.end(self.spec)) / bit + 0.5))
+    ) -> End:
+        """What follows the fitted end; a level that is not known yet has no noise either."""
+        noise = self._noise if self._level_known else levels.noise_v**2 * self.spec.order
+        return self._ends.after(line, fit, amplitude, noise, self._level_known)
 
     def _refined(self, line: Line, chip: float) -> Fit:
         """The frame refined around the first sample; as it was if that leads nowhere."""
@@ -494,7 +439,7 @@ class LineTiming(Timing):
         fit: Fit,
         levels: NodeLevels,
         volts: Floats,
-        after: _End = _End.SILENCE,
+        after: End = End.SILENCE,
     ) -> list[FrameLevels]:
         """The frame whose first sample this is. volts: as received."""
         self._chip = fit.chip
@@ -503,7 +448,7 @@ class LineTiming(Timing):
             self._reject(start + volts.size)
             return []
         begin = self._close_at(start, fit)
-        tied = after == _End.MISLED
+        tied = after == End.MISLED
         return [self._heard(begin, fit.chip, levels, self._level_v, clipped, tied)]
 
     def _idle_frame(self, start: int, fit: Fit, sample_power: float) -> list[FrameLevels]:

@@ -28,11 +28,11 @@ from tactile_cdma.encode import line_chips
 from tactile_cdma.errors import SpecError
 from tactile_cdma.fit import Line, refine
 from tactile_cdma.frame import DEFAULT_AMPLITUDE_V, FrameSpec
+from tactile_cdma.frame_end import PROVEN
 from tactile_cdma.health import NodeHealth, NodeState
 from tactile_cdma.line_timing import (
     CARRIED_FRAMES,
     LARGEST_SEARCH,
-    PROVEN,
     SEARCH_PER_S,
     LineTiming,
 )
