@@ -42,6 +42,17 @@ FEW_SHARE = 0.25
 """Where fewer nodes stand out, the others are left out of all that is done per node."""
 DOUBLE_SHARE = 1.6
 """A level above this share of a node's amplitude is that of two nodes."""
+LOUD_SHARE = 1.25
+"""Words above this share of a node's amplitude may be those of more than one."""
+CLEAR_RHO = 8.0
+"""Words that stand so far out of the noise have no levels of two nodes by chance."""
+OFF, HIT, MOST_ODD = 2.0, 3.5, 0.25
+"""A level is uncertain below OFF times what the levels of its bit are off, of all nodes but
+MOST_ODD, which may be broken; below HIT times that where it is twice that of most bits: something
+has hit this one, and that is not alike for all nodes."""
+UNLIKE, UNLIKE_OTHERS = 0.2, 4.0
+"""A level is uncertain, too, if it is off by more than this share of the word's amplitude, and by
+more than so many times what the levels of its bit are off: something else is on that row."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,9 +65,9 @@ class Words:
     rho: (n,) float32, amplitude over the noise of one correlation (√N·a/σ in the signal model).
     margin: (n,) float32, |r| of the word's weakest bit over its amplitude.
     doubtful: (n,) bool, active words whose decision was close in at least one bit, or whose parity
-        had to be mended.
-    doubled: (n,) bool, words in which some bits cancel and others have twice the amplitude: two
-        nodes speak on one row.
+        had to be mended, or that are too loud for one node.
+    doubled: (n,) bool, words of which some bits have the level of two nodes or more, and others a
+        much smaller one: more than one node speaks on their row.
     noise_rms_v: σ, noise of one chip sample, V; NaN if unknown.
     """
 
@@ -135,7 +146,7 @@ def decode(
         ).among(some, spec.nodes)
     else:
         read = _read(values, level, amplitude, rho, expected, spec.sign_mask, spec)
-    doubtful = read.doubtful & active
+    doubtful = (read.doubtful | _disturbed(level, amplitude, active)) & active
     for node in levels.unresolved:
         doubtful[node] = active[node]
     return Words(
@@ -188,10 +199,38 @@ def _read(
         codes = (codes ^ turn * odd) >> 1
         doubtful |= odd
     doubled = np.zeros_like(doubtful)
-    if doubtful.any():
+    loud = amplitude > np.float32(LOUD_SHARE) * expected
+    if doubtful.any() or loud.any():
+        strongest, two = level.max(axis=0), np.float32(DOUBLE_SHARE) * expected
         cancelling = doubtful & (weakest < np.float32(LOW_MARGIN) * expected)
-        doubled = cancelling & (level.max(axis=0) > np.float32(DOUBLE_SHARE) * expected)
+        three = loud & (rho > CLEAR_RHO) & (weakest < np.float32(0.5) * strongest)
+        doubled = (cancelling | three) & (strongest > two)
+        doubtful |= doubled | (amplitude > two)
     return _Read(codes, margin, doubtful, doubled)
+
+
+def _disturbed(
+    level: NDArray[np.float32],
+    amplitude: NDArray[np.float32],
+    active: NDArray[np.bool_],
+) -> NDArray[np.bool_]:
+    """Words with a bit that may be wrong by what has hit the line in it, (n,).
+
+    A spike or a dip within one bit moves the levels of all nodes there, by about as much, and a
+    jump that of some row, and noise that is estimated from whole frames hardly shows it.
+    """
+    bits, nodes = level.shape
+    power = np.square(amplitude)
+    uneven = np.einsum("kn,kn->n", level, level) * np.float32(1 / bits) - power
+    # No single level of a word is off by more than its share of this.
+    if nodes <= 2 or not (active & (uneven > UNLIKE**2 * (bits - 1) / bits**2 * power)).any():
+        return np.zeros(nodes, dtype=bool)
+    off, rank = np.abs(level - amplitude * active), round((1 - MOST_ODD) * (nodes - 1))
+    usual = np.partition(off, rank, axis=1)[:, rank]
+    least = np.where(usual > 2 * np.median(usual), np.float32(HIT), np.float32(OFF)) * usual
+    most = np.maximum(UNLIKE * amplitude, UNLIKE_OTHERS * usual[:, None])
+    uncertain: NDArray[np.bool_] = ((level < least[:, None]) | (off > most)).any(axis=0)
+    return uncertain
 
 
 @cache

@@ -27,7 +27,7 @@ from .fit import MAX_SPREAD, Fit, Floats, Line, lowest_power
 from .frame import FrameSpec
 from .gap import Expected, Found, GapSearch
 from .separate import NodeLevels
-from .timing import FrameLevels, SampleBlock, Timing
+from .timing import MOST_CLIPPED, FrameLevels, SampleBlock, Timing
 
 SCATTER = 0.15
 """What frames may be off their raster, in chips."""
@@ -166,12 +166,18 @@ class GapTiming(Timing):
             variance = beside.variance(burst.variance)
             noise = variance * self._search.half / fit.chip
             attempt = self._attempt(line, fit, MAX_SPREAD, noise)
+            if self._share_clipped(volts, fit, quiet.level) > MOST_CLIPPED:
+                continue
             if attempt.believable and beside.is_quiet(self._side_halves, variance, burst.power):
                 self._quiet = quiet
                 if self.spec.node_swing_v is None:
                     self._search.least_power = lowest_power(float(attempt.amplitude.max()))
                 return self._emit(volts, found, attempt.levels, beside.level)
         return []
+
+    def _share_clipped(self, volts: Floats, fit: Fit, level: float) -> float:
+        """Of a frame's samples, share at a rail. volts: gap level removed."""
+        return self._clipped(volts[max(0, round(fit.start)) : round(fit.end(self.spec))] + level)
 
     def _first_burst(self, volts: Floats, quiet: Quiet) -> Burst | None:
         """The earliest burst: the strongest one may have a weaker one before it."""
@@ -225,7 +231,7 @@ class GapTiming(Timing):
         """The frame, after the silent slots before it. left: of the gap's level around it, V."""
         assert self._quiet is not None
         fit, level = found.fit, self._quiet.level
-        clipped = self._clipped(volts[max(0, round(fit.start)) : round(fit.end(self.spec))] + level)
+        clipped = self._share_clipped(volts, fit, level)
         start = self._cursor + fit.start
         # Without an earlier frame, what lies before this one may be the rest of another.
         frames = list(self._idle_slots(start - self._search.period / 2)) if self._last else []
@@ -250,10 +256,14 @@ class GapTiming(Timing):
         return frames
 
     def _idle_slots(self, until: float) -> Iterator[FrameLevels]:
-        """The silent slots that begin up to an index."""
+        """The silent slots that begin up to an index; at a rail nobody can tell that they are."""
         level, noise = 0.0, math.nan
         if self._quiet:  # whose variance is that of half chips
             level, noise = self._quiet.level, math.sqrt(self._quiet.variance / 2)
+        blind = self._quiet is not None and self._clipped(np.array([level])) > 0
         while self._raster <= until:
-            yield FrameLevels(self._raster, self._search.chip, None, noise, level, 0.0)
+            if blind:
+                self.rejected += 1
+            else:
+                yield FrameLevels(self._raster, self._search.chip, None, noise, level, 0.0)
             self._raster += self._search.period

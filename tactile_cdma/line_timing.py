@@ -39,8 +39,9 @@ from .fit import (
     word_floor,
 )
 from .frame import BIPOLAR, MAX_STRETCH, UNIPOLAR, FrameSpec
+from .frame_end import End, FrameEnds
 from .separate import NodeLevels, node_levels
-from .timing import FrameLevels, QuietBlock, SampleBlock, Timing
+from .timing import MOST_CLIPPED, FrameLevels, QuietBlock, SampleBlock, Timing
 from .transform import correlate
 
 CHIP_ERROR = 2e-3
@@ -61,6 +62,11 @@ MOST_RISE = 4.0
 """By how much noise may rise from one gap to the next."""
 GAP_WEIGHT = 0.25
 """Of the newest gap in the noise that is expected of the next frame."""
+SEARCH_PER_S = 2e6
+"""Chips that the search of all stretches looks at, for each second of frames: each takes it up to
+0.15 µs, and a line that is disturbed must not hold up the stream."""
+LARGEST_SEARCH = 1 << 21
+"""Chips that it looks at at most at once: frames too long for that end where the line is loud."""
 
 
 @dataclass(slots=True)
@@ -114,6 +120,8 @@ class LineTiming(Timing):
         self._restarted = self._nominal_fit
         self._restart_uses = 0
         self._chip = self._nominal
+        self._ends = FrameEnds(spec)
+        self._search = float(LARGEST_SEARCH)  # chips that may be looked at
 
     def feed(self, block: SampleBlock) -> list[FrameLevels]:
         """Take samples in; return the frames that they complete."""
@@ -144,7 +152,10 @@ class LineTiming(Timing):
         if block.sync:
             frames += self._close()
             self._open(block.first_index)
-            frames += self._idle_frame(block.first_index, self._nominal_fit, block.variance_v2)
+            if self._clipped(np.array([block.mean_v])):
+                self._reject()
+            else:
+                frames += self._idle_frame(block.first_index, self._nominal_fit, block.variance_v2)
         elif self._gap_begin is not None:
             self._at_rest(block.mean_v, block.variance_v2)
         end = block.first_index + block.count
@@ -177,6 +188,8 @@ class LineTiming(Timing):
                 self._at_rest(mean, max(0.0, squares - count * mean**2) / (count - 1))
                 self._rest[:] = 0
         self._samples.drop(index)
+        earned = SEARCH_PER_S * self.spec.frame_period_s
+        self._search = min(self._search + earned, float(LARGEST_SEARCH))
         tail = 0 if self._integrated else math.ceil(TAIL_CHIPS * self._nominal)
         self._start, self._due = index, index + self._nominal_size + tail
 
@@ -216,6 +229,9 @@ class LineTiming(Timing):
             return []
         # The energy gate: means of samples have no more power than the samples themselves.
         if power <= self._least_power:
+            if self._clipped(volts[:1]):  # and so are all
+                self._reject()
+                return []
             return self._idle_frame(start, self._nominal_fit, power)
         return self._loud_frame(start, end, volts, final)
 
@@ -237,9 +253,9 @@ class LineTiming(Timing):
                 if self._more_needed(fit, end, volts.size, final):
                     return []
                 levels = node_levels(rows, self.spec)
-                if self._ends(line, fit, levels, amplitude):
+                if (after := self._after(line, fit, levels, amplitude)) != End.OTHER:
                     carried.uses += 1
-                    return self._emit(start, fit, levels, volts)
+                    return self._emit(start, fit, levels, volts, after)
         return self._refined_frame(start, end, line, final)
 
     def _refined_frame(self, start: int, end: int, line: Line, final: bool) -> list[FrameLevels]:
@@ -254,11 +270,10 @@ class LineTiming(Timing):
             if found.believable and not self._silent(found.amplitude):
                 if self._more_needed(fit, end, volts.size, final):
                     return []
-                if fit.end(spec) - volts.size < 0.5 * chip and self._ends(
-                    line, fit, found.levels, found.amplitude
-                ):
+                after = self._after(line, fit, found.levels, found.amplitude)
+                if fit.end(spec) - volts.size < 0.5 * chip and after != End.OTHER:
                     self._carried = _Carried(fit, ChipEdges(fit, spec, volts.size))
-                    return self._emit(start, fit, found.levels, volts + self._level_v)
+                    return self._emit(start, fit, found.levels, volts + self._level_v, after)
         if power <= 1.6 * self._noise:  # too weak to look for at other stretches
             return self._idle_frame(start, self._nominal_fit, power * self._nominal)
         # The tail shows the level, or that it has not changed: row 0 would take that for a word.
@@ -268,12 +283,16 @@ class LineTiming(Timing):
             self._due = longest
             return []
         for stretched in (self._by_loud_end(line), self._all_stretches(line)):
+            if not stretched.size:
+                continue
             fit = self._refined(line, self._strongest(line, stretched))
             found = self._attempt(line, fit, MAX_SPREAD, self._noise or None)
             if self._silent(found.amplitude):
                 return self._idle_frame(start, fit, power * self._nominal)
-            if found.believable and self._ends(line, fit, found.levels, found.amplitude):
-                return self._emit(start, fit, found.levels, volts + self._level_v)
+            if found.believable:
+                after = self._after(line, fit, found.levels, found.amplitude)
+                if after != End.OTHER:
+                    return self._emit(start, fit, found.levels, volts + self._level_v, after)
         self._reject(longest + math.ceil(self._nominal))
         return []
 
@@ -299,8 +318,10 @@ class LineTiming(Timing):
         if self._silent(found.amplitude):
             self._restart_uses = 0
             return self._idle_frame(start, fit, self._chip_power(line) * self._nominal)
-        if found.believable and self._ends(line, fit, found.levels, found.amplitude):
-            return self._emit(start, fit, found.levels, line.volts + self._level_v)
+        if found.believable:
+            after = self._after(line, fit, found.levels, found.amplitude)
+            if after != End.OTHER:
+                return self._emit(start, fit, found.levels, line.volts + self._level_v, after)
         self._reject(start + self._nominal_size + math.ceil(self._nominal))
         return []
 
@@ -347,33 +368,12 @@ class LineTiming(Timing):
             return True
         return False
 
-    def _ends(
+    def _after(
         self, line: Line, fit: Fit, levels: NodeLevels, amplitude: NDArray[np.float32]
-    ) -> bool:
-        """Whether the line is at rest after the fitted end: the frame is neither longer nor other.
-
-        This tells a stretched frame from a shorter fit of its words, and words of more bits than
-        specified. True where nothing was received after the end. A level of rest that is not known
-        yet is the frame's mean where row 0 is free, else it has to be 0, and seen: row 0 would
-        take any other for a node.
-        """
-        end = fit.end(self.spec) + 0.5
-        begin, stop = math.ceil(end + 0.25 * fit.chip), math.floor(end + TAIL_CHIPS * fit.chip)
-        tail = line.volts[begin:stop]
-        if tail.size < 0.5 * fit.chip:
-            return self._level_known or self.spec.first_row > 0
-        noise = self._noise
-        if not self._level_known:
-            if self.spec.drive == UNIPOLAR:
-                return True
-            noise = levels.noise_v**2 * self.spec.order
-        least = float(amplitude[amplitude > 0].min(initial=np.inf))
-        if self.spec.first_row == 0:
-            mean = float(tail.sum()) / tail.size
-            if abs(mean) > 0.4 * least + 4 * math.sqrt(noise * fit.chip / tail.size):
-                return False
-        most = noise * fit.chip * (2 + 8 / math.sqrt(tail.size))  # the fewer the more by chance
-        return dot(tail, tail) / tail.size < (0.4 * least) ** 2 + most
+    ) -> End:
+        """What follows the fitted end; a level that is not known yet has no noise either."""
+        noise = self._noise if self._level_known else levels.noise_v**2 * self.spec.order
+        return self._ends.after(line, fit, amplitude, noise, self._level_known)
 
     def _refined(self, line: Line, chip: float) -> Fit:
         """The frame refined around the first sample; as it was if that leads nowhere."""
@@ -392,10 +392,14 @@ class LineTiming(Timing):
         return np.minimum(np.maximum(chip, self._nominal), longest)
 
     def _all_stretches(self, line: Line) -> Floats:
-        """All chip durations of frames that end within the samples."""
+        """All chip durations of frames that end within the samples; none if that is too much."""
         spec, step = self.spec, 0.5 / self.spec.chips
         chip: Floats = self._nominal * np.arange(1, 1 + MAX_STRETCH + step, step)
-        return chip[chip * spec.chips <= line.volts.size + self._nominal]
+        chip = chip[chip * spec.chips <= line.volts.size + self._nominal]
+        if chip.size * spec.chips > self._search:
+            return np.empty(0)
+        self._search -= chip.size * spec.chips
+        return chip
 
     def _strongest(self, line: Line, chip: Floats) -> float:
         """The chip duration that explains the most energy."""
@@ -429,12 +433,23 @@ class LineTiming(Timing):
         strongest = float(amplitude.max())
         return strongest**2 <= max(self._least_power, 4 * self._noise / self.spec.order)
 
-    def _emit(self, start: int, fit: Fit, levels: NodeLevels, volts: Floats) -> list[FrameLevels]:
+    def _emit(
+        self,
+        start: int,
+        fit: Fit,
+        levels: NodeLevels,
+        volts: Floats,
+        after: End = End.SILENCE,
+    ) -> list[FrameLevels]:
         """The frame whose first sample this is. volts: as received."""
         self._chip = fit.chip
         clipped = self._clipped(volts[: round(fit.end(self.spec) + 0.5)])
+        if clipped > MOST_CLIPPED:
+            self._reject(start + volts.size)
+            return []
         begin = self._close_at(start, fit)
-        return [self._heard(begin, fit.chip, levels, self._level_v, clipped)]
+        tied = after == End.MISLED
+        return [self._heard(begin, fit.chip, levels, self._level_v, clipped, tied)]
 
     def _idle_frame(self, start: int, fit: Fit, sample_power: float) -> list[FrameLevels]:
         """A frame in which nobody spoke: what power it has is the noise of its samples."""

@@ -38,6 +38,8 @@ ABSURD_V = 1e6
 
 UNEVEN = 0.02
 """Spread of words in which another look at the chips is worth its while: ρ < 7."""
+MOST_CLIPPED = 0.5
+"""Of the samples of a frame: where more are at a rail, nobody can tell who was silent."""
 MIDDLE = 0.78
 """Share of a chip that is clear of edges up to 10 % of a chip off their ideal position."""
 
@@ -92,7 +94,8 @@ class FrameLevels:
     noise_rms_v: noise of one chip's level, V; NaN where unknown.
     offset_v: the line's level in silence, V.
     clipped: share of the frame's samples at a rail, 0…1.
-    tied: other words, some chips away, explain the samples as well: these are a guess.
+    tied: other words, some chips away, explain the samples as well, or a node was late, and may be
+        taken for another: these are a guess.
     """
 
     start: float

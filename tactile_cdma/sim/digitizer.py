@@ -48,6 +48,7 @@ from ..messages import (
 )
 from ..protocol import PacketParser, PacketWriter
 from .channel import chip_means, first_sample, point_samples, waveforms
+from .disturbance import Disturbance
 from .loads import LOADS
 from .nodes import NodeFrame, RollCalls, frame_start_s, node_frames
 from .options import Setup, SimOptions
@@ -106,7 +107,10 @@ def truth(
 
 
 def stream(
-    options: SimOptions, setup: Setup, roll_calls: RollCalls | None = None
+    options: SimOptions,
+    setup: Setup,
+    roll_calls: RollCalls | None = None,
+    disturbance: Disturbance | None = None,
 ) -> Iterator[Block]:
     """The digitized line since START, endlessly; a pure function of its arguments.
 
@@ -124,9 +128,10 @@ def stream(
         if setup.integrated:
             if not whole:
                 continue  # it takes a frame mark to know where a chip begins
-            counts, epoch_s = _chips(options, setup, frame), frame.start_s - index / rate_hz
+            counts = _chips(options, setup, frame, disturbance)
+            epoch_s = frame.start_s - index / rate_hz
         else:
-            counts, epoch_s = _samples(options, setup, frame), 0.0
+            counts, epoch_s = _samples(options, setup, frame, disturbance), 0.0
         marked = whole and setup.sync != SyncMode.NONE
         if setup.sync == SyncMode.NONE:
             counts = np.concatenate((waiting, counts))
@@ -160,17 +165,21 @@ class VirtualDigitizer:
 
     started_s: its own time at START, s; later by what overruns have cost since.
 
-    clock: host time, s. Not thread-safe.
+    clock: host time, s. disturbance: of its line. Not thread-safe.
     """
 
     def __init__(
-        self, options: SimOptions | None = None, clock: Callable[[], float] = time.monotonic
+        self,
+        options: SimOptions | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        disturbance: Disturbance | None = None,
     ) -> None:
         self.options = options or SimOptions()
         self.setup = self.options.setup()
         self.packets_dropped = self.samples_lost = 0
         self._roll_calls = RollCalls()
         self.commands_refused = self._commands = 0
+        self._disturbance = disturbance
         self._clock, self._host_s = clock, clock()
         self._now_s = self._due_s = self._report_s = 0.0
         self._parser, self._writer = PacketParser(), PacketWriter()
@@ -366,7 +375,7 @@ class VirtualDigitizer:
             case Start():
                 self._stop()
                 self._roll_calls = RollCalls()
-                self._stream = stream(self.options, self.setup, self._roll_calls)
+                self._stream = stream(self.options, self.setup, self._roll_calls, self._disturbance)
                 self.started_s = self._prepare_s = self._now_s
                 self._frames_lost, self._overrun = 0, False
                 self._truth = None
@@ -410,7 +419,9 @@ class VirtualDigitizer:
         self._blocks.clear()
 
 
-def _samples(options: SimOptions, setup: Setup, frame: NodeFrame) -> NDArray[np.int16]:
+def _samples(
+    options: SimOptions, setup: Setup, frame: NodeFrame, disturbance: Disturbance | None
+) -> NDArray[np.int16]:
     """Raw samples from the start of a frame to the start of the next."""
     spec, channel = setup.spec, options.channel
     rng = np.random.default_rng([options.seed, frame.number])
@@ -421,10 +432,17 @@ def _samples(options: SimOptions, setup: Setup, frame: NodeFrame) -> NDArray[np.
     line_v = np.zeros(stop - first, np.float32)
     for levels, own_s in waveforms(spec, frame.codes, frame.active, edges_s, clocks):
         line_v += point_samples(levels, own_s, setup.rate_hz, first, stop)
+    if disturbance:
+        for levels, own_s in disturbance.added(frame, edges_s):
+            line_v += point_samples(levels, own_s, setup.rate_hz, first, stop)
+        t_s = (np.arange(first, stop) + 0.5) / setup.rate_hz
+        line_v = disturbance.disturbed(frame, line_v, t_s)
     return channel.digitize(line_v, spec, rng)
 
 
-def _chips(options: SimOptions, setup: Setup, frame: NodeFrame) -> NDArray[np.int16]:
+def _chips(
+    options: SimOptions, setup: Setup, frame: NodeFrame, disturbance: Disturbance | None
+) -> NDArray[np.int16]:
     """Mean values of the coded chips of a frame."""
     spec, channel = setup.spec, options.channel
     rng = np.random.default_rng([options.seed, frame.number])
@@ -435,4 +453,9 @@ def _chips(options: SimOptions, setup: Setup, frame: NodeFrame) -> NDArray[np.in
     for levels, own_s in waveforms(spec, frame.codes, frame.active, edges_s, clocks):
         seen = levels if nominal else chip_means(levels, own_s, spec.chip_s)
         means += seen[spec.places]
+    if disturbance:
+        for levels, own_s in disturbance.added(frame, edges_s):
+            means += chip_means(levels, own_s, spec.chip_s)[spec.places]
+        t_s = np.asarray(frame.start_s + (spec.places + 0.5) * spec.chip_s, dtype=np.float64)
+        means = disturbance.disturbed(frame, means, t_s)
     return channel.digitize(means, spec, rng, averaged=setup.samples_per_chip)

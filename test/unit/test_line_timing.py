@@ -28,8 +28,14 @@ from tactile_cdma.encode import line_chips
 from tactile_cdma.errors import SpecError
 from tactile_cdma.fit import Line, refine
 from tactile_cdma.frame import DEFAULT_AMPLITUDE_V, FrameSpec
+from tactile_cdma.frame_end import PROVEN
 from tactile_cdma.health import NodeHealth, NodeState
-from tactile_cdma.line_timing import CARRIED_FRAMES, LineTiming
+from tactile_cdma.line_timing import (
+    CARRIED_FRAMES,
+    LARGEST_SEARCH,
+    SEARCH_PER_S,
+    LineTiming,
+)
 from tactile_cdma.sim.digitizer import stream, truth
 from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.timing import FrameLevels, SampleBlock
@@ -333,3 +339,95 @@ def test_what_is_no_frame_is_rejected(what: str, number: int) -> None:
         assert not timing.feed(replace(block, volts=volts))
     timing.flush()
     assert timing.rejected == len(given)
+
+
+ALWAYS = SimOptions(threshold=0)
+RAW = Setup(SPEC, 4)
+
+
+def right(frames: list[FrameLevels], options: SimOptions, setup: Setup) -> list[int]:
+    """Numbers of the frames; their certain words are what was said."""
+    numbers = [round(frame.start / (setup.spec.frame_period_s * setup.rate_hz)) for frame in frames]
+    true = dict(enumerate(islice(truth(options, setup), numbers[-1] + 1)))
+    for number, frame in zip(numbers, frames, strict=True):
+        assert frame.levels is not None
+        words = decode(frame.levels, setup.spec)
+        wrong = words.codes != true[number].codes
+        assert words.active.all()
+        assert not (wrong & ~words.doubtful).any() and np.count_nonzero(wrong) <= 1
+    return numbers
+
+
+def test_hum_costs_no_frame() -> None:
+    """Of three nodes' amplitude: it is under the words and under the silence after them."""
+    given = blocks(ALWAYS, RAW, 20)
+    hum = [
+        replace(
+            block,
+            volts=block.volts
+            + 0.9
+            * np.sin(
+                2 * np.pi * 50 / RAW.rate_hz * (block.first_index + np.arange(block.volts.size))
+            ),
+        )
+        for block in given
+    ]
+    assert right(run(LineTiming(SPEC, RAW.rate_hz), hum), ALWAYS, RAW) == list(range(20))
+
+
+@pytest.mark.parametrize(("before", "lost"), [(PROVEN, 0), (5, 10)])
+def test_a_late_node_costs_the_others_nothing_once_frames_are_known(before: int, lost: int) -> None:
+    """Before that, it may as well be that frames are longer than specified."""
+    size = round(SPEC.frame_period_s * RAW.rate_hz)
+    late = np.zeros(size, np.float32)
+    word = 0.3 * np.outer([1, -1, -1, 1, 1, -1, 1, -1, 1, 1], SPEC.book.rows([18])[0]).ravel()
+    late[40 : 40 + 4 * SPEC.chips] = np.repeat(word, 4)
+    given = []
+    for block in blocks(ALWAYS, RAW, before + 10):
+        at = block.first_index + np.arange(block.volts.size)
+        volts = block.volts + late[at % size] * (at >= before * size)
+        given.append(replace(block, volts=volts.astype(np.float32)))
+    frames = run(LineTiming(SPEC, RAW.rate_hz), given)
+    assert len(right(frames, ALWAYS, RAW)) == before + 10 - lost
+
+
+@pytest.mark.parametrize("rate", [1, 4])
+def test_a_line_at_its_rail_is_no_silence(rate: int) -> None:
+    setup = Setup(SPEC, rate, SyncMode.DRIVE, integrated=rate == 1)
+    given = [
+        replace(block, volts=np.full_like(block.volts, 5.0)) for block in blocks(ALWAYS, setup, 5)
+    ]
+    timing = LineTiming(SPEC, setup.rate_hz, (-5.0, 5.0))
+    assert not run(timing, given)
+    assert timing.rejected == 5
+    assert len(run(LineTiming(SPEC, setup.rate_hz, (-6.0, 6.0)), given)) == 5
+
+
+def test_a_frame_at_the_rails_does_not_tell_who_was_silent() -> None:
+    given = [
+        replace(block, volts=np.clip(100 * block.volts, -5, 5)) for block in blocks(ALWAYS, RAW, 5)
+    ]
+    timing = LineTiming(SPEC, RAW.rate_hz, (-5.0, 5.0))
+    assert not run(timing, given)
+    assert timing.rejected == 5
+
+
+def test_a_disturbed_line_costs_a_bounded_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    looked_at = []
+    strongest = LineTiming._strongest
+
+    def counted(self: LineTiming, line: Line, chip: np.ndarray) -> float:
+        looked_at.append(chip.size * self.spec.chips)
+        return strongest(self, line, chip)
+
+    monkeypatch.setattr(LineTiming, "_strongest", counted)
+    spec = FrameSpec(nodes=256, chip_s=4e-6, frame_period_s=16e-3)
+    setup = Setup(spec, 2)
+    rng, size = np.random.default_rng(3), round(spec.frame_period_s * setup.rate_hz)
+    timing = LineTiming(spec, setup.rate_hz)
+    for number in range(20):
+        volts = rng.normal(0, 3, size).astype(np.float32)
+        timing.feed(SampleBlock(number * size, volts, sync=True))
+    nominal = 20 * 16 * spec.chips  # ends where the line falls silent
+    assert max(looked_at) > 100 * spec.chips, "none of all stretches was looked for"
+    assert sum(looked_at) < nominal + LARGEST_SEARCH + 20 * SEARCH_PER_S * spec.frame_period_s

@@ -215,3 +215,47 @@ def test_status_tells_and_contradictory_words_are_no_pressure() -> None:
         assert np.isfinite(readings.pressure_pa[4]) == valid
         assert np.isfinite(np.delete(readings.pressure_pa, 4)).all()
         assert not (np.delete(readings.status, 4) & flag).any()
+
+
+def said(codes: np.ndarray) -> NodeLevels:
+    levels = noisy(codes, SPEC, 100.0, np.random.default_rng(12))
+    return replace(levels, values=levels.values.copy())
+
+
+@given(st.integers(0, 9), st.floats(0.3, 20.0), st.integers(0, 2**32 - 1))
+@settings(max_examples=100, deadline=None)
+def test_what_hits_one_bit_of_all_nodes_makes_no_certain_wrong_word(
+    bit: int, size: float, seed: int
+) -> None:
+    """As a spike within one chip does: every row takes as much of it, with either sign."""
+    codes = np.random.default_rng(seed).integers(0, 1024, 16)
+    levels = said(codes)
+    levels.values[bit] += SWING * size * SPEC.node_rows[:, seed % 20]
+    words = decode(levels, SPEC)
+    assert (words.doubtful | ~words.active)[words.codes != codes].all()
+
+
+def test_what_hits_one_row_in_one_bit_makes_its_word_doubtful() -> None:
+    codes = np.random.default_rng(13).integers(0, 1024, 16)
+    for size in (1.0, 1.5, 2.5, 4.0):
+        levels = said(codes)
+        levels.values[2, 7] -= np.sign(levels.values[2, 7]) * SWING * size
+        words = decode(levels, SPEC)
+        assert np.flatnonzero(words.doubtful).tolist() == [7]
+
+
+def test_three_nodes_on_a_row_are_found() -> None:
+    """Their levels are a or 3a: no bit cancels, and the mean is that of one node and a half."""
+    rng, health = np.random.default_rng(14), NodeHealth(SPEC)
+    for _ in range(2 * JUDGE_FRAMES):
+        levels = said(rng.integers(0, 1024, 16))
+        for _ in range(2):
+            levels.values[:, 4] += levels_of(rng.integers(0, 1024, 16), SPEC).values[:, 4]
+        feed(health, [levels])
+    assert health.nodes(NodeState.DOUBLED) == [5]
+
+
+def test_a_word_too_loud_for_one_node_is_doubtful() -> None:
+    levels = said(np.arange(16))
+    levels.values[:, 4] *= 2.0
+    assert np.flatnonzero(decode(levels, SPEC).doubtful).tolist() == [4]

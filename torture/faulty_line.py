@@ -1,0 +1,181 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What happens to the analog line between the nodes and the converter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Level = NDArray[np.float32]
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Samples of one frame period, and what chance has for them.
+
+    volts: (m,) V. t_s: (m,) s since the disturbance began. frame_s: what of them is the frame.
+    unit_v: level of one node. peak_v: what nearly all sums of nodes stay below.
+    life: drawn once for each disturbance; chance: anew in every frame.
+    """
+
+    volts: Level
+    t_s: Floats
+    frame_s: float
+    unit_v: float
+    peak_v: float
+    life: np.random.Generator
+    chance: np.random.Generator
+
+    def moment(self, rng: np.random.Generator) -> float:
+        """An instant within the frame, s."""
+        return float(self.t_s[0] + rng.uniform(0, self.frame_s))
+
+
+Broken = Callable[[Stretch], Level]
+"""What becomes of the line's volts."""
+
+
+def hum(frequency_hz: float, nodes: float) -> Broken:
+    """Mains of an amplitude of so many nodes, with odd harmonics."""
+
+    def added(line: Stretch) -> Level:
+        phase = 2 * np.pi * (frequency_hz * line.t_s + line.life.random())
+        wave = sum(np.sin(order * phase) / order**2 for order in (1, 3, 5, 7))
+        return _with(line, nodes * line.unit_v * np.asarray(wave))
+
+    return added
+
+
+def motor(nodes: float) -> Broken:
+    """A burst of a PWM drive's switching, 16 kHz and its ringing, a few ms long."""
+
+    def added(line: Stretch) -> Level:
+        begin_s, length_s = line.moment(line.chance), line.chance.uniform(0.5e-3, 4e-3)
+        on = (line.t_s >= begin_s) & (line.t_s < begin_s + length_s)
+        since_s = np.mod(line.t_s + line.life.uniform(0, 1 / 16e3), 1 / 16e3)
+        ringing = np.exp(-since_s / 8e-6) * np.cos(2 * np.pi * 180e3 * since_s)
+        noise = line.chance.standard_normal(line.t_s.size) * 0.3
+        return _with(line, nodes * line.unit_v * on * (ringing + noise))
+
+    return added
+
+
+def discharge(line: Stretch) -> Level:
+    """An ESD spike of 5 to 500 nodes that fades within 1 to 300 µs."""
+    at_s, fade_s = line.moment(line.chance), 10 ** line.chance.uniform(-6, -3.5)
+    height = line.chance.choice([-1, 1]) * 10 ** line.chance.uniform(0.7, 2.7) * line.unit_v
+    since_s = line.t_s - at_s
+    return _with(line, np.where(since_s >= 0, height * np.exp(-np.maximum(since_s, 0) / fade_s), 0))
+
+
+def wander(line: Stretch) -> Level:
+    """A baseline that goes up and down by ten nodes within two seconds."""
+    return _with(line, 10 * line.unit_v * np.sin(2 * np.pi * (line.t_s / 2 + line.life.random())))
+
+
+def jump(nodes: float) -> Broken:
+    """A baseline that jumps by up to so many nodes within a frame and creeps back within 30 ms."""
+
+    def added(line: Stretch) -> Level:
+        at_s = line.life.uniform(0, line.frame_s)
+        height, since_s = nodes * line.unit_v * line.life.uniform(-1, 1), line.t_s - at_s
+        fading = np.exp(-np.maximum(since_s, 0) / 0.03)
+        return _with(line, np.where(since_s >= 0, height * fading, 0))
+
+    return added
+
+
+def hard_clipping(share: float) -> Broken:
+    """An amplifier's rails at a share of the largest likely sum."""
+    return lambda line: np.clip(line.volts, -share * line.peak_v, share * line.peak_v)
+
+
+def soft_clipping(share: float) -> Broken:
+    """An amplifier that tires from this share of the largest likely sum on."""
+
+    def tired(line: Stretch) -> Level:
+        limit_v = np.float32(share * line.peak_v)
+        return np.asarray(limit_v * np.tanh(line.volts / limit_v), dtype=np.float32)
+
+    return tired
+
+
+def gain_step(line: Stretch) -> Level:
+    """A gain that changes to 0.7 … 1.5 within the first frame and stays for a while."""
+    at_s, gain = line.life.uniform(0, line.frame_s), line.life.uniform(0.7, 1.5)
+    return np.where(line.t_s < at_s, line.volts, np.float32(gain) * line.volts)
+
+
+def dip(line: Stretch) -> Level:
+    """A supply that sags to between nothing and 0.9 for 1 to 6 ms."""
+    begin_s, length_s = line.moment(line.chance), line.chance.uniform(1e-3, 6e-3)
+    on = (line.t_s >= begin_s) & (line.t_s < begin_s + length_s)
+    return np.where(on, np.float32(line.chance.uniform(0, 0.9)) * line.volts, line.volts)
+
+
+def at_rail(line: Stretch) -> Level:
+    """A wire that touches the supply."""
+    return np.full_like(line.volts, 1e3)
+
+
+def torn_off(line: Stretch) -> Level:
+    """A wire that touches nothing but mains and chance."""
+    phase = 2 * np.pi * (50 * line.t_s + line.life.random())
+    noise = line.chance.standard_normal(line.t_s.size)
+    return (line.unit_v * (0.05 * np.sin(phase) + 0.02 * noise)).astype(np.float32)
+
+
+def shorted(line: Stretch) -> Level:
+    """A wire that touches ground."""
+    return np.zeros_like(line.volts)
+
+
+def loose(line: Stretch) -> Level:
+    """A wire that makes contact now and then within a frame."""
+    contact = line.chance.random(1 + line.t_s.size // 50) < 0.5
+    return line.volts * np.repeat(contact, 50)[: line.t_s.size].astype(np.float32)
+
+
+def oscillating(line: Stretch) -> Level:
+    """An amplifier that swings by itself, at a frequency of its own."""
+    frequency_hz = 10 ** line.life.uniform(2, 5)
+    phase = 2 * np.pi * (frequency_hz * line.t_s + line.life.random())
+    return _with(line, 8 * line.unit_v * np.sin(phase))
+
+
+def warming(line: Stretch) -> Level:
+    """A gain and an offset that drift by 20 % and ten nodes within seconds."""
+    course = np.sin(2 * np.pi * (line.t_s / 8 + line.life.random()))
+    return (line.volts * (1 + 0.2 * course) + 10 * line.unit_v * course).astype(np.float32)
+
+
+def in_turn(*faults: Broken) -> Broken:
+    """One after the other, on the same line."""
+
+    def all_of_them(line: Stretch) -> Level:
+        for fault in faults:
+            line = replace(line, volts=fault(line))
+        return line.volts
+
+    return all_of_them
+
+
+def _with(line: Stretch, more: Floats) -> Level:
+    return line.volts + more.astype(np.float32)
