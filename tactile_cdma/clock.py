@@ -35,10 +35,10 @@ _TOUCH_S = 1e-9
 class DeviceClock:
     """Maps device time to host time, both in s, from the arrival times of packets.
 
-    A packet arrives late, never early, and by a varying amount: so of the lines that no arrival lies
-    below, the one that is nearest to the earliest arrivals of all intervals is taken (Moon, Skelly
-    and Towsley 1999, "Estimation and removal of clock skew from network delay measurements").
-    However late some of them are, it stays where the others have it.
+    A packet arrives late, never early, and by a varying amount: so of the lines that no arrival
+    lies below, the one that is nearest to the earliest arrivals of all intervals is taken (Moon,
+    Skelly and Towsley 1999, "Estimation and removal of clock skew from network delay
+    measurements"). However late some of them are, it stays where the others have it.
 
     A device slower than real time, as a replay at half the speed, is followed at its own pace: else
     its frames would be stamped ever farther in the past.
@@ -96,7 +96,7 @@ class DeviceClock:
 
 
 def _is_slow(late_s: NDArray[np.float64], newest: NDArray[np.intp]) -> bool:
-    """Whether a device falls behind; late_s: of every observation, newest: places, from the last."""
+    """Whether a device falls behind. late_s: of all observations; newest: the last ones of them."""
     recent_s = late_s[newest]
     if recent_s.min() <= late_s.min() + SLOW_S:
         return False
@@ -111,7 +111,10 @@ def _rate_below(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
     hull, one to either side, are moved until no point lies below the line through them.
     """
     beyond = x > x.mean()
-    left, right = (int(places[np.argmin((y - x)[places])]) for places in (np.flatnonzero(~beyond), np.flatnonzero(beyond)))
+    left, right = (
+        int(places[np.argmin((y - x)[places])])
+        for places in (np.flatnonzero(~beyond), np.flatnonzero(beyond))
+    )
     while True:
         rate = float((y[right] - y[left]) / (x[right] - x[left]))
         above = y - y[left] - rate * (x - x[left])

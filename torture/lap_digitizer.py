@@ -27,19 +27,21 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
+from itertools import count
 from pathlib import Path
+from typing import NamedTuple
 
 from tactile_cdma._protocol import Result
-from tactile_cdma.messages import Command, Configure, GetInfo, Packet, Quiet, Samples, Start, Status, Stop
-from tactile_cdma.protocol import PacketParser, PacketWriter
+from tactile_cdma.messages import Command, Configure, GetInfo, Start, Status, Stop
+from tactile_cdma.protocol import PacketParser
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import serve
 from tactile_cdma.skin_config import SkinConfig
 
-from .laps import Stretch, record
+from .laps import LapWriter, Stretch, Told, record
 
-LAP_FRAMES = 1600
-"""20.5 s: all contacts of the scene come and go, and every node has had its heartbeat."""
+LAP_FRAMES = 780
+"""10 s: all contacts of the scene come and go, and every node has had its heartbeats."""
 SCENE = "presses"
 BUFFER_BYTES = 65_536
 """Output that waits for a slow host: 0.4 s. What has no room is dropped, packet by packet."""
@@ -60,10 +62,10 @@ class LapDigitizer:
     def __init__(self, told: Stretch) -> None:
         self.powered_s = time.monotonic()
         self._told = told
-        self._parser, self._writer = PacketParser(), PacketWriter()
+        self._parser, self._writer = PacketParser(), LapWriter()
         self._output = bytearray()
-        self._coming: Iterator[Samples | Quiet] | None = None
-        self._next: Samples | Quiet | None = None
+        self._coming: Iterator[_Coming] | None = None
+        self._next: _Coming | None = None
         self._report_s = 0.0
         self._dropped = 0
 
@@ -78,11 +80,11 @@ class LapDigitizer:
         now_s = time.monotonic() - self.powered_s
         while self._report_s <= now_s:
             self._report()
-        while self._next is not None and self._due_s(self._next) <= now_s:
-            self._send(self._next)
+        while self._next is not None and self._next.due_s <= now_s:
+            self._send(self._writer.tell(*self._next[:3]))
             assert self._coming is not None
             self._next = next(self._coming)
-        due_s = self._due_s(self._next) if self._next is not None else self._report_s
+        due_s = self._next.due_s if self._next is not None else self._report_s
         return max(0.0, min(due_s, self._report_s) - (time.monotonic() - self.powered_s))
 
     def take(self, size: int) -> bytes:
@@ -92,7 +94,7 @@ class LapDigitizer:
         return data
 
     def _obey(self, command: Command) -> None:
-        self._send(command.ack(Result.OK))
+        self._send(self._writer.encode(command.ack(Result.OK)))
         match command:
             case Start():
                 self._coming = self._packets()
@@ -100,34 +102,40 @@ class LapDigitizer:
             case Stop():
                 self._coming = self._next = None
             case GetInfo() | Configure():
-                self._send(self._told.info)
+                self._send(self._writer.encode(self._told.info))
 
-    def _packets(self) -> Iterator[Samples | Quiet]:
+    def _packets(self) -> Iterator[_Coming]:
         """The stream from the next whole frame on."""
+        told = self._told
         now_us = (time.monotonic() - self.powered_s) * 1e6
-        first = number = int(now_us // self._told.period_us) + 1
-        while True:
-            yield from self._told.period(number, first)
-            number += 1
-
-    def _due_s(self, packet: Samples | Quiet) -> float:
-        """When its last sample's period ends, device time."""
-        count = packet.count if isinstance(packet, Quiet) else packet.counts.size
-        return packet.device_time_us * 1e-6 + count / self._told.info.sample_rate_hz
+        for index, number in enumerate(count(int(now_us // told.period_us) + 1)):
+            begin_us = number * told.period_us
+            for packet in told.frames[number % len(told)]:
+                due_s = (begin_us + packet.due_us) * 1e-6
+                yield _Coming(packet, begin_us, index * told.period_samples, due_s)
 
     def _report(self) -> None:
         uptime_us = round(self._report_s * 1e6)
         streaming = self._coming is not None
-        self._send(Status(uptime_us, packets_dropped=self._dropped, streaming=streaming))
-        self._send(self._told.info)
+        status = Status(uptime_us, packets_dropped=self._dropped, streaming=streaming)
+        self._send(self._writer.encode(status))
+        self._send(self._writer.encode(self._told.info))
         self._report_s += REPORT_S
 
-    def _send(self, packet: Packet) -> None:
-        encoded = self._writer.encode(packet)
-        if len(self._output) + len(encoded) <= BUFFER_BYTES:
-            self._output += encoded
+    def _send(self, data: bytes) -> None:
+        if len(self._output) + len(data) <= BUFFER_BYTES:
+            self._output += data
         else:
             self._dropped += 1
+
+
+class _Coming(NamedTuple):
+    """A packet, the start of its frame period (µs, index), and when it is due, device time, s."""
+
+    told: Told
+    begin_us: int
+    begin_index: int
+    due_s: float
 
 
 def main() -> None:

@@ -160,7 +160,9 @@ class _Recorder:
     def be_there(self, wanted: bool) -> None:
         if wanted and self._process is None:
             command = [sys.executable, str(SCRIPTS / "skin_bag"), str(self._bag)]
-            self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            self._process = subprocess.Popen(
+                command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+            )
         elif not wanted and self._process is not None:
             self._process.send_signal(signal.SIGINT)
             self._process.wait(PATIENCE_S)

@@ -37,7 +37,7 @@ from tactile_cdma.ros.convert import nanoseconds
 from tactile_cdma.skin_config import SkinConfig
 from tactile_cdma.taxels import Status
 
-from .laps import Stretch
+from .laps import Held, Stretch
 
 QUEUE = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT
@@ -67,7 +67,7 @@ class Judge:
         self._told, self._powered_s = told, powered_s
         self._middle_s = config.spec.frame_s / 2
         self._lsb_v = config.adc.lsb_v
-        self._unheard: NDArray[np.bool_] = np.ones(told.active.shape[1], bool)
+        self._held = Held(config)
         self._last: tuple[int, int] | None = None  # true number, sequence
         self.errors_s: list[float] = []
         self.received = self.wrong = self.lost = self.uncounted = 0
@@ -82,8 +82,7 @@ class Judge:
         right = abs(start_s - number * self._told.period_us * 1e-6) < NEAR_S
         if self._last is not None:
             passed = number - self._last[0]
-            # What is not heard because it was lost may be an old word: until the node speaks again.
-            self._unheard |= self._spoke_between(self._last[0] + 1, number)
+            self._held.miss(self._spoke_between(self._last[0] + 1, number))
             self.lost += passed - 1
             self.uncounted += abs(message.sequence - self._last[1] - passed)
         self._last = (number, message.sequence)
@@ -92,15 +91,16 @@ class Judge:
         self.errors_s.append(stamp_s - (self._powered_s + middle_s))
 
     def _is_true(self, message: TactileArray, place: int) -> bool:
+        active, codes = self._told.active[place], self._told.codes[place]
+        self._held.hear(active, codes)
         status = np.frombuffer(message.status, np.uint8)
         spoke = (status & Status.SILENT) == 0
-        self._unheard &= ~spoke
-        codes = np.rint(np.frombuffer(message.voltage, np.float32) / self._lsb_v)
-        off_pa = np.abs(np.frombuffer(message.pressure, np.float32) - self._told.pressure_pa[place])
+        heard = np.rint(np.frombuffer(message.voltage, np.float32) / self._lsb_v)
+        off_pa = np.abs(np.frombuffer(message.pressure, np.float32) - self._held.pressure_pa)
         return bool(
-            np.array_equal(spoke, self._told.active[place])
-            and np.array_equal(codes[spoke], self._told.codes[place][spoke])
-            and not (off_pa[~self._unheard] > NEAR_PA).any()
+            np.array_equal(spoke, active)
+            and np.array_equal(heard[spoke], codes[spoke])
+            and (off_pa[~np.isnan(self._held.pressure_pa)] < NEAR_PA).all()
             and not (status & ~np.uint8(Status.SILENT | Status.STALE)).any()
         )
 
