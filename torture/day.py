@@ -33,9 +33,10 @@ from .laps import LapWriter, Stretch, record
 from .outcome import Outcome, Plan
 from .process_watch import Slope, Watch, slope
 
-PERIOD_MS, HEARTBEAT = 51.2, 40
-"""Four times the paper's, so that a day takes minutes; every node speaks once in 2 s, as its do."""
-LAP_FRAMES = 5 * HEARTBEAT
+LAP_FRAMES = 195
+SKIN = {"frame_period_ms": 51.2, "stale_after_s": 12.0}
+"""A quarter of the frames of the paper's skin, and nodes that at rest speak once in 10 s, or a lap,
+so that a day takes minutes."""
 QUIET_SCENE, BUSY_SCENES = "idle", ("presses", "moving", "hand")
 BUSY = 0.05
 """Share of the day in which something touches the skin."""
@@ -57,9 +58,9 @@ EDGE = 1 << 32
 
 def run(plan: Plan) -> Iterator[Outcome]:
     """A day through the pipeline, and a part of one through the driver."""
-    config = SkinConfig.of({"frame_period_ms": PERIOD_MS})
+    config = SkinConfig.of(SKIN)
     stretches = [
-        record(config, SimOptions(scene=scene, heartbeat=HEARTBEAT, seed=plan.seed), LAP_FRAMES)
+        record(config, SimOptions(scene=scene, heartbeat=LAP_FRAMES, seed=plan.seed), LAP_FRAMES)
         for scene in (QUIET_SCENE, *BUSY_SCENES)
     ]
     seconds = QUICK_S if plan.quick else DAY_S
