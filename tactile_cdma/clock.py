@@ -38,7 +38,7 @@ class DeviceClock:
     A packet arrives late, never early, and by a varying amount: so of the lines that no arrival
     lies below, the one that is nearest to the earliest arrivals of all intervals is taken (Moon,
     Skelly and Towsley 1999, "Estimation and removal of clock skew from network delay
-    measurements"). However late some of them are, it stays where the others have it.
+    measurements"). What is later than clocks can explain has no say in it.
 
     A device slower than real time, as a replay at half the speed, is followed at its own pace: else
     its frames would be stamped ever farther in the past.
@@ -87,9 +87,13 @@ class DeviceClock:
         x, y = self._device[:kept] - device, self._host[:kept] - host
         rate, limit = 1.0, 1 + MAX_RATE_ERROR
         newest = (self._count - 1 - np.arange(min(kept, RECENT))) % self._device.size
-        if _is_slow(y - x, newest):
+        late_s = y - x
+        if _is_slow(late_s, newest):
             x, y, limit = x[newest], y[newest], np.inf
-        if kept >= RECENT:
+        else:
+            timely = late_s - late_s.min() <= MAX_RATE_ERROR * np.ptp(x)
+            x, y = x[timely], y[timely]
+        if x.size >= RECENT:
             rate = min(max(_rate_below(x, y), 1 - MAX_RATE_ERROR), limit)
         self._fitted = True
         self._rate, self._origin = rate, (device, host + float((y - rate * x).min()))

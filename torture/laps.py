@@ -17,20 +17,23 @@ from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.skin_config import SkinConfig
 
-_PLACE = struct.Struct("<BHQQ")
+_HEAD = struct.Struct("<BHQQ")
 """Type, sequence, device_time_us and first_index: how Samples and Quiet begin."""
+_WHERE_BYTES = 16
+"""Of device_time_us and first_index."""
 _SEQUENCES = 2**16
 
 
 class Told(NamedTuple):
-    """A packet of Samples or Quiet, with its place counted from the start of its frame period.
+    """A packet of Samples or Quiet, counted from the start of its frame period.
 
-    due_us: when it is sent. body: what follows type, sequence and place.
+    time_us, place: time and index of its first sample. due_us: when it is sent. body: what follows
+    type, sequence, time and index.
     """
 
     kind: int
     time_us: int
-    index: int
+    place: int
     due_us: int
     body: bytes
 
@@ -67,8 +70,8 @@ class LapWriter:
 
     def tell(self, told: Told, begin_us: int, begin_index: int) -> bytes:
         """The bytes of a packet of the frame period that begins at this time and index."""
-        head = _PLACE.pack(
-            told.kind, self.sequence, begin_us + told.time_us, begin_index + told.index
+        head = _HEAD.pack(
+            told.kind, self.sequence, begin_us + told.time_us, begin_index + told.place
         )
         return self._count(wrap(head + told.body))
 
@@ -149,8 +152,8 @@ def _told(
         if isinstance(begin, Quiet) and isinstance(packet, Quiet) and packet is not begin:
             # A gap after a silent frame waits for the next one.
             due_us = period_us + begin.device_time_us - begin_us + frame_us
-        index, body = packet.first_index - begin.first_index, packet.payload()[16:]
-        yield Told(packet.TYPE, time_us, index, due_us, body)
+        place = packet.first_index - begin.first_index
+        yield Told(packet.TYPE, time_us, place, due_us, packet.payload()[_WHERE_BYTES:])
 
 
 def _length_us(packet: Samples | Quiet, info: Info) -> int:

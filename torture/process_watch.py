@@ -64,6 +64,20 @@ class Watch:
             if alone:
                 self.alone.append((threads, descriptors))
 
+    @property
+    def rss_mb(self) -> float:
+        """At the last look."""
+        return self.rss_kb[-1] / 1024 if self.rss_kb else np.nan
+
+    @property
+    def more_is_held(self) -> bool:
+        """Whether threads or descriptors are never again as few as they were, without guests."""
+        quarter = len(self.alone) // 4
+        if not quarter:
+            return False
+        most = np.max(self.alone[:quarter], axis=0)
+        return bool((np.min(self.alone[-quarter:], axis=0) > most).any())
+
     def slope(self, from_s: float) -> Slope:
         """Of the memory, from this time on."""
         since = np.array(self.t_s) >= from_s
