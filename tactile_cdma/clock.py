@@ -24,10 +24,11 @@ MAX_RATE_ERROR = 1e-3
 SURE_INTERVALS = 40
 """Kept observations from which a rate is told to people: 1 ms of jitter is 55 ppm then."""
 RECENT = 8
-SLOW_S, CATCHING_UP_S = 0.5, 0.02
+SLOW_S, FALLS_BEHIND_S = 0.5, 0.005
 """A device is no clock but a slow replay or emulation if the last RECENT observations are later by
-SLOW_S than earlier ones: crystals come to 0.03 s in 30 s. What a stalled bus held back is later,
-too, but ever less so: by more than CATCHING_UP_S from one half of them to the next."""
+SLOW_S than earlier ones (crystals come to 0.03 s in 30 s), and ever later: every two of them by
+FALLS_BEHIND_S. What a stalled bus or a busy host held back is later, too, but comes ever less late,
+or about as late as buffers last."""
 _TOUCH_S = 1e-9
 """Rounding: what is so little below a line is on it."""
 
@@ -102,10 +103,10 @@ class DeviceClock:
 def _is_slow(late_s: NDArray[np.float64], newest: NDArray[np.intp]) -> bool:
     """Whether a device falls behind. late_s: of all observations; newest: the last ones of them."""
     recent_s = late_s[newest]
-    if recent_s.min() <= late_s.min() + SLOW_S:
+    if len(recent_s) < RECENT or recent_s.min() <= late_s.min() + SLOW_S:
         return False
-    half = len(recent_s) // 2
-    return bool(recent_s[:half].min() >= recent_s[half:].min() - CATCHING_UP_S)
+    earliest_s = recent_s.reshape(-1, 2).min(axis=1)
+    return bool((earliest_s[:-1] > earliest_s[1:] + FALLS_BEHIND_S).all())
 
 
 def _rate_below(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:

@@ -32,7 +32,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -59,7 +59,7 @@ PICTURES, RECORDER = (0.1, 0.4), (0.3, 0.6)
 """Shares of a cycle in which these guests are there."""
 ALONE = 0.8
 """From this share of a cycle on they are gone for long enough to compare what is held."""
-PATIENCE_S = 30.0
+PATIENCE_S, GRACE_S = 30.0, 5.0
 LOOK_S = 0.5
 WARM_UP, LONGEST_WARM_UP_S = 0.25, 300.0
 """Share of the run, but no longer, after which memory is looked at: pools fill up at first."""
@@ -132,7 +132,7 @@ def goes_on(
     with Recorder(folder / "bag") as recorder:
         while (now_s := time.monotonic()) < began_s + seconds:
             place = (now_s - began_s) / cycle_s % 1
-            listener.watch_pictures(PICTURES[0] < place < PICTURES[1])
+            listener.watches = PICTURES[0] < place < PICTURES[1]
             recorder.be_there(RECORDER[0] < place < RECORDER[1])
             watch.look(alone=place > ALONE)
             while listener.heard:
@@ -170,7 +170,10 @@ class Recorder:
             self._process = subprocess.Popen(command, stdout=quiet, stderr=quiet)
         elif not wanted and self._process is not None:
             self._process.send_signal(signal.SIGINT)
-            self._process.wait(PATIENCE_S)
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(GRACE_S)
+            self._process.kill()
+            self._process.wait()
             self._process = None
             shutil.rmtree(self._bag, ignore_errors=True)
 

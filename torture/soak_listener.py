@@ -20,35 +20,39 @@ from tactile_cdma.msg import TactileArray
 QUEUE = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT
 )
+LOOK_S = 0.2
 
 
 class Listener:
     """A participant of its own: array and diagnostics always, pictures when asked for.
 
     heard: messages that nobody has taken yet, each with by how many ns the host's real time was
-        ahead of its monotonic one then. reports, pictures: how many came.
+        ahead of its monotonic one then. reports, pictures: how many came. watches: whether the
+        heatmap is to be subscribed to.
     """
 
     def __init__(self, node: str) -> None:
         """node: full name of the driver's."""
         self.heard: deque[tuple[TactileArray, int]] = deque()
         self.reports = self.pictures = 0
+        self.watches = False
         self._heatmap = f"{node}/heatmap"
         self._context = Context()
         rclpy.init(context=self._context)
         self._node = rclpy.create_node("soak_listener", context=self._context)
         self._node.create_subscription(TactileArray, f"{node}/tactile", self._take, QUEUE)
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnosed, 10)
+        self._node.create_timer(LOOK_S, self._look)
         self._picture: Subscription | None = None
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._thread = threading.Thread(target=self._executor.spin, name="listener")
 
-    def watch_pictures(self, wanted: bool) -> None:
-        """Subscribe to the heatmap, or no longer."""
-        if wanted and self._picture is None:
+    def _look(self) -> None:
+        """Subscribe to the heatmap, or no longer; in the executor's thread."""
+        if self.watches and self._picture is None:
             self._picture = self._node.create_subscription(Image, self._heatmap, self._seen, 2)
-        elif not wanted and self._picture is not None:
+        elif not self.watches and self._picture is not None:
             self._node.destroy_subscription(self._picture)
             self._picture = None
 

@@ -23,13 +23,14 @@ from torture.process_watch import SECTIONS, Watch, slope
 
 CONFIG = SkinConfig.of(day.SKIN)
 SEED = 3
+Decoded = tuple[list[Lap], list[TactileFrame]]
 
 
 @pytest.fixture(autouse=True)
 def few_looks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Counting all objects of pytest takes long."""
     monkeypatch.setattr(day, "LOOKS", 40)
-    monkeypatch.setattr(day, "COUNTS", 4)
+    monkeypatch.setattr(day, "COUNTS", 2)
 
 
 @pytest.fixture(scope="module")
@@ -37,17 +38,21 @@ def stretch() -> Stretch:
     return record(CONFIG, SimOptions(scene="presses", heartbeat=40), 40)
 
 
-def frames_of(stretch: Stretch, count: int, told: Callable[[Lap], None]) -> list[TactileFrame]:
-    pipeline, frames = Pipeline(CONFIG), []
-    for t_s, data in day.Telling([stretch, stretch], SEED).bursts(count, told):
+@pytest.fixture(scope="module")
+def decoded(stretch: Stretch) -> Decoded:
+    """100 frames of a sound day, and what was told."""
+    pipeline, laps, frames = Pipeline(CONFIG), list[Lap](), list[TactileFrame]()
+    for t_s, data in day.Telling([stretch, stretch], SEED).bursts(100, laps.append):
         frames += pipeline.feed(data, t_s)
-    return frames
+    return laps, frames
 
 
-def judged(stretch: Stretch, damage: Callable[[list[TactileFrame]], object]) -> DayJudge:
-    """What is said of 100 frames that were damaged after they had been decoded."""
-    judge = DayJudge(CONFIG, lambda t_s: t_s)
-    frames = frames_of(stretch, 100, judge.told)
+def judged(decoded: Decoded, damage: Callable[[list[TactileFrame]], object]) -> DayJudge:
+    """What is said of frames that were damaged after they had been decoded."""
+    laps, sound = decoded
+    judge, frames = DayJudge(CONFIG, lambda t_s: t_s), list(sound)
+    for lap in laps:
+        judge.told(lap)
     damage(frames)
     for frame in frames:
         judge.judge(frame)
@@ -71,8 +76,8 @@ def test_a_replayed_part_is_good(stretch: Stretch) -> None:
     assert outcome.said == "98 frames"
 
 
-def test_laps_continue_each_other(stretch: Stretch) -> None:
-    judge = judged(stretch, lambda frames: None)
+def test_laps_continue_each_other(decoded: Decoded) -> None:
+    judge = judged(decoded, lambda frames: None)
     assert (judge.frames, judge.wrong, judge.uncounted) == (100, 0, 0)
 
 
@@ -104,27 +109,27 @@ def elsewhere(frame: TactileFrame) -> TactileFrame:
     "damage", [another_word, nobody, another_pressure, another_flag, elsewhere]
 )
 def test_a_false_frame_is_found(
-    damage: Callable[[TactileFrame], TactileFrame], stretch: Stretch
+    damage: Callable[[TactileFrame], TactileFrame], decoded: Decoded
 ) -> None:
     def put(frames: list[TactileFrame]) -> None:
         frames[60] = damage(frames[60])
 
-    assert judged(stretch, put).wrong == 1
+    assert judged(decoded, put).wrong == 1
 
 
-def test_a_lost_frame_is_found(stretch: Stretch) -> None:
+def test_a_lost_frame_is_found(decoded: Decoded) -> None:
     def lose(frames: list[TactileFrame]) -> None:
         del frames[60]
 
-    assert judged(stretch, lose).uncounted == 39
+    assert judged(decoded, lose).uncounted == 39
 
 
-def test_a_false_stamp_is_found(stretch: Stretch) -> None:
+def test_a_false_stamp_is_found(decoded: Decoded) -> None:
     def late(frames: list[TactileFrame]) -> None:
         frames[:] = [replace(frame, t_host=frame.t_middle + 0.5e-3) for frame in frames]
         frames[-1] = replace(frames[-1], t_host=frames[-1].t_middle - 1.1e-3)
 
-    judge = judged(stretch, late)
+    judge = judged(decoded, late)
     assert judge.stamps_beyond(day.MOST_ERROR_S) == 1
     assert judge.stamp_error_s(0.5) == pytest.approx(0.5e-3, abs=2e-6)
     assert judge.worst_s == pytest.approx(1.1e-3, abs=2e-6)
