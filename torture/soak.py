@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import shutil
 import signal
@@ -66,6 +67,8 @@ WARM_UP, LONGEST_WARM_UP_S = 0.25, 300.0
 MOST_DRIFT_S = 1e-3
 """Of stamps against true time, from the first part of the run to the last."""
 PARTS = 5
+LONG_S = 600.0
+"""In less time slopes are but told: a page more or less is too much."""
 MOST_KB_PER_H, SPREADS = 2048.0, 3.0
 """Memory that grows faster than that, by more than so many spreads of the slope, is a leak."""
 
@@ -190,7 +193,8 @@ def outcome_of(
     """What came of a run. reports: what else is to be said."""
     began_s = watch.t_s[0] if watch.t_s else 0.0
     slope = watch.slope(began_s + min(WARM_UP * seconds, LONGEST_WARM_UP_S))
-    leaks = slope.kb_per_h - SPREADS * slope.spread_kb_per_h > MOST_KB_PER_H
+    long = seconds >= LONG_S
+    leaks = long and slope.kb_per_h - SPREADS * slope.spread_kb_per_h > MOST_KB_PER_H
     late_ms = np.array(judge.errors_s or [np.nan]) * 1e3
     moved_s = drift(judge.errors_s)
     held = "{} threads, {} descriptors".format(*(watch.alone[-1] if watch.alone else (0, 0)))
@@ -204,7 +208,7 @@ def outcome_of(
         said=f"{judge.received:,} frames heard, {judge.lost} lost and told; {watch.rss_mb:.0f} MB "
         f"{slope}, {held}; stamps late by {np.median(late_ms):.2f} ms, "
         f"p99 {np.percentile(late_ms, 99):.2f}, drift {moved_s * 1e3:+.2f}; {reports}",
-        rss_slope_kb_per_h=slope.kb_per_h,
+        rss_slope_kb_per_h=slope.kb_per_h if long else math.nan,
     )
 
 

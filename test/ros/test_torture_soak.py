@@ -25,18 +25,17 @@ from torture.process_watch import Watch
 from torture.soak_judge import Judge
 from torture.soak_listener import Listener
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.xdist_group("soak")]  # many: so they begin early
 CONFIG = SkinConfig.of({})
 SOAK_S = 120.0
 FRAMES = 300
 POWERED_S = 1000.0
 
 
-@pytest.mark.xdist_group("soak")
 def test_two_minutes_of_the_real_driver() -> None:
     outcome = soak.soak(SOAK_S)
     assert outcome.good, outcome
-    assert np.isfinite(outcome.rss_slope_kb_per_h)
+    assert "nan" not in outcome.said
 
 
 @pytest.fixture(scope="module")
