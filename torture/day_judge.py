@@ -1,3 +1,17 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Holds every frame of a day against what was told, and its stamp against the true time."""
 
 from __future__ import annotations
@@ -37,11 +51,11 @@ class DayJudge:
     host_at: host time, s, of device time, s; None where stamps are not looked at.
     wrong: frames with a false word, pressure, flag or time. frames: that came.
     uncounted: frames that are missing, or not numbered as they came.
-    unsettled: stamps that were too early to be judged.
+    worst_s: largest error of a stamp.
     """
 
     def __init__(self, config: SkinConfig, host_at: Callable[[float], float] | None) -> None:
-        self._config, self._host_at = config, host_at
+        self._host_at = host_at
         self._held = Held(config)
         self._laps: deque[Lap] = deque()
         self._first: tuple[int, float] | None = None  # sequence and device time
