@@ -53,6 +53,8 @@ from .timing import FrameLevels, QuietBlock, SampleBlock
 _TICK_S = 1e-6
 _CLOCK_SLACK_S = 0.05
 """Difference of device time and sample count beyond which one of them was restarted."""
+_LATEST_S = 2.0
+"""A host that is busy for longer reads what it can no longer tell from another clock's time."""
 _MAX_DEVICE_TIME_US = 1 << 53
 """285 years, and what a float holds without rounding."""
 _MAX_SAMPLES_PER_CHIP = 1000
@@ -290,7 +292,7 @@ class Pipeline:
         if self._next_index is not None:
             missing = packet.first_index - self._next_index
             if missing < 0 or not self._continues(packet.first_index, t_device):
-                self._restart()
+                self._restart(missing < 0 and self._goes_on(t_device, t_host))
             elif missing:
                 self.counters.lost_samples += missing
                 self._timing.reset()
@@ -313,11 +315,19 @@ class Pipeline:
             slack_s += spec.frame_period_s + counted_s * (spec.frame_period_s / spec.frame_s - 1)
         return -_CLOCK_SLACK_S <= t_device - last_s - counted_s <= slack_s + 0.01 * counted_s
 
-    def _restart(self) -> None:
+    def _goes_on(self, t_device: float, t_host: float) -> bool:
+        """Whether this is the device time that was known so far, as it is after another START."""
+        late_s = t_host - self._clock.to_host(t_device)
+        return t_device > self._anchors[-1][1] and -_CLOCK_SLACK_S < late_s < _LATEST_S
+
+    def _restart(self, clock_goes_on: bool) -> None:
         """The digitizer began anew: its count went back, or its clock and count part ways."""
         assert self._timing is not None
         self.counters.restarts += 1
-        self._forget()
+        if clock_goes_on:
+            self._anchors.clear()
+        else:
+            self._forget()
         self._timing.reset()
 
     def _forget(self) -> None:
