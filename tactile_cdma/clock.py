@@ -17,23 +17,29 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 MAX_RATE_ERROR = 1e-3
 """Largest believable rate difference of two crystal clocks; a steeper fit is jitter of the bus."""
 SURE_INTERVALS = 40
 """Kept observations from which a rate is told to people: 1 ms of jitter is 55 ppm then."""
 RECENT = 8
-SLOW_S = 0.5
+SLOW_S, FALLS_BEHIND_S = 0.5, 0.005
 """A device is no clock but a slow replay or emulation if the last RECENT observations are later by
-so much than earlier ones: crystals come to 0.03 s in 30 s, and a stalled bus recovers sooner."""
+SLOW_S than earlier ones (crystals come to 0.03 s in 30 s), and ever later: every two of them by
+FALLS_BEHIND_S. What a stalled bus or a busy host held back is later, too, but comes ever less late,
+or about as late as buffers last."""
+_TOUCH_S = 1e-9
+"""Rounding: what is so little below a line is on it."""
 
 
 class DeviceClock:
     """Maps device time to host time, both in s, from the arrival times of packets.
 
-    A packet arrives late, never early, and by a varying amount: so the line of device time against
-    host time is fitted by least squares to the earliest arrival of every interval, then lowered
-    until no observation lies below it.
+    A packet arrives late, never early, and by a varying amount: so of the lines that no arrival
+    lies below, the one that is nearest to the earliest arrivals of all intervals is taken (Moon,
+    Skelly and Towsley 1999, "Estimation and removal of clock skew from network delay
+    measurements"). What is later than clocks can explain has no say in it.
 
     A device slower than real time, as a replay at half the speed, is followed at its own pace: else
     its frames would be stamped ever farther in the past.
@@ -82,11 +88,45 @@ class DeviceClock:
         x, y = self._device[:kept] - device, self._host[:kept] - host
         rate, limit = 1.0, 1 + MAX_RATE_ERROR
         newest = (self._count - 1 - np.arange(min(kept, RECENT))) % self._device.size
-        if np.min((y - x)[newest]) > np.min(y - x) + SLOW_S:
+        late_s = y - x
+        if _is_slow(late_s, newest):
             x, y, limit = x[newest], y[newest], np.inf
-        if kept >= RECENT:
-            spread = x - x.sum() / x.size
-            rate = float(spread @ y / (spread @ spread))
-            rate = min(max(rate, 1 - MAX_RATE_ERROR), limit)
+        else:
+            timely = late_s - late_s.min() <= MAX_RATE_ERROR * np.ptp(x)
+            x, y = x[timely], y[timely]
+        if x.size >= RECENT:
+            rate = min(max(_rate_below(x, y), 1 - MAX_RATE_ERROR), limit)
         self._fitted = True
         self._rate, self._origin = rate, (device, host + float((y - rate * x).min()))
+
+
+def _is_slow(late_s: NDArray[np.float64], newest: NDArray[np.intp]) -> bool:
+    """Whether a device falls behind. late_s: of all observations; newest: the last ones of them."""
+    recent_s = late_s[newest]
+    if len(recent_s) < RECENT or recent_s.min() <= late_s.min() + SLOW_S:
+        return False
+    earliest_s = recent_s.reshape(-1, 2).min(axis=1)
+    return bool((earliest_s[:-1] > earliest_s[1:] + FALLS_BEHIND_S).all())
+
+
+def _rate_below(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
+    """Slope of the line below all points that has the least sum of distances to them.
+
+    It is that edge of their lower convex hull which passes the middle of all x: two points of the
+    hull, one to either side, are moved until no point lies below the line through them.
+    """
+    beyond = x > x.mean()
+    left, right = (
+        int(places[np.argmin((y - x)[places])])
+        for places in (np.flatnonzero(~beyond), np.flatnonzero(beyond))
+    )
+    while True:
+        rate = float((y[right] - y[left]) / (x[right] - x[left]))
+        above = y - y[left] - rate * (x - x[left])
+        lowest = int(above.argmin())
+        if above[lowest] > -_TOUCH_S:
+            return rate
+        if beyond[lowest]:
+            right = lowest
+        else:
+            left = lowest

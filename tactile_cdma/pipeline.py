@@ -26,7 +26,7 @@ from ._protocol import PacketType, Result, SyncMode
 from .baseline import Baseline
 from .clock import DeviceClock
 from .clock_keeper import ClockReport
-from .continuity import AnySamples, Continuity, Pace, count_of
+from .continuity import CLOCK_SLACK_S, AnySamples, Continuity, Pace, count_of
 from .decode import Words, decode, silent
 from .drift import DriftTracker, nodes_beside
 from .errors import SpecError
@@ -52,6 +52,8 @@ from .taxels import Readings, Taxels
 from .timing import FrameLevels, QuietBlock, SampleBlock
 
 _TICK_S = 1e-6
+_LATEST_S = 2.0
+"""A host that is busy for longer reads what it can no longer tell from another clock's time."""
 _MAX_DEVICE_TIME_US = 1 << 53
 """285 years, and what a float holds without rounding."""
 _MAX_SAMPLES_PER_CHIP = 1000
@@ -276,7 +278,7 @@ class Pipeline:
         self.counters.samples += count
         lost = self._continuity.lost_before(packet, pace)
         if lost is None:
-            self._restart()
+            self._restart(self._goes_on(t_device, t_host))
         elif lost:
             self.counters.lost_samples += lost
             self._timing.reset()
@@ -305,11 +307,19 @@ class Pipeline:
             timing.quiet(block) if isinstance(timing, LineTiming) else timing.feed(block.samples())
         )
 
-    def _restart(self) -> None:
+    def _goes_on(self, t_device: float, t_host: float) -> bool:
+        """Whether this is the device time that was known so far, as it is after another START."""
+        late_s = t_host - self._clock.to_host(t_device)
+        return t_device > self._anchors[-1][1] and -CLOCK_SLACK_S < late_s < _LATEST_S
+
+    def _restart(self, clock_goes_on: bool) -> None:
         """The digitizer began anew: its count went back, or its clock and count part ways."""
         assert self._timing is not None
         self.counters.restarts += 1
-        self._forget()
+        if clock_goes_on:
+            self._anchors.clear()
+        else:
+            self._forget()
         self._timing.reset()
 
     def _forget(self) -> None:

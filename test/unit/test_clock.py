@@ -47,7 +47,55 @@ def test_wild_arrivals_do_not_bend_the_rate() -> None:
     for i in range(200):
         stall = 3.0 if 100 < i < 140 else 0.0
         clock.observe(i * 0.1, i * 0.1 + stall)
-    assert clock.to_host(20.0) == pytest.approx(20.0, abs=0.05)
+    assert clock.to_host(20.0) == pytest.approx(20.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("stall_s", [0.1, 1.0, 3.0, 10.0])
+@pytest.mark.parametrize("age_s", [5.0, 20.0])
+@pytest.mark.parametrize("drift", [0.0, 100e-6, -100e-6])
+def test_a_stall_moves_no_stamp(drift: float, age_s: float, stall_s: float) -> None:
+    """Nothing comes for a while, then all that was held back: meanwhile, and for ever after."""
+    rng, clock, worst_s = np.random.default_rng(7), DeviceClock(), 0.0
+    for i in range(6000):
+        device, true = i * 0.01, 50 + i * 0.01 * (1 + drift)
+        arrival = true + rng.exponential(0.5e-3)
+        if age_s < arrival - 50 < age_s + stall_s:
+            arrival = 50 + age_s + stall_s
+        clock.observe(device, arrival)
+        if device > 3:
+            worst_s = max(worst_s, abs(clock.to_host(device) - true))
+    assert worst_s < 1e-3
+
+
+def test_a_backlog_that_is_worked_off_is_no_slow_device() -> None:
+    """A reader that was stopped for 6 s and then reads at three times the pace."""
+    clock, worst_s = DeviceClock(), 0.0
+    for i in range(6000):
+        device = i * 0.01
+        clock.observe(device, max(device, 26 + (device - 20) / 3 if device > 20 else 0.0))
+        worst_s = max(worst_s, abs(clock.to_host(device) - device))
+    assert worst_s < 0.1e-3
+
+
+def test_a_reader_that_lags_is_no_slow_device() -> None:
+    """A host too busy for a while: what buffers hold, 0.8 s, is read so much later."""
+    rng, clock, worst_s = np.random.default_rng(8), DeviceClock(), 0.0
+    for i in range(6000):
+        device = i * 0.01
+        lag_s = min(0.8, (device - 20) * 0.8) + rng.uniform(-0.01, 0.01) if 20 < device < 35 else 0
+        clock.observe(device, device + max(lag_s, 0))
+        worst_s = max(worst_s, abs(clock.to_host(device) - device))
+    assert worst_s < 1e-3
+
+
+def test_a_device_that_stood_still_is_followed_again() -> None:
+    """An emulator that was stopped for 2 s: it lags from then on, which takes 30 s to see."""
+    clock = DeviceClock()
+    for i in range(6000):
+        device = i * 0.01
+        clock.observe(device, device + 2.0 * (device > 20))
+        if device > 51:
+            assert clock.to_host(device) == pytest.approx(device + 2.0, abs=1e-3)
 
 
 @pytest.mark.parametrize("speed", [0.1, 0.5, 0.9])

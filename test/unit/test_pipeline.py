@@ -24,6 +24,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactile_cdma._protocol import VERSION, SyncMode
+from tactile_cdma.driver import Session
 from tactile_cdma.messages import (
     Configure,
     FrameLayout,
@@ -396,3 +397,24 @@ def test_compensated_pressures_follow_rising_and_falling_loads() -> None:
         found_pa = np.array([frame.readings.pressure_pa for frame in frames])
         errors_pa[compensation] = np.sqrt(np.mean((found_pa - true_pa) ** 2))
     assert errors_pa[True] < 0.3 * errors_pa[False]
+
+
+def test_another_start_leaves_the_devices_clock_and_the_sequence_as_they_were() -> None:
+    """A host that was too busy asks again; the first frames after that come late, too."""
+    config, frames = SkinConfig.of({}), list[TactileFrame]()
+    digitizer, pipeline = VirtualDigitizer(SimOptions(scene="all", speed=0)), Pipeline(config)
+    for late_s in (0.0, 0.3):
+        digitizer.receive(Session(config).open())
+        for _ in range(60):
+            digitizer.advance(4096)
+            frames += pipeline.feed(digitizer.take(4096), digitizer._now_s + late_s)
+        digitizer._now_s += 5.2 * config.spec.frame_period_s
+        digitizer.advance(0)
+        digitizer.take(digitizer.pending)  # nobody reads that
+    assert pipeline.counters.restarts == 1
+    starts_s = np.array([frame.t_start for frame in frames])
+    sequence = np.array([frame.sequence for frame in frames])
+    steps = np.rint(np.diff(starts_s) / config.spec.frame_period_s)
+    assert steps.max() >= 5
+    assert np.array_equal(np.diff(sequence), steps)
+    assert max(frame.t_host - frame.t_middle for frame in frames) < 0.05

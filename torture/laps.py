@@ -1,0 +1,175 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A recorded stretch of a skin's day, told again and again while time and counts go on."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_cdma.driver import Session
+from tactile_cdma.messages import Info, Packet, Quiet, Samples
+from tactile_cdma.protocol import PacketParser, PacketWriter, wrap
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.skin_config import SkinConfig
+
+_HEAD = struct.Struct("<BHQQ")
+"""Type, sequence, device_time_us and first_index: how Samples and Quiet begin."""
+_WHERE_BYTES = 16
+"""Of device_time_us and first_index."""
+_SEQUENCES = 2**16
+
+
+class Told(NamedTuple):
+    """A packet of Samples or Quiet, counted from the start of its frame period.
+
+    time_us, place: time and index of its first sample. due_us: when it is sent. body: what follows
+    type, sequence, time and index.
+    """
+
+    kind: int
+    time_us: int
+    place: int
+    due_us: int
+    body: bytes
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Whole frame periods of a digitizer's packets, and what the nodes said in them.
+
+    info: of the digitizer. frames: the packets of each period. period_us, period_samples: of one.
+    active: (l, n) bool, who spoke. codes: (l, n) int64.
+    """
+
+    info: Info
+    frames: tuple[tuple[Told, ...], ...]
+    period_us: int
+    period_samples: int
+    active: NDArray[np.bool_]
+    codes: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+
+class LapWriter:
+    """Makes packets of a stretch those of any other time, CRC and COBS anew.
+
+    sequence: of the next packet. packets, bytes: made so far.
+    """
+
+    def __init__(self, sequence: int = 0) -> None:
+        self._others = PacketWriter()
+        self.sequence = sequence
+        self.packets = self.bytes = 0
+
+    def tell(self, told: Told, begin_us: int, begin_index: int) -> bytes:
+        """The bytes of a packet of the frame period that begins at this time and index."""
+        head = _HEAD.pack(
+            told.kind, self.sequence, begin_us + told.time_us, begin_index + told.place
+        )
+        return self._count(wrap(head + told.body))
+
+    def encode(self, packet: Packet) -> bytes:
+        """The bytes of any other packet."""
+        self._others.sequence = self.sequence
+        return self._count(self._others.encode(packet))
+
+    def _count(self, data: bytes) -> bytes:
+        self.sequence = (self.sequence + 1) % _SEQUENCES
+        self.packets += 1
+        self.bytes += len(data)
+        return data
+
+
+class Held:
+    """What a driver reads that has heard these words: the last one of every node, by the curves.
+
+    pressure_pa: (n,) float64, Pa; NaN where it is not known.
+    """
+
+    def __init__(self, config: SkinConfig) -> None:
+        full = (1 << config.adc.bits) - 1
+        volts = config.adc.voltage(np.arange(full + 1))
+        curves = [config.calibration.curves[node] for node in range(config.spec.nodes)]
+        # The highest code says "so much or more": no pressure, where the sensor rests above it.
+        volts[full] = max(volts[full], curves[0].voltage_v[0])
+        self._pressure_of = np.array([curve.pressure(volts) for curve in curves])
+        self._nodes = np.arange(len(curves))
+        self.pressure_pa = np.full(len(curves), np.nan)
+
+    def hear(self, active: NDArray[np.bool_], codes: NDArray[np.int64]) -> None:
+        """Words, (n,) each."""
+        said_pa = self._pressure_of[self._nodes, codes]
+        self.pressure_pa = np.where(active, said_pa, self.pressure_pa)
+
+    def miss(self, nodes: NDArray[np.bool_]) -> None:
+        """Words of these nodes, (n,) bool, may have been lost."""
+        self.pressure_pa[nodes] = np.nan
+
+
+def record(config: SkinConfig, options: SimOptions, count: int) -> Stretch:
+    """The first frame periods of a simulated skin."""
+    digitizer = VirtualDigitizer(replace(options, speed=0.0))
+    digitizer.receive(Session(config).open())
+    parser, periods = PacketParser(), list[list[Samples | Quiet]]()
+    while len(periods) <= count:
+        digitizer.advance(65_536)
+        for packet in parser.feed(digitizer.take(digitizer.pending)):
+            if isinstance(packet, Samples | Quiet):
+                if packet.sync:
+                    periods.append([])
+                periods[-1].append(packet)
+    info = digitizer.info()
+    period_us = round(config.spec.frame_period_s * 1e6)
+    started_us = round(digitizer.started_s * 1e6)
+    said = [digitizer.truth(number) for number in range(count)]
+    return Stretch(
+        info=info,
+        frames=tuple(
+            tuple(_told(period, info, period_us, started_us + number * period_us))
+            for number, period in enumerate(periods[:count])
+        ),
+        period_us=period_us,
+        period_samples=periods[1][0].first_index - periods[0][0].first_index,
+        active=np.array([frame.active for frame in said]),
+        codes=np.array([frame.codes for frame in said]),
+    )
+
+
+def _told(
+    period: list[Samples | Quiet], info: Info, period_us: int, begin_us: int
+) -> Iterator[Told]:
+    begin, frame_us = period[0], _length_us(period[0], info)
+    for packet in period:
+        time_us = packet.device_time_us - begin_us
+        due_us = time_us + _length_us(packet, info)
+        if isinstance(begin, Quiet) and isinstance(packet, Quiet) and packet is not begin:
+            # A gap after a silent frame waits for the next one.
+            due_us = period_us + begin.device_time_us - begin_us + frame_us
+        place = packet.first_index - begin.first_index
+        yield Told(packet.TYPE, time_us, place, due_us, packet.payload()[_WHERE_BYTES:])
+
+
+def _length_us(packet: Samples | Quiet, info: Info) -> int:
+    count = packet.count if isinstance(packet, Quiet) else packet.counts.size
+    return round(count / info.sample_rate_hz * 1e6)
