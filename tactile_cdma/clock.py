@@ -25,7 +25,10 @@ SURE_INTERVALS = 40
 RECENT = 8
 SLOW_S = 0.5
 """A device is no clock but a slow replay or emulation if the last RECENT observations are later by
-so much than earlier ones: crystals come to 0.03 s in 30 s, and a stalled bus recovers sooner."""
+so much than earlier ones: crystals come to 0.03 s in 30 s, and a stalled bus recovers sooner. They
+must have taken longer than on the device, too: a host that was held up reads them all at once."""
+HELD_UP_S = 0.02
+"""Later than any drift explains: something was held up then, which tells nothing of the rate."""
 
 
 class DeviceClock:
@@ -82,9 +85,13 @@ class DeviceClock:
         x, y = self._device[:kept] - device, self._host[:kept] - host
         rate, limit = 1.0, 1 + MAX_RATE_ERROR
         newest = (self._count - 1 - np.arange(min(kept, RECENT))) % self._device.size
-        if np.min((y - x)[newest]) > np.min(y - x) + SLOW_S:
+        late = y - x - np.min(y - x)
+        if np.min(late[newest]) > SLOW_S and np.ptp(y[newest]) >= np.ptp(x[newest]):
             x, y, limit = x[newest], y[newest], np.inf
-        if kept >= RECENT:
+        else:
+            in_time = late <= HELD_UP_S + MAX_RATE_ERROR * np.ptp(x)
+            x, y = x[in_time], y[in_time]
+        if x.size >= RECENT:
             spread = x - x.sum() / x.size
             rate = float(spread @ y / (spread @ spread))
             rate = min(max(rate, 1 - MAX_RATE_ERROR), limit)
