@@ -1,0 +1,100 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Subscribers of a skin as a program: many, slow or in no hurry; says in the end what each got.
+
+python -m torture.crowd --participants 5 --each 2 --delay 1.0 --kind markers
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from contextlib import suppress
+
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Image
+
+from tactile_cdma.msg import TactileArray
+
+from .message_judge import digest
+
+KINDS = {"arrays": (TactileArray, "/skin/tactile"), "pictures": (Image, "/skin/heatmap")}
+KEEP_ALL = QoSProfile(
+    history=HistoryPolicy.KEEP_ALL, depth=0, reliability=ReliabilityPolicy.RELIABLE
+)
+"""The most that a subscriber can ask for."""
+
+
+class Subscriber(Node):
+    """One of the crowd. got: digests by sequence, of arrays. count: of messages."""
+
+    def __init__(self, context: rclpy.Context, number: int, kind: str, delay_s: float) -> None:
+        super().__init__(f"crowd_{os.getpid()}_{number}", context=context)
+        self.got: dict[int, int] = {}
+        self.count = 0
+        self._delay_s = delay_s
+        message_type, topic = KINDS[kind]
+        self.create_subscription(message_type, topic, self._take, KEEP_ALL)
+
+    def _take(self, message: TactileArray | Image) -> None:
+        self.count += 1
+        if isinstance(message, TactileArray):
+            self.got[message.sequence] = digest(message)
+        time.sleep(self._delay_s)
+
+
+def main() -> int:
+    """Subscribe until SIGTERM; a line `ready` once all have got something, then what they got."""
+    parser = argparse.ArgumentParser(prog="python -m torture.crowd", description=__doc__)
+    parser.add_argument("--participants", type=int, default=1)
+    parser.add_argument("--each", type=int, default=1, help="subscribers of a participant")
+    parser.add_argument("--kind", choices=list(KINDS), default="arrays")
+    parser.add_argument("--delay", type=float, default=0.0, help="s that a message takes")
+    arguments = parser.parse_args()
+    over = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: over.set())
+    crowd: list[Subscriber] = []
+    for _ in range(arguments.participants):
+        context = rclpy.Context()
+        rclpy.init(context=context)
+        executor = SingleThreadedExecutor(context=context)
+        for _ in range(arguments.each):
+            node = Subscriber(context, len(crowd), arguments.kind, arguments.delay)
+            crowd.append(node)
+            executor.add_node(node)
+        threading.Thread(target=_spin, args=(executor,), daemon=True).start()
+    while not over.is_set() and not all(member.count for member in crowd):
+        time.sleep(0.05)
+    print("ready", flush=True)
+    over.wait()
+    print(json.dumps([[member.count, member.got] for member in crowd]), flush=True)
+    os._exit(0)  # what is left in the middleware is of no interest
+
+
+def _spin(executor: SingleThreadedExecutor) -> None:
+    with suppress(ExternalShutdownException):
+        executor.spin()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
