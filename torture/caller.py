@@ -14,7 +14,7 @@
 
 """Calls a skin's services as fast as they are answered, as a program; says how many were.
 
-python -m torture.caller --seconds 5
+python -m torture.caller /skin --seconds 5
 """
 
 from __future__ import annotations
@@ -37,13 +37,14 @@ AT_ONCE = 8
 def main() -> int:
     """Call for so long; `asked=… answered=… refused=…` at the end."""
     parser = argparse.ArgumentParser(prog="python -m torture.caller", description=__doc__)
+    parser.add_argument("skin", help="the driver's node, /skin")
     parser.add_argument("--seconds", type=float, required=True)
-    seconds = parser.parse_args().seconds
+    arguments = parser.parse_args()
     rclpy.init()
     node = rclpy.create_node("caller")
     rates = cycle([10.0, 30.0, -1.0])  # the last one is to be refused
     clients = {
-        kind: node.create_client(kind, f"/skin/{name}")
+        kind: node.create_client(kind, f"{arguments.skin}/{name}")
         for kind, name in (
             (SetParameters, "set_parameters"),
             (GetParameters, "get_parameters"),
@@ -54,7 +55,7 @@ def main() -> int:
     for client in clients.values():
         client.wait_for_service(PATIENCE_S)
     asked = answered = refused = 0
-    turns, end_s = cycle(clients.items()), time.monotonic() + seconds
+    turns, end_s = cycle(clients.items()), time.monotonic() + arguments.seconds
     while time.monotonic() < end_s:
         calls = []
         for _ in range(AT_ONCE):

@@ -14,7 +14,7 @@
 
 """Subscribers of a skin as a program: many, slow or in no hurry; says in the end what each got.
 
-python -m torture.crowd --participants 5 --each 2 --delay 1.0 --kind markers
+python -m torture.crowd /skin --participants 5 --each 2 --delay 1.0 --kind pictures
 """
 
 from __future__ import annotations
@@ -38,7 +38,9 @@ from tactile_cdma.msg import TactileArray
 
 from .message_judge import digest
 
-KINDS = {"arrays": (TactileArray, "/skin/tactile"), "pictures": (Image, "/skin/heatmap")}
+KINDS = {"arrays": (TactileArray, "tactile"), "pictures": (Image, "heatmap")}
+PATIENCE_S = 30.0
+"""Who has got nothing for so long gives up."""
 KEEP_ALL = QoSProfile(
     history=HistoryPolicy.KEEP_ALL, depth=0, reliability=ReliabilityPolicy.RELIABLE
 )
@@ -48,13 +50,12 @@ KEEP_ALL = QoSProfile(
 class Subscriber(Node):
     """One of the crowd. got: digests by sequence, of arrays. count: of messages."""
 
-    def __init__(self, context: rclpy.Context, number: int, kind: str, delay_s: float) -> None:
-        super().__init__(f"crowd_{os.getpid()}_{number}", context=context)
+    def __init__(self, context: rclpy.Context, topic: str, kind: type, delay_s: float) -> None:
+        super().__init__("crowd", context=context)
         self.got: dict[int, int] = {}
         self.count = 0
         self._delay_s = delay_s
-        message_type, topic = KINDS[kind]
-        self.create_subscription(message_type, topic, self._take, KEEP_ALL)
+        self.create_subscription(kind, topic, self._take, KEEP_ALL)
 
     def _take(self, message: TactileArray | Image) -> None:
         self.count += 1
@@ -66,6 +67,7 @@ class Subscriber(Node):
 def main() -> int:
     """Subscribe until SIGTERM; a line `ready` once all have got something, then what they got."""
     parser = argparse.ArgumentParser(prog="python -m torture.crowd", description=__doc__)
+    parser.add_argument("skin", help="the driver's node, /skin")
     parser.add_argument("--participants", type=int, default=1)
     parser.add_argument("--each", type=int, default=1, help="subscribers of a participant")
     parser.add_argument("--kind", choices=list(KINDS), default="arrays")
@@ -73,18 +75,21 @@ def main() -> int:
     arguments = parser.parse_args()
     over = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: over.set())
+    kind, topic = KINDS[arguments.kind]
     crowd: list[Subscriber] = []
     for _ in range(arguments.participants):
         context = rclpy.Context()
         rclpy.init(context=context)
         executor = SingleThreadedExecutor(context=context)
         for _ in range(arguments.each):
-            node = Subscriber(context, len(crowd), arguments.kind, arguments.delay)
+            node = Subscriber(context, f"{arguments.skin}/{topic}", kind, arguments.delay)
             crowd.append(node)
             executor.add_node(node)
         threading.Thread(target=_spin, args=(executor,), daemon=True).start()
-    while not over.is_set() and not all(member.count for member in crowd):
-        time.sleep(0.05)
+    give_up_s = time.monotonic() + PATIENCE_S
+    while not all(member.count for member in crowd):
+        if over.wait(0.05) or time.monotonic() > give_up_s:
+            return 1
     print("ready", flush=True)
     over.wait()
     print(json.dumps([[member.count, member.got] for member in crowd]), flush=True)

@@ -145,7 +145,8 @@ def _come_and_go(skin: LoadedSkin) -> Outcome:
 
 def _calls(skin: LoadedSkin, plan: Plan) -> Outcome:
     """Services are called as fast as they answer, a third of the settings to be refused."""
-    command = [sys.executable, "-m", "torture.caller", "--seconds", "1" if plan.quick else "20"]
+    command = [sys.executable, "-m", "torture.caller", skin.name]
+    command += ["--seconds", "1" if plan.quick else "20"]
     done = subprocess.run(command, env=skin.environment, capture_output=True, text=True)
     said = {k: int(n) for k, n in re.findall(r"(\w+)=(\d+)", done.stdout)}
     skin.streams_on()
@@ -186,7 +187,7 @@ def _uncounted(skin: LoadedSkin) -> int:
 def _full_state(skin: LoadedSkin, plan: Plan) -> Outcome:
     """The driver's own files cannot be written for a while: the service says so."""
     times = 1 if plan.quick else 20
-    client = skin.node.create_client(Trigger, "/skin/save_calibration")
+    client = skin.node.create_client(Trigger, f"{skin.name}/save_calibration")
     skin.waits_for(client.service_is_ready)
 
     def saves() -> bool:
@@ -285,11 +286,11 @@ def _stops_behind_a_socket(skin: LoadedSkin, rng: Random) -> Outcome:
 @contextmanager
 def _crowd(skin: LoadedSkin, *arguments: str) -> Iterator[subprocess.Popen[str]]:
     """Subscribers in a process of their own, once each has got something."""
-    command = [sys.executable, "-m", "torture.crowd", *arguments]
+    command = [sys.executable, "-m", "torture.crowd", skin.name, *arguments]
     process = subprocess.Popen(command, env=skin.environment, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     try:
-        process.stdout.readline()
+        skin.hangs += not process.stdout.readline()
         yield process
     finally:
         process.kill()
@@ -301,4 +302,4 @@ def _ended(crowd: subprocess.Popen[str]) -> list[tuple[int, dict[str, int]]]:
     """What each of a crowd has got: how many messages, and their digests by sequence."""
     crowd.terminate()
     assert crowd.stdout is not None
-    return [(count, got) for count, got in json.loads(crowd.stdout.readline())]
+    return [(count, got) for count, got in json.loads(crowd.stdout.readline() or "[]")]

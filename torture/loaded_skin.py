@@ -22,7 +22,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
@@ -44,11 +44,6 @@ DEFECTS = ("Traceback", "internal error")
 """What a driver's log must not hold."""
 DOMAINS = 101
 QUEUE = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
-PARAMETERS = {
-    "drift_pa_per_min": 0.0,
-    "qos_overrides./skin/tactile.publisher.reliability": "reliable",
-}
-"""Subscribers that a publisher waits for are the worse ones."""
 _TURN_S = 0.02
 
 
@@ -63,7 +58,6 @@ class LoadedSkin:
         folder: Path,
         seed: int,
         patience_s: float,
-        parameters: Mapping[str, object] | None = None,
         networked: bool = False,
     ) -> None:
         """networked: the digitizer is behind a socket, else behind a tty."""
@@ -71,6 +65,8 @@ class LoadedSkin:
         self.judge = MessageJudge(self.digitizer)
         self.warned: dict[str, set[str]] = {}
         self.hangs = 0
+        namespace = f"/load_{os.getpid()}"  # others may be in the same domain
+        self.name = f"{namespace}/skin"
         self.environment = {
             **os.environ,
             "ROS_DOMAIN_ID": str(1 + (os.getpid() + networked) % DOMAINS),
@@ -78,7 +74,9 @@ class LoadedSkin:
             "ROS_HOME": str(folder / "ros"),
         }
         self._folder, self._patience_s, self._networked = folder, patience_s, networked
-        self._parameters = {**PARAMETERS, **(parameters or {})}
+        # Subscribers that a publisher waits for are the worse ones.
+        reliability = f"qos_overrides.{self.name}/tactile.publisher.reliability"
+        self._arguments = ["-r", f"__ns:={namespace}", "-p", f"{reliability}:=reliable"]
         self._values: dict[str, str] = {}
         self._log_read = 0
         self._stack = ExitStack()
@@ -174,10 +172,9 @@ class LoadedSkin:
 
     @contextmanager
     def _driver(self, port: str) -> Iterator[subprocess.Popen[bytes]]:
-        values = {"port": port, "state_folder": str(self._folder), **self._parameters}
-        command = [sys.executable, "-m", "tactile_cdma.ros.node", "--ros-args"]
-        for name, value in values.items():
-            command += ["-p", f"{name}:={str(value).lower() if value is True else value}"]
+        command = [sys.executable, "-m", "tactile_cdma.ros.node", "--ros-args", *self._arguments]
+        for value in (f"port:={port}", f"state_folder:={self._folder}", "drift_pa_per_min:=0.0"):
+            command += ["-p", value]
         with (self._folder / "driver.log").open("wb") as log:
             process = subprocess.Popen(command, env=self.environment, stderr=log, stdout=log)
         try:
@@ -195,7 +192,7 @@ class LoadedSkin:
         context = rclpy.Context()
         rclpy.init(context=context, domain_id=int(self.environment["ROS_DOMAIN_ID"]))
         self.node = rclpy.create_node("watcher", context=context)
-        self.node.create_subscription(TactileArray, "/skin/tactile", self._take, QUEUE)
+        self.node.create_subscription(TactileArray, f"{self.name}/tactile", self._take, QUEUE)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnosed, 10)
         executor = SingleThreadedExecutor(context=context)
         executor.add_node(self.node)
@@ -213,7 +210,10 @@ class LoadedSkin:
         self.judge.take(message)
 
     def _diagnosed(self, message: DiagnosticArray) -> None:
+        ours = f"{self.name.lstrip('/')}: "
         for status in message.status:
+            if not status.name.startswith(ours):
+                continue
             self._values |= {pair.key: pair.value for pair in status.values}
             if status.level in (status.WARN, status.ERROR):
-                self.warned.setdefault(status.name.rpartition(": ")[2], set()).add(status.message)
+                self.warned.setdefault(status.name.removeprefix(ours), set()).add(status.message)

@@ -78,7 +78,7 @@ class SimulatedTime:
     def _use(self, simulated: bool, ahead_s: float) -> None:
         """Have the driver take its time from here, or not, and wait until its stamps show it."""
         judge, node = self._skin.judge, self._skin.node
-        client = node.create_client(SetParameters, "/skin/set_parameters")
+        client = node.create_client(SetParameters, f"{self._skin.name}/set_parameters")
         self._skin.waits_for(client.service_is_ready)
         judge.ahead_s += [ahead_s, -time.monotonic()]  # the last one: before /clock was heard
         value = Parameter("use_sim_time", value=simulated).to_parameter_msg()
