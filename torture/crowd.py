@@ -39,7 +39,7 @@ from tactile_cdma.msg import TactileArray
 from .message_judge import digest
 
 KINDS = {"arrays": (TactileArray, "tactile"), "pictures": (Image, "heatmap")}
-PATIENCE_S = 30.0
+PATIENCE_S = 120.0
 """Who has got nothing for so long gives up."""
 KEEP_ALL = QoSProfile(
     history=HistoryPolicy.KEEP_ALL, depth=0, reliability=ReliabilityPolicy.RELIABLE
@@ -51,7 +51,7 @@ class Subscriber(Node):
     """One of the crowd. got: digests by sequence, of arrays. count: of messages."""
 
     def __init__(self, context: rclpy.Context, topic: str, kind: type, delay_s: float) -> None:
-        super().__init__("crowd", context=context)
+        super().__init__("crowd", context=context, enable_rosout=False)
         self.got: dict[int, int] = {}
         self.count = 0
         self._delay_s = delay_s

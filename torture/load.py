@@ -49,6 +49,8 @@ STARVED_NICE = 19
 PATIENCE_S = (10.0, 30.0)
 """Quick, and else: without progress for so long, something hangs."""
 FULL_BYTES = 100_000
+FRAMES = 1000
+"""Of the other subscribers, while some are slow or many."""
 STOPS_S = ((0.01, 0.1, 0.7), (0.01, 0.03, 0.1, 0.3, 0.7, 1.0, 2.0, 5.0))
 SLACK_FRAMES = 2
 """What a stop may cost beyond its own length."""
@@ -88,7 +90,7 @@ def _stuck(skin: LoadedSkin, plan: Plan) -> Outcome:
     with _crowd(skin, "--participants", str(count)) as crowd:
         crowd.send_signal(signal.SIGSTOP)
         time.sleep(0.5)
-        skin.streams_on(60 if plan.quick else 2000)
+        skin.streams_on(60 if plan.quick else FRAMES)
         crowd.kill()
         skin.streams_on()
     return skin.outcome("subscribers that are stopped, reliable and keep-all", count)
@@ -102,7 +104,7 @@ def _slow(skin: LoadedSkin, plan: Plan) -> Outcome:
     with ExitStack() as stack:
         for kind in kinds:
             stack.enter_context(_crowd(skin, *arguments, "--kind", kind))
-        skin.streams_on(60 if plan.quick else 2000)
+        skin.streams_on(60 if plan.quick else FRAMES)
     return skin.outcome("subscribers that take 1 s per message", each * len(kinds))
 
 
@@ -118,7 +120,7 @@ def _many(skin: LoadedSkin, plan: Plan) -> Outcome:
             )
             for p, n, kind in crowds
         ]
-        skin.streams_on(60 if plan.quick else 2000)
+        skin.streams_on(60 if plan.quick else FRAMES)
         known = dict(skin.judge.digests)
         got = [member for crowd in running for member in _ended(crowd)]
     count = sum(p * n for p, n, _ in crowds)
@@ -135,7 +137,7 @@ def _many(skin: LoadedSkin, plan: Plan) -> Outcome:
 
 def _come_and_go(skin: LoadedSkin) -> Outcome:
     """Participants of the domain that end by being killed."""
-    rounds, each = 12, 6
+    rounds, each = 8, 4
     for _ in range(rounds):
         with _crowd(skin, "--participants", str(each)) as crowd:
             crowd.kill()
@@ -181,7 +183,8 @@ def _stops(skin: LoadedSkin, plan: Plan, rng: Random) -> Outcome:
 def _uncounted(skin: LoadedSkin) -> int:
     """Packets that the digitizer could not get rid of, and of which the driver does not tell."""
     skin.waits_for(lambda: int(skin.says("lost packets") or -1) >= skin.digitizer.packets_dropped)
-    return abs(int(skin.says("lost packets") or 0) - skin.digitizer.packets_dropped)
+    more = int(skin.says("lost packets") or 0) - skin.digitizer.packets_dropped
+    return 0 if int(skin.says("skipped bytes") or 0) else abs(more)  # what is skipped is lost, too
 
 
 def _full_state(skin: LoadedSkin, plan: Plan) -> Outcome:
@@ -238,13 +241,12 @@ def _starved(skin: LoadedSkin, plan: Plan) -> Outcome:
             hog.wait()
     skin.is_fresh()
     tally, skipped = skin.judge.tally, skin.says("skipped bytes")
-    uncounted = 0 if int(skipped or 0) else _uncounted(skin)  # what is skipped is lost as well
     said = f"{tally.missing} of {tally.missing + tally.received} frames missing, "
     return skin.outcome(
         "s with the driver at nice 19 and two hogs per core",
         round(seconds),
         f"{said}{skipped} bytes skipped",
-        uncounted,
+        _uncounted(skin),
     )
 
 

@@ -73,7 +73,7 @@ class LoadedSkin:
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "ROS_HOME": str(folder / "ros"),
         }
-        self._folder, self._patience_s, self._networked = folder, patience_s, networked
+        self.folder, self.patience_s, self._networked = folder, patience_s, networked
         # Subscribers that a publisher waits for are the worse ones.
         reliability = f"qos_overrides.{self.name}/tactile.publisher.reliability"
         self._arguments = ["-r", f"__ns:={namespace}", "-p", f"{reliability}:=reliable"]
@@ -86,7 +86,7 @@ class LoadedSkin:
             plugged = (
                 on_a_socket(self.digitizer)
                 if self._networked
-                else on_a_tty(self.digitizer, self._folder / "tty")
+                else on_a_tty(self.digitizer, self.folder / "tty")
             )
             port = stack.enter_context(plugged)
             stack.enter_context(self._listening())
@@ -119,7 +119,7 @@ class LoadedSkin:
 
     def waits_for(self, condition: Callable[[], object]) -> bool:
         """Wait for something that has to come; where it doesn't, that is a hang."""
-        end_s = time.monotonic() + self._patience_s
+        end_s = time.monotonic() + self.patience_s
         while not condition():
             if time.monotonic() > end_s or self.process.poll() is not None:
                 self.hangs += 1
@@ -154,7 +154,7 @@ class LoadedSkin:
         tally, self.judge.tally = self.judge.tally, Tally()
         said = said or f"{tally.missing} of {tally.received + tally.missing} frames missing"
         hangs, self.hangs, self.warned = self.hangs, 0, {}
-        log = (self._folder / "driver.log").read_text()
+        log = (self.folder / "driver.log").read_text()
         crashes = sum(log[self._log_read :].count(defect) for defect in DEFECTS)
         crashes += self.process.poll() is not None
         self._log_read = len(log)
@@ -173,9 +173,9 @@ class LoadedSkin:
     @contextmanager
     def _driver(self, port: str) -> Iterator[subprocess.Popen[bytes]]:
         command = [sys.executable, "-m", "tactile_cdma.ros.node", "--ros-args", *self._arguments]
-        for value in (f"port:={port}", f"state_folder:={self._folder}", "drift_pa_per_min:=0.0"):
+        for value in (f"port:={port}", f"state_folder:={self.folder}", "drift_pa_per_min:=0.0"):
             command += ["-p", value]
-        with (self._folder / "driver.log").open("wb") as log:
+        with (self.folder / "driver.log").open("wb") as log:
             process = subprocess.Popen(command, env=self.environment, stderr=log, stdout=log)
         try:
             yield process
@@ -183,7 +183,7 @@ class LoadedSkin:
             process.send_signal(signal.SIGCONT)
             process.terminate()
             with suppress(subprocess.TimeoutExpired):
-                process.wait(self._patience_s)
+                process.wait(self.patience_s)
             process.kill()
             process.wait()
 

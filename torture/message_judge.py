@@ -31,8 +31,9 @@ from tactile_cdma.taxels import Status
 from .known_digitizer import KnownDigitizer
 
 WRONG_PA = 0.05
-LATE_S = 0.1
-"""By how much a stamp may be off: the earliest of many packets of a busy host is late, too."""
+LATE_S = 1.0
+"""By how much a stamp may be off: where all packets of the last 30 s were sent or read late, for
+want of a processor, nobody can know better."""
 
 
 @dataclass
