@@ -40,7 +40,7 @@ except ImportError:  # not a POSIX system
     TerminalError = OSError  # type: ignore[misc, assignment]
 
 READ_TIMEOUT_S = 0.1
-SKIP_S, IDLE_S = 0.1, 1e-3
+SKIP_S, IDLE_S = 0.1, 5e-3
 """What arrives is thrown away until nothing has come for IDLE_S, but not for longer than SKIP_S."""
 READ_SIZE = 65_536
 """Bytes that one read takes at most; a tty hands out 4 kB at once."""

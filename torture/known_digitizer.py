@@ -31,6 +31,8 @@ from tactile_cdma.sim.pty import serve
 from .oracle import Stream
 
 READY_S = 30.0
+MEMORY_S = 35.0
+"""Longer than the driver's idea of the digitizer's clock goes back."""
 _CHUNK = 65_536
 _TURN_S = 1e-3
 
@@ -38,17 +40,30 @@ _TURN_S = 1e-3
 class KnownDigitizer(VirtualDigitizer):
     """Keeps what is true of every stream; where it falls behind itself, another one begins.
 
-    born_s: host's monotonic time, s, at which its own was 0.
+    born_s: host's monotonic time, s, at which its own was 0. lag_s: how late it was itself, for
+    want of a processor, at most in the last MEMORY_S to 2 · MEMORY_S.
     """
 
     def __init__(self, options: SimOptions) -> None:
         super().__init__(options)
         self.born_s = time.monotonic()
         self._streams: list[Stream] = []
+        self._lags_s, self._next_s, self._forget_s = [0.0, 0.0], self.born_s, self.born_s
+
+    @property
+    def lag_s(self) -> float:
+        """See the class."""
+        return max(self._lags_s)
 
     def advance(self, wanted: int = 1) -> float:
         """See VirtualDigitizer."""
+        begin_s = time.monotonic()
+        if begin_s > self._forget_s:
+            self._lags_s, self._forget_s = [0.0, self._lags_s[0]], begin_s + MEMORY_S
+        self._lags_s[0] = max(self._lags_s[0], begin_s - self._next_s)
         wait_s = super().advance(wanted)
+        if wait_s:  # else it does not keep up
+            self._next_s = time.monotonic() + wait_s
         known_s = self._streams[-1].started_s if self._streams else None
         if self.streaming and self.started_s != known_s:
             self._streams.append(Stream(self.options, self.setup, self.started_s))

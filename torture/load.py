@@ -184,7 +184,8 @@ def _uncounted(skin: LoadedSkin) -> int:
     """Packets that the digitizer could not get rid of, and of which the driver does not tell."""
     skin.waits_for(lambda: int(skin.says("lost packets") or -1) >= skin.digitizer.packets_dropped)
     more = int(skin.says("lost packets") or 0) - skin.digitizer.packets_dropped
-    return 0 if int(skin.says("skipped bytes") or 0) else abs(more)  # what is skipped is lost, too
+    skipped = int(skin.says("skipped bytes") or 0)  # what is skipped is lost, too
+    return 0 if skipped and more > 0 else abs(more)
 
 
 def _full_state(skin: LoadedSkin, plan: Plan) -> Outcome:

@@ -31,9 +31,9 @@ from tactile_cdma.taxels import Status
 from .known_digitizer import KnownDigitizer
 
 WRONG_PA = 0.05
-LATE_S = 1.0
-"""By how much a stamp may be off: where all packets of the last 30 s were sent or read late, for
-want of a processor, nobody can know better."""
+LATE_S = 0.5
+"""By how much a stamp may be off, and more where packets were sent late, for want of a processor:
+nobody can know better."""
 
 
 @dataclass
@@ -41,7 +41,7 @@ class Tally:
     """What messages came to since the last look.
 
     received, missing: messages; missing by their sequence. wrong: taxels with another pressure or
-    flag than is true, and stamps off by more than LATE_S. uncounted: frames by which sequence and
+    flag than is true, and stamps that are off. uncounted: frames by which sequence and
     truth differ. off_s: the stamp that was farthest off. example: of what is wrong.
     """
 
@@ -82,7 +82,7 @@ class MessageJudge:
         self.newest_ahead_s = stamp_s - self.last_middle_s
         off_s = min((self.newest_ahead_s - ahead_s for ahead_s in self.ahead_s), key=abs)
         tally.off_s = max(tally.off_s, off_s, key=abs)
-        tally.wrong += abs(off_s) > LATE_S
+        tally.wrong += abs(off_s) > LATE_S + self._digitizer.lag_s
         status = np.array(message.status, np.uint8)
         tally.wrong += int(np.count_nonzero(status & ~np.uint8(Status.SATURATED)))
         pressure_pa = np.array(message.pressure, np.float32)

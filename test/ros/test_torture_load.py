@@ -125,9 +125,9 @@ def test_a_driver_that_hangs_does_not_count_or_ends_is_found(tmp_path: Path) -> 
     with LoadedSkin(tmp_path, PLAN.seed, PATIENCE_S) as skin:
         assert skin.streams_on()
         skin.patience_s = 1.5
-        skin.digitizer.packets_dropped += 3
+        skin.digitizer.packets_dropped += 1_000_000
         outcome = skin.outcome("not counted", 1, uncounted=load._uncounted(skin))
-        assert (outcome.uncounted_losses, outcome.hangs) == (3, 1)
+        assert (outcome.uncounted_losses > 900_000, outcome.hangs) == (True, 1)
         skin.process.send_signal(signal.SIGSTOP)
         assert not skin.streams_on(100)
         assert skin.outcome("stopped for good", 1).hangs == 1

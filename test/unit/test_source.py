@@ -28,6 +28,8 @@ import numpy as np
 import pytest
 
 from tactile_cdma.errors import PortError
+from tactile_cdma.messages import Start
+from tactile_cdma.protocol import PacketWriter
 from tactile_cdma.source import READ_SIZE, Port
 
 
@@ -140,3 +142,26 @@ def test_what_waits_in_a_port_is_told_and_a_lost_port_is_an_error() -> None:
         port.close()
         with pytest.raises(PortError, match="unplugged"):
             _ = port.waiting
+
+
+def test_what_is_skipped_is_counted_and_what_comes_later_is_read() -> None:
+    with pty_port() as (file, port):
+        assert port.skip() == 0
+        file.write(SENT[:3000])
+        skipped, deadline = 0, time.monotonic() + 5
+        while skipped < 3000 and time.monotonic() < deadline:
+            skipped += port.skip()
+        assert skipped == 3000
+        file.write(b"later")
+        assert b"".join(read_all(port, 5)) == b"later"
+        port.close()
+        with pytest.raises(PortError, match="unplugged"):
+            port.skip()
+
+
+def test_what_waits_in_a_port_without_a_file_is_skipped_too() -> None:
+    with Port("sim://?speed=0", 0) as port:
+        port.write(PacketWriter().encode(Start()))
+        while port.waiting < 1000:
+            time.sleep(0.001)
+        assert port.skip() >= 1000
