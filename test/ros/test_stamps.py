@@ -16,8 +16,8 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
+from collections.abc import Iterator
+from itertools import islice, repeat
 
 import pytest
 
@@ -26,60 +26,68 @@ rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 from rclpy.time import Time  # noqa: E402
 
 from tactile_cdma.ros.convert import nanoseconds  # noqa: E402
-from tactile_cdma.ros.stamps import STAMP_JITTER_NS, TRIES, Stamps  # noqa: E402
+from tactile_cdma.ros.stamps import STAMP_JITTER_NS, SURE_NS, TRIES, Stamps  # noqa: E402
 
 pytestmark = pytest.mark.ros
 HOUR_NS = 3600 * 10**9
 
 
-class SteppedTime:
-    """A node, as far as Stamps knows one, whose ROS time is Unix time plus what it is told."""
+class Computer:
+    """Its two clocks, and a node as far as Stamps knows one. Every reading takes 1 µs.
+
+    step_ns: ROS time minus the monotonic clock. waits_ns: what comes between two readings.
+    """
 
     def __init__(self) -> None:
-        self.step_ns = 0
-        self.waits_s: Callable[[], float] = lambda: 0.0
+        self.step_ns = 1_700_000_000 * 10**9
+        self.waits_ns: Iterator[int] = repeat(0)
+        self._now_ns = 5 * 10**9
 
-    def get_clock(self) -> SteppedTime:
+    def monotonic_ns(self) -> int:
+        self._now_ns += 1000
+        return self._now_ns
+
+    def get_clock(self) -> Computer:
         return self
 
     def now(self) -> Time:
-        now_ns = time.time_ns() + self.step_ns
-        time.sleep(self.waits_s())
-        return Time(nanoseconds=now_ns)
+        read_ns = self.monotonic_ns()
+        self._now_ns += next(self.waits_ns)
+        return Time(nanoseconds=read_ns + self.step_ns)
+
+
+@pytest.fixture
+def computer(monkeypatch: pytest.MonkeyPatch) -> Computer:
+    computer = Computer()
+    monkeypatch.setattr("tactile_cdma.ros.stamps.time", computer)
+    return computer
+
+
+def stamps_ns(computer: Computer, *moments_s: float) -> Iterator[int]:
+    stamps = Stamps(computer, {"frame_id": "skin"})
+    return (nanoseconds(stamps.rising(moment_s).stamp) for moment_s in moments_s)
 
 
 @pytest.mark.parametrize("step_ns", [2 * 10**9, -2 * 10**9, HOUR_NS, -HOUR_NS])
-def test_the_next_stamp_is_of_the_new_time(step_ns: int) -> None:
-    """And those after it are as far apart as their moments are."""
-    clock = SteppedTime()
-    stamps, begin_s, period_s = Stamps(clock, {"frame_id": "skin"}), time.monotonic(), 12.8e-3
-
-    def stamp_ns(number: int) -> int:
-        return nanoseconds(stamps.rising(begin_s + number * period_s).stamp)
-
-    before = [stamp_ns(number) for number in range(5)]
-    clock.step_ns = step_ns
-    after = [stamp_ns(number) for number in range(5, 10)]
-    apart = [round(number * period_s * 1e9) for number in range(5)]
-    assert [ns - before[0] for ns in before] == pytest.approx(apart, abs=STAMP_JITTER_NS)
-    assert [ns - after[0] for ns in after] == pytest.approx(apart, abs=STAMP_JITTER_NS)
-    moved = after[0] - before[0] - round(5 * period_s * 1e9)
-    assert moved == pytest.approx(step_ns, abs=STAMP_JITTER_NS)
+def test_the_next_stamp_is_of_the_new_time(computer: Computer, step_ns: int) -> None:
+    """And all are as far apart as their moments are."""
+    moments_s = [4.0 + 12.8e-3 * number for number in range(10)]
+    coming = stamps_ns(computer, *moments_s)
+    moments_ns = [round(moment_s * 1e9) + computer.step_ns for moment_s in moments_s]
+    assert list(islice(coming, 5)) == pytest.approx(moments_ns[:5], abs=SURE_NS)
+    computer.step_ns += step_ns
+    assert [ns - step_ns for ns in coming] == pytest.approx(moments_ns[5:], abs=SURE_NS)
 
 
-def test_steps_back_by_less_than_their_jitter_are_not_seen() -> None:
-    clock = SteppedTime()
-    stamps, now_s = Stamps(clock, {"frame_id": "skin"}), time.monotonic()
-    first = nanoseconds(stamps.rising(now_s).stamp)
-    clock.step_ns = -STAMP_JITTER_NS // 2
-    assert nanoseconds(stamps.rising(now_s).stamp) == first + 1
+def test_steps_back_by_less_than_their_jitter_are_not_seen(computer: Computer) -> None:
+    coming = stamps_ns(computer, 4.0, 4.0)
+    first = next(coming)
+    computer.step_ns -= STAMP_JITTER_NS // 2
+    assert next(coming) == first + 1
 
 
-def test_a_thread_that_is_held_up_between_two_clocks_stamps_right() -> None:
-    """All readings but the last one that is tried take 5 ms."""
-    clock = SteppedTime()
-    waits_s = iter([5e-3] * (TRIES - 1) + [0.0])
-    clock.waits_s = lambda: next(waits_s)
-    now_s, unix_ns = time.monotonic(), time.time_ns()
-    stamp_ns = nanoseconds(Stamps(clock, {"frame_id": "skin"}).at(now_s).stamp)
-    assert stamp_ns == pytest.approx(unix_ns, abs=1_000_000)
+def test_a_thread_that_is_held_up_between_two_clocks_stamps_right(computer: Computer) -> None:
+    """At all readings but the last one that is tried it has to wait for 5 ms."""
+    computer.waits_ns = iter([5_000_000] * (TRIES - 1) + [0])
+    [stamp_ns] = stamps_ns(computer, 4.0)
+    assert stamp_ns == pytest.approx(4 * 10**9 + computer.step_ns, abs=SURE_NS)
