@@ -38,7 +38,7 @@ _TURN_S = 1e-3
 
 
 class KnownDigitizer(VirtualDigitizer):
-    """Keeps what is true of every stream; where it falls behind itself, another one begins.
+    """Keeps what is true of every frame that it sent, also where it fell behind itself.
 
     born_s: host's monotonic time, s, at which its own was 0. lag_s: how late it was itself, for
     want of a processor, at most in the last MEMORY_S to 2 · MEMORY_S.
@@ -47,7 +47,9 @@ class KnownDigitizer(VirtualDigitizer):
     def __init__(self, options: SimOptions) -> None:
         super().__init__(options)
         self.born_s = time.monotonic()
-        self._streams: list[Stream] = []
+        # A stream, and by how much it is late: where a digitizer falls behind, its skin stands
+        # still meanwhile.
+        self._epochs: list[tuple[Stream, float]] = []
         self._lags_s, self._next_s, self._forget_s = [0.0, 0.0], self.born_s, self.born_s
 
     @property
@@ -64,15 +66,25 @@ class KnownDigitizer(VirtualDigitizer):
         wait_s = super().advance(wanted)
         if wait_s:  # else it does not keep up
             self._next_s = time.monotonic() + wait_s
-        known_s = self._streams[-1].started_s if self._streams else None
-        if self.streaming and self.started_s != known_s:
-            self._streams.append(Stream(self.options, self.setup, self.started_s))
+        if self.streaming:
+            self._keep_epochs()
         return wait_s
 
+    def _keep_epochs(self) -> None:
+        if self._epochs:
+            stream, late_s = self._epochs[-1]
+            if self.started_s == stream.started_s + late_s:
+                return
+            if self._frames_lost:  # else it was started anew
+                self._epochs.append((stream, self.started_s - stream.started_s))
+                return
+        self._epochs.append((Stream(self.options, self.setup, self.started_s), 0.0))
+
     def frames_at(self, t_start: float) -> Iterator[tuple[int, NodeFrame]]:
-        """Number of the stream and frame for all that began then, device s; the newest first."""
-        for number in range(len(self._streams) - 1, -1, -1):
-            if (frame := self._streams[number].frame_at(t_start)) is not None:
+        """Number of the epoch and frame for all that began then, device s; the newest first."""
+        for number in range(len(self._epochs) - 1, -1, -1):
+            stream, late_s = self._epochs[number]
+            if (frame := stream.frame_at(t_start - late_s)) is not None:
                 yield number, frame
 
 

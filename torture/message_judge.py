@@ -69,7 +69,7 @@ class MessageJudge:
         self.last_middle_s = 0.0  # host's monotonic
         self._digitizer, self._scale = digitizer, AdcScale()
         self._curve = PressureCurve.two_stage()
-        self._last: tuple[int, int, int] | None = None  # stream, number, sequence
+        self._last: tuple[int, int, int] | None = None  # epoch, number, sequence
 
     def take(self, message: TactileArray) -> None:
         """One message came."""
@@ -87,10 +87,10 @@ class MessageJudge:
         tally.wrong += int(np.count_nonzero(status & ~np.uint8(Status.SATURATED)))
         pressure_pa = np.array(message.pressure, np.float32)
         best, where = len(pressure_pa) + 1, None
-        for stream, frame in self._digitizer.frames_at(t_middle - spec.frame_s / 2):
+        for epoch, frame in self._digitizer.frames_at(t_middle - spec.frame_s / 2):
             wrong = self._wrong(pressure_pa, frame.codes)
             if wrong < best:
-                best, where = wrong, (stream, frame.number, message.sequence)
+                best, where = wrong, (epoch, frame.number, message.sequence)
             if not wrong:
                 break
         tally.wrong += best
