@@ -171,11 +171,13 @@ def _stops(skin: LoadedSkin, plan: Plan, rng: Random) -> Outcome:
     period_s, wrong, lost = skin.digitizer.setup.spec.frame_period_s, 0, 0
     for seconds in stops_s:
         missing = skin.judge.tally.missing
+        begin_s = time.monotonic()
         skin.stopped_for(seconds)
         skin.is_fresh()
+        passed_s = time.monotonic() - begin_s
         gap = skin.judge.tally.missing - missing
         lost += gap
-        wrong += gap > seconds / period_s + SLACK_FRAMES
+        wrong += gap > passed_s / period_s + SLACK_FRAMES
     uncounted = _uncounted(skin)
     said = f"{lost} frames missing, {skin.digitizer.packets_dropped} packets dropped and counted"
     return skin.outcome("the driver is stopped, 10 ms to 5 s", len(stops_s), said, uncounted, wrong)
@@ -240,7 +242,8 @@ def _starved(skin: LoadedSkin, plan: Plan) -> Outcome:
         hog.wait()
     skin.is_fresh()
     tally, skipped = skin.judge.tally, skin.says("skipped bytes")
-    said = f"{tally.missing} of {tally.missing + tally.received} frames missing, "
+    said = f"{tally.missing} of {tally.missing + tally.received} frames missing, stamps off by "
+    said += f"{tally.off_s * 1e3:.0f} ms at most, "
     return skin.outcome(
         "s with the driver at nice 19 and two hogs per core",
         round(seconds),

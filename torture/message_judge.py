@@ -33,7 +33,8 @@ from .known_digitizer import KnownDigitizer
 WRONG_PA = 0.05
 LATE_S = 0.5
 """By how much a stamp may be off, and more where packets were sent late, for want of a processor:
-nobody can know better."""
+nobody can know better. A driver that is starved for seconds takes its digitizer for a slow one,
+and stamps are late by as much as frames are."""
 
 
 @dataclass
@@ -82,7 +83,8 @@ class MessageJudge:
         self.newest_ahead_s = stamp_s - self.last_middle_s
         off_s = min((self.newest_ahead_s - ahead_s for ahead_s in self.ahead_s), key=abs)
         tally.off_s = max(tally.off_s, off_s, key=abs)
-        tally.wrong += abs(off_s) > LATE_S + self._digitizer.lag_s
+        late_s = max(LATE_S + self._digitizer.lag_s, self._age_s)
+        tally.wrong += not -LATE_S < off_s < late_s
         status = np.array(message.status, np.uint8)
         tally.wrong += int(np.count_nonzero(status & ~np.uint8(Status.SATURATED)))
         pressure_pa = np.array(message.pressure, np.float32)

@@ -85,7 +85,7 @@ def another_flag(message: TactileArray, number: int) -> bool:
 
 
 def another_stamp(message: TactileArray, number: int) -> bool:
-    message.header.stamp.sec += 2 * (number == 5)
+    message.header.stamp.sec += 3600 * (number == 5)
     return False
 
 
@@ -129,11 +129,11 @@ def test_a_driver_that_hangs_does_not_count_or_ends_is_found(tmp_path: Path) -> 
         outcome = skin.outcome("not counted", 1, uncounted=load._uncounted(skin))
         assert (outcome.uncounted_losses > 900_000, outcome.hangs) == (True, 1)
         skin.process.send_signal(signal.SIGSTOP)
-        assert not skin.streams_on(100)
+        assert not skin.streams_on(100_000)
         assert skin.outcome("stopped for good", 1).hangs == 1
         skin.process.kill()
         skin.process.wait()
-        assert not skin.streams_on(100)
+        assert not skin.streams_on(100_000)
         outcome = skin.outcome("killed", 1)
         assert (outcome.crashes, outcome.hangs) == (1, 1)
 
