@@ -65,6 +65,10 @@ LOSSES = {
         "the link or this computer is too slow for the digitizer's packets"
     ),
     "digitizer_command_errors": "commands reach the digitizer broken: check cable and baud",
+    "skipped_bytes": (
+        "this computer does not keep up: what had waited too long was skipped; close other "
+        "programs, or ask for fewer samples_per_chip"
+    ),
     "lost_packets": "packets are missing: the link, or this computer, drops bytes; check the cable",
     "jumps": "the digitizer numbers its packets anew: is it reset by its supply, or read twice?",
     "repeated_packets": (
@@ -207,8 +211,15 @@ def link(pipeline: Pipeline, window: Window) -> Iterator[Finding]:
         )
 
 
-def host(window: Window) -> Iterator[Finding]:
-    """This computer."""
+def host(window: Window, drivers: int) -> Iterator[Finding]:
+    """This computer. drivers: how many publish under this one's name."""
+    if drivers > 1:
+        yield Finding(
+            "rivals",
+            Level.WARN,
+            f"{drivers} drivers have this name, and their frames are mixed up: end one, or give it "
+            "another name or ROS_DOMAIN_ID",
+        )
     if window.thread_share > BUSY_SHARE:
         yield Finding(
             "busy",

@@ -24,7 +24,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import TracebackType
 
+from .backlog import Backlog
 from .errors import PortError, RecordingEndError
+from .parameters import REPLAY
 from .pipeline import Pipeline, TactileFrame
 from .session import Session
 from .skin_config import SkinConfig
@@ -164,7 +166,9 @@ class Driver:
         if not self.problem:
             self._report(WAITING)
         port.write(session.open())
-        look_s = -math.inf
+        backlog = Backlog(pipeline.config.spec.frame_period_s)
+        is_recording = self.url.startswith(REPLAY)  # of which nothing is left out
+        look_s, age_s = -math.inf, 0.0
         try:
             while not self._stop.is_set():
                 data, t_host = port.read()
@@ -176,9 +180,14 @@ class Driver:
                         self.vitals.handed_on(frame, t_host, t_decoded)
                         contact_pa = pipeline.config.rest.contact_pa
                         self.stuck.look(frame.readings, frame.t_middle, contact_pa)
+                age_s = t_host - frames[-1].t_host if frames else age_s
                 if t_host >= look_s:
-                    self.vitals.dealt_with(port.waiting)
+                    waiting_bytes = port.waiting
+                    self.vitals.dealt_with(waiting_bytes)
                     look_s = t_host + LOOK_S
+                    if backlog.is_hopeless(waiting_bytes, age_s, t_host) and not is_recording:
+                        with self._busy:
+                            pipeline.skipped(port.skip())
                 if frames and self.problem:
                     self._report(None)
                 if request := session.watch(pipeline, t_host):

@@ -92,6 +92,7 @@ class PipelineCounters:
     unannounced_samples: int = 0
     restarts: int = 0
     implausible_packets: int = 0
+    skipped_bytes: int = 0
 
 
 class Pipeline:
@@ -189,6 +190,11 @@ class Pipeline:
                 case Ack():
                     self._acknowledged(packet)
         return frames
+
+    def skipped(self, count: int) -> None:
+        """So many bytes were left out here, to keep up with the digitizer."""
+        self.counters.skipped_bytes += count
+        self.parser.skip()
 
     def adjust(self, config: SkinConfig) -> bool:
         """Take over of another configuration what may change while the stream goes on.

@@ -107,7 +107,7 @@ class PacketParser:
 
     def __init__(self) -> None:
         self._partial = bytearray()  # begins after the last delimiter
-        self._skipping = False  # within a run that is too long for a packet
+        self._skipping = False  # within a run that is no packet: too long for one, or cut
         self._expected: int | None = None
         # CRC of the last packet of each sequence, or what is known of it else.
         self._past = array("q", [_NEVER]) * _SEQUENCES
@@ -146,6 +146,11 @@ class PacketParser:
                 self._no_packet(self._partial)
                 self._partial.clear()
         return packets
+
+    def skip(self) -> None:
+        """Bytes were left out here: a packet that this cut is lost, and not broken."""
+        self._partial.clear()
+        self._skipping = True
 
     def _parse(self, run: bytes) -> Received | None:
         """The packet between two delimiters, if it is one."""

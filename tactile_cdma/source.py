@@ -42,6 +42,8 @@ except ImportError:  # not a POSIX system
     TerminalError = OSError  # type: ignore[misc, assignment]
 
 READ_TIMEOUT_S = 0.1
+SKIP_S, IDLE_S = 0.1, 5e-3
+"""What arrives is thrown away until nothing has come for IDLE_S, but not for longer than SKIP_S."""
 READ_SIZE = 65_536
 """Bytes that one read takes at most; a tty hands out 4 kB at once."""
 HOST_GONE_S = 5.0
@@ -135,6 +137,23 @@ class Port:
         if not data:
             raise OSError("end of file")
         return data
+
+    def skip(self) -> int:
+        """Throw away what has arrived, and what waits behind it; returns how many bytes."""
+        skipped, end_s = 0, time.monotonic() + SKIP_S
+        try:
+            if self._poll is None:
+                skipped = int(self._serial.in_waiting)
+                self._serial.reset_input_buffer()
+                return skipped
+            while time.monotonic() < end_s and self._poll.poll(IDLE_S * 1e3):
+                data = os.read(self._serial.fileno(), READ_SIZE)
+                skipped += len(data)
+                if not data:  # the end of the file, which the next read tells
+                    break
+        except (OSError, TypeError, TerminalError) as error:
+            raise PortError(f"{self.url}: lost while reading; unplugged? ({error})") from None
+        return skipped
 
     def write(self, data: bytes) -> None:
         """Send bytes."""

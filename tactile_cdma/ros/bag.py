@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
 import time
 from collections import Counter
@@ -58,7 +59,9 @@ PICTURES = ("heatmap", "pressure_image", "points", "markers")
 SHARED = ("/diagnostics", "/tf_static")
 QUEUE = 1000
 LOOK_S = 0.1
-"""How often topics that nobody published so far are looked for."""
+"""How often topics that nobody published so far, and the room on the disk, are looked for."""
+RESERVED_BYTES = 64 << 20
+"""A bag ends while so much room is left: its index comes last, and without it few can read it."""
 
 
 class BagRecorder(Node):
@@ -185,11 +188,17 @@ def main() -> int:
             executor = SingleThreadedExecutor()
             executor.add_node(recorder)
             print(f"recording into {arguments.folder}, Ctrl-C ends", flush=True)
-            while not stop.is_set():
+            full = False
+            while not (stop.is_set() or full):
                 executor.spin_once(timeout_sec=LOOK_S)
+                full = _is_full(arguments.folder)
             executor.shutdown()
             recorder.destroy_node()
-    except (WriterError, TactileError, OSError) as error:
+    except OSError as error:  # a quota, perhaps
+        reason = f"{error.strerror}; `mcap recover` gives what it holds so far"
+        print(f"skin_bag: {arguments.folder}: {reason}", file=sys.stderr)
+        return 1
+    except (WriterError, TactileError) as error:
         print(f"skin_bag: {error}", file=sys.stderr)
         return 1
     finally:
@@ -198,7 +207,15 @@ def main() -> int:
         print(f"{topic}: {count}")
     if recorder.missing:
         print(f"skin_bag: nobody published {', '.join(recorder.missing)}", file=sys.stderr)
-    return 0 if recorder.counts else 1
+    if full:
+        room = f"less than {RESERVED_BYTES >> 20} MB are left on the disk"
+        print(f"skin_bag: {arguments.folder}: ended here, whole: {room}", file=sys.stderr)
+    return 0 if recorder.counts and not full else 1
+
+
+def _is_full(folder: Path) -> bool:
+    """Whether hardly more than the end of a bag has room there."""
+    return shutil.disk_usage(folder).free < RESERVED_BYTES
 
 
 if __name__ == "__main__":

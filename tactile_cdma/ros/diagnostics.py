@@ -59,9 +59,12 @@ class SkinReport:
         return [first] + [self._entry(e, Level.STALE, "not active", {}) for e in ENTRIES[1:]]
 
     def of(
-        self, driver: Driver, latest: TactileFrame | None, tared: str | None
+        self, driver: Driver, latest: TactileFrame | None, tared: str | None, drivers: int
     ) -> list[DiagnosticStatus]:
-        """The entries of a running driver. latest: the newest frame. tared: when, if ever."""
+        """The entries of a running driver. latest: the newest frame. tared: when, if ever.
+
+        drivers: how many publish under this node's name, itself included.
+        """
         pipeline = driver.pipeline
         window = driver.vitals.take(pipeline)
         if pipeline.info is not None:
@@ -70,7 +73,7 @@ class SkinReport:
             STREAM: _stream_values(pipeline, window),
             NODES: {**_node_values(driver, window), "tared": tared or "not"},
             LINK: {"port": driver.url, **_link_values(driver, window)},
-            HOST: _host_values(window),
+            HOST: {**_host_values(window), "drivers of this name": drivers},
         }
         if driver.problem:
             return self._without_frames(driver.problem, values)
@@ -80,7 +83,7 @@ class SkinReport:
             STREAM: lambda: () if started else checkup.stream(pipeline, window, latest),
             NODES: lambda: checkup.nodes(pipeline, driver.stuck.nodes, window),
             LINK: lambda: () if started else checkup.link(pipeline, window),
-            HOST: lambda: checkup.host(window),
+            HOST: lambda: checkup.host(window, drivers),
         }
         clocks = pipeline.clocks
         calling = clocks is not None and clocks.busy

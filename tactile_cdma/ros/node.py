@@ -289,7 +289,8 @@ class SkinNode(ManagedNode):
         if self._driver is None:
             entries = self._report.inactive(self._last_failure)
         else:
-            entries = self._report.of(self._driver, self._latest, self._rest.tared)
+            drivers = self.count_publishers(self._array_publisher.topic_name)
+            entries = self._report.of(self._driver, self._latest, self._rest.tared, drivers)
             self._rest.tick()
         message = DiagnosticArray(status=entries)
         message.header.stamp = self.get_clock().now().to_msg()

@@ -40,7 +40,9 @@ _POLICIES = {
     "reliability": ReliabilityPolicy,
     "durability": DurabilityPolicy,
 }
-_NOT_FOR_PUBLISHERS = {"UNKNOWN", "BEST_AVAILABLE"}
+_NOT_FOR_PUBLISHERS = {"UNKNOWN", "BEST_AVAILABLE", "KEEP_ALL"}
+"""One that keeps all waits for its slowest subscriber, 100 ms per message, and then fails; here
+newest data wins."""
 _MOST_DEPTH = 1 << 20
 
 

@@ -118,6 +118,32 @@ def test_a_bag_holds_what_a_subscriber_got_and_ends_in_order(tmp_path: Path) -> 
         assert "float32[] pressure" in connections["/skin/tactile"].msgdef.data
 
 
+SMALL_DISK = (
+    "mount -t tmpfs -o size=67m none {disk} && {bag} {disk}/bag --topics /skin/heatmap; code=$?;"
+    "cp -r {disk}/bag {kept} && exit $code"
+)
+
+
+def test_a_bag_ends_whole_before_the_disk_is_full(tmp_path: Path) -> None:
+    """On a file system of its own, which has 3 MB more than is to be left."""
+    if subprocess.run(["unshare", "-rm", "true"], capture_output=True).returncode:
+        pytest.skip("nothing can be mounted here")
+    disk, kept = tmp_path / "disk", tmp_path / "kept"
+    disk.mkdir()
+    bag = f"{sys.executable} -m tactile_cdma.ros.bag"
+    script = SMALL_DISK.format(disk=disk, kept=kept, bag=bag)
+    with running(port=PORT, heatmap_pixels=64) as (_, client):
+        wait_for(lambda: client.arrays)
+        command = ["unshare", "-rm", "sh", "-c", script]
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1
+    [complaint] = done.stderr.splitlines()
+    assert "ended here, whole: less than 64 MB are left on the disk" in complaint
+    with AnyReader([kept]) as reader:
+        count = sum(1 for _ in reader.messages())
+    assert count > 5 and f"/skin/heatmap: {count}" in done.stdout
+
+
 def test_a_name_that_no_topic_can_have_is_one_clear_error(tmp_path: Path) -> None:
     for options in (["--topics", "two words"], ["--node", ""]):
         command = [sys.executable, "-m", "tactile_cdma.ros.bag", str(tmp_path / "bag"), *options]

@@ -278,6 +278,14 @@ def test_an_unplugged_port_is_an_error_of_the_stream_and_no_news_of_the_rest(
     assert client.value("link", "connections") == "2"
 
 
+def test_two_drivers_of_one_name_are_told_of_by_both() -> None:
+    with hurrying() as (_, client), hurrying():
+        wait_for(says(client, "host", WARN, "2 drivers have this name"), PATIENCE_S)
+        wait_for(lambda: client.value("host", "drivers of this name") == "2", PATIENCE_S)
+    with hurrying() as (_, client):
+        wait_for(says(client, "host", OK, "ok"), PATIENCE_S)
+
+
 def test_frames_that_wait_are_late_and_their_bytes_a_backlog(tmp_path: Path) -> None:
     path = tmp_path / "tty"
     with plugged(path), hurrying(port=str(path)) as (node, client):

@@ -12,43 +12,82 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Stamps of messages: moments of the host's monotonic clock in ROS time."""
+"""Stamps follow ROS time, whatever it does, and keep the distances of the moments they are of."""
 
 from __future__ import annotations
 
-import time
-from types import SimpleNamespace
+from collections.abc import Iterator
+from itertools import islice, repeat
 
 import pytest
 
-pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
-from rclpy.clock import Clock, ClockType
-from rclpy.time import Time
+from rclpy.time import Time  # noqa: E402
 
-from tactile_cdma.ros.convert import nanoseconds
-from tactile_cdma.ros.stamps import Stamps
+from tactile_cdma.ros.convert import nanoseconds  # noqa: E402
+from tactile_cdma.ros.stamps import STAMP_JITTER_NS, SURE_NS, TRIES, Stamps  # noqa: E402
 
 pytestmark = pytest.mark.ros
+HOUR_NS = 3600 * 10**9
 
 
-class InterruptedClock(Clock):
-    """On a host that does something else for 20 ms, once, just as the clock is read."""
+class Computer:
+    """Its two clocks, and a node as far as Stamps knows one. Every reading takes 1 µs.
 
-    def __new__(cls) -> InterruptedClock:
-        clock = super().__new__(cls, clock_type=ClockType.SYSTEM_TIME)
-        clock.interruptions = 1
-        return clock
+    step_ns: ROS time minus the monotonic clock. waits_ns: what comes between two readings.
+    """
+
+    def __init__(self) -> None:
+        self.step_ns = 1_700_000_000 * 10**9
+        self.waits_ns: Iterator[int] = repeat(0)
+        self._now_ns = 5 * 10**9
+
+    def monotonic_ns(self) -> int:
+        self._now_ns += 1000
+        return self._now_ns
+
+    def get_clock(self) -> Computer:
+        return self
 
     def now(self) -> Time:
-        if self.interruptions:
-            self.interruptions -= 1
-            time.sleep(0.02)
-        return super().now()
+        read_ns = self.monotonic_ns()
+        self._now_ns += next(self.waits_ns)
+        return Time(nanoseconds=read_ns + self.step_ns)
 
 
-def test_a_host_that_is_busy_between_two_clocks_moves_no_stamp() -> None:
-    node = SimpleNamespace(get_clock=InterruptedClock)
-    stamps = Stamps(node, {"frame_id": "skin"})  # type: ignore[arg-type]
-    t_host, real_ns = time.monotonic(), time.time_ns()
-    assert nanoseconds(stamps.at(t_host).stamp) == pytest.approx(real_ns, abs=15e6)
+@pytest.fixture
+def computer(monkeypatch: pytest.MonkeyPatch) -> Computer:
+    computer = Computer()
+    monkeypatch.setattr("tactile_cdma.ros.stamps.time", computer)
+    return computer
+
+
+def stamps_ns(computer: Computer, *moments_s: float) -> Iterator[int]:
+    stamps = Stamps(computer, {"frame_id": "skin"})
+    return (nanoseconds(stamps.rising(moment_s).stamp) for moment_s in moments_s)
+
+
+@pytest.mark.parametrize("step_ns", [2 * 10**9, -2 * 10**9, HOUR_NS, -HOUR_NS])
+def test_the_next_stamp_is_of_the_new_time(computer: Computer, step_ns: int) -> None:
+    """And all are as far apart as their moments are."""
+    moments_s = [4.0 + 12.8e-3 * number for number in range(10)]
+    coming = stamps_ns(computer, *moments_s)
+    moments_ns = [round(moment_s * 1e9) + computer.step_ns for moment_s in moments_s]
+    assert list(islice(coming, 5)) == pytest.approx(moments_ns[:5], abs=SURE_NS)
+    computer.step_ns += step_ns
+    assert [ns - step_ns for ns in coming] == pytest.approx(moments_ns[5:], abs=SURE_NS)
+
+
+def test_steps_back_by_less_than_their_jitter_are_not_seen(computer: Computer) -> None:
+    coming = stamps_ns(computer, 4.0, 4.0)
+    first = next(coming)
+    computer.step_ns -= STAMP_JITTER_NS // 2
+    assert next(coming) == first + 1
+
+
+def test_a_thread_that_is_held_up_between_two_clocks_stamps_right(computer: Computer) -> None:
+    """At all readings but the last one that is tried it has to wait for 5 ms."""
+    computer.waits_ns = iter([5_000_000] * (TRIES - 1) + [0])
+    [stamp_ns] = stamps_ns(computer, 4.0)
+    assert stamp_ns == pytest.approx(4 * 10**9 + computer.step_ns, abs=SURE_NS)

@@ -91,6 +91,7 @@ def test_qos_of_every_topic_can_be_overridden() -> None:
         ("reliability", 3, "must be a text, got 3"),
         ("depth", 0, "is 0; it must lie within 1…"),
         ("durability", "latched", "one of .*transient_local"),
+        ("history", "keep_all", "one of .*keep_last"),  # publishing would wait for subscribers
     ],
 )
 def test_a_wrong_qos_is_one_clear_fault(policy: str, value: Any, reason: str) -> None:

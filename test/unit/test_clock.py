@@ -122,3 +122,14 @@ def test_the_drift_is_told_once_it_is_known(drift: float) -> None:
         if host < 9.5:
             assert np.isnan(clock.drift_ppm)
     assert clock.drift_ppm == pytest.approx(drift * 1e6, abs=10)
+
+
+def test_what_piled_up_while_the_host_was_held_up_is_no_slow_device() -> None:
+    """5 s of packets that are read within 0.2 s were sent when they were sent."""
+    clock = DeviceClock()
+    for i in range(3000):
+        device = i * 5e-3
+        held_up = 5.0 < device < 10.0
+        arrival = 10.0 + (device - 5.0) * 0.04 if held_up else device
+        clock.observe(device, max(arrival, device))
+        assert clock.to_host(device) == pytest.approx(device, abs=1e-3)

@@ -304,7 +304,9 @@ def test_a_fault_in_a_consumer_is_reported_and_the_skin_comes_back() -> None:
     assert any("ZeroDivisionError: of the test" in problem for problem in watch.problems if problem)
 
 
-def test_a_network_port_keeps_up() -> None:
+@contextmanager
+def network_port() -> Iterator[str]:
+    """The URL of a digitizer behind a socket, whose kernel keeps seconds of what it sends."""
     server = socket.create_server(("127.0.0.1", 0))
     stop = threading.Event()
 
@@ -322,12 +324,39 @@ def test_a_network_port_keeps_up() -> None:
 
     thread = threading.Thread(target=serve_digitizer)
     thread.start()
+    try:
+        yield f"socket://127.0.0.1:{server.getsockname()[1]}"
+    finally:
+        stop.set()
+        thread.join()
+        server.close()
+
+
+def test_a_network_port_keeps_up() -> None:
     watch = Watch()
-    with watch.driver(f"socket://127.0.0.1:{server.getsockname()[1]}"):
+    with network_port() as url, watch.driver(url):
         wait_for(lambda: len(watch.frames) >= 300)  # 3.8 s of frames
-    stop.set()
-    thread.join()
-    server.close()
+
+
+def test_a_driver_that_is_left_behind_skips_what_waits_and_counts_it() -> None:
+    """Handing on takes two frame periods: every other frame is one too many."""
+    ages_s: list[float] = []
+    sequences: list[int] = []
+
+    def slow(frame: TactileFrame) -> None:
+        ages_s.append(time.monotonic() - frame.t_host)
+        sequences.append(frame.sequence)
+        time.sleep(2 * 12.8e-3)
+
+    with network_port() as url, Driver(CONFIG, url, 0, slow, lambda problem: None) as driver:
+        counters = driver.pipeline.counters
+        wait_for(lambda: counters.skipped_bytes and counters.lost_frames, 30)
+        packets = driver.pipeline.packet_counts
+    assert min(ages_s[20:]) < 0.5, "newest data wins: they grew older by 13 ms a frame"
+    assert sequences[-1] + 1 - len(sequences) == pytest.approx(counters.lost_frames, abs=5)
+    assert packets["lost_packets"] > 0
+    broken = ("crc_errors", "framing_errors", "resyncs", "jumps", "malformed")
+    assert {packets[name] for name in broken} == {0}, "a packet that was cut is no broken one"
 
 
 def test_what_the_wire_cannot_say_is_refused() -> None:

@@ -523,6 +523,24 @@ def test_lost_packets_follow_from_the_sequence() -> None:
     assert lost_and_jumps(0, 1 + MAX_GAP) == (MAX_GAP, 0)
 
 
+@given(st.data())
+def test_what_is_skipped_is_lost_and_not_broken(data: st.DataObject) -> None:
+    """From anywhere in one packet to anywhere in a later one; what is cut is lost as a whole."""
+    writer = PacketWriter()
+    sent = [writer.encode(Stop()) for _ in range(8)]
+    ends = np.cumsum([len(packet) for packet in sent])
+    wire = b"".join(sent)
+    begin = data.draw(st.integers(int(ends[0]), int(ends[3])))
+    resumed = data.draw(st.integers(begin, int(ends[4])))
+    parser = PacketParser()
+    packets = parser.feed(wire[:begin])
+    parser.skip()
+    packets += parser.feed(wire[resumed:])
+    seen = parser.counters
+    assert (seen.framing_errors, seen.crc_errors, seen.resyncs, seen.jumps) == (0, 0, 0, 0)
+    assert len(packets) + seen.lost_packets == len(sent)
+
+
 def test_restarts_are_no_losses() -> None:
     assert lost_and_jumps(0, 2 + MAX_GAP, 3 + MAX_GAP) == (0, 1)
     assert lost_and_jumps(40_000, 0, 1, 2) == (0, 1)

@@ -29,6 +29,8 @@ import numpy as np
 import pytest
 
 from tactile_cdma.errors import PortError
+from tactile_cdma.messages import Start
+from tactile_cdma.protocol import PacketWriter
 from tactile_cdma.source import HOST_GONE_S, READ_SIZE, Port, is_away
 
 
@@ -161,3 +163,26 @@ def test_a_host_that_acknowledges_nothing_is_given_up() -> None:
         with own:
             given_up_ms = own.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT)
     assert given_up_ms == HOST_GONE_S * 1e3
+
+
+def test_what_is_skipped_is_counted_and_what_comes_later_is_read() -> None:
+    with pty_port() as (file, port):
+        assert port.skip() == 0
+        file.write(SENT[:3000])
+        skipped, deadline = 0, time.monotonic() + 5
+        while skipped < 3000 and time.monotonic() < deadline:
+            skipped += port.skip()
+        assert skipped == 3000
+        file.write(b"later")
+        assert b"".join(read_all(port, 5)) == b"later"
+        port.close()
+        with pytest.raises(PortError, match="unplugged"):
+            port.skip()
+
+
+def test_what_waits_in_a_port_without_a_file_is_skipped_too() -> None:
+    with Port("sim://?speed=0", 0) as port:
+        port.write(PacketWriter().encode(Start()))
+        while port.waiting < 1000:
+            time.sleep(0.001)
+        assert port.skip() >= 1000

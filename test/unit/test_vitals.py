@@ -127,6 +127,6 @@ def test_every_loss_is_one_of_the_counts() -> None:
 
 
 def test_a_thread_without_reserve_is_told() -> None:
-    assert list(checkup.host(window_with(thread_share=0.79))) == []
-    [finding] = checkup.host(window_with(thread_share=0.85))
+    assert list(checkup.host(window_with(thread_share=0.79), 1)) == []
+    [finding] = checkup.host(window_with(thread_share=0.85), 1)
     assert finding.level == Level.WARN and "85% of a core" in finding.text

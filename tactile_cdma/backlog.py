@@ -1,0 +1,51 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Newest data wins: when a driver that was left behind is to skip what waits for it."""
+
+from __future__ import annotations
+
+import math
+
+LATE_S, LATE_PERIODS = 0.25, 2.0
+"""A frame that is read later than their sum after its middle is late."""
+PATIENCE_S = 1.0
+"""A driver that was held up may try for so long to make up for it, and loses nothing if it can.
+
+With LATE_S this comes before a digitizer is taken for a slow one (clock.SLOW_S), which would stamp
+old frames as if they were new."""
+
+
+class Backlog:
+    """Tells a driver that stays behind from one that was held up for a moment.
+
+    Where bytes wait at every look, and the frames that are made of them are late, for PATIENCE_S,
+    reading faster is what the driver cannot do: only leaving something out brings it back.
+    """
+
+    def __init__(self, period_s: float) -> None:
+        """period_s: of the frames."""
+        self._late_s = LATE_S + LATE_PERIODS * period_s
+        self._since_s = math.inf
+
+    def is_hopeless(self, waiting_bytes: int, age_s: float, now_s: float) -> bool:
+        """Whether to skip what waits. age_s: of the newest frame when it was read."""
+        if not waiting_bytes or age_s <= self._late_s:
+            self._since_s = math.inf
+            return False
+        self._since_s = min(self._since_s, now_s)
+        if now_s - self._since_s < PATIENCE_S:
+            return False
+        self._since_s = math.inf
+        return True

@@ -1,0 +1,145 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Load is borne, and what finds that it is not borne must find it."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator
+from itertools import count
+from pathlib import Path
+from random import Random
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+
+from tactile_cdma.msg import TactileArray
+from torture import load
+from torture.loaded_skin import LoadedSkin
+from torture.outcome import Outcome, Plan
+
+pytestmark = [pytest.mark.ros, pytest.mark.xdist_group("torture load")]
+PLAN = Plan(quick=True, seed=1)
+PATIENCE_S = 30.0
+
+
+@pytest.fixture(scope="module")
+def skin(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LoadedSkin]:
+    with LoadedSkin(tmp_path_factory.mktemp("load"), PLAN.seed, PATIENCE_S) as skin:
+        assert skin.streams_on()
+        yield skin
+
+
+def test_a_slice_of_the_campaign_is_borne(skin: LoadedSkin) -> None:
+    outcomes = [
+        load._stuck(skin, PLAN),
+        load._stops(skin, PLAN, Random(1)),
+        load._full_state(skin, PLAN),
+        load._steps(skin, PLAN, Random(1)),
+    ]
+    assert [outcome for outcome in outcomes if not outcome.good] == []
+
+
+def found(
+    skin: LoadedSkin, monkeypatch: pytest.MonkeyPatch, damage: Callable[[TactileArray, int], bool]
+) -> Outcome:
+    """What comes of 12 messages; damage: changes each, by its number, or says that it is lost."""
+    take, numbers = skin.judge.take, count()
+
+    def damaged(message: TactileArray) -> None:
+        if not damage(message, next(numbers)):
+            take(message)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(skin.judge, "take", damaged)
+        skin.streams_on(12)
+    skin.streams_on(1)
+    return skin.outcome("damage", 1)
+
+
+def nothing(message: TactileArray, number: int) -> bool:
+    return False
+
+
+def another_pressure(message: TactileArray, number: int) -> bool:
+    message.pressure[7] += 1.0 if number == 5 else 0.0
+    return False
+
+
+def another_flag(message: TactileArray, number: int) -> bool:
+    message.status[7] |= TactileArray.STATUS_STALE if number == 5 else 0
+    return False
+
+
+def another_stamp(message: TactileArray, number: int) -> bool:
+    message.header.stamp.sec += 3600 * (number == 5)
+    return False
+
+
+def told_loss(message: TactileArray, number: int) -> bool:
+    return number == 5
+
+
+def untold_loss(message: TactileArray, number: int) -> bool:
+    message.sequence -= number > 5
+    return number == 5
+
+
+@pytest.mark.parametrize(
+    ("damage", "wrong", "uncounted"),
+    [
+        (nothing, 0, 0),
+        (another_pressure, 1, 0),
+        (another_flag, 1, 0),
+        (another_stamp, 1, 0),
+        (told_loss, 0, 0),
+        (untold_loss, 0, 2),  # where it is lost, and where the numbers are right again
+    ],
+)
+def test_what_is_wrong_in_a_message_is_found(
+    skin: LoadedSkin,
+    monkeypatch: pytest.MonkeyPatch,
+    damage: Callable[[TactileArray, int], bool],
+    wrong: int,
+    uncounted: int,
+) -> None:
+    outcome = found(skin, monkeypatch, damage)
+    assert (outcome.wrong_values, outcome.uncounted_losses) == (wrong, uncounted)
+    assert (outcome.crashes, outcome.hangs) == (0, 0)
+
+
+def test_a_driver_that_hangs_does_not_count_or_ends_is_found(tmp_path: Path) -> None:
+    with LoadedSkin(tmp_path, PLAN.seed, PATIENCE_S) as skin:
+        assert skin.streams_on()
+        skin.patience_s = 1.5
+        skin.digitizer.packets_dropped += 1_000_000
+        outcome = skin.outcome("not counted", 1, uncounted=load._uncounted(skin))
+        assert (outcome.uncounted_losses > 900_000, outcome.hangs) == (True, 1)
+        skin.process.send_signal(signal.SIGSTOP)
+        assert not skin.streams_on(100_000)
+        assert skin.outcome("stopped for good", 1).hangs == 1
+        skin.process.kill()
+        skin.process.wait()
+        assert not skin.streams_on(100_000)
+        outcome = skin.outcome("killed", 1)
+        assert (outcome.crashes, outcome.hangs) == (1, 1)
+
+
+def test_a_traceback_in_the_log_is_found(skin: LoadedSkin) -> None:
+    assert skin.outcome("nothing", 1).crashes == 0
+    with (skin.folder / "driver.log").open("a") as log:
+        log.write("internal error, starting again: Traceback\n")
+    assert skin.outcome("a defect", 1).crashes == 2

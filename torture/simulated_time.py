@@ -1,0 +1,92 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Tells a skin's driver the time on /clock, and sets that."""
+
+from __future__ import annotations
+
+import threading
+import time
+from types import TracebackType
+
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+from rosgraph_msgs.msg import Clock
+
+from tactile_cdma.ros.convert import stamp
+
+from .loaded_skin import LoadedSkin
+
+BEGIN_S = 1_000_000.0
+TICK_S = 2e-3
+STEP_FRAMES = 20
+"""Frames after a step whose stamps are looked at."""
+
+
+class SimulatedTime:
+    """Runs as fast as the host's monotonic clock, from BEGIN_S on.
+
+    Use as a context manager: the driver takes its time from here as long as that is entered.
+    """
+
+    def __init__(self, skin: LoadedSkin) -> None:
+        self._skin, self._stop = skin, threading.Event()
+        self._ahead_s = BEGIN_S - time.monotonic()
+        self._publisher = skin.node.create_publisher(Clock, "/clock", QoSProfile(depth=1))
+        self._thread = threading.Thread(target=self._run)
+
+    def step(self, step_s: float) -> int:
+        """Set the clock; returns how many frames still had the old time."""
+        judge, before_s = self._skin.judge, self._ahead_s
+        after_s = before_s + step_s
+        judge.ahead_s = [before_s, after_s]
+        begin = judge.tally.received
+        self._ahead_s = after_s
+        self._skin.waits_for(lambda: abs(judge.newest_ahead_s - after_s) < abs(step_s) / 2)
+        late = judge.tally.received - begin
+        judge.ahead_s = [after_s]
+        self._skin.streams_on(STEP_FRAMES)
+        return late
+
+    def __enter__(self) -> SimulatedTime:
+        self._thread.start()
+        self._use(True, self._ahead_s)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._use(False, time.time() - time.monotonic())
+        self._stop.set()
+        self._thread.join()
+
+    def _use(self, simulated: bool, ahead_s: float) -> None:
+        """Have the driver take its time from here, or not, and wait until its stamps show it."""
+        judge, node = self._skin.judge, self._skin.node
+        client = node.create_client(SetParameters, f"{self._skin.name}/set_parameters")
+        self._skin.waits_for(client.service_is_ready)
+        judge.ahead_s += [ahead_s, -time.monotonic()]  # the last one: before /clock was heard
+        value = Parameter("use_sim_time", value=simulated).to_parameter_msg()
+        client.call_async(SetParameters.Request(parameters=[value]))
+        self._skin.waits_for(lambda: abs(judge.newest_ahead_s - ahead_s) < 1)
+        judge.ahead_s = [ahead_s]
+
+    def _run(self) -> None:
+        while not self._stop.wait(TICK_S):
+            now_ns = round((time.monotonic() + self._ahead_s) * 1e9)
+            self._publisher.publish(Clock(clock=stamp(now_ns)))
