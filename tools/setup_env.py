@@ -207,7 +207,7 @@ def adapt_venv(venv: Path) -> None:
     command = venv / "bin" / "tactile-cdma"
     command.write_text(
         f"#!/bin/sh\n'''exec' \"{python}\" \"$0\" \"$@\"\n' '''\n"
-        "import sys\n\nfrom tactile_cdma.cli import main\n\nsys.exit(main())\n"
+        "import sys\n\nfrom tactile_cdma.__main__ import main\n\nsys.exit(main())\n"
     )
     command.chmod(0o755)
 
