@@ -308,9 +308,9 @@ class SimOptions:
         node_chips = spec.nodes * spec.span_chips if self.clocks.at(1, 0.0) else 0
         if node_chips > MOST_NODE_CHIPS:
             raise SpecError(
-                f"{spec.nodes} nodes with clocks of their own and {spec.span_chips} chips per frame "
-                f"are more than the simulator makes, {MOST_NODE_CHIPS} chips: lower nodes, or leave "
-                "out clock_spread, delay_spread and drift"
+                f"{spec.nodes} nodes with clocks of their own, {spec.span_chips} chips each, are "
+                f"more than the simulator makes, {MOST_NODE_CHIPS} chips in all: lower nodes, or "
+                "leave out clock_spread, delay_spread and drift"
             )
 
     def _longest_s(self, spec: FrameSpec) -> float:
