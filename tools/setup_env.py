@@ -47,7 +47,7 @@ CORE_REQUIREMENTS = ("requirements.txt", "requirements-dev.txt")
 ROS_REQUIREMENTS = {"jazzy": "requirements-jazzy.txt", "kilted": "requirements-kilted.txt"}
 DEFAULT_DISTRO = "jazzy"
 # What only some targets need, by the stamp of its step.
-EXTRA_REQUIREMENTS = {"bench": "requirements-bench.txt", "view": "requirements-view.txt"}
+EXTRA_REQUIREMENTS = {name: f"requirements-{name}.txt" for name in ("audit", "bench", "view")}
 
 
 class SetupError(Exception):

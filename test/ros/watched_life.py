@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A whole life of a driver, watched from inside: what it opened, wrote, started, talked to; as JSON.
+"""The whole life of a driver, watched from inside: what it opened, wrote, started, as JSON.
 
 Run as a program: watched_life.py PORT CALIBRATION. The hook sees what Python does; what C++ does,
 DDS above all, is seen in /proc while everything is open.
