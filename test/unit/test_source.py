@@ -23,6 +23,7 @@ import tty
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import FileIO
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -140,3 +141,12 @@ def test_what_waits_in_a_port_is_told_and_a_lost_port_is_an_error() -> None:
         port.close()
         with pytest.raises(PortError, match="unplugged"):
             _ = port.waiting
+
+
+@pytest.mark.parametrize("kind", ["spy", "SPY"])
+def test_a_port_never_writes_a_file_of_its_url_s_choosing(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "mine"
+    path.write_text("kept")
+    with pytest.raises(PortError, match="would write a file"):
+        Port(f"{kind}://loop://?file={path}", 9600)
+    assert path.read_text() == "kept"
