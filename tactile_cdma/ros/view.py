@@ -273,7 +273,7 @@ def main() -> int:
         viewer.destroy_node()
         rclpy.try_shutdown()
     if not viewer.tally.received:
-        reason = viewer.complaint or "is the driver running and active?"
+        reason = viewer.complaint or "is the driver running and active, and as this user?"
         print(f"no frame on {topic}: {reason}", file=sys.stderr)
     print(summary(viewer.tally))
     return 0 if viewer.tally.received else 1
