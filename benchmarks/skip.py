@@ -176,7 +176,7 @@ def picture(times: dict[tuple[int, float | str, bool], float]) -> Figure:
     axes.set_xlabel("share of nodes that speak")
     axes.set_ylabel("ms per frame")
     axes.grid(True, which="both", alpha=0.3)
-    axes.legend()
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))  # beside the curves
     return figure
 
 

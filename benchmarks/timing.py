@@ -327,7 +327,9 @@ def panel(
             )
     axis.set(xlabel=label + (" / %" if scale > 1 else ""), yscale="log", ylim=(7e-6, 1))
     axis.grid(alpha=0.3)
-    axis.legend(fontsize=6, ncols=2)
+    axis.legend(
+        fontsize=6, ncols=len(NODES), loc="lower left", bbox_to_anchor=(0, 1)
+    )  # off the curves
     return {name: max(found[name] for _, _, found in kept) for name in names}
 
 

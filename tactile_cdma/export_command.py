@@ -20,6 +20,7 @@ import argparse
 import math
 import sys
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -64,16 +65,17 @@ def _export(arguments: argparse.Namespace) -> int:
     config = SkinConfig.of(values)
     pipeline = Pipeline(config, background=False)
     frames = _timed(path, pipeline)
+    first = next(frames, None)
+    if first is None:
+        raise CaptureError(f"{path}: {pipeline.problem or 'no frame found'}")
     try:
-        count = _write(arguments, frames, config, values)
+        count = _write(arguments, chain([first], frames), config, values)
     except OSError as error:
         raise CaptureError(f"{output}: {error.strerror}") from None
     for note in capture_notes(path):
         print(f"tactile-cdma: {path}: {note}", file=sys.stderr)
     counters = pipeline.counters
     print(f"frames={count} lost_frames={counters.lost_frames} taxels={len(config.layout.nodes)}")
-    if not count:
-        raise CaptureError(f"{path}: {pipeline.problem or 'no frame found'}")
     return 0
 
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What ends a command that runs until it is told to stop."""
+"""What Ctrl-C and SIGTERM do to a command that runs until it is told to stop."""
 
 from __future__ import annotations
 
@@ -20,6 +20,14 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+def raise_when_told_to_end() -> None:
+    """From now on a signal to end is a KeyboardInterrupt in the main thread."""
+    for number in SIGNALS:
+        signal.signal(number, signal.default_int_handler)
 
 
 @contextmanager
@@ -29,10 +37,7 @@ def stop_event(seconds: float | None) -> Iterator[threading.Event]:
     timer = threading.Timer(seconds or 0.0, stop.set)
     if seconds is not None:
         timer.start()
-    before = {
-        number: signal.signal(number, lambda *_: stop.set())
-        for number in (signal.SIGINT, signal.SIGTERM)
-    }
+    before = {number: signal.signal(number, lambda *_: stop.set()) for number in SIGNALS}
     try:
         yield stop
     finally:

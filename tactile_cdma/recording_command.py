@@ -19,6 +19,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -28,12 +29,13 @@ from .errors import CaptureError, PortError, TactileError
 from .interrupt import stop_event
 from .messages import Info
 from .offline import offline_values, raw_frames
-from .parameters import BY_NAME, Value
+from .parameters import BY_NAME, REPLAY, Value
 from .pipeline import Pipeline
 from .plain_text import plain
 from .protocol import PacketParser, diagnose
 from .recording import Description
 from .recording_file import Recorder, describe, is_recording, survey
+from .replay.options import ReplayOptions
 from .session import Session
 from .skin_config import SkinConfig
 from .source import Port
@@ -60,13 +62,15 @@ def _record(arguments: argparse.Namespace) -> int:
     asked, path = given(arguments), arguments.file
     if path.exists() and not arguments.force:
         raise CaptureError(f"{path}: exists already; --force overwrites it")
+    if _is_read_by(arguments.port, path):
+        raise CaptureError(f"{path}: is what {arguments.port} reads; give another file")
     config = SkinConfig.of(asked) if asked else None
     session = Session(config)
     parser, start = PacketParser(), time.monotonic()
     described = False
     with Port(arguments.port, arguments.baud) as port, stop_event(arguments.seconds) as stop:
         try:
-            with Recorder(path, arguments.port, arguments.baud, asked) as recorder:
+            with Recorder(path, arguments.port, arguments.baud, asked, arguments.force) as recorder:
                 try:
                     port.write(session.open())
                     while not stop.is_set():
@@ -93,6 +97,14 @@ def _record(arguments: argparse.Namespace) -> int:
         reason = diagnose(counters)
         raise CaptureError(f"{path}: this capture cannot be decoded: {reason}")
     return 0
+
+
+def _is_read_by(port: str, path: Path) -> bool:
+    """Whether a file, under whatever name, is a port's recording or device."""
+    source = ReplayOptions.from_url(port).path if port.startswith(REPLAY) else Path(port)
+    with suppress(OSError, ValueError):  # not there, or no name of a file
+        return path.samefile(source)
+    return False
 
 
 def _info(arguments: argparse.Namespace) -> int:

@@ -52,7 +52,14 @@ class Recorder:
     Raises OSError where the file cannot be written.
     """
 
-    def __init__(self, path: Path, port: str, baud: int, parameters: Mapping[str, Value]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        port: str,
+        baud: int,
+        parameters: Mapping[str, Value],
+        overwrite: bool = True,
+    ) -> None:
         """Make the file, or write over it. parameters: those that were asked for."""
         description = Description(
             wall_ns=time.time_ns(),
@@ -64,7 +71,8 @@ class Recorder:
         )
         self._encoder = RecordingEncoder(description, secrets.randbits(32))
         begin = self._encoder.begin()
-        self._file = path.open("wb")
+        # "x": nor where somebody has put a link that points elsewhere
+        self._file = path.open("wb" if overwrite else "xb")
         self._put(begin)
 
     def write(self, data: bytes, t_host: float) -> None:

@@ -55,6 +55,8 @@ USB = "usb://"
 LINK_FOLDERS = ("/dev/tactile", "/dev/serial/by-id", "/dev/serial/by-path")
 """Where udev keeps names of ports that outlive replugging; the first is of our own rules."""
 
+SPY = "spy://"
+"""What pyserial writes to any file that the URL names: whoever sets a parameter must not."""
 NETWORK = ("socket://", "rfc2217://")
 """Beginnings of the ports that are on another machine."""
 _NO_TTY = (errno.ENOTTY, errno.EISDIR, errno.ENXIO)
@@ -72,6 +74,10 @@ class Port:
 
     def __init__(self, url: str, baud: int) -> None:
         self.url = url
+        if url.lower().startswith(SPY):
+            raise PortError(
+                f"{url}: {SPY} would write a file; tactile-cdma record keeps the bytes of a port"
+            )
         # Looked up anew each time: a board that is plugged in again may be another device.
         pyserial_url = device_of(url)
         try:

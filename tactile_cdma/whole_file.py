@@ -18,7 +18,8 @@ from __future__ import annotations
 
 import errno
 import os
-import tempfile
+import secrets
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -33,24 +34,27 @@ def replace_file(path: Path, text: str) -> None:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """A file to write, that all may read, in a folder that is there; in place once it is whole.
+    """A file to write, in a folder that is there; in place once it is whole.
 
-    Raises OSError. If anything is raised within, too, whatever was at the path, or at where a link
-    there points, stays untouched.
+    A new file is for whom the umask says, one that was there stays for whom it was. Raises OSError.
+    If anything is raised within, too, whatever was at the path, or at where a link there points,
+    stays untouched.
     """
     path = Path(os.path.realpath(path))
     if path.exists() and not path.is_file():  # root could put a file where /dev/null was
         raise OSError(errno.EINVAL, "not a file")
-    # mkstemp's file is for its owner only; this one is for whoever may read the folder.
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    # "x", and a name that nobody guesses: in a shared folder a link could wait there.
+    unfinished = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    file = unfinished.open("x+b")
     try:
-        with os.fdopen(handle, "w+b") as file:
+        with file:
+            with suppress(FileNotFoundError):
+                os.fchmod(file.fileno(), stat.S_IMODE(path.stat().st_mode))
             yield file
-            os.fchmod(file.fileno(), 0o644)
             file.flush()
             os.fsync(file.fileno())  # else a power cut may leave the new name on nothing
-        os.replace(name, path)
+        os.replace(unfinished, path)
     except BaseException:
         with suppress(OSError):
-            os.unlink(name)
+            unfinished.unlink()
         raise

@@ -81,9 +81,9 @@ def main() -> int:
             commands = body_commands(Path(arguments.patches))
         except TactileError as error:
             parser.error(str(error))
-        viewer = viewer_command(seconds, "body_view")
+        viewer = viewer_command(seconds, "skin_body_view")
         return run(commands, rerun or viewer, quiet=bool(rerun))
-    viewer = rerun or viewer_command(seconds, "view")
+    viewer = rerun or viewer_command(seconds, "skin_view")
     if not firmware:
         return run([driver_command(params, port)], viewer, quiet)
     with emulated_skin(params) as port:
@@ -150,14 +150,14 @@ def node_command(script: str, parameters: Mapping[str, object], *ros_arguments: 
 
 
 def viewer_command(seconds: float, viewer: str) -> list[str]:
-    """Return the command of a viewer, tactile_cdma.ros.view or .body_view."""
-    command = [sys.executable, "-m", f"tactile_cdma.ros.{viewer}"]
+    """Return the command of a viewer, skin_view or skin_body_view."""
+    command = [sys.executable, str(CHECKOUT / "scripts" / viewer)]
     return command + (["--seconds", f"{seconds:g}"] if seconds else [])
 
 
 def rerun_command(web: bool) -> list[str]:
     """Return the command of the bridge to the Rerun viewer."""
-    return [sys.executable, "-m", "tactile_cdma.ros.rerun_view", *(["--web"] if web else [])]
+    return [sys.executable, str(CHECKOUT / "scripts" / "skin_rerun"), *(["--web"] if web else [])]
 
 
 def run(commands: Sequence[list[str]], viewer_command: list[str], quiet: bool) -> int:

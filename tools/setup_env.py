@@ -48,9 +48,7 @@ ROS_REQUIREMENTS = {"jazzy": "requirements-jazzy.txt", "kilted": "requirements-k
 DEFAULT_DISTRO = "jazzy"
 # What only some targets need, by the stamp of its step.
 EXTRA_REQUIREMENTS = {
-    "bench": "requirements-bench.txt",
-    "fuzz": "requirements-fuzz.txt",
-    "view": "requirements-view.txt",
+    name: f"requirements-{name}.txt" for name in ("audit", "bench", "fuzz", "view")
 }
 
 
@@ -211,7 +209,7 @@ def adapt_venv(venv: Path) -> None:
     command = venv / "bin" / "tactile-cdma"
     command.write_text(
         f"#!/bin/sh\n'''exec' \"{python}\" \"$0\" \"$@\"\n' '''\n"
-        "import sys\n\nfrom tactile_cdma.cli import main\n\nsys.exit(main())\n"
+        "import sys\n\nfrom tactile_cdma.__main__ import main\n\nsys.exit(main())\n"
     )
     command.chmod(0o755)
 

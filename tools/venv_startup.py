@@ -37,7 +37,7 @@ def start(checkout: str) -> None:
         os.environ.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)
     else:
         _prepend("LD_LIBRARY_PATH", lib)
-        os.execv(sys.executable, sys.orig_argv)
+        os.execv(sys.executable, sys.orig_argv)  # noqa: S606  # itself
 
 
 def _prepend(variable: str, path: str) -> None:

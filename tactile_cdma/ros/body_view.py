@@ -25,12 +25,13 @@ from contextlib import suppress
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from tactile_cdma.msg import TactileContact, TactileContacts
 
+from ..interrupt import raise_when_told_to_end
 from .contacts import RELIABLE
 from .convert import listed
 from .patches import NODE_NAME
@@ -117,9 +118,10 @@ def main() -> int:
     parser.add_argument("--body", default="/body", help="the body's node")
     parser.add_argument("--seconds", type=float, default=float("inf"), help="default: until Ctrl-C")
     arguments = parser.parse_args(remove_ros_args(sys.argv)[1:])
-    rclpy.init(args=sys.argv)
+    rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     viewer = BodyViewer(arguments.body)
-    with suppress(KeyboardInterrupt, ExternalShutdownException):
+    raise_when_told_to_end()
+    with suppress(KeyboardInterrupt):
         _report(viewer, arguments.seconds)
     viewer.destroy_node()
     rclpy.try_shutdown()

@@ -28,13 +28,14 @@ from pathlib import Path
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 
 from ..errors import TransformError
+from ..interrupt import raise_when_told_to_end
 from .complaints import Complaints
 from .convert import nanoseconds
 from .patches import ARRAY_TOPIC, full_name, layout_of
@@ -170,11 +171,12 @@ def main() -> int:
     except (OSError, RuntimeError, ValueError) as error:
         print(f"the viewer cannot be started: {error}", file=sys.stderr)
         return 1
-    rclpy.init(args=sys.argv)
+    rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     node = RerunView(recording, patches, arguments.max_kpa * 1e3)
+    raise_when_told_to_end()
     try:
         rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except KeyboardInterrupt:
         pass
     finally:
         node.flush()

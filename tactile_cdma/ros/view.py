@@ -32,14 +32,15 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
 from ..history import History
+from ..interrupt import raise_when_told_to_end
 from ..layout import Layout
 from ..terminal import Look, Numbers, Reading, scale, screen, sparkline, status_lines
 from .complaints import LEVELS, Complaints
@@ -174,7 +175,7 @@ def live(viewer: Viewer, look: Look) -> None:
     of_force = True
     try:
         with Keys() as keys:
-            while rclpy.ok():
+            while True:
                 viewer.spin_for(DRAW_PERIOD_S)
                 pressed = keys.read()
                 if "q" in pressed:
@@ -255,23 +256,24 @@ def main() -> int:
     if not arguments.max_kpa > 0:
         parser.error(f"--max-kpa is {arguments.max_kpa:g}; it must be above 0")
     topic = arguments.topic or f"{full_name(arguments.patch)}/tactile"
-    rclpy.init(args=sys.argv)
+    rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     viewer = Viewer(topic)
     terminal = sys.stdin.isatty() and sys.stdout.isatty()
     drawable = terminal and os.environ.get("TERM", "dumb") != "dumb"
+    raise_when_told_to_end()
     try:
         if drawable and arguments.seconds is None:
             live(viewer, look_for(sys.stdout.encoding, arguments.max_kpa * 1e3))
         else:
             report(viewer, arguments.seconds or (math.inf if terminal else 10.0))
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except KeyboardInterrupt:
         pass
     finally:
         viewer.tally.end(time.monotonic())
         viewer.destroy_node()
         rclpy.try_shutdown()
     if not viewer.tally.received:
-        reason = viewer.complaint or "is the driver running and active?"
+        reason = viewer.complaint or "is the driver running and active, and as this user?"
         print(f"no frame on {topic}: {reason}", file=sys.stderr)
     print(summary(viewer.tally))
     return 0 if viewer.tally.received else 1

@@ -39,6 +39,10 @@ from .scene import SCENES, Skin
 from .sensor import IDEAL, MOST_HYSTERESIS, MOST_MISMATCH, PAPER, SensorModel
 
 SCHEME = "sim"
+MOST_SAMPLES = 1 << 23
+MOST_NODE_CHIPS = 1 << 24
+"""Of a frame period, and of nodes with clocks of their own: a frame is made in one go, within
+which nobody can end the program, and so must not take more than a few seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,7 +294,24 @@ class SimOptions:
             if integrated and self.timing is None:
                 sync = SyncMode.DRIVE
         samples_per_chip = self.samples_per_chip or asked.samples_per_chip
+        self._check_size(spec, samples_per_chip)
         return Setup(spec, samples_per_chip, sync, integrated, asked.quiet_uv)
+
+    def _check_size(self, spec: FrameSpec, samples_per_chip: int) -> None:
+        """Raises SpecError for frames that would take too long, or too much memory, to make."""
+        samples = round(spec.frame_period_s / spec.chip_s * samples_per_chip)
+        if samples > MOST_SAMPLES:
+            raise SpecError(
+                f"a frame period of {samples} samples is more than the simulator makes, "
+                f"{MOST_SAMPLES}: lower samples_per_chip or frame_period_ms, or raise chip_us"
+            )
+        node_chips = spec.nodes * spec.span_chips if self.clocks.at(1, 0.0) else 0
+        if node_chips > MOST_NODE_CHIPS:
+            raise SpecError(
+                f"{spec.nodes} nodes with clocks of their own, {spec.span_chips} chips each, are "
+                f"more than the simulator makes, {MOST_NODE_CHIPS} chips in all: lower nodes, or "
+                "leave out clock_spread, delay_spread and drift"
+            )
 
     def _longest_s(self, spec: FrameSpec) -> float:
         """The longest that a frame of the slowest node takes, s."""

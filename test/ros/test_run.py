@@ -130,8 +130,11 @@ def test_signals_end_the_driver_in_order(number: signal.Signals) -> None:
         assert node.stderr.read() == ""
 
 
-@pytest.mark.parametrize("script", ["skin_driver", "skin_body"])
-def test_ctrl_c_while_a_node_starts_ends_it_without_a_traceback(script: str) -> None:
+@pytest.mark.parametrize(
+    "script",
+    ["skin_driver", "skin_body", "skin_view", "skin_body_view", "skin_bag", "tactile-cdma"],
+)
+def test_ctrl_c_while_a_program_starts_ends_it_without_a_traceback(script: str) -> None:
     command = [sys.executable, "-X", "importtime", str(ROOT / "scripts" / script)]
     node = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     with ended(node):

@@ -209,6 +209,16 @@ def test_recordings_are_not_overwritten_by_accident(
     assert main(["record", "sim://", str(capture), "--seconds", "0.5", "--force"]) == 0
 
 
+def test_a_recording_does_not_follow_a_link_of_somebody_else(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    link, target = tmp_path / "touch.skin", tmp_path / "authorized_keys"
+    link.symlink_to(target)
+    assert main(["record", "sim://", str(link), "--seconds", "0.1"]) == 1
+    assert "File exists" in capsys.readouterr().err
+    assert not target.exists()
+
+
 def test_recording_from_a_missing_port_leaves_no_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -188,3 +188,15 @@ def test_what_cannot_be_exported_is_one_clear_error(
         said = capsys.readouterr().err
         assert message in said and len(said.splitlines()) == 1
     assert output.read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize("options", [["out.npz"], ["out.csv"], ["out", "--bag"]])
+def test_a_recording_without_frames_leaves_no_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str]
+) -> None:
+    path = tmp_path / "silent.skin"
+    with Recorder(path, "sim://", 9600, {}) as recorder:
+        recorder.write(bytes(100), describe(path).monotonic_ns * 1e-9)
+    assert main(["export", str(path), "-o", str(tmp_path / options[0]), *options[1:]]) == 1
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    assert list(tmp_path.iterdir()) == [path]

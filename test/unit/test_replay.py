@@ -253,3 +253,15 @@ def test_a_replay_can_be_recorded_and_inspected(
     copy.write_bytes(copy.read_bytes()[:-1000])
     assert main(["info", str(copy)]) == 1
     assert "cut short" in capsys.readouterr().out
+
+
+def test_a_replay_is_never_recorded_over_what_it_replays(
+    live: tuple[Path, list[TactileFrame]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = live[0]
+    before, link = path.read_bytes(), tmp_path / "other name.skin"
+    link.symlink_to(path)
+    for target in (path, link):
+        assert main(["record", url_of(path, "loop=1"), str(target), "--force"]) == 1
+        assert "is what replay://" in capsys.readouterr().err
+    assert path.read_bytes() == before

@@ -129,6 +129,8 @@ def test_pinned_sampling_wins() -> None:
         ("dead=3;4", ["dead is '3;4'", "commas"]),
         ("stuck=0", ["stuck is 0", "1…65535"]),
         ("nodes=16&dead=3,17", ["dead is 17", "1…16"]),
+        ("chip_us=0.01&frame_period_ms=100", ["40000000 samples", "samples_per_chip"]),
+        ("nodes=65535&clock_spread=0.001&chip_us=0.01", ["65535 nodes", "clock_spread"]),
     ],
 )
 def test_bad_options_are_refused_by_name(query: str, words: list[str]) -> None:

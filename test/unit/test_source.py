@@ -186,3 +186,12 @@ def test_what_waits_in_a_port_without_a_file_is_skipped_too() -> None:
         while port.waiting < 1000:
             time.sleep(0.001)
         assert port.skip() >= 1000
+
+
+@pytest.mark.parametrize("kind", ["spy", "SPY"])
+def test_a_port_never_writes_a_file_of_its_url_s_choosing(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "mine"
+    path.write_text("kept")
+    with pytest.raises(PortError, match="would write a file"):
+        Port(f"{kind}://loop://?file={path}", 9600)
+    assert path.read_text() == "kept"

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import pytest
 
-from tactile_cdma.whole_file import replace_file
+from tactile_cdma.whole_file import replace_file, replacing
 
 
 def test_a_file_is_made_and_replaced(tmp_path: Path) -> None:
@@ -29,6 +29,27 @@ def test_a_file_is_made_and_replaced(tmp_path: Path) -> None:
         assert path.read_text(encoding="utf-8") == text
         assert path.stat().st_mode & 0o777 == 0o644
     assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(("umask", "mode"), [(0o022, 0o644), (0o077, 0o600), (0o002, 0o664)])
+def test_a_new_file_is_for_whom_the_umask_says(tmp_path: Path, umask: int, mode: int) -> None:
+    path, before = tmp_path / "file.txt", os.umask(umask)
+    try:
+        replace_file(path, "text")
+    finally:
+        os.umask(before)
+    assert path.stat().st_mode & 0o777 == mode
+
+
+def test_a_private_file_stays_private_from_the_first_byte(tmp_path: Path) -> None:
+    path = tmp_path / "file.txt"
+    path.write_text("old")
+    path.chmod(0o600)
+    with replacing(path) as file:
+        file.write(b"new")
+        assert all(each.stat().st_mode & 0o777 == 0o600 for each in tmp_path.iterdir())
+    assert path.read_text() == "new"
+    assert path.stat().st_mode & 0o777 == 0o600
 
 
 def test_a_link_stays_one(tmp_path: Path) -> None:
