@@ -51,7 +51,7 @@ static struct tp_node_record record_of(struct input *input)
         .sign = flags & 1 ? 1 : -1,
         .bits = 8 + input_u8(input) % 3,
         .parity = flags >> 1 & 1,
-        .order = (uint16_t)(1 + input_u16(input) % (flags & 0x40 ? 8 * ROW_OCTETS : 40)),
+        .order = (uint16_t)(1 + input_u16(input) % (flags & 0x40 ? 8 * ROW_OCTETS + 100 : 40)),
         .chip_ns = 30000 + input_u16(input),
         .discipline = flags >> 2 & 1,
         .threshold = input_u8(input),

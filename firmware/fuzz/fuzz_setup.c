@@ -44,7 +44,8 @@ static void check(const struct setup *setup, const struct settings *wanted)
 {
     const struct tp_frame_layout *frame = &wanted->asked.frame;
     wide sample = (wide)1000 * wanted->ticks_per_sample;
-    wide rate = wanted->asked.integrated ? (wide)1000000000000000 : (wide)1000000000000 * wanted->ticks_per_us;
+    wide rate = wanted->asked.integrated ? (wide)1000000000000000
+                                         : (wide)1000000000000 * wanted->ticks_per_us;
     wide per = wanted->asked.integrated ? frame->chip_ns : wanted->ticks_per_sample;
     wide span = settings_chip(wanted, wanted->chips - 1) + (1 + TP_TAIL_CHIPS) * wanted->chip;
 

@@ -16,8 +16,8 @@
  *
  *     HARNESS [-runs=N] [-seed=N] [-max_total_time=S] FILE-OR-FOLDER …
  *
- * The files, then N mutants of them, as many as S seconds allow. It knows nothing of coverage: it shows that what was found once
- * stays mended, and little more. */
+ * The files, then N mutants of them, as many as S seconds allow. It knows nothing of coverage: it
+ * shows that what was found once stays mended, and little more. */
 #include <dirent.h>
 #include <stdint.h>
 #include <stdio.h>
