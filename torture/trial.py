@@ -83,6 +83,7 @@ class Trial:
             )
         except HangError:
             self.hangs += 1
+            self.said = f"{self.plug.url} hangs at {self.times}: {self.driver.problem}"
         finally:
             self.crashes += not self._lives
             self.plug.unplug()
@@ -220,5 +221,6 @@ def _together(outcomes: Iterable[Outcome]) -> Outcome:
             uncounted_losses=first.uncounted_losses + other.uncounted_losses,
             crashes=first.crashes + other.crashes,
             hangs=first.hangs + other.hangs,
+            said=first.said if other.good else other.said,
         )
     return first
