@@ -38,9 +38,9 @@ from .skin_config import SkinConfig
 
 PATIENCE_S = 1.0
 """A digitizer that says nothing useful for so long is asked again."""
-SOON_S = 0.1
-"""One that says that it does not stream is asked again so long after the last time: a STATUS that
-crossed START on the wire is set right by the ACK before that."""
+SOON_S, ANSWER_S = 0.1, 0.5
+"""One that says that it does not stream is asked again so long after the last time: where it obeyed
+that, and where it did not answer, for then its STATUS may have crossed START on the wire."""
 MOST_CALLS = 3
 """Roll calls in a row that may come to nothing."""
 
@@ -71,7 +71,8 @@ class Session:
                 self._setting = (Configure(layout, SyncMode.DRIVE, integrated, quiet),)
         self._frames = -1
         self._impossible = self._bytes = self._packets = 0
-        self._deadline = self._soon_s = -math.inf
+        self._deadline = self._asked_s = -math.inf
+        self._obeyed = False
         self._status: Status | None = None  # the last one when it was asked again
 
     def open(self) -> bytes:
@@ -93,7 +94,7 @@ class Session:
     def watch(self, pipeline: Pipeline, now_s: float) -> bytes:
         """Requests that are due: nothing came of the last ones, or it is now known who is there."""
         if self._frames < 0:  # open() was just before
-            self._soon_s = now_s + SOON_S
+            self._asked_s = now_s
         if pipeline.info is not None and (start := self.introduced(pipeline.info)):
             self._asked(pipeline, now_s)
             return start
@@ -103,24 +104,26 @@ class Session:
             self._note(pipeline, now_s)
         if now_s >= self._deadline:
             self.problem = self._why(pipeline)
-        elif self._is_idle(pipeline) and now_s >= self._soon_s:
+        elif self._is_idle(pipeline, now_s):
             self.problem = None
         else:
             return b""
         self._asked(pipeline, now_s)
         return self.open()
 
-    def _is_idle(self, pipeline: Pipeline) -> bool:
+    def _is_idle(self, pipeline: Pipeline, now_s: float) -> bool:
         """Whether a digitizer that was to stream says that it does not: it was reset.
 
         Every STATUS counts once, so that one which cannot stream is not asked without end.
         """
+        self._obeyed = self._obeyed or bool(pipeline.streaming)
+        due_s = self._asked_s + (SOON_S if self._obeyed else ANSWER_S)
         news = pipeline.status is not self._status
-        return self._ours and news and pipeline.streaming is False
+        return self._ours and news and pipeline.streaming is False and now_s >= due_s
 
     def _asked(self, pipeline: Pipeline, now_s: float) -> None:
         """The digitizer is asked to stream."""
-        self._status, self._soon_s = pipeline.status, now_s + SOON_S
+        self._status, self._asked_s, self._obeyed = pipeline.status, now_s, False
         self._note(pipeline, now_s)
 
     def _note(self, pipeline: Pipeline, now_s: float) -> None:

@@ -38,6 +38,8 @@ from .plug import Plug
 BAUD = 2_000_000
 ROUND_S = 5e-4
 """Pause after every trial had its turn."""
+TURN_S = 0.1
+"""A turn counts for so long at most: that this process had to wait is nobody's fault."""
 SCENES = ("moving", "press", "all")
 Rng: TypeAlias = np.random.Generator
 Turns: TypeAlias = Generator[None, None, None]
@@ -81,6 +83,7 @@ class Trial:
             )
         except HangError:
             self.hangs += 1
+            self.said = f"{self.plug.url} hangs at {self.times}: {self.driver.problem}"
         finally:
             self.crashes += not self._lives
             self.plug.unplug()
@@ -107,9 +110,11 @@ class Trial:
 
         least_s: how long it takes where nothing is wrong.
         """
-        end_s = time.monotonic() + 10 * least_s + self.limit_s
+        left_s, now_s = 10 * least_s + self.limit_s, time.monotonic()
         while not condition():
-            if time.monotonic() > end_s:
+            before_s, now_s = now_s, time.monotonic()
+            left_s -= min(now_s - before_s, TURN_S)
+            if left_s < 0:
                 raise HangError
             self.plug.step()
             yield
@@ -216,5 +221,6 @@ def _together(outcomes: Iterable[Outcome]) -> Outcome:
             uncounted_losses=first.uncounted_losses + other.uncounted_losses,
             crashes=first.crashes + other.crashes,
             hangs=first.hangs + other.hangs,
+            said=first.said if other.good else other.said,
         )
     return first
