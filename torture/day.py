@@ -54,8 +54,8 @@ so that a day takes minutes."""
 QUIET_SCENE, BUSY_SCENES = "idle", ("presses", "moving", "hand")
 BUSY = 0.05
 """Share of the day in which something touches the skin."""
-DAY_S, QUICK_S = 86_400.0, 400.0
-REPLAYED_S, QUICK_REPLAYED_S = 3600.0, 60.0
+DAY_S, QUICK_S = 86_400.0, 200.0
+REPLAYED_S, QUICK_REPLAYED_S = 3600.0, 30.0
 BEFORE_S = 20.0
 """Time and index begin so long before their 32 bits are full, the sequence as many packets."""
 MOST_ERROR_S = 1e-3

@@ -40,8 +40,8 @@ from tactile_cdma.skin_config import SkinConfig
 
 from .laps import LapWriter, Stretch, Told, record
 
-LAP_FRAMES = 780
-"""10 s: all contacts of the scene come and go, and every node has had its heartbeats."""
+LAP_FRAMES = 390
+"""5 s: all contacts of the scene come and go, and every node has had its heartbeats."""
 SCENE = "presses"
 BUFFER_BYTES = 65_536
 """Output that waits for a slow host: 0.4 s. What has no room is dropped, packet by packet."""

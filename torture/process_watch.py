@@ -37,6 +37,8 @@ class Slope:
     spread_kb_per_h: float
 
     def __str__(self) -> str:
+        if np.isnan(self.kb_per_h):
+            return "too short for a slope"
         return f"{self.kb_per_h:.0f} ± {self.spread_kb_per_h:.0f} kB/h"
 
 

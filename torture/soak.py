@@ -62,8 +62,8 @@ ALONE = 0.8
 """From this share of a cycle on they are gone for long enough to compare what is held."""
 PATIENCE_S, GRACE_S = 30.0, 5.0
 LOOK_S = 0.5
-WARM_UP, LONGEST_WARM_UP_S = 0.25, 300.0
-"""Share of the run, but no longer, after which memory is looked at: pools fill up at first."""
+WARM_UP, LONGEST_WARM_UP_S = 0.5, 1800.0
+"""Share of the run, but no longer, after which memory is looked at: pools fill for half an hour."""
 MOST_DRIFT_S = 1e-3
 """Of stamps against true time, from the first part of the run to the last."""
 PARTS = 5
