@@ -42,7 +42,7 @@ def main() -> int:
     arguments = parser.parse_args()
     rclpy.init()
     node = rclpy.create_node("caller")
-    rates = cycle([10.0, 30.0, -1.0])  # the last one is to be refused
+    rates = cycle([-1.0, 10.0, 30.0])  # the first one is to be refused
     clients = {
         kind: node.create_client(kind, f"{arguments.skin}/{name}")
         for kind, name in (

@@ -24,6 +24,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from itertools import count
 from pathlib import Path
 from types import TracebackType
 
@@ -47,6 +48,7 @@ FRESH_S = 0.5
 """Messages that are no older come as they should, on a busy computer."""
 QUEUE = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 _TURN_S = 0.02
+_NUMBERS = count()
 
 
 class LoadedSkin:
@@ -67,7 +69,7 @@ class LoadedSkin:
         self.judge = MessageJudge(self.digitizer)
         self.warned: dict[str, set[str]] = {}
         self.hangs = 0
-        namespace = f"/load_{os.getpid()}"  # others may be in the same domain
+        namespace = f"/load_{os.getpid()}_{next(_NUMBERS)}"  # others may be in the same domain
         self.name = f"{namespace}/skin"
         self.environment = {
             **os.environ,
