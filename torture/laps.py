@@ -24,9 +24,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_cdma.driver import Session
 from tactile_cdma.messages import Info, Packet, Quiet, Samples
 from tactile_cdma.protocol import PacketParser, PacketWriter, wrap
+from tactile_cdma.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.skin_config import SkinConfig

@@ -24,9 +24,9 @@ from time import thread_time
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_cdma.driver import Session
 from tactile_cdma.parameters import Value
 from tactile_cdma.pipeline import Pipeline, TactileFrame
+from tactile_cdma.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.disturbance import Waveform
 from tactile_cdma.sim.nodes import NodeFrame

@@ -24,7 +24,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactile_cdma._protocol import VERSION, SyncMode
-from tactile_cdma.driver import Session
 from tactile_cdma.messages import (
     Configure,
     FrameLayout,
@@ -36,6 +35,7 @@ from tactile_cdma.messages import (
 from tactile_cdma.parameters import GAP
 from tactile_cdma.pipeline import Pipeline, TactileFrame
 from tactile_cdma.protocol import PacketParser, PacketWriter
+from tactile_cdma.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer, truth
 from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.sim.sensor import PAPER_DYNAMICS

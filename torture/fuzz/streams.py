@@ -22,7 +22,6 @@ from functools import cache
 import numpy as np
 
 from tactile_cdma._protocol import MAX_SAMPLES, PacketType
-from tactile_cdma.driver import Session
 from tactile_cdma.errors import SpecError, TactileError
 from tactile_cdma.messages import (
     WIRE,
@@ -43,6 +42,7 @@ from tactile_cdma.messages import (
 from tactile_cdma.offline import parameters_of
 from tactile_cdma.pipeline import Pipeline, TactileFrame
 from tactile_cdma.protocol import MAX_PACKET, PacketParser, PacketWriter, wrap
+from tactile_cdma.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.skin_config import SkinConfig
