@@ -51,6 +51,7 @@ class Judge:
         self._differences: Counter[str] = Counter()
         self._newest: TactileFrame | None = None
         self._newest_sequence = -1
+        self._stream = 0
         self._published: set[tuple[int, int]] = set()
         self._looked_at: tuple[int, int] = (0, -1)  # stream and number of frames judged as missing
         self._lost = 0
@@ -95,6 +96,9 @@ class Judge:
     def _wrong(self, frame: TactileFrame, verdict: Verdict) -> int:
         """Words, times and pressures of a frame that are not what they should be."""
         wrong = int(verdict.wrong.sum() + verdict.missed.sum())
+        if verdict.stream != self._stream:
+            self._stream = verdict.stream
+            self._held = Held(self._config)
         wrong += self._held.wrong(frame)
         newest, self._newest = self._newest, frame
         if newest is not None:
@@ -140,7 +144,7 @@ class Judge:
 
 
 class Held:
-    """The pressures that a receiver of these words has to show."""
+    """The pressures that a receiver of the words since a START has to show."""
 
     def __init__(self, config: SkinConfig) -> None:
         self._config = config
