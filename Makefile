@@ -12,6 +12,9 @@
 #              QUICK=1: within 40 s each, else up to 7 min
 # make torture faults of every kind, against the truth; SEED=n, ONLY="line day"
 #              QUICK=1: within 50 s, else within 30 min; docs/reliability.md tells of the last one
+# make soak    the driver node in real time for SECONDS=3600
+# make fuzz    hostile inputs to all that reads: COUNT=1000000 for Python, and for each C harness
+# make audit   known advisories for what is installed, bounds and locks of what is required
 # make lint    ruff and mypy;  make clean: remove .venv and what tests leave
 # DISTRO=kilted with any of these: ROS 2 Kilted instead of Jazzy, in .venv-kilted
 
@@ -26,12 +29,13 @@ SECONDS ?=
 FIRMWARE ?=
 ONLY ?=
 SEED ?= 1
+COUNT ?= 1000000
 PYTEST ?= -n 4 --dist loadgroup
 export LC_ALL ?= C.UTF-8
 
 BIN = $(VENV)/bin
 .DEFAULT_GOAL := help
-.PHONY: help run test lint setup bench-setup view view-setup torture clean firmware firmware-test firmware-figures firmware-tools
+.PHONY: help run test lint setup bench-setup view view-setup torture soak fuzz fuzz-setup fuzz-packages audit audit-packages clean firmware firmware-test firmware-figures firmware-tools
 
 help:
 	@sed -n 's/^# //p' Makefile
@@ -50,7 +54,7 @@ view-setup:
 view: view-setup $(if $(filter-out 0,$(FIRMWARE)),firmware)
 	@"$(BIN)/python" tools/run.py --port "$(PORT)" --params "$(PARAMS)" --firmware "$(FIRMWARE)" --patches "$(PATCHES)" --rerun $(if $(filter-out 0,$(WEB)),web,window)
 
-test: lint
+test: lint fuzz-packages
 	@"$(BIN)/python" tools/firmware_tools.py
 	@"$(BIN)/python" -m pytest $(PYTEST)
 
@@ -80,8 +84,27 @@ bench-setup:
 bench-%: bench-setup
 	@"$(BIN)/python" -m benchmarks.$*
 
-torture: setup
+torture: fuzz-setup
 	@"$(BIN)/python" -m torture $(ONLY) --seed $(SEED)
+
+soak: setup
+	@"$(BIN)/python" -m torture.soak --seconds $(or $(SECONDS),3600)
+
+fuzz: fuzz-setup
+	@"$(BIN)/python" -m torture.fuzz --count $(COUNT) --seed $(SEED)
+	@$(MAKE) --no-print-directory -s -C firmware fuzz COUNT=$(COUNT) SEED=$(SEED)
+
+# What coverage guides needs tools, and what is emulated must be built, before time is counted.
+fuzz-setup: fuzz-packages
+	@"$(BIN)/python" tools/firmware_tools.py --fuzz
+	@$(MAKE) --no-print-directory -s -k -C firmware fuzz-harnesses replay-native node sim || true
+
+fuzz-packages audit-packages:
+	@command -v $(PYTHON) >/dev/null || { echo "setup: error: no $(PYTHON); apt install python3-venv"; exit 1; }
+	@$(PYTHON) tools/setup_env.py --venv "$(VENV)" --distro "$(DISTRO)" --extra $(@:-packages=)
+
+audit: audit-packages
+	@"$(BIN)/python" tools/audit.py
 
 clean:
 	$(MAKE) -C firmware clean

@@ -26,11 +26,10 @@ from types import TracebackType
 
 from .backlog import Backlog
 from .errors import PortError, RecordingEndError
-from .parameters import REPLAY
 from .pipeline import Pipeline, TactileFrame
 from .session import Session
 from .skin_config import SkinConfig
-from .source import Port, is_away
+from .source import NETWORK, Port, is_away
 from .stuck import StuckNodes
 from .vitals import Vitals
 
@@ -167,7 +166,8 @@ class Driver:
             self._report(WAITING)
         port.write(session.open())
         backlog = Backlog(pipeline.config.spec.frame_period_s)
-        is_recording = self.url.startswith(REPLAY)  # of which nothing is left out
+        # Others hold back no more than a terminal does, or are read at the pace of the reader.
+        hoards = self.url.startswith(NETWORK)
         look_s, age_s = -math.inf, 0.0
         try:
             while not self._stop.is_set():
@@ -185,7 +185,7 @@ class Driver:
                     waiting_bytes = port.waiting
                     self.vitals.dealt_with(waiting_bytes)
                     look_s = t_host + LOOK_S
-                    if backlog.is_hopeless(waiting_bytes, age_s, t_host) and not is_recording:
+                    if hoards and backlog.is_hopeless(waiting_bytes, age_s, t_host):
                         with self._busy:
                             pipeline.skipped(port.skip())
                 if frames and self.problem:

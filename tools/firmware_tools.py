@@ -53,8 +53,12 @@ def main() -> int:
     """Install what is missing, as far as that goes; with --require, fail where it did not."""
     parser = argparse.ArgumentParser(description="Get what firmware is built and emulated with.")
     parser.add_argument("--require", action="store_true", help="missing tools are an error")
-    required = parser.parse_args().require
+    parser.add_argument("--fuzz", action="store_true", help="libFuzzer, too, without a complaint")
+    arguments = parser.parse_args()
+    required = arguments.require
     install(missing())
+    if arguments.fuzz:
+        install_libfuzzer()
     problems = []
     if packages := missing():
         problems.append(f"sudo apt install {' '.join(packages)}")
@@ -86,6 +90,18 @@ def install(packages: list[str]) -> None:
     subprocess.run(command, stdout=subprocess.DEVNULL, check=False)
 
 
+def install_libfuzzer() -> None:
+    """Install clang and the runtime of its version. Without them inputs are made by chance."""
+    install([] if present("clang") else ["clang"])
+    if not present("clang"):
+        return
+    runtime, version = (
+        said_by("clang", option) for option in ("-print-runtime-dir", "-dumpversion")
+    )
+    if not list(Path(runtime).glob("libclang_rt.fuzzer*")):
+        install([f"libclang-rt-{version.split('.')[0]}-dev"])
+
+
 def emulator_problem() -> str | None:
     """Install the RP2040's emulator unless it is there; return why it cannot be had."""
     stamp, lock = SIM / "node_modules" / ".package-lock.json", SIM / "package-lock.json"
@@ -109,9 +125,13 @@ def node_version() -> int:
     node = shutil.which("node")
     if node is None:
         return 0
-    said = subprocess.run([node, "--version"], capture_output=True, text=True).stdout
-    number = said.strip().removeprefix("v").split(".")[0]
+    number = said_by(node, "--version").removeprefix("v").split(".")[0]
     return int(number) if number.isdecimal() else 0
+
+
+def said_by(program: str, option: str) -> str:
+    """Return what a program prints when it is asked about itself."""
+    return subprocess.run([program, option], capture_output=True, text=True).stdout.strip()
 
 
 def complaint(stderr: str) -> str:

@@ -20,12 +20,15 @@ import argparse
 import importlib
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
+from subprocess import DEVNULL, PIPE
 from tempfile import TemporaryDirectory
 
 from .outcome import Outcome, Plan, from_json, summary, to_json
@@ -69,7 +72,7 @@ def main() -> int:
 
 
 def _run(name: str, plan: Plan) -> Iterator[Outcome]:
-    outcomes: Iterator[Outcome] = importlib.import_module(f"torture.{name}").run(plan)
+    outcomes: Iterator[Outcome] = importlib.import_module(f"torture.{name}.campaign").run(plan)
     yield from outcomes
 
 
@@ -85,16 +88,23 @@ def _in_process(name: str, plan: Plan, folder: Path) -> list[Outcome]:
     limit_s = CAMPAIGNS[name][0 if plan.quick else 1]
     command = [sys.executable, "-m", "torture", name, "--seed", str(plan.seed), "--json", str(file)]
     command += ["--quick"] if plan.quick else []
+    # A session of its own, so that nothing of a campaign outlives it.
+    process = subprocess.Popen(
+        command, stdout=DEVNULL, stderr=PIPE, text=True, start_new_session=True
+    )
     try:
-        done = subprocess.run(command, timeout=limit_s, capture_output=True, text=True)
+        _, complaint = process.communicate(timeout=limit_s)
     except subprocess.TimeoutExpired:
         outcomes = [Outcome(f"{name}: not over after {limit_s} s", 0, hangs=1)]
     else:
-        if done.returncode:
-            print(done.stderr, file=sys.stderr)
-            outcomes = [Outcome(f"{name}: ended with {done.returncode}", 0, crashes=1)]
+        if process.returncode:
+            print(complaint, file=sys.stderr)
+            outcomes = [Outcome(f"{name}: ended with {process.returncode}", 0, crashes=1)]
         else:
             outcomes = [from_json(row) for row in json.loads(file.read_text())]
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
     for outcome in outcomes:
         print(_line(name, outcome), flush=True)
     return outcomes

@@ -1,6 +1,7 @@
 # Fuzzing: a harness for each fuzz/fuzz_NAME.c; seeds and found cases are test/corpus/firmware_NAME.
 #
 #   make fuzz COUNT=100000 SEED=1   so many inputs to each; what is found is left in build/fuzz
+#   make fuzz-harnesses             the harnesses, by the best way that is there:
 #   make fuzz-libfuzzer             the harnesses, by clang with libFuzzer: guided by coverage
 #   make fuzz-standalone            the harnesses, by any compiler, with a main() of their own
 
@@ -11,12 +12,14 @@ FUZZ_SOURCES := $(addprefix fuzz/,commands.c framing.c host.c line.c settings.c)
 FUZZ_HEADERS := $(wildcard fuzz/*.h sim/*.h $(CORE)/*.h) fuzz/rules.mk
 FUZZ_CFLAGS := $(STRICT) -I fuzz -I sim -O1 -g -fno-omit-frame-pointer
 FUZZ_SANITIZE := -fsanitize=address,undefined -fno-sanitize-recover=undefined
-FUZZ_KIND := $(if $(shell command -v clang),libfuzzer,standalone)
+FUZZ_RUNTIME := $(shell clang -print-runtime-dir 2>/dev/null)
+FUZZ_KIND := $(if $(wildcard $(FUZZ_RUNTIME)/libclang_rt.fuzzer*),libfuzzer,standalone)
 COUNT ?= 100000
 SEED ?= 1
 
-.PHONY: fuzz fuzz-libfuzzer fuzz-standalone
-fuzz: fuzz-$(FUZZ_KIND)
+.PHONY: fuzz fuzz-harnesses fuzz-libfuzzer fuzz-standalone
+fuzz-harnesses: fuzz-$(FUZZ_KIND)
+fuzz: fuzz-harnesses
 	@set -e; for name in $(FUZZ_NAMES); do \
 	    echo "$$name: $(COUNT) inputs"; mkdir -p $(FUZZ_OUT)/corpus/$$name; \
 	    $(FUZZ_OUT)/$(FUZZ_KIND)/$$name -runs=$(COUNT) -seed=$(SEED) $(FUZZ_OPTIONS_$(FUZZ_KIND)) \

@@ -22,7 +22,7 @@ from pathlib import Path
 import pytest
 from conftest import CORE, FIRMWARE, SANITIZE, STRICT, need, run
 
-from torture.c_fuzzing import BUILD, CORPUS, build, fuzz, harnesses
+from torture.commands.c_fuzzing import BUILD, CORPUS, build, fuzz, harnesses
 
 SECONDS, HANG_S = 20, 30
 DEFECTS = {  # file; what is there; what is there instead; what must be found

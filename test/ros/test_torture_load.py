@@ -27,8 +27,8 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
 from tactile_cdma.msg import TactileArray
-from torture import load
-from torture.loaded_skin import LoadedSkin
+from torture.load import campaign as load
+from torture.load.loaded_skin import LoadedSkin
 from torture.outcome import Outcome, Plan
 
 pytestmark = [pytest.mark.ros, pytest.mark.xdist_group("torture load")]

@@ -33,11 +33,11 @@ from tactile_cdma.msg import TactileArray
 from tactile_cdma.ros.convert import ros_array, stamp
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.skin_config import SkinConfig
-from torture import soak
 from torture.laps import Held, Stretch, record
 from torture.process_watch import Watch
-from torture.soak_judge import Judge
-from torture.soak_listener import Listener
+from torture.soak import campaign as soak
+from torture.soak.judge import Judge
+from torture.soak.listener import Listener
 
 pytestmark = [pytest.mark.ros, pytest.mark.xdist_group("soak")]  # many: so they begin early
 CONFIG = SkinConfig.of({})

@@ -23,11 +23,11 @@ from pathlib import Path
 import pytest
 
 from tactile_cdma.node_memory import node_memory
-from torture.both_languages import same_answers, same_samples
-from torture.c_fuzzing import BUILD, FIRMWARE, SIMAVR, Fuzzed, build
-from torture.commands import outcome
+from torture.commands.both_languages import same_answers, same_samples
+from torture.commands.c_fuzzing import BUILD, FIRMWARE, SIMAVR, Fuzzed, build
+from torture.commands.campaign import outcome
+from torture.commands.sync_storms import NODE, SPEC, node_of, storms_at
 from torture.outcome import COUNTS, Outcome, Plan
-from torture.sync_storms import NODE, SPEC, node_of, storms_at
 
 PLAN = Plan(quick=True, seed=1)
 CORE = ("digitizer", "setup", "stream", "pulses", "packet", "cobs", "crc32")

@@ -29,12 +29,12 @@ from tactile_cdma.pipeline import Pipeline, TactileFrame
 from tactile_cdma.session import Session
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.skin_config import SkinConfig
-from torture import network, stalling, unplugging, wrong_port
-from torture.judge import Digitizer, Judge
+from torture.connection import network, stalling, unplugging, wrong_port
+from torture.connection.judge import Digitizer, Judge
+from torture.connection.plug import Host, Plug, Tty
+from torture.connection.strangers import misread
+from torture.connection.trial import Trial, Turns, outcomes, side_by_side
 from torture.outcome import Plan
-from torture.plug import Host, Plug, Tty
-from torture.strangers import misread
-from torture.trial import Trial, Turns, outcomes, side_by_side
 
 PLAN = Plan(quick=True, seed=1)
 CONFIG = SkinConfig.of({})

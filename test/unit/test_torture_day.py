@@ -29,9 +29,10 @@ from tactile_cdma.clock import DeviceClock
 from tactile_cdma.pipeline import Pipeline, TactileFrame
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.skin_config import SkinConfig
-from torture import day, host_clock
-from torture.day_judge import DayJudge, Lap
-from torture.host_clock import HostClock, UsbLine
+from torture.day import campaign as day
+from torture.day import host_clock
+from torture.day.host_clock import HostClock, UsbLine
+from torture.day.judge import DayJudge, Lap
 from torture.laps import LapWriter, Stretch, record
 from torture.process_watch import SECTIONS, Watch, slope
 

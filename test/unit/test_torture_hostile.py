@@ -27,12 +27,13 @@ from hypothesis import strategies as st
 from tactile_cdma.errors import CaptureError
 from tactile_cdma.pipeline import Pipeline, TactileFrame
 from tactile_cdma.protocol import PacketParser
-from torture import bombs, garbage, hostile
 from torture.fuzz import streams
 from torture.fuzz.mutation import inputs
 from torture.fuzz.search import search
 from torture.fuzz.target import CRASH, SLOW, UNCOUNTED, WRONG, Target, trying
 from torture.fuzz.targets import TARGETS
+from torture.hostile import bombs, garbage
+from torture.hostile import campaign as hostile
 from torture.outcome import Plan
 
 CORPUS = Path(__file__).resolve().parents[1] / "corpus"

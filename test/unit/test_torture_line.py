@@ -35,14 +35,14 @@ from tactile_cdma.protocol import PacketParser
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.skin_config import SkinConfig
-from torture.damage import FLIPS, HELD, KINDS, LOST, Kind
-from torture.ledger import Ledger
-from torture.line import COMMANDS, harmed, spoilt_commands
-from torture.line_judge import counted
-from torture.line_rig import Rig, Stream
-from torture.man_in_the_middle import ManInTheMiddle, Schedule
+from torture.line.campaign import COMMANDS, harmed, spoilt_commands
+from torture.line.damage import FLIPS, HELD, KINDS, LOST, Kind
+from torture.line.judge import counted
+from torture.line.ledger import Ledger
+from torture.line.man_in_the_middle import ManInTheMiddle, Schedule
+from torture.line.renumbered import Counted
+from torture.line.rig import Rig, Stream
 from torture.outcome import Plan
-from torture.renumbered import Counted
 
 CHIPS = Stream("chips", {"samples_per_chip": 1}, {"threshold": 0})
 SILENCE = Stream("silence", {}, {"scene": "press"})

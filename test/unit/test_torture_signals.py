@@ -23,10 +23,11 @@ import numpy as np
 import pytest
 
 from tactile_cdma.pipeline import Pipeline, TactileFrame
-from torture import faulty_line, faulty_nodes, signal_trial
 from torture.outcome import Outcome
-from torture.signal_trial import CHIPS, LINE, Kind, Skin
-from torture.signals import trials
+from torture.signals import faulty_line, faulty_nodes
+from torture.signals import trial as signal_trial
+from torture.signals.campaign import trials
+from torture.signals.trial import CHIPS, LINE, Kind, Skin
 
 SKIN = Skin(LINE, {}, {"threshold": 0})
 DEAD = Kind("dead", faulty_nodes.dead, length=80)

@@ -1,0 +1,170 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The digitizer's core in C and its simulated twin in Python, on the same bytes and samples."""
+
+from __future__ import annotations
+
+import struct
+import subprocess
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_cdma._protocol import PacketType, Result
+from tactile_cdma.frame import FrameSpec
+from tactile_cdma.messages import Ack, Configure, FrameLayout, Packet, Samples, Start, Status
+from tactile_cdma.protocol import PacketParser, PacketWriter, wrap
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+
+from ..outcome import Outcome, Plan
+
+T = TypeVar("T", bound=Packet)
+BEGIN = struct.pack("<QII", 0, 1 << 22, 8192) + struct.pack(
+    "<8sIIIfhhh2x", b"torture", 48, 96, 65_536, 2**-10, 2048, 0, 4095
+)
+"""struct start of firmware/digitizer/replay: a board like an RP2040's, with a generous output."""
+SECOND = ("t", struct.pack("<Q", 1_000_000))
+SEND = ("o", struct.pack("<I", 2**32 - 1))
+REPLAY_S = 60
+TYPES = [0, 2, 0x7F, *range(0x80, 0x88), 0xFF]
+CONFIGURED = Configure(FrameLayout.of(FrameSpec(), 4))
+PACKETS, SAMPLES = 200, 20_000
+"""That one digitizer gets."""
+PERHAPS = {Result.OK, Result.UNSUPPORTED}
+"""What a digitizer can do is its own: to what is within all ranges either is a right answer."""
+
+
+def same_answers(replay: Path, plan: Plan) -> Outcome:
+    """Packets of any type, length and content, and broken ones: both answer and count the same."""
+    rng = np.random.default_rng(plan.seed)
+    batches, wrong, uncounted = (10 if plan.quick else 500), 0, 0
+    for _ in range(batches):
+        # STOP comes in one go with the rest: the simulator need not make a strange skin's frames
+        data = b"".join(hostile_packet(rng) for _ in range(PACKETS)) + b"\0" + wrap(b"\x83\0\0")
+        differ = compare(replayed(replay, [("r", data), SECOND, SEND]), simulated(data))
+        wrong += differ[0]
+        uncounted += differ[1]
+    return Outcome(
+        "packets, to the digitizers in C and Python", batches * PACKETS, wrong, uncounted
+    )
+
+
+def hostile_packet(rng: np.random.Generator) -> bytes:
+    """Mostly intact, mostly wrong."""
+    kind, sequence = int(rng.choice(TYPES)), int(rng.integers(2**16))
+    payload = b"" if rng.random() < 0.5 else rng.bytes(int(rng.integers(60)))
+    if kind == PacketType.CONFIGURE and rng.random() < 0.9:
+        content = bytearray(CONFIGURED.payload())
+        for place in rng.integers(len(content), size=rng.integers(4)):
+            content[place] = rng.integers(256)
+        payload = bytes(content)
+    wire = bytearray(wrap(struct.pack("<BH", kind, sequence) + payload))
+    if rng.random() < 0.2:
+        wire[int(rng.integers(len(wire)))] ^= 1 << int(rng.integers(8))
+    return bytes(wire)
+
+
+def compare(in_c: Sequence[Packet], in_python: Sequence[Packet]) -> tuple[int, int]:
+    """In how many answers two digitizers differ, and whether in what they count."""
+    answers = [of_kind(said, Ack) for said in (in_c, in_python)]
+    differ = abs(len(answers[0]) - len(answers[1]))
+    differ += sum(not same(one, other) for one, other in zip(*answers, strict=False))
+    errors = [of_kind(said, Status)[-1].command_errors for said in (in_c, in_python)]
+    return differ, int(errors[0] != errors[1])
+
+
+def same(one: Ack, other: Ack) -> bool:
+    """Whether two digitizers may answer so to the same command."""
+    if {one.result, other.result} <= PERHAPS:
+        other = replace(other, result=one.result)
+    return replace(one, sequence=0) == replace(other, sequence=0)
+
+
+def simulated(data: bytes) -> list[Packet]:
+    """What the Python digitizer says to them, and a second later."""
+    now_s = 0.0
+    digitizer = VirtualDigitizer(clock=lambda: now_s)
+    digitizer.receive(data)
+    now_s = 1.0
+    digitizer.advance(0)
+    return parse(digitizer.take(digitizer.pending))
+
+
+def same_samples(replay: Path, plan: Plan) -> Outcome:
+    """Samples in pieces of any size, some lost: Python reads those that C was given."""
+    rng = np.random.default_rng(plan.seed)
+    batches, wrong, uncounted, packets = (5 if plan.quick else 200), 0, 0, 0
+    for _ in range(batches):
+        line = rng.integers(0, 4096, SAMPLES).astype("<u2")
+        lost = np.zeros(SAMPLES, bool)
+        events = [("r", PacketWriter().encode(CONFIGURED) + PacketWriter(1).encode(Start()))]
+        for piece in np.split(np.arange(SAMPLES), np.sort(rng.integers(0, SAMPLES, 60))):
+            lost[piece] = rng.random() < 0.1
+            if lost[piece].any():
+                events.append(("l", struct.pack("<I", piece.size)))
+            else:
+                events.append(("s", line[piece].tobytes()))
+        said = replayed(replay, [*events, SECOND, SEND])
+        wrong += sum(not right(packet, line, lost) for packet in of_kind(said, Samples))
+        uncounted += not counted(said, lost)
+        packets += len(of_kind(said, Samples))
+    return Outcome("samples, packed in C and read in Python", packets, wrong, uncounted)
+
+
+def right(packet: Samples, line: NDArray[np.uint16], lost: NDArray[np.bool_]) -> bool:
+    """Whether a packet says what the line was."""
+    place = slice(packet.first_index, packet.first_index + packet.counts.size)
+    return np.array_equal(packet.counts, line[place]) and not lost[place].any()
+
+
+def counted(said: Sequence[Packet], lost: NDArray[np.bool_]) -> bool:
+    """Whether what the packets leave out is what was lost, and STATUS says so."""
+    told = np.zeros(lost.size, bool)
+    for packet in of_kind(said, Samples):
+        told[packet.first_index : packet.first_index + packet.counts.size] = True
+    begun = np.flatnonzero(told)[-1] + 1  # what comes after it may wait for more
+    status = of_kind(said, Status)[-1]
+    return bool((told != lost)[:begun].all()) and status.samples_lost == lost.sum()
+
+
+def replayed(replay: Path, events: Sequence[tuple[str, bytes]]) -> list[Packet]:
+    """What the core says to events of firmware/digitizer/replay."""
+    script = b"".join(kind.encode() + struct.pack("<I", len(data)) + data for kind, data in events)
+    with TemporaryDirectory() as folder:
+        files = [Path(folder, "events"), Path(folder, "output")]
+        files[0].write_bytes(BEGIN + script)
+        command = [str(part) for part in (replay, *files)]
+        subprocess.run(command, check=True, capture_output=True, timeout=REPLAY_S)
+        return parse(files[1].read_bytes())
+
+
+def parse(data: bytes) -> list[Packet]:
+    """All packets of a digitizer; ends where a byte of them is not right."""
+    parser = PacketParser()
+    packets = [packet for packet in parser.feed(data) if isinstance(packet, Packet)]
+    seen = parser.counters
+    if seen.crc_errors + seen.framing_errors + seen.malformed + seen.unknown + seen.lost_packets:
+        raise RuntimeError(f"a digitizer's bytes are no packets: {seen}")
+    return packets
+
+
+def of_kind(packets: Sequence[Packet], kind: type[T]) -> list[T]:
+    """Those of a type."""
+    return [packet for packet in packets if isinstance(packet, kind)]

@@ -1,0 +1,112 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Builds and runs the harnesses of firmware/fuzz, and tells what they found.
+
+With clang, libFuzzer looks for inputs that reach new code; without it, mutants of the kept cases
+are run, which finds much less.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Literal
+
+ROOT = Path(__file__).resolve().parents[2]
+FIRMWARE = ROOT / "firmware"
+CORPUS = ROOT / "test" / "corpus"
+BUILD = FIRMWARE / "build"
+SIMAVR = Path("/usr/include/simavr/sim_avr.h")
+BUILD_S = 300
+
+Kind = Literal["libfuzzer", "standalone"]
+Fault = Literal["", "wrong value", "uncounted loss", "crash", "hang"]
+
+
+@dataclass(frozen=True, slots=True)
+class Fuzzed:
+    """inputs: that were run. fault: that the last of them showed; said: how."""
+
+    inputs: int
+    fault: Fault
+    said: str
+
+
+def best_kind() -> Kind:
+    """What this machine can do."""
+    if shutil.which("clang") is None:
+        return "standalone"
+    asked = subprocess.run(["clang", "-print-runtime-dir"], capture_output=True, text=True)
+    runtime = list(Path(asked.stdout.strip()).glob("libclang_rt.fuzzer*"))
+    return "libfuzzer" if runtime else "standalone"
+
+
+def harnesses() -> list[str]:
+    """Those that can be built here: the emulated skin's board needs simavr."""
+    names = sorted(file.stem.removeprefix("fuzz_") for file in (FIRMWARE / "fuzz").glob("fuzz_*.c"))
+    return [name for name in names if name != "board" or SIMAVR.exists()]
+
+
+def build(target: str) -> None:
+    """Has make build a target of firmware/Makefile; one process at a time."""
+    BUILD.mkdir(exist_ok=True)
+    make = ["make", "-s", f"-j{os.cpu_count()}", "-C", str(FIRMWARE), target]
+    command = ["flock", str(BUILD / ".lock"), *make]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=BUILD_S)
+    if done.returncode:
+        raise RuntimeError(f"make -C firmware {target}: {done.stderr}")
+
+
+def fuzz(
+    program: Path, kind: Kind, corpus: Path, count: int, seed: int, seconds: float, hang_s: int
+) -> Fuzzed:
+    """Runs the cases of a corpus and `count` inputs like them, for about so long at most.
+
+    An input that takes hang_s is a hang.
+    """
+    command = [str(program), f"-runs={count}", f"-seed={seed}", f"-max_total_time={seconds:.0f}"]
+    with TemporaryDirectory() as new:
+        if kind == "libfuzzer":
+            command += [f"-timeout={hang_s}", "-print_final_stats=1"]
+            command += [f"-artifact_prefix={new}/", new]
+        command.append(str(corpus))
+        try:
+            done = subprocess.run(
+                command, capture_output=True, text=True, errors="replace", timeout=seconds + hang_s
+            )
+        except subprocess.TimeoutExpired:
+            return Fuzzed(0, "hang", f"{program.name} did not end")
+    return Fuzzed(_inputs(done.stdout + done.stderr), *_fault(done.returncode, done.stderr))
+
+
+def _inputs(text: str) -> int:
+    found = re.search(r"number_of_executed_units: (\d+)|(\d+) inputs", text)
+    return int(found[1] or found[2]) if found else 0
+
+
+def _fault(returncode: int, text: str) -> tuple[Fault, str]:
+    """By what must.h, a sanitizer or libFuzzer says."""
+    if returncode == 0:
+        return "", ""
+    if broken := re.search(r"^\S+: (wrong value|uncounted loss): .*", text, re.MULTILINE):
+        return ("wrong value" if broken[1] == "wrong value" else "uncounted loss"), broken[0]
+    summary = re.search(r"^SUMMARY: .*|^.*: runtime error: .*", text, re.MULTILINE)
+    said = summary[0] if summary else text[-200:]
+    return ("hang" if "timeout" in said else "crash"), said

@@ -1,0 +1,79 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The firmware under hostile bytes: whatever a host sends, a memory holds or a pulse says."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from ..outcome import Outcome, Plan
+from .both_languages import same_answers, same_samples
+from .c_fuzzing import BUILD, CORPUS, Fuzzed, Kind, best_kind, build, fuzz, harnesses
+from .sync_storms import storms
+
+WHAT = {
+    "framing": "bytes to the C packet reader, packets of its writer",
+    "setup": "CONFIGURE to any board, against 128-bit arithmetic",
+    "digitizer": "commands, samples, losses to the C digitizer",
+    "node": "memory, sync pulses, readings to the C node",
+    "board": "commands to the emulated skin's digitizer",
+}
+"""The harnesses of firmware/fuzz."""
+COUNTS = {  # inputs, quick and full; about 2 s of one core, and 40 s
+    "framing": (20_000, 1_000_000),
+    "setup": (60_000, 5_000_000),
+    "digitizer": (2_000, 150_000),
+    "node": (20_000, 1_000_000),
+    "board": (2_000, 150_000),
+}
+MOST_S = (2, 40)
+"""What a harness takes at most, on a busy machine: then it has run fewer inputs."""
+HANG_S = (20, 30)
+
+
+def run(plan: Plan) -> Iterator[Outcome]:
+    """A slice of each harness, and both languages on the same bytes."""
+    kind = best_kind()
+    build(f"fuzz-{kind}")
+    for name in harnesses():
+        yield fuzzed(BUILD / "fuzz" / kind / name, kind, plan)
+    build("replay-native")
+    replay = BUILD / "replay" / "replay"
+    yield same_answers(replay, plan)
+    yield same_samples(replay, plan)
+    yield from storms(plan)
+
+
+def fuzzed(program: Path, kind: Kind, plan: Plan) -> Outcome:
+    """What a harness finds in its slice."""
+    name, length = program.name, 0 if plan.quick else 1
+    corpus = CORPUS / f"firmware_{name}"
+    limits = (COUNTS[name][length], plan.seed, MOST_S[length], HANG_S[length])
+    return outcome(WHAT[name], kind, fuzz(program, kind, corpus, *limits))
+
+
+def outcome(what: str, kind: Kind, found: Fuzzed) -> Outcome:
+    """What a harness found, as `make torture` sums it up."""
+    return Outcome(
+        what,
+        found.inputs,
+        wrong_values=int(found.fault == "wrong value"),
+        uncounted_losses=int(found.fault == "uncounted loss"),
+        crashes=int(found.fault == "crash"),
+        hangs=int(found.fault == "hang"),
+        said=found.said
+        or ("libFuzzer" if kind == "libfuzzer" else "no clang: mutants of kept cases"),
+    )

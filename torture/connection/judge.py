@@ -1,0 +1,191 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Holds the frames that one driver publishes against what its digitizers really saw, and when."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from tactile_cdma.pipeline import TactileFrame
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
+
+from ..oracle import Oracle, Stream, Verdict
+
+MOST_MISSING = 2
+"""Frames after a START that the driver may leave out."""
+CLOCK_S = 0.05
+"""Stamps may be so far off: clocks' rates are believed within 1e-3, from what came in 30 s."""
+LONG_AGO = Stream(SimOptions(), SimOptions().setup(), math.inf)
+"""A stream without frames."""
+
+
+class Digitizer(VirtualDigitizer):
+    """A virtual digitizer, powered up now, that tells a judge of every START it obeys."""
+
+    def __init__(self, options: SimOptions, clock: Callable[[], float], judge: Judge) -> None:
+        """clock: its time, which may stand at times, but is no faster than the host's."""
+        self.powered_s, self._power_s = judge.clock(), clock()
+        super().__init__(options, clock)
+        self._judge = judge
+        self._told = (False, 0.0)
+
+    @property
+    def now_s(self) -> float:
+        """Its own time, s."""
+        return self._clock() - self._power_s
+
+    def receive(self, data: bytes) -> None:
+        """See VirtualDigitizer."""
+        super().receive(data)
+        state = (self.streaming, self.started_s)
+        if self.streaming and state != self._told:
+            self._judge.began(self)
+        self._told = state
+
+
+@dataclass(frozen=True, slots=True)
+class _Published:
+    """A published frame that was judged.
+
+    connection: the driver's. device_s: time of its middle. true_s: the same, as host time, at the
+    earliest. late_s: of its stamp, at most.
+    """
+
+    sequence: int
+    stream: int
+    connection: int
+    device_s: float
+    true_s: float
+    late_s: float
+
+
+class Judge:
+    """Takes what a driver publishes, and sums up what is wrong with it.
+
+    wrong_values: nodes with another word than they said, frames that never were, stamps from
+        before the frame or after its publication, as long as the digitizer's time did not stand.
+    uncounted_losses: frames missing that the sequence does not tell, or the other way round.
+    missing: of every stream that was published, how many frames of its beginning were not.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        """clock: host time, s."""
+        self.clock = clock
+        self.wrong_values = self.uncounted_losses = self.frames = 0
+        self.missing: list[int] = []
+        self._queue: deque[tuple[TactileFrame, int, float]] = deque()
+        self._oracle = Oracle()
+        self._powered_s: list[float] = []  # of each stream's digitizer, host s
+        self._digitizer: Digitizer | None = None
+        self._last: _Published | None = None
+        self._first_sequence = 0
+
+    def take(self, frame: TactileFrame, connection: int = 0) -> None:
+        """A frame was published, by the driver's thread, over so many connections."""
+        self._queue.append((frame, connection, self.clock()))
+
+    def began(self, digitizer: Digitizer) -> None:
+        """A digitizer obeyed a START: whatever was published until now is of those before."""
+        self.settle()
+        # No frame of those long before will come: they are not worth their memory.
+        self._oracle.streams[:-2] = [LONG_AGO] * len(self._oracle.streams[:-2])
+        self._oracle.began(digitizer.options, digitizer.setup, digitizer.started_s)
+        self._powered_s.append(digitizer.powered_s)
+        self._digitizer = digitizer
+
+    @property
+    def streams(self) -> int:
+        """How many STARTs there were."""
+        return len(self._powered_s)
+
+    def hears(self, device: object) -> bool:
+        """Whether frames of the newest stream were published, and it is this digitizer's."""
+        return self._heard_s(device) is not None
+
+    def reached(self, digitizer: Digitizer, device_s: float) -> bool:
+        """Whether a frame of its newest stream and after this was published."""
+        heard_s = self._heard_s(digitizer)
+        return heard_s is not None and heard_s > device_s
+
+    def _heard_s(self, device: object) -> float | None:
+        """Device time of the last frame, if it is of the newest stream and this digitizer's."""
+        self.settle()
+        if not isinstance(device, Digitizer) or self._last is None:
+            return None
+        newest = self._last.stream == self.streams - 1
+        ours = newest and self._powered_s[-1] == device.powered_s
+        return self._last.device_s if ours else None
+
+    @property
+    def late(self) -> int:
+        """How often more frames were missing after a START than may be."""
+        return sum(missing > MOST_MISSING for missing in self.missing)
+
+    def settle(self) -> None:
+        """Judge what was published since the last time."""
+        while self._queue:
+            self._judge(*self._queue.popleft())
+
+    @property
+    def _keeps_pace(self) -> bool:
+        """Whether the digitizer's time has not stood; no real one's does, and stamps are by it."""
+        digitizer = self._digitizer
+        return digitizer is not None and (
+            self.clock() - digitizer.powered_s - digitizer.now_s < CLOCK_S
+        )
+
+    def account(self, lost_frames: int) -> int:
+        """How far off the driver's count of lost frames is, after all was published."""
+        self.settle()
+        if self._last is None:
+            return lost_frames
+        passed = self._last.sequence - self._first_sequence + 1
+        return abs(passed - self.frames - lost_frames)
+
+    def _judge(self, frame: TactileFrame, connection: int, published_s: float) -> None:
+        verdict = self._oracle.check(frame)
+        if verdict.number is None:
+            self.wrong_values += max(1, int(verdict.wrong.sum()))
+            return
+        self.wrong_values += int(verdict.wrong.sum() + verdict.missed.sum())
+        period_s = self._oracle.streams[verdict.stream].setup.spec.frame_period_s
+        true_s = self._powered_s[verdict.stream] + frame.t_middle
+        if self._keeps_pace:
+            self.wrong_values += not true_s - CLOCK_S < frame.t_host < published_s + CLOCK_S
+        late_s = frame.t_host - true_s
+        now = _Published(frame.sequence, verdict.stream, connection, frame.t_middle, true_s, late_s)
+        self._follow(now, verdict, period_s)
+        self._last = now
+        self.frames += 1
+
+    def _follow(self, now: _Published, verdict: Verdict, period_s: float) -> None:
+        """Hold a frame against the one before it."""
+        last = self._last
+        if last is None:
+            self._first_sequence = now.sequence
+        elif (now.stream, now.connection) == (last.stream, last.connection):
+            self.uncounted_losses += verdict.uncounted
+        else:  # only the host's clock knows how many periods passed, and stamps may be late
+            passed = (now.true_s - last.true_s) / period_s
+            slack = 1 + (abs(now.late_s) + abs(last.late_s)) / period_s
+            self.uncounted_losses += abs(now.sequence - last.sequence - max(1, passed)) > slack
+        if last is None or now.stream != last.stream:
+            assert verdict.number is not None
+            self.missing.append(verdict.number)

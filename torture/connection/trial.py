@@ -1,0 +1,226 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A driver on a plug, put through one kind of fault, beside others."""
+
+from __future__ import annotations
+
+import statistics
+import threading
+import time
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from dataclasses import replace
+from itertools import islice
+from typing import TypeAlias
+
+import numpy as np
+
+from tactile_cdma.driver import Driver
+from tactile_cdma.pipeline import TactileFrame
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.skin_config import SkinConfig
+
+from ..outcome import Outcome, Plan
+from .judge import Digitizer, Judge
+from .plug import Plug
+
+BAUD = 2_000_000
+ROUND_S = 5e-4
+"""Pause after every trial had its turn."""
+TURN_S = 0.1
+"""A turn counts for so long at most: that this process had to wait is nobody's fault."""
+SCENES = ("moving", "press", "all")
+Rng: TypeAlias = np.random.Generator
+Turns: TypeAlias = Generator[None, None, None]
+Started: TypeAlias = "tuple[Trial, Turns]"
+
+
+class HangError(Exception):
+    """Something did not go on in time."""
+
+
+class Trial:
+    """One driver, whose port is at a plug, and what came of the faults put in.
+
+    times: faults so far. said: for the table. hold_s: how long the next frame's consumer takes.
+    limit_s: after which what does not go on hangs.
+    resumed_s: how long the driver took each time, from when port and digitizer were there until it
+    published a frame.
+    """
+
+    def __init__(
+        self, fault: str, plan: Plan, plug: Plug, parameters: Mapping[str, object] | None = None
+    ) -> None:
+        self.fault, self.plug = fault, plug
+        self.times = self.hangs = self.crashes = 0
+        self.said = ""
+        self.hold_s = 0.0
+        self.resumed_s: list[float] = []
+        self.judge = Judge()
+        self.limit_s = 10.0 if plan.quick else 30.0
+        config = SkinConfig.of(dict(parameters or {}))
+        self.driver = Driver(config, plug.url, BAUD, self._consume, self._note)
+
+    def run(self, faults: Callable[[Trial], Turns]) -> Turns:
+        """Start the driver, put the faults in, and stop it."""
+        self.driver.start()
+        try:
+            yield from faults(self)
+            self.judge.settle()
+            self.judge.uncounted_losses += self.judge.account(
+                self.driver.pipeline.counters.lost_frames
+            )
+        except HangError:
+            self.hangs += 1
+            self.said = f"{self.plug.url} hangs at {self.times}: {self.driver.problem}"
+        finally:
+            self.crashes += not self._lives
+            self.plug.unplug()
+            self.driver.stop()
+
+    def outcome(self) -> Outcome:
+        """What came of all that."""
+        return Outcome(
+            self.fault,
+            self.times,
+            wrong_values=self.judge.wrong_values,
+            uncounted_losses=self.judge.uncounted_losses,
+            crashes=self.crashes,
+            hangs=self.hangs + self.judge.late,
+            said=self.said,
+        )
+
+    def digitizer(self, options: SimOptions) -> Digitizer:
+        """One that is powered up now, and judged by."""
+        return Digitizer(options, lambda: self.plug.now_s, self.judge)
+
+    def until(self, condition: Callable[[], object], least_s: float = 0.0) -> Turns:
+        """Go on until this holds; raises HangError where it never does.
+
+        least_s: how long it takes where nothing is wrong.
+        """
+        left_s, now_s = 10 * least_s + self.limit_s, time.monotonic()
+        while not condition():
+            before_s, now_s = now_s, time.monotonic()
+            left_s -= min(now_s - before_s, TURN_S)
+            if left_s < 0:
+                raise HangError
+            self.plug.step()
+            yield
+
+    def after(self, seconds: float) -> Turns:
+        """Go on for so long."""
+        end_s = time.monotonic() + seconds
+        yield from self.until(lambda: time.monotonic() >= end_s, seconds)
+
+    def stall(self, seconds: float) -> Turns:
+        """Go on for so much of the digitizer's time."""
+        end_s = self.plug.now_s + seconds
+        yield from self.until(lambda: self.plug.now_s >= end_s, seconds)
+
+    def told(self, *texts: str) -> Turns:
+        """Go on until the driver gives a reason with one of these texts in it."""
+        yield from self.until(lambda: any(text in (self.driver.problem or "") for text in texts))
+
+    def resumes(self) -> Turns:
+        """Go on until frames are published again, and no reason is given why not."""
+        begin_s = time.monotonic()
+        yield from self.until(self._flows)
+        self.resumed_s.append(time.monotonic() - begin_s)
+
+    def counted(self, count: Callable[[], int], true: Callable[[], int]) -> Turns:
+        """Go on until a count is the true one; else the difference is uncounted losses."""
+        try:
+            yield from self.until(lambda: count() == true())
+        except HangError:
+            self.judge.uncounted_losses += abs(count() - true())
+
+    def caught_up(self) -> Turns:
+        """Go on until a frame is published that is not on the line yet."""
+        digitizer = self.plug.device
+        assert isinstance(digitizer, Digitizer)
+        now_s = digitizer.now_s
+        yield from self.until(lambda: self.judge.reached(digitizer, now_s))
+
+    def _flows(self) -> bool:
+        return self.judge.hears(self.plug.device) and self.driver.problem is None
+
+    @property
+    def took(self) -> str:
+        """How long it took until frames came, in words."""
+        took_ms = [1e3 * seconds for seconds in self.resumed_s]
+        missing = max(self.judge.missing, default=0)
+        return (
+            f"frames after {statistics.median(took_ms):.0f} ms (at most {max(took_ms):.0f}), "
+            f"{missing} missing at most"
+        )
+
+    @property
+    def _lives(self) -> bool:
+        return any(thread.name == f"skin {self.plug.url}" for thread in threading.enumerate())
+
+    def _consume(self, frame: TactileFrame) -> None:
+        self.judge.take(frame, self.driver.connections)
+        if self.hold_s:
+            hold_s, self.hold_s = self.hold_s, 0.0
+            time.sleep(hold_s)
+
+    def _note(self, problem: str | None) -> None:
+        self.crashes += problem is not None and problem.startswith("internal error")
+
+
+def rng_of(plan: Plan, *place: int) -> Rng:
+    """The random numbers of one kind of fault."""
+    return np.random.default_rng([plan.seed, *place])
+
+
+def some_skin(rng: Rng) -> SimOptions:
+    """A skin that is touched, another one each time."""
+    return SimOptions(seed=int(rng.integers(1 << 32)), scene=str(rng.choice(SCENES)))
+
+
+def side_by_side(trials: Iterable[Turns], at_once: int = 5) -> None:
+    """Give so many trials their turns, one after the other, until all are over."""
+    waiting = iter(trials)
+    running = list(islice(waiting, at_once))
+    while running:
+        running = [trial for trial in running if next(trial, _OVER) is not _OVER]
+        running += islice(waiting, at_once - len(running))
+        time.sleep(ROUND_S)
+
+
+_OVER = object()
+
+
+def outcomes(started: list[Started]) -> Iterator[Outcome]:
+    """What comes of these trials, those of one fault together."""
+    side_by_side(turns for _, turns in started)
+    for fault in dict.fromkeys(trial.fault for trial, _ in started):
+        yield _together(trial.outcome() for trial, _ in started if trial.fault == fault)
+
+
+def _together(outcomes: Iterable[Outcome]) -> Outcome:
+    """The sum of outcomes of one kind of fault."""
+    first, *others = outcomes
+    for other in others:
+        first = replace(
+            first,
+            times=first.times + other.times,
+            wrong_values=first.wrong_values + other.wrong_values,
+            uncounted_losses=first.uncounted_losses + other.uncounted_losses,
+            crashes=first.crashes + other.crashes,
+            hangs=first.hangs + other.hangs,
+            said=first.said if other.good else other.said,
+        )
+    return first

@@ -1,0 +1,160 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Others on the port, and ports that do not open or take nothing."""
+
+from __future__ import annotations
+
+import fcntl
+from collections.abc import Callable
+from pathlib import Path
+
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
+
+from ..outcome import Plan
+from .plug import Tty
+from .strangers import STRANGERS
+from .trial import Rng, Started, Trial, Turns, rng_of, some_skin
+from .unplugging import GONE
+
+
+def strange(plan: Plan, folder: Path) -> list[Started]:
+    """Every stranger, and the digitizer after it."""
+    started = []
+    for number, name in enumerate(STRANGERS):
+        fault = "wrong baud rate" if "baud" in name else "another device on the port"
+        trial = Trial(fault, plan, Tty(folder / f"stranger{number}"))
+        rng = rng_of(plan, 4, number)
+        faults = visits(name, rng, 1 if plan.quick else 10)
+        trial.said = "named, and none of it published; then the digitizer"
+        started.append((trial, trial.run(faults)))
+    return started
+
+
+def visits(name: str, rng: Rng, times: int) -> Callable[[Trial], Turns]:
+    """A stranger comes, is found out, and goes; then the digitizer comes."""
+    make, texts = STRANGERS[name]
+
+    def faults(trial: Trial) -> Turns:
+        for _ in range(times):
+            trial.plug.plug(make(rng))
+            trial.times += 1
+            yield from trial.told(*texts)
+            if rng.integers(2):
+                trial.plug.unplug()
+                trial.plug.plug(trial.digitizer(some_skin(rng)))
+            else:
+                trial.plug.swap(trial.digitizer(some_skin(rng)))
+            yield from trial.resumes()
+            trial.plug.unplug()
+            yield from trial.told(*GONE)
+
+    return faults
+
+
+def unusable(plan: Plan, folder: Path) -> list[Started]:
+    """Ports and digitizers that will not do for now."""
+    times = 1 if plan.quick else 10
+    kinds: tuple[tuple[str, Callable[[Trial, Rng], Turns], dict[str, object]], ...] = (
+        ("port busy", busy, {}),
+        ("port takes no bytes", unwritable, {}),
+        ("another skin's digitizer", others, {"digitizer_id": _OURS.hex()}),
+        ("digitizer set otherwise", otherwise, {}),
+    )
+    started = []
+    for number, (fault, faults, parameters) in enumerate(kinds):
+        trial = Trial(fault, plan, Tty(folder / f"port{number}"), parameters)
+        rng = rng_of(plan, 5, number)
+        started.append((trial, trial.run(_several(faults, rng, times))))
+    return started
+
+
+def forbidden(plan: Plan, folder: Path) -> list[Started]:
+    """Ports that nobody may open; to be run as an ordinary user."""
+    trial = Trial("permission taken away", plan, Tty(folder / "port"))
+    return [
+        (trial, trial.run(_several(without_permission, rng_of(plan, 6), 2 if plan.quick else 20)))
+    ]
+
+
+def _several(
+    fault: Callable[[Trial, Rng], Turns], rng: Rng, times: int
+) -> Callable[[Trial], Turns]:
+    def faults(trial: Trial) -> Turns:
+        for _ in range(times):
+            trial.times += 1
+            yield from fault(trial, rng)
+            yield from trial.resumes()
+            trial.plug.unplug()
+            yield from trial.told(*GONE)
+        trial.said = trial.took
+
+    return faults
+
+
+def busy(trial: Trial, rng: Rng) -> Turns:
+    """Another program has the port."""
+    assert isinstance(trial.plug, Tty)
+    trial.plug.make()
+    trial.plug.lock(fcntl.LOCK_EX)
+    trial.plug.show(trial.digitizer(some_skin(rng)))
+    yield from trial.told("busy: another program")
+    yield from trial.after(rng.uniform(0, 0.5))
+    trial.plug.lock(fcntl.LOCK_UN)
+
+
+def without_permission(trial: Trial, rng: Rng) -> Turns:
+    """The port may not be opened, as before udev has seen it."""
+    assert isinstance(trial.plug, Tty)
+    trial.plug.make()
+    trial.plug.permit(0)
+    trial.plug.show(trial.digitizer(some_skin(rng)))
+    yield from trial.told("no permission")
+    trial.plug.permit(0o600)
+
+
+def unwritable(trial: Trial, rng: Rng) -> Turns:
+    """The port opens, but nothing can be written."""
+    assert isinstance(trial.plug, Tty)
+    trial.plug.make()
+    trial.plug.fill()
+    trial.plug.stalled = True
+    trial.plug.show(trial.digitizer(some_skin(rng)))
+    yield from trial.told("takes no bytes")
+    trial.plug.stalled = False
+
+
+def others(trial: Trial, rng: Rng) -> Turns:
+    """Another skin's digitizer, plugged in instead or put in its place; then the right one."""
+    trial.plug.plug(trial.digitizer(SimOptions(seed=7)))
+    yield from trial.resumes()
+    other = trial.digitizer(SimOptions(seed=8 + int(rng.integers(100))))
+    if rng.integers(2):
+        trial.plug.unplug()
+        trial.plug.plug(other)
+    else:
+        trial.plug.swap(other)
+    yield from trial.told("wrong digitizer")
+    trial.plug.swap(trial.digitizer(SimOptions(seed=7)))
+
+
+_OURS = VirtualDigitizer(SimOptions(seed=7)).info().digitizer_id
+
+
+def otherwise(trial: Trial, rng: Rng) -> Turns:
+    """A digitizer that cannot be set to the parameters; then one that can."""
+    trial.plug.plug(trial.digitizer(SimOptions(seed=1, order=24)))
+    yield from trial.told("order 24 (parameters: 20)")
+    trial.plug.swap(trial.digitizer(some_skin(rng)))

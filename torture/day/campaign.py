@@ -1,0 +1,247 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A robot's day in minutes: all that a driver counts goes on for 24 hours, and wraps.
+
+    laps ──bytes, host time──▶ Pipeline ──frames──▶ DayJudge
+
+Some seconds of a skin are told again and again, as a digitizer would tell them that runs all day;
+they come as USB brings them, by a host's clock that is another one than the digitizer's. A part of
+the day is recorded, too, and comes again through the driver's thread from replay://.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from tactile_cdma.driver import Driver
+from tactile_cdma.messages import Status
+from tactile_cdma.pipeline import Pipeline
+from tactile_cdma.recording_file import Recorder
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.skin_config import SkinConfig
+from tactile_cdma.vitals import totals
+
+from ..laps import LapWriter, Stretch, record
+from ..outcome import Outcome, Plan
+from ..process_watch import Slope, Watch, slope
+from .host_clock import STALL_S, HostClock, UsbLine
+from .judge import DayJudge, Lap
+
+LAP_FRAMES = 195
+SKIN = {"frame_period_ms": 51.2, "stale_after_s": 12.0}
+"""A quarter of the frames of the paper's skin, and nodes that at rest speak once in 10 s, or a lap,
+so that a day takes minutes."""
+QUIET_SCENE, BUSY_SCENES = "idle", ("presses", "moving", "hand")
+BUSY = 0.05
+"""Share of the day in which something touches the skin."""
+DAY_S, QUICK_S = 86_400.0, 200.0
+REPLAYED_S, QUICK_REPLAYED_S = 3600.0, 30.0
+BEFORE_S = 20.0
+"""Time and index begin so long before their 32 bits are full, the sequence as many packets."""
+MOST_ERROR_S = 1e-3
+"""Of a stamp, against the true host time of its frame's middle."""
+LOOKS, COUNTS = 120, 12
+"""So often memory is looked at, and Python's objects are counted, which takes longer."""
+WARM_UP = 0.25
+"""Share of the day after which neither may grow: pools fill up at first."""
+MOST_GROWTH_KB, MOST_NEW_OBJECTS = 2048, 200
+REPORT_US = 1_000_000
+PATIENCE_S = 60.0
+EDGE = 1 << 32
+
+
+def run(plan: Plan) -> Iterator[Outcome]:
+    """A day through the pipeline, and a part of one through the driver."""
+    config = SkinConfig.of(SKIN)
+    stretches = [
+        record(config, SimOptions(scene=scene, heartbeat=LAP_FRAMES, seed=plan.seed), LAP_FRAMES)
+        for scene in (QUIET_SCENE, *BUSY_SCENES)
+    ]
+    seconds = QUICK_S if plan.quick else DAY_S
+    yield from day(config, Telling(stretches, plan.seed), seconds, plan.seed)
+    seconds = QUICK_REPLAYED_S if plan.quick else REPLAYED_S
+    yield replayed(config, Telling(stretches, plan.seed + 1), seconds)
+
+
+class Telling:
+    """The digitizer of a day: laps in random order, without end.
+
+    writer: counts what was told. begin_us: of the first frame.
+    """
+
+    begin_us = EDGE - round(BEFORE_S * 1e6)
+
+    def __init__(self, stretches: list[Stretch], seed: int) -> None:
+        self._stretches = stretches
+        self._rng = np.random.default_rng([seed, 0])
+        self.writer = LapWriter(sequence=round(0x10000 - BEFORE_S))
+
+    def bursts(self, frames: int, on_lap: Callable[[Lap], None]) -> Iterator[tuple[float, bytes]]:
+        """What is sent, and when, device s, until so many frames were told."""
+        writer, info = self.writer, self._stretches[0].info
+        begin_us = due_us = report_us = self.begin_us
+        begin_index = EDGE - round(BEFORE_S * info.sample_rate_hz)
+        number, data = 0, b"\0"
+        while number < frames:
+            stretch = self._next()
+            on_lap(Lap(stretch, number, begin_us))
+            for packets in stretch.frames[: frames - number]:
+                if begin_us >= report_us:
+                    data += writer.encode(info) + writer.encode(Status(begin_us, streaming=True))
+                    report_us += REPORT_US
+                for told in packets:
+                    if begin_us + told.due_us != due_us:
+                        yield due_us * 1e-6, data
+                        due_us, data = begin_us + told.due_us, b""
+                    data += writer.tell(told, begin_us, begin_index)
+                begin_us += stretch.period_us
+                begin_index += stretch.period_samples
+                number += 1
+        yield due_us * 1e-6, data
+
+    def _next(self) -> Stretch:
+        busy = self._rng.random() < BUSY
+        return self._stretches[self._rng.integers(1, len(self._stretches)) if busy else 0]
+
+
+class Holdings:
+    """What this process holds while a day passes."""
+
+    def __init__(self) -> None:
+        self._watch = Watch(os.getpid())
+        self._t_s: list[float] = []
+        self._objects: list[int] = []  # of Python's, after a collection
+
+    def look(self, share: float, t_s: float) -> None:
+        """When this share of the day has passed, at this device time, s."""
+        if share * LOOKS >= len(self._t_s):
+            self._t_s.append(t_s)
+            self._watch.look()
+        if share * COUNTS >= len(self._objects):
+            gc.collect()
+            self._objects.append(len(gc.get_objects()))
+
+    def slope(self) -> Slope:
+        """Growth of memory by device time."""
+        first = round(WARM_UP * LOOKS)
+        return slope(np.array(self._t_s[first:]), np.array(self._watch.rss_kb[first:], float))
+
+    @property
+    def grown(self) -> bool:
+        """Whether there is more at the end than when the pools were full."""
+        kb, alone = self._watch.rss_kb, self._watch.alone
+        objects = self._objects[round(WARM_UP * COUNTS) :]
+        first = round(WARM_UP * LOOKS)
+        return (
+            kb[-1] - kb[first] > MOST_GROWTH_KB
+            or objects[-1] - objects[0] > MOST_NEW_OBJECTS
+            or alone[-1] != alone[first]
+        )
+
+
+def day(config: SkinConfig, telling: Telling, seconds: float, seed: int) -> Iterator[Outcome]:
+    """Through the pipeline, as fast as it goes."""
+    rng = np.random.default_rng([seed, 1])
+    host, line = HostClock(rng), UsbLine(rng)
+    pipeline, began_s = Pipeline(config), time.monotonic()
+
+    def host_at(t_s: float) -> float:
+        return host.at(t_s - telling.begin_us * 1e-6)
+
+    judge, holdings = DayJudge(config, host_at), Holdings()
+    frames = round(seconds / config.spec.frame_period_s)
+    for t_s, data in telling.bursts(frames, judge.told):
+        for frame in pipeline.feed(data, line.read_at(host_at(t_s))):
+            judge.judge(frame)
+        holdings.look(judge.frames / frames, t_s)
+    minutes, slope = (time.monotonic() - began_s) / 60, holdings.slope()
+    wraps = (telling.writer.packets + 0x10000 - round(BEFORE_S)) // 0x10000
+    yield Outcome(
+        f"{seconds / 3600:.3g} h in a row: 16 bits of sequence, 32 of time and index run over",
+        times=wraps + 2,
+        wrong_values=judge.wrong,
+        uncounted_losses=judge.uncounted + _miscounted(pipeline, telling.writer, judge, frames),
+        crashes=int(holdings.grown),
+        said=f"{judge.frames:,} frames in {minutes:.1f} min; memory {slope} of the skin's time",
+        rss_slope_kb_per_h=slope.kb_per_h,
+    )
+    median_s, p99_s = (judge.stamp_error_s(share) for share in (0.5, 0.99))
+    yield Outcome(
+        f"USB late by tens of ms, or held up for up to {STALL_S[1]:.0f} s",
+        times=line.late + line.stalls,
+        wrong_values=judge.stamps_beyond(MOST_ERROR_S),
+        said=f"stamps off by {median_s * 1e3:.2f} ms, p99 {p99_s * 1e3:.2f}, "
+        f"max {judge.worst_s * 1e3:.2f}; crystals {host.crystal * 1e6:.0f} ppm apart, and drifting",
+    )
+
+
+def replayed(config: SkinConfig, telling: Telling, seconds: float) -> Outcome:
+    """A recording of a part of a day, through the driver's own thread."""
+    judge = DayJudge(config, None)
+    frames = round(seconds / config.spec.frame_period_s)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "day.skin"
+        with Recorder(path, "day", 0, {}) as recorder:
+            for t_s, data in telling.bursts(frames, judge.told):
+                recorder.write(data, t_s)
+        threads = threading.active_count()
+        problems: list[str | None] = []
+        driver = Driver(config, f"replay://{path}?speed=0", 0, judge.judge, problems.append)
+        with driver:
+            goes_on = _wait(judge, frames)
+    return Outcome(
+        f"{seconds / 3600:.3g} h of it recorded, and replayed through the driver",
+        times=1,
+        wrong_values=judge.wrong,
+        uncounted_losses=judge.uncounted
+        + _miscounted(driver.pipeline, telling.writer, judge, frames),
+        crashes=sum("internal error" in (problem or "") for problem in problems)
+        + (threading.active_count() > threads),
+        hangs=int(not goes_on),
+        said=f"{judge.frames:,} frames",
+    )
+
+
+def _wait(judge: DayJudge, frames: int) -> bool:
+    """Until all frames came; whether they did."""
+    came, since_s = 0, time.monotonic()
+    while judge.frames < frames and time.monotonic() < since_s + PATIENCE_S:
+        if judge.frames > came:
+            came, since_s = judge.frames, time.monotonic()
+        time.sleep(0.05)
+    return judge.frames >= frames
+
+
+def _miscounted(pipeline: Pipeline, writer: LapWriter, judge: DayJudge, frames: int) -> int:
+    """Frames that did not come, and counts that are not what they should be."""
+    counters, packets = pipeline.counters, pipeline.packet_counts
+    grows = counters.frames + counters.samples + packets["bytes"] + packets["packets"]
+    counts = totals(pipeline).items()
+    losses = sum(count for name, count in counts if not name.startswith("digitizer_")) - grows
+    return (
+        abs(frames - judge.frames)
+        + abs(frames - counters.frames)
+        + abs(writer.packets - packets["packets"])
+        + abs(writer.bytes + 1 - packets["bytes"])
+        + losses
+    )

@@ -1,0 +1,115 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Holds every frame of a day against what was told, and its stamp against the true time."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from tactile_cdma.pipeline import TactileFrame
+from tactile_cdma.skin_config import SkinConfig
+from tactile_cdma.taxels import Status
+
+from ..laps import Held, Stretch
+
+NEAR_S = 2e-6
+NEAR_PA = 1.0
+"""Of a pressure, for rounding; a step of a word is 98 Pa or more."""
+SETTLED_S = 3.0
+"""From then on the line of the clock is known."""
+LATEST_S, BIN_S = 10e-3, 1e-6
+"""Of stamps: beyond this all are alike."""
+
+
+class Lap(NamedTuple):
+    """A stretch that was told from this frame on, and device time, µs, of its beginning."""
+
+    stretch: Stretch
+    first: int
+    begin_us: int
+
+
+class DayJudge:
+    """Told every lap before its first frame comes, and every frame once, in order.
+
+    host_at: host time, s, of device time, s; None where stamps are not looked at.
+    wrong: frames with a false word, pressure, flag or time. frames: that came.
+    uncounted: frames that are missing, or not numbered as they came.
+    worst_s: largest error of a stamp.
+    """
+
+    def __init__(self, config: SkinConfig, host_at: Callable[[float], float] | None) -> None:
+        self._host_at = host_at
+        self._held = Held(config)
+        self._laps: deque[Lap] = deque()
+        self._first: tuple[int, float] | None = None  # sequence and device time
+        self._bins = np.zeros(int(LATEST_S / BIN_S) + 1, np.int64)  # of stamps' errors
+        self.frames = self.wrong = self.uncounted = 0
+        self.worst_s = 0.0
+
+    def told(self, lap: Lap) -> None:
+        """This is told next."""
+        self._laps.append(lap)
+
+    def judge(self, frame: TactileFrame) -> None:
+        """The next frame came."""
+        number, self.frames = self.frames, self.frames + 1
+        while len(self._laps) > 1 and number >= self._laps[1].first:
+            self._laps.popleft()
+        lap = self._laps[0]
+        place = number - lap.first
+        start_s = (lap.begin_us + place * lap.stretch.period_us) * 1e-6
+        if self._first is None:
+            self._first = frame.sequence, frame.t_middle
+        self.uncounted += frame.sequence - self._first[0] != number
+        right = abs(frame.t_start - start_s) < NEAR_S and self._is_true(frame, lap.stretch, place)
+        self.wrong += not right
+        if self._host_at is not None and frame.t_middle - self._first[1] > SETTLED_S:
+            self._stamped(frame)
+
+    def _is_true(self, frame: TactileFrame, stretch: Stretch, place: int) -> bool:
+        active, codes = stretch.active[place], stretch.codes[place]
+        words, readings = frame.words, frame.readings
+        if active.any():
+            self._held.hear(active, codes)
+        silent = np.where(active, 0, Status.SILENT)
+        off_pa = np.abs(readings.pressure_pa - self._held.pressure_pa)
+        known = ~np.isnan(self._held.pressure_pa)
+        return bool(
+            np.array_equal(words.active, active)
+            and np.array_equal(words.codes[active], codes[active])
+            and (off_pa[known] < NEAR_PA).all()
+            and np.isnan(readings.pressure_pa[~known]).all()
+            and np.array_equal(readings.status[known], silent[known])
+        )
+
+    def _stamped(self, frame: TactileFrame) -> None:
+        assert self._host_at is not None
+        error_s = abs(frame.t_host - self._host_at(frame.t_middle))
+        self._bins[min(int(error_s / BIN_S), self._bins.size - 1)] += 1
+        self.worst_s = max(self.worst_s, error_s)
+
+    def stamps_beyond(self, error_s: float) -> int:
+        """How many stamps were farther from the true time."""
+        return int(self._bins[int(error_s / BIN_S) :].sum())
+
+    def stamp_error_s(self, share: float) -> float:
+        """The error that this share of the stamps does not exceed."""
+        upto = np.cumsum(self._bins)
+        return float(np.searchsorted(upto, share * upto[-1]) * BIN_S)

@@ -1,0 +1,167 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Hostile bytes: fuzzing of all that reads bytes of others, bombs, and garbage without end."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence, Set
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from tactile_cdma.errors import TactileError
+
+from ..fuzz import files, streams, texts
+from ..fuzz.mutation import inputs
+from ..fuzz.search import search
+from ..fuzz.target import CRASH, SLOW, UNCOUNTED, WRONG, Target, trying
+from ..outcome import Outcome, Plan
+from . import bombs, garbage
+
+GROUPS = {
+    "mutated bytes and packets of a port": streams.TARGETS,
+    "mutated files": files.TARGETS,
+    "mutated URLs and ids": texts.TARGETS,
+}
+SLICE_S = {True: 0.12, False: 18.0}
+"""Processor time, or in a process of its own wall-clock time, for a target: quick and full."""
+JOBS = 2
+MOST_RUNS = 10**9
+"""Time ends a search sooner."""
+QUICK_BYTES, FULL_BYTES = 2 << 20, 50 << 20
+"""Of a kind of garbage, at most."""
+GARBAGE_S = {True: 0.1, False: 8.0}
+"""Processor time for a kind of garbage."""
+LONG = {"millions of values"}
+"""Bombs that take seconds, on a machine that is busy many."""
+CRAFTED_BYTES = {True: 1 << 18, False: 4 << 20}
+
+
+def run(plan: Plan) -> Iterator[Outcome]:
+    """Try it all; quick: mutations in this process instead of searches by coverage."""
+    for fault, targets in GROUPS.items():
+        yield tried(fault, targets, plan) if plan.quick else searched(fault, targets, plan)
+    with TemporaryDirectory() as folder:
+        yield yaml_bombs(Path(folder), bombs.YAML_BOMBS.keys() - (LONG if plan.quick else set()))
+        yield waiting(Path(folder))
+        yield oversized(Path(folder), CRAFTED_BYTES[plan.quick])
+    yield fed(plan)
+
+
+def tried(fault: str, targets: Sequence[Target], plan: Plan) -> Outcome:
+    """Seeds and mutations, a slice for each target."""
+    kinds, done = Counter[str](), 0
+    for target in targets:
+        with trying(target) as attempt:
+            until_s = time.thread_time() + SLICE_S[plan.quick]
+            for data in inputs(target, plan.seed):
+                done += 1
+                if (find := attempt(data)) is not None:
+                    kinds[find.kind] += 1
+                if time.thread_time() > until_s:
+                    break
+    return _outcome(fault, done, kinds, f"{len(targets)} targets")
+
+
+def searched(fault: str, targets: Sequence[Target], plan: Plan) -> Outcome:
+    """By coverage, each target in a process of its own."""
+    with TemporaryDirectory() as folder, ThreadPoolExecutor(JOBS) as pool:
+        jobs = [
+            pool.submit(search, name, Path(folder, name), MOST_RUNS, int(SLICE_S[False]), plan.seed)
+            for name in (target.name for target in targets)
+        ]
+        found = [job.result() for job in jobs]
+    kinds = Counter(kind for each in found for kind, _ in each.finds)
+    branches = sum(each.coverage for each in found)
+    peak_mb = max(each.peak_mb for each in found)
+    said = f"{len(targets)} targets, {branches} branches, at most {peak_mb} MB"
+    return _outcome(fault, sum(each.inputs for each in found), kinds, said)
+
+
+def yaml_bombs(folder: Path, names: Set[str]) -> Outcome:
+    """YAML that is made to fill the memory, given to every reader of YAML, the large to one."""
+    cases = []
+    for number, name in enumerate(sorted(names)):
+        path = folder / f"bomb{number}.yaml"
+        path.write_bytes(bombs.YAML_BOMBS[name]())
+        small = path.stat().st_size < 1 << 20
+        readers = list(bombs.YAML.values()) if small else [bombs.YAML["parameters"]]
+        cases += [(read, path, small) for read in readers]
+    return _refused("YAML made to fill the memory or the terminal", cases)
+
+
+def waiting(folder: Path) -> Outcome:
+    """FIFOs, devices and impossible names, given to every reader of files."""
+    readers = [*bombs.YAML.values(), *bombs.OTHERS.values()]
+    cases = [(read, path, True) for path in bombs.never_ending(folder) for read in readers]
+    return _refused("FIFO, device, folder or impossible name for a file", cases)
+
+
+def oversized(folder: Path, size: int) -> Outcome:
+    """A CSV beyond what is read; a recording made of heads that claim a megabyte each."""
+    path = folder / "scope.csv"
+    bombs.oversized_csv(path)
+    outcome = _refused("oversized or crafted files", [(bombs.OTHERS["scope"], path, True)])
+    try:
+        with bombs.in_time():
+            bombs.parse_crafted(size)
+    except TimeoutError:
+        return Outcome(outcome.fault, 2, crashes=outcome.crashes, hangs=outcome.hangs + 1)
+    return Outcome(outcome.fault, 2, crashes=outcome.crashes, hangs=outcome.hangs)
+
+
+def _refused(fault: str, cases: Sequence[tuple[Callable[[Path], object], Path, bool]]) -> Outcome:
+    """Each file must be refused by its reader, soon and without much memory."""
+    kinds, most = Counter[str](), 0
+    for read, path, measured in cases:
+        try:
+            most = max(most, bombs.refuse(read, path, measured))
+        except TimeoutError:
+            kinds[SLOW] += 1
+        except (Exception, MemoryError):
+            kinds[CRASH] += 1
+    kinds[CRASH] += most > bombs.MOST_HELD
+    return _outcome(fault, len(cases), kinds, f"at most {most / 1e6:.1f} MB held")
+
+
+def fed(plan: Plan) -> Outcome:
+    """Garbage without end: what a pipeline holds of it is bounded."""
+    most, total, kinds = 0, 0, Counter[str]()
+    size = QUICK_BYTES if plan.quick else FULL_BYTES
+    for kind in garbage.KINDS:
+        try:
+            pipeline = garbage.pipeline_for(kind)
+            held = garbage.feed(kind, plan.seed, size, GARBAGE_S[plan.quick], pipeline)
+        except TactileError:
+            kinds[CRASH] += 1
+            continue
+        most, total = max(most, held.most), total + held.fed
+        kinds[CRASH] += held.most > garbage.MOST_HELD
+    said = f"{total / 1e6:.0f} MB in all, at most {most / 1e6:.1f} MB held"
+    return _outcome("endless garbage from a port", len(garbage.KINDS), kinds, said)
+
+
+def _outcome(fault: str, times: int, kinds: Counter[str], said: str) -> Outcome:
+    return Outcome(
+        fault=fault,
+        times=times,
+        wrong_values=kinds[WRONG],
+        uncounted_losses=kinds[UNCOUNTED],
+        crashes=kinds[CRASH],
+        hangs=kinds[SLOW],
+        said=said,
+    )

@@ -1,0 +1,155 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Damaged bytes between digitizer and driver: what comes of bits, bytes and packets in disorder.
+
+A man in the middle between a virtual digitizer and a driver on a real tty harms what passes, one
+kind of fault after the other, on streams of many kinds, as fast as the driver reads. He knows what
+he did, so that of each kind it can be told whether every word, time and pressure was right, whether
+the driver counted what was lost exactly, and whether it went on at once.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from functools import partial
+from zlib import crc32
+
+import numpy as np
+
+from ..outcome import COUNTS, Outcome, Plan
+from .damage import KINDS, LOST, OF_BYTES, Kind, flipped
+from .man_in_the_middle import Schedule
+from .renumbered import Counted
+from .rig import Rig, Stream
+
+ALWAYS = {"threshold": 0}
+"""Every node speaks in every frame."""
+MANY = {"nodes": 256, "samples_per_chip": 1, "chip_us": 5.0, "frame_period_ms": 20.0}
+STREAMS = {
+    Stream("chips", {"samples_per_chip": 1}, ALWAYS): 500,
+    Stream("samples", {}, ALWAYS): 150,
+    Stream("silence", {}, {"scene": "press"}): 150,
+    Stream("silent chips", {"samples_per_chip": 1}, {"scene": "presses"}): 400,
+    Stream("parity", {"parity": True, "samples_per_chip": 2}, ALWAYS): 80,
+    Stream("gaps", {"timing": "gap"}, ALWAYS): 25,
+    Stream("silent gaps", {"timing": "gap"}, {"scene": "press"}): 25,
+    Stream("256 nodes", MANY, {"scene": "hand"}): 40,
+}
+"""What is sent, and how many faults of each kind it bears in the full run."""
+QUICK = 2
+"""Faults of each kind and stream in the quick one."""
+WRAPS = {
+    "sequence of packets": Counted(sequence=2**16 - 20),
+    "device time, 2^32 µs": Counted(device_time_us=2**32 - 200_000),
+    "device time, 200 years": Counted(device_time_us=2**52 + 2**51),
+    "index of samples, 2^32": Counted(first_index=2**32 - 5000),
+    "index of samples, 2^63": Counted(first_index=2**63 - 5000),
+}
+WRAP_FAULTS = 12
+"""Packets that are lost while a counter wraps."""
+OF_COMMANDS = (Kind("bits", partial(flipped, 1e-2)), *OF_BYTES)
+AT_ONCE = 8
+"""Drivers whose commands are damaged, at the same time: most of it is waiting."""
+FRAMES = 5
+"""That have to come although they were."""
+COMMANDS = "damaged commands: frames come all the same"
+
+
+def run(plan: Plan) -> Iterator[Outcome]:
+    """One outcome per kind of damage; see the module."""
+    yield from harmed(STREAMS, plan)
+    for name, begin in WRAPS.items():
+        yield wrapped(name, begin, plan)
+    yield spoilt_commands(6 if plan.quick else 200, plan)
+
+
+def harmed(streams: Mapping[Stream, int], plan: Plan) -> Iterator[Outcome]:
+    """All kinds of damage on streams, each given how many faults it bears."""
+    tallies = {kind: Tally() for kind in KINDS}
+    for number, (stream, times) in enumerate(streams.items()):
+        with Rig(stream, plan.seed + number, patience_s(plan)) as rig:
+            for kind in KINDS:
+                wanted = times // kind.weight
+                if plan.quick:  # what takes long is done once, to some streams only
+                    wanted = QUICK if kind.weight == 1 else number % kind.weight == 0
+                harm(rig, tallies[kind], kind, wanted, [plan.seed, number])
+    for kind, tally in tallies.items():
+        yield tally.outcome(kind.name)
+
+
+def patience_s(plan: Plan) -> float:
+    """What stands still for so long hangs."""
+    return 10.0 if plan.quick else 30.0
+
+
+@dataclass
+class Tally:
+    """What came of a kind of fault so far."""
+
+    times: int = 0
+    bytes: int = 0
+    found: Counter[str] = field(default_factory=Counter)
+
+    def outcome(self, name: str) -> Outcome:
+        """As a row of the table."""
+        found = self.found
+        said = (
+            f"{self.bytes / 1e3:,.0f} kB hit; {found['frames']:,} frames published, "
+            f"{found['lost_frames']:,} lost and counted, {found['late_frames']} whole but unmarked"
+        )
+        return Outcome(name, self.times, **{count: found[count] for count in COUNTS}, said=said)
+
+
+def harm(rig: Rig, tally: Tally, kind: Kind, times: int, seed: Sequence[int]) -> None:
+    """Put faults of a kind on a line."""
+    schedule = Schedule(kind, times, np.random.default_rng([*seed, crc32(kind.name.encode())]))
+    tally.found += rig.run(schedule)
+    tally.times += schedule.done
+    tally.bytes += schedule.bytes
+
+
+def wrapped(name: str, begin: Counted, plan: Plan) -> Outcome:
+    """Packets are lost while a counter wraps, or is near its end."""
+    tally = Tally()
+    for number, stream in enumerate(list(STREAMS)[: 2 if plan.quick else None]):
+        with Rig(replace(stream, begin=begin), plan.seed + number, patience_s(plan)) as rig:
+            harm(rig, tally, LOST, WRAP_FAULTS, [plan.seed, number])
+    return tally.outcome(f"packets dropped near a wrap: {name}")
+
+
+def spoilt_commands(times: int, plan: Plan) -> Outcome:
+    """The first commands of the host are damaged on their way to the digitizer."""
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        sessions = [pool.submit(_spoilt, number, plan) for number in range(times)]
+        found = sum((session.result() for session in sessions), Counter[str]())
+    counts = {count: found[count] for count in COUNTS}
+    return Outcome(COMMANDS, times, **counts, said=f"{found['frames']:,} frames published")
+
+
+def _spoilt(number: int, plan: Plan) -> Counter[str]:
+    """One driver whose first commands are damaged."""
+    rng = np.random.default_rng([plan.seed, number])
+    kind = OF_COMMANDS[number % len(OF_COMMANDS)]
+    stream = list(STREAMS)[number // len(OF_COMMANDS) % len(STREAMS)]
+    with Rig(
+        stream,
+        plan.seed + number,
+        patience_s(plan),
+        spoil=lambda data: b"".join(kind.damage([data], [data], rng)),
+    ) as rig:
+        return rig.receive(FRAMES, rng)

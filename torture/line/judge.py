@@ -1,0 +1,186 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What is to be said of a line after a while: frames, times, pressures and counts, one by one."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_cdma.parameters import GAP
+from tactile_cdma.pipeline import Pipeline, TactileFrame
+from tactile_cdma.sim.options import Setup, SimOptions
+from tactile_cdma.skin_config import SkinConfig
+
+from ..oracle import Oracle, Verdict
+from .ledger import Counts, Ledger, Stretch
+
+MAY_MISS = 2
+"""Frames that may be missing after a fault although they arrived whole, where they have no marks:
+they are found by a gap before and after them. Where they have, none may."""
+NEAR_CHIPS = 0.5
+"""By how much a frame in which somebody spoke may be off its true start."""
+NEAR_PA = 0.5
+"""By how much a pressure may be off what its word says: float32 holds 0.01 Pa."""
+
+
+class Judge:
+    """Follows one driver on one line."""
+
+    def __init__(self, config: SkinConfig, ledger: Ledger, frame_samples: float) -> None:
+        """frame_samples: samples from one frame's start to the next one's."""
+        self._config, self._ledger, self._frame_samples = config, ledger, frame_samples
+        self._oracle = Oracle()
+        self._held = Held(config)
+        self._differences: Counter[str] = Counter()
+        self._newest: TactileFrame | None = None
+        self._newest_sequence = -1
+        self._stream = 0
+        self._published: set[tuple[int, int]] = set()
+        self._looked_at: tuple[int, int] = (0, -1)  # stream and number of frames judged as missing
+        self._lost = 0
+        self._first_index: dict[int, int] = {}
+
+    def began(self, options: SimOptions, setup: Setup, started_s: float, first_index: int) -> None:
+        """A stream began at this time of the digitizer's clock, with this index."""
+        self._first_index[len(self._oracle.streams)] = first_index
+        self._oracle.began(options, setup, started_s)
+
+    def look(self, frames: Sequence[TactileFrame], pipeline: Pipeline) -> Counter[str]:
+        """What is wrong with these frames and with the counts, now that all of it was decoded.
+
+        Beside the counts of an Outcome it tells of `frames` that were published, of `lost_frames`,
+        and of `late_frames`: whole ones of which nothing came, too soon after a hole or the start.
+        """
+        found = self.look_at_frames(frames)
+        self._lost += found["lost_frames"]
+        found["uncounted_losses"] += self._miscounted(pipeline)
+        late, missing = self._missing()
+        found["late_frames"] += late
+        found["hangs"] += missing
+        return found
+
+    def look_at_frames(self, frames: Sequence[TactileFrame]) -> Counter[str]:
+        """As `look`, of the frames alone."""
+        found: Counter[str] = Counter(frames=len(frames))
+        for frame in frames:
+            verdict = self._oracle.check(frame)
+            found["wrong_values"] += self._wrong(frame, verdict)
+            found["uncounted_losses"] += verdict.uncounted
+            found["lost_frames"] += self._passed_over(frame, verdict)
+            if verdict.number is not None:
+                self._published.add((verdict.stream, verdict.number))
+        return found
+
+    def _passed_over(self, frame: TactileFrame, verdict: Verdict) -> int:
+        """Frames lost before this one: after a START only the host's clock can tell how many."""
+        before, self._newest_sequence = self._newest_sequence, frame.sequence
+        return frame.sequence - before - 1 if verdict.lost is None else verdict.lost
+
+    def _wrong(self, frame: TactileFrame, verdict: Verdict) -> int:
+        """Words, times and pressures of a frame that are not what they should be."""
+        wrong = int(verdict.wrong.sum() + verdict.missed.sum())
+        if verdict.stream != self._stream:
+            self._stream = verdict.stream
+            self._held = Held(self._config)
+        wrong += self._held.wrong(frame)
+        newest, self._newest = self._newest, frame
+        if newest is not None:
+            wrong += frame.t_host <= newest.t_host or frame.sequence <= newest.sequence
+        stream = self._oracle.streams[verdict.stream]
+        if verdict.number is None or not frame.words.active.any():
+            return wrong
+        true_s = stream.started_s + verdict.number * self._config.spec.frame_period_s
+        return wrong + (abs(frame.t_start - true_s) > NEAR_CHIPS * self._config.spec.chip_s)
+
+    def _miscounted(self, pipeline: Pipeline) -> int:
+        """By how much more than before the driver's counts differ from what arrived."""
+        differences = Counter(counted(pipeline))
+        differences.subtract(asdict(self._ledger.counts))
+        differences["lost_frames"] = pipeline.counters.lost_frames - self._lost
+        new = sum(abs(differences[name] - self._differences[name]) for name in differences)
+        self._differences = differences
+        return new
+
+    def _missing(self) -> tuple[int, int]:
+        """Whole frames of which nothing came, and those of them that are too long after a fault."""
+        late = missing = 0
+        may_miss = MAY_MISS if self._config.timing == GAP else 0
+        for stretch in self._ledger.stretches:
+            for number, since in self._whole(stretch):
+                if (stretch.start, number) <= self._looked_at:
+                    continue
+                self._looked_at = (stretch.start, number)
+                if (stretch.start, number) not in self._published:
+                    late, missing = late + 1, missing + (since >= may_miss)
+        del self._ledger.stretches[:-1]
+        self._published = {frame for frame in self._published if frame > self._looked_at}
+        return late, missing
+
+    def _whole(self, stretch: Stretch) -> Iterable[tuple[int, int]]:
+        """Numbers of the frames that are whole within a stretch, and how many were so before."""
+        origin = self._first_index[stretch.start]
+        size = self._frame_samples
+        first = int(np.ceil((stretch.begin - origin) / size))
+        # Without marks a frame is known when the next one would be over.
+        last = int((stretch.end - origin) // size) - (2 if self._config.timing == GAP else 0)
+        return ((number, number - first) for number in range(first, last))
+
+
+class Held:
+    """The pressures that a receiver of the words since a START has to show."""
+
+    def __init__(self, config: SkinConfig) -> None:
+        self._config = config
+        nodes = config.spec.nodes
+        self._codes = np.zeros(nodes, np.int64)
+        self._heard_s = np.full(nodes, -np.inf)
+
+    def wrong(self, frame: TactileFrame) -> int:
+        """How many taxels read something else."""
+        words, config = frame.words, self._config
+        self._codes[words.active] = words.codes[words.active]
+        self._heard_s[words.active] = frame.t_middle
+        curves = config.calibration.curves
+        voltage_v = config.adc.voltage(self._codes).astype(np.float32)
+        expected_pa: NDArray[np.float32] = curves.pressure(voltage_v)
+        expected_pa[self._codes == (1 << config.adc.bits) - 1] = 0.0  # "so much or more" is rest
+        expected_pa[frame.t_middle - self._heard_s > config.stale_after_s] = np.nan
+        pressure_pa = frame.readings.pressure_pa
+        near = np.abs(pressure_pa - expected_pa) < NEAR_PA
+        return int(np.count_nonzero(~(near | (np.isnan(expected_pa) & np.isnan(pressure_pa)))))
+
+
+def counted(pipeline: Pipeline) -> dict[str, int]:
+    """What a driver has counted, by the names of Counts; what must not come is added to broken."""
+    packets, counters = pipeline.packet_counts, pipeline.counters
+    broken = ("crc_errors", "framing_errors", "resyncs", "jumps", "malformed", "unknown")
+    counts = Counts(
+        bytes=packets["bytes"],
+        packets=packets["packets"],
+        broken=sum(packets[name] for name in broken),
+        lost_packets=packets["lost_packets"],
+        repeated=packets["repeated_packets"],
+        samples=counters.samples,
+        lost_samples=counters.lost_samples,
+        unannounced=counters.unannounced_samples,
+        impossible=counters.implausible_packets,
+        restarts=counters.restarts,
+    )
+    return asdict(counts)

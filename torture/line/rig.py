@@ -1,0 +1,170 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A virtual digitizer, a man in the middle, a real tty and a driver, all running."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from tactile_cdma.driver import Driver
+from tactile_cdma.parameters import Values
+from tactile_cdma.pipeline import TactileFrame
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.sim.pty import serve
+from tactile_cdma.skin_config import SkinConfig
+
+from .damage import LOST
+from .judge import Judge
+from .man_in_the_middle import ManInTheMiddle, Schedule
+from .renumbered import Counted
+
+BAUD = 115_200
+"""A tty has to be given one; a pseudo-terminal takes all at once."""
+LOOK_S = 2e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stream:
+    """A kind of stream. parameters: of the driver. options: of the simulator."""
+
+    name: str
+    parameters: Values = field(default_factory=dict)
+    options: Mapping[str, object] = field(default_factory=dict)
+    begin: Counted | None = None
+
+
+class Rig:
+    """Everything that it takes for bytes to come to harm on a real tty; a context manager."""
+
+    def __init__(
+        self,
+        stream: Stream,
+        seed: int,
+        patience_s: float,
+        spoil: Callable[[bytes], bytes] | None = None,
+    ) -> None:
+        """patience_s: without any progress for so long it hangs. spoil: see ManInTheMiddle."""
+        self._patience_s = patience_s
+        self.config = SkinConfig.of({"drift_pa_per_min": 0.0, **stream.parameters})
+        options = SimOptions(**{"seed": seed, "speed": 0.0, **stream.options})  # type: ignore[arg-type]
+        # At speed 0 its time passes with its samples; the host's must not decide when it reports.
+        self._digitizer = VirtualDigitizer(options, clock=lambda: 0.0)
+        self.man = ManInTheMiddle(self._digitizer, stream.begin, spoil)
+        self.frames: list[TactileFrame] = []
+        self.problems: list[str] = []
+        self._first_index = stream.begin.first_index if stream.begin else 0
+        self._judge: Judge | None = None
+        self._started = 0
+        self._stop, self._ready = threading.Event(), threading.Event()
+        self._path = Path()
+        self._line = threading.Thread(target=self._carry, daemon=True)
+
+    def __enter__(self) -> Rig:
+        self._line.start()
+        self._ready.wait(self._patience_s)
+        self.driver = Driver(
+            self.config, str(self._path), BAUD, self.frames.append, self._on_problem
+        )
+        self.driver.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.driver.stop()
+        self._stop.set()
+        self._line.join()
+
+    def run(self, schedule: Schedule) -> Counter[str]:
+        """Put a schedule through; what was wrong then, with its `crashes` and `hangs`."""
+        self.man.begin(schedule)
+        found = Counter(hangs=int(not self._wait(self._consumed)))
+        with self.driver.between_frames() as pipeline:
+            found += self._judged().look(self._taken(), pipeline)
+        return found + self._crashes()
+
+    def receive(self, frames: int, rng: np.random.Generator) -> Counter[str]:
+        """Let bytes pass until so many frames have come; what was wrong with these."""
+
+        def come() -> bool:
+            if self.man.over():
+                self.man.begin(Schedule(LOST, 0, rng))
+            return len(self.frames) >= frames
+
+        found = Counter(hangs=int(not self._wait(come)))
+        with self.driver.between_frames():
+            found += self._judged().look_at_frames(self._taken())
+        return found + self._crashes()
+
+    def _wait(self, happened: Callable[[], bool]) -> bool:
+        """Whether it happened, before the line stood still for too long."""
+        deadline_s, progress = 0.0, -1
+        while not happened():
+            time.sleep(LOOK_S)
+            if progress != (progress := self.driver.pipeline.counters.samples):
+                deadline_s = time.monotonic() + self._patience_s
+            elif time.monotonic() > deadline_s or not self._line.is_alive():
+                return False
+        return True
+
+    def _consumed(self) -> bool:
+        """Whether the driver has dealt with everything that was handed on to it."""
+        if not self.man.over():
+            return False
+        with self.driver.between_frames() as pipeline:
+            return pipeline.packet_counts["bytes"] >= self.man.ledger.counts.bytes
+
+    def _taken(self) -> list[TactileFrame]:
+        """The frames that were published since the last time."""
+        frames, self.frames[:] = list(self.frames), []
+        return frames
+
+    def _judged(self) -> Judge:
+        """The judge, who knows of all streams that began."""
+        if self._judge is None:
+            self._judge = Judge(self.config, self.man.ledger, self.man.frame_samples)
+        for started_s, setup in self.man.starts[self._started :]:
+            self._judge.began(self._digitizer.options, setup, started_s, self._first_index)
+        self._started = len(self.man.starts)
+        return self._judge
+
+    def _crashes(self) -> Counter[str]:
+        """Defects that ended a thread or would have."""
+        crashes = sum("internal error" in problem for problem in self.problems)
+        self.problems.clear()
+        return Counter(crashes=crashes + (not self._line.is_alive()))
+
+    def _carry(self) -> None:
+        serve(lambda: self.man, None, self._stop, self._on_ready)
+
+    def _on_ready(self, path: Path) -> None:
+        self._path = path
+        self._ready.set()
+
+    def _on_problem(self, problem: str | None) -> None:
+        if problem:
+            self.problems.append(problem)

@@ -1,0 +1,309 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Load: subscribers of every kind, too little processor, full disks, clocks that are set.
+
+One real driver, behind a tty, has all of it done to it in turn; another one, behind a socket and
+with simulated time, is stopped and has its clock set. A subscriber who knows the truth listens to
+each the whole time.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from pathlib import Path
+from random import Random
+from tempfile import TemporaryDirectory
+
+from std_srvs.srv import Trigger
+
+from ..outcome import Outcome, Plan
+from .loaded_skin import LoadedSkin
+from .simulated_time import SimulatedTime
+
+MOST_GROWTH_KB = 50_000
+"""More memory than this is not what a few subscribers take."""
+HOG = "import time; end_s = time.monotonic() + {}\nwhile time.monotonic() < end_s: pass"
+"""Takes a core for so many seconds, and ends by itself."""
+STARVED_NICE = 19
+PATIENCE_S = (10.0, 30.0)
+"""Quick, and else: without progress for so long, something hangs."""
+FULL_BYTES = 100_000
+FRAMES = 500
+"""Of the other subscribers, while some are slow or many."""
+STOPS_S = ((0.01, 0.1, 0.7), (0.01, 0.03, 0.1, 0.3, 0.7, 1.0, 2.0, 5.0))
+SLACK_FRAMES = 2
+"""What a stop may cost beyond its own length."""
+
+
+def run(plan: Plan) -> Iterator[Outcome]:
+    """See the module."""
+    patience_s, rng = PATIENCE_S[not plan.quick], Random(plan.seed)
+    with TemporaryDirectory(prefix="load-") as folder:
+        with LoadedSkin(Path(folder), plan.seed, patience_s) as skin:
+            skin.streams_on()
+            before_kb = skin.rss_kb
+            yield _stuck(skin, plan)
+            yield _slow(skin, plan)
+            yield _many(skin, plan)
+            if not plan.quick:  # those that were stopped were killed, too
+                yield _come_and_go(skin)
+            yield _calls(skin, plan)
+            yield _stops(skin, plan, rng)
+            yield _full_state(skin, plan)
+            yield _steps(skin, plan, rng)
+            yield _starved(skin, plan)
+            yield _growth(skin, skin.rss_kb - before_kb)
+        yield _full_recording(Path(folder), plan)
+    if not plan.quick:
+        with (
+            TemporaryDirectory(prefix="load-") as folder,
+            LoadedSkin(Path(folder), plan.seed, patience_s, networked=True) as skin,
+        ):
+            skin.streams_on()
+            yield _stops_behind_a_socket(skin, rng)
+
+
+def _stuck(skin: LoadedSkin, plan: Plan) -> Outcome:
+    """Subscribers that asked for everything, reliably, are stopped by the system, then killed."""
+    count = 2 if plan.quick else 10
+    with _crowd(skin, "--participants", str(count)) as crowd:
+        crowd.send_signal(signal.SIGSTOP)
+        time.sleep(0.5)
+        skin.streams_on(60 if plan.quick else FRAMES)
+        crowd.kill()
+        skin.streams_on()
+    return skin.outcome("subscribers that are stopped, reliable and keep-all", count)
+
+
+def _slow(skin: LoadedSkin, plan: Plan) -> Outcome:
+    """Subscribers that take a second per message, of arrays and of pictures."""
+    each = 1 if plan.quick else 5
+    arguments = ("--each", str(each), "--delay", "1.0")
+    kinds = ("pictures",) if plan.quick else ("arrays", "pictures")
+    with ExitStack() as stack:
+        for kind in kinds:
+            stack.enter_context(_crowd(skin, *arguments, "--kind", kind))
+        skin.streams_on(60 if plan.quick else FRAMES)
+    return skin.outcome("subscribers that take 1 s per message", each * len(kinds))
+
+
+def _many(skin: LoadedSkin, plan: Plan) -> Outcome:
+    """Tens of subscribers: each gets every message, unaltered, or learns of those it does not."""
+    crowds = [(2, 4, "arrays")]
+    if not plan.quick:
+        crowds = [(5, 4, "arrays"), (5, 4, "arrays"), (5, 2, "pictures")]
+    with ExitStack() as stack:
+        running = [
+            stack.enter_context(
+                _crowd(skin, "--participants", str(p), "--each", str(n), "--kind", kind)
+            )
+            for p, n, kind in crowds
+        ]
+        skin.streams_on(60 if plan.quick else FRAMES)
+        known = dict(skin.judge.digests)
+        got = [member for crowd in running for member in _ended(crowd)]
+    count = sum(p * n for p, n, _ in crowds)
+    wrong = missing = total = 0
+    for _, digests in got:
+        sequences = [int(sequence) for sequence in digests]
+        wrong += sequences != sorted(sequences)
+        wrong += sum(known.get(int(s), value) != value for s, value in digests.items())
+        total += len(sequences)
+        missing += max(sequences) - min(sequences) + 1 - len(sequences) if sequences else 0
+    said = f"{total} messages, {missing} missing by their sequence"
+    return skin.outcome("many subscribers at once", count, said, len(got) != count, wrong)
+
+
+def _come_and_go(skin: LoadedSkin) -> Outcome:
+    """Participants of the domain that end by being killed."""
+    rounds, each = 8, 4
+    for _ in range(rounds):
+        with _crowd(skin, "--participants", str(each)) as crowd:
+            crowd.kill()
+        skin.streams_on(5)
+    return skin.outcome("DDS participants that come and are killed", rounds * each)
+
+
+def _calls(skin: LoadedSkin, plan: Plan) -> Outcome:
+    """Services are called as fast as they answer, a third of the settings to be refused."""
+    command = [sys.executable, "-m", "torture.load.caller", skin.name]
+    command += ["--seconds", "1" if plan.quick else "20"]
+    done = subprocess.run(command, env=skin.environment, capture_output=True, text=True)
+    said = {k: int(n) for k, n in re.findall(r"(\w+)=(\d+)", done.stdout)}
+    skin.streams_on()
+    unanswered = said.get("asked", 1) - said.get("answered", 0)
+    skin.hangs += unanswered
+    refused = said.get("refused", 0)
+    return skin.outcome(
+        "calls of services and parameters, as fast as they are answered",
+        said.get("asked", 0),
+        f"{refused} refused as they should be",
+        wrong=not refused,
+    )
+
+
+def _stops(skin: LoadedSkin, plan: Plan, rng: Random) -> Outcome:
+    """The driver gets no processor for a while: it loses no more than what passed meanwhile."""
+    stops_s = list(STOPS_S[not plan.quick]) * (1 if plan.quick else 5)
+    rng.shuffle(stops_s)
+    period_s, wrong, lost = skin.digitizer.setup.spec.frame_period_s, 0, 0
+    for seconds in stops_s:
+        missing = skin.judge.tally.missing
+        begin_s = time.monotonic()
+        skin.stopped_for(seconds)
+        skin.is_fresh()
+        passed_s = time.monotonic() - begin_s
+        gap = skin.judge.tally.missing - missing
+        lost += gap
+        wrong += gap > passed_s / period_s + SLACK_FRAMES
+    uncounted = _uncounted(skin)
+    said = f"{lost} frames missing, {skin.digitizer.packets_dropped} packets dropped and counted"
+    return skin.outcome("the driver is stopped, 10 ms to 5 s", len(stops_s), said, uncounted, wrong)
+
+
+def _uncounted(skin: LoadedSkin) -> int:
+    """Packets that the digitizer could not get rid of, and of which the driver does not tell."""
+    skin.waits_for(lambda: int(skin.says("lost packets") or -1) >= skin.digitizer.packets_dropped)
+    more = int(skin.says("lost packets") or 0) - skin.digitizer.packets_dropped
+    skipped = int(skin.says("skipped bytes") or 0)  # what is skipped is lost, too
+    return 0 if skipped and more > 0 else abs(more)
+
+
+def _full_state(skin: LoadedSkin, plan: Plan) -> Outcome:
+    """The driver's own files cannot be written for a while: the service says so."""
+    times = 1 if plan.quick else 20
+    client = skin.node.create_client(Trigger, f"{skin.name}/save_calibration")
+    skin.waits_for(client.service_is_ready)
+
+    def saves() -> bool:
+        call = client.call_async(Trigger.Request())
+        return bool(skin.waits_for(call.done) and call.result().success)
+
+    pid, wrong = skin.process.pid, 0
+    limits = resource.prlimit(pid, resource.RLIMIT_FSIZE)
+    for _ in range(times):
+        resource.prlimit(pid, resource.RLIMIT_FSIZE, (0, limits[1]))
+        wrong += saves()
+        resource.prlimit(pid, resource.RLIMIT_FSIZE, limits)
+        wrong += not saves()
+    skin.streams_on()
+    return skin.outcome("the driver's files do not fit on the disk", times, wrong=wrong)
+
+
+def _full_recording(folder: Path, plan: Plan) -> Outcome:
+    """A recording outgrows what it may: one message, and all that was written reads."""
+    times, crashes, wrong = 1 if plan.quick else 10, 0, 0
+    for number in range(times):
+        path, most = folder / f"{number}.skin", FULL_BYTES * (number + 1)
+        record = [sys.executable, "-m", "tactile_cdma.cli", "record", "sim://?speed=20", str(path)]
+        done = subprocess.run(
+            [*record, "--seconds", "20"],
+            preexec_fn=partial(resource.setrlimit, resource.RLIMIT_FSIZE, (most, most)),
+            capture_output=True,
+            text=True,
+        )
+        crashes += done.returncode != 1 or len(done.stderr.splitlines()) != 1
+        info = [sys.executable, "-m", "tactile_cdma.cli", "info", str(path)]
+        told = subprocess.run(info, capture_output=True, text=True).stdout
+        wrong += "lost 0, CRC errors 0" not in told or "is cut short" not in told
+    return Outcome("a recording that does not fit on the disk", times, wrong, crashes=crashes)
+
+
+def _starved(skin: LoadedSkin, plan: Plan) -> Outcome:
+    """Two hogs per core, and the driver is nicer than they are; then they end."""
+    seconds = 1.5 if plan.quick else 20.0
+    for task in Path(f"/proc/{skin.process.pid}/task").iterdir():
+        os.setpriority(os.PRIO_PROCESS, int(task.name), STARVED_NICE)
+    command = [sys.executable, "-c", HOG.format(seconds)]
+    hogs = [subprocess.Popen(command) for _ in range(2 * (os.cpu_count() or 1))]
+    for hog in hogs:
+        hog.wait()
+    skin.is_fresh()
+    tally, skipped = skin.judge.tally, skin.says("skipped bytes")
+    said = f"{tally.missing} of {tally.missing + tally.received} frames missing, stamps off by "
+    said += f"{tally.off_s * 1e3:.0f} ms at most, "
+    return skin.outcome(
+        "s with the driver at nice 19 and two hogs per core",
+        round(seconds),
+        f"{said}{skipped} bytes skipped",
+        _uncounted(skin),
+    )
+
+
+def _growth(skin: LoadedSkin, grown_kb: int) -> Outcome:
+    """Memory after all that."""
+    return skin.outcome(
+        "memory of the driver after all this",
+        1,
+        f"{grown_kb / 1024:+.1f} MB",
+        uncounted=grown_kb > MOST_GROWTH_KB,
+    )
+
+
+def _steps(skin: LoadedSkin, plan: Plan, rng: Random) -> Outcome:
+    """ROS time is set by seconds and by hours, either way."""
+    steps_s = [2.0, -2.0, 3600.0, -3600.0] if plan.quick else [2.0, -2.0, 3600.0, -3600.0] * 10
+    rng.shuffle(steps_s)
+    with SimulatedTime(skin) as clock:
+        late = sorted(clock.step(step_s) for step_s in steps_s)
+    said = f"frames with the old time: median {late[len(late) // 2]}, most {late[-1]}"
+    return skin.outcome("steps of ROS time by 2 s and 1 h, either way", len(steps_s), said)
+
+
+def _stops_behind_a_socket(skin: LoadedSkin, rng: Random) -> Outcome:
+    """The driver is stopped while the kernel keeps what comes: nothing is lost, or stamped new."""
+    stops_s = [0.3, 1.0, 3.0, 5.0] * 3
+    rng.shuffle(stops_s)
+    for seconds in stops_s:
+        skin.stopped_for(seconds)
+        skin.is_fresh()
+    tally = skin.judge.tally
+    said = (
+        f"{tally.missing} of {tally.missing + tally.received} frames missing; stamps off by "
+        f"{tally.off_s * 1e3:.0f} ms at most"
+    )
+    return skin.outcome("the driver is stopped, a socket before it", len(stops_s), said)
+
+
+@contextmanager
+def _crowd(skin: LoadedSkin, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """Subscribers in a process of their own, once each has got something."""
+    command = [sys.executable, "-m", "torture.load.crowd", skin.name, *arguments]
+    process = subprocess.Popen(command, env=skin.environment, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    try:
+        skin.hangs += not process.stdout.readline()
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+def _ended(crowd: subprocess.Popen[str]) -> list[tuple[int, dict[str, int]]]:
+    """What each of a crowd has got: how many messages, and their digests by sequence."""
+    crowd.terminate()
+    assert crowd.stdout is not None
+    return [(count, got) for count, got in json.loads(crowd.stdout.readline() or "[]")]

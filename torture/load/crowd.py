@@ -1,0 +1,107 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Subscribers of a skin as a program: many, slow or in no hurry; says in the end what each got.
+
+python -m torture.load.crowd /skin --participants 5 --each 2 --delay 1.0 --kind pictures
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from contextlib import suppress
+
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Image
+
+from tactile_cdma.msg import TactileArray
+
+from .message_judge import digest
+
+KINDS = {"arrays": (TactileArray, "tactile"), "pictures": (Image, "heatmap")}
+PATIENCE_S = 120.0
+"""Who has got nothing for so long gives up."""
+KEEP_ALL = QoSProfile(
+    history=HistoryPolicy.KEEP_ALL, depth=0, reliability=ReliabilityPolicy.RELIABLE
+)
+"""The most that a subscriber can ask for."""
+
+
+class Subscriber(Node):
+    """One of the crowd. got: digests by sequence, of arrays. count: of messages."""
+
+    def __init__(self, context: rclpy.Context, topic: str, kind: type, delay_s: float) -> None:
+        super().__init__("crowd", context=context, enable_rosout=False)
+        self.got: dict[int, int] = {}
+        self.count = 0
+        self._delay_s = delay_s
+        self.create_subscription(kind, topic, self._take, KEEP_ALL)
+
+    def _take(self, message: TactileArray | Image) -> None:
+        self.count += 1
+        if isinstance(message, TactileArray):
+            self.got[message.sequence] = digest(message)
+        time.sleep(self._delay_s)
+
+
+def main() -> int:
+    """Subscribe until SIGTERM; a line `ready` once all have got something, then what they got."""
+    parser = argparse.ArgumentParser(prog="python -m torture.load.crowd", description=__doc__)
+    parser.add_argument("skin", help="the driver's node, /skin")
+    parser.add_argument("--participants", type=int, default=1)
+    parser.add_argument("--each", type=int, default=1, help="subscribers of a participant")
+    parser.add_argument("--kind", choices=list(KINDS), default="arrays")
+    parser.add_argument("--delay", type=float, default=0.0, help="s that a message takes")
+    arguments = parser.parse_args()
+    over = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: over.set())
+    kind, topic = KINDS[arguments.kind]
+    crowd: list[Subscriber] = []
+    parent = os.getppid()  # who started it may be killed
+    for _ in range(arguments.participants):
+        context = rclpy.Context()
+        rclpy.init(context=context)
+        executor = SingleThreadedExecutor(context=context)
+        for _ in range(arguments.each):
+            node = Subscriber(context, f"{arguments.skin}/{topic}", kind, arguments.delay)
+            crowd.append(node)
+            executor.add_node(node)
+        threading.Thread(target=_spin, args=(executor,), daemon=True).start()
+    give_up_s = time.monotonic() + PATIENCE_S
+    while not all(member.count for member in crowd):
+        if over.wait(0.05) or time.monotonic() > give_up_s:
+            return 1
+    print("ready", flush=True)
+    while not over.wait(1.0) and os.getppid() == parent:
+        pass
+    print(json.dumps([[member.count, member.got] for member in crowd]), flush=True)
+    os._exit(0)  # what is left in the middleware is of no interest
+
+
+def _spin(executor: SingleThreadedExecutor) -> None:
+    with suppress(ExternalShutdownException):
+        executor.spin()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,130 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A virtual digitizer behind a tty or a socket, in a thread, and what its skin really said when."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.nodes import NodeFrame
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.sim.pty import serve
+
+from ..oracle import Stream
+
+READY_S = 30.0
+MEMORY_S = 35.0
+"""Longer than the driver's idea of the digitizer's clock goes back."""
+_CHUNK = 65_536
+_TURN_S = 1e-3
+
+
+class KnownDigitizer(VirtualDigitizer):
+    """Keeps what is true of every frame that it sent, also where it fell behind itself.
+
+    born_s: host's monotonic time, s, at which its own was 0. lag_s: how late it was itself, for
+    want of a processor, at most in the last MEMORY_S to 2 · MEMORY_S.
+    """
+
+    def __init__(self, options: SimOptions) -> None:
+        super().__init__(options)
+        self.born_s = time.monotonic()
+        # A stream, and by how much it is late: where a digitizer falls behind, its skin stands
+        # still meanwhile.
+        self._epochs: list[tuple[Stream, float]] = []
+        self._lags_s, self._next_s, self._forget_s = [0.0, 0.0], self.born_s, self.born_s
+
+    @property
+    def lag_s(self) -> float:
+        """See the class."""
+        return max(self._lags_s)
+
+    def advance(self, wanted: int = 1) -> float:
+        """See VirtualDigitizer."""
+        begin_s = time.monotonic()
+        if begin_s > self._forget_s:
+            self._lags_s, self._forget_s = [0.0, self._lags_s[0]], begin_s + MEMORY_S
+        self._lags_s[0] = max(self._lags_s[0], begin_s - self._next_s)
+        wait_s = super().advance(wanted)
+        if wait_s:  # else it does not keep up
+            self._next_s = time.monotonic() + wait_s
+        if self.streaming:
+            self._keep_epochs()
+        return wait_s
+
+    def _keep_epochs(self) -> None:
+        if self._epochs:
+            stream, late_s = self._epochs[-1]
+            if self.started_s == stream.started_s + late_s:
+                return
+            if self._frames_lost:  # else it was started anew
+                self._epochs.append((stream, self.started_s - stream.started_s))
+                return
+        self._epochs.append((Stream(self.options, self.setup, self.started_s), 0.0))
+
+    def frames_at(self, t_start: float) -> Iterator[tuple[int, NodeFrame]]:
+        """Number of the epoch and frame for all that began then, device s; the newest first."""
+        for number in range(len(self._epochs) - 1, -1, -1):
+            stream, late_s = self._epochs[number]
+            if (frame := stream.frame_at(t_start - late_s)) is not None:
+                yield number, frame
+
+
+@contextmanager
+def on_a_tty(digitizer: KnownDigitizer, path: Path) -> Iterator[str]:
+    """Plugged in at this path, which is the port's URL."""
+    stop, ready = threading.Event(), threading.Event()
+    arguments = (lambda: digitizer, path, stop, lambda _: ready.set())
+    with _running(threading.Thread(target=serve, args=arguments), stop):
+        ready.wait(READY_S)
+        yield str(path)
+
+
+@contextmanager
+def on_a_socket(digitizer: KnownDigitizer) -> Iterator[str]:
+    """Behind a socket, whose kernel keeps many seconds; yields the port's URL."""
+    stop, server = threading.Event(), socket.create_server(("127.0.0.1", 0))
+
+    def run() -> None:
+        connection, _ = server.accept()
+        outgoing = b""
+        with connection, suppress(ConnectionError):
+            connection.settimeout(_TURN_S)
+            while not stop.is_set():
+                digitizer.advance()
+                outgoing = outgoing or digitizer.take(_CHUNK)
+                with suppress(TimeoutError):
+                    digitizer.receive(connection.recv(_CHUNK))
+                with suppress(TimeoutError):
+                    outgoing = outgoing[connection.send(outgoing) :]
+
+    with server, _running(threading.Thread(target=run, daemon=True), stop):
+        yield f"socket://127.0.0.1:{server.getsockname()[1]}"
+
+
+@contextmanager
+def _running(thread: threading.Thread, stop: threading.Event) -> Iterator[None]:
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join(READY_S)

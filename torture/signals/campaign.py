@@ -1,0 +1,188 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Faults of nodes and of the analog line: right values of the sound nodes, flags for the others.
+
+What is beyond the limits of docs/signal-model.md has rows of its own, with what comes of it.
+"""
+
+from __future__ import annotations
+
+import traceback
+from collections import defaultdict
+from collections.abc import Iterator
+from functools import partial
+
+from tactile_cdma.parameters import Value
+
+from ..outcome import Outcome, Plan
+from . import faulty_line as line
+from . import faulty_nodes as nodes
+from .trial import CHIPS, GAP, LINE, Kind, Skin, Tally, Trial
+
+ALWAYS: dict[str, Value] = {"threshold": 0}
+NODES_256: dict[str, Value] = {"nodes": 256, "chip_us": 4.0, "frame_period_ms": 16.0}
+NODES_1024: dict[str, Value] = {"nodes": 1024, "chip_us": 1.0, "frame_period_ms": 20.0}
+SKINS = (
+    Skin(LINE, {}, ALWAYS),
+    Skin(CHIPS, {"parity": True}, ALWAYS),
+    Skin(GAP, {}, ALWAYS | {"stretch": 0.1}),
+    Skin(LINE, {"parity": True}),
+    Skin(CHIPS, NODES_256, ALWAYS),
+    Skin(LINE, NODES_256 | {"parity": True}, ALWAYS),
+    Skin(LINE, NODES_256, {"scene": "presses"}),
+    Skin(GAP, NODES_256 | {"parity": True}, ALWAYS),
+    Skin(LINE, NODES_1024, ALWAYS),
+)
+"""Most have nodes that speak in every frame, some have nodes that speak when something changes."""
+QUICK_SKINS = 4
+"""The first few, one for each kind of fault in turns, are all of a quick run …"""
+QUICK_KINDS = 3
+"""… and of the kinds one of so many, by the seed."""
+FRAMES, QUICK_FRAMES = 200, 100
+"""With the fault, for each kind on each skin; at least one episode."""
+
+flash = partial(Kind, length=1, pause=8)
+short = partial(Kind, length=3, pause=9)
+spell = partial(Kind, length=20, pause=9)
+marked = (LINE, CHIPS)
+
+KINDS = (
+    Kind("dead nodes", nodes.dead, count=3),
+    Kind("node stuck while its neighbours move", nodes.stuck, length=600, flagged=False),
+    Kind("two nodes on a row", nodes.doubled(1)),
+    Kind("three nodes on a row", nodes.doubled(2)),
+    Kind("node with garbage in half of its frames", nodes.chattering, flagged=False),
+    Kind("node that switches on within frames", nodes.switching_on),
+    Kind("node cut off within frames", nodes.cut_off),
+    Kind("node late by ≤ 0.1 frame", nodes.late(0.1), flagged=False, told=("phantoms", "missed")),
+    Kind("node late by ≤ 0.5 frame", nodes.late(0.5), flagged=False, told=("phantoms", "missed")),
+    Kind("node late by whole chips", nodes.chips_late, flagged=False, told=("phantoms", "missed")),
+    Kind("node that says half of its word twice", nodes.half_twice, flagged=False),
+    Kind("node on an unused row", nodes.unused_row),
+    Kind("node on another's row", nodes.other_row, victims=True, flagged=False),
+    Kind("node with inverted sign", nodes.inverted, flagged=False),
+    Kind("node of another order", nodes.other_order, told=("phantoms",)),
+    Kind("node of two bits more", nodes.other_bits, flagged=False),
+    Kind("node 40 dB too loud, in range", nodes.louder(100.0), range_v=40.0, timings=marked),
+    Kind(
+        "node 40 dB too loud, in range, timing gap",
+        nodes.louder(100.0),
+        range_v=40.0,
+        timings=(GAP,),
+        told=("missed",),
+    ),
+    Kind("node 40 dB too loud, clipping", nodes.louder(100.0), flagged=False, told=("missed",)),
+    Kind("node 40 dB too weak", nodes.louder(0.01)),
+    Kind("half of the nodes 40 dB too weak", nodes.louder(0.01), count=32),
+    spell("hum of 3 nodes, 50 Hz", line=line.hum(50, 3.0), timings=marked),
+    spell("hum of 3 nodes, 60 Hz", line=line.hum(60, 3.0), timings=marked),
+    spell("hum of 0.1 nodes, timing gap", line=line.hum(50, 0.1), timings=(GAP,)),
+    spell("hum of 3 nodes, timing gap", line=line.hum(50, 3.0), timings=(GAP,), told=("missed",)),
+    short("bursts of a motor's PWM, 2 nodes", line=line.motor(2.0)),
+    flash("ESD spikes of 5 to 500 nodes", line=line.discharge, told=("missed",)),
+    Kind("baseline wanders by 10 nodes", line=line.wander, length=80),
+    short("baseline jumps by ≤ 1.5 nodes", line=line.jump(1.5)),
+    short("baseline jumps by ≤ 5 nodes", line=line.jump(5.0), told=("wrong", "missed")),
+    spell("rails at 3·√n nodes", line=line.hard_clipping(0.75)),
+    spell("rails at √n nodes", line=line.hard_clipping(0.25), told=("missed",)),
+    spell("amplifier soft from 3·√n nodes on", line=line.soft_clipping(0.75)),
+    spell("amplifier soft from √n nodes on", line=line.soft_clipping(0.25), told=("missed",)),
+    short("gain steps to 0.7 … 1.5", line=line.gain_step),
+    short("supply dips of 1 to 6 ms", line=line.dip, told=("missed",)),
+    short(
+        "brown-outs: 5 nodes restart within frames",
+        nodes.one_of(nodes.cut_off, nodes.switching_on, nodes.late(0.3)),
+        count=5,
+        flagged=False,
+        told=("phantoms", "missed"),
+    ),
+    spell("wire at a rail", line=line.at_rail),
+    spell("wire torn off", line=line.torn_off, told=("missed",)),
+    spell("wire shorted", line=line.shorted, told=("missed",)),
+    spell("wire with a loose contact", line=line.loose, told=("missed",)),
+    spell("amplifier oscillates", line=line.oscillating, told=("missed",)),
+    Kind("gain and offset drift by 20 %", line=line.warming, length=200),
+    short(
+        "a dead node, a doubled row, hum of 1 node and a motor",
+        nodes.one_of(nodes.dead, nodes.doubled(1)),
+        line.in_turn(line.hum(50, 1.0), line.motor(1.0)),
+        count=2,
+        flagged=False,
+        timings=marked,
+    ),
+)
+
+
+def run(plan: Plan) -> Iterator[Outcome]:
+    """An outcome per kind of fault."""
+    kinds = KINDS[plan.seed % QUICK_KINDS :: QUICK_KINDS] if plan.quick else KINDS
+    for place, kind in enumerate(kinds):
+        skins = [skin for skin in SKINS if skin.timing in kind.timings]
+        if plan.quick:
+            small = [skin for skin in SKINS[:QUICK_SKINS] if skin in skins]
+            skins = [small[place % len(small)]]
+        yield trials(kind, skins, QUICK_FRAMES if plan.quick else FRAMES, plan.seed)
+
+
+def trials(kind: Kind, skins: list[Skin], frames: int, seed: int) -> Outcome:
+    """What comes of about so many frames with the fault on each of these skins."""
+    total, crashes = Tally(), 0
+    of_timing: defaultdict[str, Tally] = defaultdict(Tally)
+    for skin in skins:
+        try:
+            tally = Trial(kind, skin, seed).run(max(1, frames // kind.length))
+        except Exception:  # whatever it is: that there is one is what is looked for
+            traceback.print_exc()
+            crashes += 1
+            continue
+        total += tally
+        of_timing[skin.timing] += tally
+    counted = {name: getattr(total, name) for name in ("wrong", "phantoms", "missed")}
+    for name in kind.told:
+        counted[name] = 0
+    return Outcome(
+        kind.name,
+        total.episodes,
+        counted["wrong"] + counted["phantoms"] + (total.unnoticed if kind.flagged else 0),
+        counted["missed"] + total.uncounted,
+        crashes,
+        total.late,
+        "; ".join(_said(kind, total, of_timing)),
+    )
+
+
+def _said(kind: Kind, total: Tally, of_timing: dict[str, Tally]) -> Iterator[str]:
+    shares = [f"{timing} {t.published / t.frames:.0%}" for timing, t in of_timing.items()]
+    yield f"published: {', '.join(shares)}"
+    if kind.nodes:
+        broken = len(total.noticed) + total.unnoticed
+        within = f" in ≤ {max(total.noticed)} frames" if total.noticed else ""
+        yield f"{len(total.noticed)} of {broken} found{within}"
+    words = f"of {total.words:,} words"
+    for name, text in (
+        ("wrong", "wrong"),
+        ("phantoms", "of silent nodes"),
+        ("missed", "missed"),
+    ):
+        if name in kind.told and (count := getattr(total, name)):
+            yield f"{count:,} {words} {text}, not flagged"
+    if total.doubted:
+        yield f"{total.doubted:,} {words} wrong and flagged"
+    if total.cautious > 0.01 * total.words:
+        yield f"{total.cautious:,} right and flagged"
+    if total.victims:
+        yield f"{total.victims:,} wrong words for nodes on the same row"
+    if total.cost > 2:
+        yield f"time × {total.cost:.0f}"

@@ -1,0 +1,313 @@
+# Copyright 2026 tactile_cdma maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A skin whose nodes or line break for a while, again and again, and what it publishes of that."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from time import thread_time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_cdma.parameters import Value
+from tactile_cdma.pipeline import Pipeline, TactileFrame
+from tactile_cdma.session import Session
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.disturbance import Waveform
+from tactile_cdma.sim.nodes import NodeFrame
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.skin_config import SkinConfig
+from tactile_cdma.stuck import StuckNodes
+from tactile_cdma.taxels import Status
+
+from ..oracle import Oracle
+from . import faulty_line, faulty_nodes
+from .faulty_line import Stretch
+from .faulty_nodes import Turn, spoken
+
+LINE, CHIPS, GAP = "line", "chips", "gap"
+"""Timings: frames marked, of raw samples or of means of chips; frames found by their gaps."""
+WARM_UP = 34
+"""Sound frames before the first fault."""
+RECOVERY = 2
+"""Frames after a fault that may still be lost."""
+UNKNOWN = -1
+"""Code of a node of which nothing was published since it was broken."""
+BLAME = Status.WEAK | Status.FAULTY | Status.STALE
+"""Flags of nodes that are not in order."""
+DOUBT = Status.LOW_SNR | Status.FAULTY | Status.STALE
+"""Flags of readings that are not to be relied on."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of fault.
+
+    nodes: what so many (`count`) nodes say instead of their words; with `victims` each disturbs one
+    other in particular. line: what becomes of the line. length, pause: frames that it lasts, and
+    that follow in order. flagged: the nodes must be found out within `length` frames. range_v: of
+    the amplifier, 0: its default. timings: of the skins that it is tried on. told: names of what
+    nobody can avoid then, which is told and not counted (see Tally).
+    """
+
+    name: str
+    nodes: faulty_nodes.Broken | None = None
+    line: faulty_line.Broken | None = None
+    count: int = 1
+    victims: bool = False
+    length: int = 100
+    pause: int = 16
+    flagged: bool = True
+    range_v: float = 0.0
+    timings: tuple[str, ...] = (LINE, CHIPS, GAP)
+    told: tuple[str, ...] = ()
+
+    def episode(self, number: int) -> int | None:
+        """Which of its times the fault is there in a frame; None: it is not."""
+        turn, place = divmod(number - WARM_UP, self.length + self.pause)
+        return turn if turn >= 0 and place < self.length else None
+
+    def begin(self, episode: int) -> int:
+        """The number of an episode's first frame."""
+        return WARM_UP + episode * (self.length + self.pause)
+
+
+@dataclass(frozen=True)
+class Skin:
+    """A skin as its driver and its simulator are told to be. timing: LINE, CHIPS or GAP."""
+
+    timing: str
+    values: Mapping[str, Value]
+    options: Mapping[str, Value] = field(default_factory=dict)
+
+    @cached_property
+    def config(self) -> SkinConfig:
+        """The driver's; drift is not followed, so that a word has one pressure."""
+        values: dict[str, Value] = {"drift_pa_per_min": 0.0, "stale_after_s": 0.8}
+        if self.timing == CHIPS:
+            values["samples_per_chip"] = 1
+        values["timing"] = "gap" if self.timing == GAP else "line"
+        return SkinConfig.of(values | dict(self.values))
+
+    def simulator(self, seed: int, range_v: float) -> SimOptions:
+        """The simulator's."""
+        options: dict[str, Value] = {"speed": 0, "seed": seed, "heartbeat": 20, "rail": range_v}
+        return SimOptions(**options | dict(self.options))  # type: ignore[arg-type]
+
+
+@dataclass
+class Faults:
+    """A Disturbance of one kind. number: of the frame that was made last."""
+
+    kind: Kind
+    skin: Skin
+    seed: int
+    number: int = -1
+
+    def added(self, frame: NodeFrame, edges_s: NDArray[np.float64]) -> Iterator[Waveform]:
+        """What broken nodes say, less what they should."""
+        self.number, spec = frame.number, self.skin.config.spec
+        episode = self.kind.episode(frame.number)
+        if self.kind.nodes is None or episode is None:
+            return
+        for node, other in self.chosen(episode):
+            code = int(frame.codes[node]) if frame.active[node] else None
+            life, chance = self._chances(episode, frame.number, node)
+            turn = Turn(spec, node, other, code, edges_s, life, chance)
+            if code is not None:
+                yield -spoken(spec, code, turn.row), edges_s
+            yield from self.kind.nodes(turn)
+
+    def disturbed(
+        self, frame: NodeFrame, volts: NDArray[np.float32], t_s: NDArray[np.float64]
+    ) -> NDArray[np.float32]:
+        """What becomes of the line."""
+        self.number, spec = frame.number, self.skin.config.spec
+        episode = self.kind.episode(frame.number)
+        if self.kind.line is None or episode is None or not volts.size:
+            return volts
+        life, chance = self._chances(episode, frame.number, spec.nodes)
+        unit_v = spec.node_swing_v or 0.3
+        peak_v = 4 * np.sqrt(spec.nodes) * unit_v
+        since_s = t_s - self.kind.begin(episode) * spec.frame_period_s
+        line = Stretch(volts, since_s, spec.frame_s, unit_v, peak_v, life, chance)
+        return self.kind.line(line)
+
+    def chosen(self, episode: int) -> list[tuple[int, int]]:
+        """The nodes that are broken, each with a sound one, from 0 on."""
+        if self.kind.nodes is None:
+            return []
+        order = np.random.default_rng([self.seed, episode]).permutation(self.skin.config.spec.nodes)
+        count = min(self.kind.count, len(order) // 2)
+        return list(zip(order[:count].tolist(), order[count : 2 * count].tolist(), strict=True))
+
+    def concerned(self, episode: int) -> NDArray[np.intp]:
+        """The nodes that are broken, and their victims."""
+        pairs = np.array(self.chosen(episode), dtype=np.intp).reshape(-1, 2)
+        return pairs.ravel() if self.kind.victims else pairs[:, 0]
+
+    def _chances(
+        self, episode: int, number: int, node: int
+    ) -> tuple[np.random.Generator, np.random.Generator]:
+        seeds = [self.seed, 1, episode, node], [self.seed, 2, number, node]
+        return np.random.default_rng(seeds[0]), np.random.default_rng(seeds[1])
+
+
+@dataclass
+class Tally:
+    """What came of the faults of one kind.
+
+    episodes: of the fault. frames, published: those with the fault.
+    words: of sound nodes, published. wrong: of these without a flag, not what was said.
+    phantoms: words of sound nodes that were silent, without a flag. doubted: wrong ones with one.
+    cautious: right ones with a flag. missed: words of sound nodes that a published frame lacks.
+    victims: wrong words without a flag on the rows of broken nodes' victims.
+    uncounted: frames lost that the sequence does not tell.
+    late: episodes after which frames did not come again in time.
+    unnoticed: broken nodes that were not found out. noticed: frames that it took, of the others.
+    cost: mean time of decoding a frame with the fault, over that of a sound one. slowest_s: of all.
+    """
+
+    episodes: int = 0
+    frames: int = 0
+    published: int = 0
+    words: int = 0
+    wrong: int = 0
+    phantoms: int = 0
+    doubted: int = 0
+    cautious: int = 0
+    missed: int = 0
+    victims: int = 0
+    uncounted: int = 0
+    late: int = 0
+    unnoticed: int = 0
+    noticed: list[int] = field(default_factory=list)
+    cost: float = 0.0
+    slowest_s: float = 0.0
+
+    def __add__(self, other: Tally) -> Tally:
+        """Both together."""
+        names = [item.name for item in fields(self) if item.type != "float"]
+        sums = {name: getattr(self, name) + getattr(other, name) for name in names}
+        cost, slowest_s = max(self.cost, other.cost), max(self.slowest_s, other.slowest_s)
+        return replace(self, **sums, cost=cost, slowest_s=slowest_s)
+
+
+class Trial:
+    """One skin under one kind of fault."""
+
+    def __init__(self, kind: Kind, skin: Skin, seed: int) -> None:
+        self.kind, self.skin = kind, skin
+        self.faults = Faults(kind, skin, seed)
+        self.tally = Tally()
+        self._pipeline = Pipeline(skin.config, background=False)
+        self._oracle = Oracle()
+        options = skin.simulator(seed, kind.range_v)
+        self._digitizer = VirtualDigitizer(options, disturbance=self.faults)
+        self._stuck = StuckNodes(skin.config.layout)
+        self._complete: dict[int, bool] = {}  # number: whether it has all words of sound nodes
+        self._found: dict[tuple[int, int], int] = {}  # episode, node: frame that told
+        self._codes = np.full(skin.config.spec.nodes, UNKNOWN)  # last published
+        self._spent: tuple[list[float], list[float]] = ([], [])  # s for a frame: sound, with fault
+
+    def run(self, episodes: int) -> Tally:
+        """Let the fault come so often."""
+        spec, digitizer = self.skin.config.spec, self._digitizer
+        digitizer.receive(Session(self.skin.config).open())
+        self._oracle.began(digitizer.options, digitizer.setup, digitizer.started_s)
+        size = 2 * round(spec.frame_period_s * digitizer.setup.rate_hz)
+        until = self.kind.begin(episodes)
+        while self.faults.number < until:
+            digitizer.advance(size)
+            faulty = self.kind.episode(self.faults.number) is not None
+            data, t_host = digitizer.take(size), self.faults.number * spec.frame_period_s
+            before_s = thread_time()
+            frames = self._pipeline.feed(data, t_host)
+            self._spent[faulty].append(thread_time() - before_s)
+            for frame in frames:
+                self._judge(frame, until - self.kind.pause // 4)
+        self._sum_up(episodes)
+        return self.tally
+
+    def _judge(self, frame: TactileFrame, until: int) -> None:
+        verdict, tally = self._oracle.check(frame), self.tally
+        tally.uncounted += verdict.uncounted
+        number = verdict.number
+        if number is None:
+            tally.wrong += int(verdict.wrong.sum())
+            return
+        if number >= until:
+            return
+        self._stuck.look(frame.readings, frame.t_middle, self.skin.config.rest.contact_pa)
+        episode = self.kind.episode(number)
+        broken, victims = np.zeros((2, len(verdict.wrong)), dtype=bool)
+        if episode is not None:
+            broken[[node for node, _ in self.faults.chosen(episode)]] = True
+            victims[self.faults.concerned(episode)] = True
+            victims &= ~broken
+            tally.published += 1
+            self._look(frame, number, episode)
+        sound, doubt = ~broken & ~victims, (frame.readings.status & DOUBT) != 0
+        wrong = verdict.wrong | (~doubt & self._misread(frame))
+        true = self._oracle.streams[verdict.stream].frame_at(frame.t_start)
+        phantom = verdict.wrong & sound & ~doubt & ~(true is not None and true.active)
+        tally.words += int((frame.words.active & sound).sum())
+        tally.phantoms += int(phantom.sum())
+        tally.wrong += int((wrong & sound & ~doubt & ~phantom).sum())
+        tally.doubted += int((wrong & sound & doubt).sum())
+        tally.cautious += int((frame.words.active & ~wrong & sound & doubt).sum())
+        tally.victims += int((wrong & victims & ~doubt).sum())
+        tally.missed += int((verdict.missed & sound).sum())
+        self._complete[number] = not (verdict.missed & sound).any()
+        np.copyto(self._codes, frame.words.codes, where=frame.words.active)
+        self._codes[broken | victims] = UNKNOWN
+
+    def _misread(self, frame: TactileFrame) -> NDArray[np.bool_]:
+        """Nodes whose reading is not what their last published word means."""
+        config, words, readings = self.skin.config, frame.words, frame.readings
+        codes = np.where(words.active, words.codes, self._codes)
+        voltage_v = config.adc.voltage(np.maximum(codes, 0)).astype(np.float32)
+        full, curves = codes == (1 << config.spec.bits) - 1, config.calibration.curves
+        rest_v = np.maximum(voltage_v, curves.voltage_v[0])  # the highest code: so much or more
+        pressure_pa = curves.pressure(np.where(full, rest_v, voltage_v))
+        near = np.isclose(readings.pressure_pa, pressure_pa, rtol=1e-4, atol=1.0)
+        right = (readings.voltage_v == voltage_v) & near
+        wrong: NDArray[np.bool_] = ~right & (codes != UNKNOWN)
+        return wrong
+
+    def _look(self, frame: TactileFrame, number: int, episode: int) -> None:
+        """Whether the broken nodes are found out."""
+        stuck = self._stuck.nodes
+        for node, _ in self.faults.chosen(episode):
+            if frame.readings.status[node] & BLAME or node + 1 in stuck:
+                self._found.setdefault((episode, node), number - self.kind.begin(episode))
+
+    def _sum_up(self, episodes: int) -> None:
+        kind, tally = self.kind, self.tally
+        tally.episodes, tally.frames = episodes, episodes * kind.length
+        for episode in range(episodes):
+            over = kind.begin(episode) + kind.length
+            due = range(over + RECOVERY, over + kind.pause - kind.pause // 4)
+            tally.late += not all(self._complete.get(number, False) for number in due)
+            found = [self._found.get((episode, n)) for n, _ in self.faults.chosen(episode)]
+            tally.noticed += [frames for frames in found if frames is not None]
+            tally.unnoticed += found.count(None)
+        sound_s, faulty_s = self._spent
+        if faulty_s:
+            tally.cost = float(np.mean(faulty_s) / np.mean(sound_s))
+        tally.slowest_s = max(sound_s + faulty_s)
