@@ -16,13 +16,12 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import pytest
 from conftest import CORE, FIRMWARE, SANITIZE, STRICT, need, run
 
-from torture.commands.c_fuzzing import BUILD, CORPUS, build, fuzz, harnesses
+from torture.commands.c_fuzzing import BUILD, CORPUS, best_kind, build, fuzz, harnesses
 
 SECONDS, HANG_S = 20, 30
 DEFECTS = {  # file; what is there; what is there instead; what must be found
@@ -61,8 +60,8 @@ def test_kept_cases_and_mutants_of_them(name: str) -> None:
 
 @pytest.mark.parametrize("name", harnesses())
 def test_a_slice_of_what_libfuzzer_tries(name: str) -> None:
-    if shutil.which("clang") is None:
-        pytest.skip("no clang on this machine: the core is not fuzzed with libFuzzer")
+    if best_kind() != "libfuzzer":
+        pytest.skip("no libFuzzer on this machine: the core is not fuzzed with it")
     build("fuzz-libfuzzer")
     program, corpus = BUILD / "fuzz" / "libfuzzer" / name, CORPUS / f"firmware_{name}"
     found = fuzz(program, "libfuzzer", corpus, 500, 1, SECONDS, HANG_S)
