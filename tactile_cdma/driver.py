@@ -26,7 +26,9 @@ from types import TracebackType
 
 from .backlog import Backlog
 from .errors import PortError, RecordingEndError
+from .parameters import REPLAY
 from .pipeline import Pipeline, TactileFrame
+from .protocol import MAX_REPEATED
 from .session import Session
 from .skin_config import SkinConfig
 from .source import NETWORK, Port, is_away
@@ -62,7 +64,9 @@ class Driver:
         on_frame: Callable[[TactileFrame], None],
         on_problem: Callable[[str | None], None],
     ) -> None:
-        self.pipeline = Pipeline(config)
+        # A recording may be played in a loop.
+        most_repeated = 0 if url.startswith(REPLAY) else MAX_REPEATED
+        self.pipeline = Pipeline(config, most_repeated=most_repeated)
         self.problem: str | None = None
         self.connections = 0
         self.vitals = Vitals()

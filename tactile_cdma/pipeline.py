@@ -45,7 +45,7 @@ from .messages import (
 from .node_timing import NodeTiming
 from .parameters import GAP
 from .pressure import PressureChain
-from .protocol import PacketParser
+from .protocol import MAX_REPEATED, PacketParser
 from .silence import quiet_uv
 from .skin_config import SkinConfig
 from .taxels import Readings, Taxels
@@ -105,15 +105,18 @@ class Pipeline:
         START since; None while it has said nothing.
     """
 
-    def __init__(self, config: SkinConfig, background: bool = True) -> None:
+    def __init__(
+        self, config: SkinConfig, background: bool = True, most_repeated: int = MAX_REPEATED
+    ) -> None:
         """background: long work is done beside the stream, else at once.
 
-        Beside the stream, the frames depend on when it is done.
+        Beside the stream, the frames depend on when it is done. most_repeated: see PacketParser.
         """
         self.config = config
         self._background = background
+        self._most_repeated = most_repeated
         self.counters = PipelineCounters()
-        self.parser = PacketParser()
+        self.parser = PacketParser(most_repeated)
         nodes = config.spec.nodes
         beside = nodes_beside(config.layout, nodes)
         tracker = DriftTracker(config.adc.lsb_v, beside, config.rest)
@@ -218,7 +221,8 @@ class Pipeline:
     def reconnected(self) -> None:
         """The port was opened anew: whatever was under way, or held, is void."""
         # At once, for whoever reads the counts meanwhile.
-        self._earlier_packets, self.parser = self.packet_counts, PacketParser()
+        self._earlier_packets = self.packet_counts
+        self.parser = PacketParser(self._most_repeated)
         self.status = self.streaming = None
         self.close()
         self.info = self.refusal = self._timing = None

@@ -57,7 +57,7 @@ from .messages import (
 )
 
 MAX_REPEATED = 64
-"""Packets in a row that are taken for repeated ones; with another the sender has restarted."""
+"""Packets in a row that are taken for repeated ones; with another one the sender has restarted."""
 
 
 @dataclass(slots=True)
@@ -79,7 +79,7 @@ class Counters:
     jumps: int = 0
     """The sequence went back or far ahead: the sender restarted."""
     repeated_packets: int = 0
-    """Of the digitizer: came before, or later than its successors. Dropped."""
+    """Of the digitizer: came before, or later than its successors. Samples are dropped then."""
     resyncs: int = 0
     """Runs longer than any packet without a delimiter."""
     text_bytes: int = 0
@@ -98,14 +98,17 @@ class PacketParser:
     jump and no loss, and counting goes on from there: that is what a sender that restarts looks
     like.
 
-    A packet of the digitizer that comes again, by its sequence and its CRC, is dropped and counted,
-    as is one that comes after later ones: its loss was counted before. A restart is hardly taken
-    for that, as other samples at other times have other CRCs; where they are the same, as in a
-    recording that is played in a loop, MAX_REPEATED packets are dropped and no more. Commands are
-    all passed on: each host counts from 0, and nothing else is in the shortest of them.
+    Samples that come again, by their packet's sequence and CRC, are dropped and counted, as are
+    such that come after later ones: their loss was counted before. What else a digitizer says is
+    counted, but passed on: after a reset it says the same as before. A restart is hardly taken for
+    repetition, as other samples at other times have other CRCs; where they are the same,
+    most_repeated packets in a row are dropped and no more. Commands do not count as repeated: each
+    host counts from 0, and nothing else is in the shortest of them.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, most_repeated: int = MAX_REPEATED) -> None:
+        """most_repeated: 0 where packets come again by intention, as in a loop."""
+        self._most_repeated = most_repeated
         self._partial = bytearray()  # begins after the last delimiter
         self._skipping = False  # within a run that is no packet: too long for one, or cut
         self._expected: int | None = None
@@ -174,10 +177,11 @@ class PacketParser:
             return None
         type_byte, sequence = _HEADER.unpack_from(raw)
         (crc,) = _CRC.unpack_from(raw, len(raw) - _CRC.size)
-        if sequence != self._expected and not self._follows(type_byte, sequence, crc):
+        if sequence == self._expected or self._follows(type_byte, sequence, crc):
+            self._past[sequence], self._repeated = crc, 0
+            self._expected = (sequence + 1) % _SEQUENCES
+        elif type_byte in (PacketType.SAMPLES, PacketType.QUIET):
             return None
-        self._past[sequence], self._repeated = crc, 0
-        self._expected = (sequence + 1) % _SEQUENCES
         if type_byte == PacketType.SAMPLES:
             return self._samples(sequence, raw)
         return self._interpret(type_byte, sequence, raw[_HEADER.size : -_CRC.size])
@@ -197,7 +201,7 @@ class PacketParser:
                 self._past[(self._expected + ahead) % _SEQUENCES] = _MISSING
             return True
         known = self._past[sequence] in (crc, _MISSING) and not type_byte & _COMMAND_BIT
-        if known and self._repeated < MAX_REPEATED:
+        if known and self._repeated < self._most_repeated:
             self._repeated += 1
             self._seen.repeated_packets += 1
             return False

@@ -555,8 +555,11 @@ def test_commands_that_come_again_are_passed_on_again() -> None:
 
 
 def numbered(*sequences: int, uptime_us: int = 0) -> bytes:
-    """STATUS packets of these sequences, which tell one digitizer from another by their uptime."""
-    return b"".join(PacketWriter(s).encode(Status(uptime_us + s)) for s in sequences)
+    """Samples of these sequences, which tell one digitizer from another by their times."""
+    counts = np.zeros(1, np.int16)
+    return b"".join(
+        PacketWriter(s).encode(Samples(uptime_us + s, 0, counts, False)) for s in sequences
+    )
 
 
 @given(
@@ -588,6 +591,22 @@ def test_a_restart_is_not_taken_for_a_repetition() -> None:
     received, counters = parse(numbered(*range(100)) + numbered(*range(50), uptime_us=1))
     assert len(received) == 150
     assert (counters.repeated_packets, counters.lost_packets, counters.jumps) == (0, 0, 1)
+
+
+def test_what_is_said_after_a_reset_as_it_was_before_is_passed_on() -> None:
+    greeting = [PacketWriter(s).encode(Status(0)) for s in range(2)]
+    parser = PacketParser()
+    parser.feed(b"".join(greeting) + numbered(*range(2, 90)))
+    assert [packet.sequence for packet in parser.feed(b"".join(greeting))] == [0, 1]
+    assert len(parser.feed(numbered(*range(2, 90), uptime_us=1))) == 88
+    counters = parser.counters
+    assert (counters.repeated_packets, counters.lost_packets, counters.jumps) == (2, 0, 1)
+
+
+def test_nothing_counts_as_repeated_where_packets_come_again_by_intention() -> None:
+    parser = PacketParser(most_repeated=0)
+    assert len(parser.feed(numbered(*range(20)) * 3)) == 60
+    assert (parser.counters.repeated_packets, parser.counters.jumps) == (0, 2)
 
 
 def test_a_restart_that_repeats_all_is_believed_after_a_while() -> None:

@@ -130,19 +130,22 @@ def test_integrated_chips_of_stretched_frames_are_rejected() -> None:
 
 @pytest.mark.parametrize("spec", [PAPER, DEFAULT], ids=["paper", "default"])
 def test_integrated_chips(spec: FrameSpec) -> None:
+    """No gap is sent, so that the line's level cannot be known where row 0 is in use."""
     rng = np.random.default_rng(21)
     codes = rng.integers(0, 1024, (3, 16))
+    level_v = 0.0 if spec.first_row == 0 else 0.25
     chips = [line_chips(spec, row) for row in codes]
-    line = np.concatenate([np.append(c.ravel(), np.zeros(50, np.float32)) for c in chips]) + 0.25
-    starts = [i * (spec.chips + 50) for i in range(3)]
+    line = np.concatenate([c.ravel() for c in chips]) + level_v
+    starts = [i * spec.chips for i in range(3)]
     timing = LineTiming(spec, 1 / spec.chip_s)
     frames = feed_marked(timing, line.astype(np.float32), starts, [7, 100, 333])
-    first = 0.0 if spec.first_row == 0 else 0.25  # row 0 in use: known from the first gap on
-    assert [f.offset_v for f in frames] == pytest.approx([first, 0.25, 0.25], abs=1e-6)
-    for frame, sent in zip(frames[1:], chips[1:], strict=True):
+    assert [f.offset_v for f in frames] == pytest.approx([level_v] * 3, abs=1e-6)
+    for frame, sent in zip(frames, chips, strict=True):
         expected = correlate(sent, spec.book)[:, spec.rows]
         np.testing.assert_allclose(frame.levels.values, expected, atol=1e-5)
-    assert words_of(frames[2], spec) == dict(enumerate(codes[2].tolist()))
+    assert [words_of(frame, spec) for frame in frames] == [
+        dict(enumerate(c.tolist())) for c in codes
+    ]
 
 
 @settings(max_examples=25, deadline=None)

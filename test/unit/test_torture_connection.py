@@ -64,14 +64,16 @@ class Line:
     """Digitizers one after the other, decoded in a time of their own."""
 
     def __init__(self) -> None:
-        self.now_s = 0.0
+        self.now_s, self._powered_up = 0.0, 0
         self.judge, self._pipeline = Judge(lambda: self.now_s), Pipeline(CONFIG)
 
     def publish(
         self, count: int, damage: Callable[[list[TactileFrame]], list[TactileFrame]]
     ) -> Judge:
         """Frames of a digitizer that was powered up just now, with something wrong."""
-        digitizer = Digitizer(SimOptions(scene="all"), lambda: self.now_s, self.judge)
+        self._powered_up += 1
+        options = SimOptions(scene="all", seed=self._powered_up)  # or their noise would be the same
+        digitizer = Digitizer(options, lambda: self.now_s, self.judge)
         digitizer.receive(Session(CONFIG).open())
         frames: list[TactileFrame] = []
         while len(frames) < count:

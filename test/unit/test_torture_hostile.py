@@ -50,7 +50,8 @@ def test_seeds_and_found_inputs_are_read_or_refused(name: str) -> None:
 
 
 def test_the_corpus_is_of_targets_that_there_are() -> None:
-    assert {path.name for path in CORPUS.iterdir()} <= set(TARGETS)
+    names = {path.name for path in CORPUS.iterdir() if not path.name.startswith("firmware_")}
+    assert names <= set(TARGETS)
 
 
 @pytest.mark.parametrize("name", TARGETS)
@@ -143,7 +144,7 @@ def test_wrong_frames_and_miscounted_losses_are_found(monkeypatch: pytest.Monkey
     monkeypatch.setattr(Pipeline, "feed", wrong)
     assert kinds_of(TARGETS["line"], 1) == {WRONG}
     monkeypatch.setattr(Pipeline, "feed", feed)
-    monkeypatch.setattr(PacketParser, "_missed", lambda self, sequence: None)
+    monkeypatch.setattr(PacketParser, "_follows", lambda self, *packet: True)
     assert kinds_of(TARGETS["line"], 20) == {UNCOUNTED}
 
 

@@ -256,7 +256,8 @@ def test_a_frame_that_is_kept_back_is_found(monkeypatch: pytest.MonkeyPatch) -> 
 def test_a_driver_that_stops_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     class Deaf(Pipeline):
         def feed(self, data: bytes, t_host: float) -> list[TactileFrame]:
-            return [] if self.counters.frames > 5 else super().feed(data, t_host)
+            frames = super().feed(data, t_host)
+            return frames if self.counters.frames <= 5 else []
 
     monkeypatch.setattr(driver_module, "Pipeline", Deaf)
     with Rig(CHIPS, 1, 0.5) as rig:
@@ -266,9 +267,10 @@ def test_a_driver_that_stops_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_driver_that_fails_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     class Failing(Pipeline):
         def feed(self, data: bytes, t_host: float) -> list[TactileFrame]:
+            frames = super().feed(data, t_host)
             if self.counters.frames > 5:
                 raise ZeroDivisionError
-            return super().feed(data, t_host)
+            return frames
 
     monkeypatch.setattr(driver_module, "Pipeline", Failing)
     with Rig(CHIPS, 1, 0.5) as rig:
