@@ -136,6 +136,7 @@ class Pipeline:
         # From here on samples are counted in here: indices near 2⁶⁴ are no exact floats.
         self._base = 0
         self._continuity = Continuity()
+        self._was_reset = False  # by its last STATUS: its clock is younger than its samples
         self._sequence = -1
         self._last_start_s: float | None = None
         self._last_t_host = -math.inf
@@ -190,6 +191,8 @@ class Pipeline:
                     self.problem = str(packet)
                 case Status():
                     self.status, self.streaming = packet, packet.streaming
+                    if self._anchors and packet.uptime_us * 1e-6 < self._anchors[-1][1]:
+                        self._was_reset = True
                 case Ack():
                     self._acknowledged(packet)
         return frames
@@ -294,6 +297,7 @@ class Pipeline:
             self._timing.reset()
         if not self._anchors:
             self._base = packet.first_index
+        self._was_reset = False
         self._anchors.append((packet.first_index - self._base, t_device))
         self._clock.observe(t_device + count / pace.rate_hz, t_host)
 
@@ -319,6 +323,8 @@ class Pipeline:
 
     def _goes_on(self, t_device: float, t_host: float) -> bool:
         """Whether this is the device time that was known so far, as it is after another START."""
+        if self._was_reset:
+            return False
         late_s = t_host - self._clock.to_host(t_device)
         return t_device > self._anchors[-1][1] and -CLOCK_SLACK_S < late_s < _LATEST_S
 

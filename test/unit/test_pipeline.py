@@ -418,3 +418,24 @@ def test_another_start_leaves_the_devices_clock_and_the_sequence_as_they_were() 
     assert steps.max() >= 5
     assert np.array_equal(np.diff(sequence), steps)
     assert max(frame.t_host - frame.t_middle for frame in frames) < 0.05
+
+
+def test_a_digitizer_that_was_reset_soon_has_another_clock() -> None:
+    """Though its time may be what the old clock's would have been, but for 0.6 s."""
+    config, now_s = SkinConfig.of({}), 0.0
+    pipeline, frames = Pipeline(config), list[TactileFrame]()
+
+    def clock() -> float:
+        return now_s
+
+    for seed, uptime_s in ((1, 0.2), (2, 0.4)):
+        digitizer = VirtualDigitizer(SimOptions(scene="all", seed=seed), clock)
+        began_s, now_s = now_s, now_s + 2 * uptime_s
+        digitizer.advance()
+        digitizer.receive(Session(config).open())
+        while now_s < began_s + 3 * uptime_s:
+            now_s += 1e-3
+            digitizer.advance()
+            frames += pipeline.feed(digitizer.take(1 << 16), now_s)
+    true_s = [frame.t_middle + began_s for frame in frames if frame.t_middle > 0.8]
+    assert [frame.t_host for frame in frames[-len(true_s) :]] == pytest.approx(true_s, abs=5e-3)
