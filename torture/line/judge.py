@@ -98,7 +98,7 @@ class Judge:
         wrong = int(verdict.wrong.sum() + verdict.missed.sum())
         if verdict.stream != self._stream:
             self._stream = verdict.stream
-            self._held = Held(self._config)
+            self._held.begin_anew()
         wrong += self._held.wrong(frame)
         newest, self._newest = self._newest, frame
         if newest is not None:
@@ -144,19 +144,25 @@ class Judge:
 
 
 class Held:
-    """The pressures that a receiver of the words since a START has to show."""
+    """The pressures that a receiver of the words has to show."""
 
     def __init__(self, config: SkinConfig) -> None:
         self._config = config
         nodes = config.spec.nodes
         self._codes = np.zeros(nodes, np.int64)
         self._heard_s = np.full(nodes, -np.inf)
+        self._may_be_forgotten = np.zeros(nodes, bool)
+
+    def begin_anew(self) -> None:
+        """After a START what was heard before is held, or forgotten if the clock may be another."""
+        self._may_be_forgotten[:] = True
 
     def wrong(self, frame: TactileFrame) -> int:
         """How many taxels read something else."""
         words, config = frame.words, self._config
         self._codes[words.active] = words.codes[words.active]
         self._heard_s[words.active] = frame.t_middle
+        self._may_be_forgotten &= ~words.active
         curves = config.calibration.curves
         voltage_v = config.adc.voltage(self._codes).astype(np.float32)
         expected_pa: NDArray[np.float32] = curves.pressure(voltage_v)
@@ -164,7 +170,8 @@ class Held:
         expected_pa[frame.t_middle - self._heard_s > config.stale_after_s] = np.nan
         pressure_pa = frame.readings.pressure_pa
         near = np.abs(pressure_pa - expected_pa) < NEAR_PA
-        return int(np.count_nonzero(~(near | (np.isnan(expected_pa) & np.isnan(pressure_pa)))))
+        unknown = (np.isnan(expected_pa) | self._may_be_forgotten) & np.isnan(pressure_pa)
+        return int(np.count_nonzero(~(near | unknown)))
 
 
 def counted(pipeline: Pipeline) -> dict[str, int]:
