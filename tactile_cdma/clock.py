@@ -27,8 +27,8 @@ RECENT = 8
 SLOW_S, FALLS_BEHIND_S = 0.5, 0.005
 """A device is no clock but a slow replay or emulation if the last RECENT observations are later by
 SLOW_S than earlier ones, though nothing had waited to be read (crystals come to 0.03 s in 30 s),
-and ever later: every two of them by FALLS_BEHIND_S. What a stalled bus or a busy host held back is later, too, but comes ever less late,
-or about as late as buffers last."""
+and ever later: every two of them by FALLS_BEHIND_S. What a stalled bus or a busy host held back is
+later, too, but comes ever less late, or about as late as buffers last."""
 _TOUCH_S = 1e-9
 """Rounding: what is so little below a line is on it."""
 
