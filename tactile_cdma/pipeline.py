@@ -281,7 +281,7 @@ class Pipeline:
             self.counters.implausible_packets += 1
             return []
         pace = Pace.of(self.info, spec)
-        believed, impossible = self._continuity.believed(packet, pace)
+        believed, impossible = self._continuity.believed(packet, pace, self._was_reset)
         self.counters.implausible_packets += impossible
         frames: list[TactileFrame] = []
         for taken in believed:
