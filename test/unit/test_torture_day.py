@@ -86,7 +86,7 @@ def test_a_slice_of_a_day_is_good(stretch: Stretch, monkeypatch: pytest.MonkeyPa
 
 
 def test_a_replayed_part_is_good(stretch: Stretch) -> None:
-    outcome = day.replayed(CONFIG, day.Telling([stretch, stretch], SEED), 5.0)
+    outcome = day.replayed(CONFIG, day.Telling([stretch, stretch], SEED), 10.0)
     assert outcome.good, outcome
     assert outcome.said == "98 frames"
 
@@ -170,7 +170,7 @@ def test_a_lost_packet_is_found(stretch: Stretch, monkeypatch: pytest.MonkeyPatc
 def test_a_driver_that_stops_is_found(stretch: Stretch, monkeypatch: pytest.MonkeyPatch) -> None:
     plant(monkeypatch, lambda data, number: data if number < 200 else b"")
     monkeypatch.setattr(day, "PATIENCE_S", 0.5)
-    outcome = day.replayed(CONFIG, day.Telling([stretch, stretch], SEED), 5.0)
+    outcome = day.replayed(CONFIG, day.Telling([stretch, stretch], SEED), 10.0)
     assert outcome.hangs == 1
 
 

@@ -48,13 +48,13 @@ from .host_clock import STALL_S, HostClock, UsbLine
 from .judge import DayJudge, Lap
 
 LAP_FRAMES = 195
-SKIN = {"frame_period_ms": 51.2, "stale_after_s": 12.0}
-"""A quarter of the frames of the paper's skin, and nodes that at rest speak once in 10 s, or a lap,
+SKIN = {"frame_period_ms": 102.4, "stale_after_s": 24.0}
+"""An eighth of the frames of the paper's skin, and nodes that at rest speak once in 20 s, or a lap,
 so that a day takes minutes."""
 QUIET_SCENE, BUSY_SCENES = "idle", ("presses", "moving", "hand")
 BUSY = 0.05
 """Share of the day in which something touches the skin."""
-DAY_S, QUICK_S = 86_400.0, 200.0
+DAY_S, QUICK_S = 86_400.0, 400.0
 REPLAYED_S, QUICK_REPLAYED_S = 3600.0, 30.0
 BEFORE_S = 20.0
 """Time and index begin so long before their 32 bits are full, the sequence as many packets."""
