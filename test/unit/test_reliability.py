@@ -133,6 +133,27 @@ def scenes(change: str, spec: FrameSpec = SPEC, frames: int = 2 * JUDGE_FRAMES) 
     return result
 
 
+@pytest.mark.parametrize("change", ["inverted", "other last bit"])
+def test_parity_tells_of_a_node_whose_even_words_are_wrong(change: str) -> None:
+    rng, health = np.random.default_rng(12), NodeHealth(PARITY)
+    for _ in range(2 * JUDGE_FRAMES):
+        levels = noisy(rng.integers(0, 1024, 16), PARITY, 60.0, rng)
+        if change == "inverted":
+            levels.values[:, 4] *= -1
+        else:
+            levels.values[-1, 4] *= rng.choice([-1, 1])
+        health.update(decode(levels, PARITY))
+    assert health.nodes(NodeState.FAULTY) == [5]
+    assert np.flatnonzero(health.invalid).tolist() == [4]
+
+
+def test_noise_that_parity_mends_makes_no_node_faulty() -> None:
+    rng, health = np.random.default_rng(13), NodeHealth(PARITY)
+    for _ in range(8 * JUDGE_FRAMES):
+        health.update(decode(noisy(rng.integers(0, 1024, 16), PARITY, 3.5, rng), PARITY))
+        assert not health.invalid.any()
+
+
 @pytest.mark.parametrize(
     ("change", "state"),
     [

@@ -72,9 +72,9 @@ KINDS = (
     Kind("node that says half of its word twice", nodes.half_twice, flagged=False),
     Kind("node on an unused row", nodes.unused_row),
     Kind("node on another's row", nodes.other_row, victims=True, flagged=False),
-    Kind("node with inverted sign", nodes.inverted, flagged=False),
+    Kind("node with inverted sign", nodes.inverted, flagged=False, parity_tells=True),
     Kind("node of another order", nodes.other_order, told=("phantoms",)),
-    Kind("node of two bits more", nodes.other_bits, flagged=False),
+    Kind("node of two bits more", nodes.other_bits, flagged=False, parity_tells=True),
     Kind("node 40 dB too loud, in range", nodes.louder(100.0), range_v=40.0, timings=marked),
     Kind(
         "node 40 dB too loud, in range, timing gap",
@@ -138,7 +138,7 @@ def run(plan: Plan) -> Iterator[Outcome]:
 
 def trials(kind: Kind, skins: list[Skin], frames: int, seed: int) -> Outcome:
     """What comes of about so many frames with the fault on each of these skins."""
-    total, crashes = Tally(), 0
+    total, unfound, crashes = Tally(), 0, 0
     of_timing: defaultdict[str, Tally] = defaultdict(Tally)
     for skin in skins:
         try:
@@ -148,6 +148,8 @@ def trials(kind: Kind, skins: list[Skin], frames: int, seed: int) -> Outcome:
             crashes += 1
             continue
         total += tally
+        if kind.flagged or (kind.parity_tells and skin.config.spec.parity):
+            unfound += tally.unnoticed
         of_timing[skin.timing] += tally
     counted = {name: getattr(total, name) for name in ("wrong", "phantoms", "missed")}
     for name in kind.told:
@@ -155,7 +157,7 @@ def trials(kind: Kind, skins: list[Skin], frames: int, seed: int) -> Outcome:
     return Outcome(
         kind.name,
         total.episodes,
-        counted["wrong"] + counted["phantoms"] + (total.unnoticed if kind.flagged else 0),
+        counted["wrong"] + counted["phantoms"] + unfound,
         counted["missed"] + total.uncounted,
         crashes,
         total.late,

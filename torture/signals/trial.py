@@ -60,7 +60,8 @@ class Kind:
 
     nodes: what so many (`count`) nodes say instead of their words; with `victims` each disturbs one
     other in particular. line: what becomes of the line. length, pause: frames that it lasts, and
-    that follow in order. flagged: the nodes must be found out within `length` frames. range_v: of
+    that follow in order. flagged: the nodes must be found out within `length` frames; parity_tells:
+    so they must where words have parity. range_v: of
     the amplifier, 0: its default. timings: of the skins that it is tried on. told: names of what
     nobody can avoid then, which is told and not counted (see Tally).
     """
@@ -73,6 +74,7 @@ class Kind:
     length: int = 100
     pause: int = 16
     flagged: bool = True
+    parity_tells: bool = False
     range_v: float = 0.0
     timings: tuple[str, ...] = (LINE, CHIPS, GAP)
     told: tuple[str, ...] = ()
