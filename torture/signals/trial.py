@@ -251,7 +251,9 @@ class Trial:
         tally.uncounted += verdict.uncounted
         number = verdict.number
         if number is None:
-            tally.wrong += int(verdict.wrong.sum())
+            doubt = (frame.readings.status & DOUBT) != 0
+            tally.wrong += int((verdict.wrong & ~doubt).sum())
+            tally.doubted += int((verdict.wrong & doubt).sum())
             return
         if number >= until:
             return
