@@ -46,7 +46,7 @@ LOUD_SHARE = 1.25
 """Words above this share of a node's amplitude may be those of more than one."""
 CLEAR_RHO = 8.0
 """Words that stand so far out of the noise have no levels of two nodes by chance."""
-OFF, HIT, MOST_ODD = 2.0, 3.5, 0.25
+OFF, HIT, MOST_ODD = 2.0, 5.0, 0.25
 """A level is uncertain below OFF times what the levels of its bit are off, of all nodes but
 MOST_ODD, which may be broken; below HIT times that where it is twice that of most bits: something
 has hit this one, and that is not alike for all nodes."""

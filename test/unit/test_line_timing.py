@@ -413,7 +413,7 @@ def test_a_frame_at_the_rails_does_not_tell_who_was_silent() -> None:
 
 
 def test_words_after_a_frame_at_the_rails_are_no_noise() -> None:
-    """Where chips are integrated no gap is sent, nor is one to be seen in the frames that follow."""
+    """Where chips are integrated no gap is sent, nor is one seen in the frames that follow."""
     setup = Setup(SPEC, 1, integrated=True)
     loud = 30 * np.outer([1, -1, -1, 1, 1, -1, 1, -1, 1, 1], SPEC.book.rows([8])[0]).ravel()
     given = blocks(ALWAYS, setup, 10)

@@ -46,6 +46,8 @@ WARM_UP = 34
 """Sound frames before the first fault."""
 RECOVERY = 2
 """Frames after a fault that may still be lost."""
+SEEN = 0.75
+"""Nodes must be found out if frames are published after this share of an episode."""
 UNKNOWN = -1
 """Code of a node of which nothing was published since it was broken."""
 BLAME = Status.WEAK | Status.FAULTY | Status.STALE
@@ -223,6 +225,7 @@ class Trial:
         self._digitizer = VirtualDigitizer(options, disturbance=self.faults)
         self._stuck = StuckNodes(skin.config.layout)
         self._complete: dict[int, bool] = {}  # number: whether it has all words of sound nodes
+        self._last: dict[int, int] = {}  # episode: its frame that was published last, from 0 on
         self._found: dict[tuple[int, int], int] = {}  # episode, node: frame that told
         self._codes = np.full(skin.config.spec.nodes, UNKNOWN)  # last published
         self._spent: tuple[list[float], list[float]] = ([], [])  # s for a frame: sound, with fault
@@ -265,6 +268,7 @@ class Trial:
             victims[self.faults.concerned(episode)] = True
             victims &= ~broken
             tally.published += 1
+            self._last[episode] = number - self.kind.begin(episode)
             self._look(frame, number, episode)
         sound, doubt = ~broken & ~victims, (frame.readings.status & DOUBT) != 0
         wrong = verdict.wrong | (~doubt & self._misread(frame))
@@ -310,7 +314,8 @@ class Trial:
             tally.late += not all(self._complete.get(number, False) for number in due)
             found = [self._found.get((episode, n)) for n, _ in self.faults.chosen(episode)]
             tally.noticed += [frames for frames in found if frames is not None]
-            tally.unnoticed += found.count(None)
+            if self._last.get(episode, 0) > SEEN * kind.length:
+                tally.unnoticed += found.count(None)
         sound_s, faulty_s = self._spent
         if faulty_s:
             tally.cost = float(np.mean(faulty_s) / np.mean(sound_s))
