@@ -256,6 +256,16 @@ def test_what_hits_one_bit_of_all_nodes_makes_no_certain_wrong_word(
     assert (words.doubtful | ~words.active)[words.codes != codes].all()
 
 
+def test_a_bit_that_something_has_hit_is_doubted_where_its_level_is_high() -> None:
+    """What hits several chips reaches one row more than most."""
+    codes = np.random.default_rng(14).integers(0, 1024, 16)
+    levels = levels_of(codes, SPEC)
+    levels.values[4] *= 1.22
+    levels.values[4, 7] *= -0.8 / 1.22
+    words = decode(levels, SPEC)
+    assert words.codes[7] != codes[7] and words.doubtful[7]
+
+
 def test_what_hits_one_row_in_one_bit_makes_its_word_doubtful() -> None:
     codes = np.random.default_rng(13).integers(0, 1024, 16)
     for size in (1.0, 1.5, 2.5, 4.0):
