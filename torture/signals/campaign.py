@@ -175,8 +175,8 @@ def trials(kind: Kind, skins: list[Skin], frames: int, seed: int) -> Outcome:
 def _said(kind: Kind, total: Tally, of_timing: dict[str, Tally]) -> Iterator[str]:
     shares = [f"{timing} {t.published / t.frames:.0%}" for timing, t in of_timing.items()]
     yield f"published: {', '.join(shares)}"
-    if kind.nodes:
-        broken = len(total.noticed) + total.unnoticed
+    broken = len(total.noticed) + total.unnoticed
+    if broken:
         within = f" in ≤ {max(total.noticed)} frames" if total.noticed else ""
         yield f"{len(total.noticed)} of {broken} found{within}"
     words = f"of {total.words:,} words"

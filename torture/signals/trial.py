@@ -314,7 +314,7 @@ class Trial:
             tally.late += not all(self._complete.get(number, False) for number in due)
             found = [self._found.get((episode, n)) for n, _ in self.faults.chosen(episode)]
             tally.noticed += [frames for frames in found if frames is not None]
-            if self._last.get(episode, 0) > SEEN * kind.length:
+            if self._last.get(episode, -1) + 1 > SEEN * kind.length:
                 tally.unnoticed += found.count(None)
         sound_s, faulty_s = self._spent
         if faulty_s:
