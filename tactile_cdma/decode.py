@@ -46,7 +46,7 @@ LOUD_SHARE = 1.25
 """Words above this share of a node's amplitude may be those of more than one."""
 CLEAR_RHO = 8.0
 """Words that stand so far out of the noise have no levels of two nodes by chance."""
-OFF, HIT, MOST_ODD = 2.0, 3.5, 0.25
+OFF, HIT, MOST_ODD = 2.0, 5.0, 0.25
 """A level is uncertain below OFF times what the levels of its bit are off, of all nodes but
 MOST_ODD, which may be broken; below HIT times that where it is twice that of most bits: something
 has hit this one, and that is not alike for all nodes."""
@@ -68,6 +68,7 @@ class Words:
         had to be mended, or that are too loud for one node.
     doubled: (n,) bool, words of which some bits have the level of two nodes or more, and others a
         much smaller one: more than one node speaks on their row.
+    odd: (n,) bool, active words whose parity had to be mended.
     noise_rms_v: σ, noise of one chip sample, V; NaN if unknown.
     """
 
@@ -78,6 +79,7 @@ class Words:
     margin: NDArray[np.float32]
     doubtful: NDArray[np.bool_]
     doubled: NDArray[np.bool_]
+    odd: NDArray[np.bool_]
     noise_rms_v: float
 
     @property
@@ -100,7 +102,7 @@ def silent(nodes: int, noise_rms_v: float) -> Words:
     nothing = np.zeros(nodes, dtype=np.float32)
     no = np.zeros(nodes, dtype=bool)
     codes = np.zeros(nodes, dtype=np.int32)
-    return Words(no, codes, nothing, nothing, nothing, no, no, noise_rms_v)
+    return Words(no, codes, nothing, nothing, nothing, no, no, no, noise_rms_v)
 
 
 def decode(
@@ -146,7 +148,9 @@ def decode(
         ).among(some, spec.nodes)
     else:
         read = _read(values, level, amplitude, rho, expected, spec.sign_mask, spec)
-    doubtful = (read.doubtful | _disturbed(level, amplitude, active)) & active
+    doubtful = read.doubtful & active
+    if _are_uneven(level, amplitude, active):
+        doubtful |= _disturbed(level, amplitude, active) & active
     for node in levels.unresolved:
         doubtful[node] = active[node]
     return Words(
@@ -157,6 +161,7 @@ def decode(
         read.margin * noticed,
         doubtful,
         read.doubled & doubtful,
+        read.odd & active,
         noise * math.sqrt(spec.order),
     )
 
@@ -168,6 +173,7 @@ class _Read(NamedTuple):
     margin: NDArray[np.float32]
     doubtful: NDArray[np.bool_]
     doubled: NDArray[np.bool_]
+    odd: NDArray[np.bool_]
 
     def among(self, chosen: NDArray[np.intp], nodes: int) -> _Read:
         """The same for all nodes: zeros but for the chosen."""
@@ -193,12 +199,12 @@ def _read(
     codes ^= sign_mask
     margin = weakest / np.maximum(amplitude, np.float32(1e-30))
     doubtful = (rho < LOW_RHO) | (margin < LOW_MARGIN)
+    odd = doubled = np.zeros_like(doubtful)
     if spec.parity:
         odd = _is_odd(codes)
         turn = np.int32(1) << (spec.bits - level.argmin(axis=0)).astype(np.int32)
         codes = (codes ^ turn * odd) >> 1
         doubtful |= odd
-    doubled = np.zeros_like(doubtful)
     loud = amplitude > np.float32(LOUD_SHARE) * expected
     if doubtful.any() or loud.any():
         strongest, two = level.max(axis=0), np.float32(DOUBLE_SHARE) * expected
@@ -206,7 +212,21 @@ def _read(
         three = loud & (rho > CLEAR_RHO) & (weakest < np.float32(0.5) * strongest)
         doubled = (cancelling | three) & (strongest > two)
         doubtful |= doubled | (amplitude > two)
-    return _Read(codes, margin, doubtful, doubled)
+    return _Read(codes, margin, doubtful, doubled, odd)
+
+
+def _are_uneven(
+    level: NDArray[np.float32], amplitude: NDArray[np.float32], active: NDArray[np.bool_]
+) -> bool:
+    """Whether a level of any word may be off by more than UNLIKE of it, among more than two nodes.
+
+    One that is adds 1/k − 1/k² of its square to the mean square of the word's k levels.
+    """
+    bits, nodes = level.shape
+    most = bits + UNLIKE**2 * (bits - 1) / bits
+    uneven = np.einsum("kn,kn->n", level, level) > amplitude * amplitude * np.float32(most)
+    uneven &= active
+    return nodes > 2 and bool(uneven.any())
 
 
 def _disturbed(
@@ -220,14 +240,10 @@ def _disturbed(
     jump that of some row, and noise that is estimated from whole frames hardly shows it.
     """
     bits, nodes = level.shape
-    power = np.square(amplitude)
-    uneven = np.einsum("kn,kn->n", level, level) * np.float32(1 / bits) - power
-    # No single level of a word is off by more than its share of this.
-    if nodes <= 2 or not (active & (uneven > UNLIKE**2 * (bits - 1) / bits**2 * power)).any():
-        return np.zeros(nodes, dtype=bool)
     off, rank = np.abs(level - amplitude * active), round((1 - MOST_ODD) * (nodes - 1))
     usual = np.partition(off, rank, axis=1)[:, rank]
-    least = np.where(usual > 2 * np.median(usual), np.float32(HIT), np.float32(OFF)) * usual
+    most_bits = np.sort(usual)[bits // 2]
+    least = np.where(usual > 2 * most_bits, np.float32(HIT), np.float32(OFF)) * usual
     most = np.maximum(UNLIKE * amplitude, UNLIKE_OTHERS * usual[:, None])
     uncertain: NDArray[np.bool_] = ((level < least[:, None]) | (off > most)).any(axis=0)
     return uncertain

@@ -29,6 +29,8 @@ from .gap import Expected, Found, GapSearch
 from .separate import NodeLevels
 from .timing import MOST_CLIPPED, FrameLevels, SampleBlock, Timing
 
+LEAST_RHO = 2.5
+"""Words that stand less out of the noise are not found: whether there are any is not known then."""
 SCATTER = 0.15
 """What frames may be off their raster, in chips."""
 FORGET = 0.999
@@ -256,11 +258,13 @@ class GapTiming(Timing):
         return frames
 
     def _idle_slots(self, until: float) -> Iterator[FrameLevels]:
-        """The silent slots that begin up to an index; at a rail nobody can tell that they are."""
+        """The silent slots that begin up to an index; but at a rail or in noise nobody can tell."""
         level, noise = 0.0, math.nan
         if self._quiet:  # whose variance is that of half chips
             level, noise = self._quiet.level, math.sqrt(self._quiet.variance / 2)
         blind = self._quiet is not None and self._clipped(np.array([level])) > 0
+        if swing_v := self.spec.node_swing_v:
+            blind |= noise * LEAST_RHO > swing_v * math.sqrt(self.spec.order)
         while self._raster <= until:
             if blind:
                 self.rejected += 1

@@ -30,8 +30,10 @@ LEAST_WORDS = 4
 """Words that a verdict on a node takes; afterwards they count half beside newer ones."""
 WEAK_SHARE = 0.6
 """A node below this share of the expected amplitude is weak."""
-MOST_UNEVEN, MOST_DOUBLED = 0.5, 0.25
-"""Shares of a node's words: with more of them uneven, or of two nodes, so is the node."""
+MOST_UNEVEN, MOST_DOUBLED, MOST_ODD = 0.5, 0.25, 0.25
+"""Shares of a node's words: with more of them uneven, of two nodes, or of odd parity though every
+bit is clear, so is the node. What sends even words of another kind has odd parity in half of them.
+"""
 WEAK_RHO = 8.0
 """Words of a node not known to be weak must stand so far out of the noise to be noticed."""
 
@@ -62,11 +64,12 @@ class NodeHealth:
             self.swing_v = np.full(spec.nodes, self._nominal_v, dtype=np.float32)
         self.state = np.full(spec.nodes, NodeState.UNHEARD, dtype=np.uint8)
         self.invalid = np.zeros(spec.nodes, dtype=bool)
-        # Per node: words, their amplitudes, uneven ones and doubled ones, fading sums.
+        # Per node: words, their amplitudes, uneven, doubled and odd ones, fading sums.
         self._words = np.zeros(spec.nodes, dtype=np.float32)
         self._amplitude_v = np.zeros(spec.nodes, dtype=np.float32)
         self._uneven = np.zeros(spec.nodes, dtype=np.float32)
         self._doubled = np.zeros(spec.nodes, dtype=np.float32)
+        self._odd = np.zeros(spec.nodes, dtype=np.float32)
         self._frames = 0
 
     def update(self, words: Words) -> None:
@@ -77,8 +80,10 @@ class NodeHealth:
         self._words += heard
         self._amplitude_v += words.amplitude_v * heard
         if words.doubtful.any():
-            self._uneven += words.doubtful & (words.rho > LOW_RHO) & (words.margin < LOW_MARGIN)
+            clear, weak = words.rho > LOW_RHO, words.margin < LOW_MARGIN
+            self._uneven += words.doubtful & clear & weak
             self._doubled += words.doubled
+            self._odd += words.odd & clear & ~weak
         self._frames += 1
         if self._frames % JUDGE_FRAMES == 0:
             self._judge()
@@ -111,7 +116,8 @@ class NodeHealth:
         expected_v = self._nominal_v or (float(np.median(amplitude_v[heard])) if heard.any() else 0)
         verdict = np.full(due.shape, NodeState.OK, dtype=np.uint8)
         verdict[amplitude_v < WEAK_SHARE * expected_v] = NodeState.WEAK
-        verdict[self._uneven > MOST_UNEVEN * self._words] = NodeState.FAULTY
+        uneven = self._uneven > MOST_UNEVEN * self._words
+        verdict[uneven | (self._odd > MOST_ODD * self._words)] = NodeState.FAULTY
         twice = amplitude_v > DOUBLE_SHARE * expected_v
         verdict[twice | (self._doubled > MOST_DOUBLED * self._words)] = NodeState.DOUBLED
         unknown = heard & (self.state == NodeState.UNHEARD)
@@ -122,5 +128,11 @@ class NodeHealth:
             swing_v = np.where(weak, amplitude_v, np.float32(self._nominal_v))
             self.swing_v = np.where(due, swing_v, self.swing_v).astype(np.float32)
         # Each node's words fade by its own: one that speaks seldom is judged as well as others.
-        for total in (self._words, self._amplitude_v, self._uneven, self._doubled):
+        for total in (
+            self._words,
+            self._amplitude_v,
+            self._uneven,
+            self._doubled,
+            self._odd,
+        ):
             total[due] *= 0.5

@@ -216,7 +216,8 @@ class LineTiming(Timing):
         """No frame came of the present one. over: index at which it is over, if that is known."""
         self.rejected += 1
         self._start = self._carried = None
-        self._gap_begin = over
+        # Where chips are integrated no gap is sent: what follows is words, and no noise.
+        self._gap_begin = None if self._integrated else over
 
     def _decide(self, start: int, end: int, final: bool) -> list[FrameLevels]:
         """Decode the frame from samples up to `end`, or ask for more. final: none will follow."""

@@ -213,6 +213,16 @@ def test_a_hole_costs_one_frame() -> None:
     check(wire, frames)
 
 
+@pytest.mark.parametrize(("rho", "told"), [(1.0, False), (4.0, True)])
+def test_noise_that_hides_words_is_no_silence(rho: float, told: bool) -> None:
+    noise_v = 0.3 * math.sqrt(DEFAULT.order * 4) / rho
+    volts = np.random.default_rng(6).normal(0, noise_v, 20 * 1024).astype(np.float32)
+    timing = GapTiming(replace(DEFAULT, amplitude_v=0.3), 4 / DEFAULT.chip_s)
+    frames = timing.feed(SampleBlock(0, volts)) + timing.flush()
+    assert bool(frames) == told
+    assert len(frames) + timing.rejected > 10
+
+
 def test_silent_slots_keep_the_raster() -> None:
     wire = Wire(PAPER, 8.0, seed=11)
     wire.send(3.25 * wire.period, {4: 1000})

@@ -412,6 +412,19 @@ def test_a_frame_at_the_rails_does_not_tell_who_was_silent() -> None:
     assert timing.rejected == 5
 
 
+def test_words_after_a_frame_at_the_rails_are_no_noise() -> None:
+    """Where chips are integrated no gap is sent, nor is one seen in the frames that follow."""
+    setup = Setup(SPEC, 1, integrated=True)
+    loud = 30 * np.outer([1, -1, -1, 1, 1, -1, 1, -1, 1, 1], SPEC.book.rows([8])[0]).ravel()
+    given = blocks(ALWAYS, setup, 10)
+    for number, block in enumerate(given[:2]):
+        volts = np.clip(block.volts + loud, -5, 5).astype(np.float32)
+        given[number] = replace(block, volts=volts)
+    frames = run(timing := LineTiming(SPEC, setup.rate_hz, (-5.0, 5.0)), given)
+    assert timing.rejected == 2
+    assert [frame.levels is not None for frame in frames] == [True] * 8
+
+
 def test_a_disturbed_line_costs_a_bounded_search(monkeypatch: pytest.MonkeyPatch) -> None:
     looked_at = []
     strongest = LineTiming._strongest

@@ -133,6 +133,27 @@ def scenes(change: str, spec: FrameSpec = SPEC, frames: int = 2 * JUDGE_FRAMES) 
     return result
 
 
+@pytest.mark.parametrize("change", ["inverted", "other last bit"])
+def test_parity_tells_of_a_node_whose_even_words_are_wrong(change: str) -> None:
+    rng, health = np.random.default_rng(12), NodeHealth(PARITY)
+    for _ in range(2 * JUDGE_FRAMES):
+        levels = noisy(rng.integers(0, 1024, 16), PARITY, 60.0, rng)
+        if change == "inverted":
+            levels.values[:, 4] *= -1
+        else:
+            levels.values[-1, 4] *= rng.choice([-1, 1])
+        health.update(decode(levels, PARITY))
+    assert health.nodes(NodeState.FAULTY) == [5]
+    assert np.flatnonzero(health.invalid).tolist() == [4]
+
+
+def test_noise_that_parity_mends_makes_no_node_faulty() -> None:
+    rng, health = np.random.default_rng(13), NodeHealth(PARITY)
+    for _ in range(8 * JUDGE_FRAMES):
+        health.update(decode(noisy(rng.integers(0, 1024, 16), PARITY, 3.5, rng), PARITY))
+        assert not health.invalid.any()
+
+
 @pytest.mark.parametrize(
     ("change", "state"),
     [
@@ -233,6 +254,16 @@ def test_what_hits_one_bit_of_all_nodes_makes_no_certain_wrong_word(
     levels.values[bit] += SWING * size * SPEC.node_rows[:, seed % 20]
     words = decode(levels, SPEC)
     assert (words.doubtful | ~words.active)[words.codes != codes].all()
+
+
+def test_a_bit_that_something_has_hit_is_doubted_where_its_level_is_high() -> None:
+    """What hits several chips reaches one row more than most."""
+    codes = np.random.default_rng(14).integers(0, 1024, 16)
+    levels = levels_of(codes, SPEC)
+    levels.values[4] *= 1.22
+    levels.values[4, 7] *= -0.8 / 1.22
+    words = decode(levels, SPEC)
+    assert words.codes[7] != codes[7] and words.doubtful[7]
 
 
 def test_what_hits_one_row_in_one_bit_makes_its_word_doubtful() -> None:

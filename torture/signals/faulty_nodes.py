@@ -102,11 +102,11 @@ def stuck(turn: Turn) -> Iterator[Waveform]:
 
 
 def doubled(others: int) -> Broken:
-    """Its word, and so many others of nodes that were given the same number."""
+    """Its word, and so many others of nodes that were given the same number, and so its turn."""
 
     def both(turn: Turn) -> Iterator[Waveform]:
         words = [turn.code, *(turn.any_word(turn.chance) for _ in range(others))]
-        for word in words:
+        for word in words if turn.code is not None else ():
             yield from turn.on_time(turn.said(word))
 
     return both

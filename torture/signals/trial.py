@@ -46,6 +46,8 @@ WARM_UP = 34
 """Sound frames before the first fault."""
 RECOVERY = 2
 """Frames after a fault that may still be lost."""
+SEEN = 0.75
+"""Nodes must be found out if frames are published after this share of an episode."""
 UNKNOWN = -1
 """Code of a node of which nothing was published since it was broken."""
 BLAME = Status.WEAK | Status.FAULTY | Status.STALE
@@ -60,7 +62,8 @@ class Kind:
 
     nodes: what so many (`count`) nodes say instead of their words; with `victims` each disturbs one
     other in particular. line: what becomes of the line. length, pause: frames that it lasts, and
-    that follow in order. flagged: the nodes must be found out within `length` frames. range_v: of
+    that follow in order. flagged: the nodes must be found out within `length` frames; parity_tells:
+    so they must where words have parity. range_v: of
     the amplifier, 0: its default. timings: of the skins that it is tried on. told: names of what
     nobody can avoid then, which is told and not counted (see Tally).
     """
@@ -73,6 +76,7 @@ class Kind:
     length: int = 100
     pause: int = 16
     flagged: bool = True
+    parity_tells: bool = False
     range_v: float = 0.0
     timings: tuple[str, ...] = (LINE, CHIPS, GAP)
     told: tuple[str, ...] = ()
@@ -221,6 +225,7 @@ class Trial:
         self._digitizer = VirtualDigitizer(options, disturbance=self.faults)
         self._stuck = StuckNodes(skin.config.layout)
         self._complete: dict[int, bool] = {}  # number: whether it has all words of sound nodes
+        self._last: dict[int, int] = {}  # episode: its frame that was published last, from 0 on
         self._found: dict[tuple[int, int], int] = {}  # episode, node: frame that told
         self._codes = np.full(skin.config.spec.nodes, UNKNOWN)  # last published
         self._spent: tuple[list[float], list[float]] = ([], [])  # s for a frame: sound, with fault
@@ -249,7 +254,9 @@ class Trial:
         tally.uncounted += verdict.uncounted
         number = verdict.number
         if number is None:
-            tally.wrong += int(verdict.wrong.sum())
+            doubt = (frame.readings.status & DOUBT) != 0
+            tally.wrong += int((verdict.wrong & ~doubt).sum())
+            tally.doubted += int((verdict.wrong & doubt).sum())
             return
         if number >= until:
             return
@@ -261,6 +268,7 @@ class Trial:
             victims[self.faults.concerned(episode)] = True
             victims &= ~broken
             tally.published += 1
+            self._last[episode] = number - self.kind.begin(episode)
             self._look(frame, number, episode)
         sound, doubt = ~broken & ~victims, (frame.readings.status & DOUBT) != 0
         wrong = verdict.wrong | (~doubt & self._misread(frame))
@@ -306,7 +314,8 @@ class Trial:
             tally.late += not all(self._complete.get(number, False) for number in due)
             found = [self._found.get((episode, n)) for n, _ in self.faults.chosen(episode)]
             tally.noticed += [frames for frames in found if frames is not None]
-            tally.unnoticed += found.count(None)
+            if self._last.get(episode, -1) + 1 > SEEN * kind.length:
+                tally.unnoticed += found.count(None)
         sound_s, faulty_s = self._spent
         if faulty_s:
             tally.cost = float(np.mean(faulty_s) / np.mean(sound_s))
