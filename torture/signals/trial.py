@@ -180,7 +180,7 @@ class Tally:
     uncounted: frames lost that the sequence does not tell.
     late: episodes after which frames did not come again in time.
     unnoticed: broken nodes that were not found out. noticed: frames that it took, of the others.
-    cost: mean time of decoding a frame with the fault, over that of a sound one. slowest_s: of all.
+    cost: mean time of decoding a frame with the fault, over that of a sound one.
     """
 
     episodes: int = 0
@@ -198,14 +198,12 @@ class Tally:
     unnoticed: int = 0
     noticed: list[int] = field(default_factory=list)
     cost: float = 0.0
-    slowest_s: float = 0.0
 
     def __add__(self, other: Tally) -> Tally:
         """Both together."""
         names = [item.name for item in fields(self) if item.type != "float"]
         sums = {name: getattr(self, name) + getattr(other, name) for name in names}
-        cost, slowest_s = max(self.cost, other.cost), max(self.slowest_s, other.slowest_s)
-        return replace(self, **sums, cost=cost, slowest_s=slowest_s)
+        return replace(self, **sums, cost=max(self.cost, other.cost))
 
 
 class Trial:
@@ -310,4 +308,3 @@ class Trial:
         sound_s, faulty_s = self._spent
         if faulty_s:
             tally.cost = float(np.mean(faulty_s) / np.mean(sound_s))
-        tally.slowest_s = max(sound_s + faulty_s)
