@@ -198,6 +198,14 @@ def test_packets_lost_and_not_counted_are_found(tmp_path: Path) -> None:
     assert one_trial(tmp_path, faults).outcome().uncounted_losses == 2
 
 
+def test_a_driver_that_mostly_resumes_late_is_found(tmp_path: Path) -> None:
+    trial = Trial("planted", PLAN, Tty(tmp_path / "port"))
+    trial.resumed_s = [0.1, 0.1, 5.0]
+    assert trial.outcome().good
+    trial.resumed_s = [0.1, 1.2, 1.3]
+    assert trial.outcome().hangs == 1
+
+
 @settings(deadline=None)
 @given(st.binary(max_size=300), st.floats(0.98, 1.02))
 def test_a_uart_of_nearly_the_same_rate_reads_what_was_sent(data: bytes, ratio: float) -> None:

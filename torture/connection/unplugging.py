@@ -29,6 +29,8 @@ from .trial import Rng, Started, Trial, Turns, rng_of, side_by_side, some_skin
 
 WARM = 20
 """Replugs after which nothing may grow any more."""
+MOST_GROWTH_KB = 10_000
+"""By which 1000 replugs may add to the memory of this process: 10 kB each."""
 GONE = ("unplugged", "no such port")
 """What the driver says of a port that is gone: one of these."""
 
@@ -67,7 +69,9 @@ def replugs(trial: Trial, rng: Rng, times: int) -> Turns:
             yield from trial.told(*GONE)
             before, before_kb = _held(), _settled_kb()
     yield from trial.until(lambda: _held() <= before)
-    trial.said = f"{trial.took}; memory {_settled_kb() - before_kb:+d} kB"
+    grown_kb = _settled_kb() - before_kb
+    trial.crashes += grown_kb > MOST_GROWTH_KB
+    trial.said = f"{trial.took}; memory {grown_kb:+d} kB"
 
 
 def _asked(plug: Tty) -> Callable[[], bool]:
