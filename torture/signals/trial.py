@@ -36,6 +36,7 @@ from tactile_cdma.stuck import StuckNodes
 from tactile_cdma.taxels import Status
 
 from ..oracle import Oracle
+from ..readings import pressures
 from . import faulty_line, faulty_nodes
 from .faulty_line import Stretch
 from .faulty_nodes import Turn, spoken
@@ -217,6 +218,7 @@ class Trial:
         self._oracle = Oracle()
         options = skin.simulator(seed, kind.range_v)
         self._digitizer = VirtualDigitizer(options, disturbance=self.faults)
+        self._pressure_of = pressures(skin.config)
         self._stuck = StuckNodes(skin.config.layout)
         self._complete: dict[int, bool] = {}  # number: whether it has all words of sound nodes
         self._found: dict[tuple[int, int], int] = {}  # episode, node: frame that told
@@ -280,9 +282,7 @@ class Trial:
         config, words, readings = self.skin.config, frame.words, frame.readings
         codes = np.where(words.active, words.codes, self._codes)
         voltage_v = config.adc.voltage(np.maximum(codes, 0)).astype(np.float32)
-        full, curves = codes == (1 << config.spec.bits) - 1, config.calibration.curves
-        rest_v = np.maximum(voltage_v, curves.voltage_v[0])  # the highest code: so much or more
-        pressure_pa = curves.pressure(np.where(full, rest_v, voltage_v))
+        pressure_pa = self._pressure_of[np.arange(len(codes)), codes]
         near = np.isclose(readings.pressure_pa, pressure_pa, rtol=1e-4, atol=1.0)
         right = (readings.voltage_v == voltage_v) & near
         wrong: NDArray[np.bool_] = ~right & (codes != UNKNOWN)
