@@ -158,9 +158,9 @@ def test_over_a_reset_the_sequence_goes_by_the_time_that_passed(by: int, uncount
     assert judge.account(lost) == 0
 
 
-def test_a_driver_that_leaves_out_three_frames_after_a_start_is_found() -> None:
-    assert Line().publish(10, lambda frames: frames[2:]).late == 0
-    assert Line().publish(10, lambda frames: frames[3:]).late == 1
+def test_a_driver_that_leaves_out_two_frames_after_a_start_is_found() -> None:
+    assert Line().publish(10, lambda frames: frames[1:]).late == 0
+    assert Line().publish(10, lambda frames: frames[2:]).late == 1
 
 
 def one_trial(tmp_path: Path, faults: Callable[[Trial], Turns]) -> Trial:

@@ -16,6 +16,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 import traceback
 from collections import Counter
@@ -72,6 +73,7 @@ def tried(fault: str, targets: Sequence[Target], plan: Plan) -> Outcome:
             for data in inputs(target, plan.seed):
                 done += 1
                 if (find := attempt(data)) is not None:
+                    print(f"{target.name}, {data!r}: {find.text}", file=sys.stderr)
                     kinds[find.kind] += 1
                 if time.thread_time() > until_s:
                     break
@@ -86,6 +88,9 @@ def searched(fault: str, targets: Sequence[Target], plan: Plan) -> Outcome:
             for name in (target.name for target in targets)
         ]
         found = [job.result() for job in jobs]
+    for each in found:
+        if each.finds:
+            print(each, file=sys.stderr)
     kinds = Counter(kind for each in found for kind, _ in each.finds)
     branches = sum(each.coverage for each in found)
     peak_mb = max(each.peak_mb for each in found)
