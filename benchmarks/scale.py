@@ -210,11 +210,13 @@ def drive(nodes: int, path: str, results: Connection) -> None:
     recorded: list[tuple[bytes, float]] = []
     warm_s = time.monotonic() + WARM_UP_S
 
-    def feed(self: Pipeline, data: bytes, t_host: float) -> list[TactileFrame]:
+    def feed(
+        self: Pipeline, data: bytes, t_host: float, backlog: bool = False
+    ) -> list[TactileFrame]:
         read[:] = read[0] + len(data), t_host
         if time.monotonic() < warm_s:
             recorded.append((data, t_host))
-        return timed_feed(self, data, t_host)
+        return timed_feed(self, data, t_host, backlog)
 
     Pipeline.feed = feed  # type: ignore[method-assign]
     frames: list[Delivered] = []

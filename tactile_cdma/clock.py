@@ -26,9 +26,9 @@ SURE_INTERVALS = 40
 RECENT = 8
 SLOW_S, FALLS_BEHIND_S = 0.5, 0.005
 """A device is no clock but a slow replay or emulation if the last RECENT observations are later by
-SLOW_S than earlier ones (crystals come to 0.03 s in 30 s), and ever later: every two of them by
-FALLS_BEHIND_S. What a stalled bus or a busy host held back is later, too, but comes ever less late,
-or about as late as buffers last."""
+SLOW_S than earlier ones, though nothing had waited to be read (crystals come to 0.03 s in 30 s),
+and ever later: every two of them by FALLS_BEHIND_S. What a stalled bus or a busy host held back is
+later, too, but comes ever less late, or about as late as buffers last."""
 _TOUCH_S = 1e-9
 """Rounding: what is so little below a line is on it."""
 
@@ -51,14 +51,18 @@ class DeviceClock:
         self._interval = -1
         # Kept observations, in any order: the newest takes the place of the oldest.
         self._device, self._host = np.zeros(intervals), np.zeros(intervals)
+        self._is_backlog = np.zeros(intervals, dtype=bool)
         self._count = 0
         self._lead_s = 0.0  # host minus device time of the newest
         self._rate = 1.0
         self._origin = (0.0, 0.0)
         self._fitted = True
 
-    def observe(self, t_device: float, t_host: float) -> None:
-        """A packet that left the device at t_device was read at t_host."""
+    def observe(self, t_device: float, t_host: float, backlog: bool = False) -> None:
+        """A packet that left the device at t_device was read at t_host.
+
+        backlog: it had been waiting to be read, so that it may have come long before.
+        """
         interval = int(t_device // self._interval_s)
         if not self._count or interval != self._interval:
             self._interval = interval
@@ -67,6 +71,7 @@ class DeviceClock:
             return
         newest = (self._count - 1) % self._device.size
         self._device[newest], self._host[newest] = t_device, t_host
+        self._is_backlog[newest] = backlog
         self._lead_s = t_host - t_device
         self._fitted = False
 
@@ -89,7 +94,7 @@ class DeviceClock:
         rate, limit = 1.0, 1 + MAX_RATE_ERROR
         newest = (self._count - 1 - np.arange(min(kept, RECENT))) % self._device.size
         late_s = y - x
-        if _is_slow(late_s, newest):
+        if not self._is_backlog[newest].any() and _is_slow(late_s, newest):
             x, y, limit = x[newest], y[newest], np.inf
         else:
             timely = late_s - late_s.min() <= MAX_RATE_ERROR * np.ptp(x)

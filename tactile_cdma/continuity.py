@@ -70,10 +70,15 @@ class Continuity:
         self._last: AnySamples | None = None
         self._waiting: AnySamples | None = None
 
-    def believed(self, packet: AnySamples, pace: Pace) -> tuple[list[AnySamples], int]:
-        """What is to be taken now that this packet came, and how many were impossible."""
+    def believed(
+        self, packet: AnySamples, pace: Pace, was_reset: bool = False
+    ) -> tuple[list[AnySamples], int]:
+        """What is to be taken now that this packet came, and how many were impossible.
+
+        was_reset: the digitizer said so; then a packet that does not go on needs no other.
+        """
         waiting, self._waiting = self._waiting, None
-        if self._last is None or _follows(self._last, packet, pace):
+        if self._last is None or was_reset or _follows(self._last, packet, pace):
             return [packet], int(waiting is not None)
         if waiting is not None and _follows(waiting, packet, pace):
             return [waiting, packet], 0

@@ -177,7 +177,7 @@ class Driver:
             while not self._stop.is_set():
                 data, t_host = port.read()
                 with self._busy:
-                    frames = pipeline.feed(data, t_host)
+                    frames = pipeline.feed(data, t_host, port.had_waited)
                     t_decoded = time.monotonic()
                     for frame in frames:
                         self._on_frame(frame)

@@ -126,6 +126,7 @@ class Pipeline:
         self._base = 0
         self._continuity = Continuity()
         self._was_reset = False  # by its last STATUS: its clock is younger than its samples
+        self._is_backlog = False
         self._sequence = -1
         self._last_start_s: float | None = None
         self._last_t_host = -math.inf
@@ -166,8 +167,12 @@ class Pipeline:
         if isinstance(self._timing, NodeTiming):
             self._timing.clocks.close()
 
-    def feed(self, data: bytes, t_host: float) -> list[TactileFrame]:
-        """Decode what was read at t_host (monotonic, s). Any split gives the same frames."""
+    def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
+        """Decode what was read at t_host (monotonic, s). Any split gives the same frames.
+
+        backlog: it had been waiting to be read.
+        """
+        self._is_backlog = backlog
         frames: list[TactileFrame] = []
         for packet in self.parser.feed(data):
             match packet:
@@ -266,7 +271,7 @@ class Pipeline:
             self.counters.implausible_packets += 1
             return []
         pace = Pace.of(self.info, spec)
-        believed, impossible = self._continuity.believed(packet, pace)
+        believed, impossible = self._continuity.believed(packet, pace, self._was_reset)
         self.counters.implausible_packets += impossible
         frames: list[TactileFrame] = []
         for taken in believed:
@@ -289,7 +294,7 @@ class Pipeline:
             self._base = packet.first_index
         self._was_reset = False
         self._anchors.append((packet.first_index - self._base, t_device))
-        self._clock.observe(t_device + count / pace.rate_hz, t_host)
+        self._clock.observe(t_device + count / pace.rate_hz, t_host, self._is_backlog)
 
     def _heard(self, packet: AnySamples) -> list[FrameLevels]:
         """What the timing makes of samples."""

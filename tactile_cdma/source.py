@@ -70,6 +70,8 @@ class Port:
     """An open port: /dev/ttyACM0, usb://SERIAL, or any pyserial URL, as sim:// and socket://host:4000.
 
     Use as a context manager. Raises PortError, with the likely cause, from every operation.
+
+    had_waited: what read() gave last was there already, so that it may have come long before.
     """
 
     def __init__(self, url: str, baud: int) -> None:
@@ -92,6 +94,7 @@ class Port:
             _give_up_soon(self._serial, pyserial_url)
             self._serial.reset_input_buffer()  # of what came for whoever had it open before
             self._poll = _poll(self._serial, pyserial_url)
+            self.had_waited = False
         except (SpecError, CaptureError) as error:  # an option of a URL, the file of replay://
             raise PortError(f"{url}: {error}") from None
         except (OSError, ValueError, KeyError, TerminalError) as error:
@@ -136,8 +139,9 @@ class Port:
         return data + self._serial.read(self._serial.in_waiting) if data else data
 
     def _wait_in_kernel(self, poll: select.poll) -> bytes:
-        """The same from a file descriptor, with two system calls."""
-        if not poll.poll(READ_TIMEOUT_S * 1e3):
+        """The same from a file descriptor, with two or three system calls."""
+        self.had_waited = bool(poll.poll(0))
+        if not self.had_waited and not poll.poll(READ_TIMEOUT_S * 1e3):
             return b""
         data = os.read(self._serial.fileno(), READ_SIZE)
         if not data:

@@ -88,6 +88,18 @@ def test_a_reader_that_lags_is_no_slow_device() -> None:
     assert worst_s < 1e-3
 
 
+@pytest.mark.parametrize("backlog", [True, False])
+def test_a_reader_that_falls_behind_ever_more_is_told_by_what_waits(backlog: bool) -> None:
+    """At three quarters of the pace, for 12 s; else it is taken for a device of that pace."""
+    clock, worst_s = DeviceClock(), 0.0
+    for i in range(3200):
+        device = i * 0.01
+        late_s = max(0.0, (device - 20) / 3)
+        clock.observe(device, device + late_s, backlog and late_s > 0)
+        worst_s = max(worst_s, abs(clock.to_host(device) - device))
+    assert (worst_s < 1e-3) == backlog
+
+
 def test_a_device_that_stood_still_is_followed_again() -> None:
     """An emulator that was stopped for 2 s: it lags from then on, which takes 30 s to see."""
     clock = DeviceClock()

@@ -439,3 +439,17 @@ def test_a_digitizer_that_was_reset_soon_has_another_clock() -> None:
             frames += pipeline.feed(digitizer.take(1 << 16), now_s)
     true_s = [frame.t_middle + began_s for frame in frames if frame.t_middle > 0.8]
     assert [frame.t_host for frame in frames[-len(true_s) :]] == pytest.approx(true_s, abs=5e-3)
+
+
+def test_a_digitizer_that_was_reset_after_one_packet_is_not_the_one_before() -> None:
+    """Its second packet would go on from the first of the old one."""
+    config, pipeline = SkinConfig.of({}), Pipeline(SkinConfig.of({}))
+    frames, began_s = list[TactileFrame](), (10.0, 20.0)
+    for seed, host_s in enumerate(began_s):
+        digitizer = VirtualDigitizer(SimOptions(scene="all", seed=seed, speed=0))
+        digitizer.receive(Session(config).open())
+        digitizer.advance(9000 if seed else 2000)
+        frames += pipeline.feed(digitizer.take(9000 if seed else 2000), host_s)
+    assert pipeline.counters.restarts == 1
+    assert pipeline.counters.implausible_packets == 0
+    assert [round(frame.t_host, -1) for frame in frames] == [10.0] + (len(frames) - 1) * [20.0]

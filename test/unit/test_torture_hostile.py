@@ -161,7 +161,7 @@ def test_a_parser_that_depends_on_the_split_is_found(monkeypatch: pytest.MonkeyP
 
 def test_memory_that_grows_is_found() -> None:
     class Hoarder(Pipeline):
-        def feed(self, data: bytes, t_host: float) -> list[TactileFrame]:
+        def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
             self.hoard = [*getattr(self, "hoard", []), bytearray(data)]
             return []
 

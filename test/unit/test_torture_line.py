@@ -232,8 +232,8 @@ def test_a_packet_that_is_not_counted_is_found(monkeypatch: pytest.MonkeyPatch, 
 @pytest.mark.parametrize("count", ["lost_samples", "lost_frames", "implausible_packets"])
 def test_a_loss_that_is_not_counted_is_found(monkeypatch: pytest.MonkeyPatch, count: str) -> None:
     class Forgetting(Pipeline):
-        def feed(self, data: bytes, t_host: float) -> list[TactileFrame]:
-            frames = super().feed(data, t_host)
+        def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
+            frames = super().feed(data, t_host, backlog)
             setattr(self.counters, count, 0)
             return frames
 
@@ -246,8 +246,8 @@ def test_a_frame_that_is_kept_back_is_found(monkeypatch: pytest.MonkeyPatch) -> 
     """It arrived whole, long after a fault, and is told as lost: streaming resumes too late."""
 
     class Lazy(Pipeline):
-        def feed(self, data: bytes, t_host: float) -> list[TactileFrame]:
-            frames = super().feed(data, t_host)
+        def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
+            frames = super().feed(data, t_host, backlog)
             return [frame for frame in frames if frame.sequence not in (3, 8, 13)]
 
     monkeypatch.setattr(driver_module, "Pipeline", Lazy)
@@ -256,8 +256,8 @@ def test_a_frame_that_is_kept_back_is_found(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_a_driver_that_stops_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     class Deaf(Pipeline):
-        def feed(self, data: bytes, t_host: float) -> list[TactileFrame]:
-            frames = super().feed(data, t_host)
+        def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
+            frames = super().feed(data, t_host, backlog)
             return frames if self.counters.frames <= 5 else []
 
     monkeypatch.setattr(driver_module, "Pipeline", Deaf)
@@ -267,8 +267,8 @@ def test_a_driver_that_stops_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_driver_that_fails_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     class Failing(Pipeline):
-        def feed(self, data: bytes, t_host: float) -> list[TactileFrame]:
-            frames = super().feed(data, t_host)
+        def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
+            frames = super().feed(data, t_host, backlog)
             if self.counters.frames > 5:
                 raise ZeroDivisionError
             return frames

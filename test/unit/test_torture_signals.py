@@ -58,8 +58,8 @@ def planted(monkeypatch: pytest.MonkeyPatch, change: Callable[..., list[TactileF
     """What is found of a driver whose frames are changed like this; they come with its pipeline."""
 
     class Defective(Pipeline):
-        def feed(self, data: bytes, t_host: float) -> list[TactileFrame]:
-            return change(self, super().feed(data, t_host))
+        def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
+            return change(self, super().feed(data, t_host, backlog))
 
     monkeypatch.setattr(signal_trial, "Pipeline", Defective)
     return outcome(HUM)

@@ -49,6 +49,7 @@ class Judge:
         self._oracle = Oracle()
         self._held = Held(config)
         self._heard_s = np.full(config.spec.nodes, -np.inf)
+        self._may_be_forgotten = np.zeros(config.spec.nodes, bool)
         self._differences: Counter[str] = Counter()
         self._newest: TactileFrame | None = None
         self._newest_sequence = -1
@@ -99,7 +100,8 @@ class Judge:
         wrong = int(verdict.wrong.sum() + verdict.missed.sum())
         if verdict.stream != self._stream:
             self._stream = verdict.stream
-            self._held.miss(np.ones_like(frame.words.active))
+            # What was heard before is held, or forgotten if the clock may be another.
+            self._may_be_forgotten[:] = True
         wrong += self._misread(frame)
         newest, self._newest = self._newest, frame
         if newest is not None:
@@ -111,15 +113,17 @@ class Judge:
         return wrong + (abs(frame.t_start - true_s) > NEAR_CHIPS * self._config.spec.chip_s)
 
     def _misread(self, frame: TactileFrame) -> int:
-        """How many taxels read something else than the words since START say."""
+        """How many taxels read something else than the words say."""
         words = frame.words
         self._held.hear(words.active, words.codes)
         self._heard_s[words.active] = frame.t_middle
+        self._may_be_forgotten &= ~words.active
         stale = frame.t_middle - self._heard_s > self._config.stale_after_s
         expected_pa = np.where(stale, np.nan, self._held.pressure_pa)
         pressure_pa = frame.readings.pressure_pa
         near = np.abs(pressure_pa - expected_pa) < NEAR_PA
-        return int(np.count_nonzero(~(near | (np.isnan(expected_pa) & np.isnan(pressure_pa)))))
+        unknown = (np.isnan(expected_pa) | self._may_be_forgotten) & np.isnan(pressure_pa)
+        return int(np.count_nonzero(~(near | unknown)))
 
     def _miscounted(self, pipeline: Pipeline) -> int:
         """By how much more than before the driver's counts differ from what arrived."""
