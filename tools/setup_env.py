@@ -173,9 +173,9 @@ def install_packages(venv: Path, distro: str) -> None:
 
 
 def pip_install(venv: Path) -> list[str]:
-    """Return the beginning of a pip command."""
+    """Return the beginning of a pip command. Python compiles what is used when it is used."""
     pip = [str(venv / "bin" / "python"), "-m", "pip", "install", "--no-input", "--retries", "2"]
-    return [*pip, "--disable-pip-version-check", "--progress-bar", "off"]
+    return [*pip, "--no-compile", "--disable-pip-version-check", "--progress-bar", "off"]
 
 
 def adapt_venv(venv: Path) -> None:
