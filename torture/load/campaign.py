@@ -233,7 +233,7 @@ def _full_recording(folder: Path, plan: Plan) -> Outcome:
 
 def _starved(skin: LoadedSkin, plan: Plan) -> Outcome:
     """Two hogs per core, and the driver is nicer than they are; then they end."""
-    seconds, skin.judge.starved = 1.5 if plan.quick else 20.0, True
+    seconds = 1.5 if plan.quick else 20.0
     for task in Path(f"/proc/{skin.process.pid}/task").iterdir():
         os.setpriority(os.PRIO_PROCESS, int(task.name), STARVED_NICE)
     command = [sys.executable, "-c", HOG.format(seconds)]

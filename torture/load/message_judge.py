@@ -58,8 +58,6 @@ class MessageJudge:
 
     ahead_s: ROS time minus the host's monotonic clock, s: one for each moment that may be in force.
     newest_ahead_s: what the newest stamp makes of it.
-    starved: whether the driver gets too little processor. It takes its digitizer for a slow one
-        then, and stamps are late by as much as frames are.
     digests: of the pressures of the messages so far, by sequence.
     """
 
@@ -67,7 +65,6 @@ class MessageJudge:
         self.tally = Tally()
         self.ahead_s = [time.time() - time.monotonic()]
         self.newest_ahead_s = 0.0
-        self.starved = False
         self.digests: dict[int, int] = {}
         self.last_middle_s = 0.0  # host's monotonic
         self._digitizer, self._scale = digitizer, AdcScale()
@@ -86,7 +83,7 @@ class MessageJudge:
         off_s = min((self.newest_ahead_s - ahead_s for ahead_s in self.ahead_s), key=abs)
         tally.off_s = max(tally.off_s, off_s, key=abs)
         late_s = LATE_S + self._digitizer.lag_s
-        tally.wrong += not -LATE_S < off_s < max(late_s, age_s * self.starved)
+        tally.wrong += not -LATE_S < off_s < late_s
         status = np.array(message.status, np.uint8)
         tally.wrong += int(np.count_nonzero(status & ~np.uint8(Status.SATURATED)))
         pressure_pa = np.array(message.pressure, np.float32)
