@@ -21,10 +21,7 @@ import math
 LATE_S, LATE_PERIODS = 0.25, 2.0
 """A frame that is read later than their sum after its middle is late."""
 PATIENCE_S = 1.0
-"""A driver that was held up may try for so long to make up for it, and loses nothing if it can.
-
-With LATE_S this comes before a digitizer is taken for a slow one (clock.SLOW_S), which would stamp
-old frames as if they were new."""
+"""A driver that was held up may try for so long to make up for it, and loses nothing if it can."""
 
 
 class Backlog:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Which packets of samples go on from each other, and what was lost between them. No I/O."""
+"""Which packets of samples are believed: those that go on from others, and what is lost between."""
 
 from __future__ import annotations
 
@@ -26,6 +26,8 @@ AnySamples: TypeAlias = Samples | Quiet
 
 CLOCK_SLACK_S = 0.05
 """Difference of device time and sample count beyond which one of them was restarted."""
+MAX_DEVICE_TIME_US = 1 << 53
+"""285 years, and what a float holds without rounding."""
 MAX_LEAP_S = 10.0
 """A loss that lasts longer is believed when a second packet confirms it."""
 
@@ -90,6 +92,18 @@ class Continuity:
             return 0
         missing = packet.first_index - _end(last)
         return missing if missing >= 0 and pace.fits(last, packet) else None
+
+
+def is_plausible(packet: AnySamples, info: Info, period_s: float) -> bool:
+    """Whether a digitizer's clock may get so far, and silence have these sums and last so long."""
+    if packet.device_time_us > MAX_DEVICE_TIME_US:
+        return False
+    if isinstance(packet, Samples):
+        return True
+    range_v = (info.max_count - info.min_count) * info.volts_per_count
+    half_v = 0.5 * (info.quiet_uv * 1e-6 or range_v) + info.volts_per_count
+    variance_v2 = packet.variance * info.volts_per_count**2
+    return packet.count <= 2 * info.sample_rate_hz * period_s and variance_v2 <= half_v**2
 
 
 def count_of(packet: AnySamples) -> int:

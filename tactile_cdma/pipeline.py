@@ -18,35 +18,27 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from ._protocol import PacketType, Result, SyncMode
+from ._protocol import PacketType, Result
+from .agreement import contradiction
 from .baseline import Baseline
 from .clock import DeviceClock
 from .clock_keeper import ClockReport
-from .continuity import CLOCK_SLACK_S, AnySamples, Continuity, Pace, count_of
+from .continuity import CLOCK_SLACK_S, AnySamples, Continuity, Pace, count_of, is_plausible
 from .decode import Words, decode, silent
 from .drift import DriftTracker, nodes_beside
 from .errors import SpecError
 from .gap_timing import GapTiming
 from .health import NodeHealth
 from .line_timing import LineTiming
-from .messages import (
-    Ack,
-    FrameLayout,
-    Info,
-    OtherVersion,
-    Quiet,
-    Samples,
-    Status,
-)
+from .messages import Ack, Info, OtherVersion, Quiet, Samples, Status
 from .node_timing import NodeTiming
 from .parameters import GAP
 from .pressure import PressureChain
 from .protocol import MAX_REPEATED, PacketParser
-from .silence import quiet_uv
 from .skin_config import SkinConfig
 from .taxels import Readings, Taxels
 from .timing import FrameLevels, QuietBlock, SampleBlock
@@ -54,9 +46,6 @@ from .timing import FrameLevels, QuietBlock, SampleBlock
 _TICK_S = 1e-6
 _LATEST_S = 2.0
 """A host that is busy for longer reads what it can no longer tell from another clock's time."""
-_MAX_DEVICE_TIME_US = 1 << 53
-"""285 years, and what a float holds without rounding."""
-_MAX_SAMPLES_PER_CHIP = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,8 +181,8 @@ class Pipeline:
                 case Info():
                     self._describe(packet)
                 case OtherVersion():
-                    self.info = self._timing = None
-                    self.problem = str(packet)
+                    self._drop_timing()
+                    self.info, self.problem = None, str(packet)
                 case Status():
                     self.status, self.streaming = packet, packet.streaming
                     if self._anchors and packet.uptime_us * 1e-6 < self._anchors[-1][1]:
@@ -231,12 +220,14 @@ class Pipeline:
         # At once, for whoever reads the counts meanwhile.
         self._earlier_packets = self.packet_counts
         self.parser = PacketParser(self._most_repeated)
-        self.status = self.streaming = None
-        self.close()
-        self.info = self.refusal = self._timing = None
+        self._drop_timing()
+        self.info = self.status = self.streaming = self.refusal = self.problem = None
         self._continuity = Continuity()
-        self.problem = None
         self._forget()
+
+    def _drop_timing(self) -> None:
+        self.close()
+        self._timing = None
 
     def _acknowledged(self, ack: Ack) -> None:
         if ack.command == PacketType.START and ack.result == Result.OK:
@@ -254,9 +245,8 @@ class Pipeline:
         if info == self.info:
             return
         self.info = info
-        self.close()
-        self._timing = None
-        self.problem = _contradiction(info, self.config)
+        self._drop_timing()
+        self.problem = contradiction(info, self.config)
         if self.problem:
             return
         low_v, high_v = info.volts(np.array([info.min_count, info.max_count], dtype=np.int16))
@@ -277,7 +267,7 @@ class Pipeline:
             self.counters.unannounced_samples += count_of(packet)
             return []
         spec = self.config.spec
-        if not _is_plausible(packet, self.info, spec.frame_period_s):
+        if not is_plausible(packet, self.info, spec.frame_period_s):
             self.counters.implausible_packets += 1
             return []
         pace = Pace.of(self.info, spec)
@@ -400,60 +390,3 @@ class Pipeline:
         at_or_before = (anchor for anchor in reversed(self._anchors) if anchor[0] <= index)
         first_index, t_device = next(at_or_before, self._anchors[0])
         return t_device + (index - first_index) / self.info.sample_rate_hz
-
-
-def _is_plausible(packet: AnySamples, info: Info, period_s: float) -> bool:
-    """Whether a digitizer's clock may get so far, and silence have these sums and last so long."""
-    if packet.device_time_us > _MAX_DEVICE_TIME_US:
-        return False
-    if isinstance(packet, Samples):
-        return True
-    range_v = (info.max_count - info.min_count) * info.volts_per_count
-    half_v = 0.5 * (info.quiet_uv * 1e-6 or range_v) + info.volts_per_count
-    variance_v2 = packet.variance * info.volts_per_count**2
-    return packet.count <= 2 * info.sample_rate_hz * period_s and variance_v2 <= half_v**2
-
-
-def _contradiction(info: Info, config: SkinConfig) -> str | None:
-    """Why this digitizer's stream cannot be decoded with these parameters, or None."""
-    if wrong := config.refusal(info.digitizer_id):
-        return wrong
-    if not (info.volts_per_count > 0 and info.min_count < info.max_count):
-        return (
-            f"the digitizer describes no voltages: {info.volts_per_count:g} V per count, counts "
-            f"{info.min_count} to {info.max_count}"
-        )
-    samples_per_chip = info.sample_rate_hz * config.spec.chip_s
-    if samples_per_chip > _MAX_SAMPLES_PER_CHIP:
-        return (
-            f"the digitizer sends {samples_per_chip:.3g} samples per chip; "
-            f"{_MAX_SAMPLES_PER_CHIP} at most are taken"
-        )
-    if info.integrated != (abs(samples_per_chip - 1) < 0.01):
-        return (
-            f"the digitizer says it sends {'chip means' if info.integrated else 'raw samples'}, "
-            f"but {samples_per_chip:.3g} per chip"
-        )
-    if config.timing != GAP and info.sync_mode == SyncMode.NONE:
-        return (
-            "the digitizer marks no frame starts but timing is 'line': set timing to 'gap', "
-            "or connect the sync wire"
-        )
-    if config.timing == GAP and info.integrated:
-        return "the digitizer sends one mean per chip, timing 'gap' needs raw samples"
-    if config.spec.amplitude_v is not None and info.quiet_uv > (most_uv := quiet_uv(config.spec)):
-        return (
-            f"the digitizer leaves out frames whose samples differ by up to {info.quiet_uv} µV, in "
-            f"which nodes may have spoken: {most_uv} µV at most"
-        )
-    theirs, ours = info.frame, FrameLayout.of(config.spec, config.samples_per_chip)
-    # A digitizer may sample faster or slower than asked: its rate is in INFO and is what counts.
-    aside = {"samples_per_chip"} | ({"sign_seed"} if ours.natural_signs else set())
-    different = [
-        f"{field.name} {getattr(theirs, field.name)} (parameters: {getattr(ours, field.name)})"
-        for field in fields(FrameLayout)
-        if field.name not in aside and getattr(theirs, field.name) != getattr(ours, field.name)
-    ]
-    if different:
-        return f"the digitizer is set to {', '.join(different)}; make the two agree"
-    return None

@@ -98,10 +98,11 @@ def _in_process(name: str, plan: Plan, folder: Path) -> list[Outcome]:
         outcomes = [Outcome(f"{name}: not over after {limit_s} s", 0, hangs=1)]
     else:
         if process.returncode:
-            print(complaint, file=sys.stderr)
             outcomes = [Outcome(f"{name}: ended with {process.returncode}", 0, crashes=1)]
         else:
             outcomes = [from_json(row) for row in json.loads(file.read_text())]
+        if not all(outcome.good for outcome in outcomes):
+            print(complaint, file=sys.stderr)
     finally:
         with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)

@@ -101,32 +101,6 @@ class LapWriter:
         return data
 
 
-class Held:
-    """What a driver reads that has heard these words: the last one of every node, by the curves.
-
-    pressure_pa: (n,) float64, Pa; NaN where it is not known.
-    """
-
-    def __init__(self, config: SkinConfig) -> None:
-        full = (1 << config.adc.bits) - 1
-        volts = config.adc.voltage(np.arange(full + 1))
-        curves = [config.calibration.curves[node] for node in range(config.spec.nodes)]
-        # The highest code says "so much or more": no pressure, where the sensor rests above it.
-        volts[full] = max(volts[full], curves[0].voltage_v[0])
-        self._pressure_of = np.array([curve.pressure(volts) for curve in curves])
-        self._nodes = np.arange(len(curves))
-        self.pressure_pa = np.full(len(curves), np.nan)
-
-    def hear(self, active: NDArray[np.bool_], codes: NDArray[np.int64]) -> None:
-        """Words, (n,) each."""
-        said_pa = self._pressure_of[self._nodes, codes]
-        self.pressure_pa = np.where(active, said_pa, self.pressure_pa)
-
-    def miss(self, nodes: NDArray[np.bool_]) -> None:
-        """Words of these nodes, (n,) bool, may have been lost."""
-        self.pressure_pa[nodes] = np.nan
-
-
 def record(config: SkinConfig, options: SimOptions, count: int) -> Stretch:
     """The first frame periods of a simulated skin."""
     digitizer = VirtualDigitizer(replace(options, speed=0.0))

@@ -58,11 +58,11 @@ class Watch:
         """Note what it holds now; nothing if it has ended."""
         folder = Path("/proc") / str(self.pid)
         with suppress(OSError):
-            pages = int((folder / "statm").read_text().split()[1])
+            held_kb = memory_kb(self.pid)
             threads = len(list((folder / "task").iterdir()))
             descriptors = len(list((folder / "fd").iterdir()))
             self.t_s.append(time.monotonic())
-            self.rss_kb.append(pages * os.sysconf("SC_PAGE_SIZE") // 1024)
+            self.rss_kb.append(held_kb)
             if alone:
                 self.alone.append((threads, descriptors))
 
@@ -84,6 +84,12 @@ class Watch:
         """Of the memory, from this time on."""
         since = np.array(self.t_s) >= from_s
         return slope(np.array(self.t_s)[since], np.array(self.rss_kb, float)[since])
+
+
+def memory_kb(pid: int) -> int:
+    """Memory of a process. Raises OSError if it has ended."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") // 1024
 
 
 def slope(t_s: NDArray[np.float64], kb: NDArray[np.float64]) -> Slope:

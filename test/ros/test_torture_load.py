@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 import signal
+import time
 from collections.abc import Callable, Iterator
 from itertools import count
 from pathlib import Path
@@ -27,8 +28,10 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
 from tactile_cdma.msg import TactileArray
+from tactile_cdma.ros.convert import nanoseconds, stamp
 from torture.load import campaign as load
 from torture.load.loaded_skin import LoadedSkin
+from torture.load.message_judge import LATE_S
 from torture.outcome import Outcome, Plan
 
 pytestmark = [pytest.mark.ros, pytest.mark.xdist_group("torture load")]
@@ -119,6 +122,19 @@ def test_what_is_wrong_in_a_message_is_found(
     outcome = found(skin, monkeypatch, damage)
     assert (outcome.wrong_values, outcome.uncounted_losses) == (wrong, uncounted)
     assert (outcome.crashes, outcome.hangs) == (0, 0)
+
+
+def test_an_old_frame_that_is_stamped_as_a_new_one_is_found(
+    skin: LoadedSkin, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    take, kept = skin.judge.take, list[TactileArray]()
+    monkeypatch.setattr(skin.judge, "take", kept.append)
+    assert skin.waits_for(lambda: kept)
+    late_s, message = LATE_S + skin.digitizer.lag_s + 0.2, kept[0]
+    time.sleep(late_s)
+    message.header.stamp = stamp(nanoseconds(message.header.stamp) + round(late_s * 1e9))
+    take(message)
+    assert skin.outcome("stamped as if it were new", 1).wrong_values == 1
 
 
 def test_a_driver_that_hangs_does_not_count_or_ends_is_found(tmp_path: Path) -> None:

@@ -33,8 +33,9 @@ from tactile_cdma.msg import TactileArray
 from tactile_cdma.ros.convert import ros_array, stamp
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.skin_config import SkinConfig
-from torture.laps import Held, Stretch, record
+from torture.laps import Stretch, record
 from torture.process_watch import Watch
+from torture.readings import Held
 from torture.soak import campaign as soak
 from torture.soak.judge import Judge
 from torture.soak.listener import Listener

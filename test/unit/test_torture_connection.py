@@ -158,9 +158,9 @@ def test_over_a_reset_the_sequence_goes_by_the_time_that_passed(by: int, uncount
     assert judge.account(lost) == 0
 
 
-def test_a_driver_that_leaves_out_three_frames_after_a_start_is_found() -> None:
-    assert Line().publish(10, lambda frames: frames[2:]).late == 0
-    assert Line().publish(10, lambda frames: frames[3:]).late == 1
+def test_a_driver_that_leaves_out_two_frames_after_a_start_is_found() -> None:
+    assert Line().publish(10, lambda frames: frames[1:]).late == 0
+    assert Line().publish(10, lambda frames: frames[2:]).late == 1
 
 
 def one_trial(tmp_path: Path, faults: Callable[[Trial], Turns]) -> Trial:
@@ -196,6 +196,14 @@ def test_packets_lost_and_not_counted_are_found(tmp_path: Path) -> None:
         yield from trial.counted(lambda: 3, lambda: 5)
 
     assert one_trial(tmp_path, faults).outcome().uncounted_losses == 2
+
+
+def test_a_driver_that_mostly_resumes_late_is_found(tmp_path: Path) -> None:
+    trial = Trial("planted", PLAN, Tty(tmp_path / "port"))
+    trial.resumed_s = [0.1, 0.1, 5.0]
+    assert trial.outcome().good
+    trial.resumed_s = [0.1, 1.2, 1.3]
+    assert trial.outcome().hangs == 1
 
 
 @settings(deadline=None)

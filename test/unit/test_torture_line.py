@@ -32,6 +32,7 @@ from tactile_cdma.decode import Words
 from tactile_cdma.messages import Received
 from tactile_cdma.pipeline import Pipeline, TactileFrame
 from tactile_cdma.protocol import PacketParser
+from tactile_cdma.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.skin_config import SkinConfig
@@ -56,7 +57,7 @@ def carried(
     man = ManInTheMiddle(digitizer, begin)
     schedule = Schedule(kind, times, np.random.default_rng(seed))
     man.begin(schedule)
-    man.receive(driver_module.Session(SkinConfig.of(CHIPS.parameters)).open())
+    man.receive(Session(SkinConfig.of(CHIPS.parameters)).open())
     data = b""
     while not man.over():
         man.advance(4096)
@@ -82,7 +83,7 @@ def test_clumps_are_held_back() -> None:
     digitizer = VirtualDigitizer(SimOptions(speed=0), clock=lambda: 0.0)
     man = ManInTheMiddle(digitizer)
     man.begin(Schedule(replace(HELD, hold_s=3600.0), 1, np.random.default_rng(0)))
-    man.receive(driver_module.Session(SkinConfig.of({})).open())
+    man.receive(Session(SkinConfig.of({})).open())
     while 0.0 <= man.advance(1) < 1.0:
         man.take(1)
     assert man.advance(1) > 3000

@@ -26,37 +26,26 @@ import tty
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Protocol
+
+from tactile_cdma.sim.pty import Digitizer
 
 TICK_S = 10e-3
 """The time of digitizers goes on by so much with a step, at most."""
 MOST = 65_536
 
 
-class Device(Protocol):
-    """What can be plugged in: a digitizer, or something else that says and hears bytes."""
-
-    def receive(self, data: bytes) -> None:
-        """Take bytes of the host."""
-
-    def advance(self, wanted: int) -> float:
-        """Do what is due by now; return the seconds until something else is due."""
-
-    def take(self, size: int) -> bytes:
-        """Give away at most `size` bytes for the host."""
-
-
 class Plug:
     """The far end of a port.
 
-    device: what is there; None: nothing. stalled: the device goes on, but no byte gets through.
+    device: what is there, a digitizer or something else that says and hears bytes; None: nothing.
+    stalled: the device goes on, but no byte gets through.
     now_s: the time that digitizers keep, s. It stands while what they said is not read, so that a
         busy machine is no fault; but not where it is hasty, or in a stall.
     Nothing happens but in `step`, so that the caller chooses the moment of every fault.
     """
 
     def __init__(self) -> None:
-        self.device: Device | None = None
+        self.device: Digitizer | None = None
         self.stalled = self.hasty = False
         self.now_s = 0.0
         self._host_s = time.monotonic()
@@ -67,11 +56,11 @@ class Plug:
         """The port that the driver opens."""
         raise NotImplementedError
 
-    def plug(self, device: Device) -> None:
+    def plug(self, device: Digitizer) -> None:
         """Have the port there, and this device behind it."""
         self.swap(device)
 
-    def swap(self, device: Device) -> None:
+    def swap(self, device: Digitizer) -> None:
         """Put another device behind a port that stays: what the last one had to say is lost."""
         self.device, self._outgoing = device, b""
 
@@ -95,7 +84,7 @@ class Plug:
             self.now_s += min(host_s - self._host_s, TICK_S)
         self._host_s = host_s
 
-    def _carry(self, device: Device, outgoing: bytes) -> bytes:
+    def _carry(self, device: Digitizer, outgoing: bytes) -> bytes:
         """Exchange bytes with whoever has the port open; returns what was not taken."""
         raise NotImplementedError
 
@@ -118,7 +107,7 @@ class Tty(Plug):
         """Whether bytes of the host wait to be received."""
         return bool(select.select([self.host], [], [], 0)[0])
 
-    def plug(self, device: Device) -> None:
+    def plug(self, device: Digitizer) -> None:
         """Make the terminal and its link."""
         self.make()
         self.show(device)
@@ -129,7 +118,7 @@ class Tty(Plug):
         tty.setraw(self.side)
         os.set_blocking(self.host, False)
 
-    def show(self, device: Device) -> None:
+    def show(self, device: Digitizer) -> None:
         """Link the terminal."""
         self.swap(device)
         self._link.symlink_to(os.ttyname(self.side))
@@ -159,7 +148,7 @@ class Tty(Plug):
                     os.write(self.side, bytes(1024))
             time.sleep(0.01)
 
-    def _carry(self, device: Device, outgoing: bytes) -> bytes:
+    def _carry(self, device: Digitizer, outgoing: bytes) -> bytes:
         writing = [self.host] if outgoing else []
         readable, writable, _ = select.select([self.host], writing, [], 0)
         if readable:
@@ -184,7 +173,7 @@ class Host(Plug):
         """Its address, the same for ever."""
         return "socket://{}:{}".format(*self._address)
 
-    def plug(self, device: Device) -> None:
+    def plug(self, device: Digitizer) -> None:
         """Begin to listen, with the device switched on."""
         self._server = socket.create_server(self._address, reuse_port=False)
         super().plug(device)
@@ -214,7 +203,7 @@ class Host(Plug):
         if self._client is not None:
             self._client.shutdown(socket.SHUT_WR)
 
-    def _carry(self, device: Device, outgoing: bytes) -> bytes:
+    def _carry(self, device: Digitizer, outgoing: bytes) -> bytes:
         assert self._server is not None
         reading = [self._server, *([self._client] if self._client else [])]
         writing = [self._client] if self._client and outgoing else []
@@ -231,7 +220,7 @@ class Host(Plug):
         # As a tty's: what comes while nobody listens is lost.
         return outgoing if self._client is not None else b""
 
-    def _hear(self, device: Device) -> None:
+    def _hear(self, device: Digitizer) -> None:
         assert self._client is not None
         try:
             data = self._client.recv(MOST)

@@ -23,11 +23,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..outcome import Outcome, Plan
+from ..process_watch import memory_kb
 from .plug import Tty
 from .trial import Rng, Started, Trial, Turns, rng_of, side_by_side, some_skin
 
 WARM = 20
 """Replugs after which nothing may grow any more."""
+MOST_GROWTH_KB = 10_000
+"""By which 1000 replugs may add to the memory of this process: 10 kB each."""
 GONE = ("unplugged", "no such port")
 """What the driver says of a port that is gone: one of these."""
 
@@ -44,7 +47,7 @@ def unplugged(plan: Plan, folder: Path) -> Outcome:
 def replugs(trial: Trial, rng: Rng, times: int) -> Turns:
     """Unplug at any moment: before it is asked, as it is, within a packet, at rest."""
     assert isinstance(trial.plug, Tty)
-    before, memory_kb = _held(), _memory_kb()
+    before, before_kb = _held(), _settled_kb()
     for count in range(times):
         trial.plug.plug(trial.digitizer(some_skin(rng)))
         match rng.choice(("at once", "asked", "answering", "streaming")):
@@ -64,9 +67,11 @@ def replugs(trial: Trial, rng: Rng, times: int) -> Turns:
         yield from trial.after(rng.uniform(0, 0.03))
         if count == WARM:
             yield from trial.told(*GONE)
-            before, memory_kb = _held(), _memory_kb()
+            before, before_kb = _held(), _settled_kb()
     yield from trial.until(lambda: _held() <= before)
-    trial.said = f"{trial.took}; memory {_memory_kb() - memory_kb:+d} kB"
+    grown_kb = _settled_kb() - before_kb
+    trial.crashes += grown_kb > MOST_GROWTH_KB
+    trial.said = f"{trial.took}; memory {grown_kb:+d} kB"
 
 
 def _asked(plug: Tty) -> Callable[[], bool]:
@@ -85,10 +90,9 @@ def _held() -> int:
     return threading.active_count() + len(os.listdir("/proc/self/fd"))
 
 
-def _memory_kb() -> int:
+def _settled_kb() -> int:
     gc.collect()  # what waits for that is not growth
-    resident = Path("/proc/self/statm").read_text().split()[1]
-    return int(resident) * os.sysconf("SC_PAGE_SIZE") // 1024
+    return memory_kb(os.getpid())
 
 
 def reset(plan: Plan, folder: Path) -> list[Started]:

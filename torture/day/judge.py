@@ -26,7 +26,8 @@ from tactile_cdma.pipeline import TactileFrame
 from tactile_cdma.skin_config import SkinConfig
 from tactile_cdma.taxels import Status
 
-from ..laps import Held, Stretch
+from ..laps import Stretch
+from ..readings import Held
 
 NEAR_S = 2e-6
 NEAR_PA = 1.0

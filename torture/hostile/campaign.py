@@ -16,7 +16,9 @@
 
 from __future__ import annotations
 
+import sys
 import time
+import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence, Set
 from concurrent.futures import ThreadPoolExecutor
@@ -71,6 +73,7 @@ def tried(fault: str, targets: Sequence[Target], plan: Plan) -> Outcome:
             for data in inputs(target, plan.seed):
                 done += 1
                 if (find := attempt(data)) is not None:
+                    print(f"{target.name}, {data!r}: {find.text}", file=sys.stderr)
                     kinds[find.kind] += 1
                 if time.thread_time() > until_s:
                     break
@@ -85,6 +88,9 @@ def searched(fault: str, targets: Sequence[Target], plan: Plan) -> Outcome:
             for name in (target.name for target in targets)
         ]
         found = [job.result() for job in jobs]
+    for each in found:
+        if each.finds:
+            print(each, file=sys.stderr)
     kinds = Counter(kind for each in found for kind, _ in each.finds)
     branches = sum(each.coverage for each in found)
     peak_mb = max(each.peak_mb for each in found)
@@ -132,7 +138,8 @@ def _refused(fault: str, cases: Sequence[tuple[Callable[[Path], object], Path, b
             most = max(most, bombs.refuse(read, path, measured))
         except TimeoutError:
             kinds[SLOW] += 1
-        except (Exception, MemoryError):
+        except Exception:  # whatever it is: that there is one is what is looked for
+            traceback.print_exc()
             kinds[CRASH] += 1
     kinds[CRASH] += most > bombs.MOST_HELD
     return _outcome(fault, len(cases), kinds, f"at most {most / 1e6:.1f} MB held")

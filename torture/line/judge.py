@@ -21,7 +21,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_cdma.parameters import GAP
 from tactile_cdma.pipeline import Pipeline, TactileFrame
@@ -29,6 +28,7 @@ from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.skin_config import SkinConfig
 
 from ..oracle import Oracle, Verdict
+from ..readings import Held
 from .ledger import Counts, Ledger, Stretch
 
 MAY_MISS = 2
@@ -48,6 +48,8 @@ class Judge:
         self._config, self._ledger, self._frame_samples = config, ledger, frame_samples
         self._oracle = Oracle()
         self._held = Held(config)
+        self._heard_s = np.full(config.spec.nodes, -np.inf)
+        self._may_be_forgotten = np.zeros(config.spec.nodes, bool)
         self._differences: Counter[str] = Counter()
         self._newest: TactileFrame | None = None
         self._newest_sequence = -1
@@ -98,8 +100,9 @@ class Judge:
         wrong = int(verdict.wrong.sum() + verdict.missed.sum())
         if verdict.stream != self._stream:
             self._stream = verdict.stream
-            self._held.begin_anew()
-        wrong += self._held.wrong(frame)
+            # What was heard before is held, or forgotten if the clock may be another.
+            self._may_be_forgotten[:] = True
+        wrong += self._misread(frame)
         newest, self._newest = self._newest, frame
         if newest is not None:
             wrong += frame.t_host <= newest.t_host or frame.sequence <= newest.sequence
@@ -108,6 +111,19 @@ class Judge:
             return wrong
         true_s = stream.started_s + verdict.number * self._config.spec.frame_period_s
         return wrong + (abs(frame.t_start - true_s) > NEAR_CHIPS * self._config.spec.chip_s)
+
+    def _misread(self, frame: TactileFrame) -> int:
+        """How many taxels read something else than the words say."""
+        words = frame.words
+        self._held.hear(words.active, words.codes)
+        self._heard_s[words.active] = frame.t_middle
+        self._may_be_forgotten &= ~words.active
+        stale = frame.t_middle - self._heard_s > self._config.stale_after_s
+        expected_pa = np.where(stale, np.nan, self._held.pressure_pa)
+        pressure_pa = frame.readings.pressure_pa
+        near = np.abs(pressure_pa - expected_pa) < NEAR_PA
+        unknown = (np.isnan(expected_pa) | self._may_be_forgotten) & np.isnan(pressure_pa)
+        return int(np.count_nonzero(~(near | unknown)))
 
     def _miscounted(self, pipeline: Pipeline) -> int:
         """By how much more than before the driver's counts differ from what arrived."""
@@ -141,37 +157,6 @@ class Judge:
         # Without marks a frame is known when the next one would be over.
         last = int((stretch.end - origin) // size) - (2 if self._config.timing == GAP else 0)
         return ((number, number - first) for number in range(first, last))
-
-
-class Held:
-    """The pressures that a receiver of the words has to show."""
-
-    def __init__(self, config: SkinConfig) -> None:
-        self._config = config
-        nodes = config.spec.nodes
-        self._codes = np.zeros(nodes, np.int64)
-        self._heard_s = np.full(nodes, -np.inf)
-        self._may_be_forgotten = np.zeros(nodes, bool)
-
-    def begin_anew(self) -> None:
-        """After a START what was heard before is held, or forgotten if the clock may be another."""
-        self._may_be_forgotten[:] = True
-
-    def wrong(self, frame: TactileFrame) -> int:
-        """How many taxels read something else."""
-        words, config = frame.words, self._config
-        self._codes[words.active] = words.codes[words.active]
-        self._heard_s[words.active] = frame.t_middle
-        self._may_be_forgotten &= ~words.active
-        curves = config.calibration.curves
-        voltage_v = config.adc.voltage(self._codes).astype(np.float32)
-        expected_pa: NDArray[np.float32] = curves.pressure(voltage_v)
-        expected_pa[self._codes == (1 << config.adc.bits) - 1] = 0.0  # "so much or more" is rest
-        expected_pa[frame.t_middle - self._heard_s > config.stale_after_s] = np.nan
-        pressure_pa = frame.readings.pressure_pa
-        near = np.abs(pressure_pa - expected_pa) < NEAR_PA
-        unknown = (np.isnan(expected_pa) | self._may_be_forgotten) & np.isnan(pressure_pa)
-        return int(np.count_nonzero(~(near | unknown)))
 
 
 def counted(pipeline: Pipeline) -> dict[str, int]:

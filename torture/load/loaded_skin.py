@@ -37,6 +37,7 @@ from tactile_cdma.msg import TactileArray
 from tactile_cdma.sim.options import SimOptions
 
 from ..outcome import Outcome
+from ..process_watch import memory_kb
 from .known_digitizer import KnownDigitizer, on_a_socket, on_a_tty
 from .message_judge import MessageJudge, Tally
 
@@ -155,8 +156,7 @@ class LoadedSkin:
     @property
     def rss_kb(self) -> int:
         """Memory of the driver's process."""
-        pages = int(Path(f"/proc/{self.process.pid}/statm").read_text().split()[1])
-        return pages * os.sysconf("SC_PAGE_SIZE") // 1024
+        return memory_kb(self.process.pid)
 
     def outcome(
         self, fault: str, times: int, said: str = "", uncounted: int = 0, wrong: int = 0

@@ -36,6 +36,7 @@ from tactile_cdma.stuck import StuckNodes
 from tactile_cdma.taxels import Status
 
 from ..oracle import Oracle
+from ..readings import pressures
 from . import faulty_line, faulty_nodes
 from .faulty_line import Stretch
 from .faulty_nodes import Turn, spoken
@@ -184,7 +185,7 @@ class Tally:
     uncounted: frames lost that the sequence does not tell.
     late: episodes after which frames did not come again in time.
     unnoticed: broken nodes that were not found out. noticed: frames that it took, of the others.
-    cost: mean time of decoding a frame with the fault, over that of a sound one. slowest_s: of all.
+    cost: mean time of decoding a frame with the fault, over that of a sound one.
     """
 
     episodes: int = 0
@@ -202,14 +203,12 @@ class Tally:
     unnoticed: int = 0
     noticed: list[int] = field(default_factory=list)
     cost: float = 0.0
-    slowest_s: float = 0.0
 
     def __add__(self, other: Tally) -> Tally:
         """Both together."""
         names = [item.name for item in fields(self) if item.type != "float"]
         sums = {name: getattr(self, name) + getattr(other, name) for name in names}
-        cost, slowest_s = max(self.cost, other.cost), max(self.slowest_s, other.slowest_s)
-        return replace(self, **sums, cost=cost, slowest_s=slowest_s)
+        return replace(self, **sums, cost=max(self.cost, other.cost))
 
 
 class Trial:
@@ -223,6 +222,7 @@ class Trial:
         self._oracle = Oracle()
         options = skin.simulator(seed, kind.range_v)
         self._digitizer = VirtualDigitizer(options, disturbance=self.faults)
+        self._pressure_of = pressures(skin.config)
         self._stuck = StuckNodes(skin.config.layout)
         self._complete: dict[int, bool] = {}  # number: whether it has all words of sound nodes
         self._last: dict[int, int] = {}  # episode: its frame that was published last, from 0 on
@@ -290,9 +290,7 @@ class Trial:
         config, words, readings = self.skin.config, frame.words, frame.readings
         codes = np.where(words.active, words.codes, self._codes)
         voltage_v = config.adc.voltage(np.maximum(codes, 0)).astype(np.float32)
-        full, curves = codes == (1 << config.spec.bits) - 1, config.calibration.curves
-        rest_v = np.maximum(voltage_v, curves.voltage_v[0])  # the highest code: so much or more
-        pressure_pa = curves.pressure(np.where(full, rest_v, voltage_v))
+        pressure_pa = self._pressure_of[np.arange(len(codes)), codes]
         near = np.isclose(readings.pressure_pa, pressure_pa, rtol=1e-4, atol=1.0)
         right = (readings.voltage_v == voltage_v) & near
         wrong: NDArray[np.bool_] = ~right & (codes != UNKNOWN)
@@ -319,4 +317,3 @@ class Trial:
         sound_s, faulty_s = self._spent
         if faulty_s:
             tally.cost = float(np.mean(faulty_s) / np.mean(sound_s))
-        tally.slowest_s = max(sound_s + faulty_s)

@@ -24,7 +24,8 @@ from tactile_cdma.ros.convert import nanoseconds
 from tactile_cdma.skin_config import SkinConfig
 from tactile_cdma.taxels import Status
 
-from ..laps import Held, Stretch
+from ..laps import Stretch
+from ..readings import Held
 
 NEAR_S = 50e-6
 """A chip: so much may a frame's device time be off its true one, and is 50 times nearer."""
