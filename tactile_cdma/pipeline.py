@@ -22,7 +22,7 @@ from dataclasses import asdict, dataclass, fields
 
 import numpy as np
 
-from ._protocol import PacketType, Result, SyncMode
+from ._protocol import MAX_GAP, PacketType, Result, SyncMode
 from .baseline import Baseline
 from .clock import DeviceClock
 from .clock_keeper import ClockReport
@@ -45,7 +45,7 @@ from .messages import (
 from .node_timing import NodeTiming
 from .parameters import GAP
 from .pressure import PressureChain
-from .protocol import MAX_REPEATED, PacketParser
+from .protocol import MAX_REPEATED, SEQUENCES, PacketParser
 from .silence import quiet_uv
 from .skin_config import SkinConfig
 from .taxels import Readings, Taxels
@@ -137,6 +137,7 @@ class Pipeline:
         self._base = 0
         self._continuity = Continuity()
         self._was_reset = False  # by its last STATUS: its clock is younger than its samples
+        self._packet_sequence = 0  # of the last packet of samples
         self._sequence = -1
         self._last_start_s: float | None = None
         self._last_t_host = -math.inf
@@ -291,13 +292,14 @@ class Pipeline:
         self.counters.samples += count
         lost = self._continuity.lost_before(packet, pace)
         if lost is None:
-            self._restart(self._goes_on(t_device, t_host))
+            self._restart(self._goes_on(packet, t_host))
         elif lost:
             self.counters.lost_samples += lost
             self._timing.reset()
         if not self._anchors:
             self._base = packet.first_index
         self._was_reset = False
+        self._packet_sequence = packet.sequence
         self._anchors.append((packet.first_index - self._base, t_device))
         self._clock.observe(t_device + count / pace.rate_hz, t_host)
 
@@ -321,10 +323,15 @@ class Pipeline:
             timing.quiet(block) if isinstance(timing, LineTiming) else timing.feed(block.samples())
         )
 
-    def _goes_on(self, t_device: float, t_host: float) -> bool:
-        """Whether this is the device time that was known so far, as it is after another START."""
-        if self._was_reset:
+    def _goes_on(self, packet: AnySamples, t_host: float) -> bool:
+        """Whether this is the device time that was known so far, as it is after another START.
+
+        A digitizer that was reset numbers its packets anew, though all that told so may be lost.
+        """
+        ahead = (packet.sequence - self._packet_sequence) % SEQUENCES
+        if self._was_reset or ahead > MAX_GAP:
             return False
+        t_device = packet.device_time_us * 1e-6
         late_s = t_host - self._clock.to_host(t_device)
         return t_device > self._anchors[-1][1] and -CLOCK_SLACK_S < late_s < _LATEST_S
 
