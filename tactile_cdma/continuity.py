@@ -31,6 +31,14 @@ MAX_LEAP_S = 10.0
 
 
 @dataclass(frozen=True, slots=True)
+class Arrival:
+    """A packet, and when it was read, by the host's monotonic clock, s."""
+
+    packet: AnySamples
+    t_host: float
+
+
+@dataclass(frozen=True, slots=True)
 class Pace:
     """How the digitizer's time advances with its count of samples.
 
@@ -66,16 +74,17 @@ class Continuity:
 
     def __init__(self) -> None:
         self._last: AnySamples | None = None
-        self._waiting: AnySamples | None = None
+        self._waiting: Arrival | None = None
 
-    def believed(self, packet: AnySamples, pace: Pace) -> tuple[list[AnySamples], int]:
-        """What is to be taken now that this packet came, and how many were impossible."""
+    def believed(self, arrival: Arrival, pace: Pace) -> tuple[list[Arrival], int]:
+        """What is to be taken now that a packet came, and how many were impossible."""
         waiting, self._waiting = self._waiting, None
+        packet = arrival.packet
         if self._last is None or _follows(self._last, packet, pace):
-            return [packet], int(waiting is not None)
-        if waiting is not None and _follows(waiting, packet, pace):
-            return [waiting, packet], 0
-        self._waiting = packet
+            return [arrival], int(waiting is not None)
+        if waiting is not None and _follows(waiting.packet, packet, pace):
+            return [waiting, arrival], 0
+        self._waiting = arrival
         return [], int(waiting is not None)
 
     def lost_before(self, packet: AnySamples, pace: Pace) -> int | None:

@@ -26,7 +26,7 @@ from ._protocol import MAX_GAP, PacketType, Result, SyncMode
 from .baseline import Baseline
 from .clock import DeviceClock
 from .clock_keeper import ClockReport
-from .continuity import CLOCK_SLACK_S, AnySamples, Continuity, Pace, count_of
+from .continuity import CLOCK_SLACK_S, AnySamples, Arrival, Continuity, Pace, count_of
 from .decode import Words, decode, silent
 from .drift import DriftTracker, nodes_beside
 from .errors import SpecError
@@ -277,12 +277,12 @@ class Pipeline:
             self.counters.implausible_packets += 1
             return []
         pace = Pace.of(self.info, spec)
-        believed, impossible = self._continuity.believed(packet, pace)
+        believed, impossible = self._continuity.believed(Arrival(packet, t_host), pace)
         self.counters.implausible_packets += impossible
         frames: list[TactileFrame] = []
         for taken in believed:
-            self._account(taken, pace, t_host)
-            frames += [self._frame(heard) for heard in self._heard(taken)]
+            self._account(taken.packet, pace, taken.t_host)
+            frames += [self._frame(heard) for heard in self._heard(taken.packet)]
         return frames
 
     def _account(self, packet: AnySamples, pace: Pace, t_host: float) -> None:
