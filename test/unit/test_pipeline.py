@@ -424,10 +424,14 @@ def test_the_first_frame_after_a_reset_has_its_time_though_it_waits_for_the_next
     """One mean per chip, so one packet per frame: the first is believed when the second comes."""
     config, now_s = SkinConfig.of({"samples_per_chip": 1}), 0.0
     pipeline, frames = Pipeline(config), list[TactileFrame]()
+
+    def clock() -> float:
+        return now_s
+
     for seed, began_s in enumerate((0.0, 1.0)):
         now_s = began_s
         options = SimOptions(scene="all", threshold=0, seed=seed)
-        digitizer = VirtualDigitizer(options, lambda: now_s)
+        digitizer = VirtualDigitizer(options, clock)
         digitizer.receive(Session(config).open())
         before = len(frames)
         while now_s < began_s + 0.2:

@@ -179,7 +179,7 @@ def events(config: SkinConfig) -> st.SearchStrategy[Event]:
 
 
 @pytest.mark.parametrize("name", SKINS)
-@settings(max_examples=6)
+@settings(max_examples=4)
 @given(data=st.data())
 def test_frames_come_again_by_themselves(name: str, data: st.DataObject) -> None:
     config = SkinConfig.of(SMALL | SKINS[name])
