@@ -33,6 +33,18 @@ MAX_LEAP_S = 10.0
 
 
 @dataclass(frozen=True, slots=True)
+class Arrival:
+    """A packet, and when it was read, by the host's monotonic clock, s.
+
+    backlog: it had been waiting to be read.
+    """
+
+    packet: AnySamples
+    t_host: float
+    backlog: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class Pace:
     """How the digitizer's time advances with its count of samples.
 
@@ -68,21 +80,22 @@ class Continuity:
 
     def __init__(self) -> None:
         self._last: AnySamples | None = None
-        self._waiting: AnySamples | None = None
+        self._waiting: Arrival | None = None
 
     def believed(
-        self, packet: AnySamples, pace: Pace, was_reset: bool = False
-    ) -> tuple[list[AnySamples], int]:
-        """What is to be taken now that this packet came, and how many were impossible.
+        self, arrival: Arrival, pace: Pace, was_reset: bool = False
+    ) -> tuple[list[Arrival], int]:
+        """What is to be taken now that a packet came, and how many were impossible.
 
         was_reset: the digitizer said so; then a packet that does not go on needs no other.
         """
         waiting, self._waiting = self._waiting, None
+        packet = arrival.packet
         if self._last is None or was_reset or _follows(self._last, packet, pace):
-            return [packet], int(waiting is not None)
-        if waiting is not None and _follows(waiting, packet, pace):
-            return [waiting, packet], 0
-        self._waiting = packet
+            return [arrival], int(waiting is not None)
+        if waiting is not None and _follows(waiting.packet, packet, pace):
+            return [waiting, arrival], 0
+        self._waiting = arrival
         return [], int(waiting is not None)
 
     def lost_before(self, packet: AnySamples, pace: Pace) -> int | None:

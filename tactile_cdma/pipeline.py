@@ -22,12 +22,20 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from ._protocol import PacketType, Result
+from ._protocol import MAX_GAP, PacketType, Result
 from .agreement import contradiction
 from .baseline import Baseline
 from .clock import DeviceClock
 from .clock_keeper import ClockReport
-from .continuity import CLOCK_SLACK_S, AnySamples, Continuity, Pace, count_of, is_plausible
+from .continuity import (
+    CLOCK_SLACK_S,
+    AnySamples,
+    Arrival,
+    Continuity,
+    Pace,
+    count_of,
+    is_plausible,
+)
 from .decode import Words, decode, silent
 from .drift import DriftTracker, nodes_beside
 from .errors import SpecError
@@ -38,7 +46,7 @@ from .messages import Ack, Info, OtherVersion, Quiet, Samples, Status
 from .node_timing import NodeTiming
 from .parameters import GAP
 from .pressure import PressureChain
-from .protocol import MAX_REPEATED, PacketParser
+from .protocol import MAX_REPEATED, SEQUENCES, PacketParser
 from .skin_config import SkinConfig
 from .taxels import Readings, Taxels
 from .timing import FrameLevels, QuietBlock, SampleBlock
@@ -126,7 +134,7 @@ class Pipeline:
         self._base = 0
         self._continuity = Continuity()
         self._was_reset = False  # by its last STATUS: its clock is younger than its samples
-        self._is_backlog = False
+        self._packet_sequence = 0  # of the last packet of samples
         self._sequence = -1
         self._last_start_s: float | None = None
         self._last_t_host = -math.inf
@@ -172,12 +180,11 @@ class Pipeline:
 
         backlog: it had been waiting to be read.
         """
-        self._is_backlog = backlog
         frames: list[TactileFrame] = []
         for packet in self.parser.feed(data):
             match packet:
                 case Samples() | Quiet():
-                    frames += self._samples(packet, t_host)
+                    frames += self._samples(Arrival(packet, t_host, backlog))
                 case Info():
                     self._describe(packet)
                 case OtherVersion():
@@ -261,8 +268,9 @@ class Pipeline:
         except SpecError as error:
             self.problem = f"the digitizer's sampling does not fit: {error}"
 
-    def _samples(self, packet: AnySamples, t_host: float) -> list[TactileFrame]:
+    def _samples(self, arrival: Arrival) -> list[TactileFrame]:
         """The frames that samples complete, or what stands for silent ones."""
+        packet = arrival.packet
         if self.info is None or self._timing is None:
             self.counters.unannounced_samples += count_of(packet)
             return []
@@ -271,30 +279,32 @@ class Pipeline:
             self.counters.implausible_packets += 1
             return []
         pace = Pace.of(self.info, spec)
-        believed, impossible = self._continuity.believed(packet, pace, self._was_reset)
+        believed, impossible = self._continuity.believed(arrival, pace, self._was_reset)
         self.counters.implausible_packets += impossible
         frames: list[TactileFrame] = []
         for taken in believed:
-            self._account(taken, pace, t_host)
-            frames += [self._frame(heard) for heard in self._heard(taken)]
+            self._account(taken, pace)
+            frames += [self._frame(heard) for heard in self._heard(taken.packet)]
         return frames
 
-    def _account(self, packet: AnySamples, pace: Pace, t_host: float) -> None:
+    def _account(self, arrival: Arrival, pace: Pace) -> None:
         """Keep account of samples in index and time."""
         assert self._timing is not None
+        packet, t_host = arrival.packet, arrival.t_host
         count, t_device = count_of(packet), packet.device_time_us * 1e-6
         self.counters.samples += count
         lost = self._continuity.lost_before(packet, pace)
         if lost is None:
-            self._restart(self._goes_on(t_device, t_host))
+            self._restart(self._goes_on(packet, t_host))
         elif lost:
             self.counters.lost_samples += lost
             self._timing.reset()
         if not self._anchors:
             self._base = packet.first_index
         self._was_reset = False
+        self._packet_sequence = packet.sequence
         self._anchors.append((packet.first_index - self._base, t_device))
-        self._clock.observe(t_device + count / pace.rate_hz, t_host, self._is_backlog)
+        self._clock.observe(t_device + count / pace.rate_hz, t_host, arrival.backlog)
 
     def _heard(self, packet: AnySamples) -> list[FrameLevels]:
         """What the timing makes of samples."""
@@ -316,10 +326,15 @@ class Pipeline:
             timing.quiet(block) if isinstance(timing, LineTiming) else timing.feed(block.samples())
         )
 
-    def _goes_on(self, t_device: float, t_host: float) -> bool:
-        """Whether this is the device time that was known so far, as it is after another START."""
-        if self._was_reset:
+    def _goes_on(self, packet: AnySamples, t_host: float) -> bool:
+        """Whether this is the device time that was known so far, as it is after another START.
+
+        A digitizer that was reset numbers its packets anew, though all that told so may be lost.
+        """
+        ahead = (packet.sequence - self._packet_sequence) % SEQUENCES
+        if self._was_reset or ahead > MAX_GAP:
             return False
+        t_device = packet.device_time_us * 1e-6
         late_s = t_host - self._clock.to_host(t_device)
         return t_device > self._anchors[-1][1] and -CLOCK_SLACK_S < late_s < _LATEST_S
 

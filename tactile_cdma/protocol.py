@@ -56,6 +56,8 @@ from .messages import (
     build,
 )
 
+SEQUENCES = 2**16
+"""Packets are counted modulo this."""
 MAX_REPEATED = 64
 """Packets in a row that are taken for repeated ones; with another one the sender has restarted."""
 
@@ -113,7 +115,7 @@ class PacketParser:
         self._skipping = False  # within a run that is no packet: too long for one, or cut
         self._expected: int | None = None
         # CRC of the last packet of each sequence, or what is known of it else.
-        self._past = array("q", [_NEVER]) * _SEQUENCES
+        self._past = array("q", [_NEVER]) * SEQUENCES
         self._repeated = 0  # in a row, up to now
         self._seen = Counters()
 
@@ -179,7 +181,7 @@ class PacketParser:
         (crc,) = _CRC.unpack_from(raw, len(raw) - _CRC.size)
         if sequence == self._expected or self._follows(type_byte, sequence, crc):
             self._past[sequence], self._repeated = crc, 0
-            self._expected = (sequence + 1) % _SEQUENCES
+            self._expected = (sequence + 1) % SEQUENCES
         elif type_byte in (PacketType.SAMPLES, PacketType.QUIET):
             return None
         if type_byte == PacketType.SAMPLES:
@@ -194,11 +196,11 @@ class PacketParser:
         """Whether a packet out of sequence is news; keeps account by the rules of the class."""
         if self._expected is None:
             return True
-        gap = (sequence - self._expected) % _SEQUENCES
+        gap = (sequence - self._expected) % SEQUENCES
         if gap <= MAX_GAP:
             self._seen.lost_packets += gap
             for ahead in range(gap):
-                self._past[(self._expected + ahead) % _SEQUENCES] = _MISSING
+                self._past[(self._expected + ahead) % SEQUENCES] = _MISSING
             return True
         known = self._past[sequence] in (crc, _MISSING) and not type_byte & _COMMAND_BIT
         if known and self._repeated < self._most_repeated:
@@ -260,8 +262,8 @@ class PacketWriter:
 
     def encode(self, packet: Packet) -> bytes:
         """The bytes of the next packet, delimiter included."""
-        header = _HEADER.pack(packet.TYPE, self.sequence % _SEQUENCES)
-        self.sequence = (self.sequence + 1) % _SEQUENCES
+        header = _HEADER.pack(packet.TYPE, self.sequence % SEQUENCES)
+        self.sequence = (self.sequence + 1) % SEQUENCES
         return wrap(header + packet.payload())
 
 
@@ -308,7 +310,6 @@ _RESIDUE = 0x2144DF1C
 _SAMPLES_END = _HEADER.size + WIRE["Samples"].size + _CRC.size
 """Bytes in a packet of samples beside these."""
 _COMMAND_BIT = 0x80
-_SEQUENCES = 2**16
 _NEVER, _MISSING = -1, -2
 """In place of a CRC: no such packet came up to now; it was counted as lost."""
 _MAX_RAW = (

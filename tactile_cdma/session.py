@@ -73,6 +73,7 @@ class Session:
         self._impossible = self._bytes = self._packets = 0
         self._deadline = self._asked_s = -math.inf
         self._obeyed = False
+        self._was_idle = False  # no frame came since it was asked again for that
         self._status: Status | None = None  # the last one when it was asked again
 
     def open(self) -> bytes:
@@ -101,11 +102,13 @@ class Session:
         if self._calls_roll and (request := self._roll_call(pipeline, now_s)):
             return request
         if pipeline.counters.frames != self._frames:
+            self._was_idle = False
             self._note(pipeline, now_s)
         if now_s >= self._deadline:
             self.problem = self._why(pipeline)
         elif self._is_idle(pipeline, now_s):
-            self.problem = None
+            self.problem = self._why(pipeline) if self._was_idle else None
+            self._was_idle = True
         else:
             return b""
         self._asked(pipeline, now_s)

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import select
 import socket
 import time
@@ -97,7 +98,8 @@ class Port:
             self.had_waited = False
         except (SpecError, CaptureError) as error:  # an option of a URL, the file of replay://
             raise PortError(f"{url}: {error}") from None
-        except (OSError, ValueError, KeyError, TerminalError) as error:
+        except (OSError, ValueError, KeyError, TypeError, re.error, TerminalError) as error:
+            # TypeError and re.error: the options of alt:// and hwgrep://
             raise PortError(f"{url}: {_open_failure(error, pyserial_url)}") from None
 
     def read(self) -> tuple[bytes, float]:

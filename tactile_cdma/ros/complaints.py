@@ -18,6 +18,8 @@ from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
+from ..plain_text import plain
+
 LEVELS = {
     DiagnosticStatus.OK: "OK",
     DiagnosticStatus.STALE: "STALE",
@@ -26,6 +28,8 @@ LEVELS = {
 }
 """From good to bad."""
 _BADNESS = list(LEVELS)
+MOST_ENTRIES = 32
+"""Of one node, which has a handful: anybody may publish under its name."""
 
 
 class Complaints:
@@ -36,12 +40,18 @@ class Complaints:
         self._entries: dict[str, DiagnosticStatus] = {}
 
     def take(self, message: DiagnosticArray) -> list[DiagnosticStatus]:
-        """Take the node's entries out of a message; returns those whose level or text changed."""
+        """Take the node's entries out of a message; returns those whose level or text changed.
+
+        Such as no driver of ours makes, of other levels or too many, are left out.
+        """
         changed = []
         for status in message.status:
-            if not status.name.startswith(self._prefix):
+            if not status.name.startswith(self._prefix) or status.level not in LEVELS:
                 continue
+            status.name, status.message = plain(status.name), plain(status.message)
             before = self._entries.get(status.name)
+            if before is None and len(self._entries) == MOST_ENTRIES:
+                continue
             if before is None or (before.level, before.message) != (status.level, status.message):
                 changed.append(status)
             self._entries[status.name] = status

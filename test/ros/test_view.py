@@ -37,7 +37,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from skin_client import running, wait_for
 from tactile_cdma.msg import TactileArray
-from tactile_cdma.ros.complaints import Complaints
+from tactile_cdma.ros.complaints import MOST_ENTRIES, Complaints
 from tactile_cdma.ros.patches import full_name
 from tactile_cdma.ros.view import QUEUE, Viewer, look_for
 
@@ -100,6 +100,17 @@ def test_complaints_are_the_newest_of_one_node_the_worst_first() -> None:
     again = [first[0], status("skin: nodes", DiagnosticStatus.OK, "fine")]
     assert complaints.take(DiagnosticArray(status=again)) == again[1:], "what has changed"
     assert [entry.message for entry in complaints.worst_first()] == ["CRC errors"]
+
+
+def test_a_strangers_complaints_neither_break_nor_fill_the_viewer() -> None:
+    complaints = Complaints("skin")
+    strange = [status("skin: link", b"\x07", "of no level"), status("skin: a", b"\2", "\033[2J\n")]
+    many = [status(f"skin: {number}", DiagnosticStatus.ERROR, "") for number in range(1000)]
+    complaints.take(DiagnosticArray(status=strange + many))
+    shown = complaints.worst_first()
+    assert len(shown) == MOST_ENTRIES
+    assert shown[0].message.isprintable()
+    assert "skin: link" not in [entry.name for entry in shown]
 
 
 def test_the_terminal_says_what_can_be_shown(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,6 +15,7 @@
 """The driver thread on real pyserial ports: sim://, a pty, and what can go wrong there."""
 
 import os
+import re
 import select
 import socket
 import threading
@@ -247,6 +248,9 @@ def test_missing_ports_and_bad_options_are_clear(tmp_path: Path) -> None:
         Port("com://1", 115_200)
     with pytest.raises(PortError, match="scene"):
         Port("sim://?scene=nonsense", 115_200)
+    for url in ("hwgrep://(", "alt:///dev/null?class=os"):  # options of pyserial's own handlers
+        with pytest.raises(PortError, match=re.escape(url)):
+            Port(url, 115_200)
     file = tmp_path / "file"
     file.touch()
     with pytest.raises(PortError, match="not a serial port"):

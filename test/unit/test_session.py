@@ -16,10 +16,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from test_identity import Talk
 
-from tactile_cdma.messages import Ack, Configure, GetInfo, Start, Status
+from tactile_cdma._protocol import Result
+from tactile_cdma.messages import Ack, Configure, GetInfo, Packet, Start, Status
 from tactile_cdma.pipeline import Pipeline
 from tactile_cdma.protocol import PacketWriter
 from tactile_cdma.session import PATIENCE_S, SOON_S, Session
@@ -59,7 +62,7 @@ class Line:
         self._writer = PacketWriter()
         self.session.open()
 
-    def hears(self, now_s: float, *packets: Ack | Status) -> bool:
+    def hears(self, now_s: float, *packets: Packet) -> bool:
         """Whether it is asked to stream on hearing this."""
         self.pipeline.feed(b"".join(map(self._writer.encode, packets)), now_s)
         return bool(self.session.watch(self.pipeline, now_s))
@@ -88,6 +91,25 @@ def test_one_that_never_streams_is_not_asked_without_end(answer: tuple[Ack, ...]
     for second in range(30):  # and as the protocol has it
         asked += line.hears(second, *answer, Status(uptime_us=second))
     assert asked <= 30
+
+
+@pytest.mark.parametrize(
+    ("answer", "problem"),
+    [
+        (STARTED, "answers but sends no frames"),
+        (replace(STARTED, result=Result.BUSY), "refused command 0x82: busy"),
+    ],
+)
+def test_one_that_never_streams_is_named_though_it_is_asked_again(
+    answer: Ack, problem: str
+) -> None:
+    line = Line()
+    line.hears(0.0, VirtualDigitizer().info())
+    for tenth in range(1, 50):
+        said = [Status(uptime_us=tenth)] if tenth % 9 == 0 else []
+        if line.hears(0.1 * tenth, *said):
+            line.hears(0.1 * tenth, answer)
+    assert problem in (line.session.problem or "")
 
 
 def test_other_bytes_after_packets_are_said() -> None:
