@@ -218,13 +218,32 @@ static void prescaled_write(avr_t *avr, avr_io_addr_t address, uint8_t value, vo
     avr->cycle = now;
 }
 
+/* simavr leaves a cleared interrupt in its queue, and queues it again when it is raised again: a
+ * queue that is full loses others for ever. */
+static void clear_interrupt(avr_t *avr, avr_int_vector_t *vector)
+{
+    avr_int_pending_t *queue = &avr->interrupts.pending;
+    uint16_t kept = queue->read;
+
+    avr_clear_interrupt(avr, vector);
+    for (uint16_t i = queue->read; i != queue->write; i = (i + 1u) % avr_int_pending_fifo_size) {
+        if (queue->buffer[i] == vector)
+            continue;
+        queue->buffer[kept] = queue->buffer[i];
+        kept = (kept + 1u) % avr_int_pending_fifo_size;
+    }
+    queue->write = kept;
+    if (avr->interrupt_state > 0 && !avr_has_pending_interrupts(avr))
+        avr->interrupt_state = 0;
+}
+
 static void write_flags(avr_t *avr, avr_io_addr_t address, uint8_t value, void *param)
 {
     (void)param;
     for (int i = 0; i < avr->interrupts.vector_count; i++) {
         avr_int_vector_t *vector = avr->interrupts.vector[i];
         if (vector->raised.reg == address && (value >> vector->raised.bit & 1))
-            avr_clear_interrupt(avr, vector);
+            clear_interrupt(avr, vector);
     }
 }
 

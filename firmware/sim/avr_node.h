@@ -24,7 +24,8 @@
  *     FOC1A change the latch (simavr also changes it on overflow, and PORT with it).
  *   - An interrupt takes 4 cycles before its vector, 4 more out of sleep (simavr: none).
  *   - Ones written to a timer's or INT0's flag register clear these flags (simavr: all flags of the
- *     timer, none of INT0); enabling an interrupt whose flag is set raises it (simavr: never).
+ *     timer, none of INT0), and these interrupts then wait no longer (simavr: their places in its
+ *     queue stay taken); enabling an interrupt whose flag is set raises it (simavr: never).
  *   - SLEEP does nothing without SE. The ATtiny85's Timer1 counts, to 255.
  *   - The converter's code is ⌊1024 · V / AVcc⌋; its only reference is AVcc.
  *

@@ -212,6 +212,16 @@ def test_flags_clear_one_by_one_and_interrupt_when_enabled(specimen: Specimen, m
         assert rises[1] - rises[0] < 100 * CYCLE_NS
 
 
+@pytest.mark.parametrize(("mcu", "cleared"), [("atmega328p", 100), ("attiny85", 200)])
+def test_interrupts_that_were_cleared_neither_come_nor_keep_others_back(
+    specimen: Specimen, mcu: str, cleared: int
+) -> None:
+    with EmulatedNodes([specimen("cleared", mcu, f"-DCLEARED={cleared}")]) as skin:
+        pulses(skin, [MS + 100_000 * i for i in range(100)])  # INT0 takes both edges
+        skin.run(30 * MS)
+        assert np.count_nonzero(skin.edges(0)["level"] == 1) == 1
+
+
 def test_cycles_awake_and_asleep_are_counted(specimen: Specimen) -> None:
     with EmulatedNodes([specimen("respond")]) as skin:
         skin.run(MS)
