@@ -39,8 +39,8 @@ NODE = 2
 PERIOD_NS = round(SPEC.frame_period_s * 1e9)
 CHIP_NS = round(SPEC.chip_s * 1e9)
 UNIT_NS, LEAD_NS = SYNC_UNIT_US * 1000, SYNC_LEAD * SYNC_UNIT_US * 1000
-RECOVERY = 32
-"""Frames after a storm: a node may have to start anew, which takes 70 ms, or to sit out a call."""
+RECOVERY = 12
+"""Frames after a storm: a node may have to sit out a roll call, and to learn the period again."""
 JUDGED = 2
 """The last of them must be right."""
 VREF_V = 3.3
@@ -62,7 +62,10 @@ def node_of(mcu: str, memory: bytes) -> Node:
 
 
 def storms_at(node: Node, plan: Plan) -> Outcome:
-    """Storms of up to 60 ms at one node, which must say its word NODE after each."""
+    """Storms of up to 60 ms at one node, which must say its word NODE after each.
+
+    None is long enough for the watchdog, 250 ms: where that has to help, the node hung.
+    """
     rng = np.random.default_rng(plan.seed)
     count, wrong, hangs, now_ns = (10 if plan.quick else 400), 0, 0, 100_000_000
     with EmulatedNodes([node]) as skin:
@@ -82,13 +85,13 @@ def storms_at(node: Node, plan: Plan) -> Outcome:
                     wrong += bool(said.any()) and not np.array_equal(said, expected(code))
                 skin.forget(start_ns)
             now_ns += (RECOVERY + 1) * PERIOD_NS
-        resets = skin.counters(0).watchdog_resets
+        hangs += skin.counters(0).watchdog_resets
     return Outcome(
         f"storms on the sync line of an emulated {node.mcu}",
         count,
         wrong_values=wrong,
         hangs=hangs,
-        said=f"{resets} resets by its watchdog; right again each time" if not wrong + hangs else "",
+        said="right again each time, without its watchdog" if not wrong + hangs else "",
     )
 
 
