@@ -94,8 +94,8 @@ fuzz: fuzz-setup
 	@"$(BIN)/python" -m torture.fuzz --count $(COUNT) --seed $(SEED)
 	@$(MAKE) --no-print-directory -s -C firmware fuzz COUNT=$(COUNT) SEED=$(SEED)
 
-# What coverage guides needs tools, and what is emulated must be built, before time is counted.
 fuzz-setup: fuzz-packages
+	@# What coverage guides needs tools, and what is emulated must be built, before time is counted.
 	@"$(BIN)/python" tools/firmware_tools.py --fuzz
 	@$(MAKE) --no-print-directory -s -k -C firmware fuzz-harnesses replay-native node sim || true
 
