@@ -102,7 +102,7 @@ def _in_process(name: str, plan: Plan, folder: Path) -> list[Outcome]:
         else:
             outcomes = [from_json(row) for row in json.loads(file.read_text())]
         if not all(outcome.good for outcome in outcomes):
-            print(complaint, file=sys.stderr)
+            sys.stderr.write(complaint)
     finally:
         with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)

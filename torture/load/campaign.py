@@ -173,7 +173,7 @@ def _stops(skin: LoadedSkin, plan: Plan, rng: Random) -> Outcome:
         missing = skin.judge.tally.missing
         begin_s = time.monotonic()
         skin.stopped_for(seconds)
-        skin.is_fresh()
+        skin.is_newest(time.monotonic())
         passed_s = time.monotonic() - begin_s
         gap = skin.judge.tally.missing - missing
         lost += gap
@@ -278,7 +278,7 @@ def _stops_behind_a_socket(skin: LoadedSkin, rng: Random) -> Outcome:
     rng.shuffle(stops_s)
     for seconds in stops_s:
         skin.stopped_for(seconds)
-        skin.is_fresh()
+        skin.is_newest(time.monotonic())
     tally = skin.judge.tally
     said = (
         f"{tally.missing} of {tally.missing + tally.received} frames missing; stamps off by "

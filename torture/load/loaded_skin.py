@@ -129,6 +129,10 @@ class LoadedSkin:
 
         return self.streams_on(1) and self.waits_for(fresh)
 
+    def is_newest(self, since_s: float) -> bool:
+        """Wait for a frame that was measured after this moment, monotonic; else it hangs."""
+        return self.waits_for(lambda: self.judge.last_middle_s > since_s)
+
     def waits_for(self, condition: Callable[[], object]) -> bool:
         """Wait for something that has to come; where it doesn't, that is a hang."""
         end_s = time.monotonic() + self.patience_s
