@@ -64,8 +64,8 @@ def main() -> int:
     started = time.monotonic()
     found = _in_processes(names, plan)
     outcomes = [outcome for name in names for outcome in found[name]]
-    if not arguments.campaign and not plan.quick:
-        keep(found, plan.seed, time.monotonic() - started)
+    if not plan.quick:
+        keep(found, plan.seed)
     print(f"{time.monotonic() - started:.0f} s, seed {plan.seed}")
     print(summary(outcomes))
     return int(not all(outcome.good for outcome in outcomes))

@@ -30,6 +30,7 @@ from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.skin_config import SkinConfig
 from torture.oracle import Oracle
 from torture.outcome import Outcome, from_json, summary, to_json
+from torture.page import PAGE, updated
 
 CONFIG = SkinConfig.of({})
 
@@ -118,3 +119,8 @@ def test_outcomes_add_up() -> None:
     assert from_json(to_json(outcomes[1])) == outcomes[1]
     assert math.isnan(from_json(to_json(outcomes[0])).rss_slope_kb_per_h)
     assert Outcome("nothing", 1).good
+
+
+def test_the_page_has_what_was_kept() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    assert updated(text) == text
