@@ -180,7 +180,7 @@ def test_fusion_pairs_each_frame_with_the_joint_state_nearest_in_time() -> None:
 
 def pairs(output: IO[str]) -> list[tuple[int, int, int]]:
     """(stamp of the frame, stamp of the joint state, ns, number of the joint state)."""
-    lines = [line.split() for line in text_of(output).splitlines()]
+    lines = [line.split() for line in text_of(output).splitlines() if line[:1].isdigit()]
     return [(int(frame), int(joint), int(float(number))) for frame, joint, _, number in lines]
 
 

@@ -199,7 +199,7 @@ class TestHoldings:
 
     def test_grown_memory_is_found(self) -> None:
         kept = []
-        assert self.holdings(lambda: kept.append(np.ones(1 << 20))).grown
+        assert self.holdings(lambda: kept.append(np.ones(1 << 22))).grown
 
     def test_more_objects_are_found(self) -> None:
         kept: list[object] = []
