@@ -42,6 +42,8 @@ TURN_S = 0.1
 """A turn counts for so long at most: that this process had to wait is nobody's fault."""
 SOON_S = 1.0
 """In half of all cases frames come sooner: a driver that notices nothing asks again after 1 s."""
+ENOUGH = 20
+"""Cases of which that is asked: fewer may all have come at a bad moment."""
 SCENES = ("moving", "press", "all")
 Rng: TypeAlias = np.random.Generator
 Turns: TypeAlias = Generator[None, None, None]
@@ -170,7 +172,7 @@ class Trial:
 
     @property
     def _is_late(self) -> bool:
-        return bool(self.resumed_s) and statistics.median(self.resumed_s) > SOON_S
+        return len(self.resumed_s) >= ENOUGH and statistics.median(self.resumed_s) > SOON_S
 
     @property
     def _lives(self) -> bool:
