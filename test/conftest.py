@@ -12,11 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Keeps concurrent tests, and other people's robots, out of each other's ROS domain and home."""
+"""What every test runs under: a ROS domain and home of its own, no deadlines, signals as usual."""
 
 from __future__ import annotations
 
 import os
+import signal
 import zlib
 from tempfile import TemporaryDirectory
 
@@ -40,6 +41,8 @@ def pytest_configure(config: pytest.Config) -> None:
     home = TemporaryDirectory(prefix="ros-home-")
     os.environ["ROS_HOME"] = home.name  # drivers keep tare and drift there
     config.add_cleanup(home.cleanup)
+    # Tests interrupt their child processes, which a shell's background job would have ignore it.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")

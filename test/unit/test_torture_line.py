@@ -274,5 +274,5 @@ def test_a_driver_that_fails_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
             return frames
 
     monkeypatch.setattr(driver_module, "Pipeline", Failing)
-    with Rig(CHIPS, 1, 0.5) as rig:
+    with Rig(CHIPS, 1, 3.0) as rig:
         assert "crashes" in bad(rig.run(Schedule(LOST, 4, np.random.default_rng(1))))
