@@ -46,13 +46,17 @@ LOUD_SHARE = 1.25
 """Words above this share of a node's amplitude may be those of more than one."""
 CLEAR_RHO = 8.0
 """Words that stand so far out of the noise have no levels of two nodes by chance."""
-OFF, HIT, MOST_ODD = 2.0, 5.0, 0.25
+OFF, MOST_ODD = 2.0, 0.25
 """A level is uncertain below OFF times what the levels of its bit are off, of all nodes but
-MOST_ODD, which may be broken; below HIT times that where it is twice that of most bits: something
-has hit this one, and that is not alike for all nodes."""
-UNLIKE, UNLIKE_OTHERS = 0.2, 4.0
+MOST_ODD, which may be broken."""
+UNLIKE, UNLIKE_OTHERS = 0.2, 5.0
 """A level is uncertain, too, if it is off by more than this share of the word's amplitude, and by
-more than so many times what the levels of its bit are off: something else is on that row."""
+more than so many times what the levels of its bit and of most bits are: something else is on that
+row."""
+HIT, HIT_OTHERS, HIT_LEVEL = 1.0, 4.0, 0.3
+"""Something has hit the line in a bit whose levels are off by more than those of most bits, by so
+many squares of a node's amplitude for all nodes together and by so many times as much, one of them
+by such a share of an amplitude: a slow discharge turns some nodes' levels and shows in others'."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,15 +241,22 @@ def _disturbed(
     """Words with a bit that may be wrong by what has hit the line in it, (n,).
 
     A spike or a dip within one bit moves the levels of all nodes there, by about as much, and a
-    jump that of some row, and noise that is estimated from whole frames hardly shows it.
+    jump or a slow discharge those of some rows, far enough to look right again: then no word is
+    certain. Noise that is estimated from whole frames hardly shows any of these.
     """
     bits, nodes = level.shape
     off, rank = np.abs(level - amplitude * active), round((1 - MOST_ODD) * (nodes - 1))
+    unit = np.median(amplitude[active])
+    # A node counts for its amplitude at most: a single one that is broken hits no bit.
+    power = np.square(np.minimum(off, unit)).sum(axis=1)
+    most_power = np.sort(power)[bits // 2]
+    hit = (power > HIT_OTHERS * most_power) & (power > most_power + HIT * unit * unit)
+    if (hit & (off.max(axis=1) > HIT_LEVEL * unit)).any():
+        return active
     usual = np.partition(off, rank, axis=1)[:, rank]
-    most_bits = np.sort(usual)[bits // 2]
-    least = np.where(usual > 2 * most_bits, np.float32(HIT), np.float32(OFF)) * usual
-    most = np.maximum(UNLIKE * amplitude, UNLIKE_OTHERS * usual[:, None])
-    uncertain: NDArray[np.bool_] = ((level < least[:, None]) | (off > most)).any(axis=0)
+    others = np.maximum(usual, np.sort(usual)[bits // 2])
+    most = np.maximum(UNLIKE * amplitude, UNLIKE_OTHERS * others[:, None])
+    uncertain: NDArray[np.bool_] = ((level < OFF * usual[:, None]) | (off > most)).any(axis=0)
     return uncertain
 
 

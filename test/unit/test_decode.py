@@ -121,6 +121,51 @@ def test_close_decisions_are_flagged() -> None:
     assert decode(separate(noisy.astype(np.float32), spec), spec).doubtful.any()
 
 
+@pytest.mark.parametrize("nodes", [16, 256, 1024])
+def test_a_discharge_within_one_bit_passes_no_wrong_word_for_a_good_one(nodes: int) -> None:
+    """It fades over many chips, turns a few nodes' levels, and leaves most others nearly as is."""
+    spec, rng = FrameSpec(nodes=nodes, chip_s=1e-6), np.random.default_rng(nodes)
+    turned = 0
+    for _ in range(4000 * 16 // nodes):
+        codes = rng.integers(0, 1 << spec.bits, nodes)
+        since = np.arange(spec.order) - rng.integers(0, spec.order)
+        height, chips = 0.3 * 10 ** rng.uniform(0.7, 2.7), 10 ** rng.uniform(0, 2.5)
+        line = line_chips(spec, codes) + rng.normal(0, 0.005, (spec.bits, spec.order))
+        line[rng.integers(spec.bits)] += np.where(
+            since < 0, 0, height * np.exp(-abs(since) / chips)
+        )
+        words = decode(separate(line.astype(np.float32), spec), spec)
+        wrong = words.codes != codes
+        turned += wrong.any()
+        assert not (wrong & ~words.doubtful).any()
+    assert turned > 100 * 16 / nodes, "it had something to find"
+
+
+@pytest.mark.parametrize("name", ["default", "paper", "256 nodes"])
+def test_noise_that_differs_from_bit_to_bit_makes_no_doubt(name: str) -> None:
+    """As edges that jitter do: those between sums that differ much move levels the most."""
+    spec, rng = SPECS[name], np.random.default_rng(6)
+    rms = 0.1 * DEFAULT_AMPLITUDE_V
+    for _ in range(300):
+        codes = rng.integers(0, 1 << spec.bits, spec.nodes)
+        levels = separate(line_chips(spec, codes), spec)
+        noise = np.clip(rng.standard_normal(levels.values.shape), -3, 3)
+        noise *= rms * rng.uniform(0.3, 1.0, (spec.bits, 1))
+        noisy = levels.values + noise.astype(np.float32)
+        words = decode(replace(levels, values=noisy, noise_v=rms), spec)
+        assert np.array_equal(words.codes, codes)
+        assert not words.doubtful.any()
+
+
+def test_one_node_that_fails_in_one_bit_is_the_only_one_in_doubt() -> None:
+    spec = FrameSpec()
+    levels = separate(line_chips(spec, np.arange(16) * 60), spec)
+    for share in (0.0, 0.1, -2.5, 3.0):
+        values = levels.values.copy()
+        values[4, 7] *= share
+        assert np.flatnonzero(decode(replace(levels, values=values), spec).doubtful).tolist() == [7]
+
+
 def test_offset_does_not_reach_nodes_while_row_zero_is_free() -> None:
     spec = FrameSpec()
     codes = np.arange(16) * 60

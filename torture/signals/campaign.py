@@ -79,11 +79,11 @@ KINDS = (
     Kind("node with inverted sign", nodes.inverted, flagged=False, parity_tells=True),
     Kind("node of another order", nodes.other_order, told=("phantoms",)),
     Kind("node of two bits more", nodes.other_bits, flagged=False, parity_tells=True),
-    Kind("node 40 dB too loud, in range", nodes.louder(100.0), range_v=40.0, timings=marked),
+    Kind("node 40 dB too loud, in range", nodes.louder(100.0), range_v=90.0, timings=marked),
     Kind(
         "node 40 dB too loud, in range, timing gap",
         nodes.louder(100.0),
-        range_v=40.0,
+        range_v=90.0,
         timings=(GAP,),
         told=("missed",),
     ),
