@@ -36,6 +36,8 @@ _LOUD = 6.0
 """A half-chip mean this many noise deviations off the gap level belongs to a frame."""
 _LEAST_POWER = 1e-14
 """Power of what is not even rounding, V²."""
+_CALMER = 1000.0
+"""A gap's variance is no chance if so much below what is known: whatever it was is over."""
 _MEDIAN = 0.455
 """Median of the square of a normal variable."""
 
@@ -148,7 +150,8 @@ class BurstSearch:
         if known is not None:
             best = int(np.argmin(power))
             fresh = 1.2 * float(variance[best])  # a minimum over windows is biased low
-            return [Quiet(centre + float(sums[best]), 0.7 * known.variance + 0.3 * fresh)]
+            smooth = min(0.7 * known.variance + 0.3 * fresh, _CALMER * fresh)
+            return [Quiet(centre + float(sums[best]), smooth)]
         floor = float(variance.min()) + 1e-6 * float(power.max())
         found: list[Quiet] = []
         levels = 3 if self.spec.first_row == 0 else 1

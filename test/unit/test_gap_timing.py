@@ -374,6 +374,23 @@ def test_hum_hides_no_frame_once_the_amplitude_is_learnt() -> None:
     check(wire, run(GapTiming(spec, wire.rate_hz), volts), start_chips=0.25)
 
 
+@pytest.mark.parametrize("cycles_per_frame", [3.22, 20.29, 80.76, 161.14])
+def test_an_oscillating_amplifier_hides_no_frame_but_the_one_after_it(
+    cycles_per_frame: float,
+) -> None:
+    wire, first, last = Wire(DEFAULT, 4.0, seed=5), 6, 26
+    for i in range(40):
+        wire.send((i + 0.1) * wire.period, {node: 37 * node + i for node in range(16)})
+        wire.sent[-1].chip *= 1 + wire.rng.uniform(0, 0.1)
+    volts = wire.volts(rho=500)
+    inside = slice(round(first * wire.period), round(last * wire.period))
+    phase = 2 * np.pi * cycles_per_frame / wire.period * np.arange(volts.size)
+    volts[inside] += (2.4 * np.sin(phase[inside])).astype("f4")
+    heard = [f for f in run(GapTiming(DEFAULT, wire.rate_hz), volts) if f.levels is not None]
+    after = [f for f in heard if f.start > (last + 1) * wire.period]
+    assert [words_of(f, DEFAULT) for f in after] == [s.words for s in wire.sent[last + 1 :]]
+
+
 def test_a_learnt_amplitude_is_forgotten_in_silence() -> None:
     spec = replace(PAPER, amplitude_v=None)
     wire = Wire(spec, 4.0, seed=17)
