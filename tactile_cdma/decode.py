@@ -244,20 +244,27 @@ def _disturbed(
     jump or a slow discharge those of some rows, far enough to look right again: then no word is
     certain. Noise that is estimated from whole frames hardly shows any of these.
     """
-    bits, nodes = level.shape
+    nodes = len(active)
     off, rank = np.abs(level - amplitude * active), round((1 - MOST_ODD) * (nodes - 1))
-    unit = np.median(amplitude[active])
+    unit = _middle(amplitude[active])
     # A node counts for its amplitude at most: a single one that is broken hits no bit.
-    power = np.square(np.minimum(off, unit)).sum(axis=1)
-    most_power = np.sort(power)[bits // 2]
+    most_off = np.minimum(off, unit)
+    power = np.einsum("kn,kn->k", most_off, most_off)
+    most_power = _middle(power)
     hit = (power > HIT_OTHERS * most_power) & (power > most_power + HIT * unit * unit)
     if (hit & (off.max(axis=1) > HIT_LEVEL * unit)).any():
         return active
     usual = np.partition(off, rank, axis=1)[:, rank]
-    others = np.maximum(usual, np.sort(usual)[bits // 2])
+    others = np.maximum(usual, _middle(usual))
     most = np.maximum(UNLIKE * amplitude, UNLIKE_OTHERS * others[:, None])
     uncertain: NDArray[np.bool_] = ((level < OFF * usual[:, None]) | (off > most)).any(axis=0)
     return uncertain
+
+
+def _middle(values: NDArray[np.float32]) -> np.float32:
+    """The upper median; numpy's own takes ten times as long for the few values of a word."""
+    middle: np.float32 = np.sort(values)[values.size // 2]
+    return middle
 
 
 @cache
