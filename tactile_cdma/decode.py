@@ -46,9 +46,10 @@ LOUD_SHARE = 1.25
 """Words above this share of a node's amplitude may be those of more than one."""
 CLEAR_RHO = 8.0
 """Words that stand so far out of the noise have no levels of two nodes by chance."""
-OFF, MOST_ODD = 2.0, 0.25
+OFF, OFF_HIT, OFF_OTHERS, MOST_ODD = 2.0, 5.0, 4.0, 0.25
 """A level is uncertain below OFF times what the levels of its bit are off, of all nodes but
-MOST_ODD, which may be broken."""
+MOST_ODD, which may be broken; below OFF_HIT times that where it is OFF_OTHERS times that of most
+bits: something has hit this one, and that is not alike for all nodes."""
 UNLIKE, UNLIKE_OTHERS = 0.2, 5.0
 """A level is uncertain, too, if it is off by more than this share of the word's amplitude, and by
 more than so many times what the levels of its bit and of most bits are: something else is on that
@@ -255,9 +256,10 @@ def _disturbed(
     if (hit & (off.max(axis=1) > HIT_LEVEL * unit)).any():
         return active
     usual = np.partition(off, rank, axis=1)[:, rank]
-    others = np.maximum(usual, _middle(usual))
-    most = np.maximum(UNLIKE * amplitude, UNLIKE_OTHERS * others[:, None])
-    uncertain: NDArray[np.bool_] = ((level < OFF * usual[:, None]) | (off > most)).any(axis=0)
+    of_most = _middle(usual)
+    least = np.where(usual > OFF_OTHERS * of_most, np.float32(OFF_HIT), np.float32(OFF)) * usual
+    most = np.maximum(UNLIKE * amplitude, UNLIKE_OTHERS * np.maximum(usual, of_most)[:, None])
+    uncertain: NDArray[np.bool_] = ((level < least[:, None]) | (off > most)).any(axis=0)
     return uncertain
 
 
