@@ -38,10 +38,12 @@ from functools import cached_property, partial
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
 from benchmarks.report import QUICK, Report, medians_s
 from tactile_cdma.clock_tracking import ClockTracker
+from tactile_cdma.codes import CodeBook, code_book
 from tactile_cdma.decorrelate import Decorrelator
 from tactile_cdma.fit import Line, integrate
 from tactile_cdma.frame import FrameSpec
@@ -65,15 +67,22 @@ DELAYS = (0.5,) if QUICK else (0.1, 0.25, 0.5)
 DELAY_BESIDE_RATE = 0.3
 
 
+class ScrambledBook(CodeBook):
+    """A code book whose rows are all flipped in the same chips."""
+
+    def rows(self, indices: ArrayLike) -> NDArray[np.int8]:
+        mask = np.random.default_rng(self.order).choice(np.array([-1, 1], np.int8), self.order)
+        rows: NDArray[np.int8] = super().rows(indices) * mask
+        return rows
+
+
 @dataclass(frozen=True)
 class ScrambledSpec(FrameSpec):
     """A frame whose chips all nodes flip alike, so that no row looks like another one shifted."""
 
     @cached_property
-    def node_rows(self) -> np.ndarray:
-        mask = np.random.default_rng(self.order).choice(np.array([-1, 1], np.int8), self.order)
-        rows: np.ndarray = self.book.rows(self.rows) * mask
-        return rows
+    def book(self) -> CodeBook:
+        return ScrambledBook(code_book(self.order).plan)
 
 
 def frame_spec(nodes: int, kind: type[FrameSpec] = FrameSpec) -> FrameSpec:
