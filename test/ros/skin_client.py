@@ -100,11 +100,19 @@ def in_one(message: DiagnosticArray) -> DiagnosticStatus:
     return DiagnosticStatus(level=level, message="; ".join(texts), values=values)
 
 
-def wait_for(condition: Callable[[], object], timeout_s: float = 15.0) -> None:
+def wait_for(condition: Callable[[], object], timeout_s: float = 60.0) -> None:
+    """Until it holds; of the last message of none it does not."""
     deadline = time.monotonic() + timeout_s
-    while not condition():
+    while not _holds(condition):
         assert time.monotonic() < deadline, "waited in vain"
         time.sleep(0.01)
+
+
+def _holds(condition: Callable[[], object]) -> bool:
+    try:
+        return bool(condition())
+    except IndexError:
+        return False
 
 
 @contextmanager

@@ -144,7 +144,7 @@ def wait(world: World, condition: object, again: object = lambda: None) -> None:
         again()  # type: ignore[operator]
         return world.goes_on() and condition()  # type: ignore[operator]
 
-    wait_for(holds, 30.0)
+    wait_for(holds)
 
 
 TWO = [Point32(x=0.01 * i) for i in range(2)]
