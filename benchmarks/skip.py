@@ -58,18 +58,20 @@ READ = 4095
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """What a digitizer sent for one scene, read by read: a packet at once, or READ bytes of it."""
+    """What a digitizer sent for one scene, read by read: a packet at once, or READ bytes of it.
+
+    reads: host time, s, and bytes.
+    """
 
     config: SkinConfig
-    reads: tuple[bytes, ...]
+    reads: tuple[tuple[float, bytes], ...]
     frames: int
 
     def play(self) -> list[TactileFrame]:
         """Decode it as it would arrive."""
         pipeline, frames = Pipeline(self.config), []
-        seconds_per_read = self.frames * self.config.spec.frame_period_s / len(self.reads)
-        for number, data in enumerate(self.reads):
-            frames += pipeline.feed(data, number * seconds_per_read)
+        for t_host, data in self.reads:
+            frames += pipeline.feed(data, t_host)
         return frames
 
 
@@ -92,7 +94,7 @@ def main() -> None:
         for share in (*SHARES, HEARTBEAT):
             with_quiet, without = times[nodes, share, True], times[nodes, share, False]
             full = times[nodes, 1.0, True]
-            kilobytes = sum(map(len, recordings[share, True].reads)) / 1e3
+            kilobytes = sum(len(data) for _, data in recordings[share, True].reads) / 1e3
             kilobytes /= recordings[share, True].frames
             rows.append((nodes, share, with_quiet, with_quiet / full, without, kilobytes))
     report.table(["nodes", "share", "ms/frame", "of full", "without QUIET, ms", "kB/frame"], rows)
@@ -119,17 +121,15 @@ def record(config: SkinConfig, share: float | str, quiet: bool, frames: int) -> 
     writer = PacketWriter()
     for command in (Configure(layout, SyncMode.DRIVE, integrated, threshold_uv), Start()):
         digitizer.receive(writer.encode(command))
-    data, count = b"", 0
-    pipeline = Pipeline(config)
+    pipeline, reads, count = Pipeline(config), list[tuple[float, bytes]](), 0
     while count < frames:
         digitizer.advance(1)
         chunk = digitizer.take(digitizer.pending)
         count += len(pipeline.feed(chunk, 0.0))
-        data += chunk
-    packets = [packet + b"\0" for packet in data.split(b"\0") if packet]
-    reads = [
-        packet[start : start + READ] for packet in packets for start in range(0, len(packet), READ)
-    ]
+        t_host = count * config.spec.frame_period_s
+        for packet in chunk.split(b"\0")[:-1]:
+            whole = packet + b"\0"
+            reads += [(t_host, whole[at : at + READ]) for at in range(0, len(whole), READ)]
     return Recording(config, tuple(reads), count)
 
 
