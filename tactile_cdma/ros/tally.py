@@ -38,16 +38,19 @@ class Tally:
         self._run: tuple[int, int] | None = None  # info_id and sequence of the last message
         self._arrivals_s: deque[float] = deque(maxlen=512)
         self._begin_s = self._end_s = 0.0
+        self._first_age_s = self._least_age_s = 0.0
 
     def add(self, info_id: int, sequence: int, age_s: float, now_s: float) -> None:
         """One message arrived."""
         continues = self._run is not None and self._run[0] == info_id and sequence > self._run[1]
         self.published += sequence - self._run[1] if continues and self._run else 1
         self._run = (info_id, sequence)
+        if not self.received:
+            self._begin_s, self._first_age_s, self._least_age_s = now_s, age_s, age_s
+        self._least_age_s = min(self._least_age_s, age_s)
         self.received += 1
         self.latency_ms.append(age_s * 1e3)
         self._arrivals_s.append(now_s)
-        self._begin_s = self._begin_s or now_s
 
     @property
     def lost(self) -> int:
@@ -60,8 +63,12 @@ class Tally:
 
     @property
     def mean_rate_hz(self) -> float:
-        """Messages per second from the first one to the end."""
-        return (self.received - 1) / (self._end_s - self._begin_s) if self.received > 1 else 0.0
+        """Messages per second from the first one to the end.
+
+        The first one often takes longer than the others: it counts from when it could have come.
+        """
+        span_s = self._end_s - self._begin_s + self._first_age_s - self._least_age_s
+        return (self.received - 1) / span_s if self.received > 1 else 0.0
 
     def rate_hz(self, now_s: float) -> float:
         """Messages per second over the last few seconds."""
