@@ -16,6 +16,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict, replace
@@ -29,6 +30,7 @@ from hypothesis import strategies as st
 from tactile_cdma import driver as driver_module
 from tactile_cdma import pipeline as pipeline_module
 from tactile_cdma.decode import Words
+from tactile_cdma.driver import Driver
 from tactile_cdma.messages import Received
 from tactile_cdma.pipeline import Pipeline, TactileFrame
 from tactile_cdma.protocol import PacketParser
@@ -36,6 +38,7 @@ from tactile_cdma.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.skin_config import SkinConfig
+from torture.line import rig as rig_module
 from torture.line.campaign import COMMANDS, harmed, spoilt_commands
 from torture.line.damage import FLIPS, HELD, KINDS, LOST, Kind
 from torture.line.judge import counted
@@ -274,5 +277,27 @@ def test_a_driver_that_fails_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
             return frames
 
     monkeypatch.setattr(driver_module, "Pipeline", Failing)
+    with Rig(CHIPS, 1, 3.0) as rig:
+        assert "crashes" in bad(rig.run(Schedule(LOST, 4, np.random.default_rng(1))))
+
+
+def test_a_driver_that_fails_in_the_end_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing but what it tells shows that, and it tells of it late."""
+
+    class Failing(Pipeline):
+        def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
+            frames = super().feed(data, t_host, backlog)
+            arrived = rig.man.ledger.counts.bytes
+            if frames and rig.man.over() and self.packet_counts["bytes"] >= arrived:
+                raise ZeroDivisionError
+            return frames
+
+    class Slow(Driver):
+        def _report(self, problem: str | None) -> None:
+            time.sleep(0.1)
+            super()._report(problem)
+
+    monkeypatch.setattr(driver_module, "Pipeline", Failing)
+    monkeypatch.setattr(rig_module, "Driver", Slow)
     with Rig(CHIPS, 1, 3.0) as rig:
         assert "crashes" in bad(rig.run(Schedule(LOST, 4, np.random.default_rng(1))))

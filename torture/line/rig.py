@@ -105,6 +105,9 @@ class Rig:
         found = Counter(hangs=int(not self._wait(self._consumed)))
         with self.driver.between_frames() as pipeline:
             found += self._judged().look(self._taken(), pipeline)
+        # A driver tells of a defect after others may see what it left behind: before it reads on.
+        self.man.begin(Schedule(LOST, 0, schedule.rng))
+        found["hangs"] += not self._wait(self._consumed)
         return found + self._crashes()
 
     def receive(self, frames: int, rng: np.random.Generator) -> Counter[str]:
