@@ -239,9 +239,9 @@ def test_thousands_of_contacts_pass(world: World) -> None:
 
 def test_late_messages_are_no_wrong_clock_but_a_wrong_clock_is_said(world: World) -> None:
     """A busy computer takes some messages late; a wrong clock is wrong of all."""
-    world.mount(0.0)
 
     def busy() -> None:
+        world.mount(0.0)
         world.a.touch(age_s=0.0)
         world.a.touch(age_s=5.0)
 
