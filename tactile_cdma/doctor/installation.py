@@ -26,6 +26,7 @@ import resource
 import shutil
 import subprocess
 import sys
+import time
 import tomllib
 from collections.abc import Iterator
 from importlib import metadata
@@ -39,6 +40,10 @@ RULES = "60-tactile-cdma.rules"
 RULES_FOLDERS = ("etc/udev/rules.d", "run/udev/rules.d", "usr/lib/udev/rules.d", "lib/udev/rules.d")
 LEAST_SHARED_BYTES = 32 << 20
 """Free in /dev/shm. A node takes 1 MB or more of it; with none left data is lost without a word."""
+PORTS = "fast*_port*[0-9]"
+"""Names of the segments in which Fast DDS takes messages; every port has one."""
+UNFINISHED_S = 2.0
+"""A segment gets its size microseconds after its name."""
 LEAST_FILES = 256
 """Open files. A driver with its DDS takes about 40."""
 ROS_TIMEOUT_S = 60.0
@@ -200,7 +205,13 @@ def shared_memory(folder: Path) -> Iterator[Check]:
     except OSError:
         return
     text = f"{free >> 20} MB free in {folder}"
-    if free < LEAST_SHARED_BYTES:
+    if unfinished := [str(path) for path in sorted(folder.glob(PORTS)) if _is_unfinished(path)]:
+        yield problem(
+            "shared memory",
+            f"{', '.join(unfinished)}: begun and left by a program that ended, or had no room; ROS "
+            "programs that meet it hang: remove it, then restart them",
+        )
+    elif free < LEAST_SHARED_BYTES:
         yield warning(
             "shared memory",
             f"{text}: remove leftovers ({folder}/fastrtps_*) while no ROS program runs; "
@@ -208,6 +219,15 @@ def shared_memory(folder: Path) -> Iterator[Check]:
         )
     else:
         yield ok("shared memory", text)
+
+
+def _is_unfinished(path: Path) -> bool:
+    """Whether a segment was not given its size, and nobody is just about to."""
+    try:
+        seen = path.stat()
+    except OSError:  # removed just now
+        return False
+    return seen.st_size == 0 and time.time() - seen.st_mtime > UNFINISHED_S
 
 
 def open_files() -> Iterator[Check]:

@@ -50,7 +50,7 @@ def test_a_slice_of_the_campaign_is_borne(skin: LoadedSkin) -> None:
     outcomes = [
         load._stuck(skin, PLAN),
         load._stops(skin, PLAN, Random(1)),
-        load._full_state(skin, PLAN),
+        load._unwritable_state(skin, PLAN),
         load._steps(skin, PLAN, Random(1)),
     ]
     assert [outcome for outcome in outcomes if not outcome.good] == []

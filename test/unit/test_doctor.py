@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -200,6 +201,22 @@ def test_udev_rule_and_modem_manager(tmp_path: Path) -> None:
     [old] = installation.udev_rule(tmp_path)
     assert old.verdict is Verdict.WARNING
     assert "is not that of this version" in old.text
+
+
+def test_a_segment_without_a_size_is_named(tmp_path: Path) -> None:
+    """One that Fast DDS waits for; those that are just being made, locks and data are none."""
+    for name, content in (("fastrtps_port7411", "data"), ("fastrtps_port7411_el", "")):
+        (tmp_path / name).write_text(content)
+    port = tmp_path / "fastdds_port7413"
+    port.touch()
+    assert [f.verdict for f in installation.shared_memory(tmp_path)] != [Verdict.PROBLEM]
+    for path in tmp_path.iterdir():
+        os.utime(path, (0, 0))
+    [found] = installation.shared_memory(tmp_path)
+    assert found.verdict is Verdict.PROBLEM
+    assert found.text.startswith(f"{port}: ")
+    port.unlink()
+    assert [f.verdict for f in installation.shared_memory(tmp_path)] != [Verdict.PROBLEM]
 
 
 def test_a_program_without_our_packages_says_what_is_missing(tmp_path: Path) -> None:

@@ -15,6 +15,8 @@
 """Files are replaced whole, or not touched."""
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -73,6 +75,23 @@ def test_what_fails_leaves_the_old_file(
     monkeypatch.setattr(os, step, fail)
     with pytest.raises(OSError, match="No space left"):
         replace_file(path, "new")
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_does_not_fit_leaves_the_old_file(tmp_path: Path) -> None:
+    path = tmp_path / "file.txt"
+    path.write_text("old")
+    program = (
+        "import resource, sys; from pathlib import Path;"
+        "from tactile_cdma.whole_file import replace_file;"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100));"
+        "replace_file(Path(sys.argv[1]), 'x' * 200)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, str(path)], capture_output=True, text=True, timeout=60
+    )
+    assert "OSError: [Errno 27] File too large" in done.stderr
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
 

@@ -55,6 +55,7 @@ _NUMBERS = count()
 class LoadedSkin:
     """Use as a context manager. patience_s: without progress for so long, something hangs.
 
+    folder: for whatever there is to write; state_folder: the driver's.
     judge: takes every message. warned: what /diagnostics said at WARN or worse, by entry.
     """
 
@@ -78,7 +79,8 @@ class LoadedSkin:
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "ROS_HOME": str(folder / "ros"),
         }
-        self.folder, self.patience_s, self._networked = folder, patience_s, networked
+        self.folder, self.state_folder = folder, folder / "state"
+        self.patience_s, self._networked = patience_s, networked
         # Subscribers that a publisher waits for are the worse ones.
         reliability = f"qos_overrides.{self.name}/tactile.publisher.reliability"
         self._arguments = ["-r", f"__ns:={namespace}", "-p", f"{reliability}:=reliable"]
@@ -188,8 +190,9 @@ class LoadedSkin:
     @contextmanager
     def _driver(self, port: str) -> Iterator[subprocess.Popen[bytes]]:
         command = [sys.executable, "-m", "tactile_cdma.ros.node", "--ros-args", *self._arguments]
-        for value in (f"port:={port}", f"state_folder:={self.folder}", "drift_pa_per_min:=0.0"):
-            command += ["-p", value]
+        values = {"port": port, "state_folder": self.state_folder, "drift_pa_per_min": 0.0}
+        for name, value in values.items():
+            command += ["-p", f"{name}:={value}"]
         with (self.folder / "driver.log").open("wb") as log:
             process = subprocess.Popen(command, env=self.environment, stderr=log, stdout=log)
         try:
