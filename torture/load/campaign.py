@@ -222,7 +222,8 @@ def _full_recording(folder: Path, plan: Plan) -> Outcome:
     times, crashes, wrong = 1 if plan.quick else 10, 0, 0
     for number in range(times):
         path, most = folder / f"{number}.skin", FULL_BYTES * (number + 1)
-        record = [sys.executable, "-m", "tactile_cdma.cli", "record", "sim://?speed=20", str(path)]
+        # At speed 0 its time passes with its samples: none are lost, however busy the machine is.
+        record = [sys.executable, "-m", "tactile_cdma.cli", "record", "sim://?speed=0", str(path)]
         done = subprocess.run(
             [*record, "--seconds", "20"],
             preexec_fn=partial(resource.setrlimit, resource.RLIMIT_FSIZE, (most, most)),
