@@ -63,6 +63,7 @@ lint: setup
 	@"$(BIN)/ruff" format --check --quiet .
 	@"$(BIN)/mypy"
 	@"$(BIN)/mypy" firmware/sim/*.py
+	@"$(BIN)/lint-imports" --no-logo --no-cache
 
 firmware-tools: setup
 	@"$(BIN)/python" tools/firmware_tools.py --require

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """What the node of a whole body costs: `make bench-body`.
 
@@ -36,7 +24,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from tactile_cdma.layout import Layout
+from tactile_cdma.places.layout import Layout
 
 from .report import QUICK, Report
 
@@ -115,8 +103,7 @@ def listen(body_pid: int, contacts: bool, points: bool) -> Result:
     from sensor_msgs.msg import PointCloud2
 
     from tactile_cdma.msg import TactileContacts
-    from tactile_cdma.ros.contacts import RELIABLE
-    from tactile_cdma.ros.pictures import PICTURE
+    from tactile_cdma.ros.common.qos import PICTURE, RELIABLE
 
     result = Result()
 
@@ -165,7 +152,7 @@ def publish(taxels: int, stop: EventType) -> None:
     import rclpy
     from tf2_msgs.msg import TFMessage
 
-    from tactile_cdma.ros.transforms import STATIC
+    from tactile_cdma.ros.common.transforms import STATIC
 
     rclpy.init()
     node = rclpy.create_node("drivers")
@@ -197,8 +184,7 @@ def driver(node: Any, patch: int, layout: Layout) -> Any:
     from rclpy.qos import qos_profile_sensor_data
 
     from tactile_cdma.msg import TactileArray, TactileContact, TactileContacts, TactileSkinInfo
-    from tactile_cdma.ros.contacts import RELIABLE
-    from tactile_cdma.ros.qos import LATCHED
+    from tactile_cdma.ros.common.qos import LATCHED, RELIABLE
 
     name = PATCH_NAMES[patch]
     infos = node.create_publisher(TactileSkinInfo, f"{name}/info", LATCHED)

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """Error and run time of contacts, and what their motion says of slip: `make bench-contact`.
 
@@ -40,13 +28,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from tactile_cdma.calibration import Curves
-from tactile_cdma.contact import ContactTracker
-from tactile_cdma.layout import Layout
+from tactile_cdma.places.layout import Layout
+from tactile_cdma.readings.calibration import Curves
+from tactile_cdma.readings.contact import ContactTracker
+from tactile_cdma.readings.taxels import Readings
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES
 from tactile_cdma.sim.sensor import SensorModel
-from tactile_cdma.taxels import Readings
 
 from .contact_skin import (
     AREA,

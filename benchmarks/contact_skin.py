@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """Round contacts on a skin, and the driver's way from there to its contacts: for benchmarks."""
 
@@ -22,14 +10,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_cdma.baseline import LOOK_S
-from tactile_cdma.calibration import Calibration, Curves
-from tactile_cdma.contact import Contacts, ContactTracker
-from tactile_cdma.decode import silent
-from tactile_cdma.health import NodeHealth
-from tactile_cdma.pipeline import Pipeline
-from tactile_cdma.skin_config import SkinConfig
-from tactile_cdma.taxels import Readings
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline
+from tactile_cdma.readings.baseline import LOOK_S
+from tactile_cdma.readings.calibration import Calibration, Curves
+from tactile_cdma.readings.contact import Contacts, ContactTracker
+from tactile_cdma.readings.taxels import Readings
+from tactile_cdma.words.decode import silent
+from tactile_cdma.words.health import NodeHealth
 
 Floats = NDArray[np.float64]
 Profile = Callable[[Floats], Floats]

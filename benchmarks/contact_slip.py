@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """What the motion of contacts says of slip: a part of `make bench-contact`.
 
@@ -26,7 +14,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tactile_cdma.contact import SMOOTHING_S
+from tactile_cdma.readings.contact import SMOOTHING_S
 from tactile_cdma.sim.sensor import IDEAL, PAPER, Sensor, SensorModel
 
 from .contact_skin import CONFIG, NODES, PERIOD_S, PITCH_M, SHARE, Feeling, Floats, felt, soft

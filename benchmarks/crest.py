@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """Peaks of the summed line and the converter that it takes, by signs of the code rows.
 
@@ -39,13 +27,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from tactile_cdma.codes import code_book, row_signs
-from tactile_cdma.encode import word_bits
-from tactile_cdma.frame import FrameSpec
+from tactile_cdma.code.codes import code_book, row_signs
+from tactile_cdma.code.encode import word_bits
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.code.transform import correlate, spread
 from tactile_cdma.sim.nodes import NodeRules, node_frames
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES
-from tactile_cdma.transform import correlate, spread
 
 from .report import QUICK, Report
 

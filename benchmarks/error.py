@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """Bit errors against the matched-filter bound, and the paper's conditions in long streams.
 
@@ -38,13 +26,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.report import QUICK, Report
-from tactile_cdma.decode import Words, decode
-from tactile_cdma.encode import line_chips, word_bits
-from tactile_cdma.frame import MAX_STRETCH, FrameSpec
-from tactile_cdma.gap_timing import GapTiming
-from tactile_cdma.line_timing import LineTiming
+from tactile_cdma.code.encode import line_chips, word_bits
+from tactile_cdma.code.frame import MAX_STRETCH, FrameSpec
+from tactile_cdma.framing.gap_timing import GapTiming
+from tactile_cdma.framing.line_timing import LineTiming
+from tactile_cdma.framing.timing import SampleBlock
 from tactile_cdma.sim.channel import Channel, first_sample, point_samples
-from tactile_cdma.timing import SampleBlock
+from tactile_cdma.words.decode import Words, decode
 
 PAPER = FrameSpec(order=16, first_row=0, sign_seed=None, polarity=-1)
 SPECS = {

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """What a picture of the skin costs the driver: `make bench-pictures`.
 
@@ -38,14 +26,14 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from tactile_cdma.cloud import Cloud
-from tactile_cdma.contact import Contacts, ContactTracker
-from tactile_cdma.layout import Layout
-from tactile_cdma.parameters import PARAMETERS, Values
+from tactile_cdma.config.parameters import PARAMETERS, Values
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.places.layout import Layout
+from tactile_cdma.readings.contact import Contacts, ContactTracker
+from tactile_cdma.readings.taxels import Readings
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES
-from tactile_cdma.skin_config import SkinConfig
-from tactile_cdma.taxels import Readings
+from tactile_cdma.views.cloud import Cloud
 
 from .report import QUICK, Report, medians_s
 
@@ -113,8 +101,8 @@ def drawings(taxels: int) -> dict[str, Callable[[], Any]]:
     """By picture, a call that draws one frame after the other."""
     from std_msgs.msg import Header
 
-    from tactile_cdma.ros import convert
-    from tactile_cdma.ros.markers import SkinMarkers
+    from tactile_cdma.ros.common import convert
+    from tactile_cdma.ros.driver.markers import SkinMarkers
 
     layout, header = Layout.grid(taxels, 0, 0, 7e-3, 5.5e-3), Header(frame_id="skin")
     cloud, frames = Cloud(layout), cycle(pressed(layout))
@@ -154,7 +142,8 @@ def publishers() -> Iterator[Callable[[str, Any], None]]:
     """Publishes a picture by its name to a subscriber in another process."""
     import rclpy
 
-    from tactile_cdma.ros.pictures import PICTURE, TOPICS
+    from tactile_cdma.ros.common.qos import PICTURE
+    from tactile_cdma.ros.driver.pictures import TOPICS
 
     context = multiprocessing.get_context("spawn")
     stop = context.Event()
@@ -176,7 +165,8 @@ def subscribe(stop: EventType) -> None:
     """Take every picture."""
     import rclpy
 
-    from tactile_cdma.ros.pictures import PICTURE, TOPICS
+    from tactile_cdma.ros.common.qos import PICTURE
+    from tactile_cdma.ros.driver.pictures import TOPICS
 
     rclpy.init()
     node = rclpy.create_node("subscriber")

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """Error and run time of the pressure chain: `make bench-pressure`.
 
@@ -41,22 +29,22 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from tactile_cdma.baseline import LOOK_S, Baseline, RestRules
+from tactile_cdma.base.errors import CalibrationError
 from tactile_cdma.calibrating.identify import identify
 from tactile_cdma.calibrating.load_points import LoadPoints
 from tactile_cdma.calibrating.skin_fit import fit_skin
-from tactile_cdma.calibration import AdcScale, Calibration, Curves, PressureCurve
-from tactile_cdma.contact import ContactThresholds, ContactTracker
-from tactile_cdma.drift import DriftTracker, nodes_beside
-from tactile_cdma.dynamics import Compensator, Dynamics
-from tactile_cdma.errors import CalibrationError
-from tactile_cdma.layout import Layout
-from tactile_cdma.pressure import PressureChain
+from tactile_cdma.places.layout import Layout
+from tactile_cdma.readings.baseline import LOOK_S, Baseline, RestRules
+from tactile_cdma.readings.calibration import AdcScale, Calibration, Curves, PressureCurve
+from tactile_cdma.readings.contact import ContactThresholds, ContactTracker
+from tactile_cdma.readings.drift import DriftTracker, nodes_beside
+from tactile_cdma.readings.dynamics import Compensator, Dynamics
+from tactile_cdma.readings.pressure import PressureChain
+from tactile_cdma.readings.tare import take_tare
+from tactile_cdma.readings.taxels import Readings
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES
 from tactile_cdma.sim.sensor import PAPER_DYNAMICS, Sensor, SensorModel
-from tactile_cdma.tare import take_tare
-from tactile_cdma.taxels import Readings
 
 from .other_sensors import KINDS, Distortion, apparent
 from .report import QUICK, Report, medians_s

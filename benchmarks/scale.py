@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """The whole byte path in real time: how many nodes one core's share can serve, and how fast.
 
@@ -38,16 +26,16 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.report import QUICK, Report
-from tactile_cdma._protocol import SyncMode
-from tactile_cdma.driver import Driver
-from tactile_cdma.frame import FrameSpec
-from tactile_cdma.pipeline import Pipeline, TactileFrame
-from tactile_cdma.protocol import PacketParser
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.driver import Driver
+from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.sim.digitizer import VirtualDigitizer, truth
 from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.sim.pty import serve
-from tactile_cdma.skin_config import SkinConfig
-from tactile_cdma.source import Port
+from tactile_cdma.wire._protocol import SyncMode
+from tactile_cdma.wire.packets import PacketParser
+from tactile_cdma.wire.port import Port
 
 ALL = "scene=all&threshold=0&seed=1"
 SILENT = "scene=idle&heartbeat=0&seed=1"

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """Time per frame against the share of nodes that speak: `make bench-skip`.
 
@@ -29,16 +17,16 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from tactile_cdma._protocol import SyncMode
-from tactile_cdma.messages import Configure, FrameLayout, Start
-from tactile_cdma.parameters import Value
-from tactile_cdma.pipeline import Pipeline, TactileFrame
-from tactile_cdma.protocol import PacketWriter
-from tactile_cdma.silence import quiet_uv
+from tactile_cdma.config.parameters import Value
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.framing.silence import quiet_uv
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES, Skin
-from tactile_cdma.skin_config import SkinConfig
+from tactile_cdma.wire._protocol import SyncMode
+from tactile_cdma.wire.messages import Configure, FrameLayout, Start
+from tactile_cdma.wire.packets import PacketWriter
 
 from .report import QUICK, Report, medians_s
 

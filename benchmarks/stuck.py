@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """How soon nodes that do not move are found, how often sound ones are taken for such.
 
@@ -31,14 +19,14 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from tactile_cdma.decode import Words
-from tactile_cdma.layout import Layout
-from tactile_cdma.pipeline import Pipeline
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline
+from tactile_cdma.places.layout import Layout
+from tactile_cdma.readings.stuck import LOOK_S, StuckNodes
+from tactile_cdma.readings.taxels import Readings
 from tactile_cdma.sim.digitizer import truth
 from tactile_cdma.sim.options import Setup, SimOptions
-from tactile_cdma.skin_config import SkinConfig
-from tactile_cdma.stuck import LOOK_S, StuckNodes
-from tactile_cdma.taxels import Readings
+from tactile_cdma.words.decode import Words
 
 from .report import QUICK, Report, medians_s
 

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """Timing: what stretch, jitter and clocks of the nodes' own cost, and what helps.
 
@@ -42,18 +30,18 @@ from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
 from benchmarks.report import QUICK, Report, medians_s
-from tactile_cdma.clock_tracking import ClockTracker
-from tactile_cdma.codes import CodeBook, code_book
-from tactile_cdma.decorrelate import Decorrelator
-from tactile_cdma.fit import Line, integrate
-from tactile_cdma.frame import FrameSpec
-from tactile_cdma.gap_timing import GapTiming
-from tactile_cdma.line_timing import LineTiming
-from tactile_cdma.node_clocks import NodeClocks, crosstalk
-from tactile_cdma.roll_call import RollCallListener
-from tactile_cdma.sampling import INTEGRATED, Sampling
-from tactile_cdma.separate import NodeLevels, separate
-from tactile_cdma.timing import FrameLevels, SampleBlock
+from tactile_cdma.clocks.clock_tracking import ClockTracker
+from tactile_cdma.clocks.decorrelate import Decorrelator
+from tactile_cdma.clocks.node_clocks import NodeClocks, crosstalk
+from tactile_cdma.clocks.roll_call import RollCallListener
+from tactile_cdma.clocks.sampling import INTEGRATED, Sampling
+from tactile_cdma.code.codes import CodeBook, code_book
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.code.separate import NodeLevels, separate
+from tactile_cdma.framing.fit import Line, integrate
+from tactile_cdma.framing.gap_timing import GapTiming
+from tactile_cdma.framing.line_timing import LineTiming
+from tactile_cdma.framing.timing import FrameLevels, SampleBlock
 
 RHO = 15.0
 CHIP_S = 10e-6

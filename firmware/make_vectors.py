@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """The test vectors that C and Python share, made with the Python implementation.
 
@@ -28,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from tactile_cdma._protocol import PacketType, Result, SyncMode
-from tactile_cdma.cobs import cobs_decode, cobs_encode
-from tactile_cdma.codes import code_book, row_signs
-from tactile_cdma.frame import UNIPOLAR, FrameSpec
-from tactile_cdma.messages import (
+from tactile_cdma.code.codes import code_book, row_signs
+from tactile_cdma.code.frame import UNIPOLAR, FrameSpec
+from tactile_cdma.wire._protocol import PacketType, Result, SyncMode
+from tactile_cdma.wire.cobs import cobs_decode, cobs_encode
+from tactile_cdma.wire.messages import (
     Ack,
     Configure,
     FrameLayout,
@@ -47,7 +35,7 @@ from tactile_cdma.messages import (
     Status,
     Stop,
 )
-from tactile_cdma.protocol import PacketWriter
+from tactile_cdma.wire.packets import PacketWriter
 
 PAPER = FrameLayout.of(
     FrameSpec(order=16, first_row=0, sign_seed=None, polarity=-1), samples_per_chip=8

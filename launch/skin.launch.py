@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """Starts the driver of one skin patch: `ros2 launch tactile_cdma skin.launch.py sim:=true`.
 
@@ -29,9 +17,9 @@ from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from tactile_cdma.body_file import NODE_NAME, read_body
-from tactile_cdma.errors import TactileError
-from tactile_cdma.parameters import Value
+from tactile_cdma.base.errors import TactileError
+from tactile_cdma.config.body_file import NODE_NAME, read_body
+from tactile_cdma.config.parameters import Value
 
 SHARE = Path(__file__).parent.parent  # of the installed package, or the checkout
 PARAMS = str(SHARE / "config" / "skin.yaml")

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """A recorded stretch of a skin's day, told again and again while time and counts go on."""
 
@@ -24,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_cdma.messages import Info, Packet, Quiet, Samples
-from tactile_cdma.protocol import PacketParser, PacketWriter, wrap
-from tactile_cdma.session import Session
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.skin_config import SkinConfig
+from tactile_cdma.wire.messages import Info, Packet, Quiet, Samples
+from tactile_cdma.wire.packets import PacketParser, PacketWriter, wrap
 
 _HEAD = struct.Struct("<BHQQ")
 """Type, sequence, device_time_us and first_index: how Samples and Quiet begin."""

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """Presses the emulated skin and counts what goes wrong: `make firmware-test`.
 
@@ -34,10 +22,10 @@ from emulated import EmulatedNodes, EmulatedSkin, EmulationError
 from rp2040 import EmulatorError
 from rp2040_skin import Rp2040Skin
 from skin import Digitized, PressedSkin, reference_amplifier, reference_nodes
-from tactile_cdma._protocol import SYNC_LEAD, SYNC_UNIT_US
-from tactile_cdma.parameters import read_file
+from tactile_cdma.config.parameters import read_file
+from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.sim.scene import SCENES
-from tactile_cdma.skin_config import SkinConfig
+from tactile_cdma.wire._protocol import SYNC_LEAD, SYNC_UNIT_US
 from trial import Trial, edge_errors, press_and_decode
 
 PARAMS = Path(__file__).resolve().parents[2] / "config" / "wired_skin.yaml"

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """What the images take, for docs/firmware.md: `make firmware-figures`."""
 
@@ -26,13 +14,13 @@ from emulated import EmulatedSkin, EmulationError
 from rp2040 import CPU_HZ, EmulatorError, Rp2040
 from rp2040_skin import IMAGE
 from skin import reference_amplifier, reference_nodes
-from tactile_cdma.frame import FrameSpec
-from tactile_cdma.messages import Configure, FrameLayout, Samples, Start, Status
-from tactile_cdma.node_memory import MCUS
-from tactile_cdma.parameters import read_file
-from tactile_cdma.protocol import PacketParser, PacketWriter
-from tactile_cdma.session import Session
-from tactile_cdma.skin_config import SkinConfig
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.config.parameters import read_file
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.session import Session
+from tactile_cdma.hardware.node_memory import MCUS
+from tactile_cdma.wire.messages import Configure, FrameLayout, Samples, Start, Status
+from tactile_cdma.wire.packets import PacketParser, PacketWriter
 
 SETTLED_NS, SPAN_NS = 300_000_000, 1_000_000_000
 READY_S, SPAN_S = 0.1, 1.2

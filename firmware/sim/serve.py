@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """The emulated skin behind a tty, live: `make run FIRMWARE=1`.
 
@@ -30,11 +18,11 @@ from pathlib import Path
 
 from emulated import EmulatedSkin, EmulationError
 from skin import PressedSkin, reference_amplifier, reference_nodes
-from tactile_cdma.errors import TactileError
-from tactile_cdma.parameters import read_file
+from tactile_cdma.base.errors import TactileError
+from tactile_cdma.config.parameters import read_file
+from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.sim.pty import serve
 from tactile_cdma.sim.scene import SCENES
-from tactile_cdma.skin_config import SkinConfig
 
 STEP_S = 2e-3
 """The emulation goes on in such steps, and so do bytes."""

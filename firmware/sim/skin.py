@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """The skin of config/wired_skin.yaml, emulated: nodes that differ, pressed by a scene."""
 
@@ -25,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emulated import Amplifier, EmulatedNodes, Node
-from tactile_cdma.errors import SpecError
-from tactile_cdma.node_memory import check_timing, node_memory
+from tactile_cdma.base.errors import SpecError
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.hardware.node_memory import check_timing, node_memory
 from tactile_cdma.sim.scene import Scene, Skin
-from tactile_cdma.skin_config import SkinConfig
 
 IMAGES = Path(__file__).resolve().parents[1] / "build" / "node"
 SUPPLY_V = 3.3

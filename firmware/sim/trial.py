@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """An emulated skin against the driver: what was pressed, what its pipeline makes of the bytes."""
 
@@ -23,13 +11,13 @@ from numpy.typing import NDArray
 
 from emulated import EDGE, EmulatedNodes
 from skin import PressedSkin
-from tactile_cdma.encode import frame_levels, line_chips
-from tactile_cdma.frame import FrameSpec
-from tactile_cdma.messages import Quiet, Samples
-from tactile_cdma.pipeline import Pipeline, TactileFrame
-from tactile_cdma.protocol import PacketParser
-from tactile_cdma.session import Session
-from tactile_cdma.skin_config import SkinConfig
+from tactile_cdma.code.encode import frame_levels, line_chips
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.driver.session import Session
+from tactile_cdma.wire.messages import Quiet, Samples
+from tactile_cdma.wire.packets import PacketParser
 
 STEP_NS = 20_000_000
 SETTLING = 16

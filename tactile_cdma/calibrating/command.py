@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """The command `tactile-cdma calibrate`: known loads and what a skin measured → calibration file."""
 
@@ -26,31 +14,25 @@ from typing import Any
 
 import numpy as np
 
-from ..arguments import add_skin_options, finite, given, positive
-from ..calibration import Calibration
-from ..calibration_file import (
+from ..base.errors import CalibrationError, CaptureError
+from ..config.arguments import add_skin_options, finite, given, positive
+from ..config.parameters import BY_NAME, Value
+from ..config.skin_config import SkinConfig
+from ..driver.pipeline import Pipeline
+from ..readings.calibration import Calibration
+from ..readings.calibration_file import (
     numbers,
     read_content,
     seal_calibration,
     write_calibration,
     write_content,
 )
-from ..capture import capture_notes
-from ..errors import CalibrationError, CaptureError
-from ..offline import described_parameters, raw_frames
-from ..parameters import BY_NAME, Value
-from ..pipeline import Pipeline
-from ..skin_config import SkinConfig
+from ..recording.capture import capture_notes
+from ..recording.offline import described_parameters, raw_frames
 from . import dynamics_fit, report
 from .load_points import LoadPoints, read_points
 from .load_session import LiveSkin, LoadSession
-from .plateaus import (
-    Recording,
-    Reference,
-    find_offset,
-    plateau_points,
-    read_reference,
-)
+from .plateaus import Recording, Reference, find_offset, plateau_points, read_reference
 from .skin_fit import SkinFit, fit_skin
 
 NODE_ORDER: dict[str, Value] = {"calibration_file": "", "layout_file": "", "rows": 0, "columns": 0}

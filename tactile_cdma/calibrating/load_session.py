@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """Loads taken from a live skin, step by step: load it, say by how much, press Enter."""
 
@@ -28,10 +16,10 @@ from typing import TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from ..driver import Driver
-from ..errors import CalibrationError, PortError
-from ..pipeline import TactileFrame
-from ..skin_config import SkinConfig
+from ..base.errors import CalibrationError, PortError
+from ..config.skin_config import SkinConfig
+from ..driver.driver import Driver
+from ..driver.pipeline import TactileFrame
 from .load_points import HEADING, point_lines
 from .plateaus import LEAST_FRAMES, Floats, steady_voltage
 

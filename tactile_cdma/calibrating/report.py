@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """What a fit of a skin's curves is worth: in words, as key=value, and as a picture."""
 
@@ -25,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..calibration import PressureCurve
-from ..calibration_file import numbers
-from ..errors import CalibrationError
+from ..base.errors import CalibrationError
+from ..readings.calibration import PressureCurve
+from ..readings.calibration_file import numbers
 from .curve_fit import Floats
 from .skin_fit import SkinFit
 

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """Whether a digitizer is on a port, the right one, and what its skin says."""
 
@@ -22,15 +10,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ..errors import PortError, TactileError
-from ..introduction import introduction
-from ..offline import parameters_of
-from ..parameters import BY_NAME, Value, read_file
-from ..pipeline import Pipeline
-from ..ports_command import described_info
-from ..session import Session
-from ..skin_config import SkinConfig
-from ..source import Port, leave_alone_if_open
+from ..base.errors import PortError, TactileError
+from ..config.parameters import BY_NAME, Value, read_file
+from ..config.skin_config import SkinConfig
+from ..driver.pipeline import Pipeline
+from ..driver.session import Session
+from ..recording.offline import parameters_of
+from ..wire.introduction import described_info, introduction
+from ..wire.port import Port, leave_alone_if_open
 from .report import Check, ok, problem
 from .stream import Stream, judge
 

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """What the bytes of a few seconds say of the link, the line and every node. No I/O."""
 
@@ -22,16 +10,16 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checkup import CLIPPED_SHARE, decibels
-from ..decode import DOUBLE_SHARE, FAINT_SHARE, LOW_MARGIN, LOW_RHO
-from ..errors import PortError
-from ..frame import UNIPOLAR
-from ..health import MOST_DOUBLED, MOST_UNEVEN, WEAK_SHARE
-from ..layout_nodes import listed
-from ..messages import Status
-from ..pipeline import Pipeline, TactileFrame
-from ..protocol import PacketParser
-from ..skin_config import SkinConfig
+from ..base.errors import PortError
+from ..code.frame import UNIPOLAR
+from ..config.skin_config import SkinConfig
+from ..driver.checkup import CLIPPED_SHARE, decibels
+from ..driver.pipeline import Pipeline, TactileFrame
+from ..places.layout_nodes import listed
+from ..wire.messages import Status
+from ..wire.packets import PacketParser
+from ..words.decode import DOUBLE_SHARE, FAINT_SHARE, LOW_MARGIN, LOW_RHO
+from ..words.health import MOST_DOUBLED, MOST_UNEVEN, WEAK_SHARE
 from .report import Check, ok, problem, warning
 
 SLOW = 0.95

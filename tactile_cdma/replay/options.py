@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """The options of a replay:// URL."""
 
@@ -22,9 +10,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qsl, unquote
 
-from ..errors import ParameterError, SpecError
-from ..parameters import REPLAY, Parameter
-from ..skin_config import user_path
+from ..base.errors import ParameterError, SpecError
+from ..config.parameters import REPLAY, Parameter
+from ..config.skin_config import user_path
 
 _LONGEST_S = 1e9
 OPTIONS: tuple[Parameter, ...] = (

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """When which bytes of a recording are due. Knows no ports."""
 
@@ -20,11 +8,11 @@ import math
 import time
 from collections.abc import Callable, Iterator
 
-from ..errors import CaptureError, SpecError
-from ..messages import Info
-from ..protocol import PacketParser, PacketWriter
-from ..recording import Chunk, RecordingParser, losses
-from ..recording_file import describe, is_recording, read_chunks, read_end
+from ..base.errors import CaptureError, SpecError
+from ..recording.container import Chunk, RecordingParser, losses
+from ..recording.recording_file import describe, is_recording, read_chunks, read_end
+from ..wire.messages import Info
+from ..wire.packets import PacketParser, PacketWriter
 from .options import ReplayOptions
 
 

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """A bag of a skin's topics, for machines without `ros2 bag`: rosbag2, storage MCAP."""
 
@@ -48,10 +36,10 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 
-from ..arguments import positive
-from ..errors import ParameterError, TactileError
-from ..interrupt import stop_event
-from ..message_types import message_types
+from ..base.errors import ParameterError, TactileError
+from ..base.interrupt import stop_event
+from ..config.arguments import positive
+from ..recording.message_types import message_types
 
 DATA = ("tactile", "info", "contacts", "wrench")
 """Topics of a skin's node that are recorded unless others are asked for."""

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """VirtualDigitizer: commands in, packets out, in its own time. No I/O.
 
@@ -29,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .._protocol import MAX_SAMPLES, Result, SyncMode
-from ..errors import SpecError
-from ..messages import (
+from ..base.errors import SpecError
+from ..wire._protocol import MAX_SAMPLES, Result, SyncMode
+from ..wire.messages import (
     Command,
     Configure,
     FrameLayout,
@@ -46,7 +34,7 @@ from ..messages import (
     Status,
     Stop,
 )
-from ..protocol import PacketParser, PacketWriter
+from ..wire.packets import PacketParser, PacketWriter
 from .channel import chip_means, first_sample, point_samples, waveforms
 from .disturbance import Disturbance
 from .loads import LOADS

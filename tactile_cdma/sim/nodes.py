@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """What the sensing nodes do: measure, keep time, decide whether to talk, and say a word."""
 
@@ -23,9 +11,9 @@ from itertools import count
 import numpy as np
 from numpy.typing import NDArray
 
-from ..calibration import AdcScale
-from ..frame import FrameSpec
-from ..node_clocks import NodeClocks
+from ..clocks.node_clocks import NodeClocks
+from ..code.frame import FrameSpec
+from ..readings.calibration import AdcScale
 from .scene import Scene, Skin
 from .sensor import WANDER_S, Sensor, SensorModel
 

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """The options of a sim:// URL, and what they make of the frame layout that a host asks for."""
 
@@ -22,16 +10,16 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
 
-from .._protocol import SyncMode
-from ..codes import default_order
-from ..errors import ParameterError, SpecError
-from ..frame import DEFAULT_AMPLITUDE_V, MAX_STRETCH, FrameSpec
-from ..layout import Layout
-from ..layout_file import read_layout
-from ..layout_nodes import Wiring
-from ..parameters import BY_NAME, GAP, NATURAL_SIGNS, Parameter, Value
-from ..roll_call import LARGEST_RATE_ERROR, LATEST
-from ..skin_config import user_path
+from ..base.errors import ParameterError, SpecError
+from ..clocks.roll_call import LARGEST_RATE_ERROR, LATEST
+from ..code.codes import default_order
+from ..code.frame import DEFAULT_AMPLITUDE_V, MAX_STRETCH, FrameSpec
+from ..config.parameters import BY_NAME, GAP, NATURAL_SIGNS, Parameter, Value
+from ..config.skin_config import user_path
+from ..places.layout import Layout
+from ..places.layout_file import read_layout
+from ..places.layout_nodes import Wiring
+from ..wire._protocol import SyncMode
 from .channel import MAX_JITTER, Channel
 from .loads import LOADS
 from .nodes import ClockModel, NodeRules

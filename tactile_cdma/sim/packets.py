@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """How a digitizer divides the line among packets, and what of it it leaves unsaid."""
 
@@ -22,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .._protocol import MAX_PACKET_US, MAX_SAMPLES, TAIL_CHIPS, SyncMode
+from ..wire._protocol import MAX_PACKET_US, MAX_SAMPLES, TAIL_CHIPS, SyncMode
 from .options import Setup
 
 

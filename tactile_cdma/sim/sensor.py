@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """The sensor between pressure and voltage; docs/sensor.md has where its figures come from."""
 
@@ -22,8 +10,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..calibration import Curves, PressureCurve
-from ..dynamics import Dynamics, Hysteresis, Lag
+from ..readings.calibration import Curves, PressureCurve
+from ..readings.dynamics import Dynamics, Hysteresis, Lag
 
 IDEAL, PAPER = "ideal", "paper"
 MOST_HYSTERESIS = 7.0

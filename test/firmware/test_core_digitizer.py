@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """The digitizer's C core: commands, reports, pulses, a slow host, overruns."""
 
@@ -28,7 +16,8 @@ from core_digitizer import Board, CoreDigitizer, Pulse
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactile_cdma._protocol import (
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.wire._protocol import (
     SYNC_CALL,
     SYNC_FRAME,
     SYNC_LEAD,
@@ -38,8 +27,7 @@ from tactile_cdma._protocol import (
     Result,
     SyncMode,
 )
-from tactile_cdma.frame import FrameSpec
-from tactile_cdma.messages import (
+from tactile_cdma.wire.messages import (
     Ack,
     Configure,
     FrameLayout,
@@ -53,7 +41,7 @@ from tactile_cdma.messages import (
     Status,
     Stop,
 )
-from tactile_cdma.protocol import PacketParser, PacketWriter, wrap
+from tactile_cdma.wire.packets import PacketParser, PacketWriter, wrap
 
 LAYOUT = FrameLayout.of(FrameSpec(), 4)
 REFUSED = Result.UNSUPPORTED

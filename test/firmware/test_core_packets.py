@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """CRC-32, COBS and packets in C: shared vectors, the host's parser as judge, any bytes at all."""
 
@@ -29,11 +17,11 @@ from core_digitizer import declare
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactile_cdma._protocol import PacketType
-from tactile_cdma.cobs import cobs_decode, cobs_encode
-from tactile_cdma.frame import FrameSpec
-from tactile_cdma.messages import Configure, FrameLayout, GetInfo, Start, Stop
-from tactile_cdma.protocol import MAX_PACKET, PacketParser, PacketWriter, wrap
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.wire._protocol import PacketType
+from tactile_cdma.wire.cobs import cobs_decode, cobs_encode
+from tactile_cdma.wire.messages import Configure, FrameLayout, GetInfo, Start, Stop
+from tactile_cdma.wire.packets import MAX_PACKET, PacketParser, PacketWriter, wrap
 
 VECTORS = json.loads((CORE.parent / "vectors" / "protocol.json").read_text())
 KEPT = 36  # bytes of a payload that the reader keeps

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """From the converter's counts to words: what the C core sends is read by the real decoder."""
 
@@ -23,13 +11,13 @@ import pytest
 from core_digitizer import Board, CoreDigitizer
 from numpy.typing import NDArray
 
-from tactile_cdma._protocol import SyncMode
-from tactile_cdma.encode import frame_levels, line_chips
-from tactile_cdma.messages import Configure, FrameLayout, GetInfo, Start
-from tactile_cdma.pipeline import Pipeline
-from tactile_cdma.silence import quiet_uv
+from tactile_cdma.code.encode import frame_levels, line_chips
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline
+from tactile_cdma.framing.silence import quiet_uv
 from tactile_cdma.sim.channel import point_samples
-from tactile_cdma.skin_config import SkinConfig
+from tactile_cdma.wire._protocol import SyncMode
+from tactile_cdma.wire.messages import Configure, FrameLayout, GetInfo, Start
 
 
 def line_counts(

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """The core built for other machines: byte for byte what it is here, and what it costs there."""
 
@@ -28,10 +16,10 @@ import pytest
 from conftest import need, run
 from core_digitizer import CoreDigitizer
 
-from tactile_cdma._protocol import SyncMode
-from tactile_cdma.frame import FrameSpec
-from tactile_cdma.messages import Configure, FrameLayout, GetInfo, RollCall, Start, Stop
-from tactile_cdma.protocol import wrap
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.wire._protocol import SyncMode
+from tactile_cdma.wire.messages import Configure, FrameLayout, GetInfo, RollCall, Start, Stop
+from tactile_cdma.wire.packets import wrap
 
 LAYOUT = FrameLayout.of(FrameSpec(), 4)
 INSTRUCTIONS_PER_SAMPLE = 60

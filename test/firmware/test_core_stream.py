@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """Samples → packets in C, against the virtual digitizer and the rules in exact fractions."""
 
@@ -30,9 +18,12 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tactile_cdma._protocol import MAX_SAMPLES, TAIL_CHIPS, Drive, Polarity, SyncMode
-from tactile_cdma.frame import FrameSpec
-from tactile_cdma.messages import (
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.sim.digitizer import stream
+from tactile_cdma.sim.nodes import RollCalls
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.wire._protocol import MAX_SAMPLES, TAIL_CHIPS, Drive, Polarity, SyncMode
+from tactile_cdma.wire.messages import (
     Ack,
     Configure,
     FrameLayout,
@@ -44,9 +35,6 @@ from tactile_cdma.messages import (
     Start,
     Status,
 )
-from tactile_cdma.sim.digitizer import stream
-from tactile_cdma.sim.nodes import RollCalls
-from tactile_cdma.sim.options import SimOptions
 
 MIDDLE = 2048  # count of the middle of the converter's range, which the simulator calls 0
 FIRST_MARK_US = 1000

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """The digitizer's core on its virtual board, with emulated nodes on its lines.
 
@@ -26,9 +14,9 @@ import pytest
 from conftest import Specimen
 
 from emulated import Amplifier, EmulatedSkin, Node
-from tactile_cdma._protocol import PacketType, Result, SyncMode
-from tactile_cdma.frame import FrameSpec
-from tactile_cdma.messages import (
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.wire._protocol import PacketType, Result, SyncMode
+from tactile_cdma.wire.messages import (
     Ack,
     Configure,
     FrameLayout,
@@ -41,7 +29,7 @@ from tactile_cdma.messages import (
     Status,
     Stop,
 )
-from tactile_cdma.protocol import PacketParser, PacketWriter
+from tactile_cdma.wire.packets import PacketParser, PacketWriter
 
 MS = 1_000_000
 SPEC = FrameSpec(nodes=2, order=4, frame_period_s=5e-3)

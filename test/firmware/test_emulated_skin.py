@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """Sixteen nodes' real images, the analog line, the digitizer's core, and the host's own decoder."""
 
@@ -26,13 +14,13 @@ from conftest import need
 
 from emulated import Amplifier, EmulatedSkin, Node
 from skin import reference_nodes
-from tactile_cdma.errors import SpecError
-from tactile_cdma.messages import Quiet, RollCall, Samples
-from tactile_cdma.node_memory import node_memory
-from tactile_cdma.pipeline import Pipeline, TactileFrame
-from tactile_cdma.protocol import PacketParser, PacketWriter
-from tactile_cdma.session import Session
-from tactile_cdma.skin_config import SkinConfig
+from tactile_cdma.base.errors import SpecError
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.driver.session import Session
+from tactile_cdma.hardware.node_memory import node_memory
+from tactile_cdma.wire.messages import Quiet, RollCall, Samples
+from tactile_cdma.wire.packets import PacketParser, PacketWriter
 
 MS = 1_000_000
 NODES, GAIN, SUPPLY_V = 16, 0.05, 3.3

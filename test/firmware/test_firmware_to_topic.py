@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """Firmware to topic: images of 16 nodes, a digitizer and the driver node, pressed and read."""
 
@@ -37,11 +25,11 @@ from rp2040_skin import Rp2040Skin  # noqa: E402
 from serve import LiveSkin  # noqa: E402
 from skin import PressedSkin, reference_amplifier, reference_nodes  # noqa: E402
 from skin_client import Client, running, wait_for  # noqa: E402
-from tactile_cdma.parameters import read_file  # noqa: E402
+from tactile_cdma.config.parameters import read_file  # noqa: E402
+from tactile_cdma.config.skin_config import SkinConfig  # noqa: E402
+from tactile_cdma.readings.taxels import Status  # noqa: E402
 from tactile_cdma.sim.pty import serve  # noqa: E402
 from tactile_cdma.sim.scene import SCENES  # noqa: E402
-from tactile_cdma.skin_config import SkinConfig  # noqa: E402
-from tactile_cdma.taxels import Status  # noqa: E402
 
 pytestmark = pytest.mark.ros
 ROOT = Path(__file__).resolve().parents[2]

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """The generated C header: it compiles, its sizes hold, and its structs give the shared vectors."""
 
@@ -24,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from tactile_cdma._protocol import FLAG_CALLED, FLAG_OVERRUN, FLAG_SYNC, PacketType
-from tactile_cdma.protocol import MAX_PACKET
+from tactile_cdma.wire._protocol import FLAG_CALLED, FLAG_OVERRUN, FLAG_SYNC, PacketType
+from tactile_cdma.wire.packets import MAX_PACKET
 
 HERE = Path(__file__).parent
 FIRMWARE = HERE.parents[1] / "firmware"

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """A sensing node's core in C against the host: memory, chips, rules, clock and sync pulses."""
 
@@ -26,14 +14,14 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tactile_cdma.calibration import AdcScale, PressureCurve
-from tactile_cdma.codes import is_feasible
-from tactile_cdma.encode import frame_levels, line_chips
-from tactile_cdma.frame import FrameSpec
-from tactile_cdma.messages import WIRE
-from tactile_cdma.node_memory import node_memory, read_node_memory
+from tactile_cdma.code.codes import is_feasible
+from tactile_cdma.code.encode import frame_levels, line_chips
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.hardware.node_memory import node_memory, read_node_memory
+from tactile_cdma.readings.calibration import AdcScale, PressureCurve
 from tactile_cdma.sim.nodes import NodeRules, RollCalls, node_frames
 from tactile_cdma.sim.scene import Skin
+from tactile_cdma.wire.messages import WIRE
 
 GOOD, BLANK, CORRUPT, INVALID, UNFIT = range(5)
 FRAME, CALL, MISSED = range(3)

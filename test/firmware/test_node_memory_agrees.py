@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """Host and firmware agree on a node's memory, and on what a node can do."""
 
@@ -25,10 +13,10 @@ from conftest import FIRMWARE
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactile_cdma.errors import SpecError
-from tactile_cdma.frame import FrameSpec
-from tactile_cdma.messages import WIRE
-from tactile_cdma.node_memory import MCUS, Mcu, node_memory
+from tactile_cdma.base.errors import SpecError
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.hardware.node_memory import MCUS, Mcu, node_memory
+from tactile_cdma.wire.messages import WIRE
 
 READER = ctypes.CFUNCTYPE(ctypes.c_uint8, ctypes.c_uint16)
 GOOD, BLANK, CORRUPT, UNFIT = 0, 1, 2, 4
@@ -108,7 +96,7 @@ def test_what_the_host_writes_the_firmware_takes_and_nothing_more(
 def unchecked_memory(spec: FrameSpec) -> bytes:
     """The memory of a node that can do anything."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("tactile_cdma.node_memory.RESTART_S", 0.0)
+        patch.setattr("tactile_cdma.hardware.node_memory.RESTART_S", 0.0)
         patch.setitem(MCUS, "any", Mcu(order=4096, chip_ns=20_000))
         return node_memory(spec, 1, mcu="any")
 

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """The RP2040's firmware when something goes wrong: on its links, with its samples, in its CPU."""
 
@@ -24,9 +12,9 @@ import pytest
 from rp2040_bench import UART, USB, Bench, ramp
 
 from rp2040 import EmulatorError
-from tactile_cdma._protocol import Result, SyncMode
-from tactile_cdma.frame import FrameSpec
-from tactile_cdma.messages import (
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.wire._protocol import Result, SyncMode
+from tactile_cdma.wire.messages import (
     Ack,
     Configure,
     FrameLayout,
@@ -37,7 +25,7 @@ from tactile_cdma.messages import (
     Start,
     Stop,
 )
-from tactile_cdma.protocol import PacketParser, PacketWriter, wrap
+from tactile_cdma.wire.packets import PacketParser, PacketWriter, wrap
 
 PLAIN = FrameLayout.of(FrameSpec(), 4)  # 80 kS/s
 UNMARKED = Configure(PLAIN, SyncMode.NONE)

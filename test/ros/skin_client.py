@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """A driver node and a client of it, in one process, over real DDS."""
 
@@ -33,9 +21,9 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image
 
 from tactile_cdma.msg import TactileArray, TactileSkinInfo
-from tactile_cdma.ros.node import SkinNode
-from tactile_cdma.ros.qos import LATCHED
-from tactile_cdma.ros.view import QUEUE
+from tactile_cdma.ros.common.qos import LATCHED
+from tactile_cdma.ros.driver.node import SkinNode
+from tactile_cdma.ros.viewers.view import QUEUE
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import serve

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """Bags of a live skin, as another reader sees them; recordings replayed through a real node."""
 
@@ -33,10 +21,10 @@ from rosbags.interfaces import QosDurability, QosReliability
 from std_srvs.srv import Trigger
 
 from skin_client import running, wait_for
-from tactile_cdma.cli import main
-from tactile_cdma.offline import described_parameters, raw_frames
-from tactile_cdma.pipeline import Pipeline
-from tactile_cdma.skin_config import SkinConfig
+from tactile_cdma.commands.cli import main
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline
+from tactile_cdma.recording.offline import described_parameters, raw_frames
 from tactile_cdma.srv import Tare
 
 pytestmark = [pytest.mark.ros, pytest.mark.xdist_group("bag")]
@@ -155,7 +143,7 @@ def test_a_name_that_no_topic_can_have_is_one_clear_error(tmp_path: Path) -> Non
 
 def test_the_bag_knows_our_types_as_ros_does(tmp_path: Path) -> None:
     """By their hashes, or others take them for other types."""
-    from tactile_cdma.message_types import message_types
+    from tactile_cdma.recording.message_types import message_types
 
     with running(port=PORT) as (_, client):
         wait_for(lambda: client.arrays and client.infos)

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """A body of eight patches over DDS: three of the drivers, and the body's node, are processes.
 
@@ -46,12 +34,12 @@ from sensor_msgs.msg import PointCloud2  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
 
 import skin_client  # noqa: E402
-from tactile_cdma.body_cloud import BODY_POINT  # noqa: E402
-from tactile_cdma.body_file import read_body  # noqa: E402
-from tactile_cdma.errors import TactileError  # noqa: E402
+from tactile_cdma.base.errors import TactileError  # noqa: E402
+from tactile_cdma.config.body_file import read_body  # noqa: E402
 from tactile_cdma.msg import TactileContact, TactileContacts  # noqa: E402
-from tactile_cdma.ros.body import BodyNode  # noqa: E402
-from tactile_cdma.ros.node import SkinNode  # noqa: E402
+from tactile_cdma.ros.body.node import BodyNode  # noqa: E402
+from tactile_cdma.ros.driver.node import SkinNode  # noqa: E402
+from tactile_cdma.views.body_cloud import BODY_POINT  # noqa: E402
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 ROOT = Path(__file__).resolve().parents[2]
@@ -304,7 +292,7 @@ def messages_are_as_often_as_a_patchs_frames_and_fewer_than_all_frames(body: Bod
 
 def the_viewer_prints_a_line_per_second_and_a_summary(body: Body) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "tactile_cdma.ros.body_view", "--seconds", "4"],
+        [sys.executable, "-m", "tactile_cdma.ros.viewers.body_view", "--seconds", "4"],
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,

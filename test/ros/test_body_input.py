@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """What a body's node makes of patches that come, go, change and talk nonsense.
 
@@ -38,15 +26,15 @@ from std_msgs.msg import Header  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
 
 from skin_client import wait_for  # noqa: E402
-from tactile_cdma.body_cloud import BODY_POINT  # noqa: E402
 from tactile_cdma.msg import (  # noqa: E402
     TactileArray,
     TactileContact,
     TactileContacts,
     TactileSkinInfo,
 )
-from tactile_cdma.ros.body import BodyNode  # noqa: E402
-from tactile_cdma.ros.qos import LATCHED  # noqa: E402
+from tactile_cdma.ros.body.node import BodyNode  # noqa: E402
+from tactile_cdma.ros.common.qos import LATCHED  # noqa: E402
+from tactile_cdma.views.body_cloud import BODY_POINT  # noqa: E402
 
 pytestmark = pytest.mark.ros
 STALE_AFTER_S = 1.0

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """The package builds as others will build it: with colcon in a workspace, and with pip."""
 
@@ -83,7 +71,7 @@ def imported_from(workspace: Path) -> Path:
         "from rclpy.serialization import deserialize_message, serialize_message;"
         "sent = TactileArray(pressure=[1.0, 2.0]);"
         "assert deserialize_message(serialize_message(sent), TactileArray) == sent;"
-        "from tactile_cdma.codes import code_book; import tactile_cdma.sim;"
+        "from tactile_cdma.code.codes import code_book; import tactile_cdma.sim;"
         "print(tactile_cdma.__file__)"
     )
     sourced = f'. "{workspace}/install/local_setup.sh" && exec "$0" -c "$1"'
@@ -114,7 +102,7 @@ def test_pip_install_gives_the_command_without_ros(tmp_path: Path) -> None:
     }
     answer = run(venv / "bin" / "tactile-cdma", "--help", cwd=tmp_path, env=environment)
     assert "simulate" in answer
-    probe = "import tactile_cdma.sim, tactile_cdma.cli; print(tactile_cdma.__file__)"
+    probe = "import tactile_cdma.sim, tactile_cdma.commands.cli; print(tactile_cdma.__file__)"
     answer = run(venv / "bin" / "python", "-c", probe, cwd=tmp_path, env=environment)
     assert Path(answer.strip()).is_relative_to(target)
 

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """What /diagnostics says of a driver that something is wrong with, over real DDS."""
 
@@ -31,9 +19,9 @@ rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
 
 from skin_client import Client, running, wait_for  # noqa: E402
-from tactile_cdma.encode import frame_levels, line_chips  # noqa: E402
-from tactile_cdma.ros.diagnostics import ENTRIES, NO_FRAMES  # noqa: E402
-from tactile_cdma.ros.node import SkinNode  # noqa: E402
+from tactile_cdma.code.encode import frame_levels, line_chips  # noqa: E402
+from tactile_cdma.ros.driver.diagnostics import ENTRIES, NO_FRAMES  # noqa: E402
+from tactile_cdma.ros.driver.node import SkinNode  # noqa: E402
 from tactile_cdma.sim import digitizer  # noqa: E402
 from tactile_cdma.sim.digitizer import VirtualDigitizer  # noqa: E402
 from tactile_cdma.sim.pty import Digitizer, serve  # noqa: E402
@@ -223,7 +211,7 @@ def test_a_wrong_rate_is_told(speed: float, level: bytes, text: str) -> None:
 
 
 def test_a_clock_that_runs_off_is_told_in_ppm(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tactile_cdma.clock.SURE_INTERVALS", 12)  # 3 s, not 10
+    monkeypatch.setattr("tactile_cdma.driver.clock.SURE_INTERVALS", 12)  # 3 s, not 10
     with hurrying(port="sim://?scene=idle&speed=1.0008") as (_, client):
         wait_for(says(client, "link", WARN, "ppm off"), PATIENCE_S)
 

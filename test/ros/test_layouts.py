@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """A layout file on its way to subscribers."""
 
@@ -27,12 +15,12 @@ rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 from sensor_msgs.msg import Image  # noqa: E402
 
 from skin_client import running, wait_for  # noqa: E402
-from tactile_cdma.layout_file import read_layout  # noqa: E402
-from tactile_cdma.layout_nodes import Wiring  # noqa: E402
-from tactile_cdma.ros.patches import layout_of  # noqa: E402
-from tactile_cdma.ros.pictures import PICTURE  # noqa: E402
-from tactile_cdma.ros.view import in_use  # noqa: E402
-from tactile_cdma.taxels import Status  # noqa: E402
+from tactile_cdma.places.layout_file import read_layout  # noqa: E402
+from tactile_cdma.places.layout_nodes import Wiring  # noqa: E402
+from tactile_cdma.readings.taxels import Status  # noqa: E402
+from tactile_cdma.ros.common.qos import PICTURE  # noqa: E402
+from tactile_cdma.ros.viewers.patches import layout_of  # noqa: E402
+from tactile_cdma.ros.viewers.view import in_use  # noqa: E402
 
 pytestmark = pytest.mark.ros
 LAYOUTS = Path(__file__).resolve().parents[2] / "config" / "layouts"

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """Transitions in any order, with ports that come and go: nothing is left behind."""
 
@@ -37,8 +25,8 @@ from rclpy.lifecycle import TransitionCallbackReturn  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 
 from skin_client import plugged, running, wait_for  # noqa: E402
-from tactile_cdma.ros.node import SkinNode  # noqa: E402
-from tactile_cdma.source import Port  # noqa: E402
+from tactile_cdma.ros.driver.node import SkinNode  # noqa: E402
+from tactile_cdma.wire.port import Port  # noqa: E402
 
 pytestmark = pytest.mark.ros
 UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = "unconfigured", "inactive", "active", "finalized"

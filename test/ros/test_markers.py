@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """Markers of a skin and of its contacts, from frame to frame."""
 
@@ -26,12 +14,12 @@ pytest.importorskip("visualization_msgs", reason="ROS 2 is not installed")
 from std_msgs.msg import Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from tactile_cdma.contact import ContactThresholds, ContactTracker
-from tactile_cdma.heatmap import NO_READING_RGB, colours
-from tactile_cdma.layout import Layout
-from tactile_cdma.layout_shapes import cylinder
-from tactile_cdma.mesh import taxel_squares
-from tactile_cdma.ros.markers import (
+from tactile_cdma.places.layout import Layout
+from tactile_cdma.places.layout_shapes import cylinder
+from tactile_cdma.places.mesh import taxel_squares
+from tactile_cdma.readings.contact import ContactThresholds, ContactTracker
+from tactile_cdma.readings.taxels import Readings, Status
+from tactile_cdma.ros.driver.markers import (
     ARROW_M_PER_N,
     ARROWS,
     MOST_SQUARES,
@@ -39,7 +27,7 @@ from tactile_cdma.ros.markers import (
     TEXTS,
     SkinMarkers,
 )
-from tactile_cdma.taxels import Readings, Status
+from tactile_cdma.views.heatmap import NO_READING_RGB, colours
 
 pytestmark = pytest.mark.ros
 PITCH_M, MAX_PA, HEADER = 7e-3, 140e3, Header(frame_id="cuff")

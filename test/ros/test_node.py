@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """The driver node over real DDS: topics, parameters, lifecycle, faults."""
 
@@ -34,13 +22,13 @@ from rclpy.time import Time  # noqa: E402
 from sensor_msgs.msg import Image  # noqa: E402
 
 from skin_client import plugged, running, wait_for  # noqa: E402
-from tactile_cdma.calibration import AdcScale, PressureCurve  # noqa: E402
+from tactile_cdma.config.parameters import PARAMETERS  # noqa: E402
 from tactile_cdma.msg import TactileArray  # noqa: E402
-from tactile_cdma.parameters import PARAMETERS  # noqa: E402
-from tactile_cdma.ros.pictures import PICTURE  # noqa: E402
+from tactile_cdma.readings.calibration import AdcScale, PressureCurve  # noqa: E402
+from tactile_cdma.readings.taxels import Status  # noqa: E402
+from tactile_cdma.ros.common.qos import PICTURE  # noqa: E402
 from tactile_cdma.sim.digitizer import truth  # noqa: E402
 from tactile_cdma.sim.options import Setup, SimOptions  # noqa: E402
-from tactile_cdma.taxels import Status  # noqa: E402
 
 pytestmark = pytest.mark.ros
 

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """Pictures of one skin over real DDS: the same pressures, places and colours in every one."""
 
@@ -30,12 +18,13 @@ from sensor_msgs.msg import Image, PointCloud2, PointField  # noqa: E402
 from visualization_msgs.msg import Marker  # noqa: E402
 
 from skin_client import Client, running, wait_for  # noqa: E402
-from tactile_cdma.cloud import POINT  # noqa: E402
-from tactile_cdma.heatmap import colours  # noqa: E402
-from tactile_cdma.layout_file import read_layout  # noqa: E402
-from tactile_cdma.layout_nodes import Wiring  # noqa: E402
-from tactile_cdma.ros.markers import ARROWS, SURFACE  # noqa: E402
-from tactile_cdma.ros.pictures import LOOK_S, PICTURE, TOPICS  # noqa: E402
+from tactile_cdma.places.layout_file import read_layout  # noqa: E402
+from tactile_cdma.places.layout_nodes import Wiring  # noqa: E402
+from tactile_cdma.ros.common.qos import PICTURE  # noqa: E402
+from tactile_cdma.ros.driver.markers import ARROWS, SURFACE  # noqa: E402
+from tactile_cdma.ros.driver.pictures import LOOK_S, TOPICS  # noqa: E402
+from tactile_cdma.views.cloud import POINT  # noqa: E402
+from tactile_cdma.views.heatmap import colours  # noqa: E402
 
 pytestmark = [pytest.mark.ros, pytest.mark.xdist_group("pictures")]
 PATH = Path(__file__).resolve().parents[2] / "config" / "layouts" / "sphere.yaml"

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """The bridge to the Rerun viewer, against a real driver: what it saves is what was published."""
 
@@ -32,10 +20,10 @@ from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rerun.chunk import RrdReader  # noqa: E402
 
 from skin_client import running, wait_for  # noqa: E402
-from tactile_cdma.heatmap import colours  # noqa: E402
-from tactile_cdma.layout_file import Wiring, read_layout  # noqa: E402
-from tactile_cdma.mesh import taxel_squares  # noqa: E402
-from tactile_cdma.ros.rerun_view import RerunView  # noqa: E402
+from tactile_cdma.places.layout_file import Wiring, read_layout  # noqa: E402
+from tactile_cdma.places.mesh import taxel_squares  # noqa: E402
+from tactile_cdma.ros.viewers.rerun_view import RerunView  # noqa: E402
+from tactile_cdma.views.heatmap import colours  # noqa: E402
 
 pytestmark = pytest.mark.ros
 LAYOUT = Path(__file__).resolve().parents[2] / "config" / "layouts" / "cylinder.yaml"

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """What a user starts: the driver and the viewer as processes of their own."""
 
@@ -119,7 +107,14 @@ def test_a_wrong_time_is_refused_in_words_of_make(seconds: str) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_end_the_driver_in_order(number: signal.Signals) -> None:
-    command = [sys.executable, "-m", "tactile_cdma.ros.node", "--ros-args", "-p", "port:=sim://"]
+    command = [
+        sys.executable,
+        "-m",
+        "tactile_cdma.ros.driver.node",
+        "--ros-args",
+        "-p",
+        "port:=sim://",
+    ]
     node = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     with ended(node):
         read_until(node, "receiving frames")
@@ -175,7 +170,7 @@ def test_the_viewer_passes_on_what_the_driver_complains_of() -> None:
 def test_a_parameter_file_with_a_wrong_key_is_reported_and_the_node_lives(tmp_path: Path) -> None:
     path = tmp_path / "wrong.yaml"
     path.write_text("/**:\n  ros__parameters:\n    chip_uss: 40.0\n")
-    command = [sys.executable, "-m", "tactile_cdma.ros.node", "--ros-args"]
+    command = [sys.executable, "-m", "tactile_cdma.ros.driver.node", "--ros-args"]
     command += ["--params-file", str(path)]
     node = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     with ended(node):
@@ -189,7 +184,7 @@ def test_a_parameter_file_with_a_wrong_key_is_reported_and_the_node_lives(tmp_pa
 def test_a_parameter_file_that_is_no_yaml_is_one_error(tmp_path: Path) -> None:
     path = tmp_path / "broken.yaml"
     path.write_text("/**: [")
-    command = [sys.executable, "-m", "tactile_cdma.ros.node", "--ros-args"]
+    command = [sys.executable, "-m", "tactile_cdma.ros.driver.node", "--ros-args"]
     done = subprocess.run(
         [*command, "--params-file", str(path)], capture_output=True, text=True, timeout=60
     )
@@ -199,13 +194,13 @@ def test_a_parameter_file_that_is_no_yaml_is_one_error(tmp_path: Path) -> None:
 
 
 def test_an_argument_that_ros_does_not_know_is_one_error() -> None:
-    command = [sys.executable, "-m", "tactile_cdma.ros.node", "--ros-args", "-x"]
+    command = [sys.executable, "-m", "tactile_cdma.ros.driver.node", "--ros-args", "-x"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stderr) == (1, "skin_driver: unknown arguments: ['-x']\n")
 
 
 def test_the_viewer_counts_over_restarts_of_the_driver() -> None:
-    from tactile_cdma.ros.tally import Tally
+    from tactile_cdma.ros.viewers.tally import Tally
 
     tally = Tally()
     for info_id, sequences in ((1, [0, 1, 2, 5]), (2, [0, 1, 3]), (2, [0, 1])):
@@ -219,7 +214,7 @@ def test_the_viewer_counts_over_restarts_of_the_driver() -> None:
 
 
 def test_a_first_message_that_is_late_makes_no_higher_rate() -> None:
-    from tactile_cdma.ros.tally import Tally
+    from tactile_cdma.ros.viewers.tally import Tally
 
     tally = Tally()
     for number in range(11):

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """rviz's files name displays and properties that there are, and topics as they are offered.
 
@@ -41,7 +29,7 @@ from rclpy.qos import (  # noqa: E402
 )
 
 from skin_client import Client, running, wait_for  # noqa: E402
-from tactile_cdma.parameters import BY_NAME  # noqa: E402
+from tactile_cdma.config.parameters import BY_NAME  # noqa: E402
 
 pytestmark = pytest.mark.ros
 CONFIG = Path(__file__).resolve().parents[2] / "config"

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """The driver as an ordinary user: what it touches, and what SROS 2 has to allow it."""
 
@@ -32,16 +20,16 @@ rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 from rclpy.node import Node  # noqa: E402
 
 from skin_client import plugged, running, wait_for  # noqa: E402
-from tactile_cdma.calibration_file import write_calibration  # noqa: E402
-from tactile_cdma.ros.view import Viewer  # noqa: E402
-from tactile_cdma.skin_config import SkinConfig  # noqa: E402
+from tactile_cdma.config.skin_config import SkinConfig  # noqa: E402
+from tactile_cdma.readings.calibration_file import write_calibration  # noqa: E402
+from tactile_cdma.ros.viewers.view import Viewer  # noqa: E402
 
 pytestmark = pytest.mark.ros
 ROOT = Path(__file__).resolve().parents[2]
 LIFE = Path(__file__).with_name("watched_life.py")
 POLICY = ROOT / "config" / "security" / "skin.policy.xml"
 USER, GROUP, NO_GROUP = 65_534, 54_321, 54_322
-OPEN_PORT = "import sys; from tactile_cdma.source import Port; Port(sys.argv[1], 9600).close()"
+OPEN_PORT = "import sys; from tactile_cdma.wire.port import Port; Port(sys.argv[1], 9600).close()"
 
 
 @pytest.fixture(scope="module", autouse=True)

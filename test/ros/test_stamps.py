@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """Stamps follow ROS time, whatever it does, and keep the distances of the moments they are of."""
 
@@ -25,8 +13,8 @@ rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
 from rclpy.time import Time  # noqa: E402
 
-from tactile_cdma.ros.convert import nanoseconds  # noqa: E402
-from tactile_cdma.ros.stamps import STAMP_JITTER_NS, SURE_NS, TRIES, Stamps  # noqa: E402
+from tactile_cdma.ros.common.convert import nanoseconds  # noqa: E402
+from tactile_cdma.ros.driver.stamps import STAMP_JITTER_NS, SURE_NS, TRIES, Stamps  # noqa: E402
 
 pytestmark = pytest.mark.ros
 HOUR_NS = 3600 * 10**9
@@ -59,7 +47,7 @@ class Computer:
 @pytest.fixture
 def computer(monkeypatch: pytest.MonkeyPatch) -> Computer:
     computer = Computer()
-    monkeypatch.setattr("tactile_cdma.ros.stamps.time", computer)
+    monkeypatch.setattr("tactile_cdma.ros.driver.stamps.time", computer)
     return computer
 
 

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """Tare, drift and calibration of a running driver: services, info, file, over real DDS."""
 
@@ -32,11 +20,11 @@ from lifecycle_msgs.msg import Transition  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 from skin_client import Client, running, wait_for  # noqa: E402
-from tactile_cdma.calibration import AdcScale, Calibration, PressureCurve  # noqa: E402
-from tactile_cdma.calibration_file import write_calibration  # noqa: E402
 from tactile_cdma.msg import TactileArray  # noqa: E402
-from tactile_cdma.ros import services  # noqa: E402
-from tactile_cdma.ros.node import APART_NODES  # noqa: E402
+from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve  # noqa: E402
+from tactile_cdma.readings.calibration_file import write_calibration  # noqa: E402
+from tactile_cdma.ros.driver import services  # noqa: E402
+from tactile_cdma.ros.driver.node import APART_NODES  # noqa: E402
 from tactile_cdma.sim.digitizer import VirtualDigitizer  # noqa: E402
 from tactile_cdma.sim.options import SimOptions  # noqa: E402
 from tactile_cdma.sim.pty import serve  # noqa: E402
@@ -286,7 +274,7 @@ def test_drift_is_followed_told_of_and_kept(
 ) -> None:
     """The skin rests a count off where it was tared, then two; at this rate that takes no time."""
     monkeypatch.setattr(services, "TELL_S", 0.1)
-    monkeypatch.setattr("tactile_cdma.drift.SETTLE_S", 1.0)
+    monkeypatch.setattr("tactile_cdma.readings.drift.SETTLE_S", 1.0)
     preload(800.0)
     options = {"port": IDLE, "state_folder": str(tmp_path), "drift_pa_per_min": 0.0}
     with running(**options) as (_, client):
@@ -318,7 +306,7 @@ def test_drift_is_followed_told_of_and_kept(
 def test_diagnostics_name_drift_tare_and_what_is_off_its_rest(
     preload: Callable[[float], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tactile_cdma.drift.STRAY_S", 0.5)
+    monkeypatch.setattr("tactile_cdma.readings.drift.STRAY_S", 0.5)
 
     def values() -> dict[str, str]:
         return {pair.key: pair.value for pair in client.diagnostics[-1].values}

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """How a node's topics are offered, and where it tells tf that the skin is."""
 
@@ -34,12 +22,12 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
 
 from skin_client import Client, running, wait_for  # noqa: E402
+from tactile_cdma.config.parameters import read_file  # noqa: E402
 from tactile_cdma.msg import TactileArray  # noqa: E402
-from tactile_cdma.parameters import read_file  # noqa: E402
-from tactile_cdma.poses import Pose  # noqa: E402
-from tactile_cdma.ros.node import SkinNode  # noqa: E402
-from tactile_cdma.ros.pictures import TOPICS  # noqa: E402
-from tactile_cdma.ros.qos import LATCHED  # noqa: E402
+from tactile_cdma.places.poses import Pose  # noqa: E402
+from tactile_cdma.ros.common.qos import LATCHED  # noqa: E402
+from tactile_cdma.ros.driver.node import SkinNode  # noqa: E402
+from tactile_cdma.ros.driver.pictures import TOPICS  # noqa: E402
 
 pytestmark = pytest.mark.ros
 PAST = QoSProfile(depth=100, durability=LATCHED.durability)

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """Two minutes of the soak, in real time; and what the soak looks for is found."""
 
@@ -29,10 +17,10 @@ pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
 from std_msgs.msg import Header
 
+from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.msg import TactileArray
-from tactile_cdma.ros.convert import ros_array, stamp
+from tactile_cdma.ros.common.convert import ros_array, stamp
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.skin_config import SkinConfig
 from torture.laps import Stretch, record
 from torture.process_watch import Watch
 from torture.readings import Held

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """What viewers make of what a driver publishes: names, complaints, a terminal without colours."""
 
@@ -37,9 +25,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from skin_client import running, wait_for
 from tactile_cdma.msg import TactileArray
-from tactile_cdma.ros.complaints import MOST_ENTRIES, Complaints
-from tactile_cdma.ros.patches import full_name
-from tactile_cdma.ros.view import QUEUE, Viewer, look_for
+from tactile_cdma.ros.viewers.complaints import MOST_ENTRIES, Complaints
+from tactile_cdma.ros.viewers.patches import full_name
+from tactile_cdma.ros.viewers.view import QUEUE, Viewer, look_for
 
 pytestmark = pytest.mark.ros
 
@@ -125,7 +113,7 @@ def shown_by_the_viewer(until: str, keys: bytes, **environment: str) -> str:
     """What the viewer writes to a terminal up to a text, then until keys have ended it."""
     master, terminal = pty.openpty()
     viewer = subprocess.Popen(
-        [sys.executable, "-m", "tactile_cdma.ros.view"],
+        [sys.executable, "-m", "tactile_cdma.ros.viewers.view"],
         stdin=terminal,
         stdout=terminal,
         start_new_session=True,

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """A driver node and the wrong board, over real DDS: refused, told, and recovered from."""
 
@@ -30,7 +18,7 @@ from lifecycle_msgs.msg import State, Transition  # noqa: E402
 from serial.tools import list_ports  # noqa: E402
 
 from skin_client import running, wait_for  # noqa: E402
-from tactile_cdma.cli import main  # noqa: E402
+from tactile_cdma.commands.cli import main  # noqa: E402
 from tactile_cdma.ros import doctor  # noqa: E402
 
 pytestmark = pytest.mark.ros

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """The digitizer's core in C and its simulated twin in Python, on the same bytes and samples."""
 
@@ -27,11 +15,11 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_cdma._protocol import PacketType, Result
-from tactile_cdma.frame import FrameSpec
-from tactile_cdma.messages import Ack, Configure, FrameLayout, Packet, Samples, Start, Status
-from tactile_cdma.protocol import PacketParser, PacketWriter, wrap
+from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.wire._protocol import PacketType, Result
+from tactile_cdma.wire.messages import Ack, Configure, FrameLayout, Packet, Samples, Start, Status
+from tactile_cdma.wire.packets import PacketParser, PacketWriter, wrap
 
 from ..outcome import Outcome, Plan
 

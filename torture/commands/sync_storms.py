@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """The nodes' real images, emulated, on a sync line that does anything, and then as it should."""
 
@@ -23,10 +11,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_cdma._protocol import SYNC_FRAME, SYNC_LEAD, SYNC_UNIT_US
-from tactile_cdma.encode import frame_levels, line_chips
-from tactile_cdma.frame import FrameSpec
-from tactile_cdma.node_memory import MCUS, node_memory
+from tactile_cdma.code.encode import frame_levels, line_chips
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.hardware.node_memory import MCUS, node_memory
+from tactile_cdma.wire._protocol import SYNC_FRAME, SYNC_LEAD, SYNC_UNIT_US
 
 from ..outcome import Outcome, Plan
 from .c_fuzzing import BUILD, FIRMWARE, SIMAVR, build

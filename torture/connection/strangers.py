@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """What else may be on a port: the bytes of devices that are no digitizer of ours."""
 
@@ -22,13 +10,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tactile_cdma._protocol import VERSION, PacketType
-from tactile_cdma.messages import WIRE
-from tactile_cdma.protocol import wrap
-from tactile_cdma.session import Session
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.skin_config import SkinConfig
+from tactile_cdma.wire._protocol import VERSION, PacketType
+from tactile_cdma.wire.messages import WIRE
+from tactile_cdma.wire.packets import wrap
 
 Rng = np.random.Generator
 PACE_S = 10e-3

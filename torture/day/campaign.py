@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """A robot's day in minutes: all that a driver counts goes on for 24 hours, and wraps.
 
@@ -33,13 +21,13 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from tactile_cdma.driver import Driver
-from tactile_cdma.messages import Status
-from tactile_cdma.pipeline import Pipeline
-from tactile_cdma.recording_file import Recorder
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.driver import Driver
+from tactile_cdma.driver.pipeline import Pipeline
+from tactile_cdma.driver.vitals import totals
+from tactile_cdma.recording.recording_file import Recorder
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.skin_config import SkinConfig
-from tactile_cdma.vitals import totals
+from tactile_cdma.wire.messages import Status
 
 from ..laps import LapWriter, Stretch, record
 from ..outcome import Outcome, Plan

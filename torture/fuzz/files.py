@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """Files that users name, as targets."""
 
@@ -24,12 +12,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from tactile_cdma.body_file import read_body
-from tactile_cdma.calibrating.load_table import read_table
-from tactile_cdma.calibration import AdcScale, Calibration, PressureCurve
-from tactile_cdma.calibration_file import read_calibration, write_calibration
-from tactile_cdma.capture import is_text, read_bytes, read_scope_csv
-from tactile_cdma.errors import (
+from tactile_cdma.base.errors import (
     BodyError,
     CalibrationError,
     CaptureError,
@@ -39,17 +22,22 @@ from tactile_cdma.errors import (
     RestError,
     TactileError,
 )
-from tactile_cdma.frame import FrameSpec
-from tactile_cdma.layout_file import read_layout
-from tactile_cdma.layout_nodes import Wiring
-from tactile_cdma.node_memory import describe_memory, node_memory
-from tactile_cdma.offline import decode_scope, offline_values
-from tactile_cdma.parameters import read_file
-from tactile_cdma.programmer import read_memory, write_memory
-from tactile_cdma.recording import Description, RecordingEncoder, RecordingParser
-from tactile_cdma.recording_file import describe, survey
-from tactile_cdma.rest_file import RestState, read_rest, write_rest
-from tactile_cdma.skin_config import SkinConfig
+from tactile_cdma.calibrating.load_table import read_table
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.config.body_file import read_body
+from tactile_cdma.config.parameters import read_file
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.hardware.node_memory import describe_memory, node_memory
+from tactile_cdma.hardware.programmer import read_memory, write_memory
+from tactile_cdma.places.layout_file import read_layout
+from tactile_cdma.places.layout_nodes import Wiring
+from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
+from tactile_cdma.readings.calibration_file import read_calibration, write_calibration
+from tactile_cdma.readings.rest_file import RestState, read_rest, write_rest
+from tactile_cdma.recording.capture import is_text, read_bytes, read_scope_csv
+from tactile_cdma.recording.container import Description, RecordingEncoder, RecordingParser
+from tactile_cdma.recording.offline import decode_scope, offline_values
+from tactile_cdma.recording.recording_file import describe, survey
 
 from .target import Target
 

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """What arrives over a port, in either direction, as targets."""
 
@@ -21,9 +9,15 @@ from functools import cache
 
 import numpy as np
 
-from tactile_cdma._protocol import MAX_SAMPLES, PacketType
-from tactile_cdma.errors import SpecError, TactileError
-from tactile_cdma.messages import (
+from tactile_cdma.base.errors import SpecError, TactileError
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.driver.session import Session
+from tactile_cdma.recording.offline import parameters_of
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.wire._protocol import MAX_SAMPLES, PacketType
+from tactile_cdma.wire.messages import (
     WIRE,
     Ack,
     Configure,
@@ -39,13 +33,7 @@ from tactile_cdma.messages import (
     Status,
     Stop,
 )
-from tactile_cdma.offline import parameters_of
-from tactile_cdma.pipeline import Pipeline, TactileFrame
-from tactile_cdma.protocol import MAX_PACKET, PacketParser, PacketWriter, wrap
-from tactile_cdma.session import Session
-from tactile_cdma.sim.digitizer import VirtualDigitizer
-from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.skin_config import SkinConfig
+from tactile_cdma.wire.packets import MAX_PACKET, PacketParser, PacketWriter, wrap
 
 from .target import MiscountError, Target
 

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """Short texts that users give, as targets: URLs, ids."""
 
@@ -18,11 +6,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from tactile_cdma.errors import ParameterError, PortError, SpecError, TactileError
-from tactile_cdma.identity import parse_id, shown_id
+from tactile_cdma.base.errors import ParameterError, PortError, SpecError, TactileError
 from tactile_cdma.replay.options import ReplayOptions
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.source import SerialPort, find_usb
+from tactile_cdma.wire.identity import parse_id, shown_id
+from tactile_cdma.wire.port import SerialPort, find_usb
 
 from .target import Target
 

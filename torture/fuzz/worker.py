@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """One target, searched in a process of its own: by coverage with atheris, else by mutations alone.
 
@@ -37,8 +25,15 @@ ROOM = 1 << 30
 """Bytes that a process may grow by; what asks for more gets a MemoryError, which is a find."""
 DEAD_S = 60
 """Wall-clock time after which an input that cannot even be given up ends the process."""
-_NAMES = "clock codes decode fit frame paley pressure separate sim taxels transform"
-NUMERIC = [f"tactile_cdma.{name}" for name in _NAMES.split()]
+NUMERIC = [
+    "tactile_cdma.code",
+    "tactile_cdma.driver.clock",
+    "tactile_cdma.framing.fit",
+    "tactile_cdma.readings.pressure",
+    "tactile_cdma.readings.taxels",
+    "tactile_cdma.sim",
+    "tactile_cdma.words",
+]
 """What takes arrays, not bytes: its branches are not looked at, which takes time."""
 
 

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """Files that are made to fill the memory, or to keep their reader busy or waiting for ever."""
 
@@ -25,20 +13,20 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
-from tactile_cdma.body_file import read_body
-from tactile_cdma.calibration import AdcScale, PressureCurve
-from tactile_cdma.calibration_file import read_calibration
-from tactile_cdma.capture import MOST_CSV_BYTES, is_text, read_bytes, read_scope_csv
-from tactile_cdma.errors import TactileError
-from tactile_cdma.layout_file import read_layout
-from tactile_cdma.layout_nodes import Wiring
-from tactile_cdma.marked_yaml import MOST_BYTES, MOST_TEXT
-from tactile_cdma.parameters import read_file
-from tactile_cdma.programmer import read_memory
-from tactile_cdma.recording import MAGIC, RecordingParser
-from tactile_cdma.recording import MOST_BYTES as MOST_RECORD
-from tactile_cdma.recording_file import describe, read_end, survey
-from tactile_cdma.rest_file import read_rest
+from tactile_cdma.base.errors import TactileError
+from tactile_cdma.base.marked_yaml import MOST_BYTES, MOST_TEXT
+from tactile_cdma.config.body_file import read_body
+from tactile_cdma.config.parameters import read_file
+from tactile_cdma.hardware.programmer import read_memory
+from tactile_cdma.places.layout_file import read_layout
+from tactile_cdma.places.layout_nodes import Wiring
+from tactile_cdma.readings.calibration import AdcScale, PressureCurve
+from tactile_cdma.readings.calibration_file import read_calibration
+from tactile_cdma.readings.rest_file import read_rest
+from tactile_cdma.recording.capture import MOST_CSV_BYTES, is_text, read_bytes, read_scope_csv
+from tactile_cdma.recording.container import MAGIC, RecordingParser
+from tactile_cdma.recording.container import MOST_BYTES as MOST_RECORD
+from tactile_cdma.recording.recording_file import describe, read_end, survey
 
 HANG_S = 60.0
 """After so long a reader hangs, on however busy a machine."""

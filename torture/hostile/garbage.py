@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """Bytes without end that a driver might be given, and how much memory they make it hold."""
 
@@ -25,12 +13,12 @@ from itertools import count
 
 import numpy as np
 
-from tactile_cdma._protocol import MAX_SAMPLES, SyncMode
-from tactile_cdma.messages import FrameLayout, Info, Quiet, Samples
-from tactile_cdma.parameters import GAP, LINE
-from tactile_cdma.pipeline import Pipeline
-from tactile_cdma.protocol import PacketWriter, wrap
-from tactile_cdma.skin_config import SkinConfig
+from tactile_cdma.config.parameters import GAP, LINE
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline
+from tactile_cdma.wire._protocol import MAX_SAMPLES, SyncMode
+from tactile_cdma.wire.messages import FrameLayout, Info, Quiet, Samples
+from tactile_cdma.wire.packets import PacketWriter, wrap
 
 CHUNK = 1 << 16
 """Bytes that come at once."""

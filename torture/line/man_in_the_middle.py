@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """A man in the middle of the line: a digitizer whose bytes come to harm, by a seeded schedule."""
 
@@ -23,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tactile_cdma._protocol import PacketType, Result, SyncMode
-from tactile_cdma.messages import Ack
-from tactile_cdma.protocol import PacketParser
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import Setup
 from tactile_cdma.sim.pty import Digitizer
+from tactile_cdma.wire._protocol import PacketType, Result, SyncMode
+from tactile_cdma.wire.messages import Ack
+from tactile_cdma.wire.packets import PacketParser
 
 from .damage import Kind
 from .ledger import Ledger

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """A virtual digitizer, a man in the middle, a real tty and a driver, all running."""
 
@@ -26,13 +14,13 @@ from types import TracebackType
 
 import numpy as np
 
-from tactile_cdma.driver import Driver
-from tactile_cdma.parameters import Values
-from tactile_cdma.pipeline import TactileFrame
+from tactile_cdma.config.parameters import Values
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.driver import Driver
+from tactile_cdma.driver.pipeline import TactileFrame
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import serve
-from tactile_cdma.skin_config import SkinConfig
 
 from .damage import LOST
 from .judge import Judge

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """Load: subscribers of every kind, too little processor, full disks, clocks that are set.
 
@@ -223,7 +211,14 @@ def _full_recording(folder: Path, plan: Plan) -> Outcome:
     for number in range(times):
         path, most = folder / f"{number}.skin", FULL_BYTES * (number + 1)
         # At speed 0 its time passes with its samples: none are lost, however busy the machine is.
-        record = [sys.executable, "-m", "tactile_cdma.cli", "record", "sim://?speed=0", str(path)]
+        record = [
+            sys.executable,
+            "-m",
+            "tactile_cdma.commands.cli",
+            "record",
+            "sim://?speed=0",
+            str(path),
+        ]
         done = subprocess.run(
             [*record, "--seconds", "20"],
             preexec_fn=partial(resource.setrlimit, resource.RLIMIT_FSIZE, (most, most)),
@@ -231,7 +226,7 @@ def _full_recording(folder: Path, plan: Plan) -> Outcome:
             text=True,
         )
         crashes += done.returncode != 1 or len(done.stderr.splitlines()) != 1
-        info = [sys.executable, "-m", "tactile_cdma.cli", "info", str(path)]
+        info = [sys.executable, "-m", "tactile_cdma", "info", str(path)]
         told = subprocess.run(info, capture_output=True, text=True).stdout
         wrong += "lost 0, CRC errors 0" not in told or "is cut short" not in told
     return Outcome("a recording that does not fit on the disk", times, wrong, crashes=crashes)

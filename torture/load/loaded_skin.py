@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """A driver in a process of its own, to be put under load, and a subscriber who knows the truth."""
 
@@ -189,7 +177,13 @@ class LoadedSkin:
 
     @contextmanager
     def _driver(self, port: str) -> Iterator[subprocess.Popen[bytes]]:
-        command = [sys.executable, "-m", "tactile_cdma.ros.node", "--ros-args", *self._arguments]
+        command = [
+            sys.executable,
+            "-m",
+            "tactile_cdma.ros.driver.node",
+            "--ros-args",
+            *self._arguments,
+        ]
         values = {"port": port, "state_folder": self.state_folder, "drift_pa_per_min": 0.0}
         for name, value in values.items():
             command += ["-p", f"{name}:={value}"]

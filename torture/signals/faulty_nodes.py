@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """What broken nodes put on the line instead of their words."""
 
@@ -22,9 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_cdma.codes import row_signs, smallest_order
-from tactile_cdma.encode import frame_levels, with_parity, word_bits
-from tactile_cdma.frame import DEFAULT_AMPLITUDE_V, UNIPOLAR, FrameSpec
+from tactile_cdma.code.codes import row_signs, smallest_order
+from tactile_cdma.code.encode import frame_levels, with_parity, word_bits
+from tactile_cdma.code.frame import DEFAULT_AMPLITUDE_V, UNIPOLAR, FrameSpec
 from tactile_cdma.sim.disturbance import Waveform
 
 Floats = NDArray[np.float64]

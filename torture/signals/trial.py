@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """A skin whose nodes or line break for a while, again and again, and what it publishes of that."""
 
@@ -24,16 +12,16 @@ from time import thread_time
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_cdma.parameters import Value
-from tactile_cdma.pipeline import Pipeline, TactileFrame
-from tactile_cdma.session import Session
+from tactile_cdma.config.parameters import Value
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.driver.session import Session
+from tactile_cdma.readings.stuck import StuckNodes
+from tactile_cdma.readings.taxels import Status
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.disturbance import Waveform
 from tactile_cdma.sim.nodes import NodeFrame
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.skin_config import SkinConfig
-from tactile_cdma.stuck import StuckNodes
-from tactile_cdma.taxels import Status
 
 from ..oracle import Oracle
 from ..readings import pressures

@@ -1,16 +1,4 @@
-# Copyright 2026 tactile_cdma maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 
 """A digitizer on a pty that tells the same stretch over and over in real time: a soak's skin.
 
@@ -31,12 +19,12 @@ from itertools import count
 from pathlib import Path
 from typing import NamedTuple
 
-from tactile_cdma._protocol import Result
-from tactile_cdma.messages import Command, Configure, GetInfo, Start, Status, Stop
-from tactile_cdma.protocol import PacketParser
+from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import serve
-from tactile_cdma.skin_config import SkinConfig
+from tactile_cdma.wire._protocol import Result
+from tactile_cdma.wire.messages import Command, Configure, GetInfo, Start, Status, Stop
+from tactile_cdma.wire.packets import PacketParser
 
 from ..laps import LapWriter, Stretch, Told, record
 

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""What Ctrl-C and SIGTERM do to a command that runs until it is told to stop."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+def raise_when_told_to_end() -> None:
+    """From now on a signal to end is a KeyboardInterrupt in the main thread."""
+    for number in SIGNALS:
+        signal.signal(number, signal.default_int_handler)
+
+
+@contextmanager
+def stop_event(seconds: float | None) -> Iterator[threading.Event]:
+    """An event that Ctrl-C, SIGTERM or the end of a time span sets."""
+    stop = threading.Event()
+    timer = threading.Timer(seconds or 0.0, stop.set)
+    if seconds is not None:
+        timer.start()
+    before = {number: signal.signal(number, lambda *_: stop.set()) for number in SIGNALS}
+    try:
+        yield stop
+    finally:
+        timer.cancel()
+        for number, handler in before.items():
+            signal.signal(number, handler)

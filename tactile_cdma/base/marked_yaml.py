@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""YAML files whose values know their line, so that whoever wrote them is told where to look.
+
+Read from the parser's events, one after the other: files of strangers can neither nest deeply nor
+multiply by aliases.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from .errors import TactileError
+from .named_file import read_named
+
+MOST_BYTES = 1 << 24
+MOST_DEPTH = 16
+MOST_EVENTS = 1 << 21
+"""Values, keys, and beginnings and ends of lists: as many as 65,535 taxels with all that they may
+have, twice."""
+MOST_TEXT = 1 << 16
+"""Characters of one value."""
+_WHOLE = re.compile("0|-?[1-9][0-9]{0,17}")
+_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """The file that values come from, and the error that it is refused with."""
+
+    path: Path
+    error: type[TactileError]
+
+    def refuse(self, text: str, line: int | None = None) -> TactileError:
+        """The error to raise; line: from 1 on."""
+        where = f"{self.path}, line {line}" if line else f"{self.path}"
+        return self.error(f"{where}: {text}")
+
+
+@dataclass(frozen=True, slots=True)
+class Marked:
+    """A value of the file: a scalar's text, a list or a mapping, and where it begins."""
+
+    content: str | list[Marked] | dict[str, Marked]
+    line: int
+    quoted: bool
+    origin: Origin
+
+    def refuse(self, text: str) -> TactileError:
+        """The error to raise about this value."""
+        return self.origin.refuse(text, self.line)
+
+    @property
+    def is_null(self) -> bool:
+        """Whether the value is left out: null or ~."""
+        return self.content in ("", "~", "null") and not self.quoted
+
+    def mapping(self, what: str) -> Mapping:
+        """Keys with values."""
+        if not isinstance(self.content, dict):
+            raise self.refuse(f"{what} is {self._kind}; it must be keys with values")
+        return Mapping(what, self, self.content)
+
+    def items(self, what: str) -> list[Marked]:
+        """A list."""
+        if not isinstance(self.content, list):
+            raise self.refuse(f"{what} is {self._kind}; it must be a list")
+        return self.content
+
+    def text(self, what: str) -> str:
+        """A scalar as it stands."""
+        if not isinstance(self.content, str) or self.is_null:
+            raise self.refuse(f"{what} is {self._kind}; it must be text")
+        return self.content
+
+    def number(self, what: str, low: float, high: float, unit: str = "") -> float:
+        """A finite number within limits, both inclusive."""
+        try:
+            value = float(self._plain.lower().replace(".nan", "nan").replace(".inf", "inf"))
+        except ValueError:
+            raise self.refuse(f"{what} is {self._kind}; it must be a number") from None
+        if not math.isfinite(value):
+            raise self.refuse(f"{what} is {self._plain[:40]}; it must be finite")
+        return self._within(what, value, low, high, unit)
+
+    def whole(self, what: str, low: int, high: int) -> int:
+        """A whole number within limits, both inclusive."""
+        # Not every way to write one: 010 is eight elsewhere, and 07 would be another key than 7.
+        if not _WHOLE.fullmatch(self._plain):
+            raise self.refuse(f"{what} is {self._kind}; it must be a whole number")
+        return int(self._within(what, int(self._plain), low, high, ""))
+
+    def _within(self, what: str, value: float, low: float, high: float, unit: str) -> float:
+        if not low <= value <= high:
+            raise self.refuse(
+                f"{what} is {value:.10g}; it must lie within {low:.10g}…{high:.10g} {unit}".rstrip()
+            )
+        return value
+
+    @property
+    def _plain(self) -> str:
+        """A scalar without quotes; empty for anything else."""
+        return self.content if isinstance(self.content, str) and not self.quoted else ""
+
+    @property
+    def _kind(self) -> str:
+        if isinstance(self.content, str):
+            return "empty" if self.is_null else repr(self.content[:40])
+        return "a list" if isinstance(self.content, list) else "keys with values"
+
+
+@dataclass(frozen=True, slots=True)
+class Mapping:
+    """Keys with values. what: its name in messages."""
+
+    what: str
+    value: Marked
+    entries: dict[str, Marked]
+
+    def check_keys(self, known: Collection[str]) -> None:
+        """Refuse a key that is not known."""
+        for name, value in self.entries.items():
+            if name not in known:
+                close = difflib.get_close_matches(name, known, n=1)
+                hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known)}"
+                raise value.refuse(f"unknown key {name!r} in {self.what}; {hint}")
+
+    def get(self, key: str) -> Marked | None:
+        """The value, or None where the key is left out."""
+        return self.entries.get(key)
+
+    def __getitem__(self, key: str) -> Marked:
+        """The value; raises the file's error where the key is left out."""
+        if key not in self.entries:
+            raise self.value.refuse(f"{self.what} has no {key!r}")
+        return self.entries[key]
+
+
+def read_marked(path: Path, error: type[TactileError]) -> Marked:
+    """The only document of a YAML file.
+
+    Raises error, naming file and line, for what cannot be read or is no plain YAML: aliases, keys
+    given twice and lists in lists in lists … are not taken.
+    """
+    origin = Origin(path, error)
+    try:
+        raw = read_named(path, MOST_BYTES)
+    except OSError as problem:
+        # Where a relative path begins is what may be wrong with it.
+        raise Origin(path.absolute(), error).refuse(problem.strerror or str(problem)) from None
+    try:
+        events = yaml.parse(raw.decode(encoding="utf-8"), Loader=_LOADER)
+        return _document(_bounded(events, origin), origin)
+    except UnicodeDecodeError:
+        raise origin.refuse("not a text file in UTF-8") from None
+    except yaml.YAMLError as problem:
+        mark = getattr(problem, "problem_mark", None)
+        said = getattr(problem, "problem", None) or " ".join(str(problem).split())
+        raise origin.refuse(f"not a YAML file: {said}", mark.line + 1 if mark else None) from None
+
+
+def _bounded(events: Iterator[yaml.Event], origin: Origin) -> Iterator[yaml.Event]:
+    """Refuses files that would fill the memory: a value takes some hundred bytes."""
+    for number, event in enumerate(events):
+        if number > MOST_EVENTS:
+            raise origin.refuse(f"holds more than {MOST_EVENTS} values", _line(event))
+        if isinstance(event, yaml.ScalarEvent) and len(event.value) > MOST_TEXT:
+            raise origin.refuse(f"a text of more than {MOST_TEXT} characters", _line(event))
+        yield event
+
+
+def _document(events: Iterator[yaml.Event], origin: Origin) -> Marked:
+    value = None
+    for event in events:
+        if isinstance(event, yaml.DocumentStartEvent):
+            if value:
+                raise origin.refuse("a second document begins here", _line(event))
+            value = _value(next(events), events, origin, 0)
+    if value is None:
+        raise origin.refuse("the file is empty")
+    return value
+
+
+def _value(event: yaml.Event, events: Iterator[yaml.Event], origin: Origin, depth: int) -> Marked:
+    line = _line(event)
+    if depth > MOST_DEPTH:
+        raise origin.refuse(f"nested deeper than {MOST_DEPTH} levels", line)
+    if isinstance(event, yaml.ScalarEvent):
+        # Without libyaml plain scalars have no style, with it an empty one.
+        return Marked(event.value, line, bool(event.style), origin)
+    if isinstance(event, yaml.SequenceStartEvent):
+        values = []
+        while not isinstance(event := next(events), yaml.SequenceEndEvent):
+            values.append(_value(event, events, origin, depth + 1))
+        return Marked(values, line, False, origin)
+    if isinstance(event, yaml.MappingStartEvent):
+        return Marked(_mapping(events, origin, depth + 1), line, False, origin)
+    raise origin.refuse("anchors and aliases (& and *) are not taken here; write it out", line)
+
+
+def _line(event: yaml.Event) -> int:
+    assert event.start_mark is not None
+    return int(event.start_mark.line) + 1
+
+
+def _mapping(events: Iterator[yaml.Event], origin: Origin, depth: int) -> dict[str, Marked]:
+    values: dict[str, Marked] = {}
+    while not isinstance(event := next(events), yaml.MappingEndEvent):
+        key = _value(event, events, origin, depth)
+        name = key.text("a key")
+        if name in values:
+            raise key.refuse(f"{name!r} again; it stands in line {values[name].line} already")
+        values[name] = _value(next(events), events, origin, depth)
+    return values

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Files that somebody names: only regular ones, and of those read whole none beyond a size."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from pathlib import Path
+from typing import BinaryIO
+
+
+def open_named(path: Path) -> BinaryIO:
+    """A file to read. Raises OSError, too, for what would keep its reader waiting, or never end."""
+    try:
+        mode = os.stat(path).st_mode
+    except ValueError:  # NUL, or half a character
+        raise OSError(errno.EINVAL, "no file can have this name") from None
+    if stat.S_ISDIR(mode):
+        raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if not stat.S_ISREG(mode):
+        raise OSError(errno.EINVAL, "not a file")
+    return path.open("rb")
+
+
+def read_named(path: Path, most_bytes: int) -> bytes:
+    """All of a file. Raises OSError as open_named does, and for more than most_bytes of it."""
+    with open_named(path) as file:
+        if os.fstat(file.fileno()).st_size > most_bytes:
+            raise OSError(
+                errno.EFBIG, f"is larger than {most_bytes >> 20} MB; is it the right file?"
+            )
+        return file.read(most_bytes)  # no more, should it grow meanwhile
+
+
+def expanded(text: str) -> Path:
+    """A path as users write it, from the working folder or the home folder (~) on.
+
+    Raises ValueError, saying why there cannot be such a path.
+    """
+    if "\0" in text:
+        raise ValueError("no file can have this name")
+    try:
+        return Path(text).expanduser()
+    except RuntimeError:
+        raise ValueError("no such user's home") from None

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Keeps the nodes' clocks, and what takes frames apart by them, in a thread beside the stream."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.errors import TactileError
+from ..code.frame import FrameSpec
+from .clock_tracking import REBUILD, ClockTracker
+from .decorrelate import Decorrelator
+from .node_clocks import NodeClocks, needs_decorrelation
+from .roll_call import RollCallListener
+from .sampling import Sampling
+
+Floats32 = NDArray[np.float32]
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class ClockReport:
+    """What is known of the nodes' clocks.
+
+    heard: nodes that a roll call has measured. spread_chips: largest difference of two nodes within
+    a frame, chips. decorrelated: whether frames are taken apart by least squares.
+    unresolved: nodes, from 1 on, that cannot be told from others. busy: a roll call is under way or
+    being evaluated. problem: why the clocks are not made use of, or not of all, or None.
+    """
+
+    heard: int = 0
+    spread_chips: float = 0.0
+    decorrelated: bool = False
+    unresolved: tuple[int, ...] = ()
+    busy: bool = False
+    problem: str | None = None
+
+
+class ClockKeeper:
+    """From roll calls to clocks to a decorrelator, which follows the clocks while they drift.
+
+    report: what is known just now. decorrelator: what takes frames apart; None for correlation.
+    """
+
+    def __init__(self, spec: FrameSpec, sampling: Sampling, background: bool) -> None:
+        """background: work is done beside the stream.
+
+        Else it is done at once, so that the same samples always give the same frames.
+        """
+        self.report = ClockReport()
+        self.decorrelator: Decorrelator | None = None
+        self.listener = RollCallListener(spec, sampling)
+        self._spec, self._sampling = spec, sampling
+        self._tracker: ClockTracker | None = None
+        self._worker = ThreadPoolExecutor(1, "node clocks") if background else None
+        self._coming: Future[Decorrelator | None] | None = None
+
+    def begin(self) -> None:
+        """A roll call begins."""
+        self.listener = RollCallListener(self._spec, self._sampling)
+        self.report = replace(self.report, busy=True, problem=None)
+
+    def hear(self, node: int, line: Floats32, noise_rms_v: float) -> None:
+        """A node's frame in a roll call; see RollCallListener.hear."""
+        self._submit(self.listener.hear, node, line, noise_rms_v)
+
+    def conclude(self) -> None:
+        """The roll call is over: evaluate it."""
+        self._coming = self._submit(self._judge, self.listener)
+
+    def follow(
+        self, decorrelator: Decorrelator, line: Floats32, words: Floats32, noise_rms_v: float
+    ) -> None:
+        """Learn from a decoded frame, unless there is other work; see ClockTracker.update."""
+        if self._coming is None:
+            self._coming = self._submit(self._track, decorrelator, line, words, noise_rms_v)
+
+    def adopt(self) -> None:
+        """Use a decorrelator that has got ready."""
+        if self._coming is None or not self._coming.done():
+            return
+        try:
+            decorrelator = self._coming.result()
+        except TactileError as error:
+            self.give_up(str(error))
+        else:
+            self.decorrelator = decorrelator
+        self._coming = None
+
+    def give_up(self, problem: str) -> None:
+        """Nothing is known of the clocks any more."""
+        self.decorrelator = self._tracker = None
+        self.report = ClockReport(problem=problem)
+
+    def close(self) -> None:
+        """Leave undone what is still to do."""
+        if self._worker is not None:
+            self._worker.shutdown(wait=False, cancel_futures=True)
+
+    def _judge(self, listener: RollCallListener) -> Decorrelator | None:
+        """What a roll call has shown: a decorrelator, if it takes one."""
+        clocks = listener.clocks()
+        if not clocks.known.any():
+            nobody = "no node was heard alone in the roll call"
+            self.report = replace(self.report, busy=False, problem=nobody)
+            return self.decorrelator
+        problem: str | None = None
+        if missing := (np.flatnonzero(~clocks.known) + 1).tolist():
+            numbers = ", ".join(map(str, missing[:10])) + (", …" if len(missing) > 10 else "")
+            problem = f"not heard alone in the roll call: nodes {numbers}"
+        self._tracker = ClockTracker(clocks)
+        if needs_decorrelation(self._spec, clocks):
+            return self._build(clocks, problem)
+        self.report = ClockReport(
+            int(clocks.known.sum()), clocks.spread_chips(self._spec), problem=problem
+        )
+        return None
+
+    def _track(
+        self, decorrelator: Decorrelator, line: Floats32, words: Floats32, noise_rms_v: float
+    ) -> Decorrelator:
+        """The decorrelator to go on with."""
+        if self._tracker is None:
+            return decorrelator
+        self._tracker.update(decorrelator, line, words, noise_rms_v)
+        clocks = self._tracker.clocks
+        if clocks.moved_chips(decorrelator.clocks, self._spec) > REBUILD:
+            return self._build(clocks, self.report.problem)
+        return decorrelator
+
+    def _build(self, clocks: NodeClocks, problem: str | None) -> Decorrelator:
+        decorrelator = Decorrelator(self._spec, clocks, self._sampling)
+        self.report = ClockReport(
+            int(clocks.known.sum()),
+            clocks.spread_chips(self._spec),
+            True,
+            tuple((decorrelator.unresolved + 1).tolist()),
+            problem=problem,
+        )
+        return decorrelator
+
+    def _submit(self, work: Callable[..., T], *arguments: object) -> Future[T]:
+        """Have work done, one piece after the other, beside the stream or at once."""
+        if self._worker is not None:
+            return self._worker.submit(work, *arguments)
+        done: Future[T] = Future()
+        try:
+            done.set_result(work(*arguments))
+        except TactileError as error:
+            done.set_exception(error)
+        return done

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""How a node's code row looks to the digitizer, whatever the node's clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+_SHARP = 1e-3
+"""Least aperture: no edge is sharper, and one formula serves instants and means."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sampling:
+    """When the line is sampled: sample s stands around instant s + ½, counted from the sync edge.
+
+    per_chip: samples in a nominal chip. aperture: share of its period over which a sample is the
+    mean of the line, 0…1: near 0 for a converter that samples instants, 1 for an integrating one.
+    """
+
+    per_chip: float
+    aperture: float = 0.0
+
+    @property
+    def width(self) -> float:
+        """Samples over which an edge is seen as a ramp."""
+        return max(self.aperture, _SHARP)
+
+
+INTEGRATED = Sampling(1.0, 1.0)
+"""One mean value per nominal chip."""
+
+
+class RunningSum:
+    """Sum of samples up to any instant; a sample that an edge falls into counts in part.
+
+    The difference of two sums is what a level of 1 V between their instants correlates to.
+    """
+
+    def __init__(self, samples: Floats, sampling: Sampling) -> None:
+        """samples: (m,) float64, V, from the sync edge on; the line is taken as 0 outside."""
+        self.sampling = sampling
+        self._samples = np.append(samples, 0.0)
+        self._sums = np.concatenate(([0.0], np.cumsum(samples)))
+
+    def until(self, chips: Floats) -> tuple[Floats, Floats]:
+        """Sums up to instants of any shape, in nominal chips from the sync edge.
+
+        Returns the sums, V, and the number of samples in them, which need not be whole.
+        """
+        sampling = self.sampling
+        position = np.clip(chips * sampling.per_chip, 0.0, float(self._samples.size - 1))
+        whole = position.astype(np.intp)
+        position -= whole
+        part = np.clip((position - 0.5) / sampling.width + 0.5, 0.0, 1.0)
+        return self._sums[whole] + part * self._samples[whole], whole + part
+
+
+def row_samples(
+    rows: NDArray[np.int8], begin: Floats, chip: Floats, first: int, stop: int, sampling: Sampling
+) -> NDArray[np.float32]:
+    """Code rows as samples first…stop − 1 show them: (n, stop − first) float32, 0 outside a row.
+
+    rows: (n, N) of ±1. begin, chip: (n,) start of each row and duration of its chips, nominal
+    chips. Every sample is the mean over its aperture.
+    """
+    chips = rows.shape[1]
+    sums = np.zeros((len(rows), chips + 1))
+    np.cumsum(rows, axis=1, out=sums[:, 1:])
+    levels = np.pad(rows, ((0, 0), (0, 1)))
+
+    def integral(instant: NDArray[Any]) -> Floats:
+        """∫ row up to instants in samples, in the row's own chips."""
+        at = (instant / sampling.per_chip - begin[:, None]) / chip[:, None]
+        np.clip(at, 0.0, chips, out=at)
+        whole = at.astype(np.intp)
+        at -= whole
+        area: Floats = np.take_along_axis(sums, whole, 1)
+        area += at * np.take_along_axis(levels, whole, 1)
+        return area
+
+    middle = np.arange(first + 0.5, stop)
+    reach = sampling.width / 2
+    area = integral(middle + reach) - integral(middle - reach)
+    area *= chip[:, None] * (sampling.per_chip / sampling.width)
+    return area.astype(np.float32)

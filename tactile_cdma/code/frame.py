@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""FrameSpec: the one place where a frame's shape and its levels on the line are defined."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.errors import SpecError
+from .codes import CodeBook, code_book, default_order, is_feasible, row_signs, smallest_order
+
+BIPOLAR, UNIPOLAR = "bipolar", "unipolar"
+DEFAULT_AMPLITUDE_V = 0.3
+"""Level of one node on the line in the paper."""
+MAX_STRETCH = 0.11
+"""Longest recoverable stretch of a frame; the paper's hardware reaches 0.10 (8.0 to 8.8 ms)."""
+
+
+@dataclass(frozen=True)
+class FrameSpec:
+    """How n nodes share the line. Immutable; every derived quantity follows from these fields.
+
+    nodes: number of sensing nodes, n.
+    bits: length of a node's ADC word, sent most significant bit first.
+    order: chips per bit, N; 0 picks the default order for so many rows (codes.default_order).
+    chip_s: nominal chip duration, s.
+    frame_period_s: from one frame's first chip to the next one's, s.
+    first_row: code row of the first node; node i uses row first_row + i. 1 keeps the all-ones
+        row free, 0 is the paper's assignment.
+    sign_seed: seed of the row signs, 0…2³²−1; None for natural signs.
+    drive: "bipolar" (a chip is ±A) or "unipolar" (0 or A).
+    polarity: −1 where the amplifier inverts.
+    amplitude_v: A, the level of one node on the digitized line, V; None learns it from each frame.
+    parity: every word is followed by a bit that makes its number of ones even.
+    resync_chips: nodes with clocks of their own start anew, at a sync edge, every so many chips;
+        0: at the frame's first chip only.
+    guard_chips: pause before each such restart, in chips, in which slow nodes finish.
+
+    Raises SpecError for a field out of range or a combination that cannot work.
+    """
+
+    nodes: int = 16
+    bits: int = 10
+    order: int = 0
+    chip_s: float = 50e-6
+    frame_period_s: float = 12.8e-3
+    first_row: int = 1
+    sign_seed: int | None = 1
+    drive: str = BIPOLAR
+    polarity: int = 1
+    amplitude_v: float | None = DEFAULT_AMPLITUDE_V
+    parity: bool = False
+    resync_chips: int = 0
+    guard_chips: int = 0
+
+    def __post_init__(self) -> None:
+        _check_range("nodes", self.nodes, 1, 65_536)
+        _check_range("bits", self.bits, 8, 16)
+        _check_range("chip_s", self.chip_s, 1e-8, 1.0)
+        _check_range("first_row", self.first_row, 0, 65_535)
+        _check_range("resync_chips", self.resync_chips, 0, 65_535)
+        _check_range("guard_chips", self.guard_chips, 0, 255)
+        if self.sign_seed is not None:
+            _check_range("sign_seed", self.sign_seed, 0, 2**32 - 1)
+        if self.amplitude_v is not None:
+            _check_range("amplitude_v", self.amplitude_v, 1e-6, 100.0)
+        if self.drive not in (BIPOLAR, UNIPOLAR):
+            raise SpecError(f"drive is {self.drive!r}; it must be {BIPOLAR!r} or {UNIPOLAR!r}")
+        if self.polarity not in (1, -1):
+            raise SpecError(f"polarity is {self.polarity}; it must be 1 or -1")
+        needed = self.nodes + self.first_row
+        if self.order == 0:
+            object.__setattr__(self, "order", default_order(needed))
+        elif not is_feasible(self.order):
+            code_book(self.order)  # raises, naming the nearest feasible orders
+        if self.order < needed:
+            raise SpecError(
+                f"{self.nodes} nodes from row {self.first_row} on need {needed} code rows, but "
+                f"order {self.order} has {self.order}; use order {smallest_order(needed)}"
+            )
+        if self.drive == UNIPOLAR and self.first_row == 0:
+            raise SpecError(
+                "unipolar drive cannot use code row 0: a 0 bit on the all-ones row looks like "
+                "silence; set first_row to 1 or drive to bipolar"
+            )
+        if bool(self.resync_chips) != bool(self.guard_chips):
+            raise SpecError(
+                f"resync_chips is {self.resync_chips} and guard_chips {self.guard_chips}: "
+                "restarts within a frame take both"
+            )
+        if not self.frame_s <= self.frame_period_s:
+            raise SpecError(
+                f"a frame of {self.line_bits} bits × {self.order} chips × {self.chip_s * 1e6:g} µs "
+                f"{self._guard_text}lasts {self.frame_s * 1e3:g} ms, longer than its period of "
+                f"{self.frame_period_s * 1e3:g} ms"
+            )
+
+    @property
+    def line_bits(self) -> int:
+        """Bits of a word on the line, k: with its parity bit."""
+        return self.bits + self.parity
+
+    @property
+    def chips(self) -> int:
+        """Coded chips per frame, k·N."""
+        return self.line_bits * self.order
+
+    @property
+    def span_chips(self) -> int:
+        """Length of a frame in chips, with the guards between its sub-slots."""
+        if not self.resync_chips:
+            return self.chips
+        return self.chips + (self.chips - 1) // self.resync_chips * self.guard_chips
+
+    @cached_property
+    def places(self) -> NDArray[np.intp]:
+        """When each coded chip begins, in chips after the frame's start, (k·N,)."""
+        chip = np.arange(self.chips)
+        if self.resync_chips:
+            chip += chip // self.resync_chips * self.guard_chips
+        return chip
+
+    @property
+    def frame_s(self) -> float:
+        """Nominal duration of a frame, s."""
+        return self.span_chips * self.chip_s
+
+    @property
+    def node_swing_v(self) -> float | None:
+        """Amplitude of one node's ± code on the line, V: A, or A/2 where the drive is unipolar."""
+        if self.amplitude_v is None:
+            return None
+        return self.amplitude_v / (2 if self.drive == UNIPOLAR else 1)
+
+    @cached_property
+    def book(self) -> CodeBook:
+        """The code book of this order."""
+        return code_book(self.order)
+
+    @cached_property
+    def rows(self) -> NDArray[np.intp]:
+        """Code row of every node, (n,)."""
+        return np.arange(self.first_row, self.first_row + self.nodes)
+
+    @cached_property
+    def node_rows(self) -> NDArray[np.int8]:
+        """The chips of a bit of every node, (n, N) int8 of ±1, row signs not applied."""
+        return self.book.rows(self.rows)
+
+    @cached_property
+    def signs(self) -> NDArray[np.int8]:
+        """Fixed sign of every node, (n,) int8 of ±1."""
+        return row_signs(self.rows, self.sign_seed)
+
+    @cached_property
+    def sign_mask(self) -> NDArray[np.int32]:
+        """What turns the signs of a node's levels into its word, (n,) int32: all ones or none."""
+        inverted = self.signs * self.polarity < 0
+        return np.where(inverted, np.int32((1 << self.line_bits) - 1), np.int32(0))
+
+    @property
+    def spare_rows(self) -> slice:
+        """Rows that no node uses and that carry no DC level: they show the noise floor."""
+        after = slice(self.first_row + self.nodes, self.order)
+        before = slice(1, max(1, self.first_row))
+        return max(after, before, key=lambda rows: rows.stop - rows.start)
+
+    @property
+    def _guard_text(self) -> str:
+        guards = self.span_chips - self.chips
+        return f"and {guards} guard chips " if guards else ""
+
+
+def _check_range(name: str, value: float, low: float, high: float) -> None:
+    if not (math.isfinite(value) and low <= value <= high):
+        raise SpecError(f"{name} is {value}; it must lie within {low:g}…{high:g}")

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Paley's Hadamard matrices (1933): their rows, and products with them, without the matrix.
+
+Over a field GF(q) of odd order q = pᵐ let χ be the quadratic character (+1 on squares, −1 on
+non-squares, 0 at 0), Q[i, j] = χ(aᵢ − aⱼ), and S = [[0, 1ᵀ], [∓1, Q]]. Then
+
+- I + S is a Hadamard matrix of order q + 1 where q ≡ 3 (mod 4), with −1 in S (construction I);
+- S ⊗ [[1, 1], [1, −1]] + I ⊗ [[1, −1], [−1, −1]] is one of order 2(q + 1) where q ≡ 1 (mod 4),
+  with +1 in S (construction II). Its column 1 is negated here, so that row 0 is all ones.
+
+Elements are numbered by their coefficients as base-p digits. Q is circulant over their additive
+group (Z_p)ᵐ, so a product with it is a convolution, done by FFT.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache, cached_property
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Paley:
+    """The Paley matrix over GF(pᵐ); row 0 is all ones."""
+
+    p: int
+    m: int
+
+    @property
+    def q(self) -> int:
+        """Elements of the field."""
+        q: int = self.p**self.m
+        return q
+
+    @property
+    def doubled(self) -> bool:
+        """Whether this is construction II."""
+        return self.q % 4 == 1
+
+    @property
+    def order(self) -> int:
+        """Number of rows."""
+        return (self.q + 1) * (2 if self.doubled else 1)
+
+    def rows(self, indices: NDArray[np.intp]) -> NDArray[np.int8]:
+        """Chosen rows, (len(indices), order) int8 of ±1."""
+        if not self.doubled:
+            rows = self._core_rows(indices)
+            rows[np.arange(len(indices)), indices] += 1
+            return rows
+        half, odd = np.divmod(indices, 2)
+        sylvester = np.array([[1, 1], [1, -1]], dtype=np.int8)[odd]
+        rows = (self._core_rows(half)[:, :, None] * sylvester[:, None, :]).astype(np.int8)
+        rows[np.arange(len(half)), half] = np.array([[1, -1], [-1, -1]], dtype=np.int8)[odd]
+        rows[:, 0, 1] *= -1
+        return rows.reshape(len(indices), self.order)
+
+    def multiply(
+        self, vectors: NDArray[np.float32], transposed: bool = False
+    ) -> NDArray[np.float64]:
+        """The matrix, or its transpose, times vectors (…, order), which may be strided.
+
+        Returns (…, order) float64, exact to the rounding of that; O(order·log order).
+        """
+        x = vectors.astype(np.float64)
+        if not self.doubled:
+            turned = self._core_product(x)
+            return x - turned if transposed else x + turned
+        # S is symmetric here, and so is the matrix but for the negated column.
+        pairs = x.reshape(*x.shape[:-1], self.q + 1, 2)
+        if not transposed:
+            pairs[..., 0, 1] *= -1
+        sums = np.stack((pairs[..., 0] + pairs[..., 1], pairs[..., 0] - pairs[..., 1]))
+        result = np.empty_like(pairs)
+        result[..., 0], result[..., 1] = self._core_product(sums)
+        result[..., 0] += sums[1]
+        result[..., 1] -= sums[0]
+        if transposed:
+            result[..., 0, 1] *= -1
+        return result.reshape(x.shape)
+
+    def _core_rows(self, indices: NDArray[np.intp]) -> NDArray[np.int8]:
+        """Rows of S, (len(indices), q + 1) int8."""
+        rows = np.empty((len(indices), self.q + 1), dtype=np.int8)
+        elements = indices - 1
+        difference = np.zeros((len(indices), self.q), dtype=np.int32)
+        for weight in self.p ** np.arange(self.m):
+            digits = np.arange(self.q) // weight % self.p
+            own = elements // weight % self.p
+            difference += ((own[:, None] - digits) % self.p * weight).astype(np.int32)
+        rows[:, 1:] = self._character[difference]
+        rows[:, 0] = 1 if self.doubled else -1
+        top = indices == 0
+        rows[top, 0], rows[top, 1:] = 0, 1
+        return rows
+
+    def _core_product(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """S times vectors (…, q + 1)."""
+        group, axes = (self.p,) * self.m, tuple(range(-self.m, 0))
+        elements = x[..., 1:].reshape(*x.shape[:-1], *group)
+        spectrum = np.fft.rfftn(elements, self._fft_shape, axes)
+        spectrum *= self._spectrum
+        inside = np.fft.irfftn(spectrum, self._fft_shape, axes)[..., : self.p]
+        result = np.empty_like(x)
+        result[..., 1:] = inside.reshape(*x.shape[:-1], self.q)
+        result[..., 1:] += x[..., :1] if self.doubled else -x[..., :1]
+        result[..., 0] = x[..., 1:].sum(axis=-1)
+        return result
+
+    @cached_property
+    def _fft_shape(self) -> tuple[int, ...]:
+        """A prime length is slow: one dimension is padded until it can wrap without overlap."""
+        return (_smooth(2 * self.p - 1),) if self.m == 1 else (self.p,) * self.m
+
+    @cached_property
+    def _spectrum(self) -> NDArray[np.complex128]:
+        """The transform of χ on the group, continued periodically where the FFT is padded."""
+        kernel: NDArray[Any] = self._character.reshape((self.p,) * self.m)
+        for axis, length in enumerate(self._fft_shape):
+            step = np.arange(length)
+            step = np.where(step < self.p, step, (step - length) % self.p)
+            kernel = np.take(kernel, step, axis)
+        return np.fft.rfftn(kernel.astype(np.float64))
+
+    @cached_property
+    def _character(self) -> NDArray[np.int8]:
+        """χ of every element, (q,) int8."""
+        p, m = self.p, self.m
+        weights = p ** np.arange(m)
+        digits = np.arange(self.q)[:, None] // weights % p
+        modulus = _irreducible(p, m)
+        squares = np.zeros((self.q, 2 * m - 1), dtype=np.int64)
+        for i, j in product(range(m), repeat=2):
+            squares[:, i + j] += digits[:, i] * digits[:, j]
+        for top in range(2 * m - 2, m - 1, -1):  # x^m ≡ −(modulus without its leading term)
+            squares[:, top - m : top] -= squares[:, top : top + 1] * modulus[:m]
+            squares %= p
+        character = np.full(self.q, -1, dtype=np.int8)
+        character[squares[:, :m] % p @ weights] = 1
+        character[0] = 0
+        return character
+
+
+@cache
+def paley(order: int) -> Paley | None:
+    """Paley's matrix of this order, construction I where there are both; None where neither."""
+    for q, residue in ((order - 1, 3), (order // 2 - 1, 1)):
+        if q % 4 == residue and (field := _prime_power(q)):
+            return Paley(*field)
+    return None
+
+
+def _prime_power(q: int) -> tuple[int, int] | None:
+    """(p, m) with pᵐ = q, or None."""
+    if q < 2:
+        return None
+    p = next((d for d in range(2, int(q**0.5) + 1) if q % d == 0), q)
+    m = 0
+    while q % p == 0:
+        q, m = q // p, m + 1
+    return (p, m) if q == 1 else None
+
+
+def _smooth(least: int) -> int:
+    """The smallest 2ᵃ·3ᵇ·5ᶜ from `least` on: lengths that an FFT likes."""
+    lengths = range(least, 2 * least + 1)  # 30ᵉ is a multiple of a smooth length for large e
+    return next(length for length in lengths if pow(30, length.bit_length(), length) == 0)
+
+
+def _irreducible(p: int, m: int) -> NDArray[np.int64]:
+    """The first monic irreducible polynomial of degree m over GF(p): m + 1 rising coefficients."""
+    for low in product(range(p), repeat=m):
+        candidate = np.array([*low, 1])
+        divisors = (
+            np.array([*rest, 1])
+            for d in range(1, m // 2 + 1)
+            for rest in product(range(p), repeat=d)
+        )
+        if all(_remainder(candidate, divisor, p).any() for divisor in divisors):
+            return candidate
+    raise AssertionError("an irreducible polynomial exists for every degree")
+
+
+def _remainder(
+    dividend: NDArray[np.int64], divisor: NDArray[np.int64], p: int
+) -> NDArray[np.int64]:
+    """Remainder of a division by a monic polynomial over GF(p), rising coefficients."""
+    rest, degree = dividend.copy(), len(divisor) - 1
+    for top in range(len(rest) - 1, degree - 1, -1):
+        rest[top - degree : top + 1] = (rest[top - degree : top + 1] - rest[top] * divisor) % p
+    return rest[:degree]

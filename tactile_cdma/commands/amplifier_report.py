@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""What an analog front end does with a skin's line: range, clipping, resolution; and its report."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, replace
+from itertools import islice
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..code.encode import line_chips
+from ..code.frame import FrameSpec
+from ..hardware.amplifier import EXACT, FrontEnd
+from ..sim.nodes import NodeRules, node_frames
+from ..sim.options import SimOptions
+from ..sim.scene import SCENES
+
+LOSS = 1.02
+"""Noise that a sensible converter may add to the line's, in power: 0.09 dB, as in bench-crest."""
+LEAST_RHO = 3.0
+"""ρ of the noisiest line that the sensible converter is for, as in bench-crest."""
+DRAWS = 200
+"""Frames of random codes in the estimate of clipping."""
+FRAMES = 12
+"""Frames of every scene in it, SCENE_STEP_S apart."""
+SCENE_STEP_S = 0.37
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """What a scene does to the range. peak: of the line, in A. clipped: share of its chips."""
+
+    peak: float
+    clipped: float
+
+
+def loads(spec: FrameSpec, front: FrontEnd) -> dict[str, Load]:
+    """Scenes of all nodes that may talk, spread over the skin, by name; simulated, without noise.
+
+    "random codes": independent ones. The others are the simulator's: in "idle" all nodes have one
+    code, in "press" all but those under one press.
+    """
+    spec = replace(spec, amplitude_v=1.0)
+    rng = np.random.default_rng(spec.nodes)
+    found = {}
+    for name, codes_of_frames in _scenes(spec, rng).items():
+        peak, clipped, chips = 0.0, 0, 0
+        for codes in codes_of_frames:
+            talking = rng.permutation(spec.nodes) < front.talking
+            line = np.abs(line_chips(spec, codes, talking))
+            peak = max(peak, float(line.max()))
+            clipped += int(np.count_nonzero(line > front.room))
+            chips += line.size
+        found[name] = Load(peak, clipped / chips)
+    return found
+
+
+def gaussian_clipping(front: FrontEnd) -> float:
+    """Share of chips beyond the range if the sum of the nodes is taken as Gaussian."""
+    return 0.0 if front.room >= front.talking else 2 * _tail(front.full_scale)
+
+
+@dataclass(frozen=True, slots=True)
+class Resolution:
+    """What the converter's steps do to one node.
+
+    count: one count, in A. rho: √N·A over the rms of the quantisation, as if every chip were one
+    sample. wrong_words: share of wrong words that this alone makes. sensible_bits: the fewest with
+    which the converter adds at most LOSS to the noise of a line of LEAST_RHO.
+    """
+
+    count: float
+    rho: float
+    wrong_words: float
+    sensible_bits: int
+
+
+def resolution(spec: FrameSpec, front: FrontEnd) -> Resolution:
+    """What the converter's steps do to one node: a step of q has an rms of q/√12."""
+    signal_v = math.sqrt(spec.order) * front.amplitude_v
+    rho = signal_v * math.sqrt(12) / front.count_v
+    step_v = math.sqrt(12 * (LOSS - 1)) * signal_v / LEAST_RHO
+    return Resolution(
+        count=front.count_v / front.amplitude_v,
+        rho=rho,
+        wrong_words=-math.expm1(spec.line_bits * math.log1p(-_tail(rho))),
+        sensible_bits=math.ceil(math.log2(front.adc_volts / step_v)),
+    )
+
+
+def report(spec: FrameSpec, front: FrontEnd) -> dict[str, Any]:
+    """Everything about a front end, as plain values by name."""
+    derived = [name for name, kind in vars(FrontEnd).items() if isinstance(kind, property)]
+    return {
+        "parameters": {"polarity": -1, "amplitude_mv": round(front.amplitude_v * 1e3, 2)},
+        "parts": asdict(front) | {name: getattr(front, name) for name in derived},
+        "gaussian_clipping": gaussian_clipping(front),
+        "loads": {name: asdict(load) for name, load in loads(spec, front).items()},
+        "converter": asdict(resolution(spec, front)),
+    }
+
+
+def describe(spec: FrameSpec, front: FrontEnd) -> str:
+    """A front end for people: the parts, what they have to be capable of, and what comes of it."""
+    seen = resolution(spec, front)
+    scenes = loads(spec, front)
+    worst = max(scenes, key=lambda name: scenes[name].peak)
+    clipped = [f"{name} {_share(load.clipped)}" for name, load in scenes.items() if load.clipped]
+    lines = {
+        "node": f"R1 {_si(front.series_ohm)}Ω from the pin; Rb {_si(front.bias_ohm)}Ω to supply "
+        f"and {_si(front.bias_ohm)}Ω to ground",
+        "follower": f"at {front.supply_v / 2:g} V ± {_si(front.node_level_v)}V; gain-bandwidth "
+        f"{_si(front.follower_bandwidth_hz)}Hz or more, {_slew(front.follower_slew_v_per_s)}; "
+        f"then Rin {_si(front.input_ohm)}Ω to the line",
+        "amplifier": f"Rf {_si(front.feedback_ohm)}Ω, Cf {_si(front.feedback_f)}F "
+        f"({_si(front.corner_hz)}Hz), + input at {front.supply_v / 2:g} V; noise gain "
+        f"{front.noise_gain:.3g}",
+        "": f"gain-bandwidth {_si(front.gain_bandwidth_hz)}Hz or more, "
+        f"{_slew(front.slew_v_per_s)}, rail to rail",
+        "filter": f"R {_si(front.filter_ohm)}Ω, C {_si(front.filter_f)}F "
+        f"({_si(front.filter_hz)}Hz)",
+        "level": f"A = {_si(front.amplitude_v)}V, one node on the digitized line",
+        "range": f"±{_si(front.room_v)}V = ±{front.room:.3g}·A = ±{front.full_scale:.3g}·√n·A, "
+        f"n = {front.talking} nodes at once",
+        "clipping": f"share of chips, simulated: {', '.join(clipped) or 'none'} (largest peak "
+        f"{scenes[worst].peak:.3g}·A: {worst}); Gaussian tail: {_share(gaussian_clipping(front))}",
+        "converter": f"one count is {_si(front.count_v)}V, {seen.count:.2g}·A; quantisation alone: "
+        f"ρ {seen.rho:.3g}, wrong words {_share(seen.wrong_words)}",
+        " ": f"bits that matter: {seen.sensible_bits} (on a line with noise of ρ {LEAST_RHO:g})",
+    }
+    head = (
+        f"{spec.nodes} nodes, order {spec.order}, chips of {_si(spec.chip_s)}s; "
+        f"{front.supply_v:g} V supply, {front.adc_bits} bits over {front.adc_volts:g} V"
+    )
+    body = "\n".join(
+        f"{name + ':' if name.strip() else '':<11}{text}" for name, text in lines.items()
+    )
+    parameters = f"polarity: -1\namplitude_mv: {front.amplitude_v * 1e3:.2f}"
+    return f"{head}\n\n{body}\n\nfor the parameter file:\n{parameters}"
+
+
+def _scenes(spec: FrameSpec, rng: np.random.Generator) -> dict[str, Iterable[NDArray[np.int64]]]:
+    """Codes of some frames, (n,) each, by the name of the scene."""
+    timed = replace(spec, chip_s=1e-8, frame_period_s=SCENE_STEP_S)
+    skin, rules = SimOptions().skin(spec.nodes), NodeRules(threshold=0)
+    scenes: dict[str, Iterable[NDArray[np.int64]]] = {
+        name: (frame.codes for frame in islice(node_frames(timed, scene, skin, rules), FRAMES))
+        for name, scene in SCENES.items()
+    }
+    scenes["random codes"] = rng.integers(0, 2**spec.bits, (DRAWS, spec.nodes))
+    return scenes
+
+
+def _tail(rho: float) -> float:
+    """Q(ρ): share of a Gaussian beyond ρ deviations, on one side."""
+    return 0.5 * math.erfc(rho / math.sqrt(2))
+
+
+def _share(share: float) -> str:
+    return "none" if share < 1e-15 else f"{share:.1e}"
+
+
+def _slew(volts_per_s: float) -> str:
+    return f"slew {volts_per_s / 1e6:.2g} V/µs"
+
+
+def _si(value: float) -> str:
+    """A value with the prefix of its unit: 27000 is "27 k"."""
+    power = min(max(math.floor(math.log10(value * EXACT) / 3), -4), 2)
+    return f"{value / 1000.0**power:.3g} {'pnµm kM'[power + 4].strip()}"

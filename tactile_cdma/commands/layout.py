@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The subcommand `tactile-cdma layout`: what a layout file says, as text and as a picture."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..base.errors import LayoutError
+from ..base.plain_text import plain
+from ..config.parameters import BY_NAME, Values, read_file
+from ..places.layout import Layout
+from ..places.layout_file import read_layout
+from ..places.layout_nodes import Wiring, listed
+from .layout_picture import draw_layout
+
+
+def add_to(commands: Any) -> None:
+    """Add it to the command line's subcommands."""
+    parser = commands.add_parser("layout", help="check a layout file, draw it with its numbers")
+    parser.add_argument("file", type=Path, help="layout file")
+    parser.add_argument("--png", type=Path, metavar="OUT", help="also write a picture")
+    parser.add_argument(
+        "--params",
+        type=Path,
+        metavar="FILE",
+        help="ROS 2 parameter file of the skin that it is for; else it is taken by itself",
+    )
+    parser.set_defaults(run=_layout)
+
+
+def _layout(arguments: argparse.Namespace) -> int:
+    if arguments.png and arguments.png.resolve() == arguments.file.resolve():
+        raise LayoutError(f"{arguments.png}: the picture would overwrite the layout")
+    values = read_file(arguments.params) if arguments.params else {}
+    get: Values = {name: parameter.default for name, parameter in BY_NAME.items()} | values
+    first_row = get["first_row"]
+    nodes = get["nodes"] if arguments.params else None
+    layout = read_layout(arguments.file, Wiring(nodes, first_row, get["skin"]))
+    print(describe_layout(layout))
+    if arguments.png:
+        draw_layout(layout, arguments.png, first_row)
+        print(f"written: {arguments.png}")
+    return 0
+
+
+def describe_layout(layout: Layout) -> str:
+    """What it comes to, a line for each thing that may be wrong."""
+    real = layout.nodes > 0
+    low_mm, high_mm = layout.positions_m[real].min(axis=0), layout.positions_m[real].max(axis=0)
+    size_mm = " × ".join(f"{edge:.1f}" for edge in (high_mm - low_mm) * 1e3)
+    own = np.arange(len(layout))[:, None]
+    beside = (layout.neighbours != own).sum(axis=1)[real]
+    area_mm2 = layout.areas_m2[real] * 1e6
+    arranged = "irregular" if layout.irregular else f"{layout.rows} × {layout.columns}"
+    lines = [
+        f"{plain(layout.name)}: {arranged}, {np.count_nonzero(real)} taxels, {layout.wired} nodes",
+        f"pitch {layout.pitch_m * 1e3:.4g} mm, centres within {size_mm} mm",
+        f"area {area_mm2.sum() / 100:.4g} cm², {area_mm2.min():.4g}…{area_mm2.max():.4g} mm² each",
+        f"neighbours of a taxel: {beside.min()}…{beside.max()}",
+    ]
+    for what, nodes in (("masked", layout.masked), ("without a place", layout.unplaced)):
+        if nodes:
+            lines.append(f"{what}: {listed(nodes)}")
+    if alone := np.flatnonzero(real)[beside == 0].tolist():
+        lines.append(f"taxels without a neighbour: {alone[:10]}")
+    return "\n".join(lines)

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The subcommand `tactile-cdma ports`: which digitizer is on which port."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from ..base.errors import TactileError
+from ..base.plain_text import plain
+from ..config.parameters import BY_NAME
+from ..wire.identity import shown_id
+from ..wire.introduction import described_info, introduction
+from ..wire.messages import Info
+from ..wire.port import USB, Port, SerialPort, leave_alone_if_open, serial_ports
+
+MOST_AT_ONCE = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What is known of one port: of a digitizer its INFO, else why there is none."""
+
+    port: SerialPort
+    info: Info | None = None
+    reason: str = ""
+
+
+def add_to(commands: Any) -> None:
+    """Add it to the command line's subcommands."""
+    parser = commands.add_parser(
+        "ports",
+        help="list serial ports and the digitizers on them",
+        description="Lists serial ports and the digitizers on them. Ports are opened and listened "
+        "to; nothing is sent to what does not speak our protocol, and a port that another program "
+        "has open is left alone. Boards that reset when their port is opened, do so.",
+    )
+    parser.add_argument("port", nargs="*", help="only these; device paths or pyserial URLs")
+    parser.add_argument("--list", action="store_true", help="open none of them")
+    parser.add_argument("--baud", type=int, default=BY_NAME["baud"].default)
+    parser.add_argument("--json", action="store_true", help="as a JSON array")
+    parser.set_defaults(run=_ports)
+
+
+def _ports(arguments: argparse.Namespace) -> int:
+    answers = answers_of(
+        chosen(arguments.port, serial_ports()), None if arguments.list else arguments.baud
+    )
+    if arguments.json:
+        print(json.dumps([as_values(answer) for answer in answers], indent=2))
+    else:
+        print("\n".join(map(described, answers)) or "no serial ports on this machine")
+    return 0
+
+
+def chosen(urls: Iterable[str], ports: Iterable[SerialPort]) -> list[SerialPort]:
+    """The ports of these names, all without one; others than serial ports by their URL alone."""
+    if not urls:
+        return list(ports)
+    known = {name: port for port in ports for name in (port.device, *port.links)}
+    return [known.get(url, SerialPort(url, "")) for url in urls]
+
+
+def answers_of(ports: list[SerialPort], baud: int | None) -> list[Answer]:
+    """Ask all of them at the same time; without a baud rate, none."""
+    if baud is None:
+        return [Answer(port) for port in ports]
+    with ThreadPoolExecutor(MOST_AT_ONCE) as pool:
+        return list(pool.map(lambda port: _ask(port, baud), ports))
+
+
+def _ask(port: SerialPort, baud: int) -> Answer:
+    try:
+        leave_alone_if_open(port.device)
+        with Port(port.device, baud) as opened:
+            return Answer(port, introduction(opened))
+    except TactileError as error:
+        return Answer(port, reason=str(error).removeprefix(f"{port.device}: "))
+
+
+def described(answer: Answer) -> str:
+    """A port and who is on it, for people."""
+    lines = [str(answer.port)]
+    if answer.info is not None:
+        lines.append(f"    digitizer {described_info(answer.info)}")
+    elif answer.reason:
+        lines.append(f"    no digitizer: {answer.reason}")
+    if answer.port.usb_serial:
+        lines.append(plain(f"    {USB}{answer.port.usb_serial}"))
+    return "\n".join([*lines, *(plain(f"    {link}") for link in answer.port.links)])
+
+
+def as_values(answer: Answer) -> dict[str, Any]:
+    """The same for programs."""
+    values: dict[str, Any] = asdict(answer.port)
+    if (info := answer.info) is not None:
+        values |= {
+            "digitizer_id": shown_id(info.digitizer_id),
+            "firmware": f"{info.firmware_major}.{info.firmware_minor}",
+            "protocol_version": info.version,
+            "sample_rate_hz": info.sample_rate_hz,
+            "frame": asdict(info.frame),
+        }
+    elif answer.reason:
+        values["reason"] = answer.reason
+    return values

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Arguments that several commands share: those that describe the skin."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import threading
+from pathlib import Path
+
+from .parameters import BY_NAME, NATURAL_SIGNS, Value, read_file
+
+_SKIN_OPTIONS = {
+    "--nodes": "nodes",
+    "--bits": "bits",
+    "--chip-us": "chip_us",
+    "--frame-period-ms": "frame_period_ms",
+    "--order": "order",
+    "--first-row": "first_row",
+    "--sign-seed": "sign_seed",
+    "--drive": "drive",
+    "--polarity": "polarity",
+    "--amplitude-mv": "amplitude_mv",
+    "--timing": "timing",
+    "--samples-per-chip": "samples_per_chip",
+    "--vref": "vref_v",
+}
+
+
+def add_skin_options(
+    parser: argparse.ArgumentParser,
+    default: str = "what a raw capture says, else the driver's; amplitude: learnt",
+) -> None:
+    """The parameters of the skin as options; default: where those come from that are not given."""
+    group = parser.add_argument_group(f"the skin (default: {default})")
+    group.add_argument("--params", type=Path, metavar="FILE", help="ROS 2 parameter file")
+    for option, name in _SKIN_OPTIONS.items():
+        parameter = BY_NAME[name]
+        unit = f" [{parameter.unit}]" if parameter.unit else ""
+        kind = type(parameter.default)
+        text = f"{parameter.text}{unit}".replace("%", "%%")  # argparse formats it
+        group.add_argument(option, type=kind, dest=name, help=text)
+    group.add_argument(
+        "--natural-signs",
+        action="store_const",
+        const=NATURAL_SIGNS,
+        dest="sign_seed",
+        help="no row signs, as in the paper",
+    )
+
+
+def given(arguments: argparse.Namespace) -> dict[str, Value]:
+    """Parameters from the file, overridden by those from options."""
+    values = read_file(arguments.params) if arguments.params else {}
+    options = {name: getattr(arguments, name) for name in _SKIN_OPTIONS.values()}
+    return values | {name: value for name, value in options.items() if value is not None}
+
+
+def positive(text: str) -> float:
+    """A number above 0; as a time in s, one that threads can wait for."""
+    value = float(text)
+    if not 0 < value <= threading.TIMEOUT_MAX:
+        raise argparse.ArgumentTypeError(f"{text} is no number above 0")
+    return value
+
+
+def finite(text: str) -> float:
+    """A number that is one."""
+    value = float(text)
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text} is no finite number")
+    return value

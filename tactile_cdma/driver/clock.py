@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The digitizer's clock seen from the host."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+MAX_RATE_ERROR = 1e-3
+"""Largest believable rate difference of two crystal clocks; a steeper fit is jitter of the bus."""
+SURE_INTERVALS = 40
+"""Kept observations from which a rate is told to people: 1 ms of jitter is 55 ppm then."""
+RECENT = 8
+SLOW_S, FALLS_BEHIND_S = 0.5, 0.005
+"""A device is no clock but a slow replay or emulation if the last RECENT observations are later by
+SLOW_S than earlier ones, though nothing had waited to be read (crystals come to 0.03 s in 30 s),
+and ever later: every two of them by FALLS_BEHIND_S. What a stalled bus or a busy host held back is
+later, too, but comes ever less late, or about as late as buffers last."""
+_TOUCH_S = 1e-9
+"""Rounding: what is so little below a line is on it."""
+
+
+class DeviceClock:
+    """Maps device time to host time, both in s, from the arrival times of packets.
+
+    A packet arrives late, never early, and by a varying amount: so of the lines that no arrival
+    lies below, the one that is nearest to the earliest arrivals of all intervals is taken (Moon,
+    Skelly and Towsley 1999, "Estimation and removal of clock skew from network delay
+    measurements"). What is later than clocks can explain has no say in it.
+
+    A device slower than real time, as a replay at half the speed, is followed at its own pace: else
+    its frames would be stamped ever farther in the past.
+    """
+
+    def __init__(self, interval_s: float = 0.25, intervals: int = 120) -> None:
+        """interval_s: device time covered by one kept observation; `intervals` of them are kept."""
+        self._interval_s = interval_s
+        self._interval = -1
+        # Kept observations, in any order: the newest takes the place of the oldest.
+        self._device, self._host = np.zeros(intervals), np.zeros(intervals)
+        self._is_backlog = np.zeros(intervals, dtype=bool)
+        self._count = 0
+        self._lead_s = 0.0  # host minus device time of the newest
+        self._rate = 1.0
+        self._origin = (0.0, 0.0)
+        self._fitted = True
+
+    def observe(self, t_device: float, t_host: float, backlog: bool = False) -> None:
+        """A packet that left the device at t_device was read at t_host.
+
+        backlog: it had been waiting to be read, so that it may have come long before.
+        """
+        interval = int(t_device // self._interval_s)
+        if not self._count or interval != self._interval:
+            self._interval = interval
+            self._count += 1
+        elif t_host - t_device >= self._lead_s:
+            return
+        newest = (self._count - 1) % self._device.size
+        self._device[newest], self._host[newest] = t_device, t_host
+        self._is_backlog[newest] = backlog
+        self._lead_s = t_host - t_device
+        self._fitted = False
+
+    @property
+    def drift_ppm(self) -> float:
+        """By how much the device's clock is faster than the host's; NaN until that is known."""
+        return (1 / self._rate - 1) * 1e6 if self._count >= SURE_INTERVALS else np.nan
+
+    def to_host(self, t_device: float) -> float:
+        """Host time of a moment of device time."""
+        if not self._fitted:
+            self._fit()
+        return self._origin[1] + (t_device - self._origin[0]) * self._rate
+
+    def _fit(self) -> None:
+        kept = min(self._count, self._device.size)
+        device, host = float(self._device[0]), float(self._host[0])
+        # Differences to one observation keep the precision over weeks of device time.
+        x, y = self._device[:kept] - device, self._host[:kept] - host
+        rate, limit = 1.0, 1 + MAX_RATE_ERROR
+        newest = (self._count - 1 - np.arange(min(kept, RECENT))) % self._device.size
+        late_s = y - x
+        if not self._is_backlog[newest].any() and _is_slow(late_s, newest):
+            x, y, limit = x[newest], y[newest], np.inf
+        else:
+            timely = late_s - late_s.min() <= MAX_RATE_ERROR * np.ptp(x)
+            x, y = x[timely], y[timely]
+        if x.size >= RECENT:
+            rate = min(max(_rate_below(x, y), 1 - MAX_RATE_ERROR), limit)
+        self._fitted = True
+        self._rate, self._origin = rate, (device, host + float((y - rate * x).min()))
+
+
+def _is_slow(late_s: NDArray[np.float64], newest: NDArray[np.intp]) -> bool:
+    """Whether a device falls behind. late_s: of all observations; newest: the last ones of them."""
+    recent_s = late_s[newest]
+    if len(recent_s) < RECENT or recent_s.min() <= late_s.min() + SLOW_S:
+        return False
+    earliest_s = recent_s.reshape(-1, 2).min(axis=1)
+    return bool((earliest_s[:-1] > earliest_s[1:] + FALLS_BEHIND_S).all())
+
+
+def _rate_below(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
+    """Slope of the line below all points that has the least sum of distances to them.
+
+    It is that edge of their lower convex hull which passes the middle of all x: two points of the
+    hull, one to either side, are moved until no point lies below the line through them.
+    """
+    beyond = x > x.mean()
+    left, right = (
+        int(places[np.argmin((y - x)[places])])
+        for places in (np.flatnonzero(~beyond), np.flatnonzero(beyond))
+    )
+    while True:
+        rate = float((y[right] - y[left]) / (x[right] - x[left]))
+        above = y - y[left] - rate * (x - x[left])
+        lowest = int(above.argmin())
+        if above[lowest] > -_TOUCH_S:
+            return rate
+        if beyond[lowest]:
+            right = lowest
+        else:
+            left = lowest

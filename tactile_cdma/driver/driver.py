@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""A running skin: port, handshake and decoding in one thread, reconnecting by itself."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import TracebackType
+
+from ..base.errors import PortError, RecordingEndError
+from ..config.parameters import REPLAY
+from ..config.skin_config import SkinConfig
+from ..readings.stuck import StuckNodes
+from ..wire.packets import MAX_REPEATED
+from ..wire.port import NETWORK, Port, is_away
+from .backlog import Backlog
+from .pipeline import Pipeline, TactileFrame
+from .session import Session
+from .vitals import Vitals
+
+CONNECT_S = 0.5
+"""Longer than a port in order takes to open."""
+RETRY_S = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
+"""Pauses between attempts to get frames from a port; the last one repeats."""
+AWAY_S = 0.02
+"""A device that is not there is looked for so often, which takes microseconds."""
+LOOK_S = 0.05
+"""How much waits in the port is looked at so often, for that takes 10 µs."""
+WAITING = "waiting for the first frame"
+"""What keeps frames from coming right after a port was opened."""
+
+
+class Driver:
+    """Runs one skin in a thread of its own until stopped.
+
+    on_frame is called in that thread for every frame; on_problem with one sentence whenever the
+    reason for not receiving frames changes, and with None when frames flow again.
+
+    url: of the port. vitals: how the thread does. stuck: which nodes do not move.
+    """
+
+    def __init__(
+        self,
+        config: SkinConfig,
+        url: str,
+        baud: int,
+        on_frame: Callable[[TactileFrame], None],
+        on_problem: Callable[[str | None], None],
+    ) -> None:
+        # A recording may be played in a loop.
+        most_repeated = 0 if url.startswith(REPLAY) else MAX_REPEATED
+        self.pipeline = Pipeline(config, most_repeated=most_repeated)
+        self.problem: str | None = None
+        self.connections = 0
+        self.vitals = Vitals()
+        self.stuck = StuckNodes(config.layout)
+        self._first_port: Port | None = None
+        self.url, self._baud = url, baud
+        self._on_frame, self._on_problem = on_frame, on_problem
+        self._stop = threading.Event()
+        self._opening = False
+        self._busy = threading.Lock()
+        self._thread = threading.Thread(target=self._run, name=f"skin {url}", daemon=True)
+
+    def start(self, port: Port | None = None) -> None:
+        """Begin to stream, on an already open port if one is given (the driver closes it)."""
+        self._first_port = port
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Stop the digitizer, close the port, join the thread; nothing is called from now on.
+
+        A thread that is just connecting to a host that does not answer is not waited for: it ends
+        by itself when that fails.
+        """
+        self._stop.set()
+        while self._thread.is_alive():
+            self._thread.join(CONNECT_S)
+            if self._opening:
+                return
+
+    @contextmanager
+    def between_frames(self) -> Iterator[Pipeline]:
+        """The pipeline while no frame is decoded or handed on, for calls from other threads.
+
+        Bytes wait in the port meanwhile, so nothing is lost if this is short.
+        """
+        with self._busy:
+            yield self.pipeline
+
+    def __enter__(self) -> Driver:
+        self.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()
+
+    def _run(self) -> None:
+        attempt = 0
+        while not self._stop.is_set():
+            frames = self.pipeline.counters.frames
+            try:
+                with self._open() as port:
+                    if self._stop.is_set():
+                        return
+                    self.connections += 1
+                    self._stream(port)
+            except RecordingEndError as end:
+                self._report(str(end))
+                return
+            except PortError as error:
+                self._report(str(error))
+            except Exception:  # a defect of ours must neither go unseen nor end the skin for good
+                self._report(f"internal error, starting again: {traceback.format_exc()}")
+            if self.pipeline.counters.frames > frames:
+                attempt = 0
+            came_back = self._pause(RETRY_S[min(attempt, len(RETRY_S) - 1)])
+            attempt = 0 if came_back else attempt + 1
+
+    def _pause(self, pause_s: float) -> bool:
+        """Wait before the port is opened again; no longer, and True, if it just came back."""
+        end_s, away = time.monotonic() + pause_s, is_away(self.url)
+        while (left_s := end_s - time.monotonic()) > 0:
+            if self._stop.wait(min(left_s, AWAY_S)):
+                return False
+            if away and not is_away(self.url):
+                return True
+        return False
+
+    def _open(self) -> Port:
+        """The port given at the start, or the port anew; raises PortError."""
+        first, self._first_port = self._first_port, None
+        if first is not None:
+            return first
+        self._opening = True
+        try:
+            return Port(self.url, self._baud)
+        finally:
+            self._opening = False
+
+    def _stream(self, port: Port) -> None:
+        """Handshake, then decode until stopped; raises PortError when the port is lost."""
+        pipeline = self.pipeline
+        session = Session(pipeline.config)
+        with self._busy:
+            pipeline.reconnected()
+        if not self.problem:
+            self._report(WAITING)
+        port.write(session.open())
+        backlog = Backlog(pipeline.config.spec.frame_period_s)
+        # Others hold back no more than a terminal does, or are read at the pace of the reader.
+        hoards = self.url.startswith(NETWORK)
+        look_s, age_s = -math.inf, 0.0
+        try:
+            while not self._stop.is_set():
+                data, t_host = port.read()
+                with self._busy:
+                    frames = pipeline.feed(data, t_host, port.had_waited)
+                    t_decoded = time.monotonic()
+                    for frame in frames:
+                        self._on_frame(frame)
+                        self.vitals.handed_on(frame, t_host, t_decoded)
+                        contact_pa = pipeline.config.rest.contact_pa
+                        self.stuck.look(frame.readings, frame.t_middle, contact_pa)
+                age_s = t_host - frames[-1].t_host if frames else age_s
+                if t_host >= look_s:
+                    waiting_bytes = port.waiting
+                    self.vitals.dealt_with(waiting_bytes)
+                    look_s = t_host + LOOK_S
+                    if hoards and backlog.is_hopeless(waiting_bytes, age_s, t_host):
+                        with self._busy:
+                            pipeline.skipped(port.skip())
+                if frames and self.problem:
+                    self._report(None)
+                if request := session.watch(pipeline, t_host):
+                    port.write(request)
+                    if session.problem:
+                        self._report(session.problem)
+        finally:
+            pipeline.close()
+            if self._stop.is_set():
+                port.write(session.close())
+
+    def _report(self, problem: str | None) -> None:
+        if problem != self.problem and not self._stop.is_set():
+            self.problem = problem
+            self._on_problem(problem)

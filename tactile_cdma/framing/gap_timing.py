@@ -1,0 +1,261 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Timing from nothing but the waveform: frames between gaps, stretched at random."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..base.errors import SpecError
+from ..code.frame import FrameSpec
+from ..code.separate import NodeLevels
+from .burst import Burst, Quiet
+from .fit import MAX_SPREAD, Fit, Floats, Line, lowest_power
+from .gap import Expected, Found, GapSearch
+from .timing import MOST_CLIPPED, FrameLevels, SampleBlock, Timing
+
+LEAST_RHO = 2.5
+"""Words that stand less out of the noise are not found: whether there are any is not known then."""
+SCATTER = 0.15
+"""What frames may be off their raster, in chips."""
+FORGET = 0.999
+"""What is left of a learnt amplitude's power after each silent slot."""
+CLOCK_ERROR = 1e-4
+"""What the frame period may be off from the digitizer's clock."""
+CLOCK_DRIFT = 1e-5
+"""What it may change from one frame to the next, once it is known from two."""
+
+
+class GapTiming(Timing):
+    """Frames from nothing but the waveform: they stand between gaps, stretched by 0…11 %.
+
+    Samples from `_cursor` on are undecided. At `_due`, when they hold the frame expected next,
+    the search decides: nothing, a frame, or something else. Decisions depend on sample positions
+    only, so any cutting into blocks gives the same frames.
+    """
+
+    def __init__(
+        self, spec: FrameSpec, rate_hz: float, rails_v: tuple[float, float] | None = None
+    ) -> None:
+        """See Timing. Raises SpecError where frames leave no gap to find, or at too low a rate."""
+        super().__init__(spec, rate_hz, rails_v)
+        search = self._search = GapSearch(spec, rate_hz)
+        if search.chip < 2.5:
+            raise SpecError(
+                f"{search.chip:.2g} samples per chip are too few to find frames by their gaps: "
+                f"sample at {3 / spec.chip_s:.3g} Hz or more, or use line timing"
+            )
+        gap_chips = (search.period - search.shortest) / search.chip
+        if gap_chips < spec.order / 2:
+            raise SpecError(
+                f"a gap of {gap_chips:.1f} chips is too short to find frames of order "
+                f"{spec.order} by; lengthen frame_period_s or use line timing"
+            )
+        # From a frame's first loud sample to the instant at which it must be over.
+        self._reach = math.ceil(search.longest + 3 * search.chip)
+        self._bit = math.ceil(1.11 * spec.order * search.chip)
+        self._side_halves = math.ceil(min(self._bit, 0.4 * search.gap_size) / search.half)
+        self._quiet: Quiet | None = None
+        self._last: Fit | None = None  # the last frame, in stream indices
+        self._anchor: Fit | None = None  # the last one whose place was certain
+        self._period, self._period_error = search.period, CLOCK_ERROR
+        self._cursor = 0
+        self._due = 0
+        self._raster = 0.0  # start of the next slot
+        self._failures = 0
+
+    def feed(self, block: SampleBlock) -> list[FrameLevels]:
+        """Take samples in; return the frames and silent slots that they complete."""
+        if not self._continue(block):
+            self._begin_at(block.first_index)
+        frames: list[FrameLevels] = []
+        volts, slice_size = np.asarray(block.volts), math.ceil(self._search.period)
+        for begin in range(0, volts.size, slice_size):  # keeps the buffer bounded
+            self._samples.append(volts[begin : begin + slice_size])
+            while self._samples.end >= self._due:
+                frames += self._decide(self._due)
+        return frames
+
+    def flush(self) -> list[FrameLevels]:
+        """The recording ends here: decode a last frame that is complete."""
+        frames: list[FrameLevels] = []
+        cursor = -1
+        while self._samples.end - self._cursor > self._search.shortest and cursor != self._cursor:
+            cursor = self._cursor
+            frames += self._decide(self._samples.end, final=True)
+        self.reset()
+        return frames
+
+    def _begin_at(self, index: int) -> None:
+        """Start looking at this sample; slots stay on their raster across a hole."""
+        if self._last is None or index < self._raster - self._search.period:
+            self._raster, self._last, self._anchor = float(index), None, None
+        self._skip_to(index)
+
+    def _skip_to(self, index: int) -> None:
+        """Decide on samples from here on; nothing is known of slots that began before."""
+        self._cursor = index
+        late = math.ceil((index - self._raster) / self._search.period)
+        self._raster += max(0, late) * self._search.period
+        self._schedule()
+
+    def _schedule(self) -> None:
+        """Forget what is decided; set when the next decision is due."""
+        if self._quiet is None:  # a whole gap must be in view
+            self._due = self._cursor + math.ceil(self._search.period) + self._reach
+        else:
+            self._due = max(math.ceil(self._raster), self._cursor) + self._reach
+        self._samples.drop(self._cursor)
+
+    def _decide(self, end: int, final: bool = False) -> list[FrameLevels]:
+        """Look at the samples from the cursor to `end`, and move on. final: none will follow."""
+        volts = self._samples.take(self._cursor, end)
+        bad = np.flatnonzero(np.isnan(volts))
+        if bad.size:
+            self.rejected += 1
+            self._skip_to(self._cursor + int(bad[-1]) + 1)
+            return []
+        candidates = self._search.quiet(volts, self._quiet)
+        seen: list[Burst] = []
+        for quiet in candidates:
+            shifted = volts - quiet.level
+            burst = self._first_burst(shifted, quiet)
+            if burst is None:
+                continue
+            seen.append(burst)
+            if not final and self._incomplete(burst, volts.size):
+                self._due = max(end + 1, self._cursor + math.ceil(burst.first) + self._reach)
+                return []
+            if burst.first < self._search.chip:
+                continue  # no gap before it: the rest of a frame that began before the cursor
+            if frames := self._take(shifted, burst, quiet):
+                return frames
+        if all(self._may_be_noise(burst) for burst in seen):
+            self._quiet = candidates[0] if candidates and not final else self._quiet
+            return [] if final else self._pass_idle(end)
+        self.rejected += 1
+        self._failures += 1
+        if self._failures == 3:  # perhaps it is the level that is wrong
+            self._quiet, self._failures = None, 0
+        # A wrong level's burst may reach far into the next frame.
+        pause = min(burst.pause for burst in seen)
+        self._skip_to(self._cursor + max(self._bit, math.ceil(pause)))
+        return []
+
+    def _take(self, volts: Floats, burst: Burst, quiet: Quiet) -> list[FrameLevels]:
+        """The frame that a burst is, if it is one. volts: gap level removed."""
+        line = Line(volts)
+        for found in self._search.fits(line, burst, self._expected(burst)):
+            fit = found.fit
+            if fit.end(self.spec) > volts.size + 0.5 * fit.chip:
+                continue
+            beside = self._search.beside(volts, fit)
+            variance = beside.variance(burst.variance)
+            noise = variance * self._search.half / fit.chip
+            attempt = self._attempt(line, fit, MAX_SPREAD, noise)
+            if self._share_clipped(volts, fit, quiet.level) > MOST_CLIPPED:
+                continue
+            if attempt.believable and beside.is_quiet(self._side_halves, variance, burst.power):
+                self._quiet = quiet
+                if self.spec.node_swing_v is None:
+                    self._search.least_power = lowest_power(float(attempt.amplitude.max()))
+                return self._emit(volts, found, attempt.levels, beside.level)
+        return []
+
+    def _share_clipped(self, volts: Floats, fit: Fit, level: float) -> float:
+        """Of a frame's samples, share at a rail. volts: gap level removed."""
+        return self._clipped(volts[max(0, round(fit.start)) : round(fit.end(self.spec))] + level)
+
+    def _first_burst(self, volts: Floats, quiet: Quiet) -> Burst | None:
+        """The earliest burst: the strongest one may have a weaker one before it."""
+        found = None
+        while burst := self._search.burst(volts, quiet.variance):
+            if found and self._may_be_noise(burst):
+                break  # the frame after it is in view
+            found = burst
+            if burst.pause < burst.last:
+                before = int(burst.pause) + self._bit
+            else:
+                before = int(burst.first - self._search.chip)
+            if not self._search.shortest < before < volts.size:
+                break
+            volts = volts[:before]
+        return found
+
+    def _may_be_noise(self, burst: Burst) -> bool:
+        return burst.snr < 2 * self._search.snr_floor
+
+    def _expected(self, burst: Burst) -> Expected | None:
+        """A frame near the burst that keeps to the raster of the last one."""
+        if self._anchor is None:
+            return None
+        slots = self._slots(self._cursor + burst.first)
+        passed, chip = slots * self._period, self._anchor.chip
+        scatter = SCATTER * chip + self._period_error * passed
+        return Expected(self._anchor.start + passed - self._cursor, scatter, chip)
+
+    def _slots(self, index: float) -> int:
+        """Frame periods from the last certain frame to an index."""
+        return round((index - self._anchor.start) / self._period) if self._anchor else 0
+
+    def _anchor_at(self, fit: Fit) -> None:
+        """The place of this frame is certain; with the last one it tells the period."""
+        if self._anchor and (slots := self._slots(fit.start)):
+            period = (fit.start - self._anchor.start) / slots
+            if abs(period - self._search.period) < CLOCK_ERROR * period:
+                self._period, self._period_error = period, CLOCK_DRIFT
+        self._anchor = fit
+
+    def _incomplete(self, burst: Burst, size: int) -> bool:
+        """Whether chips of this burst's frame may still come after the samples in view."""
+        if size > self._search.period + 2 * self._reach:
+            return False
+        return size < min(burst.first + self._reach, burst.last + self._bit)
+
+    def _emit(
+        self, volts: Floats, found: Found, levels: NodeLevels, left: float
+    ) -> list[FrameLevels]:
+        """The frame, after the silent slots before it. left: of the gap's level around it, V."""
+        assert self._quiet is not None
+        fit, level = found.fit, self._quiet.level
+        clipped = self._share_clipped(volts, fit, level)
+        start = self._cursor + fit.start
+        # Without an earlier frame, what lies before this one may be the rest of another.
+        frames = list(self._idle_slots(start - self._search.period / 2)) if self._last else []
+        if self.spec.first_row == 0:  # the only row that an offset shows in
+            levels.values[:, 0] -= np.float32(left)
+        frames.append(self._heard(start, fit.chip, levels, level + left, clipped, found.tied))
+        self._last, self._failures = Fit(start, fit.chip), 0
+        if not found.tied:
+            self._anchor_at(self._last)
+        self._raster = start + self._search.period
+        self._cursor += math.ceil(fit.end(self.spec) + 0.5 * fit.chip)
+        self._schedule()
+        return frames
+
+    def _pass_idle(self, end: int) -> list[FrameLevels]:
+        """Nothing up to `end`, but a frame may begin within the last frame's length before it."""
+        frames = list(self._idle_slots(end - self._reach))
+        if self.spec.node_swing_v is None:
+            self._search.least_power *= FORGET ** len(frames)
+        self._cursor = max(self._cursor, end - self._reach)
+        self._schedule()
+        return frames
+
+    def _idle_slots(self, until: float) -> Iterator[FrameLevels]:
+        """The silent slots that begin up to an index; but at a rail or in noise nobody can tell."""
+        level, noise = 0.0, math.nan
+        if self._quiet:  # whose variance is that of half chips
+            level, noise = self._quiet.level, math.sqrt(self._quiet.variance / 2)
+        blind = self._quiet is not None and self._clipped(np.array([level])) > 0
+        if swing_v := self.spec.node_swing_v:
+            blind |= noise * LEAST_RHO > swing_v * math.sqrt(self.spec.order)
+        while self._raster <= until:
+            if blind:
+                self.rejected += 1
+            else:
+                yield FrameLevels(self._raster, self._search.chip, None, noise, level, 0.0)
+            self._raster += self._search.period

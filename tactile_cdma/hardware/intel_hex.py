@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Intel HEX, the text in which programmers of microcontrollers take a memory."""
+
+from __future__ import annotations
+
+from ..base.errors import NodeMemoryError
+
+DATA, END = 0, 1
+"""Types of record; others are for memories beyond 64 kB."""
+PER_RECORD = 16
+"""Data bytes of a line."""
+BLANK = 0xFF
+"""An erased byte: what is between the records."""
+
+
+def to_hex(data: bytes) -> str:
+    """The text of a memory of up to 64 kB that begins at address 0."""
+    lines = [
+        _record(address, DATA, data[address : address + PER_RECORD])
+        for address in range(0, len(data), PER_RECORD)
+    ]
+    return "\n".join([*lines, _record(0, END, b""), ""])
+
+
+def from_hex(text: str) -> bytes:
+    """The memory from address 0 to the last byte that the text gives; gaps are blank.
+
+    Raises NodeMemoryError, naming the line, for anything that is not such a text.
+    """
+    memory = bytearray()
+    for number, line in enumerate(text.splitlines(), 1):
+        if not line.strip():
+            continue
+        address, kind, data = _parse(line.strip(), number)
+        if kind == END:
+            return bytes(memory)
+        if kind != DATA:
+            raise NodeMemoryError(
+                f"line {number}: Intel HEX record of type {kind}; a node's EEPROM takes only "
+                f"{DATA} and {END}: is this another memory?"
+            )
+        end = address + len(data)
+        memory.extend(bytes([BLANK]) * (end - len(memory)))
+        memory[address:end] = data
+    raise NodeMemoryError("the Intel HEX text has no end record: is it truncated?")
+
+
+def _record(address: int, kind: int, data: bytes) -> str:
+    body = bytes([len(data), address >> 8, address & 0xFF, kind]) + data
+    return f":{(body + bytes([-sum(body) & 0xFF])).hex().upper()}"
+
+
+def _parse(line: str, number: int) -> tuple[int, int, bytes]:
+    """Address, type and data of a record."""
+    try:
+        record = bytes.fromhex(line.removeprefix(":"))
+    except ValueError:
+        record = b""
+    if not line.startswith(":") or len(record) < 5 or len(record) != record[0] + 5:
+        raise NodeMemoryError(f"line {number}: {line[:20]!r} is no Intel HEX record")
+    if sum(record) & 0xFF:
+        raise NodeMemoryError(f"line {number}: wrong checksum; the text is damaged")
+    return int.from_bytes(record[1:3], "big"), record[3], record[4:-1]

@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""A node's EEPROM: what a sensing node has to know about the skin that it is part of.
+
+The bytes are a NodeRecord (firmware/protocol.yaml), the chips of the node's code row, 1 for +1,
+least significant bit first, and the CRC-32 of both. The row's sign is in the record, not in the
+chips.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from dataclasses import astuple, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.errors import NodeMemoryError, SpecError
+from ..code.frame import FrameSpec
+from ..config.parameters import LINE
+from ..wire._protocol import FIELDS, NODE_LEARN_REST, NODE_MAGIC, NODE_VERSION, Polarity
+from ..wire.messages import WIRE, FrameLayout, Message, build
+
+
+@dataclass(frozen=True, slots=True)
+class Mcu:
+    """A microcontroller that a node may have, and what its firmware can do.
+
+    order: longest code row that its memories take. chip_ns: shortest chip, ns, that its clock
+        leaves time for.
+    """
+
+    order: int
+    chip_ns: int
+
+
+MCUS = {"atmega328p": Mcu(4096, 35_000), "attiny85": Mcu(1024, 40_000)}
+RESTART_S = 96e-6
+"""Least guard before a restart within the frame, s: the restart's sync pulse, 64 µs ahead of it,
+must not begin before a node has released the line."""
+MEASURING_S = 1e-3
+"""Least gap after a frame, s, in which the node measures and gets ready for the next sync edge."""
+HEARTBEAT_S = 1.0
+"""About so long a node at rest is silent, unless told otherwise."""
+CRC_BYTES = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NodeRecord(Message):
+    """What a node's EEPROM begins with, in the integers that lie there.
+
+    node: counted from 1. row: of the code book; for whoever reads the memory, as the chips follow.
+    rest: code at rest, or NODE_LEARN_REST. threshold: LSB. heartbeat, turn: frames.
+    """
+
+    magic: int = NODE_MAGIC
+    version: int = NODE_VERSION
+    node: int
+    nodes: int
+    row: int
+    sign: Polarity
+    bits: int
+    parity: bool
+    order: int
+    chip_ns: int
+    frame_period_us: int
+    resync_chips: int
+    guard_chips: int
+    discipline: bool
+    rest: int
+    threshold: int
+    heartbeat: int
+    turn: int
+
+
+def check_timing(timing: str) -> None:
+    """Raises SpecError for a timing with which such nodes never talk."""
+    if timing != LINE:
+        raise SpecError(
+            f"timing is {timing!r}: the digitizer then gives no sync pulses, and these nodes talk "
+            f"only when they hear one; set timing to {LINE!r}"
+        )
+
+
+def node_memory(
+    spec: FrameSpec,
+    node: int,
+    *,
+    threshold: int = 1,
+    heartbeat: int | None = None,
+    rest: int | None = None,
+    discipline: bool = True,
+    mcu: str = "atmega328p",
+) -> bytes:
+    """The EEPROM of one node, counted from 1.
+
+    threshold: LSB; the node talks while its code is farther than this from rest or from what it
+        sent last; 0: always.
+    heartbeat: frames; the node talks at least once in so many, the nodes taking turns; 0: never;
+        None: as many as usual_heartbeat says.
+    rest: code at rest; None: learnt after power-up.
+    discipline: chip times follow the period of the sync edges.
+
+    Raises SpecError, naming value, limit and cause, for what such a node cannot do.
+    """
+    if mcu not in MCUS:
+        raise SpecError(f"mcu is {mcu!r}; it must be one of {', '.join(MCUS)}")
+    _check("node", node, 1, spec.nodes, "nodes are counted from 1")
+    _check("threshold", threshold, 0, 2**spec.bits - 1, f"codes have {spec.bits} bits")
+    if heartbeat is None:
+        heartbeat = usual_heartbeat(spec.frame_period_s)
+    _check("heartbeat", heartbeat, *_limits("heartbeat"), "a node counts frames in 16 bits")
+    if rest is not None:
+        _check("rest", rest, 0, 2**spec.bits - 1, f"codes have {spec.bits} bits")
+    _check("bits", spec.bits, *_limits("bits"), "a node's converter has 10 bits")
+    _check("order", spec.order, 1, MCUS[mcu].order, f"the {mcu} holds no longer code row")
+    layout = FrameLayout.of(spec, samples_per_chip=1)  # whole nanoseconds and microseconds
+    longest = _limits("chip_ns")[1]
+    _check("chip_ns", layout.chip_ns, MCUS[mcu].chip_ns, longest, f"the {mcu} runs at 8 MHz")
+    _check(
+        "frame_period_us",
+        layout.frame_period_us,
+        *_limits("frame_period_us"),
+        "a node times the sync edges",
+    )
+    gap_s = spec.frame_period_s - spec.frame_s
+    if gap_s < MEASURING_S * (1 - 1e-9):  # rounding of the difference
+        raise SpecError(
+            f"the gap after a frame lasts {gap_s * 1e3:g} ms, but a node takes "
+            f"{MEASURING_S * 1e3:g} ms to measure in it: frame_period_ms must be at least "
+            f"{(spec.frame_s + MEASURING_S) * 1e3:g}"
+        )
+    if spec.span_chips > spec.chips and spec.guard_chips * spec.chip_s < RESTART_S * (1 - 1e-9):
+        needed = math.ceil(RESTART_S / spec.chip_s - 1e-9)
+        raise SpecError(
+            f"guard_chips is {spec.guard_chips}, but to start anew within the frame a node "
+            f"takes at least {needed} of {spec.chip_s * 1e6:g} µs"
+        )
+    record = NodeRecord(
+        node=node,
+        nodes=spec.nodes,
+        row=int(spec.rows[node - 1]),
+        sign=Polarity(int(spec.signs[node - 1])),
+        bits=spec.bits,
+        parity=spec.parity,
+        order=spec.order,
+        chip_ns=layout.chip_ns,
+        frame_period_us=layout.frame_period_us,
+        resync_chips=spec.resync_chips,
+        guard_chips=spec.guard_chips,
+        discipline=discipline,
+        rest=NODE_LEARN_REST if rest is None else rest,
+        threshold=threshold,
+        heartbeat=heartbeat,
+        turn=(node - 1) * heartbeat // spec.nodes,
+    )
+    (chips,) = spec.book.rows([record.row])
+    body = (
+        WIRE["NodeRecord"].pack(*astuple(record))
+        + np.packbits(chips > 0, bitorder="little").tobytes()
+    )
+    return body + zlib.crc32(body).to_bytes(CRC_BYTES, "little")
+
+
+def usual_heartbeat(frame_period_s: float) -> int:
+    """Frames in about HEARTBEAT_S, one at least: 78 of 12.8 ms."""
+    return max(1, round(HEARTBEAT_S / frame_period_s))
+
+
+def read_node_memory(data: bytes) -> tuple[NodeRecord, NDArray[np.int8]]:
+    """The record in an EEPROM and the chips of its row, (order,) int8 of ±1.
+
+    What follows in the EEPROM is ignored. Raises NodeMemoryError, naming what is wrong.
+    """
+    if data.count(0xFF) == len(data):
+        raise NodeMemoryError("the memory is blank: it was never written, or a chip erase took it")
+    wire = WIRE["NodeRecord"]
+    if len(data) < wire.size:
+        raise NodeMemoryError(
+            f"{len(data)} bytes are no node's memory; its record takes {wire.size}"
+        )
+    values = wire.unpack_from(data)
+    found = dict(zip((field.name for field in FIELDS["NodeRecord"]), values, strict=True))
+    if found["magic"] != NODE_MAGIC:
+        raise NodeMemoryError(
+            f"this is no node's memory: it begins with 0x{found['magic']:08X}, "
+            f"not 0x{NODE_MAGIC:08X}"
+        )
+    if found["version"] != NODE_VERSION:
+        raise NodeMemoryError(
+            f"the memory has a record of version {found['version']}, this is for {NODE_VERSION}: "
+            "write it anew"
+        )
+    size = _size(found["order"])
+    if len(data) < size:
+        raise NodeMemoryError(
+            f"the memory is truncated: a row of {found['order']} chips takes {size} bytes, "
+            f"there are {len(data)}"
+        )
+    body, crc = data[: size - CRC_BYTES], int.from_bytes(data[size - CRC_BYTES : size], "little")
+    if zlib.crc32(body) != crc:
+        raise NodeMemoryError(
+            f"the memory is damaged: CRC-32 is 0x{zlib.crc32(body):08X}, it says 0x{crc:08X}"
+        )
+    try:
+        record = build(NodeRecord, iter(values))
+    except SpecError as error:
+        raise NodeMemoryError(f"the memory is intact, but not for this firmware: {error}") from None
+    packed = np.frombuffer(body, np.uint8, offset=wire.size)
+    positive = np.unpackbits(packed, count=record.order, bitorder="little")
+    return record, np.where(positive, 1, -1).astype(np.int8)
+
+
+def describe_memory(record: NodeRecord, chips: NDArray[np.int8]) -> str:
+    """What a node's memory says, for people: a few lines."""
+    code = "".join("+" if chip > 0 else "-" for chip in chips)
+    restart = f"every {record.resync_chips} chips, after {record.guard_chips} of pause"
+    rest = "learnt after power-up" if record.rest == NODE_LEARN_REST else f"code {record.rest}"
+    change = f"more than {record.threshold} LSB from rest ({rest}) or from what it sent last"
+    beat = f"once in {record.heartbeat} frames, first after {record.turn}"
+    lines = {
+        "node": f"{record.node} of {record.nodes}",
+        "code row": f"{record.row} of order {record.order}, sign {record.sign:+d}: {code}",
+        "word": f"{record.bits} bits" + (" and parity" if record.parity else ""),
+        "chip": f"{record.chip_ns / 1e3:g} µs"
+        + (", following the sync edges" if record.discipline else ", of the node's own clock"),
+        "frame": f"every {record.frame_period_us / 1e3:g} ms",
+        "restarts": restart if record.resync_chips else "none",
+        "talks": change if record.threshold else "in every frame",
+        "heartbeat": beat if record.heartbeat else "none",
+    }
+    return "\n".join(f"{name + ':':<10} {text}" for name, text in lines.items())
+
+
+def _size(order: int) -> int:
+    """Bytes of record, chips and CRC."""
+    return WIRE["NodeRecord"].size + (order + 7) // 8 + CRC_BYTES
+
+
+def _limits(name: str) -> tuple[int, int]:
+    """Smallest and largest value of a record's field."""
+    allowed = next(field.allowed for field in FIELDS["NodeRecord"] if field.name == name)
+    assert isinstance(allowed, range), "only integers are asked for"
+    return allowed[0], allowed[-1]
+
+
+def _check(name: str, value: int, low: int, high: int, cause: str) -> None:
+    if not low <= value <= high:
+        raise SpecError(f"{name} is {value}; it must lie within {low}…{high}: {cause}")

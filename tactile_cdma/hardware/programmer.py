@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""A node's memory as a file, and into the node by avrdude."""
+
+from __future__ import annotations
+
+import shlex
+import subprocess
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.errors import NodeMemoryError
+from ..base.named_file import read_named
+from .intel_hex import from_hex, to_hex
+from .node_memory import NodeRecord, read_node_memory
+
+HEX, RAW = (".hex", ".eep"), (".bin",)
+"""Endings of file names: Intel HEX, and the bare bytes."""
+PARTS = {"atmega328p": "m328p", "attiny85": "t85"}
+"""What avrdude calls the microcontrollers."""
+AVRDUDE = "avrdude"
+MOST_BYTES = 1 << 20
+"""Of a file: Intel HEX of 64 kB takes 180 kB."""
+
+
+def write_memory(path: Path, data: bytes) -> None:
+    """Write a memory in the format of the file name's ending. Raises NodeMemoryError."""
+    content = to_hex(data).encode() if _is_hex(path) else data
+    try:
+        path.write_bytes(content)
+    except OSError as error:
+        raise NodeMemoryError(f"{path}: {error.strerror}") from None
+
+
+def node_files(directory: Path, nodes: int) -> list[Path]:
+    """A file for each of so many nodes: node01.hex, … The directory is made if it is missing.
+
+    Raises NodeMemoryError where it cannot be made.
+    """
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise NodeMemoryError(f"{directory}: {error.strerror}") from None
+    width = max(2, len(str(nodes)))
+    return [directory / f"node{node:0{width}}.hex" for node in range(1, nodes + 1)]
+
+
+def read_memory(path: Path) -> tuple[NodeRecord, NDArray[np.int8]]:
+    """Record and chips in a file that write_memory or avrdude made.
+
+    Raises NodeMemoryError, naming the file and what is wrong.
+    """
+    is_hex = _is_hex(path)
+    try:
+        content = read_named(path, MOST_BYTES)
+        return read_node_memory(from_hex(content.decode("latin-1")) if is_hex else content)
+    except OSError as error:
+        raise NodeMemoryError(f"{path}: {error.strerror}") from None
+    except NodeMemoryError as error:
+        raise NodeMemoryError(f"{path}: {error}") from None
+
+
+def avrdude(path: Path, mcu: str, programmer: str) -> list[str]:
+    """The command that writes such a file to a node's EEPROM, and verifies it."""
+    kind = "i" if _is_hex(path) else "r"
+    return [AVRDUDE, "-c", programmer, "-p", PARTS[mcu], "-U", f"eeprom:w:{path}:{kind}"]
+
+
+def burn(path: Path, mcu: str, programmer: str) -> None:
+    """Write such a file to the node at the programmer. avrdude tells on stderr what it does.
+
+    Raises NodeMemoryError where that fails.
+    """
+    command = avrdude(path, mcu, programmer)
+    try:
+        code = subprocess.run(command, check=False).returncode
+    except OSError as error:
+        raise NodeMemoryError(
+            f"{AVRDUDE}: {error.strerror}; apt install avrdude, or write {path} with another tool"
+        ) from None
+    if code:
+        raise NodeMemoryError(
+            f"avrdude failed with exit code {code}: is programmer {programmer!r} connected, and "
+            f"the node supplied? The command was: {shlex.join(command)}"
+        )
+
+
+def _is_hex(path: Path) -> bool:
+    """Whether the file name asks for Intel HEX. Raises NodeMemoryError for an unknown ending."""
+    ending = path.suffix.lower()
+    if ending not in HEX + RAW:
+        raise NodeMemoryError(
+            f"{path}: unknown ending {ending!r}; {' or '.join(HEX)} for Intel HEX, "
+            f"{' '.join(RAW)} for the bare bytes"
+        )
+    return ending in HEX

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Which taxels hang together: connected components of a part of the skin."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def connected(taxels: NDArray[np.intp], beside: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Which of some taxels hang together: (k,) labels, 0…c − 1 in the order of first taxels.
+
+    taxels: (k,) int, rising. beside: (m, t) int, the neighbours of all t taxels, a column each,
+    filled up with the taxel itself.
+
+    Trees of taxels grow together along the links between them: in each round every root whose tree
+    touches lower ones hangs itself below the lowest, and the trees are flattened. (A form of
+    Shiloach & Vishkin, An O(log n) parallel connectivity algorithm, 1982.)
+    """
+    count = len(taxels)
+    own = np.arange(count + 1)  # the last one stands for all that is not among the taxels
+    among = np.full(beside.shape[1], count)
+    among[taxels] = own[:-1]
+    near = among[beside[:, taxels]]
+    root, lowest = own, near.min(axis=0)
+    while True:
+        above = root.copy()
+        np.minimum.at(above, root[:-1], lowest)
+        while (root != above).any():
+            root, above = above, above[above]
+        lowest = root[near].min(axis=0)
+        if not (lowest < root[:-1]).any():
+            return np.asarray(((root == own).cumsum() - 1)[root[:-1]])

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Which node is behind which taxel of a layout file.
+
+Every node has one place, or the file says that it has none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.marked_yaml import Mapping, Marked
+
+MOST_TAXELS = 65_535
+"""As many as TactileSkinInfo can count."""
+_SHOWN = 8
+"""Nodes that a message lists, at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wiring:
+    """What the parameters say of the skin that a layout is for.
+
+    nodes: on the wire; None: as many as the layout names. first_row: code row of node 1. skin: its
+    name; empty: not checked.
+    """
+
+    nodes: int | None = None
+    first_row: int = 1
+    skin: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A taxel and its node as the file has them.
+
+    taxel: what to call it. node: 1-based; 0: none. value: where the file says so.
+    """
+
+    taxel: str
+    node: int
+    value: Marked
+
+
+def listed(numbers: Sequence[int]) -> str:
+    """Nodes for people, as many as they want to read."""
+    shown = ", ".join(map(str, numbers[:_SHOWN])) + (", …" if len(numbers) > _SHOWN else "")
+    return f"{len(numbers)} nodes ({shown})" if len(numbers) > 1 else f"node {shown}"
+
+
+def node_of_entry(entry: Mapping, first_row: int) -> Place:
+    """The node of a taxel that is listed by itself, from its node or code_row."""
+    node, code_row = entry.get("node"), entry.get("code_row")
+    if node and not code_row:
+        return Place(entry.what, _node(node, entry.what), node)
+    if code_row and not node:
+        return Place(entry.what, _node_of_row(code_row, entry.what, first_row), code_row)
+    raise entry.value.refuse(f"{entry.what} needs a node or a code_row, and not both")
+
+
+def nodes_of_grid(content: Mapping, rows: int, columns: int, first_row: int) -> list[Place]:
+    """Row-major, from the matrix of nodes or of code_rows; without one 1, 2, 3 and so on."""
+    nodes, code_rows = content.get("nodes"), content.get("code_rows")
+    if nodes and code_rows:
+        raise code_rows.refuse("nodes and code_rows say the same: leave one out")
+    taxels = (
+        f"taxel {row * columns + column} (row {row}, column {column})"
+        for row in range(rows)
+        for column in range(columns)
+    )
+    if nodes:
+        cells = zip(taxels, _matrix(nodes, "nodes", rows, columns), strict=True)
+        return [Place(t, 0 if v.content == "0" else _node(v, t), v) for t, v in cells]
+    if code_rows:
+        cells = zip(taxels, _matrix(code_rows, "code_rows", rows, columns), strict=True)
+        return [Place(t, 0 if v.is_null else _node_of_row(v, t, first_row), v) for t, v in cells]
+    return [Place(taxel, node, content["shape"]) for node, taxel in enumerate(taxels, start=1)]
+
+
+def check_nodes(
+    content: Mapping, places: list[Place], wiring: Wiring
+) -> tuple[NDArray[np.int32], tuple[int, ...], tuple[int, ...]]:
+    """The nodes of the taxels, (t,) int32, and the numbers of those masked and of those unplaced.
+
+    Raises LayoutError for nodes with two places or none, nodes that the skin doesn't have, and
+    numbers under masked or unplaced that contradict the places.
+    """
+    placed = _by_node(places)
+    if not placed:
+        raise content.value.refuse("no taxel has a node")
+    masked, unplaced = _numbers(content, "masked"), _numbers(content, "unplaced")
+    nodes = wiring.nodes or max(placed.keys() | unplaced.keys())
+    for node, place in placed.items():
+        if node > nodes:
+            raise place.value.refuse(
+                f"{place.taxel} has node {node}, but the skin has {nodes} nodes, on code rows "
+                f"{wiring.first_row}…{wiring.first_row + nodes - 1}"
+            )
+    for node, value in unplaced.items():
+        if node in placed:
+            raise value.refuse(f"unplaced lists node {node}, which is behind {placed[node].taxel}")
+        if node > nodes:
+            raise value.refuse(f"unplaced lists node {node}, but the skin has {nodes} nodes")
+    for node, value in masked.items():
+        if node not in placed:
+            raise value.refuse(f"masked lists node {node}, which is behind no taxel")
+    missing = [n for n in range(1, nodes + 1) if n not in placed and n not in unplaced]
+    if missing:
+        raise content.value.refuse(
+            f"of the skin's {nodes} nodes, {listed(missing)} have no place; place them, or list "
+            "under 'unplaced' what is on the wire but not on the skin"
+        )
+    nodes_of_taxels = np.array([place.node for place in places], dtype=np.int32)
+    return nodes_of_taxels, tuple(sorted(masked)), tuple(sorted(unplaced))
+
+
+def _by_node(places: Iterable[Place]) -> dict[int, Place]:
+    placed: dict[int, Place] = {}
+    for place in places:
+        if place.node in placed:
+            other = placed[place.node]
+            raise place.value.refuse(
+                f"{place.taxel} has node {place.node}, which is behind {other.taxel} already (line "
+                f"{other.value.line})"
+            )
+        if place.node:
+            placed[place.node] = place
+    return placed
+
+
+def _matrix(value: Marked, what: str, rows: int, columns: int) -> list[Marked]:
+    """The entries of a matrix, row-major."""
+    lines = value.items(what)
+    if len(lines) != rows:
+        raise value.refuse(f"{what} has {len(lines)} rows; rows is {rows}")
+    cells: list[Marked] = []
+    for line in lines:
+        entries = line.items(f"a row of {what}")
+        if len(entries) != columns:
+            raise line.refuse(f"a row of {what} has {len(entries)} entries; columns is {columns}")
+        cells += entries
+    return cells
+
+
+def _node(value: Marked, taxel: str) -> int:
+    return value.whole(f"the node of {taxel}", 1, MOST_TAXELS)
+
+
+def _node_of_row(value: Marked, taxel: str, first_row: int) -> int:
+    code_row = value.whole(f"the code row of {taxel}", 0, first_row + MOST_TAXELS - 1)
+    if code_row < first_row:
+        raise value.refuse(f"{taxel} has code row {code_row}, but node 1 has row {first_row}")
+    return code_row - first_row + 1
+
+
+def _numbers(content: Mapping, key: str) -> dict[int, Marked]:
+    """A list of node numbers, each with where it stands."""
+    listing, numbers = content.get(key), dict[int, Marked]()
+    for value in listing.items(key) if listing else ():
+        number = value.whole(f"a node in {key}", 1, MOST_TAXELS)
+        if number in numbers:
+            raise value.refuse(f"{key} lists node {number} twice")
+        numbers[number] = value
+    return numbers

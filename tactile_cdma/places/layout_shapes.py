@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Where a regular skin's taxels lie: rows and columns on a plane, a cylinder or a sphere.
+
+The frame is that of the patch: its origin is the middle of the skin, z points out of the surface
+there. Seen from outside columns go right, along x, and rows down, against y, as in a picture. A
+curved patch of large radius is a flat one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.errors import SpecError
+
+OVERLAP = 0.25
+"""Share of the pitch by which places may be off without being a mistake."""
+_QUADRATURE = 6
+"""Points per edge of a cell in the integral of its area: exact to float32 on a hemisphere."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Places on a surface.
+
+    flat_m: (t, 2) float32, on the unrolled surface, m. positions_m: (t, 3) float32, m. normals:
+    (t, 3) float32, unit vectors out of the surface. areas_m2: (t,) float32, of the cells, m².
+    """
+
+    flat_m: NDArray[np.float32]
+    positions_m: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    areas_m2: NDArray[np.float32]
+
+
+def plane(rows: int, columns: int, pitch_m: float) -> Surface:
+    """A flat grid, row-major about its centre."""
+    flat_m = _grid(rows, columns, pitch_m)
+    normals = np.broadcast_to([0.0, 0.0, 1.0], (len(flat_m), 3))
+    areas_m2 = np.full(len(flat_m), pitch_m**2)
+    return _surface(flat_m, np.pad(flat_m, ((0, 0), (0, 1))), normals, areas_m2)
+
+
+def cylinder(rows: int, columns: int, pitch_m: float, radius_m: float) -> Surface:
+    """A grid bent round an axis: columns go around, rows along it, the axis is y at z = −radius.
+
+    Distances are kept along the surface: neighbouring columns are a chord of pitch/radius apart.
+    Raises SpecError where the columns go round more than once.
+    """
+    round_m = 2 * math.pi * radius_m
+    if columns * pitch_m > round_m + OVERLAP * pitch_m:
+        raise SpecError(
+            f"{columns} columns of {pitch_m * 1e3:g} mm take {columns * pitch_m * 1e3:g} mm, but a "
+            f"cylinder of radius {radius_m * 1e3:g} mm is {round_m * 1e3:.1f} mm round: they go "
+            "round more than once"
+        )
+    flat_m = _grid(rows, columns, pitch_m)
+    angle = flat_m[:, 0] / radius_m
+    normals = np.stack([np.sin(angle), np.zeros(len(angle)), np.cos(angle)], axis=1)
+    positions_m = radius_m * (normals - [0.0, 0.0, 1.0])
+    positions_m[:, 1] = flat_m[:, 1]
+    return _surface(flat_m, positions_m, normals, np.full(len(flat_m), pitch_m**2))
+
+
+def sphere(rows: int, columns: int, pitch_m: float, radius_m: float) -> Surface:
+    """A grid laid on a ball: distances and directions from its middle are kept.
+
+    That is the azimuthal equidistant projection (Snyder, Map Projections, USGS 1395, ch. 25);
+    across these directions places draw together, by sin(c)/c at the angle c from the middle.
+    Raises SpecError where a taxel would lie beyond the hemisphere.
+    """
+    flat_m = _grid(rows, columns, pitch_m)
+    reach_m = float(np.hypot(*flat_m[0]))
+    if reach_m > math.pi / 2 * radius_m:
+        raise SpecError(
+            f"the corner taxels are {reach_m * 1e3:.1f} mm from the middle, but the hemisphere of "
+            f"radius {radius_m * 1e3:g} mm ends at {math.pi / 2 * radius_m * 1e3:.1f} mm: a sheet "
+            "does not fit farther round"
+        )
+    angle = np.hypot(flat_m[:, 0], flat_m[:, 1]) / radius_m
+    across = flat_m * (_sinc(angle) / radius_m)[:, None]
+    normals = np.column_stack([across, np.cos(angle)])
+    positions_m = radius_m * (normals - [0.0, 0.0, 1.0])
+    return _surface(flat_m, positions_m, normals, _sphere_areas_m2(flat_m, pitch_m, radius_m))
+
+
+def seen_from_outside(
+    positions_m: NDArray[np.floating], normals: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """Places as seen against the mean normal, (t, 2), m; along z where normals cancel out.
+
+    x is to the right, as nearly as the direction of view allows.
+    """
+    out = normals.mean(axis=0)
+    if np.linalg.norm(out) < 1e-3:
+        out = np.array([0.0, 0.0, 1.0])
+    out /= np.linalg.norm(out)
+    right = np.cross([0.0, 1.0, 0.0], out)
+    if np.linalg.norm(right) < 1e-3:  # seen along y, x is still to the right
+        right = np.array([1.0, 0.0, 0.0])
+    right /= np.linalg.norm(right)
+    return np.asarray(positions_m @ np.stack([right, np.cross(out, right)], axis=1))
+
+
+def _grid(rows: int, columns: int, pitch_m: float) -> NDArray[np.float64]:
+    """Row-major places of a flat grid about its centre, (rows · columns, 2), m."""
+    y, x = np.mgrid[:rows, :columns].astype(np.float64)
+    centred = np.stack([x.ravel() - (columns - 1) / 2, (rows - 1) / 2 - y.ravel()], axis=1)
+    return np.asarray(centred * pitch_m)
+
+
+def _sphere_areas_m2(
+    flat_m: NDArray[np.float64], pitch_m: float, radius_m: float
+) -> NDArray[np.float64]:
+    """Areas on the sphere of the square cells about flat places: the integral of sin(c)/c."""
+    at, weight = np.polynomial.legendre.leggauss(_QUADRATURE)
+    areas_m2 = np.zeros(len(flat_m))
+    for y, weight_y in zip(at, weight, strict=True):
+        for x, weight_x in zip(at, weight, strict=True):
+            place_m = flat_m + np.array([x, y]) * (pitch_m / 2)
+            angle = np.hypot(place_m[:, 0], place_m[:, 1]) / radius_m
+            areas_m2 += weight_x * weight_y * (pitch_m / 2) ** 2 * _sinc(angle)
+    return areas_m2
+
+
+def _sinc(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """sin(c)/c."""
+    return np.asarray(np.sinc(angle / np.pi))
+
+
+def _surface(*arrays: NDArray[np.float64]) -> Surface:
+    return Surface(*(np.array(values, dtype=np.float32) for values in arrays))

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Where a frame lies in another one: rotation and translation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """A frame in its parent: p_parent = rotation · p + translation_m.
+
+    rotation: (3, 3) float64, proper (orthogonal, determinant 1). translation_m: (3,) float64, m.
+    """
+
+    rotation: Floats
+    translation_m: Floats
+
+    @classmethod
+    def of_rpy(cls, xyz_m: Sequence[float], rpy_rad: Sequence[float]) -> Pose:
+        """As URDF writes it: rolled, pitched and yawed, in this order, about the parent's axes."""
+        (sr, sp, sy), (cr, cp, cy) = np.sin(rpy_rad), np.cos(rpy_rad)
+        roll = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+        pitch = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+        yaw = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+        return cls(yaw @ pitch @ roll, np.array(xyz_m, dtype=np.float64))
+
+    @classmethod
+    def of_quaternion(cls, xyz_m: Sequence[float], xyzw: Sequence[float]) -> Pose:
+        """As ROS messages write it; a quaternion that is not quite of length 1 is made so.
+
+        Raises ValueError for a quaternion without a direction: zero, or not finite; and for a place
+        that is not finite.
+        """
+        if not all(map(math.isfinite, xyz_m)):
+            raise ValueError(f"no place: {tuple(xyz_m)}")
+        length = math.hypot(*xyzw)
+        if not (length > 0 and math.isfinite(length)):
+            raise ValueError(f"no rotation: quaternion {tuple(xyzw)}")
+        x, y, z, w = np.asarray(xyzw, dtype=np.float64) / length
+        rotation = np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+        return cls(rotation, np.array(xyz_m, dtype=np.float64))
+
+    @property
+    def quaternion(self) -> Floats:
+        """The rotation as (4,) float64: x, y, z, w, of length 1, w ≥ 0."""
+        r = self.rotation
+        # 4·q·qᵀ: the row with the largest square of its own loses the least (Markley 2008).
+        outer = np.array(
+            [
+                [1 + r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], 0],
+                [0, 1 - r[0, 0] + r[1, 1] - r[2, 2], r[1, 2] + r[2, 1], 0],
+                [0, 0, 1 - r[0, 0] - r[1, 1] + r[2, 2], 0],
+                [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], 1 + np.trace(r)],
+            ]
+        )
+        outer += np.tril(outer, -1).T + np.triu(outer, 1).T
+        row = outer[outer.diagonal().argmax()]
+        return np.asarray(math.copysign(1.0, row[3]) * row / np.linalg.norm(row))
+
+    @property
+    def inverse(self) -> Pose:
+        """The parent in this frame."""
+        return Pose(self.rotation.T, -self.rotation.T @ self.translation_m)
+
+    def __matmul__(self, other: Pose) -> Pose:
+        """self: b in a, other: c in b; returns c in a."""
+        return Pose(self.rotation @ other.rotation, self.apply(other.translation_m))
+
+    def apply(self, points_m: Floats) -> Floats:
+        """Points (…, 3), m, of this frame in the parent."""
+        return self.rotate(points_m) + self.translation_m
+
+    def rotate(self, vectors: Floats) -> Floats:
+        """Vectors (…, 3) of this frame, such as normals and forces, in the parent."""
+        return np.asarray(vectors @ self.rotation.T)

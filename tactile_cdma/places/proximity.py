@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Which places on a skin are near each other, found by cell hashing: linear in their number."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.errors import SpecError
+
+MOST_CANDIDATES = 1 << 22
+"""Pairs to measure, 64 for each of as many taxels as there can be; a grid has 20. More of them
+mean that places are heaped up, or that the radius is wrong.
+"""
+_CELL_BITS = 21
+"""Per axis. Cells that share a key only cost time: distances are looked at anyway."""
+_FACING_AWAY = -1e-3
+"""Cosine between normals below which two places are on opposite sides of a fold."""
+
+
+def beside(
+    positions_m: NDArray[np.floating], normals: NDArray[np.floating], radius_m: float
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
+    """All pairs of places within radius_m of each other whose normals are at most 90° apart.
+
+    positions_m, normals: (t, 3), m and unit vectors. Returns first and second place of
+    every pair, in both orders, sorted, and their distance, m. The front and the back of a thin
+    flap are not beside each other, however close.
+
+    Raises SpecError where far more places lie within the radius than a skin has.
+    """
+    places_m = positions_m.astype(np.float64)
+    first, second = _candidates(np.floor(places_m / radius_m).astype(np.int64), radius_m)
+    distance_m = np.linalg.norm(places_m[first] - places_m[second], axis=1)
+    facing = np.einsum("ij,ij->i", normals[first], normals[second])
+    kept = (distance_m <= radius_m) & (facing >= _FACING_AWAY) & (first != second)
+    first, second, distance_m = first[kept], second[kept], distance_m[kept]
+    order = np.lexsort((second, first))
+    return first[order], second[order], distance_m[order]
+
+
+def usual_distance_m(
+    positions_m: NDArray[np.floating], normals: NDArray[np.floating]
+) -> float | None:
+    """Median distance of a place to the nearest one beside it, m; None where there is none."""
+    count = len(positions_m)
+    extent_m = float(np.linalg.norm(np.ptp(positions_m.astype(np.float64), axis=0)))
+    # Never too wide for most places, so that pairs stay few; wider until half of them have one.
+    radius_m = extent_m / count
+    while 0 < radius_m <= 2 * extent_m:
+        first, _, distance_m = beside(positions_m, normals, radius_m)
+        nearest_m = np.full(count, np.inf)
+        np.minimum.at(nearest_m, first, distance_m)
+        median_m = float(np.quantile(nearest_m, 0.5, method="lower"))
+        if median_m <= radius_m:
+            return median_m
+        radius_m *= 1.5
+    return None
+
+
+def _candidates(
+    cells: NDArray[np.int64], radius_m: float
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Pairs of places in the same cell or in cells side by side."""
+    strides = np.array([1 << (_CELL_BITS * axis) for axis in range(3)])
+    keys = cells @ strides
+    order = np.argsort(keys, kind="stable")
+    ordered = keys[order]
+    begins, counts = [], []
+    for step in product((-1, 0, 1), repeat=3):
+        wanted = keys + np.dot(step, strides)
+        begins.append(np.searchsorted(ordered, wanted, "left"))
+        counts.append(np.searchsorted(ordered, wanted, "right") - begins[-1])
+    begin, count = np.concatenate(begins), np.concatenate(counts)
+    if count.sum() > MOST_CANDIDATES:
+        raise SpecError(
+            f"taxels lie on top of each other: {count.sum() // len(keys)} of them, on average, "
+            f"about {radius_m * 1e3:.3g} mm from each other; are positions in mm, is the pitch "
+            "right?"
+        )
+    first = np.repeat(np.tile(np.arange(len(keys)), len(begins)), count)
+    within = np.arange(len(first)) - np.repeat(np.cumsum(count) - count, count)
+    return first, order[np.repeat(begin, count) + within]

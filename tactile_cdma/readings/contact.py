@@ -1,0 +1,320 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""What touches the skin: contacts, their forces and places, followed from frame to frame."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.errors import SpecError
+from ..places.components import connected
+from ..places.layout import Layout
+from .taxels import Readings, Status
+
+SMOOTHING_S = 0.05
+"""Time constant of velocities and force rates, s."""
+RIM = 0.3
+"""Share of the release threshold above which taxels beside a contact count for its force.
+
+Without them a soft contact of 6 kPa loses 3 % of its force. With all that are beside it, a skin
+whose rest is off by a count would add 8 % instead of 5 % (`make bench-contact`).
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class ContactThresholds:
+    """A contact begins where a taxel exceeds contact_pa, Pa.
+
+    It takes in the taxels that hang together with that one and exceed release_pa, Pa, and lasts
+    until none of its taxels does.
+
+    Raises SpecError where the release is above the contact.
+    """
+
+    contact_pa: float
+    release_pa: float
+
+    def __post_init__(self) -> None:
+        if self.release_pa > self.contact_pa:
+            raise SpecError(
+                f"release_kpa is {self.release_pa / 1e3:g} kPa, above contact_kpa, which is "
+                f"{self.contact_pa / 1e3:g} kPa: contacts would end before they begin"
+            )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Contacts:
+    """The contacts of one frame, c of them, the strongest first.
+
+    ids: (c,) int64, from 1 on. age_s: (c,) float64, s since each began.
+    load_n: (c,) float64, Σ p·A, N. position_m: (c, 3) float64, centre of pressure Σ r·p·A / Σ p·A.
+    force_n: (c, 3) float64, what the touching thing does to the skin, Σ −normal·p·A, N.
+    torque_nm: (c, 3) float64, of these forces about the frame's origin, N·m.
+    area_m2: (c,) float64, of the taxels in contact. pressure_max_pa: (c,) float32.
+    saturated: (c,) bool, a taxel is beyond its range: force and pressure are at least these.
+    velocity_m_s: (c, 3) float64, of the position along the skin, smoothed.
+    force_rate_n_s: (c,) float64, rise of the force, smoothed.
+    taxels: per contact the indices of its taxels, rising.
+    """
+
+    ids: NDArray[np.int64]
+    age_s: NDArray[np.float64]
+    load_n: NDArray[np.float64]
+    position_m: NDArray[np.float64]
+    force_n: NDArray[np.float64]
+    torque_nm: NDArray[np.float64]
+    area_m2: NDArray[np.float64]
+    pressure_max_pa: NDArray[np.float32]
+    saturated: NDArray[np.bool_]
+    velocity_m_s: NDArray[np.float64]
+    force_rate_n_s: NDArray[np.float64]
+    taxels: list[NDArray[np.intp]]
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @property
+    def normals(self) -> NDArray[np.float64]:
+        """(c, 3) unit vectors out of the skin, those of the taxels weighted by their forces."""
+        return -self.force_n / _length(self.force_n)[:, None]
+
+    @property
+    def centre_m(self) -> NDArray[np.float64]:
+        """(3,) centre of pressure of all contacts, m; NaN without any."""
+        if not len(self):
+            return np.full(3, np.nan)
+        return np.asarray(self.load_n @ self.position_m / self.load_n.sum())
+
+
+class ContactTracker:
+    """Finds contacts in every frame's pressures, and recognises those of the frame before.
+
+    A contact keeps its id where it shares taxels with itself of the frame before. Where contacts
+    merge or split, the id goes along the largest number of shared taxels, and the others end, or
+    begin with ids of their own; no id is given twice. Such a change makes centres jump: it does
+    not count as motion.
+
+    thresholds may be changed at any time, from other threads too.
+    """
+
+    def __init__(self, layout: Layout, thresholds: ContactThresholds, first_id: int = 1) -> None:
+        self.thresholds = thresholds
+        self.next_id = first_id
+        self._beside = np.ascontiguousarray(layout.neighbours.T, dtype=np.intp)
+        self._moments = _moments(layout)
+        self._contacts = self._nothing = _nothing()
+        self._place = np.full(len(layout), -1)  # of each taxel's contact in _contacts; -1: none
+        nobody = np.zeros(0, dtype=np.intp)
+        self._linked = nobody, nobody  # taxels above the release threshold, and their labels
+        self._readings: Readings | None = None
+        self._used = thresholds
+        self._t_s = math.nan
+
+    def forget(self) -> None:
+        """Whatever is touched in the next frame is a new contact."""
+        self._contacts, self._readings, self._t_s = self._nothing, None, math.nan
+        self._place[:] = -1
+
+    def update(self, readings: Readings, t_s: float) -> Contacts:
+        """The contacts of the frame at device time t_s, s."""
+        if t_s < self._t_s:  # the device's clock starts anew
+            self.forget()
+        passed_s, self._t_s = t_s - self._t_s, t_s
+        if readings is self._readings and self.thresholds is self._used:
+            self._contacts = _at_rest(self._contacts, passed_s)
+        else:
+            self._readings, self._used = readings, self.thresholds
+            self._contacts = self._find(readings, passed_s)
+        return self._contacts
+
+    def _find(self, readings: Readings, passed_s: float) -> Contacts:
+        pressure_pa, last = readings.pressure_pa, self._contacts
+        # NaN exceeds nothing.
+        if not len(last) and not (pressure_pa > self._used.contact_pa).any():
+            return last
+        taxels, labels, starts = self._touched(pressure_pa)
+        origin, torn = _origins(self._place[taxels], labels, len(last), len(starts))
+        self._place[:] = -1
+        self._place[taxels] = labels
+        if not len(taxels):
+            return self._nothing
+        felt_pa, moments = pressure_pa[taxels], self._moments[taxels]
+        rim, labels_of_rim = self._rim(pressure_pa)
+        sums = np.add.reduceat(moments * felt_pa[:, None], starts)
+        np.add.at(sums, labels_of_rim, self._moments[rim] * pressure_pa[rim, None])
+        position_m, force_n = sums[:, 1:4] / sums[:, :1], -sums[:, 4:7]
+        ids, age_s = self._identities(origin, passed_s)
+        velocity, rate = _motion(position_m, force_n, last, origin, torn, passed_s)
+        ends = [*starts[1:].tolist(), len(taxels)]
+        saturated = readings.status[taxels] & _SATURATED
+        return Contacts(
+            ids=ids,
+            age_s=age_s,
+            load_n=sums[:, 0],
+            position_m=position_m,
+            force_n=force_n,
+            torque_nm=-sums[:, 7:10],
+            area_m2=np.add.reduceat(moments[:, 0], starts),
+            pressure_max_pa=np.maximum.reduceat(felt_pa, starts),
+            saturated=np.maximum.reduceat(saturated, starts) > 0,
+            velocity_m_s=velocity,
+            force_rate_n_s=rate,
+            taxels=[taxels[i:j] for i, j in zip(starts.tolist(), ends, strict=True)],
+        )
+
+    def _touched(self, pressure_pa: NDArray[np.float32]) -> tuple[NDArray[np.intp], ...]:
+        """Who is in contact, contact by contact, the strongest first.
+
+        Returns the taxels, (k,), rising within each contact; the place of each one's contact,
+        (k,), 0…c − 1; and where in these each contact begins, (c,).
+        """
+        taxels = (pressure_pa > self._used.release_pa).nonzero()[0]
+        if not np.array_equal(taxels, self._linked[0]):
+            self._linked = taxels, connected(taxels, self._beside)
+        labels, felt_pa = self._linked[1], pressure_pa[taxels]
+        alive = (felt_pa > self._used.contact_pa) | (self._place[taxels] >= 0)
+        load = np.bincount(labels, felt_pa * self._moments[taxels, 0])
+        load *= np.bincount(labels, alive) > 0
+        strongest = (-load).argsort(kind="stable")
+        place = np.empty_like(strongest)
+        place[strongest] = np.arange(len(load))
+        places = place[labels]
+        order = places.argsort(kind="stable")
+        places = places[order]
+        starts = places.searchsorted(np.arange(np.count_nonzero(load) + 1))
+        kept = starts[-1]  # what has not begun is last
+        return taxels[order[:kept]], places[:kept], starts[:-1]
+
+    def _rim(self, pressure_pa: NDArray[np.float32]) -> tuple[NDArray[np.intp], ...]:
+        """Taxels beside contacts that feel them, and these contacts' places."""
+        weak = ((pressure_pa > RIM * self._used.release_pa) & (self._place < 0)).nonzero()[0]
+        place = self._place[self._beside[:, weak]].max(axis=0)
+        beside = place >= 0
+        return weak[beside], place[beside]
+
+    def _identities(
+        self, origin: NDArray[np.intp], passed_s: float
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Ids and ages. origin: (c,) places among the last contacts; −1: new."""
+        new = (origin < 0).nonzero()[0]
+        ids = np.concatenate([self._contacts.ids, [0]])[origin]
+        age_s = np.concatenate([self._contacts.age_s, [0.0]])[origin] + passed_s
+        ids[new], age_s[new] = np.arange(self.next_id, self.next_id + len(new)), 0.0
+        self.next_id += len(new)
+        return ids, age_s
+
+
+def _moments(layout: Layout) -> NDArray[np.float64]:
+    """(t, 10) float64: what one pascal on each taxel adds to load, load·place, force and torque.
+
+    Force and torque with the sign of the normal, so that of what the skin does.
+    """
+    area = layout.areas_m2.astype(np.float64)[:, None]
+    places, normals = layout.positions_m.astype(np.float64), layout.normals.astype(np.float64)
+    return np.hstack([area, area * places, area * normals, area * np.cross(places, normals)])
+
+
+def _origins(
+    places: NDArray[np.intp], labels: NDArray[np.intp], before: int, count: int
+) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Which contacts of the frame before those of now are.
+
+    places: (k,) place of every touched taxel among the contacts of the frame before, of which
+    there were `before`; −1: none. labels: (k,) place among those of now, of which there are
+    `count`. Returns (count,) places, −1 for new contacts, and (count,) bool, where contacts merged
+    or split.
+    """
+    torn = np.zeros(count, dtype=bool)
+    held = places >= 0
+    pairs = np.sort(labels[held] * before + places[held])
+    if not len(pairs):
+        return np.full(count, -1), torn
+    edges = np.concatenate([[True], pairs[1:] > pairs[:-1], [True]]).nonzero()[0]
+    shared = edges[1:] - edges[:-1]
+    new, old = np.divmod(pairs[edges[:-1]], before)
+    torn[new] = (np.bincount(new)[new] > 1) | (np.bincount(old)[old] > 1)
+    origin, taken, order = [-1] * count, set(), np.argsort(-shared, kind="stable")
+    for heir, ancestor in zip(new[order].tolist(), old[order].tolist(), strict=True):
+        if origin[heir] < 0 and ancestor not in taken:
+            origin[heir] = ancestor
+            taken.add(ancestor)
+    return np.array(origin), torn
+
+
+def _motion(
+    position_m: NDArray[np.float64],
+    force_n: NDArray[np.float64],
+    last: Contacts,
+    origin: NDArray[np.intp],
+    torn: NDArray[np.bool_],
+    passed_s: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Velocities (c, 3) and force rates (c,): differences to the last frame through a low-pass.
+
+    Torn contacts keep what they had. A contact that begins rises from no force.
+    """
+    before = np.zeros((len(last) + 1, 8))  # place and force, then their changes; none of new ones
+    before[:-1, :3], before[:-1, 3] = last.position_m, _length(last.force_n)
+    before[:-1, 4:7], before[:-1, 7] = last.velocity_m_s, last.force_rate_n_s
+    before = before[origin]
+    then, change = before[:, :4], before[:, 4:]
+    if passed_s > 0:  # not in the first frame of all
+        force = _length(force_n)[:, None]
+        new = origin < 0
+        then[new, :3] = position_m[new]
+        gain = ((1.0 - _decay(passed_s)) * ~torn)[:, None]
+        now = np.concatenate([position_m, force], axis=1)
+        change += gain * ((now - then) / passed_s - change)
+        normals = force_n / force
+        change[:, :3] -= (change[:, :3] * normals).sum(axis=1, keepdims=True) * normals
+    return change[:, :3], change[:, 3]
+
+
+def _at_rest(contacts: Contacts, passed_s: float) -> Contacts:
+    """The same contacts after a while in which no reading changed."""
+    if not len(contacts):
+        return contacts
+    decay = _decay(passed_s)
+    return replace(
+        contacts,
+        age_s=contacts.age_s + passed_s,
+        velocity_m_s=contacts.velocity_m_s * decay,
+        force_rate_n_s=contacts.force_rate_n_s * decay,
+    )
+
+
+def _nothing() -> Contacts:
+    """No contacts."""
+    none, nowhere = np.zeros(0), np.zeros((0, 3))
+    return Contacts(
+        ids=np.zeros(0, dtype=np.int64),
+        age_s=none,
+        load_n=none,
+        position_m=nowhere,
+        force_n=nowhere,
+        torque_nm=nowhere,
+        area_m2=none,
+        pressure_max_pa=np.zeros(0, dtype=np.float32),
+        saturated=np.zeros(0, dtype=bool),
+        velocity_m_s=nowhere,
+        force_rate_n_s=none,
+        taxels=[],
+    )
+
+
+def _decay(passed_s: float) -> float:
+    """What is left of a smoothed value after a while."""
+    return math.exp(-passed_s / SMOOTHING_S)
+
+
+def _length(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of vectors (c, 3), (c,); never 0, so that one can divide by it."""
+    return np.asarray(np.maximum(np.sqrt(np.square(vectors).sum(axis=1)), _TINY))
+
+
+_TINY = np.finfo(np.float64).tiny
+_SATURATED = np.uint8(Status.SATURATED)

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tare and drift of a skin ↔ YAML file, so that they outlive the driver."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from ..base.errors import RestError
+from ..base.marked_yaml import Mapping, read_marked
+from ..base.named_file import expanded
+from ..base.whole_file import replace_file
+
+SCHEMA = "tactile_cdma/rest"
+VERSION = 1
+_DIGITS = 8
+"""Decimals of V that are kept."""
+_MOST_V = 100.0
+_SUFFIX = ".rest.yaml"
+_HEAD = "# Written by the driver: what it takes off readings. Delete it to start anew.\n"
+
+
+@dataclass(frozen=True, eq=False)
+class RestState:
+    """What a skin was found to read at rest.
+
+    skin: its name; may be empty. simulated: it is none of hardware. nodes: on the wire.
+    calibration: identity of the calibration, empty for the default one; for people. curves:
+    checksum of its curves; tare and drift mean nothing without them.
+    written: when, in ISO 8601. tared: when the tare was taken; empty: never, or not known.
+    rest_v, drift_v: (n,) float32, see Baseline; None: no tare, no drift.
+    """
+
+    skin: str
+    simulated: bool
+    nodes: int
+    calibration: str
+    curves: str
+    written: str
+    tared: str
+    rest_v: NDArray[np.float32] | None
+    drift_v: NDArray[np.float32] | None
+
+    def misfit(self, skin: str, simulated: bool, nodes: int, curves: str) -> str | None:
+        """Why this is not for such a skin, or None. A skin without a name is any."""
+        if self.simulated != simulated:
+            kinds = ("a real", "a simulated") if simulated else ("a simulated", "a real")
+            return f"it is of {kinds[0]} skin, this is {kinds[1]} one"
+        if self.skin and skin and self.skin != skin:
+            return f"it is of skin {self.skin!r}, this is {skin!r}"
+        if self.nodes != nodes:
+            return f"it is of a skin of {self.nodes} nodes, this one has {nodes}"
+        if self.curves != curves:
+            return (
+                f"it goes with other curves (calibration {self.calibration or 'by default'}): "
+                "tare again while nothing touches the skin"
+            )
+        return None
+
+
+def rest_path(folder: str, node: str) -> Path:
+    """The file of a ROS node, by its fully qualified name.
+
+    folder: may begin with ~; empty: $ROS_HOME/tactile_cdma, or ~/.ros/tactile_cdma.
+    Raises RestError where ~ is of a user that there is not.
+    """
+    text = folder or f"{os.environ.get('ROS_HOME') or '~/.ros'}/tactile_cdma"
+    try:
+        parent = expanded(text)
+    except ValueError as error:
+        raise RestError(f"no folder for tare and drift: {text}: {error}") from None
+    return parent / f"{node.strip('/').replace('/', '.')}{_SUFFIX}"
+
+
+def calibration_path(rest: Path) -> Path:
+    """Beside a node's file, that of the calibration it was found with."""
+    return rest.with_name(rest.name.removesuffix(_SUFFIX) + ".calibration.yaml")
+
+
+def write_rest(path: Path, state: RestState) -> None:
+    """Replace the file at once, or not at all; makes its folder.
+
+    Raises RestError where that is not possible.
+    """
+    content = {
+        "schema": SCHEMA,
+        "version": VERSION,
+        "written": state.written,
+        "skin": state.skin,
+        "simulated": _YES if state.simulated else _NO,
+        "nodes": state.nodes,
+        "calibration": state.calibration,
+        "curves": state.curves,
+        "tared": state.tared,
+        "rest_v": _numbers(state.rest_v),
+        "drift_v": _numbers(state.drift_v),
+    }
+    text = _HEAD + yaml.dump(content, Dumper=_DUMPER, sort_keys=False, allow_unicode=True)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_symlink():  # what it points at is not ours
+            path.unlink()
+        replace_file(path, text)
+    except OSError as error:
+        raise RestError(f"{path}: tare and drift are not kept: {error.strerror}") from None
+
+
+def set_aside(path: Path) -> Path | None:
+    """Rename a file that is not to be overwritten; its new name, or None where there is none.
+
+    Raises RestError where that is not possible.
+    """
+    aside = path.with_name(f"{path.name}.old")
+    try:
+        os.replace(path, aside)
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError as error:
+        raise RestError(f"{path}: cannot be set aside: {error.strerror}") from None
+    return aside
+
+
+def read_rest(path: Path) -> RestState | None:
+    """What is in a file; None where there is none.
+
+    Raises RestError, naming file, line and cause, for anything that is not such a file.
+    """
+    if not os.path.lexists(path):
+        return None
+    file = read_marked(path, RestError).mapping("the file")
+    schema, version = file.get("schema"), file.get("version")
+    if schema is None or schema.content != SCHEMA:
+        raise file.value.refuse(f"not a file of tare and drift: its schema is not {SCHEMA}")
+    if version is None or version.content != str(VERSION):
+        raise file.value.refuse(
+            f"its version is not {VERSION}, the one that is read: was it written by another driver?"
+        )
+    nodes = file["nodes"].whole("nodes", 1, 65_535)
+    return RestState(
+        nodes=nodes,
+        simulated=_text(file, "simulated") == _YES,
+        rest_v=_array(file, "rest_v", nodes),
+        drift_v=_array(file, "drift_v", nodes),
+        **{name: _text(file, name) for name in _TEXTS},
+    )
+
+
+_TEXTS = ("skin", "calibration", "curves", "written", "tared")
+_YES, _NO = "yes", "no"
+_DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # 10 times as quick, where it is built in
+
+
+def _text(file: Mapping, name: str) -> str:
+    return "" if file[name].content == "" else file[name].text(name)
+
+
+def _array(file: Mapping, name: str, nodes: int) -> NDArray[np.float32] | None:
+    if file[name].is_null:
+        return None
+    values = file[name].items(name)
+    if len(values) != nodes:
+        raise file[name].refuse(f"{name} must hold a number for each of {nodes} nodes, or null")
+    numbers = [
+        value.number(f"{name} of node {number}", -_MOST_V, _MOST_V, "V")
+        for number, value in enumerate(values, start=1)
+    ]
+    return np.array(numbers, dtype=np.float32)
+
+
+def _numbers(values: NDArray[np.float32] | None) -> list[float] | None:
+    return None if values is None else np.round(values.astype(np.float64), _DIGITS).tolist()

@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""What each taxel reads now: words become pressures, silent taxels hold, unheard ones go stale."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntFlag
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..places.layout import Layout
+from ..words.decode import Words
+from ..words.health import NodeHealth, NodeState
+from .baseline import Baseline
+from .calibration import AdcScale, Calibration
+from .dynamics import Compensator
+from .pressure import PressureChain
+from .tare import take_tare
+
+
+class Status(IntFlag):
+    """Status bits of a taxel; the same as the constants of TactileArray.msg."""
+
+    OK = 0
+    SILENT = 1
+    SATURATED = 2
+    LOW_SNR = 4
+    STALE = 8
+    UNCALIBRATED = 16
+    MASKED = 32
+    WEAK = 64
+    FAULTY = 128
+
+
+@dataclass(frozen=True, slots=True)
+class Readings:
+    """The skin at one frame, taxel by taxel in the order of the layout.
+
+    pressure_pa, voltage_v: (t,) float32, NaN where there is no valid reading. status: (t,) uint8,
+    bits of Status. Treat them as read-only: frames without news share them.
+    """
+
+    pressure_pa: NDArray[np.float32]
+    voltage_v: NDArray[np.float32]
+    status: NDArray[np.uint8]
+
+
+class Taxels:
+    """Holds the last word of every node.
+
+    A node that says nothing has not changed by more than its own threshold, so its last value
+    stands (flag SILENT). Nodes also speak at a slow heartbeat; one unheard for stale_after_s gives
+    NaN (flag STALE), as does one that was never heard, and one whose words contradict the code
+    (flag FAULTY). Nodes that the layout masks, and places without a node, have no reading (flag
+    MASKED).
+    """
+
+    def __init__(
+        self,
+        nodes: int,
+        adc: AdcScale,
+        chain: PressureChain,
+        layout: Layout,
+        stale_after_s: float,
+    ) -> None:
+        self.chain = chain
+        self._layout = layout
+        self._masked = np.zeros(nodes, dtype=bool)
+        self._masked[[node - 1 for node in layout.masked + layout.unplaced]] = True
+        self._stale_after_s = stale_after_s
+        # A word has few values: every one is converted once, here.
+        self._voltage_of = adc.voltage(np.arange(1 << adc.bits)).astype(np.float32)
+        self._lsb_v = adc.lsb_v
+        self._codes = np.zeros(nodes, dtype=np.int32)
+        self._flags = np.zeros(nodes, dtype=np.uint8)
+        self._heard_s = np.full(nodes, -np.inf)
+        self._silence: Readings | None = None  # what silent frames read, until somebody speaks
+        self._stale_from_s = -np.inf  # when the next node goes stale
+        self._now_s = 0.0
+        self._began_s = np.inf  # the first frame's time
+
+    @property
+    def stale_after_s(self) -> float:
+        """A node silent for longer is stale, s."""
+        return self._stale_after_s
+
+    @stale_after_s.setter
+    def stale_after_s(self, seconds: float) -> None:
+        self._stale_after_s, self._silence = seconds, None
+
+    @property
+    def awaited(self) -> int:
+        """How many nodes are in service."""
+        return len(self._masked) - int(np.count_nonzero(self._masked))
+
+    @property
+    def now_s(self) -> float:
+        """Device time of the last frame, s."""
+        return self._now_s
+
+    @property
+    def missing(self) -> list[int]:
+        """Numbers, from 1 on, of the nodes not heard for stale_after_s, as of the last frame.
+
+        Nodes that the layout masks, or has no place for, are not missed.
+        """
+        unheard = (self._now_s - self._heard_s > self._stale_after_s) & ~self._masked
+        numbers: list[int] = (np.flatnonzero(unheard) + 1).tolist()
+        return numbers
+
+    @property
+    def dead(self) -> list[int]:
+        """Those of the missing nodes that were not heard at all, since the stream or clock began.
+
+        None before stale_after_s have passed: their turn may still come.
+        """
+        if self._now_s - self._began_s <= self._stale_after_s:
+            return []
+        return [number for number in self.missing if np.isinf(self._heard_s[number - 1])]
+
+    @property
+    def stale(self) -> list[int]:
+        """Those of the missing nodes that were heard before."""
+        return [number for number in self.missing if np.isfinite(self._heard_s[number - 1])]
+
+    def forget(self) -> None:
+        """The device's clock starts anew: nobody was heard on it."""
+        self._heard_s[:], self._began_s = -np.inf, np.inf
+        self._silence, self._stale_from_s = None, -np.inf
+        self.chain.forget()
+
+    @property
+    def baseline(self) -> Baseline:
+        """Tare and drift of the nodes."""
+        return self.chain.baseline
+
+    def tare(self, contact_pa: float, force: bool = False) -> list[int]:
+        """Take what the skin reads now for zero; see take_tare."""
+        curves = self.chain.calibration.curves
+        begun = self._now_s - self._began_s <= self._stale_after_s
+        unheard = take_tare(
+            self.baseline,
+            curves,
+            self._layout,
+            self._lsb_v,
+            contact_pa,
+            begun & ~self._masked,
+            force,
+        )
+        self.refresh()
+        return [number for number in unheard if not self._masked[number - 1]]
+
+    def restore(
+        self,
+        rest_v: NDArray[np.float32] | None = None,
+        drift_v: NDArray[np.float32] | None = None,
+    ) -> None:
+        """Take over what a Baseline had, (n,) float32 each; None: no tare, no drift.
+
+        The tare is what the curves make of rest_v: so does a compensation that knows of no load.
+        """
+        self.baseline.clear()
+        if rest_v is not None:
+            self.baseline.rest_v = rest_v
+            self.baseline.tare_pa = self.chain.calibration.curves.pressure(rest_v)
+        if drift_v is not None:
+            self.baseline.drift_v = drift_v
+        self.refresh()
+
+    def calibrate(self, calibration: Calibration, compensator: Compensator | None = None) -> bool:
+        """Read voltages by another calibration from now on; see PressureChain.
+
+        Tare and drift were found with the curves before: where these change both are forgotten.
+        Returns whether they stay.
+        """
+        baseline, chain = self.baseline, self.chain
+        stay = calibration.curves.checksum == chain.calibration.curves.checksum
+        chain.calibration, chain.compensator = calibration, compensator
+        self.restore(*(baseline.rest_v, baseline.drift_v) if stay else ())
+        return stay
+
+    def refresh(self) -> None:
+        """Something else than the words has changed what they mean."""
+        self._silence = None
+        self.chain.unsettle()
+
+    def update(self, words: Words, t_device: float, health: NodeHealth) -> Readings:
+        """Take one frame's words, spoken at t_device (s)."""
+        self._now_s, self._began_s = t_device, min(self._began_s, t_device)
+        spoke = words.active
+        anybody = bool(spoke.any())
+        if anybody:
+            np.copyto(self._codes, words.codes, where=spoke)
+            np.copyto(self._heard_s, t_device, where=spoke)
+            np.copyto(self._flags, words.doubtful * _LOW_SNR, where=spoke)
+        elif self._silence is not None and self._holds(t_device):
+            return self._silence
+        readings = self._read(spoke, t_device, health)
+        self._silence = None if anybody else readings
+        return readings
+
+    def _holds(self, t_device: float) -> bool:
+        """Whether another silent frame reads as the last one did."""
+        return t_device <= self._stale_from_s and self.chain.steady(t_device)
+
+    def _read(self, spoke: NDArray[np.bool_], t_device: float, health: NodeHealth) -> Readings:
+        voltage_v = self._voltage_of[self._codes]
+        status = self._flags | ~spoke * _SILENT | _FLAGS_OF[health.state]
+        invalid = health.invalid | self._masked
+        self._stale_from_s = float(self._heard_s.min()) + self._stale_after_s
+        if t_device > self._stale_from_s:
+            stale = t_device - self._heard_s > self._stale_after_s
+            status[stale] = Status.SILENT | Status.STALE
+            fresh_s = self._heard_s[~stale]
+            self._stale_from_s = float(fresh_s.min(initial=np.inf)) + self._stale_after_s
+            invalid = stale | invalid
+        pressure_pa, saturated = self.chain.update(self._at_least(voltage_v), ~invalid, t_device)
+        uncalibrated = self.chain.calibration.uncalibrated
+        status |= (saturated & ~invalid) * _SATURATED | uncalibrated * _UNCALIBRATED
+        status[self._masked] = Status.MASKED
+        if invalid.any():
+            pressure_pa[invalid] = voltage_v[invalid] = np.nan
+        return self._placed(Readings(pressure_pa, voltage_v, status))
+
+    def _at_least(self, voltage_v: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The highest code says "so much or more": a node that rests above it is at rest, then."""
+        full = self._codes == len(self._voltage_of) - 1
+        if not full.any():
+            return voltage_v
+        rest_v = self.chain.calibration.curves.voltage_v[0].astype(np.float32)
+        return np.where(full, np.maximum(voltage_v, rest_v), voltage_v)
+
+    def _placed(self, readings: Readings) -> Readings:
+        """From the order of the nodes to that of the taxels."""
+        source = self._layout.source
+        if source is None:
+            return readings
+        pressure_pa, voltage_v = readings.pressure_pa[source], readings.voltage_v[source]
+        status = readings.status[source]
+        nobody = source < 0
+        pressure_pa[nobody] = voltage_v[nobody] = np.nan
+        status[nobody] = Status.MASKED
+        return Readings(pressure_pa, voltage_v, status)
+
+
+_LOW_SNR = np.uint8(Status.LOW_SNR)
+_SATURATED = np.uint8(Status.SATURATED)
+_UNCALIBRATED = np.uint8(Status.UNCALIBRATED)
+_SILENT = np.uint8(Status.SILENT)
+_FLAGS_OF = np.zeros(len(NodeState), dtype=np.uint8)
+_FLAGS_OF[NodeState.WEAK] = Status.WEAK
+_FLAGS_OF[[NodeState.FAULTY, NodeState.DOUBLED]] = Status.FAULTY

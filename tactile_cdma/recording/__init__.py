@@ -1,0 +1,3 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Recordings and captures: files, offline decoding, tables and bags for other programs."""

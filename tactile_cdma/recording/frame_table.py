@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Decoded frames as tables for learning pipelines: NPZ and CSV; see docs/recording.md."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import tempfile
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.whole_file import replacing
+from ..driver.pipeline import TactileFrame
+from ..places.layout import Layout
+
+Frames = Iterator[tuple[TactileFrame, float]]
+"""Frames, and the Unix time of their middles in s (NaN where it is not known)."""
+
+_PER_FRAME = {"sequence": "<u8", "device_time_s": "<f8", "wall_time_s": "<f8", "noise_v": "<f4"}
+_PER_TAXEL = {"pressure_pa": "<f4", "voltage_v": "<f4", "status": "|u1"}
+_COPY_BYTES = 1 << 20
+
+
+def write_npz(path: Path, frames: Frames, layout: Layout, about: Mapping[str, Any]) -> int:
+    """All frames as numpy arrays, by columns; returns how many. Raises OSError.
+
+    about: what else is to be known, as JSON. Columns wait in temporary files beside it, so that
+    memory does not grow with the recording.
+    """
+    count, taxels = 0, len(layout.positions_m)
+    with ExitStack() as stack:
+        file = stack.enter_context(replacing(path))  # first: no work for a file that cannot be
+        spools = {
+            name: stack.enter_context(tempfile.TemporaryFile(dir=path.parent))
+            for name in (*_PER_FRAME, *_PER_TAXEL)
+        }
+        for frame, wall_s in frames:
+            count += 1
+            for name, value in _columns(frame, wall_s).items():
+                spools[name].write(np.asarray(value, dtype=_type(name)).tobytes())
+        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, spool in spools.items():
+                shape = (count,) if name in _PER_FRAME else (count, taxels)
+                _copy_column(archive, name, _type(name), shape, spool)
+            for name, array in (_places(layout) | {"about": np.array(json.dumps(about))}).items():
+                with archive.open(f"{name}.npy", "w") as member:
+                    np.lib.format.write_array(member, array, allow_pickle=False)
+    return count
+
+
+def write_csv(path: Path, frames: Frames, layout: Layout) -> int:
+    """One row per frame, and beside it NAME.taxels.csv with one per taxel; returns how many frames.
+
+    Raises OSError.
+    """
+    count, taxels = 0, len(layout.positions_m)
+    with replacing(path) as raw:
+        file = io.TextIOWrapper(raw, encoding="utf-8", newline="")
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow([*_PER_FRAME, *(f"{n}_{i}" for n in _PER_TAXEL for i in range(taxels))])
+        for frame, wall_s in frames:
+            count += 1
+            columns = _columns(frame, wall_s)
+            row = [columns[name] for name in _PER_FRAME]
+            for name in _PER_TAXEL:
+                row.extend(columns[name])
+            table.writerow("" if value != value else value for value in row)  # NaN: an empty cell
+        file.flush()
+        file.detach()
+    with replacing(taxels_path(path)) as raw:
+        raw.write(_taxels(layout).encode())
+    return count
+
+
+def taxels_path(path: Path) -> Path:
+    """Where the places of the taxels are that a CSV file has."""
+    return path.with_name(f"{path.stem}.taxels{path.suffix}")
+
+
+def _columns(frame: TactileFrame, wall_s: float) -> dict[str, Any]:
+    readings = frame.readings
+    return {
+        "sequence": frame.sequence,
+        "device_time_s": frame.t_middle,
+        "wall_time_s": wall_s,
+        "noise_v": frame.words.noise_rms_v,
+        "pressure_pa": readings.pressure_pa,
+        "voltage_v": readings.voltage_v,
+        "status": readings.status,
+    }
+
+
+def _type(name: str) -> np.dtype[Any]:
+    return np.dtype({**_PER_FRAME, **_PER_TAXEL}[name])
+
+
+def _copy_column(
+    archive: zipfile.ZipFile,
+    name: str,
+    kind: np.dtype[Any],
+    shape: tuple[int, ...],
+    spool: BinaryIO,
+) -> None:
+    """A spool's content as the member of an archive that numpy reads."""
+    header = {"descr": kind.str, "fortran_order": False, "shape": shape}
+    with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+        np.lib.format.write_array_header_1_0(member, header)
+        spool.seek(0)
+        while data := spool.read(_COPY_BYTES):
+            member.write(data)
+
+
+def _places(layout: Layout) -> dict[str, NDArray[Any]]:
+    """What is the same in all frames."""
+    return {
+        "shape": np.array([layout.rows, layout.columns], dtype=np.uint16),
+        "node": layout.nodes.astype(np.uint16),
+        "position_m": layout.positions_m.astype(np.float32),
+        "normal": layout.normals.astype(np.float32),
+        "area_m2": layout.areas_m2.astype(np.float32),
+    }
+
+
+def _taxels(layout: Layout) -> str:
+    places = _places(layout)
+    lines = ["taxel,node,x_m,y_m,z_m,normal_x,normal_y,normal_z,area_m2"]
+    for taxel, node in enumerate(places["node"]):
+        numbers = [*places["position_m"][taxel], *places["normal"][taxel], places["area_m2"][taxel]]
+        lines.append(",".join([str(taxel), str(node), *map(str, numbers)]))
+    return "\n".join(lines) + "\n"

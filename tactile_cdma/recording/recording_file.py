@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Recordings as files: written as the bytes come, read piece by piece."""
+
+from __future__ import annotations
+
+import hashlib
+import secrets
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from .. import __version__
+from ..base.errors import CaptureError
+from ..base.named_file import open_named
+from ..config.parameters import Value
+from .container import (
+    MAGIC,
+    MOST_BYTES,
+    POSITION,
+    SUFFIX,
+    Chunk,
+    Description,
+    End,
+    RecordingEncoder,
+    RecordingParser,
+    losses,
+)
+
+_READ_BYTES = 1 << 16
+
+
+class Recorder:
+    """Writes a recording. Use as a context manager: leaving it ends the recording.
+
+    What was written is the system's at once: a program that is killed loses nothing of it.
+    Raises OSError where the file cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        port: str,
+        baud: int,
+        parameters: Mapping[str, Value],
+        overwrite: bool = True,
+    ) -> None:
+        """Make the file, or write over it. parameters: those that were asked for."""
+        description = Description(
+            wall_ns=time.time_ns(),
+            monotonic_ns=time.monotonic_ns(),
+            port=port,
+            baud=baud,
+            parameters=parameters,
+            package_version=__version__,
+        )
+        self._encoder = RecordingEncoder(description, secrets.randbits(32))
+        begin = self._encoder.begin()
+        # "x": nor where somebody has put a link that points elsewhere
+        self._file = path.open("wb" if overwrite else "xb")
+        self._put(begin)
+
+    def write(self, data: bytes, t_host: float) -> None:
+        """Keep bytes that were read at t_host (monotonic, s)."""
+        if data:
+            self._put(self._encoder.chunk(data, t_host))
+
+    def close(self) -> None:
+        """End the recording."""
+        with self._file:
+            self._put(self._encoder.end(time.monotonic()))
+
+    def _put(self, encoded: bytes) -> None:
+        self._file.write(encoded)
+        self._file.flush()
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind is None:
+            self.close()
+        else:  # a full disk, perhaps: then this fails, too, and the first reason is the one to tell
+            with suppress(OSError):
+                self.close()
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """What a whole recording is like.
+
+    length_s: from its beginning to its end, or to its last chunk where the end is missing.
+    bytes: of the port. lost_bytes: see RecordingParser. notes: what is wrong with it, one sentence
+    each.
+    """
+
+    length_s: float
+    chunks: int
+    bytes: int
+    lost_bytes: int
+    notes: tuple[str, ...]
+
+
+def is_recording(path: Path) -> bool:
+    """Whether a file begins, or is named, as a recording; raises OSError."""
+    with open_named(path) as file:
+        return file.read(len(MAGIC)) == MAGIC or path.suffix == SUFFIX
+
+
+def describe(path: Path) -> Description:
+    """What a recording says of itself; raises CaptureError where it is none."""
+    parser = RecordingParser()
+    for _ in read_chunks(path, parser):
+        break
+    if parser.description is None:  # damaged: the end has it, too
+        parser = RecordingParser(resumed=True)
+        if (end := read_end(path)) is not None:
+            for _ in read_chunks(path, parser, end.position):
+                pass
+    if parser.description is None:
+        raise CaptureError(f"{path}: no recording of tactile-cdma, or its beginning is damaged")
+    return parser.description
+
+
+def read_chunks(path: Path, parser: RecordingParser, position: int = 0) -> Iterator[Chunk]:
+    """The chunks of a recording from a position in the file on; the parser keeps count.
+
+    Raises CaptureError where the file cannot be read, or is of another version.
+    """
+    try:
+        with open_named(path) as file:
+            file.seek(position)
+            while data := file.read(_READ_BYTES):
+                yield from parser.feed(data)
+        yield from parser.finish()
+    except OSError as error:
+        raise CaptureError(f"{path}: {error.strerror}") from None
+    except CaptureError as error:  # of another version
+        raise CaptureError(f"{path}: {error}") from None
+
+
+def read_end(path: Path) -> End | None:
+    """The last record, without reading the others; None where it is missing or damaged."""
+    try:
+        with open_named(path) as file:
+            size = file.seek(0, 2)
+            file.seek(max(0, size - POSITION.size))
+            tail = file.read()
+            if len(tail) < POSITION.size:
+                return None
+            (position,) = POSITION.unpack(tail)
+            if not size - 2 * MOST_BYTES < position < size:
+                return None
+            file.seek(position)
+            parser = RecordingParser(resumed=True)
+            parser.feed(file.read())
+            return parser.end
+    except OSError as error:
+        raise CaptureError(f"{path}: {error.strerror}") from None
+
+
+def survey(path: Path) -> Survey:
+    """Read a recording from beginning to end; raises CaptureError where it is none."""
+    describe(path)
+    parser, last_ns = RecordingParser(), 0
+    for chunk in read_chunks(path, parser):
+        last_ns = chunk.time_ns
+    end, notes = parser.end, losses(parser)
+    if end is not None and not notes and _sha256(path, end.position) != end.sha256:
+        notes = ("the file's checksum is wrong",)
+    return Survey(
+        length_s=(end.time_ns if end else last_ns) * 1e-9,
+        chunks=parser.chunks,
+        bytes=parser.bytes,
+        lost_bytes=parser.lost_bytes,
+        notes=notes,
+    )
+
+
+def _sha256(path: Path, size: int) -> str:
+    """Of the first bytes of a file."""
+    digest = hashlib.sha256()
+    with open_named(path) as file:
+        while size > 0 and (data := file.read(min(size, _READ_BYTES))):
+            digest.update(data)
+            size -= len(data)
+    return digest.hexdigest()

@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The node of a whole body: contacts, wrench and points of all its patches in one tf frame.
+
+Nothing is subscribed to that nobody asks for.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from functools import partial
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import WrenchStamped
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
+
+from tactile_cdma.msg import TactileContacts
+
+from ...base.errors import TransformError
+from ...places.poses import Pose
+from ...views.body_cloud import together
+from ...views.rounds import Rounds
+from ..common.convert import nanoseconds, point_cloud
+from ..common.gate import Gate
+from ..common.process import run_node
+from ..common.qos import PICTURE, RELIABLE, offered
+from ..common.transforms import TransformListener
+from .contacts import body_contacts
+from .parameters import body_setup, declared
+from .patch_feed import PatchFeed
+from .report import PatchState, body_status
+
+NODE_NAME = "body"
+TICK_S = 0.2
+REPORT_S = 1.0
+
+
+class BodyNode(Node):
+    """Gathers what the drivers of a body's patches publish."""
+
+    def __init__(self, **node_options: Any) -> None:
+        """Raises TactileError for parameters that it cannot work with."""
+        super().__init__(NODE_NAME, **node_options)
+        self._setup = body_setup(self)
+        self._contacts = self._publisher(TactileContacts, "~/contacts", RELIABLE)
+        self._wrench = self._publisher(WrenchStamped, "~/wrench", RELIABLE)
+        self._points = self._publisher(PointCloud2, "~/points", PICTURE)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._gate = Gate(self, self._publish_points)
+        self._feeds = {
+            name: PatchFeed(self, name, index, self._take_contacts, self._gate)
+            for index, name in enumerate(self._setup.patches)
+        }
+        self._transforms = TransformListener(self)
+        self._faults: dict[str, str] = {}  # why a patch's frame is not known in the body's
+        self._rounds = Rounds(self._setup.stale_after_s)
+        self._published_s = 0.0  # when contacts were, or would have been, last published
+        self._sequence = 0
+        self._drawn: list[PatchFeed] = []  # patches that the last points are of
+        self._are_points_due = False
+        steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on where simulated time stands
+        self.create_timer(TICK_S, self._tick, clock=steady)
+        self.create_timer(REPORT_S, self._report, clock=steady)
+        self._points_timer = self.create_timer(
+            1.0 / self._setup.visual_rate_hz, self._ask_for_points, clock=steady
+        )
+        self._points_timer.cancel()  # until somebody asks
+
+    def _publisher(self, kind: Any, topic: str, qos: QoSProfile) -> Publisher:
+        declare = partial(declared, self)
+        return self.create_publisher(
+            kind, topic, offered(qos, self.resolve_topic_name(topic), declare)
+        )
+
+    def _tick(self) -> None:
+        """Follow what is asked for now; where nothing comes, say even that."""
+        contacts = bool(
+            self._contacts.get_subscription_count() or self._wrench.get_subscription_count()
+        )
+        points = bool(self._points.get_subscription_count())
+        for feed in self._feeds.values():
+            feed.follow(contacts, points)
+        self._transforms.follow(contacts or points)
+        if points:
+            if self._points_timer.is_canceled():
+                self._points_timer.reset()
+            self._gate.open()  # who is silent is seen, however seldom points are drawn
+        else:
+            self._points_timer.cancel()
+        now_s = time.monotonic()
+        if not contacts:
+            self._rounds.forget()
+            self._published_s = now_s
+        elif now_s - self._published_s > self._setup.stale_after_s:
+            self._publish_contacts(now_s)
+
+    def _pose(self, feed: PatchFeed, frame_id: str) -> Pose | None:
+        """Of a patch's frame in the body's; None, and a fault, where it is not known."""
+        try:
+            pose = self._transforms.tree.pose(self._setup.frame_id, frame_id)
+        except TransformError as error:
+            self._faults[feed.node_name] = str(error)
+            return None
+        self._faults.pop(feed.node_name, None)
+        return pose
+
+    # Contacts and wrench
+
+    def _take_contacts(self, feed: PatchFeed, message: TactileContacts) -> None:
+        now_s = time.monotonic()
+        if self._rounds.is_due_before(feed.node_name):
+            self._publish_contacts(now_s)
+        feed.contacts = message
+        if self._rounds.add(feed.node_name, now_s):
+            self._publish_contacts(now_s)
+
+    def _publish_contacts(self, now_s: float) -> None:
+        self._rounds.end()
+        self._published_s = now_s
+        parts: list[tuple[Pose, TactileContacts]] = []
+        absent = []
+        present = set(self._rounds.present(self._feeds, now_s))
+        for name, feed in self._feeds.items():
+            latest = feed.contacts if name in present else None
+            pose = self._pose(feed, latest.header.frame_id) if latest else None
+            if latest and pose:
+                parts.append((pose, latest))
+            else:
+                absent.append(name)
+        header = self._header([message.header.stamp for _, message in parts])
+        message = body_contacts(parts, absent, header, self._sequence)
+        self._sequence += 1
+        self._contacts.publish(message)
+        if self._wrench.get_subscription_count():
+            self._wrench.publish(WrenchStamped(header=header, wrench=message.wrench))
+
+    def _header(self, stamps: list[Time]) -> Header:
+        """Of the newest of the stamps; of this moment without any."""
+        newest = max(stamps, key=nanoseconds) if stamps else self.get_clock().now().to_msg()
+        return Header(stamp=newest, frame_id=self._setup.frame_id)
+
+    # Points
+
+    def _ask_for_points(self) -> None:
+        self._are_points_due = True
+        self._gate.open()
+
+    def _publish_points(self) -> None:
+        """The latest of every patch, where any of it is new, or a patch has come or gone."""
+        now_s, stamps, clouds = time.monotonic(), [], []
+        present = [
+            feed
+            for feed in self._feeds.values()
+            if feed.silent_s(now_s) <= self._setup.stale_after_s
+        ]
+        is_new = any(feed.is_new for feed in present) or present != self._drawn
+        if not self._are_points_due or not is_new:
+            return
+        self._are_points_due, self._drawn = False, present
+        for feed in present:
+            feed.is_new = False
+            pose = self._pose(feed, feed.array.header.frame_id) if feed.array else None
+            cloud = feed.points(self._setup.colour_max_pa, pose) if pose else None
+            if feed.array and cloud is not None:
+                stamps.append(feed.array.header.stamp)
+                clouds.append(cloud)
+        self._points.publish(point_cloud(together(clouds), self._header(stamps)))
+
+    # Diagnostics
+
+    def _report(self) -> None:
+        now_s = time.monotonic()
+        patches = [
+            PatchState(
+                name=name,
+                has_driver=feed.has_driver,
+                followed=feed.is_followed,
+                silent_s=feed.silent_s(now_s),
+                late_s=feed.late_s(),
+                rate_hz=feed.rate_hz(now_s),
+                fault=self._faults.get(name, ""),
+            )
+            for name, feed in self._feeds.items()
+        ]
+        status = body_status(self.get_fully_qualified_name(), patches, self._setup.stale_after_s)
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+
+
+def main() -> int:
+    """Run the node until interrupted; returns the exit code."""
+    return run_node(BodyNode, "skin_body")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The parameters of the body node."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.exceptions import InvalidTopicNameException
+from rclpy.node import Node
+from rclpy.validate_full_topic_name import validate_full_topic_name
+
+from ...base.errors import ParameterError
+from ...config.body_file import read_body
+from ...config.parameters import BY_NAME, Parameter, Value
+
+_TABLE = (
+    Parameter("body_file", "", "body file with the patches' names and frame_id; empty: patches"),
+    Parameter("frame_id", "body", "tf frame of what is published; a body file's goes before it"),
+    Parameter("stale_after_s", 1.0, "a patch silent for longer is absent", "s", (0.05, 86_400.0)),
+    BY_NAME["visual_rate_hz"],
+    BY_NAME["colour_max_kpa"],
+)
+_PATCHES = "patches"
+
+
+@dataclass(frozen=True, slots=True)
+class BodySetup:
+    """What the node is asked to do. patches: fully qualified names of the drivers' nodes."""
+
+    patches: tuple[str, ...]
+    frame_id: str
+    stale_after_s: float
+    visual_rate_hz: float
+    colour_max_pa: float
+
+
+def body_setup(node: Node) -> BodySetup:
+    """Declare the parameters, which are read only once.
+
+    Raises ParameterError for a wrong one, BodyError for a body file that cannot be used.
+    """
+    values = {parameter.name: declared(node, parameter) for parameter in _TABLE}
+    patches = _names(
+        _declare(node, _PATCHES, [""], "names of the drivers' nodes, as /left_palm/skin")
+    )
+    frame_id = str(values["frame_id"])
+    if values["body_file"]:
+        if patches:
+            raise ParameterError("body_file and patches are both given: leave one of them out")
+        body = read_body(Path(str(values["body_file"])).expanduser())
+        patches, frame_id = tuple(patch.node for patch in body.patches), body.frame_id
+    if not patches:
+        raise ParameterError(
+            "no patches to gather: give body_file:=body.yaml or patches:=[/left_palm/skin]"
+        )
+    return BodySetup(
+        patches,
+        frame_id,
+        float(values["stale_after_s"]),
+        float(values["visual_rate_hz"]),
+        float(values["colour_max_kpa"]) * 1e3,
+    )
+
+
+def declared(node: Node, parameter: Parameter) -> Any:
+    """The value of a parameter, which is fixed from the node's start on; raises ParameterError."""
+    text = parameter.text + (f" [{parameter.unit}]" if parameter.unit else "")
+    return parameter.check(_declare(node, parameter.name, parameter.default, text))
+
+
+def _declare(node: Node, name: str, default: Value | list[str], text: str) -> object:
+    """The value given, of whatever type: messages about a wrong one are ours."""
+    descriptor = ParameterDescriptor(
+        description=text,
+        read_only=True,
+        dynamic_typing=True,
+        additional_constraints="read when the node starts",
+    )
+    value: object = node.declare_parameter(name, default, descriptor).value
+    return value
+
+
+def _names(value: object) -> tuple[str, ...]:
+    if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
+        raise ParameterError(f"{_PATCHES} is {value!r}; it must be a list of names of nodes")
+    names = [f"/{name.strip('/')}" for name in value if name]
+    for name in names:
+        try:
+            validate_full_topic_name(name)
+        except InvalidTopicNameException:
+            raise ParameterError(
+                f"{_PATCHES} has {name!r}, which is no name of a node; they look like "
+                "/left_palm/skin"
+            ) from None
+        if names.count(name) > 1:
+            raise ParameterError(f"{_PATCHES} has {name} twice")
+    return tuple(names)

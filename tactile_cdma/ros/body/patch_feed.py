@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""What one patch publishes, as its body hears it: subscribed to only while it is needed."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from numpy.typing import NDArray
+from rclpy.callback_groups import CallbackGroup
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+from std_msgs.msg import Header
+
+from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
+
+from ...places.poses import Pose
+from ...views.body_cloud import PatchCloud
+from ..common.convert import nanoseconds, rows
+from ..common.gate import Gate
+from ..common.qos import LATCHED
+
+LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Of arrays: points are drawn less often than they come."""
+FRESH = QoSProfile(depth=2)
+"""Of contacts: who falls behind goes on with the newest, instead of being late from then on."""
+NewContacts = Callable[["PatchFeed", TactileContacts], None]
+
+
+class PatchFeed:
+    """The latest of one patch's topics.
+
+    node_name: fully qualified, of the patch's driver. contacts, array: the latest messages, None:
+    none since they are followed. is_new: the array has not been drawn. gate: arrays come through
+    it.
+    """
+
+    def __init__(
+        self, node: Node, node_name: str, index: int, on_contacts: NewContacts, gate: Gate
+    ) -> None:
+        self.node_name = node_name
+        self.contacts: TactileContacts | None = None
+        self.array: TactileArray | None = None
+        self.is_new = False
+        self._heard_s, self._stamp = -math.inf, Time()
+        self._late_s = math.inf
+        self._counted, self._reported_s = 0, -math.inf
+        self._node, self._index, self._on_contacts = node, index, on_contacts
+        self._gate = gate
+        self._cloud: tuple[int, PatchCloud] | None = None
+        self._for_contacts: list[Subscription] = []
+        self._for_points: list[Subscription] = []
+
+    @property
+    def is_followed(self) -> bool:
+        """Whether anything of it is subscribed to."""
+        return bool(self._for_contacts or self._for_points)
+
+    def silent_s(self, now_s: float) -> float:
+        """How long nothing came; infinite if nothing ever did."""
+        return now_s - self._heard_s
+
+    def late_s(self) -> float:
+        """Least age of a stamp when it came, since this was last asked; 0: nothing came.
+
+        The least, because a busy computer takes messages late, but not all of them.
+        """
+        late_s, self._late_s = self._late_s, math.inf
+        return late_s if late_s < math.inf else 0.0
+
+    def rate_hz(self, now_s: float) -> float:
+        """Of its frames that were taken since this was last asked."""
+        rate_hz = self._counted / (now_s - self._reported_s)
+        self._counted, self._reported_s = 0, now_s
+        return rate_hz
+
+    @property
+    def has_driver(self) -> bool:
+        """Whether anybody publishes its topics; by a discovery server, those subscribed to."""
+        return any(
+            self._node.count_publishers(f"{self.node_name}/{topic}")
+            for topic in ("contacts", "tactile")
+        )
+
+    def follow(self, contacts: bool, points: bool) -> None:
+        """Subscribe to what contacts and points of the body take, and to no more."""
+        if contacts and not self._for_contacts:
+            self._for_contacts = [
+                self._subscribe(TactileContacts, "contacts", self._take_contacts, FRESH)
+            ]
+        elif not contacts and self._for_contacts:
+            self._drop(self._for_contacts)
+            self.contacts = None
+        if points and not self._for_points:
+            self._for_points = [
+                self._subscribe(TactileSkinInfo, "info", self._take_info, LATCHED),
+                self._subscribe(TactileArray, "tactile", self._take_array, LATEST, self._gate),
+            ]
+        elif not points and self._for_points:
+            self._drop(self._for_points)
+            self.array = self._cloud = None
+            self.is_new = False
+
+    def points(self, max_pa: float, pose: Pose) -> NDArray[np.void] | None:
+        """(m,) BODY_POINT of the latest array; None while what it is to be read with is not there.
+
+        max_pa, pose: see PatchCloud.points.
+        """
+        if self.array is None or self._cloud is None:
+            return None
+        info_id, cloud = self._cloud
+        # A driver that was started again counts from 1 again: the same id may mean another skin.
+        if self.array.info_id != info_id or len(self.array.pressure) != len(cloud):
+            return None
+        pressure_pa = np.frombuffer(self.array.pressure, dtype=np.float32)
+        return cloud.points(pressure_pa, max_pa, pose)
+
+    def _subscribe(
+        self,
+        kind: Any,
+        topic: str,
+        take: Callable[[Any], None],
+        qos: QoSProfile,
+        group: CallbackGroup | None = None,
+    ) -> Subscription:
+        full_name = f"{self.node_name}/{topic}"
+        return self._node.create_subscription(kind, full_name, take, qos, callback_group=group)
+
+    def _drop(self, subscriptions: list[Subscription]) -> None:
+        for subscription in subscriptions:
+            self._node.destroy_subscription(subscription)
+        subscriptions.clear()
+
+    def _hear(self, header: Header) -> None:
+        if nanoseconds(header.stamp) > nanoseconds(self._stamp):  # once per frame, not per topic
+            self._counted += 1
+        self._heard_s, self._stamp = time.monotonic(), header.stamp
+        age_ns = self._node.get_clock().now().nanoseconds - nanoseconds(header.stamp)
+        self._late_s = min(self._late_s, age_ns * 1e-9)
+
+    def _take_contacts(self, message: TactileContacts) -> None:
+        self._hear(message.header)
+        self._on_contacts(self, message)
+
+    def _take_array(self, message: TactileArray) -> None:
+        self._hear(message.header)
+        self.array, self.is_new = message, True
+
+    def _take_info(self, message: TactileSkinInfo) -> None:
+        if len(message.positions) != len(message.normals):
+            self._cloud = None  # of no driver of ours
+            return
+        cloud = PatchCloud(rows(message.positions), rows(message.normals), self._index)
+        self._cloud = message.info_id, cloud

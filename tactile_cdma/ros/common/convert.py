@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Frames and configuration to ROS messages."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Point, Point32, Vector3
+from numpy.typing import NDArray
+from sensor_msgs.msg import Image, PointCloud2, PointField
+from std_msgs.msg import Header
+
+from tactile_cdma.msg import TactileArray, TactileSkinInfo
+
+from ...config.skin_config import SkinConfig
+from ...driver.pipeline import TactileFrame
+from ...places.layout import Layout
+from ...readings.baseline import Baseline
+from ...views.heatmap import heatmap, pressure_raster
+
+
+def ros_array(values: NDArray[np.generic]) -> array[float] | array[int]:
+    """An ndarray as the array.array that rosidl takes without looking at every element."""
+    result: array[float] = array(_TYPE_CODES[values.dtype.str[1:]])
+    result.frombytes(np.ascontiguousarray(values).tobytes())
+    return result
+
+
+def _bytes(values: NDArray[np.generic]) -> array[int]:
+    """An ndarray of anything as the array.array of its bytes, which rosidl takes as it is."""
+    result = array("B")
+    result.frombytes(np.ascontiguousarray(values).view(np.uint8).data)
+    return result
+
+
+def by_taxel(layout: Layout, of_node: NDArray[np.float32]) -> array[float] | array[int]:
+    """Values of the nodes (n,) in the order of the taxels; 0 for a taxel without a node."""
+    if layout.source is None:
+        return ros_array(of_node)
+    return ros_array(np.where(layout.source < 0, np.float32(0), of_node[layout.source]))
+
+
+_TYPE_CODES = {"f4": "f", "u1": "B", "u2": "H", "u4": "I"}
+
+
+def tactile_array(
+    frame: TactileFrame,
+    config: SkinConfig,
+    header: Header,
+    info_id: int,
+    with_voltage: bool,
+) -> TactileArray:
+    """One frame as the message that a manipulation stack subscribes to."""
+    message = TactileArray()
+    message.header = header
+    message.sequence = frame.sequence
+    message.device_time_us = max(0, round(frame.t_middle * 1e6))
+    message.info_id = info_id
+    message.height, message.width = config.layout.rows, config.layout.columns
+    message.pressure = ros_array(frame.readings.pressure_pa)
+    if with_voltage:
+        message.voltage = ros_array(frame.readings.voltage_v)
+    message.status = ros_array(frame.readings.status)
+    message.noise_rms = frame.words.noise_rms_v
+    return message
+
+
+def skin_info(
+    config: SkinConfig, baseline: Baseline, header: Header, info_id: int
+) -> TactileSkinInfo:
+    """What does not change from frame to frame."""
+    spec, layout = config.spec, config.layout
+    message = TactileSkinInfo()
+    message.header = header
+    message.info_id = info_id
+    message.nodes = spec.nodes
+    message.height, message.width = layout.rows, layout.columns
+    message.positions = [_point32(place) for place in layout.positions_m]
+    message.normals = [_point32(normal) for normal in layout.normals]
+    message.area = ros_array(layout.areas_m2)
+    message.node = ros_array(layout.nodes.astype(np.uint16))
+    code_rows = np.append(spec.rows, 0)  # 0 for a taxel without a node
+    message.code_row = ros_array(code_rows[layout.nodes - 1].astype(np.uint32))
+    message.code_order = spec.order
+    message.bits = spec.bits
+    message.frame_period = spec.frame_period_s
+    message.pressure_min = 0.0
+    message.pressure_max = float(config.calibration.curves.range_pa.max())
+    message.calibration_id = config.calibration.identity
+    if baseline.tared:
+        message.tare = by_taxel(layout, baseline.tare_pa)
+    if baseline.drift_v.any():
+        message.drift = by_taxel(layout, baseline.drift_v)
+    return message
+
+
+def heatmap_image(
+    pressure_pa: NDArray[np.float32], layout: Layout, header: Header, max_pa: float, pixels: int
+) -> Image:
+    """The skin as an rgb8 picture on a fixed scale of 0…max_pa."""
+    return _image(heatmap(pressure_pa, layout, max_pa, pixels), "rgb8", header)
+
+
+def pressure_image(pressure_pa: NDArray[np.float32], layout: Layout, header: Header) -> Image:
+    """The skin as a 32FC1 picture in Pa, a pixel per cell of the layout's raster."""
+    return _image(pressure_raster(pressure_pa, layout), "32FC1", header)
+
+
+def _image(picture: NDArray[np.generic], encoding: str, header: Header) -> Image:
+    """picture: (h, w) or (h, w, channels)."""
+    message = Image(header=header, encoding=encoding, step=picture.nbytes // len(picture))
+    message.height, message.width = picture.shape[:2]
+    message.data = _bytes(picture)  # the constructor would copy it
+    return message
+
+
+def point_cloud(points: NDArray[np.void], header: Header) -> PointCloud2:
+    """Records as the message with a field for each of theirs, in one row."""
+    message = PointCloud2(header=header, height=1, width=len(points), is_dense=True)
+    message.fields = _fields(points.dtype)
+    message.point_step, message.row_step = points.itemsize, points.nbytes
+    message.data = _bytes(points)  # the constructor would copy it
+    return message
+
+
+def _fields(record: np.dtype[np.void]) -> list[PointField]:
+    """What a record of little-endian numbers holds, and where."""
+    assert record.fields is not None
+    return [
+        PointField(name=name, offset=offset, datatype=_POINT_TYPES[kind.str], count=1)
+        for name, (kind, offset, *_) in record.fields.items()
+    ]
+
+
+_POINT_TYPES = {"<f4": PointField.FLOAT32, "<u4": PointField.UINT32}
+
+
+def diagnostic(
+    name: str, level: bytes, text: str, values: Mapping[str, object], hardware_id: str = ""
+) -> DiagnosticStatus:
+    """One entry of /diagnostics."""
+    pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+    return DiagnosticStatus(
+        level=level, name=name, message=text, hardware_id=hardware_id, values=pairs
+    )
+
+
+def listed(items: Sequence[object]) -> str:
+    """Node numbers, and the like, for people: not thousands of them."""
+    text = ", ".join(map(str, items[:_MOST_LISTED]))
+    return f"{text}, … {len(items)} in all" if len(items) > _MOST_LISTED else text
+
+
+_MOST_LISTED = 20
+
+
+def stamp(nanoseconds: int) -> Time:
+    """A ROS time stamp."""
+    return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
+
+
+def nanoseconds(stamp: Time) -> int:
+    """A ROS time stamp as one number."""
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def rows(points: Sequence[Point32]) -> NDArray[np.float32]:
+    """Places or vectors as an array, (t, 3)."""
+    return np.array([(p.x, p.y, p.z) for p in points], dtype=np.float32).reshape(-1, 3)
+
+
+def point(place: NDArray[np.floating]) -> Point:
+    """A place, (3,)."""
+    x, y, z = place.tolist()
+    return Point(x=x, y=y, z=z)
+
+
+def vector(values: NDArray[np.floating]) -> Vector3:
+    """A vector, (3,)."""
+    x, y, z = values.tolist()
+    return Vector3(x=x, y=y, z=z)
+
+
+def _point32(place: NDArray[np.floating]) -> Point32:
+    x, y, z = place.tolist()
+    return Point32(x=x, y=y, z=z)

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a driver says of itself in /diagnostics; docs/diagnostics.md explains every value."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from ...driver import checkup
+from ...driver.driver import WAITING, Driver
+from ...driver.findings import Finding, Level, Settling, worst
+from ...driver.pipeline import Pipeline, TactileFrame
+from ...driver.vitals import Window
+from ...wire.identity import shown_id
+from ...words.health import NodeState
+from ..common.convert import diagnostic, listed
+
+STREAM, NODES, LINK, HOST = "stream", "nodes", "link", "host"
+ENTRIES = (STREAM, NODES, LINK, HOST)
+NO_FRAMES = "no frames come, see stream"
+_OF_LINK = ("crc_errors", "framing_errors", "lost_packets", "lost_samples")
+"""Counts that are told per second, too."""
+_OF_STREAM = ("frames", "lost_frames", "rejected_bursts")
+
+Values = Mapping[str, object]
+
+
+class SkinReport:
+    """The entries of one skin, from one report to the next."""
+
+    def __init__(self, node: str) -> None:
+        """node: fully qualified name of the node."""
+        self._prefix = node.lstrip("/")
+        self._hardware_id = ""
+        self._settling = {entry: Settling() for entry in ENTRIES}
+        self._receiving = False  # at the report before
+
+    def inactive(self, failure: str) -> list[DiagnosticStatus]:
+        """The entries while no driver runs. failure: why it could not be started, or nothing."""
+        self._settling = {entry: Settling() for entry in ENTRIES}
+        level = Level.ERROR if failure else Level.STALE
+        first = self._entry(STREAM, level, failure or "not active", {})
+        return [first] + [self._entry(e, Level.STALE, "not active", {}) for e in ENTRIES[1:]]
+
+    def of(
+        self, driver: Driver, latest: TactileFrame | None, tared: str | None, drivers: int
+    ) -> list[DiagnosticStatus]:
+        """The entries of a running driver. latest: the newest frame. tared: when, if ever.
+
+        drivers: how many publish under this node's name, itself included.
+        """
+        pipeline = driver.pipeline
+        window = driver.vitals.take(pipeline)
+        if pipeline.info is not None:
+            self._hardware_id = shown_id(pipeline.info.digitizer_id)
+        values: dict[str, Values] = {
+            STREAM: _stream_values(pipeline, window),
+            NODES: {**_node_values(driver, window), "tared": tared or "not"},
+            LINK: {"port": driver.url, **_link_values(driver, window)},
+            HOST: {**_host_values(window), "drivers of this name": drivers},
+        }
+        if driver.problem:
+            return self._without_frames(driver.problem, values)
+        # Counts rise when frames begin to come, and the first of them fill no whole second.
+        started, self._receiving = not self._receiving, True
+        found: dict[str, Callable[[], Iterable[Finding]]] = {
+            STREAM: lambda: () if started else checkup.stream(pipeline, window, latest),
+            NODES: lambda: checkup.nodes(pipeline, driver.stuck.nodes, window),
+            LINK: lambda: () if started else checkup.link(pipeline, window),
+            HOST: lambda: checkup.host(window, drivers),
+        }
+        clocks = pipeline.clocks
+        calling = clocks is not None and clocks.busy
+        good = {STREAM: "roll call: measuring the nodes' clocks" if calling else "receiving"}
+        entries = []
+        for entry in ENTRIES:
+            level, text = worst(self._settling[entry].settle(found[entry]()))
+            entries.append(self._entry(entry, level, text or good.get(entry, "ok"), values[entry]))
+        return entries
+
+    def _without_frames(self, problem: str, values: Mapping[str, Values]) -> list[DiagnosticStatus]:
+        """The entries where the stream has a problem: of the others there is no news."""
+        self._receiving = False
+        self._settling = {entry: Settling() for entry in ENTRIES}
+        level = Level.WARN if problem == WAITING else Level.ERROR
+        first = self._entry(STREAM, level, problem, values[STREAM])
+        others = [self._entry(e, Level.STALE, NO_FRAMES, values[e]) for e in (NODES, LINK)]
+        return [first, *others, self._entry(HOST, Level.OK, "ok", values[HOST])]
+
+    def _entry(self, entry: str, level: Level, text: str, values: Values) -> DiagnosticStatus:
+        name = f"{self._prefix}: {entry}"
+        return diagnostic(name, bytes([level]), text, values, self._hardware_id)
+
+
+def _stream_values(pipeline: Pipeline, window: Window) -> Values:
+    return {
+        "rate (Hz)": f"{window.frames / window.seconds:.2f}",
+        "expected rate (Hz)": f"{1 / pipeline.config.spec.frame_period_s:.2f}",
+        "latency (ms)": _number(window.latency_s * 1e3, 2),
+        "latency, slowest (ms)": _number(window.slowest_s * 1e3, 2),
+        "latency: line and link (ms)": _number(window.line_s * 1e3, 2),
+        "latency: decoding (ms)": _number(window.decode_s * 1e3, 3),
+        "latency: publishing (ms)": _number(window.publish_s * 1e3, 3),
+        **_counts(window, _OF_STREAM),
+        "lost frames (per s)": f"{window.per_s('lost_frames'):.2f}",
+        "noise floor (V rms)": _number(window.noise_rms_v, 6),
+        "clipped samples (%)": f"{100 * window.clipped:.2f}",
+    }
+
+
+def _node_values(driver: Driver, window: Window) -> Values:
+    pipeline = driver.pipeline
+    taxels, health, tracker = pipeline.taxels, pipeline.health, pipeline.taxels.chain.tracker
+    drift_v = taxels.baseline.drift_v
+    drifting = int(np.abs(drift_v).argmax())
+    strays = tracker.strays_lsb(taxels.now_s) if tracker is not None else {}
+    off = [f"{node} ({lsb:+.1f} LSB)" for node, lsb in strays.items()]
+    node, rho = checkup.weakest(pipeline, window)
+    return {
+        "dead nodes": listed(taxels.dead),
+        "stale nodes": listed(taxels.stale),
+        "weak nodes": listed(health.nodes(NodeState.WEAK)),
+        "faulty nodes": listed(health.nodes(NodeState.FAULTY)),
+        "doubled nodes": listed(health.nodes(NodeState.DOUBLED)),
+        "stuck nodes": listed(driver.stuck.nodes),
+        "weakest node": node or "",
+        "SNR of the weakest node (dB)": f"{checkup.decibels(rho):.1f}" if node else "",
+        "largest drift (mV)": f"{drift_v[drifting] * 1e3:.2f}, node {drifting + 1}",
+        "nodes off their rest": listed(off) + ("; tare if nothing touches them" if off else ""),
+        **_clock_values(pipeline),
+    }
+
+
+def _clock_values(pipeline: Pipeline) -> Values:
+    clocks = pipeline.clocks
+    if clocks is None or not clocks.heard:
+        return {}
+    return {
+        "node clocks heard": clocks.heard,
+        "node clocks apart (chips)": f"{clocks.spread_chips:.2f}",
+        "nodes taken apart by": "least squares" if clocks.decorrelated else "correlation",
+        "nodes not told apart": listed(list(clocks.unresolved)),
+    }
+
+
+def _link_values(driver: Driver, window: Window) -> Values:
+    rates = {f"{_words(name)} (per s)": f"{window.per_s(name):.2f}" for name in _OF_LINK}
+    others = [name for name in window.totals if name not in _OF_STREAM]
+    return {
+        "connections": driver.connections,
+        "bytes (per s)": f"{window.per_s('bytes'):.0f}",
+        **rates,
+        "backlog (bytes)": window.backlog_bytes,
+        "digitizer clock drift (ppm)": _number(driver.pipeline.clock_drift_ppm, 1),
+        **_counts(window, others),
+    }
+
+
+def _host_values(window: Window) -> Values:
+    return {
+        "CPU of the process (%)": f"{100 * window.process_share:.1f}",
+        "CPU of the driver's thread (%)": f"{100 * window.thread_share:.1f}",
+    }
+
+
+def _counts(window: Window, names: Iterable[str]) -> Values:
+    return {_words(name): window.totals[name] for name in names}
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _number(value: float, digits: int) -> str:
+    """Nothing where nothing is known."""
+    return "" if math.isnan(value) else f"{value:.{digits}f}"

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""A skin and what touches it as markers: coloured squares, arrows and their forces in words."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Duration
+from geometry_msgs.msg import Pose, Vector3
+from numpy.typing import NDArray
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from ...places.layout import Layout
+from ...places.mesh import CORNERS, taxel_squares
+from ...readings.contact import Contacts
+from ...views.heatmap import SCALE_RGB, scale_steps
+from ..common.convert import point
+
+SURFACE, ARROWS, TEXTS = "skin", "contacts", "forces"
+"""Namespaces, which rviz shows and hides one by one."""
+MOST_SQUARES = 256
+"""Larger skins are left to ~/points: rclpy converts messages number by number, which takes 20 µs
+for a square, and the decoder waits meanwhile (`make bench-pictures`)."""
+ARROW_M_PER_N = 0.005
+"""An arrow's length; it ends at the centre of pressure."""
+ARROW_PITCHES = 0.25, 0.5
+"""Diameters of shaft and head in pitches; the head's length is left to the viewer."""
+CONTACT_COLOUR = ColorRGBA(r=0.3, g=0.85, b=1.0, a=1.0)
+"""Not on the pressure scale."""
+_COLOURS = [ColorRGBA(r=r, g=g, b=b, a=1.0) for r, g, b in (SCALE_RGB / 255).tolist()]
+
+
+class SkinMarkers:
+    """Builds the markers of one skin; messages share what never changes."""
+
+    def __init__(self, layout: Layout, most_squares: int = MOST_SQUARES) -> None:
+        self._shown: set[int] = set()
+        shaft, head = (pitches * layout.pitch_m for pitches in ARROW_PITCHES)
+        self._arrow_scale = Vector3(x=shaft, y=head)
+        self._text_scale = Vector3(z=layout.pitch_m)
+        self._placed = np.flatnonzero(layout.nodes)
+        if len(self._placed) > most_squares:
+            self._placed = self._placed[:0]
+        corners_m = taxel_squares(layout)[self._placed].reshape(-1, 3)
+        self._corners = [point(corner_m) for corner_m in corners_m]
+
+    def markers(
+        self,
+        pressure_pa: NDArray[np.float32],
+        max_pa: float,
+        contacts: Contacts,
+        header: Header,
+        lifetime_s: float,
+    ) -> MarkerArray:
+        """One frame: its surface and contacts; contacts of the frame before that are gone.
+
+        pressure_pa: (t,) float32, Pa; colours are on the scale 0…max_pa. lifetime_s: of markers
+        that no message renews, as when a skin is no longer read.
+        """
+        seconds, part = divmod(lifetime_s, 1)
+        common = {
+            "header": header,
+            "lifetime": Duration(sec=int(seconds), nanosec=int(part * 1e9)),
+            "color": CONTACT_COLOUR,
+        }
+        markers = [self._surface(pressure_pa, max_pa, common)] if self._corners else []
+        ids = contacts.ids.tolist()
+        markers += [
+            Marker(header=header, ns=namespace, id=gone, action=Marker.DELETE)
+            for gone in self._shown.difference(ids)
+            for namespace in (ARROWS, TEXTS)
+        ]
+        self._shown = set(ids)
+        for contact, number in enumerate(ids):
+            markers += self._contact(contacts, contact, {**common, "id": number})
+        return MarkerArray(markers=markers)
+
+    def _surface(
+        self, pressure_pa: NDArray[np.float32], max_pa: float, common: dict[str, Any]
+    ) -> Marker:
+        steps = scale_steps(pressure_pa[self._placed], max_pa).repeat(len(CORNERS))
+        return Marker(
+            **common,
+            ns=SURFACE,
+            type=Marker.TRIANGLE_LIST,
+            scale=Vector3(x=1.0, y=1.0, z=1.0),
+            points=self._corners,
+            colors=[_COLOURS[step] for step in steps.tolist()],
+        )
+
+    def _contact(self, contacts: Contacts, contact: int, common: dict[str, Any]) -> list[Marker]:
+        head_m, force_n = contacts.position_m[contact], contacts.force_n[contact]
+        tail = point(head_m - ARROW_M_PER_N * force_n)  # outside: the force points into the skin
+        at_least = "> " if contacts.saturated[contact] else ""
+        arrow = Marker(
+            **common,
+            ns=ARROWS,
+            type=Marker.ARROW,
+            scale=self._arrow_scale,
+            points=[tail, point(head_m)],
+        )
+        text = Marker(
+            **common,
+            ns=TEXTS,
+            type=Marker.TEXT_VIEW_FACING,
+            scale=self._text_scale,
+            pose=Pose(position=tail),
+            text=f"{at_least}{np.linalg.norm(force_n):.3g} N",
+        )
+        return [arrow, text]

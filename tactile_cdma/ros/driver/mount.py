@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tells tf where the skin is mounted, if the parameters say it."""
+
+from __future__ import annotations
+
+from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
+
+from ...base.errors import SpecError
+from ...config.parameters import Values
+from ...places.poses import Pose
+
+TF_STATIC = "/tf_static"
+
+
+class Mount:
+    """A node's share of /tf_static: there from configure to cleanup."""
+
+    def __init__(self, node: Node, profile: QoSProfile) -> None:
+        self._node, self._profile = node, profile
+        self._publisher: Publisher | None = None
+
+    def configure(self, transform: TransformStamped | None) -> None:
+        """Publish where the skin is; None: nobody asked for that."""
+        if transform is not None:
+            self._publisher = self._node.create_publisher(TFMessage, TF_STATIC, self._profile)
+            self._publish(transform)
+
+    def change(self, transform: TransformStamped | None) -> None:
+        """The skin is elsewhere on the same parent."""
+        if transform is not None and self._publisher is not None:
+            self._publish(transform)
+
+    def release(self) -> None:
+        """Whoever comes from now on is not told; those who were keep it, as tf has it."""
+        if self._publisher is not None:
+            self._node.destroy_publisher(self._publisher)
+            self._publisher = None
+
+    def _publish(self, transform: TransformStamped) -> None:
+        assert self._publisher is not None
+        transform.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(TFMessage(transforms=[transform]))
+
+
+def transform_of(values: Values) -> TransformStamped | None:
+    """Where all parameters' values have the skin, without a stamp; None without a parent_frame.
+
+    Raises SpecError for names that tf does not take.
+    """
+    parent, child = values["parent_frame"], values["frame_id"]
+    if not parent:
+        return None
+    if parent == child:
+        raise SpecError(f"parent_frame and frame_id are both {parent!r}: they must be two frames")
+    for name in ("parent_frame", "frame_id"):
+        if not values[name] or values[name].startswith("/"):
+            raise SpecError(f"{name} is {values[name]!r}: tf wants a name, without a leading slash")
+    pose = Pose.of_rpy(values["mount_xyz_m"], values["mount_rpy_rad"])
+    (x, y, z), (qx, qy, qz, qw) = pose.translation_m.tolist(), pose.quaternion.tolist()
+    return TransformStamped(
+        header=Header(frame_id=parent),
+        child_frame_id=child,
+        transform=Transform(
+            translation=Vector3(x=x, y=y, z=z), rotation=Quaternion(x=qx, y=qy, z=qz, w=qw)
+        ),
+    )

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The table of parameters as those of a ROS node: declared, described, refused with reasons."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
+from rclpy.qos import QoSProfile
+
+from ...base.errors import ParameterError, TactileError
+from ...config.parameters import (
+    BY_NAME,
+    PARAMETERS,
+    STANDARD_PARAMETERS,
+    Parameter,
+    Value,
+    Values,
+    check_values,
+    unknown,
+)
+from ..common.qos import QOS_OVERRIDES, offered
+
+AT_START = {"autostart"}
+"""What is asked only once."""
+_RESTART = " (correct it and start the node again)"
+Change = Callable[[Values, set[str]], None]
+"""Takes all values, and the names of those that are new; raises TactileError to refuse them."""
+
+
+class NodeParameters:
+    """A node's parameters. It was made with automatically_declare_parameters_from_overrides.
+
+    values: what those of the table are at present; the same mapping all along, as quick to read
+        as a dict.
+    faults: by name, what keeps the node from being configured.
+    fixed: whether only live ones may change.
+    """
+
+    def __init__(self, node: Node, change: Change) -> None:
+        """Change is called before values change, with several new ones at once or not at all."""
+        self._node, self._change = node, change
+        self.faults: dict[str, str] = {}
+        self.fixed = False
+        self._given = {name: p.value for name, p in node.get_parameters_by_prefix("").items()}
+        for name in self._given:
+            if name not in BY_NAME and not name.startswith(STANDARD_PARAMETERS):
+                self._fault(name, unknown(name, BY_NAME) + _RESTART)
+        self.values: dict[str, Any] = {
+            parameter.name: self._declare(parameter, parameter.name in AT_START)
+            for parameter in PARAMETERS
+        }
+        node.add_on_set_parameters_callback(self._on_set)
+
+    def offered(self, profile: QoSProfile, topic: str) -> QoSProfile:
+        """How a topic is published: as in profile, unless qos_overrides say otherwise."""
+        return offered(
+            profile, self._node.resolve_topic_name(topic), lambda p: self._declare(p, True)
+        )
+
+    def check_all_taken(self) -> None:
+        """Once all publishers are made: warn of qos_overrides that are nobody's."""
+        for name in self._given:
+            if name.startswith(QOS_OVERRIDES) and not self._node.describe_parameter(name).read_only:
+                self._node.get_logger().warning(
+                    f"{name} is without effect: no such publisher or policy"
+                )
+
+    def checked(self, changes: Sequence[RosParameter]) -> list[RosParameter]:
+        """Changes in the types of the table: 50 will do for 50.0.
+
+        Raises ParameterError, with a reason where rclpy gives none or an empty one.
+        """
+        result = []
+        for change in changes:
+            name = change.name
+            if not self._node.has_parameter(name):
+                raise ParameterError(unknown(name, BY_NAME))
+            if self._node.describe_parameter(name).read_only:
+                raise ParameterError(
+                    f"{name} counts only when the node starts: set it in the parameter file and "
+                    "start the node again"
+                )
+            if name in BY_NAME:
+                change = RosParameter(name, value=BY_NAME[name].check(change.value))
+            result.append(change)
+        return result
+
+    def _declare(self, parameter: Parameter, read_only: bool) -> Value:
+        """Of a wrong override the fault is kept, and the default taken."""
+        name, value = parameter.name, parameter.default
+        if name in self._given:
+            self._node.undeclare_parameter(name)
+            try:
+                value = parameter.check(self._given[name])
+            except ParameterError as error:
+                self._fault(name, f"{error}{_RESTART if read_only else ''}")
+        descriptor = _descriptor(parameter, read_only)
+        self._node.declare_parameter(name, value, descriptor, ignore_override=True)
+        return value
+
+    def _fault(self, name: str, text: str) -> None:
+        self.faults[name] = text
+        self._node.get_logger().error(f"not starting: {text}")
+
+    def _on_set(self, changes: list[RosParameter]) -> SetParametersResult:
+        """Refuse what cannot work, saying why; let live parameters take effect at once."""
+        given = {change.name: change.value for change in changes if change.name in BY_NAME}
+        before = dict(self.faults)
+        try:
+            new = check_values(given)
+            if self.fixed:
+                self._check_fixed(new)
+            for name in new:
+                self.faults.pop(name, None)
+            if new:
+                self._change({**self.values, **new}, set(new))
+        except TactileError as error:
+            self.faults = before
+            return SetParametersResult(successful=False, reason=str(error))
+        self.values.update(new)
+        return SetParametersResult(successful=True)
+
+    def _check_fixed(self, new: Values) -> None:
+        """Raises ParameterError for what takes a new configuration."""
+        fixed = [n for n, v in new.items() if not BY_NAME[n].live and v != self.values[n]]
+        if fixed:
+            raise ParameterError(
+                f"{', '.join(fixed)} cannot change while configured: deactivate and clean "
+                f"up first (ros2 lifecycle set {self._node.get_fully_qualified_name()} "
+                "deactivate, then cleanup)"
+            )
+
+
+def _descriptor(parameter: Parameter, read_only: bool) -> ParameterDescriptor:
+    text = parameter.text + (f" [{parameter.unit}]" if parameter.unit else "")
+    descriptor = ParameterDescriptor(description=text, read_only=read_only)
+    if parameter.choices:
+        descriptor.additional_constraints = "one of " + ", ".join(map(str, parameter.choices))
+    elif read_only:
+        descriptor.additional_constraints = "takes effect when the node starts"
+    elif not parameter.live:
+        descriptor.additional_constraints = "takes effect on configure"
+    if parameter.limits:
+        low, high = parameter.limits
+        if isinstance(parameter.default, int):
+            descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
+        else:
+            descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    return descriptor

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Publishes what people look at: heatmap, pressure image, points and markers of one skin."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.lifecycle import LifecycleNode
+from sensor_msgs.msg import Image, PointCloud2
+from std_msgs.msg import Header
+from visualization_msgs.msg import MarkerArray
+
+from ...config.parameters import Values
+from ...config.skin_config import SkinConfig, contact_thresholds
+from ...driver.pipeline import TactileFrame
+from ...readings.contact import ContactThresholds, ContactTracker
+from ...views.cloud import Cloud
+from ..common import convert
+from ..common.qos import PICTURE
+from .markers import SkinMarkers
+
+TOPICS = {
+    "heatmap": Image,
+    "pressure_image": Image,
+    "points": PointCloud2,
+    "markers": MarkerArray,
+}
+LOOK_S = 0.25
+"""How often it is looked whether anybody subscribes: each turn of rclpy's executor takes a ms."""
+FADE_PERIODS, LEAST_FADE_S = 3, 1.0
+"""Markers that so many periods of pictures, and so many s, do not renew are no longer shown."""
+
+
+class Pictures:
+    """Pictures of a node, each drawn only while somebody subscribes.
+
+    A timer draws the latest frame, at most visual_rate_hz times a second and no frame twice; while
+    nobody subscribes it comes less often. Its clock is steady, so that it goes on where simulated
+    time stands.
+    """
+
+    def __init__(
+        self,
+        node: LifecycleNode,
+        live: Values,
+        header_at: Callable[[float], Header],
+    ) -> None:
+        """live: the parameters' present values, kept by the node. header_at: host time, s."""
+        self._live, self._header_at = live, header_at
+        self._publishers = {
+            name: node.create_lifecycle_publisher(kind, f"~/{name}", PICTURE)
+            for name, kind in TOPICS.items()
+        }
+        self._drawings: Drawings | None = None
+        self._latest: tuple[TactileFrame, Header | None] | None = None
+        self._drawn: TactileFrame | None = None
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(_period_s(live), self._turn, clock=steady)
+        self._timer.cancel()
+
+    def start(self, config: SkinConfig) -> None:
+        """Before the first frame of a stream."""
+        self._drawings = Drawings(config, self._live)
+        self._run(self._live)
+
+    def stop(self) -> None:
+        """After the last one."""
+        self._timer.cancel()
+        self._drawings = self._latest = self._drawn = None
+
+    def take(self, frame: TactileFrame, header: Header | None) -> None:
+        """The newest frame, in the driver's thread, which this must not hold up.
+
+        header: that of its other messages, if there are any: all are to have the same stamp.
+        """
+        self._latest = frame, header
+
+    def change(self, values: Values) -> None:
+        """All parameters' values as they are going to be; they fit each other."""
+        if self._drawings is not None:
+            self._drawings.change(contact_thresholds(values))
+            if _period_s(values) != _period_s(self._live):  # a timer that starts anew is late
+                self._run(values)
+
+    def _run(self, values: Values) -> None:
+        self._timer.timer_period_ns = round(_period_s(values) * 1e9)
+        self._timer.reset()
+
+    def _draw(self) -> None:
+        if self._latest is None or self._drawings is None:
+            return
+        frame, header = self._latest
+        if frame is self._drawn:
+            return
+        asked = [name for name, p in self._publishers.items() if p.get_subscription_count()]
+        if not asked:
+            return
+        self._drawn = frame
+        header = header or self._header_at(frame.t_host)
+        for name in asked:
+            self._publishers[name].publish(self._drawings.of[name](frame, header))
+
+    def _turn(self) -> None:
+        """Draw, and come again sooner or later."""
+        self._draw()
+        asked = any(publisher.get_subscription_count() for publisher in self._publishers.values())
+        period_s = _period_s(self._live) if asked else max(_period_s(self._live), LOOK_S)
+        if round(period_s * 1e9) != self._timer.timer_period_ns:
+            self._timer.timer_period_ns = round(period_s * 1e9)
+            self._timer.reset()
+
+
+class Drawings:
+    """Draws the frames of one skin; `of` has a function of frame and header for every topic.
+
+    The markers' contacts are followed here, from picture to picture: those of ~/contacts are
+    only there while somebody asks for them, in the driver's thread, which this spares.
+    """
+
+    def __init__(self, config: SkinConfig, live: Values) -> None:
+        self.of: dict[str, Callable[[TactileFrame, Header], Any]] = {
+            "heatmap": self._heatmap,
+            "pressure_image": self._pressure_image,
+            "points": self._points,
+            "markers": self._markers,
+        }
+        self._live, self._layout = live, config.layout
+        self._frame_period_s = config.spec.frame_period_s
+        self._cloud = Cloud(config.layout)
+        self._skin = SkinMarkers(config.layout)
+        self._tracker = ContactTracker(config.layout, config.contact)
+
+    def change(self, thresholds: ContactThresholds) -> None:
+        """From the next picture on."""
+        self._tracker.thresholds = thresholds
+
+    @property
+    def _max_pa(self) -> float:
+        return float(self._live["colour_max_kpa"]) * 1e3
+
+    @property
+    def _fade_s(self) -> float:
+        period_s = max(_period_s(self._live), self._frame_period_s)
+        return max(LEAST_FADE_S, FADE_PERIODS * period_s)
+
+    def _heatmap(self, frame: TactileFrame, header: Header) -> Image:
+        return convert.heatmap_image(
+            frame.readings.pressure_pa,
+            self._layout,
+            header,
+            self._max_pa,
+            int(self._live["heatmap_pixels"]),
+        )
+
+    def _pressure_image(self, frame: TactileFrame, header: Header) -> Image:
+        return convert.pressure_image(frame.readings.pressure_pa, self._layout, header)
+
+    def _points(self, frame: TactileFrame, header: Header) -> PointCloud2:
+        points = self._cloud.points(frame.readings.pressure_pa, self._max_pa)
+        return convert.point_cloud(points, header)
+
+    def _markers(self, frame: TactileFrame, header: Header) -> MarkerArray:
+        contacts = self._tracker.update(frame.readings, frame.t_middle)
+        return self._skin.markers(
+            frame.readings.pressure_pa, self._max_pa, contacts, header, self._fade_s
+        )
+
+
+def _period_s(values: Values) -> float:
+    return 1.0 / float(values["visual_rate_hz"])

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""What touches a body, as lines of text: one per second, and a summary of `key=value` pairs."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+
+from tactile_cdma.msg import TactileContact, TactileContacts
+
+from ...base.interrupt import raise_when_told_to_end
+from ..common.convert import listed
+from ..common.qos import RELIABLE
+from .patches import NODE_NAME
+
+LINE_S = 1.0
+MOST_NAMED = 2  # a line is about as wide as a terminal
+SECONDS = 10.0
+
+
+class BodyViewer(Node):
+    """Counts the body's messages and keeps the latest."""
+
+    def __init__(self, body: str) -> None:
+        super().__init__("body_viewer")
+        self.latest: TactileContacts | None = None
+        self.complaint = ""
+        self.received = self.lost = 0
+        self._body = body
+        self.create_subscription(TactileContacts, f"{body}/contacts", self._take, RELIABLE)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._take_diagnostics, 10)
+
+    def _take(self, message: TactileContacts) -> None:
+        if self.latest is not None:
+            self.lost += max(0, message.sequence - self.latest.sequence - 1)
+        self.latest = message
+        self.received += 1
+
+    def _take_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name.startswith(f"{self._body.lstrip('/')}:"):
+                self.complaint = "" if status.level == DiagnosticStatus.OK else status.message
+
+
+def line(message: TactileContacts | None, rate_hz: float, complaint: str) -> str:
+    """What to print of a second: rate, resultant, strongest contacts, who is absent."""
+    if message is None:
+        return f"nothing yet{': ' + complaint if complaint else ''}"
+    force_n = _length(message.wrench.force)
+    text = f"{rate_hz:5.1f} Hz {force_n:6.1f} N  {_contacts(message.contacts)}"
+    absent = listed([_patch(node) for node in message.absent])
+    return text + (f"  absent: {absent}" if absent else "")
+
+
+def _contacts(contacts: Sequence[TactileContact]) -> str:
+    if not contacts:
+        return "no contact"
+    named = [
+        f"{_patch(contact.patch)} {_length(contact.force):.1f} N "
+        f"({_millimetres(contact.position)} mm)"
+        for contact in contacts[:MOST_NAMED]
+    ]
+    more = len(contacts) - len(named)
+    return "; ".join(named) + (f"; {more} more" if more else "")
+
+
+def _patch(node: str) -> str:
+    """The patch, as the body file has it: left_palm of /left_palm/skin."""
+    return node.strip("/").removesuffix(f"/{NODE_NAME}")
+
+
+def _millimetres(place: object) -> str:
+    return " ".join(str(round(1e3 * getattr(place, axis))) for axis in "xyz")
+
+
+def _length(vector: object) -> float:
+    return float(np.linalg.norm([getattr(vector, axis) for axis in "xyz"]))
+
+
+def _report(viewer: BodyViewer, seconds: float) -> None:
+    begin_s = time.monotonic()
+    lines = 0
+    before = 0
+    while (now_s := time.monotonic()) < begin_s + seconds:
+        rclpy.spin_once(viewer, timeout_sec=0.1)
+        if now_s >= begin_s + (lines + 1) * LINE_S:
+            lines += 1
+            rate_hz, before = (viewer.received - before) / LINE_S, viewer.received
+            print(line(viewer.latest, rate_hz, viewer.complaint), flush=True)
+
+
+def main() -> int:
+    """Print until interrupted or for --seconds; returns the exit code, 1: nothing came."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--body", default="/body", help="the body's node")
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="default: until Ctrl-C")
+    arguments = parser.parse_args(remove_ros_args(sys.argv)[1:])
+    rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+    viewer = BodyViewer(arguments.body)
+    raise_when_told_to_end()
+    with suppress(KeyboardInterrupt):
+        _report(viewer, arguments.seconds)
+    viewer.destroy_node()
+    rclpy.try_shutdown()
+    latest = viewer.latest
+    if latest is None:
+        reason = viewer.complaint or "does the node body run?"
+        print(f"no message on {arguments.body}/contacts: {reason}", file=sys.stderr)
+    absent = len(latest.absent) if latest else 0
+    print(f"received={viewer.received} lost={viewer.lost} absent={absent}")
+    return 0 if latest else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a viewer has to know of a patch: its topics, and its layout from what it publishes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tactile_cdma.msg import TactileSkinInfo
+
+from ...config.body_file import NODE_NAME as NODE_NAME  # viewers take it from here
+from ...places.layout import Layout
+from ...places.layout_shapes import seen_from_outside
+from ...places.proximity import usual_distance_m
+from ..common.convert import rows
+
+ARRAY_TOPIC = "tactile"
+
+
+def full_name(patch: str) -> str:
+    """The driver's fully qualified name: left_palm and /left_palm/skin are the same patch."""
+    name = patch.strip("/")
+    return f"/{name}" if name == NODE_NAME or "/" in patch else f"/{name}/{NODE_NAME}"
+
+
+def layout_of(info: TactileSkinInfo) -> Layout:
+    """The layout that a driver has published.
+
+    Places on the unrolled skin are not among it: an irregular skin's are seen from outside.
+    """
+    positions_m, normals = rows(info.positions), rows(info.normals)
+    areas_m2 = np.array(info.area, dtype=np.float32)
+    irregular = info.height == 1 and info.width > 1
+    pitch_m = usual_distance_m(positions_m, normals) if irregular else None
+    return Layout(
+        name=info.header.frame_id,
+        rows=info.height,
+        columns=info.width,
+        positions_m=positions_m,
+        normals=normals,
+        areas_m2=areas_m2,
+        flat_m=seen_from_outside(positions_m, normals).astype(np.float32),
+        nodes=np.array(info.node, dtype=np.int32),
+        pitch_m=pitch_m or float(np.sqrt(np.median(areas_m2))),
+        irregular=irregular,
+    )

@@ -1,0 +1,252 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""A patch in the Rerun viewer: its surface, picture, contacts, curves and complaints.
+
+Everything has the time of its header, on the timeline `stamp`, and if it comes from the digitizer
+that on `device_time`. Curves keep every frame; surface, picture and arrows are those of the newest
+frame at each flush().
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+
+from ...places.layout import Layout
+from ...places.mesh import taxel_squares
+from ...places.poses import Pose
+from ...views.heatmap import colours, heatmap
+
+STAMP, DEVICE_TIME = "stamp", "device_time"
+SHOWN_S = 20.0
+"""What curves show of the past."""
+HALF_LENGTH_N = 5.0
+"""An arrow of this force is half as long as the longest, which is half as long as the skin."""
+PIXELS = 16
+"""Of a pitch in the picture, at most."""
+EYE = (0.55, -1.05, 0.85)
+"""Where skins are looked at from, in their extent from their middle."""
+BACKGROUND_RGB = (44, 50, 58)
+"""Lighter than a skin that nothing touches."""
+PATCH_RGB = (
+    (80, 200, 255),
+    (130, 220, 120),
+    (235, 235, 235),
+    (180, 140, 255),
+    (255, 170, 200),
+    (90, 140, 255),
+    (200, 200, 90),
+    (160, 160, 160),
+)
+"""Of curves and arrows, patch after patch; none of them is on the scale of pressure."""
+
+
+class PatchScene:
+    """Logs one patch under its name. index: counts patches; tells them apart by colour."""
+
+    def __init__(self, recording: rr.RecordingStream, path: str, index: int, max_pa: float) -> None:
+        self.path = path
+        self._rgb = PATCH_RGB[index % len(PATCH_RGB)]
+        self._recording = recording
+        self._max_pa = max_pa
+        self.pose = Pose(np.eye(3), np.zeros(3))
+        """Of the patch in the frame it is shown in."""
+        self._shown_place: NDArray[np.float64] | None = None
+        self._layout: Layout | None = None
+        self._pressure_pa: NDArray[np.float32] | None = None
+        self._contacts: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+        self._now = (0, 0)
+        self._curves: dict[str, list[tuple[int, int, float]]] = defaultdict(list)
+        self._slots: dict[int, int] = {}  # of the contacts that there are, by id
+
+    def place(self, layout: Layout) -> None:
+        """Geometry, from now on."""
+        self._layout, self._pressure_pa = layout, None
+        self._extent_m = float(np.ptp(layout.positions_m, axis=0).max()) + layout.pitch_m
+        corners_m = taxel_squares(layout)[layout.nodes > 0].reshape(-1, 3)
+        # Without normals it is not shaded, so that colours are those of the scale.
+        surface = rr.Mesh3D(
+            vertex_positions=corners_m,
+            triangle_indices=np.arange(len(corners_m)).reshape(-1, 3),
+        )
+        self._recording.log(f"{self.path}/surface", surface, static=True)
+        for entity, width in (("force", 2.5), ("peak", 1.5)):
+            self._style(entity, self.path, width)
+
+    @property
+    def places_m(self) -> NDArray[np.float64]:
+        """(t, 3) places of its taxels in the frame it is shown in."""
+        assert self._layout is not None
+        return self.pose.apply(self._layout.positions_m.astype(np.float64))
+
+    @property
+    def picture_px(self) -> tuple[int, int]:
+        """Height and width of its picture."""
+        assert self._layout is not None
+        taxels = np.zeros(len(self._layout), dtype=np.float32)
+        height, width, _ = heatmap(taxels, self._layout, self._max_pa, PIXELS).shape
+        return height, width
+
+    def take_frame(self, stamp_ns: int, device_us: int, pressure_pa: NDArray[np.float32]) -> None:
+        """A frame's pressures, (t,) float32, Pa, if it is of the layout that is in force."""
+        if self._layout is None or len(pressure_pa) != len(self._layout):
+            return
+        self._now = (stamp_ns, device_us)
+        self._pressure_pa = pressure_pa
+        peak_kpa = float(np.fmax.reduce(pressure_pa)) * 1e-3
+        self._curves["peak"].append((stamp_ns, device_us, peak_kpa))
+
+    def take_contacts(
+        self,
+        stamp_ns: int,
+        ids: list[int],
+        position_m: NDArray[np.float64],
+        force_n: NDArray[np.float64],
+    ) -> None:
+        """A frame's contacts, c of them; position_m and force_n: (c, 3).
+
+        Curves of contacts are numbered by the least number that is free, so there are no more of
+        them than there were contacts at once.
+        """
+        if self._layout is None:
+            return
+        device_us = self._now[1]
+        size_n = np.linalg.norm(force_n, axis=1)
+        resultant_n = float(np.linalg.norm(force_n.sum(axis=0)))
+        self._curves["force"].append((stamp_ns, device_us, resultant_n))
+        ended = [contact for contact in self._slots if contact not in ids]
+        for contact in ended:
+            slot = self._slots.pop(contact)
+            self._curves[f"force/contact_{slot}"].append((stamp_ns, device_us, float("nan")))
+        for contact, newtons in zip(ids, size_n.tolist(), strict=True):
+            if contact not in self._slots:
+                taken = set(self._slots.values())
+                slot = next(n for n in range(1, len(taken) + 2) if n not in taken)
+                self._slots[contact] = slot
+                self._style(f"force/contact_{slot}", f"contact {slot}", 1.0)
+            slot = self._slots[contact]
+            self._curves[f"force/contact_{slot}"].append((stamp_ns, device_us, newtons))
+        self._contacts = (position_m, force_n)
+
+    def complain(self, stamp_ns: int, level: str, text: str) -> None:
+        """What the driver says of itself. level: as of rr.TextLogLevel."""
+        self._recording.reset_time()
+        self._recording.set_time(STAMP, timestamp=np.datetime64(stamp_ns, "ns"))
+        self._recording.log(f"{self.path}/diagnostics", rr.TextLog(text, level=level))
+
+    def flush(self) -> None:
+        """Log what has come since the last time."""
+        for name, values in self._curves.items():
+            self._log_curve(f"{self.path}/{name}", values)
+        self._curves.clear()
+        if self._layout is None or self._pressure_pa is None:
+            return
+        stamp_ns, device_us = self._now
+        self._recording.set_time(STAMP, timestamp=np.datetime64(stamp_ns, "ns"))
+        self._recording.set_time(DEVICE_TIME, duration=np.timedelta64(device_us, "us"))
+        place = np.column_stack([self.pose.rotation, self.pose.translation_m])
+        if self._shown_place is None or not np.array_equal(place, self._shown_place):
+            transform = rr.Transform3D(translation=place[:, 3], mat3x3=place[:, :3])
+            self._recording.log(self.path, transform)
+            self._shown_place = place
+        paint = colours(self._pressure_pa, self._max_pa)[self._layout.nodes > 0]
+        surface = rr.Mesh3D.from_fields(vertex_colors=np.repeat(paint, 6, axis=0))
+        self._recording.log(f"{self.path}/surface", surface)
+        picture = heatmap(self._pressure_pa, self._layout, self._max_pa, PIXELS)
+        self._recording.log(f"{self.path}/heatmap", rr.Image(picture))
+        if self._contacts is not None:
+            self._recording.log(f"{self.path}/contacts", self._arrows(*self._contacts))
+        self._pressure_pa = self._contacts = None
+
+    def _arrows(self, position_m: NDArray[np.float64], force_n: NDArray[np.float64]) -> rr.Arrows3D:
+        """An arrow per contact, longer for more force."""
+        size_n = np.linalg.norm(force_n, axis=1)
+        extent_m = self._extent_m
+        vectors_m = force_n * (extent_m / 2 / (size_n + HALF_LENGTH_N))[:, None]
+        return rr.Arrows3D(
+            origins=position_m - vectors_m,  # what touches the skin comes from outside
+            vectors=vectors_m,
+            radii=extent_m / 80,
+            colors=self._rgb,
+            labels=[f"{newtons:.1f} N" for newtons in size_n],
+            show_labels=True,
+        )
+
+    def _style(self, curve: str, name: str, width: float) -> None:
+        style = rr.SeriesLines(names=name, widths=width, colors=self._rgb)
+        self._recording.log(f"{self.path}/{curve}", style, static=True)
+
+    def _log_curve(self, path: str, values: list[tuple[int, int, float]]) -> None:
+        stamp_ns, device_us, value = zip(*values, strict=True)
+        times = [
+            rr.TimeColumn(STAMP, timestamp=np.array(stamp_ns, dtype="datetime64[ns]")),
+            rr.TimeColumn(DEVICE_TIME, duration=np.array(device_us, dtype="timedelta64[us]")),
+        ]
+        self._recording.send_columns(path, times, rr.Scalars.columns(scalars=value))
+
+
+def blueprint(scenes: Mapping[PatchScene, str]) -> rrb.Blueprint:
+    """How patches are shown that have been placed. scenes: of each the frame it is shown in."""
+    frames = list(dict.fromkeys(scenes.values()))
+    spaces = [_space(frame, [s for s in scenes if scenes[s] == frame]) for frame in frames]
+    past = rrb.VisibleTimeRange(
+        STAMP,
+        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-SHOWN_S),
+        end=rrb.TimeRangeBoundary.cursor_relative(),
+    )
+    curves = [
+        rrb.TimeSeriesView(
+            name=name,
+            contents=[f"/{scene.path}/{entity}" for scene in scenes],
+            time_ranges=past,
+            plot_legend=rrb.PlotLegend(visible=legend),
+        )
+        for name, entity, legend in (
+            ("force, N", "force/**", False),
+            ("peak, kPa", "peak", True),
+        )
+    ]
+    log = rrb.TextLogView(
+        name="diagnostics", contents=[f"/{scene.path}/diagnostics" for scene in scenes]
+    )
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Grid(*spaces),
+            rrb.Vertical(rrb.Grid(*map(_picture, scenes)), *curves, log, row_shares=[4, 2, 2, 2]),
+            column_shares=[3, 2],
+        ),
+        rrb.TimePanel(timeline=STAMP, state="collapsed", play_state="following"),
+        collapse_panels=True,
+    )
+
+
+def _space(frame: str, scenes: Sequence[PatchScene]) -> rrb.Spatial3DView:
+    """All patches whose places are known in a frame, seen as a whole."""
+    places_m = np.concatenate([scene.places_m for scene in scenes])
+    low, high = places_m.min(axis=0), places_m.max(axis=0)
+    centre_m, extent_m = (low + high) / 2, float((high - low).max())
+    return rrb.Spatial3DView(
+        name=frame,
+        contents=[f"/{s.path}/{entity}" for s in scenes for entity in ("surface", "contacts")],
+        background=BACKGROUND_RGB,
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(
+            position=centre_m + extent_m * np.array(EYE), look_target=centre_m, eye_up=[0, 0, 1]
+        ),
+    )
+
+
+def _picture(scene: PatchScene) -> rrb.Spatial2DView:
+    """A patch's picture, all of it."""
+    height, width = scene.picture_px
+    return rrb.Spatial2DView(
+        origin=f"/{scene.path}/heatmap",
+        name=scene.path,
+        background=BACKGROUND_RGB,
+        visual_bounds=rrb.VisualBounds2D(x_range=[0, width], y_range=[0, height]),
+    )

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Counts messages as they arrive: rate, losses, age."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+RATE_SPAN_S = 3.0
+
+
+class Tally:
+    """Counts what arrived. Latency is a message's age: from the middle of its frame to here.
+
+    published: frames that the driver counted between the first and the last one received; where it
+        was started again, over all its runs.
+    lost: those of them that did not arrive.
+    """
+
+    def __init__(self) -> None:
+        self.received = 0
+        self.published = 0
+        self.latency_ms: deque[float] = deque(maxlen=100_000)
+        self._run: tuple[int, int] | None = None  # info_id and sequence of the last message
+        self._arrivals_s: deque[float] = deque(maxlen=512)
+        self._begin_s = self._end_s = 0.0
+        self._first_age_s = self._least_age_s = 0.0
+
+    def add(self, info_id: int, sequence: int, age_s: float, now_s: float) -> None:
+        """One message arrived."""
+        continues = self._run is not None and self._run[0] == info_id and sequence > self._run[1]
+        self.published += sequence - self._run[1] if continues and self._run else 1
+        self._run = (info_id, sequence)
+        if not self.received:
+            self._begin_s, self._first_age_s, self._least_age_s = now_s, age_s, age_s
+        self._least_age_s = min(self._least_age_s, age_s)
+        self.received += 1
+        self.latency_ms.append(age_s * 1e3)
+        self._arrivals_s.append(now_s)
+
+    @property
+    def lost(self) -> int:
+        """Frames that did not arrive."""
+        return self.published - self.received
+
+    def end(self, now_s: float) -> None:
+        """Nothing more is counted."""
+        self._end_s = now_s
+
+    @property
+    def mean_rate_hz(self) -> float:
+        """Messages per second from the first one to the end.
+
+        The first one often takes longer than the others: it counts from when it could have come.
+        """
+        span_s = self._end_s - self._begin_s + self._first_age_s - self._least_age_s
+        return (self.received - 1) / span_s if self.received > 1 else 0.0
+
+    def rate_hz(self, now_s: float) -> float:
+        """Messages per second over the last few seconds."""
+        recent = [t for t in self._arrivals_s if now_s - t < RATE_SPAN_S]
+        span = now_s - recent[0] if len(recent) > 1 else 0.0
+        return (len(recent) - 1) / span if span > 0 else 0.0
+
+    def percentile_ms(self, percent: float, last: int | None = None) -> float:
+        """A percentile of the latency, over all or the last few messages."""
+        values = list(self.latency_ms)[-last:] if last else self.latency_ms
+        return float(np.percentile(values, percent)) if values else float("nan")
+
+
+def summary(tally: Tally) -> str:
+    """A viewer's last line: key=value pairs."""
+    return (
+        f"published={tally.published} received={tally.received} lost={tally.lost} "
+        f"rate_hz={tally.mean_rate_hz:.2f} p50_ms={tally.percentile_ms(50):.2f} "
+        f"p99_ms={tally.percentile_ms(99):.2f}"
+    )

@@ -1,0 +1,277 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""A terminal viewer: subscribes to a skin's topics like any other client.
+
+On a terminal it draws the skin live; otherwise, or with --seconds, it prints a line per second
+and ends with a summary of `key=value` pairs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import shutil
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from numpy.typing import NDArray
+from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+
+from tactile_cdma.msg import TactileArray, TactileSkinInfo
+
+from ...base.interrupt import raise_when_told_to_end
+from ...places.layout import Layout
+from ...views.history import History
+from ...views.terminal import Look, Numbers, Reading, scale, screen, sparkline, status_lines
+from ..common.convert import nanoseconds
+from ..common.qos import LATCHED
+from .complaints import LEVELS, Complaints
+from .keys import Keys
+from .patches import full_name, layout_of
+from .tally import Tally, summary
+
+DRAW_PERIOD_S = 0.1
+HISTORY_S = 20.0
+PATIENCE_S = 10.0
+RIVALS_S = 0.5
+COMPLAINTS = 3
+"""So many of the driver's complaints are shown, the worst first."""
+QUEUE = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=256, reliability=ReliabilityPolicy.BEST_EFFORT
+)
+LEAST_SCALE_PA, MOST_SCALE_PA = 100.0, 1e8
+KEY_HELP = "n numbers   h force/peak   + - scale   q ends"
+_HOME, _CLEAR_BELOW, _CLEAR_LINE = "\x1b[H", "\x1b[J", "\x1b[K"
+_ENTER, _LEAVE = "\x1b[?1049h\x1b[?25l", "\x1b[?25h\x1b[?1049l"
+
+
+class Viewer(Node):
+    """Keeps the latest frame, what came of late, and what the driver last said of itself."""
+
+    def __init__(self, topic: str) -> None:
+        super().__init__("skin_view")
+        self.tally = Tally()
+        self.force_n, self.peak_pa = History(HISTORY_S), History(HISTORY_S)
+        self.latest: TactileArray | None = None
+        self.layout: Layout | None = None
+        self._topic = topic
+        self.patch = driver = topic.rpartition("/")[0]
+        self.complaints = Complaints(driver.strip("/"))
+        self.create_subscription(TactileArray, topic, self._receive, QUEUE)
+        self.create_subscription(TactileSkinInfo, f"{driver}/info", self._inform, LATCHED)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self.complaints.take, 10)
+        self.rivals = ""  # that frames of several drivers are mixed up here, and what to do
+        self.create_timer(RIVALS_S, self._count_drivers)
+
+    @property
+    def complaint(self) -> str:
+        """The worst that is known of the driver now: that there are two, or what it says itself."""
+        worst = self.complaints.worst_first()
+        return self.rivals or (worst[0].message if worst else "")
+
+    def _count_drivers(self) -> None:
+        drivers, self.rivals = self.count_publishers(self._topic), ""
+        if drivers > 1:
+            self.rivals = f"{drivers} drivers publish {self._topic}: "
+            self.rivals += "end one, or set another ROS_DOMAIN_ID"
+
+    def _inform(self, message: TactileSkinInfo) -> None:
+        self.layout = layout_of(message)
+
+    def _receive(self, message: TactileArray) -> None:
+        now_s = time.monotonic()
+        age_ns = self.get_clock().now().nanoseconds - nanoseconds(message.header.stamp)
+        self.tally.add(message.info_id, message.sequence, age_ns * 1e-9, now_s)
+        self.latest = message
+        pressure_pa = np.array(message.pressure, dtype=np.float32)
+        self.peak_pa.add(now_s, float(np.fmax.reduce(pressure_pa)))
+        if self.layout is not None and len(self.layout) == len(pressure_pa):
+            self.force_n.add(now_s, float(np.nansum(pressure_pa * self.layout.areas_m2)))
+
+    def reading(self, message: TactileArray) -> Reading:
+        """A frame, to be drawn; before the layout has come by rows and columns."""
+        pressure_pa = np.array(message.pressure, dtype=np.float32)
+        taxels = np.arange(len(pressure_pa), dtype=np.int32)
+        raster, nodes = taxels.reshape(message.height, message.width), taxels + 1
+        if self.layout is not None and len(self.layout) == len(taxels):
+            raster, nodes = self.layout.raster, self.layout.nodes
+        return Reading(pressure_pa, np.array(message.status, dtype=np.uint8), raster, nodes)
+
+    def spin_for(self, seconds: float) -> None:
+        """Receive for a while."""
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0:
+            rclpy.spin_once(self, timeout_sec=left)
+
+
+def draw(
+    viewer: Viewer, message: TactileArray, look: Look, of_force: bool, size: os.terminal_size
+) -> str:
+    """One screen. of_force: the history is that of the total force, not of the peak."""
+    reading, now_s, columns = viewer.reading(message), time.monotonic(), size.columns
+    title = (
+        f"tactile_cdma  {viewer.patch}  {message.header.frame_id}  "
+        f"{message.height} x {message.width} taxels, kPa"
+    )
+    complaints = [
+        f"{LEVELS[entry.level]} {entry.name.partition(': ')[2]}: {entry.message}"
+        for entry in viewer.complaints.worst_first()
+    ]
+    notes = [
+        *filter(None, [viewer.rivals]),
+        *complaints[:COMPLAINTS],
+        scale(look, columns),
+        _state(viewer.tally, message.noise_rms, now_s),
+        _history(viewer, of_force, now_s, columns, look.unicode),
+        *status_lines(reading, look, columns),
+        KEY_HELP,
+    ]
+    lines = screen(reading, look, title, notes, columns, size.lines)
+    return _HOME + "\n".join(line + _CLEAR_LINE for line in lines) + _CLEAR_BELOW
+
+
+def _state(tally: Tally, noise_v: float, now_s: float) -> str:
+    return (
+        f"{tally.rate_hz(now_s):.1f} frames/s   lost {tally.lost}   "
+        f"age {tally.percentile_ms(50, 256):.2f} ms (p99 {tally.percentile_ms(99, 256):.2f})   "
+        f"noise {noise_v * 1e3:.2f} mV"
+    )
+
+
+def _history(viewer: Viewer, of_force: bool, now_s: float, columns: int, unicode: bool) -> str:
+    """Name, value now, the curve of the last seconds."""
+    history = viewer.force_n if of_force else viewer.peak_pa
+    name, per_unit, unit = ("force", 1.0, "N") if of_force else ("peak", 1e-3, "kPa")
+    values = history.bins(now_s, max(1, min(60, columns - 30))) * per_unit
+    known = values[~np.isnan(values)]
+    now = f"{known[-1]:.2f}" if known.size else "--"
+    top = f"{known.max():.2f}" if known.size else "--"
+    return f"{name} {now} {unit}  {sparkline(values, unicode)}  of {top}"
+
+
+def live(viewer: Viewer, look: Look) -> None:
+    """Draw until interrupted, or asked to end by a key."""
+    sys.stdout.write(_ENTER)
+    of_force = True
+    try:
+        with Keys() as keys:
+            while True:
+                viewer.spin_for(DRAW_PERIOD_S)
+                pressed = keys.read()
+                if "q" in pressed:
+                    break
+                for key in pressed:
+                    look, of_force = _obey(key, look, of_force)
+                if viewer.latest is None:
+                    picture = f"{_HOME}waiting for the first frame ...{_CLEAR_LINE}\n"
+                    picture += f"{viewer.complaint}{_CLEAR_BELOW}"
+                else:
+                    picture = draw(
+                        viewer, viewer.latest, look, of_force, shutil.get_terminal_size()
+                    )
+                sys.stdout.write(picture)
+                sys.stdout.flush()
+    finally:
+        sys.stdout.write(_LEAVE)
+        sys.stdout.flush()
+
+
+def _obey(key: str, look: Look, of_force: bool) -> tuple[Look, bool]:
+    """What a key changes."""
+    if key == "n":
+        after = {None: Numbers.TAXELS, Numbers.TAXELS: Numbers.NODES, Numbers.NODES: None}
+        return replace(look, numbers=after[look.numbers]), of_force
+    if key in "+-":
+        max_pa = look.max_pa * (2.0 if key == "+" else 0.5)
+        return replace(look, max_pa=min(max(max_pa, LEAST_SCALE_PA), MOST_SCALE_PA)), of_force
+    return look, of_force != (key == "h")
+
+
+def report(viewer: Viewer, seconds: float) -> None:
+    """A line per second for so many seconds, counted from the first frame.
+
+    What the driver complains of for more than a line goes to stderr, once.
+    """
+    patience = time.monotonic() + PATIENCE_S
+    while viewer.latest is None and time.monotonic() < patience:
+        viewer.spin_for(0.05)
+    start = time.monotonic()
+    complaint = said = ""
+    while viewer.latest is not None and (left := start + seconds - time.monotonic()) > 0:
+        before = viewer.tally.received
+        viewer.spin_for(min(1.0, left))
+        new = viewer.tally.received - before
+        pressure = in_use(viewer.latest)
+        known = pressure[~np.isnan(pressure)]
+        peak = f"{known.max() / 1e3:6.1f}" if known.size else "   --"
+        age = f"{viewer.tally.percentile_ms(50, new):.2f}" if new else "--"
+        print(
+            f"{time.monotonic() - start:5.1f} s  {new:4d} frames  lost {viewer.tally.lost}  "
+            f"age p50 {age} ms  peak {peak} kPa  "
+            f"{known.size}/{pressure.size} taxels valid",
+            flush=True,
+        )
+        lasting = complaint if complaint == viewer.complaint else ""
+        if lasting and lasting != said:
+            print(f"driver: {lasting}", file=sys.stderr, flush=True)
+            said = lasting
+        complaint = viewer.complaint
+
+
+def in_use(message: TactileArray) -> NDArray[np.float32]:
+    """Pressures of the taxels that are not out of service."""
+    status = np.array(message.status, dtype=np.uint8)
+    pressure = np.array(message.pressure, dtype=np.float32)
+    return np.asarray(pressure[status & TactileArray.STATUS_MASKED == 0])
+
+
+def main() -> int:
+    """View until interrupted or for the time asked; exit code 1 if nothing arrived."""
+    parser = argparse.ArgumentParser(prog="skin_view", description=__doc__)
+    parser.add_argument("patch", nargs="?", default="skin", help="left_palm, or /left_palm/skin")
+    parser.add_argument("--topic", help="TactileArray topic, instead of a patch")
+    parser.add_argument("--seconds", type=float, help="print a line per second for so long")
+    parser.add_argument("--max-kpa", type=float, default=140.0, help="top of the colour scale")
+    arguments = parser.parse_args(remove_ros_args(sys.argv)[1:])
+    if not arguments.max_kpa > 0:
+        parser.error(f"--max-kpa is {arguments.max_kpa:g}; it must be above 0")
+    topic = arguments.topic or f"{full_name(arguments.patch)}/tactile"
+    rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+    viewer = Viewer(topic)
+    terminal = sys.stdin.isatty() and sys.stdout.isatty()
+    drawable = terminal and os.environ.get("TERM", "dumb") != "dumb"
+    raise_when_told_to_end()
+    try:
+        if drawable and arguments.seconds is None:
+            live(viewer, look_for(sys.stdout.encoding, arguments.max_kpa * 1e3))
+        else:
+            report(viewer, arguments.seconds or (math.inf if terminal else 10.0))
+    except KeyboardInterrupt:
+        pass
+    finally:
+        viewer.tally.end(time.monotonic())
+        viewer.destroy_node()
+        rclpy.try_shutdown()
+    if not viewer.tally.received:
+        reason = viewer.complaint or "is the driver running and active, and as this user?"
+        print(f"no frame on {topic}: {reason}", file=sys.stderr)
+    print(summary(viewer.tally))
+    return 0 if viewer.tally.received else 1
+
+
+def look_for(encoding: str, max_pa: float) -> Look:
+    """What the terminal can show; NO_COLOR is a wish, see no-color.org."""
+    unicode = encoding.lower().replace("-", "").startswith("utf")
+    return Look(max_pa, coloured=not os.environ.get("NO_COLOR"), unicode=unicode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

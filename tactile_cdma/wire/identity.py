@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""A digitizer's id: the 8 bytes of its INFO, and how people write them."""
+
+from __future__ import annotations
+
+import re
+
+from ..base.errors import ParameterError
+
+ID_BYTES = 8
+NO_ID = bytes(ID_BYTES)
+"""What a board without a number of its own reports."""
+_SEPARATORS = re.compile(r"[\s:._-]")
+
+
+def parse_id(text: str) -> bytes:
+    """The 8 bytes of an id in hexadecimal digits, with or without 0x and separators between them.
+
+    Raises ParameterError for anything else, and for zeros, which stand for no id.
+    """
+    digits = _SEPARATORS.sub("", text).lower().removeprefix("0x")
+    if not re.fullmatch(f"[0-9a-f]{{{2 * ID_BYTES}}}", digits):
+        raise ParameterError(
+            f"digitizer_id is {text!r}; it must be {2 * ID_BYTES} hexadecimal digits, as "
+            "tactile-cdma ports shows them"
+        )
+    digitizer_id = bytes.fromhex(digits)
+    if digitizer_id == NO_ID:
+        raise ParameterError(
+            f"digitizer_id is {text!r}; zeros are what boards without an id report: leave it empty"
+        )
+    return digitizer_id
+
+
+def shown_id(digitizer_id: bytes) -> str:
+    """An id as people read it, and as the RP2040's firmware names itself on USB."""
+    return "no id" if digitizer_id == NO_ID else digitizer_id.hex().upper()

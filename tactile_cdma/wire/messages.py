@@ -1,0 +1,490 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a packet says: the messages of either direction, and their payloads as bytes.
+
+Fields are those of firmware/protocol.yaml, from which `_protocol.py` is generated.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+import struct
+from collections.abc import Iterator
+from dataclasses import KW_ONLY, dataclass, field
+from typing import Any, ClassVar, TypeAlias, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.errors import SpecError
+from ..code.frame import BIPOLAR, UNIPOLAR, FrameSpec
+from ._protocol import (
+    FIELDS,
+    FLAG_CALLED,
+    FLAG_OVERRUN,
+    FLAG_SYNC,
+    MAX_SAMPLES,
+    SAMPLE_XOR,
+    VERSION,
+    Drive,
+    Field,
+    PacketType,
+    Polarity,
+    Result,
+    SyncMode,
+)
+
+M = TypeVar("M", bound="Message")
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """Fields that travel together, in the order of FIELDS[class name].
+
+    Raises SpecError for a value that its field on the wire cannot hold.
+    """
+
+    def __post_init__(self) -> None:
+        for wire in FIELDS[type(self).__name__]:
+            object.__setattr__(self, wire.name, _checked(wire, getattr(self, wire.name)))
+
+
+@dataclass(frozen=True, slots=True)
+class FrameLayout(Message):
+    """How the nodes share the line, in the wire's integers.
+
+    Every layout converts to a FrameSpec and back unchanged, and so does every FrameSpec whose
+    times are whole nanoseconds and microseconds, but for its amplitude, which doesn't travel.
+    """
+
+    nodes: int
+    bits: int
+    order: int
+    chip_ns: int
+    frame_period_us: int
+    first_row: int
+    sign_seed: int
+    natural_signs: bool
+    drive: Drive
+    polarity: Polarity
+    samples_per_chip: int
+    parity: bool = False
+    resync_chips: int = 0
+    guard_chips: int = 0
+
+    @classmethod
+    def of(cls, spec: FrameSpec, samples_per_chip: int) -> FrameLayout:
+        """The layout of a spec. Raises SpecError where the wire's integers cannot express it."""
+        return cls(
+            nodes=spec.nodes,
+            bits=spec.bits,
+            order=spec.order,
+            chip_ns=_whole("chip_s", spec.chip_s, 10**9, "nanoseconds"),
+            frame_period_us=_whole("frame_period_s", spec.frame_period_s, 10**6, "microseconds"),
+            first_row=spec.first_row,
+            sign_seed=spec.sign_seed or 0,
+            natural_signs=spec.sign_seed is None,
+            drive=Drive.UNIPOLAR if spec.drive == UNIPOLAR else Drive.BIPOLAR,
+            polarity=Polarity(spec.polarity),
+            samples_per_chip=samples_per_chip,
+            parity=spec.parity,
+            resync_chips=spec.resync_chips,
+            guard_chips=spec.guard_chips,
+        )
+
+    def spec(self, amplitude_v: float | None = None) -> FrameSpec:
+        """The FrameSpec of this layout. Raises SpecError for a combination that cannot work."""
+        return FrameSpec(
+            nodes=self.nodes,
+            bits=self.bits,
+            order=self.order,
+            chip_s=self.chip_ns / 10**9,  # rounds once, as the literal 50e-6 does
+            frame_period_s=self.frame_period_us / 10**6,
+            first_row=self.first_row,
+            sign_seed=None if self.natural_signs else self.sign_seed,
+            drive=UNIPOLAR if self.drive == Drive.UNIPOLAR else BIPOLAR,
+            polarity=int(self.polarity),
+            amplitude_v=amplitude_v,
+            parity=self.parity,
+            resync_chips=self.resync_chips,
+            guard_chips=self.guard_chips,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Packet(Message):
+    """What one packet carries.
+
+    sequence: filled in by the parser. PacketWriter numbers packets itself and ignores it, and it
+        doesn't take part in comparisons.
+    """
+
+    TYPE: ClassVar[PacketType]
+    _: KW_ONLY
+    sequence: int = field(default=0, compare=False)
+
+    def payload(self) -> bytes:
+        """The bytes after type and sequence."""
+        return WIRE[type(self).__name__].pack(*_values(self))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Info(Packet):
+    """What the digitizer is and how it is set.
+
+    sample_rate_uhz: rate of Samples.counts, µHz; in integrated mode that is the chip rate.
+    volts_per_count: V, rounded to float32; counts are relative to zero_count.
+    min_count, max_count: rails of the ADC.
+    integrated: Samples carry one mean value per chip, and none in the gap between frames.
+    quiet_uv: see Configure; 0 where the digitizer never sends Quiet.
+    """
+
+    TYPE = PacketType.INFO
+
+    frame: FrameLayout
+    sample_rate_uhz: int
+    volts_per_count: float
+    zero_count: int = 0
+    min_count: int = -(2**15)
+    max_count: int = 2**15 - 1
+    sync_mode: SyncMode = SyncMode.NONE
+    integrated: bool = False
+    quiet_uv: int = 0
+    digitizer_id: bytes = bytes(8)
+    firmware_major: int = 0
+    firmware_minor: int = 0
+    version: int = VERSION
+
+    @property
+    def sample_rate_hz(self) -> float:
+        """Rate of Samples.counts, Hz."""
+        return self.sample_rate_uhz / 10**6
+
+    def volts(self, counts: NDArray[np.int16]) -> NDArray[np.float32]:
+        """The line in V, float32, of counts of any shape."""
+        volts = counts.astype(np.float32)
+        if self.zero_count:
+            volts -= np.float32(self.zero_count)
+        volts *= np.float32(self.volts_per_count)
+        return volts
+
+
+@dataclass(frozen=True, slots=True)
+class Samples(Packet):
+    """Consecutive samples of the line.
+
+    device_time_us: when the first sample began, on the digitizer's clock.
+    first_index: index of the first sample among all samples sent or lost since START.
+    counts: (m,) int16, m = 1…MAX_SAMPLES.
+    sync: the first sample is the first of a frame.
+    overrun: samples were lost just before these.
+    called: the frame that begins with the first sample belongs to a roll call.
+    """
+
+    TYPE = PacketType.SAMPLES
+
+    device_time_us: int
+    first_index: int
+    counts: NDArray[np.int16]
+    sync: bool = False
+    overrun: bool = False
+    called: bool = False
+
+    def __post_init__(self) -> None:
+        counts = self.counts
+        if counts.ndim != 1 or counts.dtype != _INT16 or not 1 <= counts.size <= MAX_SAMPLES:
+            raise SpecError(
+                f"counts are {counts.dtype} of shape {counts.shape}; "
+                f"a packet takes int16 of shape (1…{MAX_SAMPLES},)"
+            )
+        _check_place(self)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Samples):
+            return NotImplemented
+        return (
+            self.device_time_us == other.device_time_us
+            and self.first_index == other.first_index
+            and self.sync == other.sync
+            and self.overrun == other.overrun
+            and self.called == other.called
+            and np.array_equal(self.counts, other.counts)
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def payload(self) -> bytes:
+        head = WIRE["Samples"].pack(self.device_time_us, self.first_index, _flags(self))
+        return head + (self.counts ^ SAMPLE_MASK).astype("<i2", copy=False).tobytes()
+
+
+@dataclass(frozen=True, slots=True)
+class Quiet(Packet):
+    """Consecutive samples, all within quiet_uv of each other: a whole frame's, or some of a gap.
+
+    Other fields as in Samples. count: number of samples, at least 1.
+    sum, sum_of_squares: of the counts, exact. Raises SpecError where no samples have such sums.
+    """
+
+    TYPE = PacketType.QUIET
+
+    device_time_us: int
+    first_index: int
+    count: int
+    sum: int
+    sum_of_squares: int
+    sync: bool = False
+    overrun: bool = False
+    called: bool = False
+
+    def __post_init__(self) -> None:
+        _check_place(self)
+        if not (
+            1 <= self.count < 2**32
+            and self.sum_of_squares < 2**64
+            and self.sum**2 <= self.count * self.sum_of_squares
+        ):
+            raise SpecError(
+                f"no samples that the wire can carry are {self.count} with sum {self.sum} and "
+                f"sum of squares {self.sum_of_squares}"
+            )
+
+    @classmethod
+    def of(
+        cls,
+        device_time_us: int,
+        first_index: int,
+        counts: NDArray[np.int16],
+        sync: bool = False,
+        overrun: bool = False,
+        called: bool = False,
+    ) -> Quiet:
+        """What stands for these samples, (m,) int16."""
+        wide = counts.astype(np.int64)  # sums stay below 2⁶³ for 2³² samples of 16 bits
+        total, squares = int(wide.sum()), int(np.einsum("i,i->", wide, wide))
+        return cls(device_time_us, first_index, counts.size, total, squares, sync, overrun, called)
+
+    @property
+    def mean(self) -> float:
+        """Mean of the counts."""
+        return self.sum / self.count
+
+    @property
+    def variance(self) -> float:
+        """Variance of the counts."""
+        return (self.count * self.sum_of_squares - self.sum**2) / self.count**2
+
+    def payload(self) -> bytes:
+        return WIRE["Quiet"].pack(
+            self.device_time_us,
+            self.first_index,
+            _flags(self),
+            self.count,
+            self.sum,
+            self.sum_of_squares,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Status(Packet):
+    """The digitizer's health; counts run since power-up.
+
+    uptime_us: now, on the clock of Samples.device_time_us.
+    packets_dropped: numbered but never sent, since the host or the line was too slow.
+    """
+
+    TYPE = PacketType.STATUS
+
+    uptime_us: int
+    samples_lost: int = 0
+    packets_dropped: int = 0
+    commands_refused: int = 0
+    command_errors: int = 0
+    sync_faults: int = 0
+    streaming: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Ack(Packet):
+    """Answers the command of this type and sequence."""
+
+    TYPE = PacketType.ACK
+
+    command: int
+    command_sequence: int
+    result: Result = Result.OK
+
+
+@dataclass(frozen=True, slots=True)
+class Command(Packet):
+    """Base of what the host sends."""
+
+    def ack(self, result: Result = Result.OK) -> Ack:
+        """The digitizer's answer to this command."""
+        return Ack(self.TYPE, self.sequence, result)
+
+
+@dataclass(frozen=True, slots=True)
+class GetInfo(Command):
+    """Asks for Info."""
+
+    TYPE = PacketType.GET_INFO
+
+
+@dataclass(frozen=True, slots=True)
+class Start(Command):
+    """Starts streaming."""
+
+    TYPE = PacketType.START
+
+
+@dataclass(frozen=True, slots=True)
+class Stop(Command):
+    """Ends streaming."""
+
+    TYPE = PacketType.STOP
+
+
+@dataclass(frozen=True, slots=True)
+class Configure(Command):
+    """Sets the frame layout and the way of sampling.
+
+    quiet_uv: µV; a frame, or a part of the gap, in which no two samples differ by more is sent as
+        Quiet. 0: never. See silence.py for how much is safe.
+    """
+
+    TYPE = PacketType.CONFIGURE
+
+    frame: FrameLayout
+    sync_mode: SyncMode = SyncMode.DRIVE
+    integrated: bool = False
+    quiet_uv: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class RollCall(Command):
+    """Asks every node to speak alone once."""
+
+    TYPE = PacketType.ROLL_CALL
+
+
+@dataclass(frozen=True, slots=True)
+class OtherVersion:
+    """An Info of a protocol version that this parser doesn't speak; its text is for people."""
+
+    version: int
+    sequence: int = field(default=0, compare=False)
+
+    def __str__(self) -> str:
+        return (
+            f"the digitizer speaks protocol version {self.version}, this driver speaks {VERSION}: "
+            "update whichever is older"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Rejected:
+    """A command that arrived intact but cannot be carried out; `ack` tells its sender why."""
+
+    command: int
+    result: Result
+    sequence: int = field(default=0, compare=False)
+
+    def ack(self) -> Ack:
+        """The digitizer's answer to this command."""
+        return Ack(self.command, self.sequence, self.result)
+
+
+Received: TypeAlias = Packet | OtherVersion | Rejected
+
+
+def _check_place(packet: Samples | Quiet) -> None:
+    if not (0 <= packet.device_time_us < 2**64 and 0 <= packet.first_index < 2**64):
+        raise SpecError(
+            f"device_time_us {packet.device_time_us} and first_index {packet.first_index} "
+            "must lie within 0…2⁶⁴−1"
+        )
+
+
+def _flags(packet: Samples | Quiet) -> int:
+    return FLAG_SYNC * packet.sync | FLAG_OVERRUN * packet.overrun | FLAG_CALLED * packet.called
+
+
+def _codes(name: str) -> str:
+    """The struct codes of a message, nested ones written out."""
+    return "".join(_codes(wire.code) if wire.code in FIELDS else wire.code for wire in FIELDS[name])
+
+
+def _values(message: Message) -> Iterator[Any]:
+    """Field values in wire order."""
+    for wire in FIELDS[type(message).__name__]:
+        value = getattr(message, wire.name)
+        if isinstance(value, Message):
+            yield from _values(value)
+        else:
+            yield value
+
+
+def build(kind: type[M], values: Iterator[Any], **extra: Any) -> M:
+    """A message from its field values in wire order: the inverse of _values."""
+    fields = {
+        wire.name: build(FrameLayout, values) if wire.code == "FrameLayout" else next(values)
+        for wire in FIELDS[kind.__name__]
+    }
+    return kind(**fields, **extra)
+
+
+def _checked(wire: Field, value: Any) -> Any:
+    """The value as the receiver will see it. Raises SpecError if the field cannot hold it."""
+    if wire.code in FIELDS:
+        return value
+    if wire.code == "f":
+        with np.errstate(over="ignore"):
+            value = float(np.float32(value))
+        good = math.isfinite(value)
+    elif wire.code == "8s":
+        good = len(value) == 8
+    elif isinstance(wire.allowed, range):
+        value = operator.index(value)
+        good = value in wire.allowed
+    else:
+        assert wire.allowed is not None, "integers have limits"
+        good = value in tuple(wire.allowed) if wire.allowed is not bool else value in (0, 1)
+        value = wire.allowed(value) if good else value
+    if not good:
+        raise SpecError(f"{wire.name} is {value!r}; the wire cannot carry that")
+    return value
+
+
+def _whole(name: str, seconds: float, per_second: int, unit: str) -> int:
+    """Seconds as a whole number of units. Raises SpecError where that would change the time."""
+    count = round(seconds * per_second)
+    if abs(seconds * per_second - count) > 1e-9 * count:  # more than rounding of the float
+        raise SpecError(
+            f"{name} is {seconds:g} s, but the digitizer takes whole {unit}: {count / per_second:g}"
+        )
+    return count
+
+
+WIRE = {name: struct.Struct("<" + _codes(name)) for name in FIELDS}
+"""Layout of every message's bytes."""
+SAMPLE_MASK = np.int16(SAMPLE_XOR)
+"""Sample words travel XORed with this."""
+PACKETS: dict[int, type[Packet]] = {
+    kind.TYPE: kind
+    for kind in (
+        Info,
+        Samples,
+        Quiet,
+        Status,
+        Ack,
+        GetInfo,
+        Start,
+        Stop,
+        Configure,
+        RollCall,
+    )
+}
+"""Packets by the first byte of their body."""
+_INT16 = np.dtype(np.int16)

@@ -1,0 +1,312 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Packets ↔ bytes: the wire protocol between digitizer and host. No I/O; see docs/protocol.md.
+
+A packet travels as COBS(body + CRC-32 of body) + 0x00, with body = type, sequence, payload:
+
+    PacketWriter.encode(packet) → bytes → PacketParser.feed(bytes) → [packet, …]
+
+Both sides of the line use the same two classes: the parser knows the packets of either direction.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from array import array
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..base.errors import SpecError
+from ._protocol import (
+    FLAG_CALLED,
+    FLAG_OVERRUN,
+    FLAG_SYNC,
+    MAX_GAP,
+    MAX_SAMPLES,
+    VERSION,
+    PacketType,
+    Result,
+)
+from .cobs import cobs_decode, cobs_encode
+from .messages import (
+    PACKETS,
+    SAMPLE_MASK,
+    WIRE,
+    Info,
+    OtherVersion,
+    Packet,
+    Quiet,
+    Received,
+    Rejected,
+    Samples,
+    build,
+)
+
+SEQUENCES = 2**16
+"""Packets are counted modulo this."""
+MAX_REPEATED = 64
+"""Packets in a row that are taken for repeated ones; with another one the sender has restarted."""
+
+
+@dataclass(slots=True)
+class Counters:
+    """What a parser has seen since it was made."""
+
+    bytes: int = 0
+    packets: int = 0
+    """With a good CRC, the unknown and the malformed among them."""
+    crc_errors: int = 0
+    framing_errors: int = 0
+    """Bytes between two delimiters that are no COBS."""
+    malformed: int = 0
+    """Good CRC, but a length or a value that the type cannot have."""
+    unknown: int = 0
+    """Good CRC, but a type of a newer firmware."""
+    lost_packets: int = 0
+    """Missing from the sequence, for whatever reason."""
+    jumps: int = 0
+    """The sequence went back or far ahead: the sender restarted."""
+    repeated_packets: int = 0
+    """Of the digitizer: came before, or later than its successors. Samples are dropped then."""
+    resyncs: int = 0
+    """Runs longer than any packet without a delimiter."""
+    text_bytes: int = 0
+    """Printable ASCII before the first packet."""
+
+
+class PacketParser:
+    """Finds the packets in a stream of bytes that may be cut, corrupted or something else.
+
+    However the stream is divided over calls of `feed`, packets and counters come out the same.
+    At most one packet's bytes are held back. Bytes before the first delimiter may be the rest of a
+    packet, or line noise, and so may count as one framing or CRC error.
+
+    The sequence tells what was lost: a gap of up to MAX_GAP packets is a loss of that many.
+    Anything else, that is a step back (0xFFFF → 0 is none) or a step further ahead, counts as one
+    jump and no loss, and counting goes on from there: that is what a sender that restarts looks
+    like.
+
+    Samples that come again, by their packet's sequence and CRC, are dropped and counted, as are
+    such that come after later ones: their loss was counted before. What else a digitizer says is
+    counted, but passed on: after a reset it says the same as before. A restart is hardly taken for
+    repetition, as other samples at other times have other CRCs; where they are the same,
+    most_repeated packets in a row are dropped and no more. Commands do not count as repeated: each
+    host counts from 0, and nothing else is in the shortest of them.
+    """
+
+    def __init__(self, most_repeated: int = MAX_REPEATED) -> None:
+        """most_repeated: 0 where packets come again by intention, as in a loop."""
+        self._most_repeated = most_repeated
+        self._partial = bytearray()  # begins after the last delimiter
+        self._skipping = False  # within a run that is no packet: too long for one, or cut
+        self._expected: int | None = None
+        # CRC of the last packet of each sequence, or what is known of it else.
+        self._past = array("q", [_NEVER]) * SEQUENCES
+        self._repeated = 0  # in a row, up to now
+        self._seen = Counters()
+
+    @property
+    def counters(self) -> Counters:
+        """A snapshot of what was seen so far."""
+        seen = replace(self._seen)
+        if not seen.packets:
+            seen.text_bytes += _text(self._partial)
+        return seen
+
+    def feed(self, data: bytes) -> list[Received]:
+        """The packets that these bytes complete."""
+        self._seen.bytes += len(data)
+        *runs, rest = data.split(b"\0")
+        if runs and self._partial:
+            runs[0] = b"".join((self._partial, runs[0]))
+            self._partial.clear()
+        packets: list[Received] = []
+        for run in runs:
+            if self._skipping:  # this ends it
+                self._skipping = False
+                self._no_packet(run)
+            elif run and (packet := self._parse(run)) is not None:
+                packets.append(packet)
+        if self._skipping:
+            self._no_packet(rest)
+        else:
+            self._partial += rest
+            if len(self._partial) > _MAX_RUN:
+                self._seen.resyncs += 1
+                self._skipping = True
+                self._no_packet(self._partial)
+                self._partial.clear()
+        return packets
+
+    def skip(self) -> None:
+        """Bytes were left out here: a packet that this cut is lost, and not broken."""
+        self._partial.clear()
+        self._skipping = True
+
+    def _parse(self, run: bytes) -> Received | None:
+        """The packet between two delimiters, if it is one."""
+        if len(run) > _MAX_RUN:
+            self._seen.resyncs += 1
+            self._no_packet(run)
+            return None
+        try:
+            raw = cobs_decode(run)
+        except ValueError:
+            self._seen.framing_errors += 1
+            self._no_packet(run)
+            return None
+        if zlib.crc32(raw) != _RESIDUE or len(raw) < _CRC.size:
+            self._seen.crc_errors += 1
+            self._no_packet(run)
+            return None
+        self._seen.packets += 1
+        if len(raw) < _HEADER.size + _CRC.size:
+            self._seen.malformed += 1
+            return None
+        type_byte, sequence = _HEADER.unpack_from(raw)
+        (crc,) = _CRC.unpack_from(raw, len(raw) - _CRC.size)
+        if sequence == self._expected or self._follows(type_byte, sequence, crc):
+            self._past[sequence], self._repeated = crc, 0
+            self._expected = (sequence + 1) % SEQUENCES
+        elif type_byte in (PacketType.SAMPLES, PacketType.QUIET):
+            return None
+        if type_byte == PacketType.SAMPLES:
+            return self._samples(sequence, raw)
+        return self._interpret(type_byte, sequence, raw[_HEADER.size : -_CRC.size])
+
+    def _no_packet(self, run: bytes | bytearray) -> None:
+        if not self._seen.packets:
+            self._seen.text_bytes += _text(run)
+
+    def _follows(self, type_byte: int, sequence: int, crc: int) -> bool:
+        """Whether a packet out of sequence is news; keeps account by the rules of the class."""
+        if self._expected is None:
+            return True
+        gap = (sequence - self._expected) % SEQUENCES
+        if gap <= MAX_GAP:
+            self._seen.lost_packets += gap
+            for ahead in range(gap):
+                self._past[(self._expected + ahead) % SEQUENCES] = _MISSING
+            return True
+        known = self._past[sequence] in (crc, _MISSING) and not type_byte & _COMMAND_BIT
+        if known and self._repeated < self._most_repeated:
+            self._repeated += 1
+            self._seen.repeated_packets += 1
+            return False
+        self._seen.jumps += 1
+        return True
+
+    def _samples(self, sequence: int, raw: bytes) -> Samples | None:
+        """Samples, which are nearly all of the traffic: taken from the bytes without copying."""
+        size = len(raw) - _SAMPLES_END
+        if size <= 0 or size % 2:
+            self._seen.malformed += 1
+            return None
+        device_time_us, first_index, flags = WIRE["Samples"].unpack_from(raw, _HEADER.size)
+        words = np.frombuffer(raw, "<i2", size // 2, _SAMPLES_END - _CRC.size)
+        return Samples(
+            device_time_us,
+            first_index,
+            words ^ SAMPLE_MASK,
+            bool(flags & FLAG_SYNC),
+            bool(flags & FLAG_OVERRUN),
+            bool(flags & FLAG_CALLED),
+            sequence=sequence,
+        )
+
+    def _interpret(self, type_byte: int, sequence: int, payload: bytes) -> Received | None:
+        """The packet of an intact body; of the unusable ones only commands need an answer."""
+        kind = PACKETS.get(type_byte)
+        if kind is Info and payload and payload[0] != VERSION:
+            return OtherVersion(payload[0], sequence)
+        if kind is None:
+            self._seen.unknown += 1
+            reason = Result.UNKNOWN_COMMAND
+        elif len(payload) != (wire := WIRE[kind.__name__]).size:
+            self._seen.malformed += 1
+            reason = Result.BAD_LENGTH
+        else:
+            try:
+                if kind is Quiet:
+                    return _quiet(sequence, payload)
+                return build(kind, iter(wire.unpack(payload)), sequence=sequence)
+            except SpecError:
+                self._seen.malformed += 1
+                reason = Result.OUT_OF_RANGE
+        return Rejected(type_byte, reason, sequence) if type_byte & _COMMAND_BIT else None
+
+
+class PacketWriter:
+    """Numbers packets and turns them into bytes; a sender has one.
+
+    sequence: of the next packet. A sender that has to drop a packet adds 1, so that the receiver
+        learns of it.
+    """
+
+    def __init__(self, sequence: int = 0) -> None:
+        self.sequence = sequence
+
+    def encode(self, packet: Packet) -> bytes:
+        """The bytes of the next packet, delimiter included."""
+        header = _HEADER.pack(packet.TYPE, self.sequence % SEQUENCES)
+        self.sequence = (self.sequence + 1) % SEQUENCES
+        return wrap(header + packet.payload())
+
+
+def diagnose(counters: Counters) -> str:
+    """What the person at the bench should look at where no INFO came."""
+    if counters.packets:
+        return "packets arrive, but no description of the digitizer (INFO)"
+    if not counters.bytes:
+        return "no bytes: is the digitizer powered and started?"
+    if counters.text_bytes > 0.9 * counters.bytes:  # random bytes: 0.38
+        return "text received instead of packets; is another program's firmware on this board?"
+    return "bytes arrive but no valid packet: wrong baud rate?"
+
+
+def wrap(body: bytes) -> bytes:
+    """A body as it travels: with its CRC, COBS-encoded, delimited."""
+    return cobs_encode(body + _CRC.pack(zlib.crc32(body))) + b"\0"
+
+
+def _quiet(sequence: int, payload: bytes) -> Quiet:
+    device_time_us, first_index, flags, count, total, squares = WIRE["Quiet"].unpack(payload)
+    return Quiet(
+        device_time_us,
+        first_index,
+        count,
+        total,
+        squares,
+        bool(flags & FLAG_SYNC),
+        bool(flags & FLAG_OVERRUN),
+        bool(flags & FLAG_CALLED),
+        sequence=sequence,
+    )
+
+
+def _text(run: bytes | bytearray) -> int:
+    """Number of printable ASCII bytes."""
+    return len(run) - len(run.translate(None, _TEXT))
+
+
+_HEADER = WIRE["Header"]
+_CRC = struct.Struct("<I")
+_RESIDUE = 0x2144DF1C
+"""The CRC-32 of any bytes that are followed by their own CRC-32."""
+_SAMPLES_END = _HEADER.size + WIRE["Samples"].size + _CRC.size
+"""Bytes in a packet of samples beside these."""
+_COMMAND_BIT = 0x80
+_NEVER, _MISSING = -1, -2
+"""In place of a CRC: no such packet came up to now; it was counted as lost."""
+_MAX_RAW = (
+    _HEADER.size
+    + max(2 * MAX_SAMPLES + WIRE["Samples"].size, *(wire.size for wire in WIRE.values()))
+    + _CRC.size
+)
+_MAX_RUN = _MAX_RAW + -(-_MAX_RAW // 254)
+_TEXT = bytes(range(0x20, 0x7F)) + b"\t\r\n"
+
+MAX_PACKET = _MAX_RUN + 1
+"""Longest packet on the wire, delimiter included, bytes."""

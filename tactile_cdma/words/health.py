@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""What the words of many frames say of each node: sound, weak, doubled, faulty or missing."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..code.frame import FrameSpec
+from .decode import DOUBLE_SHARE, FAINT_SHARE, LOW_MARGIN, LOW_RHO, Words
+
+JUDGE_FRAMES = 32
+"""Nodes are judged once in so many frames with words in them."""
+LEAST_WORDS = 4
+"""Words that a verdict on a node takes; afterwards they count half beside newer ones."""
+WEAK_SHARE = 0.6
+"""A node below this share of the expected amplitude is weak."""
+MOST_UNEVEN, MOST_DOUBLED, MOST_ODD = 0.5, 0.25, 0.25
+"""Shares of a node's words: with more of them uneven, of two nodes, or of odd parity though every
+bit is clear, so is the node. What sends even words of another kind has odd parity in half of them.
+"""
+WEAK_RHO = 8.0
+"""Words of a node not known to be weak must stand so far out of the noise to be noticed."""
+
+
+class NodeState(IntEnum):
+    """The verdict on a node; the later ones outrank the earlier ones."""
+
+    UNHEARD = 0
+    OK = 1
+    WEAK = 2
+    FAULTY = 3
+    DOUBLED = 4
+
+
+class NodeHealth:
+    """Follows every node's amplitude and how even its words are.
+
+    swing_v: (n,) float32, V, the amplitude to expect of each node; None while the specification
+        leaves it to be learnt from each frame.
+    state: (n,) uint8 of NodeState.
+    invalid: (n,) bool, nodes whose words cannot be trusted: doubled or faulty.
+    """
+
+    def __init__(self, spec: FrameSpec) -> None:
+        self._nominal_v = spec.node_swing_v
+        self.swing_v: NDArray[np.float32] | None = None
+        if self._nominal_v is not None:
+            self.swing_v = np.full(spec.nodes, self._nominal_v, dtype=np.float32)
+        self.state = np.full(spec.nodes, NodeState.UNHEARD, dtype=np.uint8)
+        self.invalid = np.zeros(spec.nodes, dtype=bool)
+        # Per node: words, their amplitudes, uneven, doubled and odd ones, fading sums.
+        self._words = np.zeros(spec.nodes, dtype=np.float32)
+        self._amplitude_v = np.zeros(spec.nodes, dtype=np.float32)
+        self._uneven = np.zeros(spec.nodes, dtype=np.float32)
+        self._doubled = np.zeros(spec.nodes, dtype=np.float32)
+        self._odd = np.zeros(spec.nodes, dtype=np.float32)
+        self._frames = 0
+
+    def update(self, words: Words) -> None:
+        """Count one frame's words."""
+        heard = words.active
+        if self._nominal_v is not None:
+            heard = heard | self._faint(words, self._nominal_v)
+        self._words += heard
+        self._amplitude_v += words.amplitude_v * heard
+        if words.doubtful.any():
+            clear, weak = words.rho > LOW_RHO, words.margin < LOW_MARGIN
+            self._uneven += words.doubtful & clear & weak
+            self._doubled += words.doubled
+            self._odd += words.odd & clear & ~weak
+        self._frames += 1
+        if self._frames % JUDGE_FRAMES == 0:
+            self._judge()
+
+    def nodes(self, state: NodeState) -> list[int]:
+        """Numbers, from 1 on, of the nodes in a state."""
+        numbers: list[int] = (np.flatnonzero(self.state == state) + 1).tolist()
+        return numbers
+
+    @property
+    def amplitude_v(self) -> NDArray[np.float32]:
+        """(n,) float32, V: of each node's last words, mean; NaN for one that was never heard."""
+        amplitude_v = np.full_like(self._amplitude_v, np.nan)
+        np.divide(self._amplitude_v, self._words, out=amplitude_v, where=self._words > 0)
+        return amplitude_v
+
+    def _faint(self, words: Words, nominal_v: float) -> NDArray[np.bool_]:
+        """Words too weak to count as spoken, but too even and too strong to be noise."""
+        faint: NDArray[np.bool_] = (
+            ~words.active
+            & (words.amplitude_v > FAINT_SHARE * nominal_v)
+            & (words.rho > WEAK_RHO)
+            & (words.margin > LOW_MARGIN)
+        )
+        return faint
+
+    def _judge(self) -> None:
+        heard, due = self._words > 0, self._words >= LEAST_WORDS
+        amplitude_v = self._amplitude_v / np.maximum(self._words, 1e-6)
+        expected_v = self._nominal_v or (float(np.median(amplitude_v[heard])) if heard.any() else 0)
+        verdict = np.full(due.shape, NodeState.OK, dtype=np.uint8)
+        verdict[amplitude_v < WEAK_SHARE * expected_v] = NodeState.WEAK
+        uneven = self._uneven > MOST_UNEVEN * self._words
+        verdict[uneven | (self._odd > MOST_ODD * self._words)] = NodeState.FAULTY
+        twice = amplitude_v > DOUBLE_SHARE * expected_v
+        verdict[twice | (self._doubled > MOST_DOUBLED * self._words)] = NodeState.DOUBLED
+        unknown = heard & (self.state == NodeState.UNHEARD)
+        self.state = np.where(due, verdict, np.where(unknown, NodeState.OK, self.state))
+        self.invalid = self.state >= NodeState.FAULTY
+        if self._nominal_v is not None and self.swing_v is not None:
+            weak = due & (verdict == NodeState.WEAK)
+            swing_v = np.where(weak, amplitude_v, np.float32(self._nominal_v))
+            self.swing_v = np.where(due, swing_v, self.swing_v).astype(np.float32)
+        # Each node's words fade by its own: one that speaks seldom is judged as well as others.
+        for total in (
+            self._words,
+            self._amplitude_v,
+            self._uneven,
+            self._doubled,
+            self._odd,
+        ):
+            total[due] *= 0.5

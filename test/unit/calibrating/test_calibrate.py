@@ -1,0 +1,449 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""tactile-cdma calibrate: from loads to a file that the driver takes, by all three ways."""
+
+import re
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded import record
+
+from tactile_cdma.commands.cli import main
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline
+from tactile_cdma.readings.calibration import AdcScale, PressureCurve
+from tactile_cdma.readings.calibration_file import read_calibration
+from tactile_cdma.readings.taxels import Status
+from tactile_cdma.recording.offline import raw_frames
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.sim.pty import serve
+from tactile_cdma.sim.scene import SCENES, Skin
+
+ROOT = Path(__file__).resolve().parents[3]
+ADC = AdcScale()
+SIMULATED = PressureCurve.two_stage()
+"""The curve of the simulator's nodes."""
+LOADS_KPA = [0, 4, 9, 14, 20, 30, 40, 47, 55, 70, 90, 110, 125, 140]
+NODES = 16
+
+
+def write_loads(path: Path, bad_node: int | None = None) -> dict[int, PressureCurve]:
+    """Points of 16 nodes, all different; the bad one doesn't feel the load."""
+    rng = np.random.default_rng(4)
+    curves = {
+        node: PressureCurve.two_stage(
+            2.95 * rng.uniform(0.9, 1.1), 50e3 * rng.uniform(0.9, 1.1), 140e3
+        )
+        for node in range(1, NODES + 1)
+    }
+    lines = ["node,pressure_kpa,voltage_v"]
+    for load in np.linspace(0, 140, 36):
+        for node, curve in curves.items():
+            felt_pa = 0.0 if node == bad_node else load * 1e3
+            lines.append(f"{node},{load:g},{ADC.voltage(ADC.code(curve.voltage(felt_pa))):.6f}")
+    path.write_text("\n".join(lines) + "\n")
+    return curves
+
+
+def pairs(out: str) -> dict[str, str]:
+    return dict(pair.split("=", 1) for pair in out.splitlines()[-1].split())
+
+
+def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    capsys.readouterr()
+    assert main(["calibrate", *map(str, arguments)]) == 1
+    return capsys.readouterr().err
+
+
+def test_points_become_a_file_that_the_driver_takes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    loads, output = tmp_path / "loads.csv", tmp_path / "skin.yaml"
+    curves = write_loads(loads)
+    assert main(["calibrate", str(loads), "-o", str(output), "--skin", "palm"]) == 0
+    values = pairs(capsys.readouterr().out)
+    assert (values["fitted"], values["uncalibrated"]) == ("16", "0")
+    assert float(values["residual1_over_quantisation"]) < 1.1
+    assert float(values["residual2_over_quantisation"]) < 1.1
+    config = SkinConfig.of({"calibration_file": str(output), "skin": "palm"})
+    assert config.calibration.identity == values["identity"]
+    for node, curve in curves.items():
+        fitted = config.calibration.curves[node - 1]
+        assert fitted.pressure_pa == pytest.approx(curve.pressure_pa, abs=300)
+        assert fitted.voltage_v == pytest.approx(curve.voltage_v, abs=ADC.lsb_v)
+    assert (tmp_path / "skin.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_wrong_area_is_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    loads = tmp_path / "loads.csv"
+    write_loads(loads)
+    loads.write_text(loads.read_text().replace("pressure_kpa", "force_n"))
+    arguments = [str(loads), "-o", str(tmp_path / "skin.yaml"), "--area-mm2"]
+    assert main(["calibrate", *arguments, "1000"]) == 0
+    assert "warning" not in capsys.readouterr().out
+    assert main(["calibrate", *arguments, "10", "--force"]) == 0
+    assert "warning: 0.01 times as sensitive" in capsys.readouterr().out.replace("0.00996", "0.01")
+
+
+def test_a_bad_node_stops_all_unless_it_may_be_missing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    loads, output = tmp_path / "loads.csv", tmp_path / "skin.yaml"
+    write_loads(loads, bad_node=5)
+    assert "no sound curve for node 5 (see above); nothing is written" in refusal(
+        capsys, loads, "-o", output
+    )
+    assert not output.exists()
+    assert main(["calibrate", str(loads), "-o", str(output), "--allow-missing"]) == 0
+    assert "node 5: no curve: the voltage falls by 0 mV only" in capsys.readouterr().out
+    config = SkinConfig.of({"calibration_file": str(output)})
+    assert config.calibration.curves[4] == SIMULATED
+    capture = tmp_path / "skin.raw"
+    record(capture, SimOptions(scene="all", threshold=0), 0.2)
+    readings = list(raw_frames(capture, Pipeline(config, background=False)))[-1].readings
+    assert np.flatnonzero(readings.status & Status.UNCALIBRATED).tolist() == [4]
+    for index in range(NODES):
+        pressure_pa = config.calibration.curves[index].pressure(readings.voltage_v[index])
+        assert readings.pressure_pa[index] == pytest.approx(pressure_pa, rel=1e-4, abs=1)
+
+
+def test_what_cannot_be_meant_is_refused_before_anything_is_done(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    loads, output = tmp_path / "loads.csv", tmp_path / "skin.yaml"
+    write_loads(loads)
+    assert "-o is missing" in refusal(capsys, loads)
+    assert "which loads?" in refusal(capsys, "-o", output)
+    assert "no such folder" in refusal(capsys, loads, "-o", tmp_path / "no" / "skin.yaml")
+    assert "one of the two" in refusal(
+        capsys, loads, "-o", output, "--port", "sim://", "--capture", "x.raw"
+    )
+    assert "No such file" in refusal(capsys, loads, "-o", output, "--capture", "no.raw")
+    assert "the skin has nodes 1…9" in refusal(capsys, loads, "-o", output, "--nodes", 9)
+    output.write_text("precious")
+    assert "--force overwrites it" in refusal(capsys, loads, "-o", output)
+    assert output.read_text() == "precious"
+    for bad in (
+        ["--steps", "0,ten"],
+        ["--steps", "-1"],
+        ["--pieces", "0"],
+        ["--area-mm2", "0"],
+        ["--offset", "nan"],
+    ):
+        with pytest.raises(SystemExit):
+            main(["calibrate", str(loads), "-o", str(output), *bad])
+
+
+@pytest.mark.parametrize(
+    ("options", "cause"),
+    [
+        (["--append"], "--append goes with --port only"),
+        (["--steps", "0,10", "--capture", "x.raw"], "--steps goes with --port only"),
+        (["--offset", 3], "--offset goes with --capture only"),
+        (["--settle", 5], "--settle goes with --capture only"),
+        (["--png", "no/skin.png"], "no/skin.png: there is no such folder"),
+        (["-o", "."], "no file that could be overwritten"),
+        (["-o", "loads.csv"], "loads.csv: would overwrite another file of this very command"),
+        (["--png", "./loads.csv"], "loads.csv: would overwrite another"),
+        (["--png", "skin.yaml"], "skin.yaml: would overwrite another"),
+        (["-o", "skin.png"], "skin.png: would overwrite another"),
+    ],
+)
+def test_no_option_is_ignored_and_no_file_lost(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    options: list[object],
+    cause: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_loads(Path("loads.csv"))
+    assert cause in refusal(capsys, "loads.csv", "--force", "-o", "skin.yaml", *options)
+    assert [path.name for path in tmp_path.iterdir()] == ["loads.csv"]
+
+
+def test_the_picture_is_a_png_whatever_its_name(tmp_path: Path) -> None:
+    loads, picture = tmp_path / "loads.csv", tmp_path / "picture.of.palm"
+    write_loads(loads)
+    arguments = [str(loads), "-o", str(tmp_path / "skin.yaml"), "--png", str(picture)]
+    assert main(["calibrate", *arguments]) == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_sealing_is_a_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    loads, output = tmp_path / "loads.csv", tmp_path / "skin.yaml"
+    write_loads(loads)
+    assert main(["calibrate", str(loads), "-o", str(output)]) == 0
+    output.write_text(output.read_text().replace("skin: ''", "skin: 'thumb'"))
+    capsys.readouterr()
+    assert main(["calibrate", "--seal", str(output)]) == 0
+    identity = pairs(capsys.readouterr().out)["identity"]
+    assert read_calibration(output, NODES, ADC, SIMULATED, "thumb").identity == identity
+
+
+def staircase(t_s: float) -> float:
+    """Loads one after the other, 3 s each with a short ramp between, from 1 s on; kPa."""
+    starts = 1 + 3.0 * np.arange(len(LOADS_KPA))
+    corners = np.stack([starts + 0.3, starts + 3.0], axis=1).ravel()
+    return float(np.interp(t_s, corners, np.repeat(LOADS_KPA, 2)))
+
+
+def test_a_reference_beside_a_capture(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Through the real path of bytes; the reference's clock is 1000 s behind."""
+    monkeypatch.setitem(
+        SCENES, "all", lambda t_s, skin: np.full(len(skin.positions_m), 1e3 * staircase(t_s))
+    )
+    capture = tmp_path / "touch.raw"
+    record(capture, SimOptions(scene="all", threshold=0), 1 + 3.0 * len(LOADS_KPA))
+    t_s = np.arange(1.0, 1 + 3.0 * len(LOADS_KPA), 0.05)
+    rows = [f"{t - 1000:.3f},{staircase(t):.4f}" for t in t_s]
+    reference = tmp_path / "reference.csv"
+    reference.write_text("\n".join(["time_s,pressure_kpa", *rows]) + "\n")
+    output = tmp_path / "skin.yaml"
+    arguments = [str(reference), "--capture", str(capture), "-o", str(output), "--settle", "0.5"]
+    assert main(["calibrate", *arguments]) == 0
+    out = capsys.readouterr().out
+    found = re.search(r"offset of the clocks: ([\d.]+) ± ([\d.]+) s \(match [\d.]+\)", out)
+    assert found is not None
+    assert float(found[1]) == pytest.approx(1000, abs=float(found[2]) + 0.1)
+    assert pairs(out)["points"] == str(NODES * len(LOADS_KPA))
+    calibration = read_calibration(output, NODES, ADC, SIMULATED)
+    for node in range(NODES):
+        curve = calibration.curves[node]
+        assert curve.pressure_pa == pytest.approx(SIMULATED.pressure_pa, abs=400)
+        assert curve.voltage_v == pytest.approx(SIMULATED.voltage_v, abs=ADC.lsb_v)
+    capsys.readouterr()
+    wrong = "0 loads rest for longer"
+    assert wrong in refusal(capsys, *arguments, "--force", "--offset", 0)
+
+
+@dataclass
+class Press:
+    """What presses on all taxels of a simulated skin, alike. moving_pa_s: how fast it changes."""
+
+    pressure_pa: float = 0.0
+    moving_pa_s: float = 0.0
+
+    def __call__(self, t_s: float, skin: Skin) -> np.ndarray:
+        return np.full(len(skin.positions_m), self.pressure_pa + self.moving_pa_s * t_s)
+
+
+@contextmanager
+def pressed_skin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Path, Press]]:
+    """A digitizer behind a real tty whose skin feels what the test presses."""
+    press, stop, ready = Press(), threading.Event(), threading.Event()
+    monkeypatch.setitem(SCENES, "all", press)
+    options = SimOptions(scene="all", threshold=1, heartbeat=10)
+    server = threading.Thread(
+        target=serve,
+        args=(
+            lambda: VirtualDigitizer(options),
+            tmp_path / "tty",
+            stop,
+            lambda path: ready.set(),
+        ),
+    )
+    server.start()
+    try:
+        assert ready.wait(5)
+        yield tmp_path / "tty", press
+    finally:
+        stop.set()
+        server.join(timeout=5)
+
+
+@contextmanager
+def dialogue(*arguments: object) -> Iterator[subprocess.Popen[str]]:
+    command = [sys.executable, "-m", "tactile_cdma", "calibrate", *map(str, arguments)]
+    with subprocess.Popen(
+        command,
+        cwd=ROOT,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    ) as process:
+        watchdog = threading.Timer(120, process.kill)  # then `hear` ends, too
+        watchdog.start()
+        try:
+            yield process
+        finally:
+            watchdog.cancel()
+            process.kill()
+
+
+def hear(process: subprocess.Popen[str], end: str) -> str:
+    """What the program says, up to this."""
+    assert process.stdout is not None
+    said = ""
+    while not said.endswith(end):
+        letter = process.stdout.read(1)
+        assert letter, said
+        said += letter
+    return said
+
+
+def rest(process: subprocess.Popen[str]) -> str:
+    """What the program says until it ends; there is no more input.
+
+    Not communicate(), which passes over what read() has already taken from the pipe.
+    """
+    assert process.stdin is not None and process.stdout is not None
+    process.stdin.close()
+    said = process.stdout.read()
+    process.wait(timeout=30)
+    return said
+
+
+def answer(process: subprocess.Popen[str], text: str = "") -> None:
+    assert process.stdin is not None
+    process.stdin.write(text + "\n")
+    process.stdin.flush()
+
+
+def test_step_by_step_on_a_live_skin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    output, points = tmp_path / "skin.yaml", tmp_path / "points.csv"
+    steps = ",".join(map(str, LOADS_KPA))
+    with (
+        pressed_skin(tmp_path, monkeypatch) as (tty, press),
+        dialogue(points, "--port", tty, "--steps", steps, "--seconds", 0.4, "-o", output) as cal,
+    ):
+        for number, load in enumerate(LOADS_KPA, 1):
+            hear(cal, f"load {number} of {len(LOADS_KPA)}: apply {load} kPa to all nodes, then ")
+            hear(cal, "(e: end) ")
+            if load == 30:
+                press.moving_pa_s = 8e3
+                answer(cal)
+                assert "16 of 16 nodes still move, node" in hear(cal, "then answer again\n")
+                press.moving_pa_s = 0.0
+                hear(cal, "(e: end) ")
+            press.pressure_pa = 1e3 * load
+            said = take(cal)
+            assert said.startswith(f"{load} kPa: ")
+            if number > 2:  # the first is within two counts of the converter's end
+                assert said.endswith("16 of 16 nodes moved\n")
+        said = rest(cal)
+        assert cal.returncode == 0, said
+    assert f"{len(LOADS_KPA)} loads taken, kept in {points}" in said
+    assert len(points.read_text().splitlines()) == 1 + NODES * len(LOADS_KPA)
+    curve = read_calibration(output, NODES, ADC, SIMULATED).curves[7]
+    assert curve.pressure_pa == pytest.approx(SIMULATED.pressure_pa, abs=700)
+    assert curve.voltage_v == pytest.approx(SIMULATED.voltage_v, abs=2 * ADC.lsb_v)
+
+
+def take(process: subprocess.Popen[str], text: str = "") -> str:
+    """Answer until the load, which takes a moment to pass through the tty, is taken."""
+    time.sleep(0.25)
+    answer(process, text)
+    while "not taken" in (said := hear(process, "\n")):
+        hear(process, "end) ")
+        answer(process, text)
+    return said
+
+
+def test_answers_are_loads_and_none_is_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output, points = tmp_path / "skin.yaml", tmp_path / "skin.points.csv"
+    with pressed_skin(tmp_path, monkeypatch) as (tty, press):
+        common = ("--port", tty, "--node", 5, "--seconds", 0.2, "-o", output)
+        with dialogue(*common) as cal:
+            hear(cal, "load 1, in kPa, applied to node 5 (Enter: end) ")
+            answer(cal, "hard")
+            assert "'hard' is no pressure in kPa" in hear(cal, "\n")
+            answer(cal, "0")
+            hear(cal, "0 kPa: 3.297 V\n")
+            hear(cal, "(Enter: end) ")
+            press.pressure_pa = 20e3
+            assert "2.639 V, 1 of 1 nodes moved" in take(cal, "20,0")
+            hear(cal, "(Enter: end) ")
+            cal.send_signal(2)
+            said = rest(cal)
+            assert "interrupted" in said and "--append goes on" in said
+            assert cal.returncode == 1
+        kept = points.read_text()
+        assert [line.split(",")[:2] for line in kept.splitlines()[1:]] == [["5", "0"], ["5", "20"]]
+        with dialogue(*common) as cal:
+            assert "exists already; --append goes on with it" in rest(cal)
+        press.pressure_pa = 40e3
+        with dialogue(*common, "--append") as cal:
+            hear(cal, "(Enter: end) ")
+            take(cal, "40")
+            said = rest(cal)  # the end of input is the end of loads
+        assert points.read_text().startswith(kept)
+        assert "1 loads taken" in said
+        assert "node 5: no curve: 2 different loads; a curve of 2 pieces needs 6" in said
+        assert "nodes 1, 2, 3, 4, 6, 7, 8, 9, 10, 11 and 5 more: no curve: no points" in said
+        assert "no node has a sound curve; nothing is written" in said
+    assert not output.exists()
+
+
+def test_interrupted_before_the_first_load(tmp_path: Path) -> None:
+    with dialogue("--port", "sim://", "-o", tmp_path / "skin.yaml") as cal:
+        hear(cal, "(Enter: end) ")
+        cal.send_signal(2)
+        assert "interrupted; no load was taken" in rest(cal)
+    assert not list(tmp_path.iterdir())
+
+
+def test_nothing_taken_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("builtins.input", lambda question: "")
+    nothing = ["--port", "sim://", "-o", tmp_path / "nothing.yaml"]
+    assert "no load was taken" in refusal(capsys, *nothing)
+    assert "no file that could" in refusal(capsys, "/dev/full", *nothing, "--append")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_port_that_is_not_there_is_told_of_before_a_load_and_leaves_no_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unasked(question: str) -> str:
+        raise AssertionError(question)
+
+    monkeypatch.setattr("builtins.input", unasked)
+    nowhere = ["--port", tmp_path / "none", "-o", tmp_path / "skin.yaml"]
+    assert "no such port" in refusal(capsys, *nowhere)
+    other = ["--port", "sim://?nodes=9", "-o", tmp_path / "other.yaml", "--node", "17"]
+    assert "--node is 17; the skin has nodes 1…16" in refusal(capsys, *other)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("begun", ["node;pressure_bar;voltage_mv\n1;0;3200\n", "\n", "\ufffd"])
+def test_points_follow_on_points_only(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    begun: str,
+) -> None:
+    monkeypatch.setattr("builtins.input", lambda question: "0")
+    points = tmp_path / "points.csv"
+    points.write_text(begun)
+    live = ["--port", "sim://", "-o", tmp_path / "skin.yaml", points, "--append"]
+    assert "points follow on node,pressure_kpa,voltage_v only" in refusal(capsys, *live)
+    assert points.read_text() == begun
+
+
+def test_points_follow_on_a_line_of_their_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = iter(["0", ""])
+    monkeypatch.setattr("builtins.input", lambda question: next(answers))
+    points = tmp_path / "points.csv"
+    points.write_text("node,pressure_kpa,voltage_v\n1,20,2.64")
+    live = ["--port", "sim://?scene=idle", "--seconds", 0.2, "-o", tmp_path / "skin.yaml"]
+    refusal(capsys, *live, points, "--append")
+    lines = points.read_text().splitlines()
+    assert lines[1:3] == ["1,20,2.64", "1,0,3.296777"]

@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""A skin's points become curves, or reasons; one bad node does not stop the others."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tactile_cdma.base.errors import CalibrationError
+from tactile_cdma.calibrating.load_points import LoadPoints
+from tactile_cdma.calibrating.report import describe, results, stages, warnings
+from tactile_cdma.calibrating.skin_fit import SkinFit, fit_skin
+from tactile_cdma.readings.calibration import AdcScale, PressureCurve
+
+ADC = AdcScale()
+CURVE = PressureCurve.two_stage(v0_v=3.0)
+UP_PA = np.linspace(0, 140e3, 21)
+LOADS_PA = np.concatenate([UP_PA, UP_PA[-2::-1]])
+NODES = 3
+
+
+def points_of(loads_pa: np.ndarray, volts: dict[int, np.ndarray]) -> LoadPoints:
+    """Load by load, node by node, from line 2 of a file on."""
+    node = np.tile(list(volts), len(loads_pa))
+    return LoadPoints(
+        node=node,
+        pressure_pa=np.repeat(loads_pa, len(volts)),
+        voltage_v=np.array(list(volts.values())).T.ravel(),
+        line=np.arange(2, 2 + len(node)),
+        source="loads.csv",
+    )
+
+
+def read(loads_pa: np.ndarray, curve: PressureCurve = CURVE) -> np.ndarray:
+    return ADC.voltage(ADC.code(curve.voltage(loads_pa)))
+
+
+def fit_with(volts: np.ndarray, loads_pa: np.ndarray = LOADS_PA, pieces: int = 2) -> SkinFit:
+    """Node 2 gives these voltages, the two others what they should."""
+    good = read(loads_pa)
+    points = points_of(loads_pa, {1: good, 2: volts, 3: good})
+    return fit_skin(points, NODES, ADC, pieces)
+
+
+def test_every_node_gets_its_curve() -> None:
+    other = PressureCurve.two_stage(v0_v=2.8, knee_pa=45e3, stage1_v_per_pa=0.03e-3)
+    fit = fit_with(read(LOADS_PA, other))
+    assert not fit.refused
+    assert not fit.outlier.any()
+    for node, curve in ((1, CURVE), (2, other), (3, CURVE)):
+        assert fit.curves[node].pressure_pa == pytest.approx(curve.pressure_pa, abs=150)
+        assert fit.curves[node].voltage_v == pytest.approx(curve.voltage_v, abs=ADC.lsb_v)
+
+
+def _noisy() -> np.ndarray:
+    return np.clip(read(LOADS_PA) + np.random.default_rng(0).normal(0, 0.4, len(LOADS_PA)), 0.1, 3)
+
+
+def _contradicting() -> np.ndarray:
+    volts = read(LOADS_PA)
+    volts[:40:4] = 0.2
+    return volts
+
+
+def _rising_at_the_end() -> np.ndarray:
+    return read(LOADS_PA) + 0.012e-3 * np.clip(LOADS_PA - 50e3, 0, None)
+
+
+@pytest.mark.parametrize(
+    ("volts", "reason"),
+    [
+        (np.full(len(LOADS_PA), 3.0), "falls by 0 mV only.*was the load on this node"),
+        (np.full(len(LOADS_PA), 3.3 - ADC.lsb_v), "41 of 41 voltages are at an end.*connected"),
+        (np.zeros(len(LOADS_PA)), "41 of 41 voltages are at an end"),
+        (_noisy(), "too noisy: .* V rms from point to point"),
+        (_contradicting(), r"10 of 41 points contradict the others \(lines 3, 15, 27, 39"),
+        (_rising_at_the_end(), "does not fall from 50.* to 140.0 kPa .lines "),
+        (3.0 - 0.01e-3 * LOADS_PA, "no knee up to 140 kPa: the loads do not reach it"),
+        (1.0 + 0.01e-3 * LOADS_PA, "falls by -.* mV only"),
+    ],
+)
+def test_a_bad_node_is_refused_with_the_reason_and_the_others_are_not(
+    volts: np.ndarray, reason: str
+) -> None:
+    fit = fit_with(volts)
+    assert list(fit.curves) == [1, 3]
+    assert list(fit.refused) == [2]
+    with pytest.raises(AssertionError, match=reason):
+        raise AssertionError(fit.refused[2])
+    assert np.isnan(fit.residual_v[fit.points.node == 2]).all()
+    assert f"node 2: no curve: {fit.refused[2]}" in describe(fit)
+
+
+@pytest.mark.parametrize(
+    ("loads_kpa", "reason"),
+    [
+        ([0, 20, 60, 100, 140], "5 different loads; a curve of 2 pieces needs 6"),
+        ([0, 0.1, 0.2, 20, 20.1, 60, 100, 100, 140], "5 different loads"),
+        ([0, 0, 0], "no load but 0"),
+        ([60, 70, 80, 90, 100, 120, 140], "no load below 60 kPa"),
+        ([0, 5, 10, 15, 20, 25, 140], "no load between 25 and 140 kPa"),
+        ([0, 5, 10, 15, 20, 25, 30], "no knee up to 30 kPa"),
+    ],
+)
+def test_loads_that_do_not_tell_are_refused(loads_kpa: list[float], reason: str) -> None:
+    loads_pa = np.array(loads_kpa) * 1e3
+    fit = fit_with(read(loads_pa), loads_pa)
+    assert set(fit.refused) == {1, 2, 3}
+    assert all(reason in refusal for refusal in fit.refused.values())
+    assert "fitted" in describe(fit)
+
+
+def test_one_piece_is_enough_below_the_knee() -> None:
+    loads_pa = np.arange(0, 31e3, 5e3)
+    fit = fit_with(read(loads_pa), loads_pa, pieces=1)
+    assert not fit.refused
+    assert fit.curves[1].pressure_pa == (0.0, 30e3)
+
+
+def test_a_node_without_points_is_named() -> None:
+    fit = fit_skin(points_of(LOADS_PA, {1: read(LOADS_PA), 3: read(LOADS_PA)}), 4, ADC)
+    assert fit.refused == {2: "no points", 4: "no points"}
+
+
+def test_voltages_that_rise_on_most_nodes_are_refused_as_a_whole() -> None:
+    rising = 1.0 + 0.01e-3 * LOADS_PA
+    with pytest.raises(CalibrationError, match=r"loads\.csv: voltages rise .* on 2 of 3 nodes"):
+        fit_skin(points_of(LOADS_PA, {1: rising, 2: read(LOADS_PA), 3: rising}), NODES, ADC)
+
+
+def test_what_the_converter_cuts_off_does_not_bend_the_curve() -> None:
+    high = PressureCurve.two_stage(v0_v=3.4, stage1_v_per_pa=0.035e-3)  # above 3.3 V to 2.9 kPa
+    loads_pa = np.linspace(0, 140e3, 57)
+    fit = fit_with(read(loads_pa, high), loads_pa)
+    assert fit.curves[2].voltage_v == pytest.approx(high.voltage_v, abs=2 * ADC.lsb_v)
+    cut_off = (fit.points.node == 2) & (fit.points.pressure_pa < 2.6e3)
+    assert np.isnan(fit.residual_v[cut_off]).all()
+    assert cut_off.any()
+
+
+@pytest.mark.parametrize("loop_v", [0.08, 0.7])
+def test_the_loop_of_hysteresis_is_measured_and_its_middle_fitted(loop_v: float) -> None:
+    """The paper's is up to 34 % of the fall."""
+    width_v = loop_v * np.sin(np.pi * LOADS_PA / LOADS_PA[20])  # a loop closes at its ends
+    offset = np.where(np.arange(len(LOADS_PA)) > 20, width_v / 2, -width_v / 2)
+    volts = CURVE.voltage(LOADS_PA) + offset
+    fit = fit_with(volts)
+    fall_v = CURVE.voltage_v[0] - CURVE.voltage_v[-1]
+    assert not fit.refused
+    assert fit.loop[2] == pytest.approx(loop_v / fall_v, rel=0.15)
+    assert fit.loop[1] < 0.01
+    assert (
+        np.abs(fit.curves[2].voltage(UP_PA[1:-1]) - CURVE.voltage(UP_PA[1:-1])).max()
+        < 0.05 * loop_v + 0.01
+    )
+    rising_only = fit_with(CURVE.voltage(UP_PA), UP_PA)
+    assert math.isnan(rising_only.loop[2])
+    assert "loop" not in results(rising_only)
+
+
+def test_the_report_knows_resolution_and_quantisation_of_each_stage() -> None:
+    """The paper's: an LSB is 0.098 and 0.546 kPa, the limit 0.028 and 0.158 kPa (design 4)."""
+    fit = fit_with(read(LOADS_PA))
+    values = {key: float(value) for key, value in results(fit).items()}
+    for stage, lsb_kpa, limit_kpa in ((1, 0.098, 0.028), (2, 0.546, 0.158)):
+        assert values[f"resolution{stage}_kpa"] == pytest.approx(lsb_kpa, abs=2e-3)
+        assert values[f"quantisation{stage}_kpa"] == pytest.approx(limit_kpa, abs=1e-3)
+        assert values[f"residual{stage}_over_quantisation"] < 1.1
+    assert values["knee1_kpa"] == pytest.approx(50, abs=0.2)
+    assert values["fitted"] == 3
+    residual_v = fit.residual_v[fit.points.pressure_pa < 49e3]
+    own = math.sqrt(np.mean(np.square(residual_v))) / 0.033e-3
+    assert stages(fit)[0].rms_pa == pytest.approx(own, rel=0.01)
+
+
+def _loop_of(share: float) -> np.ndarray:
+    """Voltages whose way back is lower by up to a share of the fall."""
+    falling = np.arange(len(LOADS_PA)) >= len(UP_PA)
+    fall_v = share * float(np.ptp(CURVE.voltage(LOADS_PA)))
+    return read(LOADS_PA) - fall_v * falling * np.sin(np.pi * LOADS_PA / 140e3)
+
+
+@pytest.mark.parametrize(
+    ("volts", "loads_pa", "pieces", "words"),
+    [
+        (read(LOADS_PA), LOADS_PA, 1, ["nodes 1, 2, 3: off to one side", "kPa rms"]),
+        (read(LOADS_PA), LOADS_PA / 100, 2, ["100 times as sensitive"]),
+        (read(LOADS_PA), LOADS_PA * 100, 2, [r"0\.01 times as sensitive"]),
+        (read(LOADS_PA), LOADS_PA + 2e3, 2, ["no load below 2 kPa"]),
+        (_loop_of(0.15), LOADS_PA, 2, ["off by .* kPa rms, .* noise, hysteresis"]),
+        (_loop_of(0.02), LOADS_PA, 2, []),
+        (read(LOADS_PA), LOADS_PA, 2, []),
+    ],
+)
+def test_what_may_be_wrong_is_said(
+    volts: np.ndarray, loads_pa: np.ndarray, pieces: int, words: list[str]
+) -> None:
+    nodes = dict.fromkeys(range(1, NODES + 1), volts)
+    fit = fit_skin(points_of(loads_pa, nodes), NODES, ADC, pieces)
+    assert len(fit.curves) == NODES
+    said = warnings(fit, CURVE)
+    assert len(said) == len(words), said
+    for line, word in zip(said, words, strict=True):
+        assert re.search(word, line)
+
+
+def test_without_falling_loads_no_hysteresis_is_seen_and_that_is_said() -> None:
+    rising = fit_skin(points_of(UP_PA, {1: read(UP_PA)}), 1, ADC)
+    assert "no falling loads" in describe(rising)
+    assert "no falling loads" not in describe(fit_with(read(LOADS_PA)))
+
+
+def test_outliers_are_named_by_their_lines() -> None:
+    volts = read(LOADS_PA)
+    volts[7] = 0.4
+    fit = fit_with(volts)
+    assert np.flatnonzero(fit.outlier).tolist() == [22]
+    assert "outliers: loads.csv, line 24" in describe(fit)
+    assert results(fit)["outliers"] == "1"
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 4), st.integers(1, 60))
+def test_any_points_give_falling_curves_or_reasons(seed: int, pieces: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    loads_pa = rng.choice([0.0, 30e3, 60e3, 140e3], (3, count))
+    loads_pa += rng.choice([0.0, 1e3, 1e5]) * rng.random((3, count))
+    volts = CURVE.voltage(loads_pa) + rng.choice([0, 0.01, 1]) * rng.normal(size=(3, count))
+    mirrored = rng.random((3, count)) < rng.choice([0.0, 0.1, 0.4])
+    points = LoadPoints(
+        node=np.repeat([1, 2, 3], count),
+        pressure_pa=loads_pa.ravel(),
+        voltage_v=np.clip(np.where(mirrored, 3.3 - volts, volts), 0, 3.3).ravel(),
+        line=np.arange(3 * count),
+        source="any.csv",
+    )
+    try:
+        fit = fit_skin(points, NODES, ADC, pieces)
+    except CalibrationError as error:
+        assert "rise" in str(error)
+        return
+    assert sorted([*fit.curves, *fit.refused]) == [1, 2, 3]
+    for curve in fit.curves.values():
+        assert (np.diff(curve.voltage_v) < 0).all()
+        assert len(curve.pressure_pa) == pieces + 1
+    assert describe(fit)

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""FrameSpec: derived quantities and refusals; the encoder against the definition."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tactile_cdma.base.errors import SpecError
+from tactile_cdma.code.encode import line_chips, word_bits
+from tactile_cdma.code.frame import FrameSpec
+
+
+def test_defaults_keep_row_zero_free_and_fit_the_papers_period() -> None:
+    spec = FrameSpec()
+    assert (spec.nodes, spec.order, spec.chips) == (16, 20, 200)
+    assert 0 not in spec.rows
+    assert spec.frame_s == pytest.approx(10e-3)
+    assert set(spec.rows) | set(range(20)[spec.spare_rows]) | {0} == set(range(20))
+
+
+def test_the_papers_book_is_selectable() -> None:
+    spec = FrameSpec(order=16, first_row=0, sign_seed=None)
+    assert spec.frame_s == pytest.approx(8e-3)
+    assert list(spec.rows) == list(range(16))
+    assert (spec.signs == 1).all()
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"order": 16}, "16 nodes from row 1 on need 17 code rows.*use order 20"),
+        ({"nodes": 20, "order": 16, "first_row": 0}, "use order 20"),
+        ({"order": 92}, "nearest feasible orders are 88 and 96"),
+        ({"chip_s": 100e-6}, "lasts 20 ms, longer than its period of 12.8 ms"),
+        ({"drive": "unipolar", "first_row": 0, "order": 16}, "cannot use code row 0"),
+        ({"drive": "tripolar"}, "'tripolar'.*'bipolar' or 'unipolar'"),
+        ({"polarity": 0}, "polarity is 0"),
+        ({"bits": 7}, "bits is 7; it must lie within 8…16"),
+        ({"bits": 17}, "8…16"),
+        ({"nodes": 0}, "nodes is 0"),
+        ({"chip_s": float("nan")}, "chip_s is nan"),
+        ({"amplitude_v": -0.3}, "amplitude_v is -0.3"),
+        ({"sign_seed": 2**32}, "sign_seed"),
+    ],
+)
+def test_impossible_combinations_are_refused_with_the_reason(fields: dict, message: str) -> None:
+    with pytest.raises(SpecError, match=message):
+        FrameSpec(**fields)
+
+
+@given(st.integers(8, 16), st.data())
+def test_bits_are_most_significant_first(bits: int, data: st.DataObject) -> None:
+    codes = data.draw(st.lists(st.integers(0, 2**bits - 1), min_size=1, max_size=8))
+    for code, row in zip(codes, word_bits(codes, bits), strict=True):
+        assert "".join(map(str, row)) == format(code, f"0{bits}b")
+
+
+@pytest.mark.parametrize("code", [-1, 1024])
+def test_codes_that_do_not_fit_are_refused(code: int) -> None:
+    with pytest.raises(SpecError, match=rf"code {code} does not fit 10 bits"):
+        word_bits([0, code], 10)
+
+
+def test_a_bipolar_node_sends_plus_or_minus_its_signed_row() -> None:
+    spec = FrameSpec(polarity=-1)
+    active = np.arange(16) == 4
+    codes = np.full(16, 0b1000000001)
+    chips = line_chips(spec, codes, active)
+    row = 0.3 * spec.signs[4] * spec.book.matrix[spec.rows[4]]
+    assert np.allclose(chips[0], -row)
+    assert np.allclose(chips[1], row)
+    assert np.allclose(chips[9], -row)
+
+
+def test_a_unipolar_node_is_at_zero_or_full_level() -> None:
+    spec = FrameSpec(drive="unipolar")
+    chips = line_chips(spec, np.arange(16) * 60, np.arange(16) == 7)
+    assert np.allclose(np.unique(chips), [0, 0.3])
+    assert np.allclose(line_chips(spec, np.zeros(16, int), np.zeros(16, bool)), 0)
+
+
+def test_the_line_is_the_sum_of_its_nodes() -> None:
+    spec = FrameSpec(drive="unipolar", polarity=-1)
+    codes = np.random.default_rng(0).integers(0, 1024, 16)
+    alone = [line_chips(spec, codes, np.arange(16) == node) for node in range(16)]
+    assert np.allclose(line_chips(spec, codes), np.sum(alone, axis=0), atol=1e-5)
+
+
+@given(
+    st.integers(1, 300),
+    st.sampled_from(["bipolar", "unipolar"]),
+    st.sampled_from([1, -1]),
+    st.integers(0, 1000),
+)
+def test_chips_follow_the_definition_for_any_number_of_nodes(
+    nodes: int, drive: str, polarity: int, seed: int
+) -> None:
+    spec = FrameSpec(nodes=nodes, chip_s=1e-6, drive=drive, polarity=polarity, sign_seed=seed)
+    rng = np.random.default_rng(seed)
+    codes, active = rng.integers(0, 1024, nodes), rng.random(nodes) < 0.7
+    own = spec.signs[:, None] * spec.book.rows(spec.rows)  # (n, N), of ±1
+    sent = (2 * word_bits(codes, 10).astype(int) - 1)[:, :, None] * own[:, None, :]  # (n, k, N)
+    level = 0.3 * (sent if drive == "bipolar" else (sent + 1) / 2)
+    expected = polarity * level[active].sum(axis=0)
+    assert np.allclose(line_chips(spec, codes, active), expected, atol=1e-5 * nodes)

@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The command line: record, decode, simulate, and its complaints."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from tactile_cdma.commands.cli import main
+from tactile_cdma.sim.channel import scope_capture
+
+ROOT = Path(__file__).resolve().parents[3]
+COMMAND = [sys.executable, "-m", "tactile_cdma"]
+
+
+def frames_of(text: str) -> list[dict]:
+    return [json.loads(line) for line in text.splitlines()]
+
+
+@pytest.fixture
+def capture(tmp_path: Path) -> Path:
+    """A raw capture of about a second of the simulated skin with every node speaking."""
+    path = tmp_path / "skin.skin"
+    url = "sim://?scene=all&seed=3&threshold=0&speed=2"
+    assert main(["record", url, str(path), "--seconds", "1"]) == 0
+    return path
+
+
+def test_a_recording_decodes_without_being_told_anything(
+    capture: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    capsys.readouterr()
+    assert main(["decode", str(capture), "--json"]) == 0
+    out, err = capsys.readouterr()
+    frames = frames_of(out)
+    assert len(frames) > 60
+    assert all(len(frame["nodes"]) == 16 for frame in frames)
+    steps = [b["t"] - a["t"] for a, b in pairwise(frames)]
+    assert steps == pytest.approx([12.8e-3] * len(steps), abs=2e-6)
+    assert "crc_errors=0" in err
+    node = frames[0]["nodes"][0]
+    assert node["code"] == int(node["bits"], 2)
+    assert node["voltage"] == pytest.approx(node["code"] * 3.3 / 1024, abs=1e-4)
+
+
+def test_a_truncated_recording_gives_its_whole_frames(
+    capture: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    capsys.readouterr()
+    main(["decode", str(capture), "--json"])
+    whole = capsys.readouterr().out.splitlines()
+    capture.write_bytes(capture.read_bytes()[: capture.stat().st_size // 2])
+    assert main(["decode", str(capture), "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert "cut short" in err
+    half = out.splitlines()
+    assert 0 < len(half) < len(whole)
+    assert half == whole[: len(half)]
+
+
+def test_people_get_a_line_per_frame(capture: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    capsys.readouterr()
+    assert main(["decode", str(capture)]) == 0
+    assert "kPa" in capsys.readouterr().out.splitlines()[0]
+
+
+def test_a_parameter_file_serves_decoding(
+    capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    capsys.readouterr()
+    assert main(["decode", str(capture), "--json", "--params", str(ROOT / "config/skin.yaml")]) == 0
+    assert len(frames_of(capsys.readouterr().out)) > 60
+    assert main(["decode", str(capture), "--order", "24"]) == 1
+    assert "order 20 (parameters: 24)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "the file is empty"),
+        (b"\0" * 50, "no valid packet"),
+        (bytes(range(256)) * 40, "no valid packet: wrong baud rate?"),
+        (b"just some words", "no line with two numbers"),
+    ],
+)
+def test_broken_captures_are_one_clear_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes, message: str
+) -> None:
+    path = tmp_path / "broken"
+    path.write_bytes(content)
+    assert main(["decode", str(path)]) == 1
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert len(err.splitlines()) == 1
+    assert message in err
+    assert str(path) in err
+
+
+def test_what_the_system_refuses_is_one_clear_error(
+    capsys: pytest.CaptureFixture[str], capture: Path
+) -> None:
+    assert main(["record", "sim://", "x" * 300]) == 1
+    said = capsys.readouterr().err
+    assert "File name too long" in said and len(said.splitlines()) == 1
+    with open("/dev/full", "w") as full:
+        run = subprocess.run(
+            [*COMMAND, "decode", "--json", capture], cwd=ROOT, stdout=full, stderr=subprocess.PIPE
+        )
+    assert run.returncode == 1
+    assert run.stderr.splitlines() == [b"tactile-cdma: [Errno 28] No space left on device"]
+
+
+def test_a_terminal_of_another_alphabet_is_served() -> None:
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    run = subprocess.run([*COMMAND, "amplifier"], cwd=ROOT, env=environment, capture_output=True)
+    assert run.returncode == 0
+    assert b"\\xb5s" in run.stdout and run.stderr == b""
+
+
+def test_a_missing_capture_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["decode", "/nowhere/at.all"]) == 1
+    assert "/nowhere/at.all: No such file" in capsys.readouterr().err
+
+
+def write_scope(path: Path, options: list[str], rate_hz: float = 200e3) -> None:
+    from tactile_cdma.code.frame import FrameSpec
+
+    spec = FrameSpec()
+    frames = [([(37 * i + 400) % 1024 for i in range(16)], [True] * 16)] * 4
+    time_s, volts = scope_capture(spec, frames, rate_hz)
+    lines = [f"{t:.6f},{v:.5f}" for t, v in zip(time_s, volts, strict=True)]
+    path.write_text("\n".join(options + lines))
+
+
+def test_a_scope_capture_with_broken_samples_is_decoded_around_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "scope.csv"
+    write_scope(path, ["second,Volt"])
+    lines = path.read_text().splitlines()
+    lines[3500] = lines[3500].split(",")[0] + ",NaN"
+    path.write_text("\n".join(lines))
+    assert main(["decode", str(path), "--timing", "gap", "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert " samples are no numbers (first in line 3501)" in err
+    frames = frames_of(out)
+    assert len(frames) == 3  # the second one holds the broken sample
+    for frame in frames:
+        assert [node["code"] for node in frame["nodes"]] == [
+            (37 * i + 400) % 1024 for i in range(16)
+        ]
+
+
+def test_a_capture_that_is_too_coarse_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "scope.csv"
+    write_scope(path, [], rate_hz=30e3)
+    assert main(["decode", str(path)]) == 1
+    assert "1.5 per chip of 50 µs; 3 or more are needed" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--nodes", "64"], "longer than its period"),
+        (["--order", "92"], "nearest feasible orders are 88 and 96"),
+        (["--bits", "99"], "bits is 99"),
+        (["--timing", "line"], "use --timing gap"),
+        (["--drive", "unipolar", "--first-row", "0", "--order", "16"], "cannot use code row 0"),
+        (["--params", "/nowhere.yaml"], "/nowhere.yaml: No such file"),
+    ],
+)
+def test_bad_options_are_one_clear_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], message: str
+) -> None:
+    path = tmp_path / "scope.csv"
+    write_scope(path, [])
+    assert main(["decode", str(path), *options]) == 1
+    err = capsys.readouterr().err
+    assert message in err
+    assert len(err.splitlines()) == 1
+
+
+def test_recordings_are_not_overwritten_by_accident(
+    capture: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["record", "sim://", str(capture), "--seconds", "0.2"]) == 1
+    assert "--force overwrites it" in capsys.readouterr().err
+    assert main(["record", "sim://", str(capture), "--seconds", "0.5", "--force"]) == 0
+
+
+def test_a_recording_does_not_follow_a_link_of_somebody_else(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    link, target = tmp_path / "touch.skin", tmp_path / "authorized_keys"
+    link.symlink_to(target)
+    assert main(["record", "sim://", str(link), "--seconds", "0.1"]) == 1
+    assert "File exists" in capsys.readouterr().err
+    assert not target.exists()
+
+
+def test_recording_from_a_missing_port_leaves_no_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "new.raw"
+    assert main(["record", "/dev/ttyNOSUCH", str(path)]) == 1
+    assert "no such port" in capsys.readouterr().err
+    assert not path.exists()
+
+
+def test_simulate_serves_a_tty_until_interrupted(tmp_path: Path) -> None:
+    link, raw = tmp_path / "skin", tmp_path / "skin.skin"
+    process = subprocess.Popen(
+        [*COMMAND, "simulate", "--pty", "--link", str(link), "sim://?scene=all&seed=1"],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    try:
+        assert process.stdout is not None
+        assert str(link) in process.stdout.readline()
+        assert main(["record", str(link), str(raw), "--seconds", "0.5"]) == 0
+        process.send_signal(signal.SIGINT)
+        assert process.wait(5) == 0
+    finally:
+        process.kill()
+        process.stdout.close()
+    assert not link.exists()
+    assert raw.stat().st_size > 20_000
+
+
+def test_simulate_ends_by_itself_and_refuses_bad_options(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    start = time.monotonic()
+    assert main(["simulate", "--pty", "--seconds", "0.3"]) == 0
+    assert time.monotonic() - start < 5
+    assert main(["simulate", "--pty", "sim://?scene=dance"]) == 1
+    assert "moving" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "command", ["decode", "record", "info", "export", "simulate", "node", "amplifier"]
+)
+def test_every_command_explains_itself(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main([command, "--help"])
+    assert end.value.code == 0 and command in capsys.readouterr().out

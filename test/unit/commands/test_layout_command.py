@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""`tactile-cdma layout`: text and picture."""
+
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+import pytest
+
+from tactile_cdma.commands.cli import main
+from tactile_cdma.commands.layout_picture import draw_layout
+from tactile_cdma.places.layout import Layout
+
+LAYOUTS = Path(__file__).resolve().parents[3] / "config" / "layouts"
+
+
+def test_a_layout_is_told_in_numbers(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["layout", str(LAYOUTS / "list.yaml")]) == 0
+    said = capsys.readouterr().out
+    for words in ("pad: irregular, 19 taxels, 20 nodes", "neighbours of a taxel: 3…6", "node 20"):
+        assert words in said
+
+
+def test_a_layout_is_checked_against_the_parameters(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    params = tmp_path / "skin.yaml"
+    params.write_text("/**:\n  ros__parameters:\n    nodes: 24\n")
+    assert main(["layout", str(LAYOUTS / "sphere.yaml"), "--params", str(params)]) == 1
+    assert "node 25, but the skin has 24 nodes" in capsys.readouterr().err
+    params.write_text("/**:\n  ros__parameters:\n    nodes: 25\n")
+    assert main(["layout", str(LAYOUTS / "sphere.yaml"), "--params", str(params)]) == 0
+
+
+def taxel_colours(path: Path) -> set[tuple[int, ...]]:
+    pixels = (matplotlib.image.imread(path)[..., :3] * 255).round().astype(int)
+    colours, counts = np.unique(pixels.reshape(-1, 3), axis=0, return_counts=True)
+    return {tuple(colour) for colour in colours[counts > 1000].tolist()}
+
+
+@pytest.mark.parametrize("name", ["grid", "cylinder", "sphere", "list"])
+def test_the_picture_is_to_scale_and_always_the_same(name: str, tmp_path: Path) -> None:
+    for out in ("a.png", "b.png"):
+        command = ["layout", str(LAYOUTS / f"{name}.yaml"), "--png", str(tmp_path / out)]
+        assert main(command) == 0
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    height, width = matplotlib.image.imread(tmp_path / "a.png").shape[:2]
+    across = {"grid": 4, "cylinder": 12, "sphere": 5, "list": 5}[name]
+    bent = name in ("cylinder", "sphere")
+    # 0.6 inches of 100 dots per pitch, margins, and the shape in space beside it.
+    assert width == pytest.approx(max(60 * across, 300) + 120 + 450 * bent, abs=2)
+    assert height >= 450 * bent + 140
+
+
+def test_taxels_have_the_colour_of_their_normals(tmp_path: Path) -> None:
+    flat, path = Layout.grid(4, 2, 2, 7e-3, 7e-3), tmp_path / "flat.png"
+    draw_layout(flat, path, first_row=1)
+    assert taxel_colours(path) == {(255, 255, 255), (128, 128, 255)}
+
+
+def test_a_large_skin_is_drawn_without_numbers(tmp_path: Path) -> None:
+    path = tmp_path / "large.png"
+    draw_layout(Layout.grid(150 * 150, 150, 150, 2e-3, 2e-3), path, first_row=1)
+    assert max(matplotlib.image.imread(path).shape) < 4300
+
+
+def test_an_unwritable_picture_is_an_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "none" / "out.png"
+    assert main(["layout", str(LAYOUTS / "grid.yaml"), "--png", str(out)]) == 1
+    assert f"{out}: No such file or directory" in capsys.readouterr().err
+
+
+def test_a_picture_does_not_replace_its_layout(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    layout = tmp_path / "grid.yaml"
+    text = (LAYOUTS / "grid.yaml").read_text()
+    layout.write_text(text)
+    assert main(["layout", str(layout), "--png", str(tmp_path / "." / "grid.yaml")]) == 1
+    assert "would overwrite the layout" in capsys.readouterr().err
+    assert layout.read_text() == text

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Body files: what they come to, and what is refused with its line."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tactile_cdma.base.errors import BodyError
+from tactile_cdma.config.body_file import Body, read_body
+from tactile_cdma.config.skin_config import SkinConfig
+
+CONFIG = Path(__file__).resolve().parents[3] / "config"
+
+
+def read(tmp_path: Path, text: str) -> Body:
+    path = tmp_path / "body.yaml"
+    path.write_text(text)
+    return read_body(path)
+
+
+def test_a_patch_takes_what_its_file_and_its_parameters_say(tmp_path: Path) -> None:
+    (tmp_path / "skin.yaml").write_text("/**: {ros__parameters: {port: /dev/ttyACM3}}\n")
+    body = read(
+        tmp_path,
+        """\
+        frame_id: torso
+        patches:
+          palm:
+            params_file: skin.yaml
+            parameters:
+              nodes: 20
+              frame_period_ms: 20
+              roll_call: true
+              skin: "7"
+              mount_xyz_m: [1, 2.5, -3]
+          back: {}
+        """,
+    )
+    assert body.frame_id == "torso"
+    palm, back = body.patches
+    assert (palm.name, palm.node) == ("palm", "/palm/skin")
+    assert palm.params_file == tmp_path / "skin.yaml"
+    assert palm.parameters == {
+        "frame_id": "palm",
+        "nodes": 20,
+        "frame_period_ms": 20.0,
+        "roll_call": True,
+        "skin": "7",
+        "mount_xyz_m": (1.0, 2.5, -3.0),
+        "parent_frame": "torso",  # it is mounted, and no other frame was named
+    }
+    assert type(palm.parameters["frame_period_ms"]) is float
+    assert (back.params_file, back.parameters) == (None, {"frame_id": "back"})
+
+
+def test_files_begin_in_the_folder_of_the_body_file(tmp_path: Path) -> None:
+    (patch,) = read(
+        tmp_path,
+        "patches: {a: {parameters: {layout_file: x/y.yaml, calibration_file: /c.yaml, "
+        'state_folder: ""}}}',
+    ).patches
+    assert patch.parameters["layout_file"] == str(tmp_path / "x" / "y.yaml")
+    assert patch.parameters["calibration_file"] == "/c.yaml"
+    assert patch.parameters["state_folder"] == ""
+
+
+def test_some_of_the_patches(tmp_path: Path) -> None:
+    body = read(tmp_path, "patches: {a: {}, b: {}, c: {}}")
+    assert [patch.name for patch in body.only("c, a")] == ["a", "c"]
+    assert body.only("") == body.patches
+    with pytest.raises(BodyError, match=r"no patch 'd' to start; there are a, b, c"):
+        body.only("a,d")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("frame_id: body", "line 1: the body has no 'patches'"),
+        ("patches: {}", "line 1: patches has 0 entries"),
+        ("patches:\n  a: {}\n  a: {}", "line 3: 'a' again; it stands in line 2"),
+        ("patches:\n  a: {}\npatchs: 1", "line 3: unknown key 'patchs' in the body; did you mean"),
+        ("patches:\n  a:\n    port: x", "line 3: unknown key 'port' in patch 'a'; known: params"),
+        ("patches:\n  left/a: {}", "line 2: patch 'left/a': its name becomes a namespace"),
+        ("patches:\n  1st: {}", "line 2: patch '1st': its name"),
+        ("patches:\n  a:\n", "line 2: patch 'a' is empty; it must be keys with values"),
+        ("frame_id: /body\npatches: {a: {}}", "line 1: frame_id is '/body'"),
+        ("patches:\n  a: {parameters: {nods: 3}}", "line 2: unknown parameter 'nods'; did you"),
+        ("patches:\n  a: {parameters: {nodes: 0}}", "line 2: nodes is 0; it must lie within"),
+        ("patches:\n  a: {parameters: {nodes: 1.5}}", "nodes is '1.5'; it must be a whole number"),
+        ("patches:\n  a: {parameters: {chip_us: .nan}}", "chip_us is .nan; it must be finite"),
+        ("patches:\n  a: {parameters: {parity: yes}}", "parity is 'yes'; it must be true or false"),
+        ("patches:\n  a: {parameters: {port: [1]}}", "port is a list; it must be text"),
+        ("patches:\n  a: {parameters: {mount_xyz_m: [1, 2]}}", "line 2: mount_xyz_m is [1.0, 2.0]"),
+        ("patches:\n  a: {parameters: {mount_rpy_rad: 1}}", "'1'; it must be a list"),
+        ("patches:\n  a: {params_file: none.yaml}", "none.yaml: No such file"),
+        (
+            "patches:\n  a: {parameters: {port: /dev/x}}\n  b: {parameters: {port: /dev/x}}",
+            "line 3: patch 'b' has port '/dev/x', and so has 'a'",
+        ),
+        (
+            "patches:\n  a: {}\n  b: {parameters: {digitizer_id: 'E6'}}",
+            "line 3: patch 'b': digitizer_id is 'E6'; it must be 16 hexadecimal digits",
+        ),
+        (
+            "patches:\n  a: {parameters: {digitizer_id: E66058388372A432}}\n"
+            "  b: {parameters: {digitizer_id: 'e6 60 58 38 83 72 a4 32'}}",
+            "line 3: patch 'b' has digitizer_id 'E66058388372A432', and so has 'a'",
+        ),
+        (
+            "patches:\n  a: {parameters: {skin: s}}\n  b: {parameters: {skin: s}}",
+            "line 3: patch 'b' has skin 's', and so has 'a'",
+        ),
+        (
+            "patches:\n  a: {parameters: {mount_xyz_m: [0, 0, 1]}}\n"
+            "  b: {parameters: {frame_id: a, parent_frame: hand}}",
+            "line 3: patch 'b' has frame_id 'a', and so has 'a'",
+        ),
+    ],
+)
+def test_wrong_files_are_refused_with_line_and_reason(
+    tmp_path: Path, text: str, message: str
+) -> None:
+    with pytest.raises(BodyError, match=re.escape(message)):
+        read(tmp_path, text)
+
+
+def test_ports_in_parameter_files_count_and_simulations_do_not(tmp_path: Path) -> None:
+    (tmp_path / "skin.yaml").write_text("/**: {ros__parameters: {port: /dev/x}}\n")
+    with pytest.raises(BodyError, match="'b' has port '/dev/x', and so has 'a'"):
+        read(tmp_path, "patches: {a: {params_file: skin.yaml}, b: {params_file: skin.yaml}}")
+    simulated = "{parameters: {port: 'sim://?scene=idle'}}"
+    assert len(read(tmp_path, f"patches: {{a: {simulated}, b: {simulated}}}").patches) == 2
+
+
+def test_patches_that_no_tf_mounts_may_share_a_frame(tmp_path: Path) -> None:
+    shared = "{parameters: {frame_id: hand}}"
+    assert len(read(tmp_path, f"patches: {{a: {shared}, b: {shared}}}").patches) == 2
+
+
+def test_the_shipped_body_is_one_that_drivers_take() -> None:
+    body = read_body(CONFIG / "body.yaml")
+    taxels = {patch.name: len(SkinConfig.of(patch.parameters).layout) for patch in body.patches}
+    assert taxels == {
+        "chest": 64,
+        "left_forearm": 72,
+        "right_forearm": 72,
+        "left_palm": 16,
+        "right_elbow": 25,
+    }
+    assert {patch.parameters["parent_frame"] for patch in body.patches} == {body.frame_id}

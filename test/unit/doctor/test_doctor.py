@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""tactile-cdma doctor as its user meets it, on ports that are sound and on ports that are not."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from boards import board, board_id, chattering, plugged
+
+from tactile_cdma.commands.cli import main
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.doctor import installation
+from tactile_cdma.doctor.report import Verdict, exit_code
+from tactile_cdma.wire.messages import FrameLayout, Info
+from tactile_cdma.wire.packets import PacketWriter, wrap
+from tactile_cdma.wire.port import Port
+
+Doctor = Callable[..., tuple[int, dict[str, str]]]
+
+
+@pytest.fixture
+def doctor(capsys: pytest.CaptureFixture[str]) -> Doctor:
+    """Runs the command; its exit code, and verdict and text of what it found by subject."""
+
+    def run(*arguments: str) -> tuple[int, dict[str, str]]:
+        code = main(["doctor", "--json", *arguments])
+        found = json.loads(capsys.readouterr().out)
+        assert code == int(any(check["verdict"] == "problem" for check in found))
+        return code, {f["subject"]: f"{f['verdict']}: {f['text']}" for f in found}
+
+    return run
+
+
+@pytest.fixture
+def params(tmp_path: Path) -> Callable[[str], str]:
+    """Writes a parameter file with these lines."""
+
+    def write(*lines: str) -> str:
+        path = tmp_path / "params.yaml"
+        path.write_text("/**:\n  ros__parameters:\n" + "".join(f"    {line}\n" for line in lines))
+        return str(path)
+
+    return write
+
+
+def test_a_sound_board_passes(doctor: Doctor, params: Callable[..., str]) -> None:
+    with plugged(board(3)) as port:
+        file = params(f'digitizer_id: "{board_id(3)}"', "nodes: 16", f"port: {port}")
+        code, found = doctor("--params", file, "--seconds", "0.5")
+    assert code == 0
+    assert board_id(3) in found["digitizer"]
+    assert "0 lost" in found.pop("frames")  # the rate of half a second is the scheduler's
+    assert {text.split(":")[0] for text in found.values()} == {"ok"}
+    assert found["nodes"] == "ok: 16 of 16 spoke"
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "is the digitizer powered and started"),
+        (b"hello, this is a 3D printer\r\n", "another program's firmware"),
+        (bytes(range(1, 256)), "wrong baud rate"),
+        (wrap(b"\x01\0\0" + b"\x63" + bytes(70)), "protocol version 99"),
+    ],
+)
+def test_ports_with_something_else(doctor: Doctor, content: bytes, said: str) -> None:
+    with chattering(content) as port:
+        code, found = doctor(port)
+    assert code == 1
+    assert any(text.startswith("problem") and said in text for text in found.values())
+
+
+def test_a_digitizer_that_only_introduces_itself(doctor: Doctor) -> None:
+    frame = FrameLayout.of(SkinConfig.of({}).spec, 4)
+    info = Info(frame=frame, sample_rate_uhz=80_000_000_000, volts_per_count=1e-3, sync_mode=1)  # type: ignore[arg-type]
+    with chattering(PacketWriter().encode(info)) as port:
+        code, found = doctor(port)
+    assert code == 1
+    assert "sends no frames" in found["frames"]
+
+
+@pytest.mark.parametrize(
+    ("port", "subject", "said"),
+    [
+        ("/dev/ttyNOSUCH", "port", "no such port"),
+        ("usb://NOSUCH", "port", "no port has this USB serial number"),
+        (__file__, "port", "not a serial port"),
+        ("nonsense://", "port", "unknown kind of port"),
+        ("sim://?scene=nonsense", "port", "scene"),
+        ("socket://127.0.0.1:1", "port", "refused"),
+    ],
+)
+def test_ports_that_do_not_open(doctor: Doctor, port: str, subject: str, said: str) -> None:
+    code, found = doctor(port)
+    assert code == 1
+    assert said in found[subject]
+
+
+def test_a_busy_port(doctor: Doctor) -> None:
+    with chattering() as port, Port(port, 115_200):
+        code, found = doctor(port)
+    assert code == 1
+    assert "busy" in found["port"]
+
+
+@pytest.mark.parametrize(
+    ("lines", "port", "subject", "said"),
+    [
+        (["order: 24"], "sim://?order=20&speed=9", "frames", "order 20 (parameters: 24)"),
+        (['digitizer_id: "0000000000000001"'], "sim://?speed=9", "digitizer", "wrong digitizer"),
+        (["digitizer_id: 1234567890123456"], "sim://", "parameters", "must be a text"),
+        (["nodes: 16", "nodez: 4"], "sim://", "parameters", "did you mean 'nodes'"),
+        (["nodes: 900"], "sim://", "parameters", "longer than its period"),
+        (
+            ["amplitude_mv: 900.0"],
+            "sim://?scene=all&speed=4",
+            "amplitude_mv",
+            "looks like 300, not 900",
+        ),
+    ],
+)
+def test_parameters_that_do_not_fit(
+    doctor: Doctor, params: Callable[..., str], lines: list[str], port: str, subject: str, said: str
+) -> None:
+    code, found = doctor(port, "--params", params(*lines), "--seconds", "0.5")
+    assert code == 1
+    assert said in found[subject]
+
+
+@pytest.mark.parametrize("content", [None, b"", b"\xff\xfe", b"just: yaml", b"[1"])
+def test_parameter_files_that_are_none(
+    doctor: Doctor, tmp_path: Path, content: bytes | None
+) -> None:
+    path = tmp_path / "params.yaml"
+    if content is not None:
+        path.write_bytes(content)
+    code, found = doctor("sim://", "--params", str(path))
+    assert code == 1
+    assert str(path) in found["parameters"]
+
+
+# The installation: folders stand for those of a computer.
+
+
+def test_versions_outside_of_their_ranges(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the file that pip reads, too."""
+    root = Path(__file__).resolve().parents[3]
+    wanted = installation.requirements()
+    assert wanted == [
+        line for line in (root / "requirements.txt").read_text().splitlines() if line[0] != "#"
+    ]
+    assert {check.verdict for check in installation.packages()} == {Verdict.OK}
+    (tmp_path / "package.xml").touch()
+    (tmp_path / "requirements.txt").write_text("numpy>=99\nno-such-package>=1\n???\n")
+    monkeypatch.setattr(installation, "CHECKOUT", tmp_path)
+    old, missing, wrong = installation.packages()
+    assert (old.verdict, missing.verdict, wrong.verdict) == (
+        Verdict.WARNING,
+        Verdict.PROBLEM,
+        Verdict.WARNING,
+    )
+    assert "outside of the tested >=99" in old.text
+    assert exit_code([old]) == 0
+    assert exit_code([old, missing]) == 1
+
+
+def test_udev_rule_and_modem_manager(tmp_path: Path) -> None:
+    assert list(installation.udev_rule(tmp_path)) == []  # no udev, as in a container
+    (tmp_path / "run" / "udev").mkdir(parents=True)
+    (tmp_path / "run" / "udev" / "control").touch()
+    (tmp_path / "proc" / "12").mkdir(parents=True)
+    (tmp_path / "proc" / "12" / "comm").write_text("ModemManager\n")
+    assert [f.verdict for f in installation.udev_rule(tmp_path)] == [Verdict.WARNING]
+    assert [f.verdict for f in installation.modem_manager(tmp_path)] == [Verdict.WARNING]
+    rules = tmp_path / "etc" / "udev" / "rules.d"
+    rules.mkdir(parents=True)
+    rule = rules / installation.RULES
+    rule.write_bytes((installation.CHECKOUT / "config" / installation.RULES).read_bytes())
+    assert [f.verdict for f in installation.udev_rule(tmp_path)] == [Verdict.OK]
+    assert list(installation.modem_manager(tmp_path)) == []
+    rule.write_text("# of last year\n")
+    [old] = installation.udev_rule(tmp_path)
+    assert old.verdict is Verdict.WARNING
+    assert "is not that of this version" in old.text
+
+
+def test_a_segment_without_a_size_is_named(tmp_path: Path) -> None:
+    """One that Fast DDS waits for; those that are just being made, locks and data are none."""
+    for name, content in (("fastrtps_port7411", "data"), ("fastrtps_port7411_el", "")):
+        (tmp_path / name).write_text(content)
+    port = tmp_path / "fastdds_port7413"
+    port.touch()
+    assert [f.verdict for f in installation.shared_memory(tmp_path)] != [Verdict.PROBLEM]
+    for path in tmp_path.iterdir():
+        os.utime(path, (0, 0))
+    [found] = installation.shared_memory(tmp_path)
+    assert found.verdict is Verdict.PROBLEM
+    assert found.text.startswith(f"{port}: ")
+    port.unlink()
+    assert [f.verdict for f in installation.shared_memory(tmp_path)] != [Verdict.PROBLEM]
+
+
+def test_a_program_without_our_packages_says_what_is_missing(tmp_path: Path) -> None:
+    """An interpreter that has nothing but its standard library."""
+    root = Path(__file__).resolve().parents[3]
+    program = (
+        "import sys, runpy; sys.path = [p for p in sys.path if 'site-packages' not in p];"
+        f"sys.path.insert(0, {str(root)!r}); sys.argv = ['doctor', *sys.argv[1:]];"
+        "runpy.run_module('tactile_cdma.doctor', run_name='__main__')"
+    )
+
+    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-I", "-S", "-c", program, *arguments]
+        return subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=60)
+
+    installed = run()
+    assert installed.returncode == 1
+    assert "problem  packaging: missing" in installed.stdout
+    assert "Traceback" not in installed.stderr
+    on_port = run("sim://")
+    assert on_port.returncode == 1
+    assert "problem  packages: No module named" in on_port.stdout
+    assert "Traceback" not in on_port.stderr

@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""What the doctor reads from a stream: each fault is made by changing what is on the line."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+from itertools import zip_longest
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tactile_cdma.base.errors import PortError
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.doctor.report import Check, Verdict
+from tactile_cdma.doctor.stream import Stream, judge
+from tactile_cdma.recording.offline import parameters_of
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.wire.messages import Info, Packet, Samples, Start
+from tactile_cdma.wire.packets import PacketParser, PacketWriter
+
+SECONDS = 0.6
+ALL_TALK = "sim://?scene=press&threshold=0&noise=0.01"
+
+
+def packets_of(url: str) -> list[Packet]:
+    """What a simulated digitizer sends in a while."""
+    now_s = 0.0
+    digitizer = VirtualDigitizer(SimOptions.from_url(url), lambda: now_s)
+    digitizer.receive(PacketWriter().encode(Start()))
+    parser, packets = PacketParser(), []
+    while now_s < SECONDS:
+        now_s += 0.01
+        digitizer.advance()
+        packets += parser.feed(digitizer.take(1 << 20))
+    return [packet for packet in packets if isinstance(packet, Packet)]
+
+
+def stream_of(packets: list[Packet]) -> Stream:
+    """The same packets on a port, each read when its samples were taken."""
+    writer, t_host, chunks = PacketWriter(), 100.0, []
+    for packet in packets:
+        if isinstance(packet, Samples):
+            t_host = 100.0 + packet.device_time_us * 1e-6
+        chunks.append((writer.encode(packet), t_host))
+    return Stream(chunks, None)
+
+
+def checks(packets: list[Packet], **values: object) -> dict[str, list[Check]]:
+    """By subject; values: parameters that are not as the digitizer says."""
+    info = next(packet for packet in packets if isinstance(packet, Info))
+    config = SkinConfig.of({**parameters_of(info), "amplitude_mv": 300.0, **values})  # type: ignore[dict-item]
+    found: dict[str, list[Check]] = {}
+    for check in judge(stream_of(packets), config):
+        found.setdefault(check.subject, []).append(check)
+    return found
+
+
+def with_node(packets: list[Packet], others: list[Packet], share: float) -> list[Packet]:
+    """The sum of two lines, the second one weakened."""
+    result = []
+    for a, b in zip_longest(packets, others):
+        if isinstance(a, Samples) and isinstance(b, Samples) and len(a.counts) == len(b.counts):
+            counts = a.counts + np.round(share * b.counts).astype(np.int16)
+            result.append(replace(a, counts=counts))
+        elif a is not None:
+            result.append(a)
+    return result
+
+
+def only(node: int) -> str:
+    dead = ",".join(str(other) for other in range(1, 17) if other != node)
+    return f"{ALL_TALK}&dead={dead}"
+
+
+@pytest.fixture(scope="module")
+def sound() -> list[Packet]:
+    return packets_of(f"{ALL_TALK}&seed=1")
+
+
+@pytest.fixture(scope="module")
+def without_5() -> list[Packet]:
+    return packets_of(f"{ALL_TALK}&seed=1&dead=5")
+
+
+@pytest.fixture(scope="module")
+def node_5() -> list[Packet]:
+    return packets_of(f"{only(5)}&seed=2")
+
+
+def test_a_sound_skin_has_nothing_to_complain_of(sound: list[Packet]) -> None:
+    found = checks(sound)
+    verdicts = {check.verdict for subject in found.values() for check in subject}
+    assert verdicts == {Verdict.OK}
+    assert found["nodes"][0].text == "16 of 16 spoke"
+    assert float(found["noise"][0].text.split()[0]) == pytest.approx(5.0, rel=0.1)  # of 4 samples
+
+
+def test_a_node_that_says_nothing_is_named(without_5: list[Packet]) -> None:
+    [nodes] = checks(without_5)["nodes"]
+    assert nodes.verdict is Verdict.WARNING
+    assert "15 of 16 spoke, not heard: node 5:" in nodes.text
+
+
+def test_a_weak_node_is_named(without_5: list[Packet], node_5: list[Packet]) -> None:
+    heard, weak = checks(with_node(without_5, node_5, 0.4))["nodes"]
+    assert heard.text == "16 of 16 spoke"
+    assert weak.verdict is Verdict.WARNING
+    assert "weaker than the others: node 5:" in weak.text
+
+
+@pytest.mark.parametrize("share", [0.9, 1.0])
+def test_two_nodes_of_one_number_are_named(
+    sound: list[Packet], node_5: list[Packet], share: float
+) -> None:
+    _, doubled = checks(with_node(sound, node_5, share))["nodes"]
+    assert doubled.verdict is Verdict.PROBLEM
+    assert "two speak on one code row: node 5:" in doubled.text
+
+
+@pytest.mark.parametrize(
+    ("stated_mv", "verdict"),
+    [(300.0, Verdict.OK), (260.0, Verdict.OK), (212.0, Verdict.WARNING), (900.0, Verdict.PROBLEM)],
+)
+def test_the_amplitude_is_measured(sound: list[Packet], stated_mv: float, verdict: Verdict) -> None:
+    [amplitude] = checks(sound, amplitude_mv=stated_mv)["amplitude_mv"]
+    assert amplitude.verdict is verdict
+    assert f"{stated_mv:g}" in amplitude.text
+    assert "300" in amplitude.text or "299" in amplitude.text or "301" in amplitude.text
+
+
+def test_half_amplitudes_of_unipolar_nodes_are_no_fault() -> None:
+    found = checks(packets_of(f"{ALL_TALK}&drive=unipolar"))
+    assert found["amplitude_mv"][0].verdict is Verdict.OK
+    assert "polarity" not in found
+
+
+@pytest.mark.parametrize("scene", ["idle", "hand", "all"])
+def test_no_scene_is_taken_for_a_wrong_polarity(scene: str) -> None:
+    assert "polarity" not in checks(packets_of(f"sim://?scene={scene}&threshold=0"))
+
+
+@pytest.mark.parametrize("scene", ["press", "moving"])
+def test_a_line_turned_upside_down_is_told(scene: str) -> None:
+    packets = packets_of(f"sim://?scene={scene}&seed=1")
+    assert "polarity" not in checks(packets)
+    zero = next(packet.zero_count for packet in packets if isinstance(packet, Info))
+    inverted = [
+        replace(p, counts=(2 * zero - p.counts).astype(np.int16)) if isinstance(p, Samples) else p
+        for p in packets
+    ]
+    [polarity] = checks(inverted)["polarity"]
+    assert polarity.verdict is Verdict.PROBLEM
+    assert "set polarity to -1" in polarity.text
+
+
+def test_clipping_is_told_and_no_amplitude_is_read_from_it() -> None:
+    found = checks(packets_of("sim://?scene=all&threshold=0&rail=1.2"))
+    assert found["range"][0].verdict is Verdict.PROBLEM
+    assert "amplitude_mv" not in found
+
+
+def test_lost_packets_are_told(sound: list[Packet]) -> None:
+    stream = stream_of(sound)
+    torn = Stream([c for i, c in enumerate(stream.chunks) if i % 20 != 19], None)
+    found = {check.subject: check for check in judge(torn, SkinConfig.of({}))}
+    assert found["link"].verdict is Verdict.WARNING
+    assert found["frames"].verdict is Verdict.WARNING
+
+
+def test_broken_bytes_are_told(sound: list[Packet]) -> None:
+    chunks = stream_of(sound).chunks
+    noisy = Stream(
+        [(b[:9] + b"\x55" + b[10:] if i % 30 == 29 else b, t) for i, (b, t) in enumerate(chunks)],
+        None,
+    )
+    found = {check.subject: check for check in judge(noisy, SkinConfig.of({}))}
+    assert found["link"].verdict is Verdict.WARNING
+    assert "0 broken" not in found["link"].text
+
+
+def test_a_dead_skin_is_told() -> None:
+    dead = ",".join(str(node) for node in range(1, 17))
+    [nodes] = checks(packets_of(f"{ALL_TALK}&dead={dead}"))["nodes"]
+    assert nodes.verdict is Verdict.PROBLEM
+    assert "no node speaks" in nodes.text
+
+
+def test_bytes_without_frames_are_an_error_and_no_verdict() -> None:
+    with pytest.raises(PortError):
+        list(judge(Stream([(b"\0abc\0", 1.0)], None), SkinConfig.of({})))
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([1e-5, 1e-4, 1e-3, 0.1]))
+def test_whatever_comes_there_is_a_verdict_or_a_reason(
+    sound: list[Packet], seed: int, share: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    data = np.frombuffer(b"".join(chunk for chunk, _ in stream_of(sound).chunks), np.uint8).copy()
+    data = data[: rng.integers(1, len(data))]
+    hit = rng.random(len(data)) < share
+    data[hit] = rng.integers(0, 256, np.count_nonzero(hit))
+    parts = np.array_split(data, 50)
+    stream = Stream([(part.tobytes(), 0.01 * i) for i, part in enumerate(parts)], None)
+    with suppress(PortError):
+        assert {check.subject for check in judge(stream, SkinConfig.of({}))} >= {"link"}

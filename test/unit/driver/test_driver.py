@@ -1,0 +1,411 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The driver thread on real pyserial ports: sim://, a pty, and what can go wrong there."""
+
+import os
+import re
+import select
+import socket
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import serial
+
+from tactile_cdma.base.errors import PortError, SpecError
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.driver import WAITING, Driver
+from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.driver.session import Session
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.sim.pty import serve
+from tactile_cdma.wire.messages import Samples, Start
+from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from tactile_cdma.wire.port import Port
+
+CONFIG = SkinConfig.of({})
+
+
+class Watch:
+    """Collects what a driver reports."""
+
+    def __init__(self) -> None:
+        self.frames: list[TactileFrame] = []
+        self.problems: list[str | None] = []
+
+    def driver(self, url: str, config: SkinConfig = CONFIG) -> Driver:
+        return Driver(config, url, 2_000_000, self.frames.append, self.note)
+
+    def note(self, problem: str | None) -> None:
+        if problem != WAITING:
+            self.problems.append(problem)
+
+
+def wait_for(condition: Callable[[], object], timeout_s: float = 60.0) -> None:
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline, "waited in vain"
+        time.sleep(0.01)
+
+
+@contextmanager
+def virtual_tty(path: Path, url: str = "sim://?seed=5&scene=all") -> Iterator[Path]:
+    """A virtual digitizer on a pty, linked at path, in a thread of its own."""
+    stop, ready = threading.Event(), threading.Event()
+    thread = threading.Thread(
+        target=serve,
+        args=(
+            lambda: VirtualDigitizer(SimOptions.from_url(url)),
+            path,
+            stop,
+            lambda _: ready.set(),
+        ),
+    )
+    thread.start()
+    assert ready.wait(5)
+    try:
+        yield path
+    finally:
+        stop.set()
+        thread.join()
+
+
+@contextmanager
+def raw_pty() -> Iterator[tuple[int, str]]:
+    """A pty whose other end the test drives by hand."""
+    host, device = os.openpty()
+    tty.setraw(device)
+    try:
+        yield host, os.ttyname(device)
+    finally:
+        os.close(host)
+        os.close(device)
+
+
+def test_frames_arrive_at_the_frame_rate_with_host_times() -> None:
+    watch = Watch()
+    with watch.driver("sim://?seed=1"):
+        wait_for(lambda: len(watch.frames) >= 80)
+    now = time.monotonic()
+    times = np.array([frame.t_host for frame in watch.frames])
+    assert np.median(np.diff(times)) == pytest.approx(12.8e-3, rel=0.01)
+    assert 0 < now - times[-1] < 1.0
+    assert [f.sequence for f in watch.frames] == list(range(len(watch.frames)))
+    assert [p for p in watch.problems if p] == []
+
+
+def test_a_real_tty_gives_the_same_frames_and_values_as_sim(tmp_path: Path) -> None:
+    """The same seed on sim:// and behind a pty: same words, pressures and status.
+
+    At the pace at which they are read, so that a busy machine does not make the digitizer drop.
+    """
+    options = "?seed=7&scene=moving&noise=0.02&speed=0"
+    by_sim, by_tty = Watch(), Watch()
+    with (
+        virtual_tty(tmp_path / "skin", f"sim://{options}") as path,
+        by_sim.driver(f"sim://{options}"),
+        by_tty.driver(str(path)),
+    ):
+        wait_for(lambda: min(len(by_sim.frames), len(by_tty.frames)) >= 100)
+    for a, b in zip(by_sim.frames[:100], by_tty.frames[:100], strict=True):
+        assert a.sequence == b.sequence
+        assert np.array_equal(a.words.active, b.words.active)
+        assert np.array_equal(a.words.codes, b.words.codes)
+        assert np.array_equal(a.readings.pressure_pa, b.readings.pressure_pa, equal_nan=True)
+        assert np.array_equal(a.readings.status, b.readings.status)
+        assert a.words.noise_rms_v == b.words.noise_rms_v
+
+
+def test_unplugging_and_plugging_in_again_resumes(tmp_path: Path) -> None:
+    path, watch = tmp_path / "skin", Watch()
+    with watch.driver(str(path)):
+        wait_for(lambda: watch.problems)
+        assert "no such port" in (watch.problems[0] or "")
+        for _ in range(2):
+            with virtual_tty(path):
+                seen = len(watch.frames)
+                wait_for(lambda seen=seen: len(watch.frames) > seen + 20)
+                assert watch.problems[-1] is None
+            problems = len(watch.problems)
+            wait_for(lambda problems=problems: len(watch.problems) > problems)
+            assert str(path) in (watch.problems[-1] or "")
+
+
+def test_a_device_that_comes_back_ends_the_pause(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tactile_cdma.driver.driver.RETRY_S", (3600.0,))
+    path, watch = tmp_path / "skin", Watch()
+    with watch.driver(str(path)):
+        wait_for(lambda: watch.problems)
+        with virtual_tty(path):
+            wait_for(lambda: len(watch.frames) > 2)
+
+
+def test_a_port_that_takes_no_bytes_is_named() -> None:
+    with raw_pty() as (_, name):
+        full = os.open(name, os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY)
+        for _ in range(3):  # the kernel makes some room a little later
+            with suppress(BlockingIOError):
+                while True:
+                    os.write(full, bytes(4096))
+            time.sleep(0.05)
+        watch = Watch()
+        with watch.driver(name):
+            wait_for(lambda: watch.problems)
+        os.close(full)
+    assert "takes no bytes" in (watch.problems[0] or "")
+
+
+def test_a_clock_that_contradicts_the_count_of_samples_is_named() -> None:
+    digitizer, config = VirtualDigitizer(SimOptions(speed=0)), SkinConfig.of({})
+    session, pipeline, writer = Session(config), Pipeline(config), PacketWriter()
+    digitizer.receive(session.open())
+    digitizer.advance(100_000)
+    for number, packet in enumerate(PacketParser().feed(digitizer.take(100_000))):
+        if isinstance(packet, Samples):
+            packet = replace(packet, device_time_us=packet.device_time_us + number * 10**7)
+        pipeline.feed(writer.encode(packet), 0.0)
+        if number == 20:
+            session.watch(pipeline, 0.0)
+    assert session.watch(pipeline, 10.0)
+    assert "clock and its count of samples contradict each other" in (session.problem or "")
+
+
+def test_a_digitizer_that_restarts_is_started_again() -> None:
+    with raw_pty() as (host, name):
+        os.set_blocking(host, False)
+        watch = Watch()
+        with watch.driver(name):
+            for _ in range(2):  # the second one was just powered up: nobody told it to start
+                digitizer, seen = VirtualDigitizer(SimOptions()), len(watch.frames)
+
+                def serve_until(count: int, digitizer: VirtualDigitizer = digitizer) -> bool:
+                    digitizer.advance(4096)
+                    with suppress(BlockingIOError):
+                        digitizer.receive(os.read(host, 4096))
+                    with suppress(BlockingIOError):
+                        os.write(host, digitizer.take(1024))
+                    return len(watch.frames) >= count
+
+                wait_for(lambda seen=seen, step=serve_until: step(seen + 20))
+        sequence = [frame.sequence for frame in watch.frames]
+        assert sequence == sorted(set(sequence))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"hello, this is a 3D printer\r\n" * 20, "text received instead of packets"),
+        (bytes(np.random.default_rng(0).integers(0, 256, 2000, dtype=np.uint8)), "wrong baud rate"),
+        (b"", "is the digitizer powered and started"),
+    ],
+)
+def test_ports_with_something_else_are_diagnosed(content: bytes, message: str) -> None:
+    with raw_pty() as (host, name):
+        watch = Watch()
+        with watch.driver(name):
+            deadline = time.monotonic() + 8
+            while not watch.problems and time.monotonic() < deadline:
+                if content:
+                    os.write(host, content)
+                time.sleep(0.2)
+        assert watch.frames == []
+        assert message in (watch.problems[0] or "")
+
+
+def test_a_contradicting_digitizer_is_named_and_nothing_false_comes() -> None:
+    watch = Watch()
+    with watch.driver("sim://?order=24"):
+        wait_for(lambda: watch.problems)
+    assert "order 24 (parameters: 20)" in (watch.problems[0] or "")
+    assert watch.frames == []
+
+
+def test_missing_ports_and_bad_options_are_clear(tmp_path: Path) -> None:
+    with pytest.raises(PortError, match="no such port; is the digitizer plugged in"):
+        Port("/dev/ttyNOSUCH", 115_200)
+    with pytest.raises(PortError, match="unknown kind of port"):
+        Port("com://1", 115_200)
+    with pytest.raises(PortError, match="scene"):
+        Port("sim://?scene=nonsense", 115_200)
+    for url in ("hwgrep://(", "alt:///dev/null?class=os"):  # options of pyserial's own handlers
+        with pytest.raises(PortError, match=re.escape(url)):
+            Port(url, 115_200)
+    file = tmp_path / "file"
+    file.touch()
+    with pytest.raises(PortError, match="not a serial port"):
+        Port(str(file), 115_200)
+
+
+def test_a_port_that_is_open_elsewhere_is_busy() -> None:
+    with raw_pty() as (_, name):
+        with Port(name, 115_200), pytest.raises(PortError, match="busy: another program"):
+            Port(name, 115_200)
+        Port(name, 115_200).close()
+
+
+def test_a_port_without_permission_names_the_group() -> None:
+    with raw_pty() as (_, name):
+        os.chmod(name, 0)
+        child = os.fork()
+        if child == 0:  # root may open everything, so the child is somebody else
+            verdict = 1
+            with suppress(BaseException):
+                if os.geteuid() == 0:
+                    os.setuid(65_534)
+                with pytest.raises(PortError, match=r"no permission.*dialout"):
+                    Port(name, 115_200)
+                verdict = 0
+            os._exit(verdict)
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+
+def test_stopping_stops_the_digitizer_and_frees_the_port() -> None:
+    with raw_pty() as (host, name):
+        watch, parser = Watch(), PacketParser()
+        with watch.driver(name):
+            assert select.select([host], [], [], 10)[0]
+        sent: list[str] = []
+        while "Stop" not in sent and select.select([host], [], [], 5)[0]:
+            sent += [type(packet).__name__ for packet in parser.feed(os.read(host, 4096))]
+        assert sent[:3] == ["Configure", "GetInfo", "Start"]
+        assert sent[-1] == "Stop"
+        with Port(name, 115_200):
+            pass
+
+
+def test_a_fault_in_a_consumer_is_reported_and_the_skin_comes_back() -> None:
+    watch, faults = Watch(), iter([True])
+
+    def consume(frame: TactileFrame) -> None:
+        if len(watch.frames) == 5 and next(faults, False):
+            raise ZeroDivisionError("of the test")
+        watch.frames.append(frame)
+
+    with Driver(CONFIG, "sim://", 2_000_000, consume, watch.note) as driver:
+        wait_for(lambda: len(watch.frames) > 20)
+        assert driver.connections == 2
+    assert any("ZeroDivisionError: of the test" in problem for problem in watch.problems if problem)
+
+
+@contextmanager
+def network_port() -> Iterator[str]:
+    """The URL of a digitizer behind a socket, whose kernel keeps seconds of what it sends."""
+    server = socket.create_server(("127.0.0.1", 0))
+    stop = threading.Event()
+
+    def serve_digitizer() -> None:
+        connection, _ = server.accept()
+        digitizer = VirtualDigitizer(SimOptions())
+        with connection:
+            connection.settimeout(0.001)
+            while not stop.is_set():
+                with suppress(TimeoutError):
+                    digitizer.receive(connection.recv(4096))
+                digitizer.advance()
+                with suppress(OSError):
+                    connection.sendall(digitizer.take(65_536))
+
+    thread = threading.Thread(target=serve_digitizer)
+    thread.start()
+    try:
+        yield f"socket://127.0.0.1:{server.getsockname()[1]}"
+    finally:
+        stop.set()
+        thread.join()
+        server.close()
+
+
+def test_a_network_port_keeps_up() -> None:
+    watch = Watch()
+    with network_port() as url, watch.driver(url):
+        wait_for(lambda: len(watch.frames) >= 300)  # 3.8 s of frames
+
+
+def test_a_driver_that_is_left_behind_skips_what_waits_and_counts_it() -> None:
+    """Handing on takes two frame periods: every other frame is one too many."""
+    ages_s: list[float] = []
+    sequences: list[int] = []
+
+    def slow(frame: TactileFrame) -> None:
+        ages_s.append(time.monotonic() - frame.t_host)
+        sequences.append(frame.sequence)
+        time.sleep(2 * 12.8e-3)
+
+    with network_port() as url, Driver(CONFIG, url, 0, slow, lambda problem: None) as driver:
+        counters = driver.pipeline.counters
+        wait_for(lambda: counters.skipped_bytes and counters.lost_frames, 30)
+        packets = driver.pipeline.packet_counts
+    assert min(ages_s[20:]) < 0.5, "newest data wins: they grew older by 13 ms a frame"
+    assert sequences[-1] + 1 - len(sequences) == pytest.approx(counters.lost_frames, abs=5)
+    assert packets["lost_packets"] > 0
+    broken = ("crc_errors", "framing_errors", "resyncs", "jumps", "malformed")
+    assert {packets[name] for name in broken} == {0}, "a packet that was cut is no broken one"
+
+
+def test_what_the_wire_cannot_say_is_refused() -> None:
+    with pytest.raises(SpecError, match="whole nanoseconds"):
+        Session(SkinConfig.of({"chip_us": 33.33333}))
+
+
+def test_simulated_port_is_found_by_pyserial_itself() -> None:
+    with serial.serial_for_url("sim://?speed=0", timeout=1) as port:
+        port.write(PacketWriter().encode(Start()))
+        assert PacketParser().feed(port.read(8000))
+
+
+def test_calls_between_frames_cost_none() -> None:
+    """Tares, and calibrations read anew, from another thread, as fast as they get in."""
+    watch, calls = Watch(), 0
+    with watch.driver("sim://?scene=all&seed=2&speed=0") as driver:
+        while len(watch.frames) < 2000:
+            with driver.between_frames() as pipeline:
+                assert pipeline.adjust(CONFIG)
+                if pipeline.taxels.baseline.seen:
+                    pipeline.taxels.tare(1000.0, force=True)
+            calls += 1
+            time.sleep(1e-3)
+        counters = driver.pipeline.counters
+        assert (counters.lost_frames, counters.lost_samples, counters.restarts) == (0, 0, 0)
+    assert calls > 20
+    assert [frame.sequence for frame in watch.frames] == list(range(len(watch.frames)))
+    assert all(frame.words.active.all() for frame in watch.frames[1:])
+
+
+@contextmanager
+def mute_host() -> Iterator[str]:
+    """URL of a host that lets nobody in: its queue of connections is full."""
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        server.listen(0)
+        waiting = []
+        try:
+            with suppress(TimeoutError):
+                while True:
+                    waiting.append(socket.socket())
+                    waiting[-1].settimeout(0.3)
+                    waiting[-1].connect(server.getsockname())
+            yield "socket://{}:{}".format(*server.getsockname())
+        finally:
+            for client in waiting:
+                client.close()
+
+
+def test_stopping_does_not_wait_for_a_host_that_does_not_answer() -> None:
+    watch = Watch()
+    with mute_host() as url:
+        driver = watch.driver(url)
+        driver.start()
+        time.sleep(0.1)
+        driver.stop()
+        assert driver._thread.is_alive()  # still connecting: pyserial does so for 5 s
+    wait_for(lambda: not driver._thread.is_alive())
+    assert watch.problems == []

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Which digitizer is taken: ids as people write them, and what is said to the wrong board."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from boards import board, board_id, plugged
+from hypothesis import given
+from hypothesis import strategies as st
+from test_driver import Watch, wait_for
+
+from tactile_cdma.base.errors import ParameterError
+from tactile_cdma.commands.cli import main
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.driver import Driver
+from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.driver.session import Session
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.wire.identity import parse_id, shown_id
+from tactile_cdma.wire.messages import Configure, GetInfo, Start, Stop
+from tactile_cdma.wire.packets import PacketParser
+
+SEPARATORS = ("", ":", "-", "_", ".", " ")
+ids = st.binary(min_size=8, max_size=8).filter(any)
+
+
+@given(ids, st.sampled_from(SEPARATORS), st.booleans(), st.booleans())
+def test_an_id_is_known_however_it_is_written(
+    number: bytes, separator: str, upper: bool, prefixed: bool
+) -> None:
+    text = separator.join(f"{byte:02x}" for byte in number)
+    text = ("0x" if prefixed else "") + (text.upper() if upper else text)
+    assert parse_id(text) == number
+    assert parse_id(shown_id(number)) == number
+
+
+@pytest.mark.parametrize("text", ["1234", "zz" * 8, "00" * 9, "sim", "1" * 15, "0x", "é" * 16])
+def test_what_is_no_id_is_refused_naming_it(text: str) -> None:
+    with pytest.raises(ParameterError, match="16 hexadecimal digits") as caught:
+        SkinConfig.of({"digitizer_id": text})
+    assert repr(text) in str(caught.value)
+
+
+def test_zeros_name_no_board() -> None:
+    with pytest.raises(ParameterError, match="boards without an id"):
+        parse_id("00" * 8)
+    assert shown_id(bytes(8)) == "no id"
+
+
+class Talk:
+    """A session, its pipeline and a digitizer, a step of time after the other."""
+
+    def __init__(self, digitizer_id: str) -> None:
+        config = SkinConfig.of({"digitizer_id": digitizer_id})
+        self.session, self.pipeline = Session(config), Pipeline(config)
+        self.now_s = 0.0
+        self.sent: list[object] = []
+        self._heard = PacketParser()
+        self.digitizer = VirtualDigitizer(clock=lambda: self.now_s)
+
+    def exchange(self, seconds: float) -> list[TactileFrame]:
+        """What the driver does with a port, from opening to closing it."""
+        self.open()
+        frames = self.go_on(seconds)
+        self._send(self.session.close())
+        return frames
+
+    def open(self) -> None:
+        self._send(self.session.open())
+
+    def go_on(self, seconds: float) -> list[TactileFrame]:
+        """What its loop does."""
+        frames = []
+        for _ in range(round(seconds / 0.01)):
+            self.now_s += 0.01
+            self.digitizer.advance()
+            frames += self.pipeline.feed(self.digitizer.take(1 << 20), self.now_s)
+            self._send(self.session.watch(self.pipeline, self.now_s))
+        return frames
+
+    def _send(self, data: bytes) -> None:
+        self.sent += [type(packet) for packet in self._heard.feed(data)]
+        self.digitizer.receive(data)
+
+
+def test_the_right_board_is_started_once_it_is_known() -> None:
+    talk = Talk(board_id(0))
+    assert len(talk.exchange(1.5)) > 100
+    assert talk.sent == [GetInfo, Configure, GetInfo, Start, Stop]
+    assert talk.session.problem is None
+
+
+def test_a_wrong_board_is_neither_configured_nor_started_nor_stopped() -> None:
+    talk = Talk(board_id(5))
+    assert talk.exchange(4.5) == []
+    assert set(talk.sent) == {GetInfo}
+    assert not talk.digitizer.streaming
+    assert board_id(0) in (talk.session.problem or "")
+    assert board_id(5) in (talk.session.problem or "")
+
+
+def test_a_board_that_takes_the_place_of_another_on_an_open_port_is_judged_anew() -> None:
+    talk = Talk(board_id(5))
+    assert talk.exchange(2.5) == []
+    talk.digitizer = VirtualDigitizer(SimOptions(seed=5), lambda: talk.now_s)
+    assert len(talk.exchange(2.0)) > 100
+    talk.digitizer = VirtualDigitizer(SimOptions(seed=6), lambda: talk.now_s)
+    talk.exchange(1.5)  # until it has said who it is
+    assert talk.exchange(3.0) == []
+    assert board_id(6) in (talk.pipeline.problem or "")
+
+
+@pytest.fixture
+def two_boards(tmp_path: Path) -> Iterator[tuple[str, str]]:
+    """Ports of boards 1 and 2."""
+    with plugged(board(1), tmp_path / "a") as first, plugged(board(2), tmp_path / "b") as second:
+        yield first, second
+
+
+def test_boards_on_each_others_ports_are_both_refused(two_boards: tuple[str, str]) -> None:
+    swapped = Watch(), Watch()
+    configs = [SkinConfig.of({"digitizer_id": board_id(seed)}) for seed in (2, 1)]
+    with (
+        swapped[0].driver(two_boards[0], configs[0]),
+        swapped[1].driver(two_boards[1], configs[1]),
+    ):
+        wait_for(lambda: all(watch.problems for watch in swapped))
+    assert all("wrong digitizer" in (watch.problems[0] or "") for watch in swapped)
+    assert not any(watch.frames for watch in swapped)
+    right = Watch()
+    with Driver(configs[0], two_boards[1], 2_000_000, right.frames.append, right.note):
+        wait_for(lambda: len(right.frames) > 20)
+
+
+def test_a_recording_is_of_the_right_board_only(
+    two_boards: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    params = tmp_path / "params.yaml"
+    params.write_text(f'/**:\n  ros__parameters:\n    digitizer_id: "{board_id(2)}"\n')
+    options = [str(tmp_path / "skin.raw"), "--params", str(params), "--seconds", "1.5", "--force"]
+    assert main(["record", two_boards[1], *options]) == 0
+    out = capsys.readouterr().out
+    packets = int(out.split(" packets=")[1].split()[0])
+    assert packets > 50  # it was started
+    main(["record", two_boards[0], *options])
+    assert "wrong digitizer" in capsys.readouterr().err

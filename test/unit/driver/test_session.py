@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The conversation with a digitizer: when it is asked again, and what is said if nothing comes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from test_identity import Talk
+
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline
+from tactile_cdma.driver.session import PATIENCE_S, SOON_S, Session
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.wire._protocol import Result
+from tactile_cdma.wire.messages import Ack, Configure, GetInfo, Packet, Start, Status
+from tactile_cdma.wire.packets import PacketWriter
+
+CONFIG = SkinConfig.of({})
+OPENING = [Configure, GetInfo, Start]
+
+
+def test_a_digitizer_that_was_reset_is_started_at_once() -> None:
+    talk = Talk("")
+    talk.open()
+    assert len(talk.go_on(0.5)) > 30
+    talk.sent.clear()
+    talk.digitizer = VirtualDigitizer(clock=lambda: talk.now_s)
+    frames = talk.go_on(0.2)
+    assert talk.sent == OPENING
+    assert len(frames) > 12
+    assert frames[0].t_start < talk.digitizer.started_s + 12.8e-3
+    assert talk.session.problem is None
+
+
+def test_a_digitizer_that_is_reset_in_the_handshake_is_started_soon() -> None:
+    talk = Talk("")
+    talk.open()
+    talk.go_on(0.01)
+    talk.digitizer = VirtualDigitizer(clock=lambda: talk.now_s)
+    assert len(talk.go_on(2 * SOON_S + 0.2)) > 12
+
+
+class Line:
+    """A pipeline and a session that hear what a test says, at times that it says."""
+
+    def __init__(self) -> None:
+        self.pipeline, self.session = Pipeline(CONFIG), Session(CONFIG)
+        self._writer = PacketWriter()
+        self.session.open()
+
+    def hears(self, now_s: float, *packets: Packet) -> bool:
+        """Whether it is asked to stream on hearing this."""
+        self.pipeline.feed(b"".join(map(self._writer.encode, packets)), now_s)
+        return bool(self.session.watch(self.pipeline, now_s))
+
+
+STARTED = Ack(command=Start.TYPE, command_sequence=2)
+IDLE = Status(uptime_us=5)
+
+
+def test_a_status_that_crossed_start_on_the_wire_is_none_of_a_reset() -> None:
+    line = Line()
+    assert not line.hears(0.0, IDLE)
+    assert not line.hears(0.5 * SOON_S, STARTED)
+    assert not line.hears(2 * SOON_S)
+    assert line.hears(3 * SOON_S, IDLE)  # this one came after START was obeyed
+
+
+@pytest.mark.parametrize("answer", [(), (STARTED,)])
+def test_one_that_never_streams_is_not_asked_without_end(answer: tuple[Ack, ...]) -> None:
+    """It says so 100 times a second, whether it obeys or not."""
+    line, asked = Line(), 0
+    for count in range(300):
+        asked += line.hears(count * 1e-2, *answer, Status(uptime_us=count))
+    assert 3 / PATIENCE_S <= asked <= 3 / SOON_S
+    line, asked = Line(), 0
+    for second in range(30):  # and as the protocol has it
+        asked += line.hears(second, *answer, Status(uptime_us=second))
+    assert asked <= 30
+
+
+@pytest.mark.parametrize(
+    ("answer", "problem"),
+    [
+        (STARTED, "answers but sends no frames"),
+        (replace(STARTED, result=Result.BUSY), "refused command 0x82: busy"),
+    ],
+)
+def test_one_that_never_streams_is_named_though_it_is_asked_again(
+    answer: Ack, problem: str
+) -> None:
+    line = Line()
+    line.hears(0.0, VirtualDigitizer().info())
+    for tenth in range(1, 50):
+        said = [Status(uptime_us=tenth)] if tenth % 9 == 0 else []
+        if line.hears(0.1 * tenth, *said):
+            line.hears(0.1 * tenth, answer)
+    assert problem in (line.session.problem or "")
+
+
+def test_other_bytes_after_packets_are_said() -> None:
+    line = Line()
+    line.hears(0.0, STARTED)
+    line.pipeline.feed(PacketWriter().encode(VirtualDigitizer().info()), 0.1)
+    assert not line.hears(0.1)
+    assert line.hears(2.0)
+    line.pipeline.feed(b"hello" * 100, 2.1)
+    assert line.hears(4.0)
+    assert "another device" in (line.session.problem or "")

@@ -1,0 +1,242 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Numbers at their limits: nothing overflows, nothing non-finite gets out unflagged."""
+
+import math
+import warnings
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tactile_cdma.code.encode import frame_levels, line_chips
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.code.separate import separate
+from tactile_cdma.code.transform import correlate
+from tactile_cdma.config.parameters import GAP
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.clock import DeviceClock
+from tactile_cdma.driver.pipeline import Pipeline
+from tactile_cdma.framing.gap_timing import GapTiming
+from tactile_cdma.framing.line_timing import LineTiming
+from tactile_cdma.framing.timing import FrameLevels, SampleBlock
+from tactile_cdma.readings.taxels import Status
+from tactile_cdma.wire.messages import FrameLayout, Info, Samples
+from tactile_cdma.wire.packets import PacketWriter
+from tactile_cdma.words.decode import decode
+
+SPEC = FrameSpec()
+A = 0.3
+
+
+@pytest.fixture(autouse=True)
+def no_silent_overflow() -> Iterator[None]:
+    with np.errstate(over="raise", invalid="raise", divide="raise"), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield
+
+
+def spec_of(nodes: int, **fields: object) -> FrameSpec:
+    return FrameSpec(nodes=nodes, chip_s=1e-8, frame_period_s=0.1, **fields)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("nodes", [1, 2, 1000, 4096, 16_383, 65_535])
+def test_every_word_survives_at_any_number_of_nodes(nodes: int) -> None:
+    spec, rng = spec_of(nodes), np.random.default_rng(nodes)
+    codes, active = rng.integers(0, 1024, nodes), rng.random(nodes) < 0.7
+    words = decode(separate(line_chips(spec, codes, active), spec), spec)
+    assert np.array_equal(words.active, active)
+    assert np.array_equal(words.codes, codes * active)
+
+
+@pytest.mark.parametrize("nodes", [16, 1000, 65_535])
+def test_errors_of_float32_stay_far_below_one_count_of_any_converter(nodes: int) -> None:
+    """Counts of a 16-bit converter at both ends of its range: sums reach N·2¹⁵."""
+    spec, rng = spec_of(nodes), np.random.default_rng(nodes)
+    counts = rng.choice([-32768.0, 32767.0], (2, spec.order)).astype(np.float32)
+    some = rng.integers(0, spec.order, 20)
+    exact = counts.astype(np.float64) @ spec.book.rows(some).T.astype(np.float64) / spec.order
+    assert np.abs(correlate(counts, spec.book)[:, some] - exact).max() < 0.02
+
+
+@pytest.mark.parametrize("nodes", [16, 1000])
+def test_a_node_sixty_decibels_below_the_others_is_read(nodes: int) -> None:
+    spec, rng = spec_of(nodes), np.random.default_rng(2)
+    codes, weak = rng.integers(0, 1024, nodes), nodes // 2
+    amplitude_v = np.full(nodes, A)
+    amplitude_v[weak] *= 1e-3
+    levels = separate(line_chips(spec, codes, amplitude_v=amplitude_v), spec)
+    words = decode(levels, spec, swing_v=amplitude_v)
+    assert words.active.all() and np.array_equal(words.codes, codes)
+    assert words.amplitude_v[weak] == pytest.approx(A * 1e-3, rel=0.01)
+
+
+def line_frames(volts: np.ndarray, spec: FrameSpec = SPEC, per_chip: int = 4) -> list[FrameLevels]:
+    """Three equal frames of line timing, the gap first."""
+    timing, frames, at = LineTiming(spec, per_chip / spec.chip_s), [], 0
+    gap = round((spec.frame_period_s / spec.chip_s - spec.span_chips) * per_chip)
+    for _ in range(3):
+        frames += timing.feed(SampleBlock(at, volts[:gap]))
+        frames += timing.feed(SampleBlock(at + gap, volts[gap:], sync=True))
+        at += volts.size
+    return frames + timing.flush()
+
+
+def samples(codes: np.ndarray, spec: FrameSpec = SPEC, per_chip: int = 4) -> np.ndarray:
+    gap = round((spec.frame_period_s / spec.chip_s - spec.span_chips) * per_chip)
+    chips = np.repeat(frame_levels(line_chips(spec, codes), spec), per_chip)
+    return np.concatenate((np.zeros(gap, np.float32), chips, np.zeros(4 * per_chip, np.float32)))
+
+
+@pytest.mark.parametrize("offset_v", [A * 1000, -A * 1000])
+@pytest.mark.parametrize("first_row", [0, 1])
+def test_offsets_of_a_thousand_amplitudes(offset_v: float, first_row: int) -> None:
+    spec = FrameSpec(first_row=first_row)
+    codes = np.arange(16) * 64 + 7
+    frames = line_frames(samples(codes, spec) + np.float32(offset_v), spec)
+    assert len(frames) == (3 if first_row else 2)  # with row 0 in use, the level must be seen first
+    for frame in frames:
+        assert frame.levels is not None
+        assert np.array_equal(decode(frame.levels, spec).codes, codes)
+
+
+@pytest.mark.parametrize("share", [2.0, 1.0])
+def test_hitting_the_rails_costs_margin_but_not_words(share: float) -> None:
+    rng, wrong = np.random.default_rng(3), 0
+    for _ in range(20):
+        codes = rng.integers(0, 1024, 16)
+        rail = share * math.sqrt(16) * A
+        [*_, frame] = line_frames(np.clip(samples(codes), -rail, rail))
+        assert frame.levels is not None
+        words = decode(frame.levels, SPEC)
+        wrong += int((words.codes != codes)[words.active & ~words.doubtful].sum())
+    assert wrong == 0
+
+
+def test_signals_of_one_count() -> None:
+    """Two nodes of one count each: the line has five levels."""
+    count = 0.01
+    spec = FrameSpec(nodes=2, order=4, amplitude_v=count)
+    codes = np.array([682, 819])
+    counts = np.rint(samples(codes, spec) / count).astype(np.int16)
+    for frame in line_frames(counts.astype(np.float32) * np.float32(count), spec):
+        assert frame.levels is not None
+        assert np.array_equal(decode(frame.levels, spec).codes, codes)
+
+
+def test_hum_of_a_third_of_an_amplitude() -> None:
+    codes = np.arange(16) * 60 + 3
+    volts = samples(codes)
+    t_s = np.arange(3 * volts.size) * SPEC.chip_s / 4
+    for phase in (0.0, 1.0, 2.0):
+        hum = (0.1 * np.sin(2 * np.pi * 50 * t_s + phase)).astype(np.float32)
+        for frame in line_frames(volts + hum[: volts.size]):
+            assert frame.levels is not None
+            assert np.array_equal(decode(frame.levels, SPEC).codes, codes)
+
+
+@pytest.mark.parametrize("scale", [1e-44, 1e-38, 1e-30, 1e5])
+def test_denormal_and_huge_volts(scale: float) -> None:
+    spec = FrameSpec(amplitude_v=None)
+    codes = np.arange(16) * 60 + 3
+    with np.errstate(under="ignore"):
+        frames = line_frames(samples(codes) * np.float32(scale), spec)
+    for frame in frames:
+        if frame.levels is not None:
+            assert np.isfinite(frame.levels.values).all() and math.isfinite(frame.levels.noise_v)
+    if scale > 1:
+        assert [f.levels is not None for f in frames] == [True] * 3
+
+
+def info_of(config: SkinConfig, volts_per_count: float) -> Info:
+    return Info(
+        frame=FrameLayout.of(config.spec, config.samples_per_chip),
+        sample_rate_uhz=round(1e6 * config.samples_per_chip / config.spec.chip_s),
+        volts_per_count=volts_per_count,
+        sync_mode=0 if config.timing == GAP else 1,  # type: ignore[arg-type]
+        integrated=config.samples_per_chip == 1,
+    )
+
+
+def counts_of(kind: str, size: int, rng: np.random.Generator) -> np.ndarray:
+    """What a broken digitizer may send."""
+    if kind == "extremes":
+        return rng.choice(np.array([-32768, 32767], np.int16), size)
+    if kind == "stuck":
+        return np.full(size, rng.integers(-32768, 32768), np.int16)
+    if kind == "spikes":
+        return np.where(rng.random(size) < 0.01, rng.integers(-32768, 32768, size), 0)
+    return rng.integers(-32768, 32768, size)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.sampled_from(["noise", "extremes", "stuck", "spikes"]),
+    st.sampled_from([1, 4]),
+    st.sampled_from(["line", GAP]),
+    st.sampled_from([1e-30, 1e-4, 1e5]),
+    st.sampled_from([300.0, 0.0]),
+    st.integers(0, 2**32 - 1),
+)
+def test_whatever_samples_come_every_reading_is_in_range_or_flagged(
+    kind: str, per_chip: int, timing: str, volts_per_count: float, amplitude: float, seed: int
+) -> None:
+    if timing == GAP:
+        per_chip = 4
+    values = {"samples_per_chip": per_chip, "timing": timing, "amplitude_mv": amplitude}
+    config, rng = SkinConfig.of(values), np.random.default_rng(seed)
+    pipeline, writer = Pipeline(config, background=False), PacketWriter()
+    pipeline.feed(b"\0" + writer.encode(info_of(config, volts_per_count)), 0.0)
+    assert pipeline.problem is None
+    at, frames = 0, []
+    for _ in range(30):
+        counts = counts_of(kind, int(rng.integers(1, 400)), rng).astype(np.int16)
+        time_us = round(at * 1e6 * config.spec.chip_s / per_chip)
+        packet = Samples(time_us, at, counts, sync=bool(timing != GAP and rng.random() < 0.3))
+        frames += pipeline.feed(writer.encode(packet), time_us * 1e-6)
+        at += counts.size
+    for frame in [*frames, *pipeline.flush()]:
+        pressure_pa, status = frame.readings.pressure_pa, frame.readings.status
+        unread = np.isnan(pressure_pa)
+        assert ((pressure_pa[~unread] >= 0) & (pressure_pa[~unread] <= 140e3)).all()
+        assert (status[unread] & (Status.STALE | Status.FAULTY)).all()
+        assert math.isfinite(frame.t_host) and math.isfinite(frame.chip_s)
+
+
+@pytest.mark.parametrize("kind", [LineTiming, GapTiming])
+def test_nan_and_infinity_from_a_broken_capture_reach_no_word(
+    kind: type[LineTiming] | type[GapTiming],
+) -> None:
+    codes, rng = np.arange(16) * 60 + 3, np.random.default_rng(5)
+    one = samples(codes, per_chip=8)
+    volts = np.concatenate([one] * 12) + rng.normal(0, 0.003, 12 * one.size).astype(np.float32)
+    bad = rng.choice(volts.size, 4, replace=False)
+    volts[bad] = [np.nan, np.inf, -np.inf, np.float32(3e38)]
+    timing, frames = kind(SPEC, 8 / SPEC.chip_s), []
+    gap = one.size - (SPEC.chips + 4) * 8
+    for index in range(12):
+        at = index * one.size
+        frames += timing.feed(SampleBlock(at, volts[at : at + gap]))
+        frames += timing.feed(SampleBlock(at + gap, volts[at + gap : at + one.size], sync=True))
+    frames += timing.flush()
+    heard = [frame.levels for frame in frames if frame.levels is not None]
+    assert len(heard) >= 12 - 2 * 4
+    for levels in heard:
+        assert np.array_equal(decode(levels, SPEC).codes, codes)
+
+
+@pytest.mark.parametrize("week", [0, 1, 8])
+def test_the_clock_holds_for_weeks(week: int) -> None:
+    """A crystal 40 ppm off, swung by 3 ppm over the day; packets 1 ms late."""
+    clock, rng, day = DeviceClock(), np.random.default_rng(6), 86_400.0
+    device = host = week * 7 * day
+    worst = 0.0
+    for step in range(9000):
+        device += 0.0128
+        host += 0.0128 * (1 + 40e-6 + 3e-6 * math.sin(2 * math.pi * device / day))
+        clock.observe(device, host + rng.exponential(1e-3))
+        if step > 2000:
+            worst = max(worst, abs(clock.to_host(device) - host))
+    assert worst < 0.5e-3

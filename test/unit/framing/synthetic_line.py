@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""A synthetic line for the tests of timing: frames at known places, and what comes back."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from tactile_cdma.code.encode import line_chips
+from tactile_cdma.code.frame import DEFAULT_AMPLITUDE_V, UNIPOLAR, FrameSpec
+from tactile_cdma.framing.gap_timing import GapTiming
+from tactile_cdma.framing.line_timing import LineTiming
+from tactile_cdma.framing.timing import FrameLevels, SampleBlock
+
+PAPER = FrameSpec(first_row=0, sign_seed=None, polarity=-1, order=16)
+DEFAULT = FrameSpec()
+SPECS = {
+    "paper": PAPER,
+    "paper, amplitude unknown": replace(PAPER, amplitude_v=None),
+    "default": DEFAULT,
+    "unipolar": replace(DEFAULT, drive=UNIPOLAR),
+    "unipolar, amplitude unknown": replace(DEFAULT, drive=UNIPOLAR, amplitude_v=None),
+}
+
+
+@dataclass
+class Sent:
+    """One frame on the line: when, how fast, and what each active node said."""
+
+    start: float
+    chip: float
+    words: dict[int, int]
+
+
+class Wire:
+    """A line, sampled at integer instants, on which frames are placed at fractional ones."""
+
+    def __init__(self, spec: FrameSpec, samples_per_chip: float, seed: int = 0) -> None:
+        self.spec = spec
+        self.rng = np.random.default_rng(seed)
+        self.chip = samples_per_chip
+        self.rate_hz = samples_per_chip / spec.chip_s
+        self.period = self.rate_hz * spec.frame_period_s
+        self.sent: list[Sent] = []
+        self.jitter = 0.0
+        self.amplitude_v: float | None = None
+
+    def send(self, start: float, words: dict[int, int], stretch: float | None = None) -> None:
+        chip = self.chip * (1 + (self.rng.uniform(0, 0.10) if stretch is None else stretch))
+        self.sent.append(Sent(start, chip, words))
+
+    def send_random(self, count: int, nodes: int | None = None, wander: float = 2.0) -> None:
+        """Frames with random subsets (of a given size) and words, roughly once per period."""
+        n = self.spec.nodes
+        for i in range(count):
+            talking = self.rng.choice(n, nodes or self.rng.integers(1, n + 1), replace=False)
+            words = {int(k): int(self.rng.integers(1 << self.spec.bits)) for k in talking}
+            late = self.rng.uniform(-wander, wander) * self.chip
+            self.send((i + 0.25) * self.period + late, words)
+
+    def volts(
+        self, length: float | None = None, rho: float | None = None, offset_v: float = 0.0
+    ) -> np.ndarray:
+        """Samples; one percent of noise where no rho is given."""
+        spec = self.spec
+        line = np.zeros(math.ceil(length or self.sent[-1].start + 1.2 * self.period))
+        for frame in self.sent:
+            codes, active = np.zeros(spec.nodes, int), np.zeros(spec.nodes, bool)
+            for node, word in frame.words.items():
+                codes[node], active[node] = word, True
+            levels = line_chips(spec, codes, active, self.amplitude_v).ravel()
+            edges = frame.start + frame.chip * np.arange(levels.size + 1)
+            edges += frame.chip * self.rng.uniform(-self.jitter, self.jitter, edges.size)
+            at = np.arange(max(0, math.ceil(edges[0])), min(math.ceil(edges[-1]), line.size))
+            line[at] += levels[np.searchsorted(edges, at, side="right") - 1]
+        swing = (self.amplitude_v or spec.amplitude_v or DEFAULT_AMPLITUDE_V) / (
+            1 + (spec.drive == UNIPOLAR)
+        )
+        sigma = 0.01 * swing
+        if rho is not None:
+            sigma = math.sqrt(spec.order * self.chip) * swing / rho
+        return (line + offset_v + self.rng.normal(0, sigma, line.size)).astype(np.float32)
+
+
+def words_of(frame: FrameLevels, spec: FrameSpec) -> dict[int, int]:
+    assert frame.levels is not None
+    signed = frame.levels.values * spec.signs * spec.polarity
+    mean = np.abs(signed).mean(axis=0)
+    weights = 1 << np.arange(spec.bits - 1, -1, -1)
+    codes = (signed > 0).T @ weights
+    return {int(i): int(codes[i]) for i in np.flatnonzero(mean > 0.5 * mean.max())}
+
+
+def run(timing: GapTiming | LineTiming, volts: np.ndarray, cuts: list[int] | None = None) -> list:
+    frames = []
+    for begin, end in zip([0, *(cuts or [])], [*(cuts or []), volts.size], strict=True):
+        frames += timing.feed(SampleBlock(begin, volts[begin:end]))
+    return frames + timing.flush()
+
+
+def check(wire: Wire, frames: list[FrameLevels], start_chips: float = 0.1) -> None:
+    """Every frame sent was recovered, and nothing else. Point samples blur edges by ±½ sample."""
+    talking = [frame for frame in frames if frame.levels is not None]
+    assert [words_of(f, wire.spec) for f in talking] == [s.words for s in wire.sent]
+    for frame, sent in zip(talking, wire.sent, strict=True):
+        assert frame.start == pytest.approx(sent.start, abs=start_chips * sent.chip)
+        end_error = frame.start - sent.start + wire.spec.chips * (frame.chip_samples - sent.chip)
+        assert abs(end_error) < start_chips * sent.chip
+        assert frame.levels.values.shape == (wire.spec.line_bits, wire.spec.nodes)
+        assert frame.levels.values.dtype == np.float32
+
+
+def same(some: list[FrameLevels], others: list[FrameLevels]) -> None:
+    assert len(some) == len(others)
+    for one, other in zip(some, others, strict=True):
+        assert (one.start, one.chip_samples, one.offset_v, one.clipped) == (
+            other.start,
+            other.chip_samples,
+            other.offset_v,
+            other.clipped,
+        )
+        assert np.array_equal(one.noise_rms_v, other.noise_rms_v, equal_nan=True)
+        if one.levels is None or other.levels is None:
+            assert one.levels is other.levels
+        else:
+            assert np.array_equal(one.levels.values, other.levels.values)
+            assert one.levels.noise_v == other.levels.noise_v
+
+
+def garbage(kind: str) -> np.ndarray:
+    rng, size = np.random.default_rng(13), 40_000
+    index = np.arange(size)
+    with np.errstate(over="ignore"):
+        return {
+            "nan": np.full(size, np.nan),
+            "some inf": np.where(rng.random(size) < 1e-3, np.inf, 0.0),
+            "huge": rng.normal(0, 1e30, size),
+            "square": np.sign(np.sin(index / 37)),
+            "sine": np.sin(index / 300),
+            "ramp": index % 2048 / 100,
+            "bursts": rng.normal(0, 1, size) * (index % 2080 < 1330),
+            "walk": rng.normal(0, 0.1, size).cumsum(),
+            "telegraph": np.repeat(rng.choice([-1.0, 1.0], size // 8), 8),
+        }[kind].astype(np.float32)

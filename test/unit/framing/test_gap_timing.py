@@ -1,0 +1,411 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Blind timing against a synthetic line: right words, right times, nothing false."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from synthetic_line import DEFAULT, PAPER, SPECS, Wire, check, garbage, run, same, words_of
+
+from tactile_cdma.base.errors import SpecError
+from tactile_cdma.code.encode import word_bits
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.framing.gap_timing import GapTiming
+from tactile_cdma.framing.timing import SampleBlock
+
+
+@pytest.mark.parametrize("rate", [4.0, 8.13, 10.0, 20.0])
+@pytest.mark.parametrize("inverted_level", [0.3, 0.15])
+def test_the_papers_words(rate: float, inverted_level: float) -> None:
+    wire = Wire(PAPER, rate)
+    wire.amplitude_v = inverted_level
+    wire.send(90 * rate, {10: 0b0101101110})
+    wire.send(90 * rate + wire.period, {3: 0b1000110000, 12: 0b1010011001})
+    timing = GapTiming(PAPER, wire.rate_hz)
+    # A lone frame's edges are few at few samples per chip.
+    check(wire, run(timing, wire.volts()), start_chips=0.05 + 0.5 / rate)
+    assert timing.rejected == 0
+
+
+@pytest.mark.parametrize("node", range(16))
+@pytest.mark.parametrize("spec", [PAPER, DEFAULT], ids=["paper", "default"])
+def test_every_single_node(spec: FrameSpec, node: int) -> None:
+    wire = Wire(spec, 8.13, seed=node)
+    words = (0b1111111111, 0, 0b1010101010, 0b0000000001, 0b1000000000, 0b0101101110, 0b1111100000)
+    for i, word in enumerate(words):
+        wire.send((i + 0.3) * wire.period, {node: word})
+    check(wire, run(GapTiming(spec, wire.rate_hz), wire.volts(offset_v=0.7)))
+
+
+@pytest.mark.parametrize("rate", [5.0, 8.13, 25.0])
+@pytest.mark.parametrize("amplitude_v", [0.3, None])
+@pytest.mark.parametrize("word", [0b1110000111, 0b1111100000, 0b0000111100, 0b1111111111])
+def test_a_first_word_as_quiet_as_the_gap(
+    word: int, amplitude_v: float | None, rate: float
+) -> None:
+    """A lone node on row 0 holds the line at −a and at +a as evenly as the gap at 0."""
+    wire = Wire(replace(PAPER, amplitude_v=amplitude_v), rate, seed=word)
+    wire.amplitude_v = 0.3
+    for i in range(3):
+        wire.send((i + 0.25) * wire.period, {0: word ^ i})
+    timing = GapTiming(wire.spec, wire.rate_hz)
+    volts = wire.volts(rho=60, offset_v=0.7)
+    check(wire, run(timing, volts), start_chips=0.25)  # its edges are few
+    assert timing.rejected == 0
+    inside = int(wire.sent[0].start + wire.rng.uniform(0.1, 0.9) * PAPER.chips * wire.chip)
+    frames = [
+        f for f in run(GapTiming(wire.spec, wire.rate_hz), volts[inside:]) if f.levels is not None
+    ]
+    assert [words_of(f, PAPER) for f in frames] == [s.words for s in wire.sent[1:]]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_noise_before_a_frame_does_not_hide_it(seed: int) -> None:
+    spec = FrameSpec(nodes=4, order=4, first_row=0, frame_period_s=3.2e-3, amplitude_v=None)
+    wire = Wire(spec, 8.13, seed)
+    for slot in (0, 1, 3, 6, 8, 11):
+        wire.send((slot + 0.5) * wire.period, {2: 400 + slot, 3: 77})
+    check(wire, run(GapTiming(spec, wire.rate_hz), wire.volts(rho=30)), start_chips=0.2)
+
+
+@pytest.mark.parametrize("rate", [3.3, 5.0, 8.13, 40.0])
+@pytest.mark.parametrize("name", SPECS)
+def test_random_words_and_subsets(name: str, rate: float) -> None:
+    wire = Wire(SPECS[name], rate, seed=1)
+    wire.send_random(10)
+    timing = GapTiming(wire.spec, wire.rate_hz)
+    check(wire, run(timing, wire.volts(offset_v=-1.3)), start_chips=0.05 + 0.35 / rate)
+    assert timing.rejected == 0
+
+
+@pytest.mark.parametrize("stretch", [0.0, 0.003, 0.05, 0.11])
+@pytest.mark.parametrize("nodes", [1, 2, 16])
+def test_stretch(stretch: float, nodes: int) -> None:
+    wire = Wire(PAPER, 8.13, seed=nodes)
+    wire.send_random(6, nodes)
+    for sent in wire.sent:
+        sent.chip = wire.chip * (1 + stretch)
+    check(wire, run(GapTiming(PAPER, wire.rate_hz), wire.volts()))
+
+
+def test_jitter_and_hum() -> None:
+    wire = Wire(PAPER, 8.13, seed=2)
+    wire.jitter = 0.1
+    wire.send_random(12)
+    volts = wire.volts()
+    volts += (0.03 * np.sin(2 * np.pi * 50 / wire.rate_hz * np.arange(volts.size))).astype("f4")
+    check(wire, run(GapTiming(PAPER, wire.rate_hz), volts), start_chips=0.25)
+
+
+@pytest.mark.parametrize("name", SPECS)
+def test_noise(name: str) -> None:
+    wire = Wire(SPECS[name], 8.13, seed=3)
+    wire.send_random(12, nodes=12)
+    frames = run(GapTiming(wire.spec, wire.rate_hz), wire.volts(rho=10))
+    check(wire, frames, start_chips=0.15)
+
+
+@pytest.mark.parametrize("words", [(483,), (0,), (1023,), (483, 804, 405, 483)])
+def test_equal_words_everywhere(words: tuple[int, ...]) -> None:
+    """With natural signs few chips per bit are loud, and shifts look much alike."""
+    wire = Wire(PAPER, 8.13)
+    for i in range(5):
+        scene = {node: words[node % len(words)] for node in range(16)}
+        wire.send((i + 0.25) * wire.period, scene)
+    check(wire, run(GapTiming(PAPER, wire.rate_hz), wire.volts()))
+
+
+def test_a_larger_book() -> None:
+    spec = FrameSpec(nodes=240, chip_s=4e-6)
+    wire = Wire(spec, 4.2, seed=4)
+    wire.send_random(3)
+    wire.send(3.25 * wire.period, {7: 513})
+    check(wire, run(GapTiming(spec, wire.rate_hz), wire.volts()), start_chips=0.15)
+
+
+def test_offset_and_clipping_are_reported() -> None:
+    wire = Wire(PAPER, 8.0)
+    wire.send_random(3, nodes=16, wander=0)
+    volts = wire.volts(offset_v=0.4)
+    rails = (-1.5, 2.3)
+    frames = run(GapTiming(PAPER, wire.rate_hz, rails), np.clip(volts, *rails))
+    check(wire, frames)
+    for frame, sent in zip(frames, wire.sent, strict=False):
+        assert frame.offset_v == pytest.approx(0.4, abs=1e-3)
+        inside = volts[round(sent.start) : round(sent.start + PAPER.chips * sent.chip)]
+        assert frame.clipped == pytest.approx(np.mean((inside < -1.5) | (inside > 2.3)), abs=0.01)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.data())
+def test_chunking_is_invisible(data: st.DataObject) -> None:
+    wire = Wire(PAPER, 5.1, seed=5)
+    wire.send_random(3)
+    wire.send(5.25 * wire.period, {2: 77})
+    volts = wire.volts(rho=12)
+    cuts = sorted(data.draw(st.lists(st.integers(0, volts.size), max_size=30)))
+    whole = run(GapTiming(PAPER, wire.rate_hz), volts)
+    same(run(GapTiming(PAPER, wire.rate_hz), volts, cuts), whole)
+    assert sum(frame.levels is None for frame in whole) >= 2
+
+
+def test_sample_by_sample() -> None:
+    wire = Wire(DEFAULT, 3.1, seed=6)
+    wire.send_random(2)
+    volts = wire.volts()
+    whole = run(GapTiming(DEFAULT, wire.rate_hz), volts)
+    same(run(GapTiming(DEFAULT, wire.rate_hz), volts, list(range(1, volts.size))), whole)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.99])
+def test_a_recording_that_begins_within_a_frame(share: float) -> None:
+    wire = Wire(PAPER, 8.13, seed=7)
+    wire.send_random(4)
+    cut = int(wire.sent[0].start + share * PAPER.chips * wire.sent[0].chip)
+    volts = wire.volts()[cut:]
+    frames = [f for f in run(GapTiming(PAPER, wire.rate_hz), volts) if f.levels is not None]
+    assert [words_of(f, PAPER) for f in frames] == [s.words for s in wire.sent[1:]]
+
+
+@pytest.mark.parametrize("tail", [0.0, 3.0, 500.0])
+def test_a_single_frame_that_ends_the_recording(tail: float) -> None:
+    wire = Wire(PAPER, 8.13, seed=8)
+    wire.send(350.0, {1: 300, 5: 700, 9: 1})
+    end = wire.sent[0].start + PAPER.chips * wire.sent[0].chip
+    check(wire, run(GapTiming(PAPER, wire.rate_hz), wire.volts(length=end + tail)))
+
+
+def test_a_frame_cut_short_is_no_frame() -> None:
+    wire = Wire(PAPER, 8.13, seed=9)
+    wire.send(350.0, {1: 300, 5: 700, 9: 1}, stretch=0.05)
+    end = wire.sent[0].start + 0.95 * PAPER.chips * wire.sent[0].chip
+    frames = run(GapTiming(PAPER, wire.rate_hz), wire.volts(length=end))
+    assert all(frame.levels is None for frame in frames)
+
+
+def test_a_hole_costs_one_frame() -> None:
+    wire = Wire(PAPER, 8.13, seed=10)
+    wire.send_random(6)
+    volts = wire.volts()
+    hole = int(wire.sent[2].start + 400), int(wire.sent[2].start + 700)
+    timing = GapTiming(PAPER, wire.rate_hz)
+    frames = timing.feed(SampleBlock(0, volts[: hole[0]]))
+    frames += timing.feed(SampleBlock(hole[1], volts[hole[1] :])) + timing.flush()
+    del wire.sent[2]
+    check(wire, frames)
+
+
+@pytest.mark.parametrize(("rho", "told"), [(1.0, False), (4.0, True)])
+def test_noise_that_hides_words_is_no_silence(rho: float, told: bool) -> None:
+    noise_v = 0.3 * math.sqrt(DEFAULT.order * 4) / rho
+    volts = np.random.default_rng(6).normal(0, noise_v, 20 * 1024).astype(np.float32)
+    timing = GapTiming(replace(DEFAULT, amplitude_v=0.3), 4 / DEFAULT.chip_s)
+    frames = timing.feed(SampleBlock(0, volts)) + timing.flush()
+    assert bool(frames) == told
+    assert len(frames) + timing.rejected > 10
+
+
+def test_silent_slots_keep_the_raster() -> None:
+    wire = Wire(PAPER, 8.0, seed=11)
+    wire.send(3.25 * wire.period, {4: 1000})
+    wire.send(7.25 * wire.period, {4: 1001})
+    frames = run(GapTiming(PAPER, wire.rate_hz), wire.volts(length=12 * wire.period))
+    check(wire, frames)
+    slots = [frame.start / wire.period for frame in frames]
+    assert slots == pytest.approx([0, 1, 2, *np.arange(3.25, 12)], abs=0.05)
+    assert [f.levels is None for f in frames] == [True] * 3 + [False] + [True] * 3 + [False] + [
+        True
+    ] * 4
+
+
+@pytest.mark.parametrize("amplitude_v", [0.3, None])
+@pytest.mark.parametrize("noise_v", [0.0, 0.001, 1.0])
+def test_noise_alone_is_silence(noise_v: float, amplitude_v: float | None) -> None:
+    spec = replace(PAPER, amplitude_v=amplitude_v)
+    volts = np.random.default_rng(12).normal(0.5, noise_v, 60_000).astype(np.float32)
+    timing = GapTiming(spec, 8.13 / spec.chip_s)
+    frames = run(timing, volts)
+    assert len(frames) == pytest.approx(60_000 / (256 * 8.13), abs=2)
+    assert all(frame.levels is None for frame in frames)
+
+
+GARBAGE = ["nan", "some inf", "huge", "square", "sine", "ramp", "bursts", "telegraph"]
+ROW_0_FREE = replace(DEFAULT, amplitude_v=None)
+
+
+# A wandering line is a word on row 0 once in a while: it is no garbage where that row is assigned.
+@pytest.mark.parametrize(
+    ("kind", "spec"),
+    [(kind, PAPER) for kind in GARBAGE] + [(kind, ROW_0_FREE) for kind in [*GARBAGE, "walk"]],
+)
+def test_garbage_gives_no_words(kind: str, spec: FrameSpec) -> None:
+    frames = run(GapTiming(spec, 8.13 / spec.chip_s), garbage(kind))
+    assert all(frame.levels is None for frame in frames)
+
+
+def test_frames_aftergarbage() -> None:
+    wire = Wire(PAPER, 8.13, seed=14)
+    wire.send_random(10)
+    volts = np.concatenate((garbage("telegraph"), garbage("nan"), wire.volts(offset_v=2.0)))
+    frames = [f for f in run(GapTiming(PAPER, wire.rate_hz), volts) if f.levels is not None]
+    found = [words_of(f, PAPER) for f in frames]
+    assert len(found) >= 6
+    assert found == [s.words for s in wire.sent][-len(found) :]
+
+
+def test_what_cannot_work_is_refused() -> None:
+    with pytest.raises(SpecError, match="samples per chip"):
+        GapTiming(PAPER, 1.5 / PAPER.chip_s)
+    with pytest.raises(SpecError, match="gap"):
+        GapTiming(replace(PAPER, frame_period_s=8.1e-3), 8 / PAPER.chip_s)
+
+
+@pytest.mark.parametrize(
+    ("spec", "frames"),
+    [
+        (PAPER, 150),
+        (DEFAULT, 150),
+        (FrameSpec(nodes=256, order=256, first_row=0, chip_s=4e-6), 6),
+    ],
+    ids=["paper", "default", "256"],
+)
+def test_bit_errors_stay_within_half_a_decibel_of_the_bound(spec: FrameSpec, frames: int) -> None:
+    """Q(ρ) is what a matched filter with perfect timing gets wrong (signal model)."""
+    rho, wrong, bits = 2.8, 0, 0
+    for seed in range(frames):
+        wire = Wire(spec, 8.13, seed)
+        gap = wire.period - 1.11 * spec.chips * wire.chip
+        codes = wire.rng.integers(1 << spec.bits, size=spec.nodes)
+        stretch = wire.rng.uniform(0, 0.11)
+        wire.send(gap * wire.rng.uniform(1, 2), dict(enumerate(codes.tolist())), stretch)
+        # The same ρ for every frame: longer chips take more noise.
+        volts = wire.volts(rho=rho / math.sqrt(1 + stretch))
+        (frame,) = run(GapTiming(spec, wire.rate_hz), volts)
+        assert abs(frame.start - wire.sent[0].start) < 0.2 * wire.chip
+        heard = (frame.levels.values * (spec.signs * spec.polarity) > 0).T
+        wrong += np.count_nonzero(heard != word_bits(codes, spec.bits))
+        bits += heard.size
+    half_a_decibel = 10 ** (-0.5 / 20)
+    assert wrong / bits < 0.5 * math.erfc(rho * half_a_decibel / math.sqrt(2))
+
+
+TIES = [{0: 500, 1: 500}, {0: 500, 1: 1023 ^ 500}, {4: 77, 6: 77}, {2: 9, 10: 1023 ^ 9}]
+
+
+@pytest.mark.parametrize("words", TIES)
+def test_a_first_frame_that_could_be_another_says_so(words: dict[int, int]) -> None:
+    """Cᵢ + Cⱼ is silent at one end of every bit and looks like Cᵢ − Cⱼ some chips later."""
+    wire = Wire(PAPER, 8.0)
+    wire.send(0.25 * wire.period, words)
+    wire.send(1.25 * wire.period, {3: 77, 5: 801, 6: 123})
+    first, second = run(GapTiming(PAPER, wire.rate_hz), wire.volts())
+    assert first.tied
+    assert not second.tied
+    assert words_of(second, PAPER) == wire.sent[1].words
+
+
+@pytest.mark.parametrize("words", TIES)
+@pytest.mark.parametrize("silent_slots", [0, 40])
+def test_the_raster_tells_ties_apart(words: dict[int, int], silent_slots: int) -> None:
+    """Until the silence is so long that clocks may have drifted by a chip."""
+    wire = Wire(PAPER, 8.0)
+    wire.send(0.25 * wire.period, {3: 77, 5: 801, 6: 123})
+    wire.send((1.25 + silent_slots) * wire.period, words)
+    last = run(GapTiming(PAPER, wire.rate_hz), wire.volts())[-1]
+    if silent_slots:
+        assert last.tied
+    else:
+        assert not last.tied
+        assert words_of(last, PAPER) == words
+
+
+def test_a_frame_whose_energy_is_bunched_is_one_frame() -> None:
+    """These words leave one and a half bits' time nearly silent, across the edge of two bits."""
+    wire = Wire(PAPER, 8.0)
+    nodes, codes = (3, 5, 7, 11, 13, 15), (343, 228, 58, 474, 591, 535)
+    for slot in range(3):
+        wire.send((slot + 0.25) * wire.period, dict(zip(nodes, codes, strict=True)))
+    timing = GapTiming(PAPER, wire.rate_hz)
+    check(wire, run(timing, wire.volts()))
+    assert timing.rejected == 0
+
+
+@pytest.mark.parametrize("spec", [PAPER, DEFAULT], ids=["paper", "default"])
+def test_bursts_of_noise_are_no_frames(spec: FrameSpec) -> None:
+    """As long and as strong as frames of all nodes at ρ = 3, in noise that would excuse them."""
+    rng, period = np.random.default_rng(15), round(8 * spec.frame_period_s / spec.chip_s)
+    volts = rng.normal(0, 3.7, 150 * period)
+    volts += rng.normal(0, 4.0, volts.size) * (np.arange(volts.size) % period < 8.4 * spec.chips)
+    timing = GapTiming(replace(spec, amplitude_v=None), 8 / spec.chip_s)
+    frames = run(timing, volts.astype(np.float32))
+    assert all(frame.levels is None for frame in frames)
+    assert timing.rejected > 100
+
+
+def test_hum_hides_no_frame_once_the_amplitude_is_learnt() -> None:
+    spec = replace(PAPER, amplitude_v=None)
+    wire = Wire(spec, 8.0, seed=16)
+    wire.amplitude_v = 0.3
+    wire.send_random(40)
+    del wire.sent[10:15], wire.sent[25:30]  # silence, in which there is only hum
+    volts = wire.volts(rho=100, offset_v=0.2)
+    fade = np.minimum(np.arange(volts.size) / wire.period / 2, 1)  # the first frame is clean
+    volts += (0.02 * fade * np.sin(2 * np.pi * 50 / wire.rate_hz * np.arange(volts.size))).astype(
+        "f4"
+    )
+    check(wire, run(GapTiming(spec, wire.rate_hz), volts), start_chips=0.25)
+
+
+@pytest.mark.parametrize("cycles_per_frame", [3.22, 20.29, 80.76, 161.14])
+def test_an_oscillating_amplifier_hides_no_frame_but_the_one_after_it(
+    cycles_per_frame: float,
+) -> None:
+    wire, first, last = Wire(DEFAULT, 4.0, seed=5), 6, 26
+    for i in range(40):
+        wire.send((i + 0.1) * wire.period, {node: 37 * node + i for node in range(16)})
+    volts = wire.volts(rho=500)
+    inside = slice(round(first * wire.period), round(last * wire.period))
+    phase = 2 * np.pi * cycles_per_frame / wire.period * np.arange(volts.size)
+    volts[inside] += (2.4 * np.sin(phase[inside])).astype("f4")
+    heard = [f for f in run(GapTiming(DEFAULT, wire.rate_hz), volts) if f.levels is not None]
+    after = [f for f in heard if f.start > (last + 1) * wire.period]
+    assert [words_of(f, DEFAULT) for f in after] == [s.words for s in wire.sent[last + 1 :]]
+
+
+def test_a_learnt_amplitude_is_forgotten_in_silence() -> None:
+    spec = replace(PAPER, amplitude_v=None)
+    wire = Wire(spec, 4.0, seed=17)
+    wire.amplitude_v = 0.3
+    wire.send_random(1)
+    loud = wire.volts(length=2 * wire.period)
+    wire.sent, wire.amplitude_v = [], 0.05
+    wire.send(0.3 * wire.period, {4: 500})
+    faint = wire.volts(length=2 * wire.period)
+    silence = wire.rng.normal(0, 1e-3, round(1200 * wire.period)).astype(np.float32)
+    heard = [
+        f
+        for f in run(GapTiming(spec, wire.rate_hz), np.concatenate((loud, silence, faint)))
+        if f.levels is not None
+    ]
+    assert [words_of(f, spec) for f in heard[1:]] == [{4: 500}]
+    heard = [
+        f
+        for f in run(GapTiming(spec, wire.rate_hz), np.concatenate((loud, faint)))
+        if f.levels is not None
+    ]
+    assert len(heard) == 1
+
+
+@pytest.mark.parametrize("order", [256, 1024])
+@pytest.mark.parametrize("nodes", [1, 2, None])
+def test_large_books(order: int, nodes: int | None) -> None:
+    spec = FrameSpec(nodes=order, order=order, first_row=0, chip_s=0.8e-3 / order)
+    wire = Wire(spec, 4.2, seed=18)
+    wire.send_random(2, nodes or order)
+    check(wire, run(GapTiming(spec, wire.rate_hz), wire.volts()))

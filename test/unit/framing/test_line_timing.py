@@ -1,0 +1,434 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Line timing does only what a frame needs, and it makes no difference to the words."""
+
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tactile_cdma.base.errors import SpecError
+from tactile_cdma.code.encode import line_chips
+from tactile_cdma.code.frame import DEFAULT_AMPLITUDE_V, FrameSpec
+from tactile_cdma.framing.fit import Line, refine
+from tactile_cdma.framing.frame_end import PROVEN
+from tactile_cdma.framing.line_timing import (
+    CARRIED_FRAMES,
+    LARGEST_SEARCH,
+    SEARCH_PER_S,
+    LineTiming,
+)
+from tactile_cdma.framing.timing import FrameLevels, SampleBlock
+from tactile_cdma.sim.digitizer import stream, truth
+from tactile_cdma.sim.options import Setup, SimOptions
+from tactile_cdma.wire._protocol import SyncMode
+from tactile_cdma.words.decode import decode
+from tactile_cdma.words.health import NodeHealth, NodeState
+
+SPEC = FrameSpec()
+
+
+def blocks(options: SimOptions, setup: Setup, frames: int) -> list[SampleBlock]:
+    """The digitized line of some frames, in V."""
+    result: list[SampleBlock] = []
+    for block in stream(options, setup):
+        if (
+            block.sync
+            and len(result)
+            and block.begin_s > (frames - 0.5) * setup.spec.frame_period_s
+        ):
+            return result
+        volts = options.channel.volts(block.counts, setup.spec)
+        result.append(SampleBlock(block.first_index, volts, block.sync))
+    raise AssertionError("the stream has no end")
+
+
+def run(timing: LineTiming, given: list[SampleBlock]) -> list[FrameLevels]:
+    return [frame for block in given for frame in timing.feed(block)] + timing.flush()
+
+
+class Ungated(LineTiming):
+    """Takes every frame for a loud one until its chips were looked at."""
+
+    def _sample_power(self, volts: np.ndarray) -> float:
+        power = super()._sample_power(volts)
+        return power if np.isnan(power) else max(power, 1.0)
+
+
+class Refining(LineTiming):
+    """Carries no timing over."""
+
+    def _explained(self, rows: np.ndarray) -> None:
+        return None
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.sampled_from(["idle", "press", "moving", "all"]),
+    st.sampled_from([1, 4]),
+    st.sampled_from([0.0, 0.02, 0.1]),
+    st.integers(0, 1000),
+)
+def test_the_energy_gate_changes_nothing(scene: str, rate: int, noise: float, seed: int) -> None:
+    options = SimOptions(scene=scene, noise=noise, seed=seed, heartbeat=0)
+    setup = Setup(SPEC, rate, SyncMode.DRIVE, integrated=rate == 1)
+    given = blocks(options, setup, 8)
+    gated = run(LineTiming(SPEC, setup.rate_hz), given)
+    full = run(Ungated(SPEC, setup.rate_hz), given)
+    assert len(gated) == len(full) == 8
+    for one, other in zip(gated, full, strict=True):
+        assert (one.start, one.chip_samples, one.offset_v) == (
+            other.start,
+            other.chip_samples,
+            other.offset_v,
+        )
+        assert (one.levels is None) == (other.levels is None)
+        if one.levels is not None and other.levels is not None:
+            assert np.array_equal(one.levels.values, other.levels.values)
+
+
+@pytest.mark.parametrize("noise", [0.005, 0.1, 0.4])
+def test_timing_carried_over_is_as_good_as_timing_refined(
+    noise: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """… and saves nearly every refinement."""
+    calls = []
+
+    def counted(line: Line, *args: object, **options: object) -> object:
+        calls.append(line)
+        return refine(line, *args, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("tactile_cdma.framing.line_timing.refine", counted)
+    options = SimOptions(scene="all", threshold=0, noise=noise, seed=3)
+    setup = Setup(SPEC, 4, SyncMode.DRIVE, False)
+    sent = blocks(options, setup, 60)
+    carried = run(LineTiming(SPEC, setup.rate_hz), sent)
+    assert len(calls) <= 2 * (1 + 60 // CARRIED_FRAMES)
+    refined = run(Refining(SPEC, setup.rate_hz), sent)
+    errors = []
+    for frames in (carried, refined):
+        assert len(frames) == 60
+        worst = 0.0
+        for frame, node in zip(frames, islice(truth(options, setup), 60), strict=False):
+            assert frame.levels is not None
+            bits = np.where((node.codes[:, None] >> np.arange(9, -1, -1)) & 1, 1.0, -1.0).T
+            error = frame.levels.values * SPEC.signs - 0.3 * bits
+            worst += float(np.square(error).mean())
+        errors.append(worst)
+    assert errors[0] < 1.05 * errors[1]
+
+
+def test_timing_that_changes_is_noticed_at_once() -> None:
+    """A stretch of half a percent after thirty steady frames."""
+    setup = Setup(SPEC, 8, SyncMode.DRIVE, False)
+    steady = SimOptions(scene="all", threshold=0, seed=4)
+    given = blocks(steady, setup, 30)
+    at = given[-1].first_index + given[-1].volts.size
+    for block in blocks(replace(steady, stretch=0.01, seed=5), setup, 10):
+        given.append(SampleBlock(block.first_index + at, block.volts, block.sync))
+    frames = run(LineTiming(SPEC, setup.rate_hz), given)
+    assert len(frames) == 40
+    codes = [node.codes for node in islice(truth(steady, setup), 30)]
+    codes += [node.codes for node in islice(truth(steady, setup), 10)]
+    for frame, sent in zip(frames, codes, strict=True):
+        assert frame.levels is not None
+        words = decode(frame.levels, SPEC)
+        assert np.array_equal(words.codes, sent) and not words.doubtful.any()
+
+
+@pytest.mark.parametrize("rate", [1, 4])
+@pytest.mark.parametrize("parity", [False, True])
+def test_frames_with_restarts_in_them(rate: int, parity: bool) -> None:
+    spec = FrameSpec(resync_chips=32, guard_chips=1, parity=parity)
+    assert spec.span_chips == spec.chips + (spec.chips - 1) // 32
+    assert np.array_equal(np.diff(spec.places) == 2, np.arange(1, spec.chips) % 32 == 0)
+    options = SimOptions(scene="moving", threshold=0, noise=0.05)
+    setup = Setup(spec, rate, SyncMode.DRIVE, integrated=rate == 1)
+    frames = run(LineTiming(spec, setup.rate_hz), blocks(options, setup, 20))
+    assert len(frames) == 20
+    for frame, sent in zip(frames, islice(truth(options, setup), 20), strict=True):
+        assert frame.levels is not None
+        words = decode(frame.levels, spec)
+        assert words.active.all() and np.array_equal(words.codes, sent.codes)
+
+
+@pytest.mark.parametrize(("resync", "guard"), [(32, 0), (0, 1)])
+def test_restarts_need_both_numbers(resync: int, guard: int) -> None:
+    with pytest.raises(SpecError, match="resync_chips"):
+        FrameSpec(resync_chips=resync, guard_chips=guard)
+
+
+def test_an_absurd_sample_loses_its_frame_only() -> None:
+    setup = Setup(SPEC, 4, SyncMode.DRIVE, False)
+    given = blocks(SimOptions(scene="all", threshold=0), setup, 6)
+    for bad in (np.nan, np.inf, -1e30):
+        sent = [replace(block, volts=block.volts.copy()) for block in given]
+        third = [block.first_index for block in sent if block.sync][2]
+        next(block for block in sent if block.first_index == third).volts[7] = bad
+        timing = LineTiming(SPEC, setup.rate_hz)
+        frames = run(timing, sent)
+        assert len(frames) == 5 and timing.rejected == 1
+        for frame in frames:
+            assert frame.levels is not None and np.isfinite(frame.levels.values).all()
+
+
+@pytest.mark.parametrize("delay", [0.3, 0.9])
+def test_nodes_that_all_restart_late(delay: float) -> None:
+    spec = FrameSpec(resync_chips=32, guard_chips=1)
+    setup = Setup(spec, 8, SyncMode.DRIVE, False)
+    sent = blocks(SimOptions(scene="all", threshold=0), setup, 12)
+    shift = round(delay * 8)
+    line = np.concatenate([block.volts for block in sent])
+    late = np.concatenate((np.zeros(shift, np.float32), line[:-shift]))
+    given = [
+        replace(block, volts=late[block.first_index : block.first_index + block.volts.size])
+        for block in sent
+    ]
+    frames = run(LineTiming(spec, setup.rate_hz), given)
+    assert len(frames) == 12
+    nodes = islice(truth(SimOptions(scene="all", threshold=0), setup), 12)
+    for frame, node in zip(frames, nodes, strict=True):
+        assert frame.levels is not None
+        words = decode(frame.levels, spec)
+        assert np.array_equal(words.codes, node.codes) and not words.doubtful.any()
+
+
+@pytest.mark.parametrize("gap_chips", [1, 2, 3])
+@pytest.mark.parametrize("rate", [2, 4])
+def test_short_gaps_are_enough(gap_chips: int, rate: int) -> None:
+    spec = FrameSpec(frame_period_s=(200 + gap_chips) * 50e-6)
+    sigma = 0.3 * np.sqrt(20 * rate) / 8  # ρ = 8
+    options = SimOptions(scene="all", threshold=0, noise=float(sigma), seed=6, rail=10.0)
+    setup = Setup(spec, rate, SyncMode.DRIVE, False)
+    timing = LineTiming(spec, setup.rate_hz)
+    frames = run(timing, blocks(options, setup, 150))
+    assert timing.rejected <= 3
+    sent = list(islice(truth(options, setup), 150))
+    for frame in frames:
+        assert frame.levels is not None
+        words = decode(frame.levels, spec)
+        codes = sent[round(frame.start / setup.rate_hz / spec.frame_period_s)].codes
+        assert np.array_equal(words.codes, codes)
+
+
+def loud_blocks(frames: int) -> tuple[list[SampleBlock], list[np.ndarray], Setup]:
+    """Frames in which all nodes speak, and their codes."""
+    options, setup = SimOptions(scene="all", threshold=0, seed=8), Setup(SPEC, 4)
+    codes = [node.codes for node in islice(truth(options, setup), frames)]
+    return blocks(options, setup, frames), codes, setup
+
+
+def test_a_burst_in_the_gap_costs_no_frame_after_it() -> None:
+    given, codes, setup = loud_blocks(20)
+    period = round(setup.rate_hz * SPEC.frame_period_s)
+    line = np.concatenate([block.volts for block in given])
+    burst = slice(6 * period - 160, 6 * period - 10)
+    line[burst] += np.where(np.arange(150) % 2, 10.0, -10.0).astype(np.float32)
+    sent = [
+        replace(block, volts=line[block.first_index : block.first_index + block.volts.size])
+        for block in given
+    ]
+    frames = run(LineTiming(SPEC, setup.rate_hz), sent)
+    assert len(frames) == 20
+    for frame, sent_codes in zip(frames, codes, strict=True):
+        assert frame.levels is not None
+        assert np.array_equal(decode(frame.levels, SPEC).codes, sent_codes)
+
+
+@pytest.mark.parametrize("drive", ["bipolar", "unipolar"])
+def test_two_nodes_on_one_row_cost_the_others_nothing(drive: str) -> None:
+    spec, rng = FrameSpec(drive=drive), np.random.default_rng(9)
+    timing, period = LineTiming(spec, 4 / spec.chip_s), 1024
+    for number in range(60):
+        codes, other = rng.integers(0, 1024, 16), rng.integers(0, 1024, 16)
+        chips = line_chips(spec, codes) + line_chips(spec, other, np.arange(16) == 4)
+        volts = np.zeros(period, np.float32)
+        volts[: 4 * spec.chips] = np.repeat(chips.ravel(), 4)
+        volts += rng.normal(0, 0.01, period).astype(np.float32)
+        timing.feed(SampleBlock(number * period, volts, sync=True))
+    assert timing.rejected <= 2
+
+
+ROW = np.arange(16) == 4
+
+
+def shared_row_blocks(
+    talkers: int, number: int, words: str, frames: int = 40, share: float = 1.0
+) -> tuple[list[SampleBlock], list[np.ndarray]]:
+    """Frames in which so many nodes more speak on node 5's row, and the codes of the others."""
+    rng, spec, result, sent = np.random.default_rng(9), FrameSpec(), [], []
+    active = ROW | (np.arange(16) < talkers - 1)
+    for frame in range(frames):
+        codes = rng.integers(0, 1024, 16)
+        chips = line_chips(spec, codes, active)
+        for _ in range(number):
+            other = {"equal": codes, "alike": codes ^ rng.integers(0, 4, 16)}.get(
+                words, rng.integers(0, 1024, 16)
+            )
+            chips += line_chips(spec, other, ROW, share * DEFAULT_AMPLITUDE_V)
+        volts = np.zeros(1024, np.float32)
+        volts[: 4 * spec.chips] = np.repeat(chips.ravel(), 4)
+        volts += rng.normal(0, 0.01, 1024).astype(np.float32)
+        result.append(SampleBlock(1024 * frame, volts, sync=True))
+        sent.append(np.where(active & ~ROW, codes, -1))
+    return result, sent
+
+
+@pytest.mark.parametrize("talkers", [3, 4, 16])
+@pytest.mark.parametrize(
+    ("number", "words", "share"),
+    [
+        (1, "equal", 1),
+        (1, "alike", 1),
+        (1, "any", 1),
+        (1, "any", 0.3),
+        (1, "equal", -1),
+        (2, "equal", 1),
+        (2, "any", 1),
+    ],
+)
+def test_nodes_on_one_row_cost_no_frame(
+    talkers: int, number: int, words: str, share: float
+) -> None:
+    given, sent = shared_row_blocks(talkers, number, words, share=share)
+    timing, health = LineTiming(SPEC, 4 / SPEC.chip_s), NodeHealth(SPEC)
+    frames = run(timing, given)
+    assert timing.rejected <= 4
+    for frame in frames:
+        assert frame.levels is not None
+        heard, codes = decode(frame.levels, SPEC), sent[round(frame.start / 1024)]
+        assert np.array_equal(np.where(heard.active & ~ROW, heard.codes, -1), codes)
+        health.update(heard)
+    assert not health.invalid[~ROW].any()
+    if number == 1 and share == 1:
+        assert health.nodes(NodeState.DOUBLED) == [5]
+
+
+@pytest.mark.parametrize("number", [0, 1])
+@pytest.mark.parametrize("what", ["another code", "noise", "too long", "cut"])
+def test_what_is_no_frame_is_rejected(what: str, number: int) -> None:
+    """A row with two nodes on it is no excuse for the others."""
+    given, _ = shared_row_blocks(16, number, "any", frames=12)
+    timing, rng = LineTiming(SPEC, 4 / SPEC.chip_s), np.random.default_rng(1)
+    for block in given:
+        volts = block.volts.copy()
+        if what == "another code":
+            chips = volts[: 4 * SPEC.chips].reshape(-1, 4)
+            volts[: 4 * SPEC.chips] = rng.permutation(chips).ravel()
+        elif what == "noise":
+            volts[: 4 * SPEC.chips] = rng.normal(0, 1, 4 * SPEC.chips)
+        elif what == "too long":
+            volts[:960] = volts[np.arange(960) * 5 // 6]
+        else:
+            volts[400:] = 0
+        assert not timing.feed(replace(block, volts=volts))
+    timing.flush()
+    assert timing.rejected == len(given)
+
+
+ALWAYS = SimOptions(threshold=0)
+RAW = Setup(SPEC, 4)
+
+
+def right(frames: list[FrameLevels], options: SimOptions, setup: Setup) -> list[int]:
+    """Numbers of the frames; their certain words are what was said."""
+    numbers = [round(frame.start / (setup.spec.frame_period_s * setup.rate_hz)) for frame in frames]
+    true = dict(enumerate(islice(truth(options, setup), numbers[-1] + 1)))
+    for number, frame in zip(numbers, frames, strict=True):
+        assert frame.levels is not None
+        words = decode(frame.levels, setup.spec)
+        wrong = words.codes != true[number].codes
+        assert words.active.all()
+        assert not (wrong & ~words.doubtful).any() and np.count_nonzero(wrong) <= 1
+    return numbers
+
+
+def test_hum_costs_no_frame() -> None:
+    """Of three nodes' amplitude: it is under the words and under the silence after them."""
+    given = blocks(ALWAYS, RAW, 20)
+    hum = [
+        replace(
+            block,
+            volts=block.volts
+            + 0.9
+            * np.sin(
+                2 * np.pi * 50 / RAW.rate_hz * (block.first_index + np.arange(block.volts.size))
+            ),
+        )
+        for block in given
+    ]
+    assert right(run(LineTiming(SPEC, RAW.rate_hz), hum), ALWAYS, RAW) == list(range(20))
+
+
+@pytest.mark.parametrize(("before", "lost"), [(PROVEN, 0), (5, 10)])
+def test_a_late_node_costs_the_others_nothing_once_frames_are_known(before: int, lost: int) -> None:
+    """Before that, it may as well be that frames are longer than specified."""
+    size = round(SPEC.frame_period_s * RAW.rate_hz)
+    late = np.zeros(size, np.float32)
+    word = 0.3 * np.outer([1, -1, -1, 1, 1, -1, 1, -1, 1, 1], SPEC.book.rows([18])[0]).ravel()
+    late[40 : 40 + 4 * SPEC.chips] = np.repeat(word, 4)
+    given = []
+    for block in blocks(ALWAYS, RAW, before + 10):
+        at = block.first_index + np.arange(block.volts.size)
+        volts = block.volts + late[at % size] * (at >= before * size)
+        given.append(replace(block, volts=volts.astype(np.float32)))
+    frames = run(LineTiming(SPEC, RAW.rate_hz), given)
+    assert len(right(frames, ALWAYS, RAW)) == before + 10 - lost
+
+
+@pytest.mark.parametrize("rate", [1, 4])
+def test_a_line_at_its_rail_is_no_silence(rate: int) -> None:
+    setup = Setup(SPEC, rate, SyncMode.DRIVE, integrated=rate == 1)
+    given = [
+        replace(block, volts=np.full_like(block.volts, 5.0)) for block in blocks(ALWAYS, setup, 5)
+    ]
+    timing = LineTiming(SPEC, setup.rate_hz, (-5.0, 5.0))
+    assert not run(timing, given)
+    assert timing.rejected == 5
+    assert len(run(LineTiming(SPEC, setup.rate_hz, (-6.0, 6.0)), given)) == 5
+
+
+def test_a_frame_at_the_rails_does_not_tell_who_was_silent() -> None:
+    given = [
+        replace(block, volts=np.clip(100 * block.volts, -5, 5)) for block in blocks(ALWAYS, RAW, 5)
+    ]
+    timing = LineTiming(SPEC, RAW.rate_hz, (-5.0, 5.0))
+    assert not run(timing, given)
+    assert timing.rejected == 5
+
+
+def test_words_after_a_frame_at_the_rails_are_no_noise() -> None:
+    """Where chips are integrated no gap is sent, nor is one seen in the frames that follow."""
+    setup = Setup(SPEC, 1, integrated=True)
+    loud = 30 * np.outer([1, -1, -1, 1, 1, -1, 1, -1, 1, 1], SPEC.book.rows([8])[0]).ravel()
+    given = blocks(ALWAYS, setup, 10)
+    for number, block in enumerate(given[:2]):
+        volts = np.clip(block.volts + loud, -5, 5).astype(np.float32)
+        given[number] = replace(block, volts=volts)
+    frames = run(timing := LineTiming(SPEC, setup.rate_hz, (-5.0, 5.0)), given)
+    assert timing.rejected == 2
+    assert [frame.levels is not None for frame in frames] == [True] * 8
+
+
+def test_a_disturbed_line_costs_a_bounded_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    looked_at = []
+    strongest = LineTiming._strongest
+
+    def counted(self: LineTiming, line: Line, chip: np.ndarray) -> float:
+        looked_at.append(chip.size * self.spec.chips)
+        return strongest(self, line, chip)
+
+    monkeypatch.setattr(LineTiming, "_strongest", counted)
+    spec = FrameSpec(nodes=256, chip_s=4e-6, frame_period_s=16e-3)
+    setup = Setup(spec, 2)
+    rng, size = np.random.default_rng(3), round(spec.frame_period_s * setup.rate_hz)
+    timing = LineTiming(spec, setup.rate_hz)
+    for number in range(20):
+        volts = rng.normal(0, 3, size).astype(np.float32)
+        timing.feed(SampleBlock(number * size, volts, sync=True))
+    nominal = 20 * 16 * spec.chips  # ends where the line falls silent
+    assert max(looked_at) > 100 * spec.chips, "none of all stretches was looked for"
+    assert sum(looked_at) < nominal + LARGEST_SEARCH + 20 * SEARCH_PER_S * spec.frame_period_s

@@ -1,0 +1,289 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The analog front end: its resistors obey Kirchhoff, its estimates the code book."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from tactile_cdma.base.errors import SpecError
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.code.transform import correlate
+from tactile_cdma.commands.amplifier_report import describe, gaussian_clipping, loads, resolution
+from tactile_cdma.commands.cli import main
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.hardware.amplifier import (
+    CREST,
+    E12,
+    E24,
+    RAIL_V,
+    SETTLED,
+    SETTLING,
+    FrontEnd,
+    design,
+)
+
+README = Path(__file__).resolve().parents[3] / "firmware" / "README.md"
+PERIOD_S = 100.0
+fronts = st.builds(
+    lambda nodes, samples, supply_v, active: design(
+        FrameSpec(nodes=nodes, frame_period_s=PERIOD_S),
+        samples,
+        supply_v=supply_v,
+        active=active,
+    ),
+    st.one_of(st.integers(1, 40), st.integers(41, 1000)),
+    st.integers(1, 16),
+    st.floats(2.7, 5.0),
+    st.floats(0.05, 1.0),
+)
+
+
+def skin(nodes: int, **changes: object) -> tuple[FrameSpec, FrontEnd]:
+    spec = FrameSpec(**{"nodes": nodes, "frame_period_s": PERIOD_S, **changes})
+    return spec, design(spec, 4)
+
+
+def network(front: FrontEnd, pins: NDArray[np.int_], open_loop: float = 1e12) -> float:
+    """The amplifier's output, V, of pins that are high (1), low (−1) or released (0).
+
+    Kirchhoff's current law at every junction of resistors, solved as one system: the junctions of
+    the nodes, the line, and the output. Followers are ideal; the amplifier has an open-loop gain.
+    """
+    n = len(pins)
+    line, output = n, n + 1
+    matrix, currents = np.zeros((n + 2, n + 2)), np.zeros(n + 2)
+    for node, pin in enumerate(pins):
+        sources = [(front.bias_ohm, front.supply_v), (front.bias_ohm, 0.0)]
+        if pin:
+            sources.append((front.series_ohm, front.supply_v if pin > 0 else 0.0))
+        for ohm, volts in sources:
+            matrix[node, node] += 1 / ohm
+            currents[node] += volts / ohm
+        matrix[line, line] += 1 / front.input_ohm
+        matrix[line, node] -= 1 / front.input_ohm
+    matrix[line, line] += 1 / front.feedback_ohm
+    matrix[line, output] -= 1 / front.feedback_ohm
+    matrix[output, [output, line]] = 1 / open_loop, 1  # output = gain · (+ input − line)
+    currents[output] = front.supply_v / 2
+    return float(np.linalg.solve(matrix, currents)[output])
+
+
+@given(fronts, st.data())
+def test_the_output_is_rest_minus_a_times_the_sum_of_the_pins(
+    front: FrontEnd, data: st.DataObject
+) -> None:
+    pins = np.array(data.draw(st.lists(st.sampled_from([-1, 0, 1]), min_size=1, max_size=20)))
+    expected = front.supply_v / 2 - front.amplitude_v * pins.sum()
+    assert network(front, pins) == pytest.approx(expected, abs=1e-6)
+
+
+def test_the_noise_gain_divides_the_open_loop_gain() -> None:
+    _, front = skin(40)
+    pins = np.ones(40, int)
+    ideal, real = (network(front, pins, gain) - network(front, -pins, gain) for gain in (1e12, 1e4))
+    assert ideal / real - 1 == pytest.approx(front.noise_gain / 1e4, rel=1e-3)
+
+
+@pytest.mark.parametrize("nodes", [1, 16, 64, 1000])
+@pytest.mark.parametrize("wire", [0.0, 1.0])
+def test_the_gain_bandwidth_suffices_with_wire_on_the_line(nodes: int, wire: float) -> None:
+    """At the corner of the feedback, where the amplifier's gain is GBW/f and lags by 90°.
+
+    wire: capacitance of the line over what firmware/README.md allows, (noise gain − 1) · Cf.
+    """
+    _, front = skin(nodes)
+    f = front.corner_hz
+    feedback = 1 / (1 / front.feedback_ohm + 2j * math.pi * f * front.feedback_f)
+    wire_f = wire * (front.noise_gain - 1) * front.feedback_f
+    noise_gain = 1 + feedback * (nodes / front.input_ohm + 2j * math.pi * f * wire_f)
+    actual_over_ideal = 1 / (1 + noise_gain * 1j * f / front.gain_bandwidth_hz)
+    assert abs(actual_over_ideal - 1) <= 0.1
+    assert abs(actual_over_ideal - 1) > 0.05  # and it is not asked for more than is needed
+
+
+def is_of(series: tuple[int, ...], value: float) -> bool:
+    mantissa = value / 10.0 ** (math.floor(math.log10(value * (1 + 1e-9))) - 1)
+    return min(abs(mantissa - part) for part in series) < 1e-6
+
+
+@given(fronts)
+def test_parts_are_those_that_one_can_buy(front: FrontEnd) -> None:
+    for ohm in (
+        front.series_ohm,
+        front.bias_ohm,
+        front.input_ohm,
+        front.feedback_ohm,
+        front.filter_ohm,
+    ):
+        assert is_of(E24, ohm)
+    assert is_of(E12, front.feedback_f) and is_of((10,), front.filter_f)
+    assert front.feedback_ohm >= 2e3 and front.input_ohm >= 2e3
+    assert 250 < front.filter_ohm <= 3000
+
+
+@given(fronts)
+def test_the_range_is_used_and_not_exceeded(front: FrontEnd) -> None:
+    needed = min(front.talking, CREST * math.sqrt(front.talking))
+    assert needed <= front.room * (1 + 1e-9)
+    assert front.room < 1.101 * needed  # neighbours in E24 are up to 10 % apart
+    assert front.room_v <= min(front.supply_v / 2, 3.3 - front.supply_v / 2)
+    assert front.node_level_v == pytest.approx(0.3, rel=0.03)
+
+
+def test_steps_have_settled_when_the_first_sample_is_taken() -> None:
+    assert (1 + SETTLING) * math.exp(-SETTLING) == pytest.approx(SETTLED, rel=1e-3)
+    for samples in (1, 2, 4, 16):
+        for chip_s in (1e-6, 20e-6, 50e-6, 1e-3):
+            spec = FrameSpec(chip_s=chip_s, frame_period_s=PERIOD_S)
+            front = design(spec, samples)
+            first_s = chip_s / (2 * max(samples, 4))  # a mean is of 4 samples or more
+            slow, fast = 1 / front.corner_hz, 1 / front.filter_hz
+            slow, fast = max(slow, fast) / (2 * math.pi), min(slow, fast) / (2 * math.pi)
+            left = slow * math.exp(-first_s / slow) - fast * math.exp(-first_s / fast)
+            assert SETTLED / 100 < left / (slow - fast) <= SETTLED
+
+
+def test_the_simulated_clipping_is_that_of_the_code_book() -> None:
+    """Against rows and signs written out, drawn anew; and against the Gaussian tail."""
+    spec, front = skin(250, order=256)
+    tight = replace(front, room_v=2.0 * math.sqrt(250) * front.amplitude_v)
+    rng = np.random.default_rng(5)
+    rows = spec.node_rows * spec.signs[:, None]
+    line = rng.choice([-1, 1], (3000, 250)) @ rows.astype(float)
+    drawn = float(np.mean(np.abs(line) > tight.room))
+    found = loads(spec, tight)
+    assert found["random codes"].clipped == pytest.approx(drawn, rel=0.03)
+    assert gaussian_clipping(tight) == pytest.approx(math.erfc(math.sqrt(2)), rel=1e-9)
+    assert found["random codes"].clipped == pytest.approx(gaussian_clipping(tight), rel=0.1)
+    # All nodes with one code: the same levels in every bit, but for the sign.
+    alike = np.abs(rows.sum(axis=0))
+    assert found["idle"].peak == alike.max()
+    assert found["idle"].clipped == pytest.approx(np.mean(alike > tight.room))
+
+
+@pytest.mark.parametrize("nodes", [1, 16, 64, 255, 1023])
+def test_the_designed_range_is_hardly_ever_left(nodes: int) -> None:
+    spec, front = skin(nodes)
+    for load in loads(spec, front).values():
+        assert load.clipped == 0
+        assert load.peak <= min(nodes, front.room)
+    assert gaussian_clipping(front) < 1e-7
+    if nodes <= CREST**2:
+        assert gaussian_clipping(front) == 0  # no sum of so few leaves the range
+
+
+def test_natural_signs_and_few_talkers() -> None:
+    spec, natural = skin(63, order=64, sign_seed=None)
+    assert natural.room == pytest.approx(63, rel=0.05)
+    assert loads(spec, natural)["idle"].peak == 63
+    few = design(spec, 4, active=0.1)
+    assert few.talking == 7
+    assert max(load.peak for load in loads(spec, few).values()) <= 7 <= few.room
+
+
+@pytest.mark.parametrize("adc_bits", [6, 8, 12])
+def test_rho_is_what_quantised_words_show(adc_bits: int) -> None:
+    spec, front = skin(60, order=64)
+    front = replace(front, adc_bits=adc_bits)
+    rng = np.random.default_rng(adc_bits)
+    symbols = np.zeros((2000, 64), np.float32)
+    symbols[:, spec.rows] = rng.choice([-1, 1], (2000, 60)) * spec.signs
+    volts = symbols @ spec.book.matrix.astype(np.float32) * front.amplitude_v
+    count_v = front.adc_volts / 2**adc_bits
+    volts += rng.uniform(-count_v, count_v, (2000, 1))  # the rest level is anywhere
+    errors = correlate((np.rint(volts / count_v) * count_v - volts).astype(np.float32), spec.book)
+    measured = front.amplitude_v / errors[:, spec.rows].std()
+    assert resolution(spec, front).rho == pytest.approx(measured, rel=0.05)
+    assert resolution(spec, front).count == pytest.approx(count_v / front.amplitude_v)
+
+
+def test_wrong_words_follow_from_rho() -> None:
+    spec, front = skin(64)
+    assert resolution(spec, front).wrong_words < 1e-300
+    coarse = resolution(spec, replace(front, adc_volts=1000.0))
+    wrong_bit = 0.5 * math.erfc(coarse.rho / math.sqrt(2))
+    assert 1e-5 < wrong_bit < 1e-1
+    assert coarse.wrong_words == pytest.approx(1 - (1 - wrong_bit) ** spec.line_bits)
+
+
+@pytest.mark.parametrize(
+    ("order", "sign_seed", "measured"),
+    [(256, 1, 6), (4096, 1, 6), (256, None, 9), (1024, None, 9), (4096, None, 10)],
+)
+def test_sensible_bits_are_those_of_bench_crest(
+    order: int, sign_seed: int | None, measured: int
+) -> None:
+    """It tried several full scales; one fixed beforehand costs up to a bit more, or is as good."""
+    spec, front = skin(order - 1, order=order, sign_seed=sign_seed)
+    assert abs(resolution(spec, front).sensible_bits - measured) <= 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "options", "message"),
+    [
+        ({}, {"supply_v": 12.0}, "supply_v is 12; it must lie within 1.8…5.5"),
+        ({}, {"supply_v": math.nan}, "supply_v is nan"),
+        ({}, {"adc_volts": math.nan}, "adc_volts is nan"),
+        ({}, {"adc_volts": 1.1}, "adc_volts is 1.1 V, but the line rests at 1.65 V"),
+        ({}, {"adc_bits": 3}, "adc_bits is 3; it must lie within 4…24"),
+        ({}, {"active": 0.0}, "active is 0; it must lie within 1e-06…1: it is a share"),
+        ({"drive": "unipolar"}, {}, "drive is 'unipolar', but nodes that rest at mid-supply"),
+    ],
+)
+def test_bad_input_is_named(changes: dict, options: dict, message: str) -> None:
+    with pytest.raises(SpecError) as error:
+        design(FrameSpec(**changes), 4, **options)
+    assert message in str(error.value)
+
+
+def test_a_lower_reference_costs_range() -> None:
+    front = design(FrameSpec(), 4, adc_volts=3.0)
+    assert front.room_v == pytest.approx(3.0 - 1.65)
+    assert design(FrameSpec(), 4).room_v == pytest.approx(1.65 - RAIL_V)
+
+
+def test_the_command_prints_parts_and_parameters(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    params = tmp_path / "skin.yaml"
+    params.write_text("skin:\n  ros__parameters: {nodes: 64, frame_period_ms: 40.0}\n")
+    assert main(["amplifier", "--params", str(params), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    _, front = skin(64)
+    assert found["parts"]["feedback_ohm"] == front.feedback_ohm
+    assert found["parts"]["noise_gain"] == front.noise_gain
+    assert found["loads"]["random codes"]["clipped"] == 0
+    spec = SkinConfig.of({"nodes": 64, "frame_period_ms": 40.0, **found["parameters"]}).spec
+    assert spec.polarity == -1
+    assert spec.amplitude_v == pytest.approx(front.amplitude_v, rel=1e-3)
+
+    assert main(["amplifier", "--nodes", "64"]) == 0
+    text = capsys.readouterr().out
+    assert "Rb 12 kΩ to supply and 12 kΩ to ground" in text
+    assert "Rin 20 kΩ" in text and "Rf 2.4 kΩ" in text
+    assert "polarity: -1\namplitude_mv: 36.00" in text
+
+    assert main(["amplifier", "--nodes", "64", "--adc-volts", "1.1"]) == 1
+    assert "use a lower supply_v" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("nodes", [16, 64])
+def test_the_values_in_the_document_are_those_of_the_command(nodes: int) -> None:
+    spec, front = skin(nodes)
+    (row,) = [line for line in README.read_text().splitlines() if line.startswith(f"| {nodes} |")]
+    text = describe(spec, front)
+    for cell in row.strip("| ").split(" | ")[1:]:
+        for value in cell.split(", "):
+            assert value in text, value
+    for ohm in (front.series_ohm, front.bias_ohm, front.input_ohm, front.feedback_ohm):
+        assert f"| {ohm / 1e3:g} kΩ |" in row

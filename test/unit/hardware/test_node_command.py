@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""`tactile-cdma node`: files for nodes' memories, reading them, and avrdude."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import threading
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+import pytest
+
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.commands.cli import main
+from tactile_cdma.hardware.intel_hex import from_hex
+from tactile_cdma.hardware.node_memory import node_memory, read_node_memory
+
+ROOT = Path(__file__).resolve().parents[3]
+PARAMS = ["--params", str(ROOT / "config/skin.yaml")]
+
+
+def test_the_memory_of_a_node_follows_the_parameter_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    params = tmp_path / "skin.yaml"
+    params.write_text(
+        "skin:\n  ros__parameters:\n"
+        "    {nodes: 30, order: 32, frame_period_ms: 25.0, parity: true, sign_seed: 7,\n"
+        "     resync_chips: 32, guard_chips: 2, first_row: 2}\n"
+    )
+    path = tmp_path / "node05.hex"
+    assert main(["node", "--params", str(params), "--node", "5", "-o", str(path)]) == 0
+    out, err = capsys.readouterr()
+    assert f"eeprom:w:{path}:i" in out and "-p m328p" in out
+    assert err == ""
+    spec = FrameSpec(30, 10, 32, 50e-6, 25e-3, 2, 7, parity=True, resync_chips=32, guard_chips=2)
+    assert from_hex(path.read_text()) == node_memory(spec, 5)
+
+
+def test_options_of_the_node_arrive_in_its_memory(tmp_path: Path) -> None:
+    path = tmp_path / "node.bin"
+    options = [
+        "--threshold",
+        "3",
+        "--heartbeat",
+        "50",
+        "--rest",
+        "1000",
+        "--no-discipline",
+        "--mcu",
+        "attiny85",
+    ]
+    assert main(["node", "--node", "16", "-o", str(path), *options]) == 0
+    expected = node_memory(
+        FrameSpec(), 16, threshold=3, heartbeat=50, rest=1000, discipline=False, mcu="attiny85"
+    )
+    assert path.read_bytes() == expected
+
+
+def test_all_nodes_get_a_file_each(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "new" / "skin"
+    assert main(["node", *PARAMS, "--node", "all", "-o", str(folder)]) == 0
+    files = sorted(folder.iterdir())
+    assert [path.name for path in files] == [f"node{node:02}.hex" for node in range(1, 17)]
+    records, rows = zip(*(read_node_memory(from_hex(p.read_text())) for p in files), strict=True)
+    assert [record.node for record in records] == list(range(1, 17))
+    assert np.array_equal(np.array(rows) @ np.array(rows, dtype=int).T, 20 * np.eye(16))
+
+
+def test_a_file_tells_what_it_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "node.eep"
+    assert main(["node", "--node", "5", "--rest", "1020", "-o", str(path)]) == 0
+    capsys.readouterr()
+    assert main(["node", "--read", str(path)]) == 0
+    out = capsys.readouterr().out
+    for words in (
+        "5 of 16",
+        "5 of order 20, sign +1: -+--++-++----+-+-+++",
+        "more than 1 LSB from rest (code 1020)",
+        "once in 78 frames, first after 19",
+    ):
+        assert words in out
+
+
+@pytest.mark.parametrize("heartbeat", ["0", "300"])
+def test_nodes_too_silent_for_the_driver_are_warned_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], heartbeat: str
+) -> None:
+    arguments = ["node", "--node", "1", "-o", str(tmp_path / "a.hex"), "--heartbeat", heartbeat]
+    assert main(arguments) == 0
+    assert "is stale to the driver after 3 s" in capsys.readouterr().err
+    assert main([*arguments, "--threshold", "0"]) == 0  # talks in every frame
+    assert capsys.readouterr().err == ""
+
+
+def test_larger_skins_are_not_stale_by_default(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["node", "--nodes", "64", "--frame-period-ms", "40", "--node", "64"]
+    assert main([*arguments, "-o", str(tmp_path / "a.hex")]) == 0
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--node", "17", "-o", "a.hex"], "node is 17; it must lie within 1…16"),
+        (["--node", "1", "-o", "a.txt"], "a.txt: unknown ending '.txt'"),
+        (["--node", "1", "-o", "no/where.hex"], "no/where.hex: No such file"),
+        (["--node", "all", "-o", "file"], "file: File exists"),
+        (["--node", "1"], "-o is missing"),
+        (["--node", "all", "-o", "d", "--programmer", "usbasp"], "--node is all"),
+        (["--node", "1", "-o", "a.hex", "--bits", "12"], "bits is 12"),
+        (["--node", "1", "-o", "a.hex", "--frame-period-ms", "10.5"], "takes 1 ms to measure"),
+        (
+            [
+                "--node",
+                "1",
+                "-o",
+                "a.hex",
+                "--mcu",
+                "attiny85",
+                "--order",
+                "1032",
+                "--frame-period-ms",
+                "600",
+            ],
+            "the attiny85 holds no longer code row",
+        ),
+        (["--read", "no.hex"], "no.hex: No such file"),
+        (["--read", "blank.bin"], "blank.bin: the memory is blank"),
+        (["--read", "file.hex"], "file.hex: line 1: 'words' is no Intel HEX record"),
+    ],
+)
+def test_mistakes_are_one_clear_error(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    message: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("file").write_text("")
+    Path("file.hex").write_text("words")
+    Path("blank.bin").write_bytes(b"\xff" * 1024)
+    before = sorted(Path().iterdir())
+    assert main(["node", *arguments]) == 1
+    out, err = capsys.readouterr()
+    assert message in err and len(err.splitlines()) == 1
+    assert out == "" and sorted(Path().iterdir()) == before
+
+
+def test_a_missing_avrdude_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    path = tmp_path / "a.hex"
+    assert main(["node", "--node", "1", "-o", str(path), "--programmer", "usbasp"]) == 1
+    assert "apt install avrdude" in capsys.readouterr().err
+    assert path.exists()
+
+
+ARGUMENTS = {0x41: 1, 0x42: 20, 0x45: 5, 0x55: 2, 0x56: 4}
+"""Bytes of the STK500's commands that have any."""
+
+
+class Stk500:
+    """A programmer on a TCP port that speaks STK500, with a microcontroller's EEPROM behind it.
+
+    Only what avrdude asks of it to write an EEPROM. Commands: application note AVR061.
+    """
+
+    def __init__(self, signature: bytes) -> None:
+        self.signature, self.eeprom, self.address = signature, bytearray(b"\xff" * 1024), 0
+        self.socket = socket.create_server(("127.0.0.1", 0))
+        self.port = self.socket.getsockname()[1]
+        self.thread = threading.Thread(target=self.serve)
+
+    def __enter__(self) -> Stk500:
+        self.thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with socket.create_connection(("127.0.0.1", self.port)):  # where nobody ever called
+            self.thread.join(10)
+        self.socket.close()
+
+    def serve(self) -> None:
+        connection, _ = self.socket.accept()
+        with connection, connection.makefile("rwb") as line:
+            while command := line.read(1):
+                answer = self.answer(command[0], line)
+                assert line.read(1) == b" "
+                line.write(b"\x14" + answer + b"\x10")
+                line.flush()
+
+    def answer(self, command: int, line: BinaryIO) -> bytes:
+        body = line.read(ARGUMENTS.get(command, 0))
+        if command == 0x41:  # a parameter: versions and voltages, of no consequence
+            return b"\x02"
+        if command == 0x55:
+            self.address = int.from_bytes(body, "little")
+        elif command == 0x56:  # an instruction of the part itself: signature, fuses
+            return self.signature[body[2] :][:1] if body[0] == 0x30 else b"\x00"
+        elif command in (0x64, 0x74):
+            size, memory = int.from_bytes(line.read(2), "big"), line.read(1)
+            assert memory == b"E"
+            place = slice(self.address, self.address + size)
+            if command == 0x74:
+                return bytes(self.eeprom[place])
+            self.eeprom[place] = line.read(size)
+        return b""
+
+
+def test_avrdude_writes_the_memory_into_a_node(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    if shutil.which("avrdude") is None:
+        pytest.skip("no avrdude on this machine; apt install avrdude")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    path = tmp_path / "node.hex"
+    command = ["node", *PARAMS, "--node", "9", "-o", str(path), "--programmer", "stk500v1"]
+    with Stk500(signature=bytes.fromhex("1e950f")) as board:
+        (tmp_path / ".avrduderc").write_text(f'default_serial = "net:127.0.0.1:{board.port}";')
+        assert main(command) == 0, capfd.readouterr().err
+    assert read_node_memory(bytes(board.eeprom))[0].node == 9
+    with Stk500(signature=bytes.fromhex("1e930b")) as tiny:
+        (tmp_path / ".avrduderc").write_text(f'default_serial = "net:127.0.0.1:{tiny.port}";')
+        assert main(command) == 1
+    assert "avrdude failed with exit code 1" in capfd.readouterr().err
+    assert set(tiny.eeprom) == {0xFF}
+
+
+def test_nodes_that_would_hear_no_pulse_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "node.hex"
+    assert main(["node", "--node", "1", "-o", str(path), "--timing", "gap"]) == 1
+    assert "timing is 'gap'" in capsys.readouterr().err
+    assert not path.exists()

@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""A node's EEPROM: what is written reads back, what a node cannot do is refused by name."""
+
+from __future__ import annotations
+
+import shutil
+import struct
+import subprocess
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tactile_cdma.base.errors import NodeMemoryError, SpecError
+from tactile_cdma.code.codes import smallest_order
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.hardware.intel_hex import from_hex, to_hex
+from tactile_cdma.hardware.node_memory import MCUS, MEASURING_S, node_memory, read_node_memory
+from tactile_cdma.wire._protocol import FIELDS, NODE_LEARN_REST
+from tactile_cdma.wire.messages import WIRE
+
+EEPROM = {"atmega328p": 1024, "attiny85": 512}
+"""Bytes, by the data sheets."""
+SPEC = FrameSpec()
+MEMORY = node_memory(SPEC, 5)
+NAMES = [field.name for field in FIELDS["NodeRecord"]]
+
+
+@st.composite
+def specs(draw: st.DrawFn) -> FrameSpec:
+    """What nodes can do, in all its variety."""
+    nodes, first_row = draw(st.integers(1, 200)), draw(st.integers(0, 3))
+    order = smallest_order(draw(st.integers(nodes + first_row, 400)))
+    bits, parity = draw(st.integers(8, 10)), draw(st.booleans())
+    chip_s = draw(st.integers(40_000, 100_000)) / 1e9
+    resync = draw(st.sampled_from([0, 16, 32]))
+    span = 1.3 * (bits + 1) * order * chip_s
+    return FrameSpec(
+        nodes=nodes,
+        bits=bits,
+        order=order,
+        chip_s=chip_s,
+        frame_period_s=(int(span * 1e6) + draw(st.integers(2_000, 50_000))) / 1e6,
+        first_row=first_row,
+        sign_seed=draw(st.one_of(st.none(), st.integers(0, 2**32 - 1))),
+        parity=parity,
+        resync_chips=resync,
+        guard_chips=3 if resync else 0,
+    )
+
+
+@given(specs(), st.data())
+def test_what_is_written_reads_back(spec: FrameSpec, data: st.DataObject) -> None:
+    node = data.draw(st.integers(1, spec.nodes))
+    rest = data.draw(st.one_of(st.none(), st.integers(0, 2**spec.bits - 1)))
+    threshold = data.draw(st.integers(0, 2**spec.bits - 1))
+    heartbeat = data.draw(st.integers(0, 65_535))
+    discipline = data.draw(st.booleans())
+    memory = node_memory(
+        spec, node, threshold=threshold, heartbeat=heartbeat, rest=rest, discipline=discipline
+    )
+    blank = bytes([0xFF]) * (EEPROM["atmega328p"] - len(memory))
+    record, chips = read_node_memory(from_hex(to_hex(memory + blank)))
+    assert np.array_equal(chips, spec.node_rows[node - 1])
+    assert chips.dtype == np.int8
+    assert record.row == spec.rows[node - 1] and record.sign == spec.signs[node - 1]
+    assert (record.node, record.nodes, record.bits) == (node, spec.nodes, spec.bits)
+    assert (record.parity, record.order) == (spec.parity, spec.order)
+    assert record.chip_ns / 10**9 == spec.chip_s
+    assert record.frame_period_us / 10**6 == spec.frame_period_s
+    assert (record.resync_chips, record.guard_chips) == (spec.resync_chips, spec.guard_chips)
+    assert record.rest == (NODE_LEARN_REST if rest is None else rest)
+    assert (record.threshold, record.heartbeat) == (threshold, heartbeat)
+    assert record.discipline == discipline
+
+
+def test_the_bytes_lie_where_the_document_says() -> None:
+    chips = SPEC.node_rows[4]
+    packed = bytes(
+        sum(1 << bit for bit, chip in enumerate(chips[start : start + 8]) if chip > 0)
+        for start in range(0, len(chips), 8)
+    )
+    head = b"TCTN" + struct.pack(
+        "<BHHHbBBHIIHBBHHHH",
+        *(1, 5, 16, 5, SPEC.signs[4], 10, 0, 20, 50_000, 12_800, 0, 0, 1, 65_535, 1, 78, 19),
+    )
+    assert len(head) == 36
+    crc = zlib.crc32(head + packed)
+    assert head + packed + struct.pack("<I", crc) == MEMORY
+
+
+@pytest.mark.parametrize(("nodes", "heartbeat"), [(16, 78), (16, 16), (7, 100), (30, 8), (5, 0)])
+def test_heartbeats_take_turns_and_all_come_within_one_period(nodes: int, heartbeat: int) -> None:
+    spec = FrameSpec(nodes=nodes, order=32, frame_period_s=20e-3)
+    turns = [
+        read_node_memory(node_memory(spec, node, heartbeat=heartbeat))[0].turn
+        for node in range(1, nodes + 1)
+    ]
+    assert turns == sorted(turns)
+    assert all(0 <= turn < max(1, heartbeat) for turn in turns)
+    at_once = max(turns.count(turn) for turn in turns)
+    assert at_once == (-(-nodes // heartbeat) if heartbeat else nodes)
+
+
+@pytest.mark.parametrize(
+    ("frame_period_s", "heartbeat"), [(12.8e-3, 78), (40e-3, 25), (0.6, 2), (2.0, 1), (10.0, 1)]
+)
+def test_heartbeat_is_a_second_unless_told_otherwise(frame_period_s: float, heartbeat: int) -> None:
+    """So that nodes of a slow skin are not stale to the driver between two of them."""
+    spec = FrameSpec(frame_period_s=frame_period_s)
+    assert read_node_memory(node_memory(spec, 16))[0].heartbeat == heartbeat
+
+
+@pytest.mark.parametrize(
+    ("changes", "options", "message"),
+    [
+        ({}, {"node": 0}, "node is 0; it must lie within 1…16"),
+        ({}, {"node": 17}, "node is 17; it must lie within 1…16"),
+        ({}, {"threshold": -1}, "threshold is -1; it must lie within 0…1023: codes have 10 bits"),
+        ({}, {"threshold": 1024}, "threshold is 1024"),
+        ({}, {"heartbeat": 65_536}, "heartbeat is 65536; it must lie within 0…65535"),
+        ({}, {"rest": 1024}, "rest is 1024; it must lie within 0…1023: codes have 10 bits"),
+        ({}, {"mcu": "z80"}, "mcu is 'z80'; it must be one of atmega328p, attiny85"),
+        ({"bits": 11}, {}, "bits is 11; it must lie within 8…10: a node's converter has 10 bits"),
+        ({"order": 4160, "frame_period_s": 5.0}, {}, "order is 4160; it must lie within 1…4096"),
+        ({"chip_s": 19e-6}, {}, "chip_ns is 19000; it must lie within 35000…1000000"),
+        ({"chip_s": 50.0001e-6}, {}, "whole nanoseconds"),
+        ({"frame_period_s": 11.0}, {}, "frame_period_us is 11000000; it must lie within 1000…"),
+        (
+            {"frame_period_s": 10.999e-3},
+            {},
+            "lasts 0.999 ms, but a node takes 1 ms to measure in it: frame_period_ms must be at "
+            "least 11",
+        ),
+        (
+            {"order": 1032, "frame_period_s": 3.0},
+            {"mcu": "attiny85"},
+            "order is 1032; it must lie within 1…1024: the attiny85 holds no longer code row",
+        ),
+        (
+            {"order": 32, "frame_period_s": 0.1, "resync_chips": 32, "guard_chips": 1},
+            {"mcu": "attiny85"},
+            "guard_chips is 1, but to start anew within the frame a node takes at least 2 of",
+        ),
+        (
+            {"chip_s": 35e-6, "resync_chips": 32, "guard_chips": 2},
+            {},
+            "guard_chips is 2, but to start anew within the frame a node takes at least 3",
+        ),
+    ],
+)
+def test_what_a_node_cannot_do_is_refused_by_name(
+    changes: dict, options: dict, message: str
+) -> None:
+    spec = FrameSpec(**{"nodes": 16, **changes})
+    with pytest.raises(SpecError) as error:
+        node_memory(spec, **{"node": 1, **options})
+    assert message in str(error.value)
+
+
+def test_the_limits_themselves_are_allowed() -> None:
+    tightest = FrameSpec(frame_period_s=FrameSpec().frame_s + MEASURING_S)
+    assert read_node_memory(node_memory(tightest, 16))[0].frame_period_us == 11_000
+    longest = FrameSpec(nodes=4095, order=4096, chip_s=35e-6, frame_period_s=1.5)
+    assert node_memory(FrameSpec(chip_s=35e-6, resync_chips=32, guard_chips=3), 1)
+    memory = node_memory(longest, 4095, threshold=1023, heartbeat=65_535, rest=1023)
+    assert len(memory) == 552
+    assert read_node_memory(memory)[0].turn == 4094 * 65_535 // 4095
+
+
+@pytest.mark.parametrize("mcu", MCUS)
+def test_the_longest_row_fits_the_eeprom(mcu: str) -> None:
+    spec = FrameSpec(order=MCUS[mcu].order, frame_period_s=5.0)
+    assert len(node_memory(spec, 1, mcu=mcu)) <= EEPROM[mcu]
+
+
+def with_field(name: str, value: int, *, seal: bool = True) -> bytes:
+    """The memory with one field of its record changed, by default with the CRC to match."""
+    values = list(WIRE["NodeRecord"].unpack_from(MEMORY))
+    values[NAMES.index(name)] = value
+    body = WIRE["NodeRecord"].pack(*values) + MEMORY[WIRE["NodeRecord"].size : -4]
+    return body + (zlib.crc32(body).to_bytes(4, "little") if seal else MEMORY[-4:])
+
+
+@pytest.mark.parametrize(
+    ("memory", "message"),
+    [
+        (b"", "is blank"),
+        (bytes([0xFF]) * 1024, "is blank"),
+        (MEMORY[:35], "35 bytes are no node's memory; its record takes 36"),
+        (MEMORY[:-1], "is truncated: a row of 20 chips takes 43 bytes, there are 42"),
+        (with_field("magic", 0x12345678), "begins with 0x12345678, not 0x4E544354"),
+        (with_field("version", 2), "a record of version 2"),
+        (with_field("order", 4000), "is truncated: a row of 4000 chips takes 540 bytes"),
+        (with_field("row", 6, seal=False), "is damaged"),
+        (with_field("bits", 11), "not for this firmware: bits is 11"),
+        (with_field("sign", 0), "not for this firmware: sign is 0"),
+        (with_field("chip_ns", 1), "not for this firmware: chip_ns is 1"),
+    ],
+)
+def test_reading_names_what_is_wrong(memory: bytes, message: str) -> None:
+    with pytest.raises(NodeMemoryError) as error:
+        read_node_memory(memory)
+    assert message in str(error.value)
+
+
+@given(st.integers(0, 8 * len(MEMORY) - 1))
+def test_no_flipped_bit_gets_through(bit: int) -> None:
+    damaged = bytearray(MEMORY)
+    damaged[bit // 8] ^= 1 << bit % 8
+    with pytest.raises(NodeMemoryError):
+        read_node_memory(bytes(damaged))
+
+
+@given(st.binary(max_size=80))
+def test_any_bytes_are_an_answer(data: bytes) -> None:
+    with pytest.raises(NodeMemoryError):
+        read_node_memory(data)
+
+
+@given(st.binary(min_size=1, max_size=1024))
+def test_hex_is_read_back(data: bytes) -> None:
+    assert from_hex(to_hex(data)) == data
+
+
+def test_binutils_read_the_hex_in_the_same_way(tmp_path: Path) -> None:
+    objcopy = shutil.which("objcopy")
+    if objcopy is None:
+        pytest.skip("no objcopy on this machine; apt install binutils")
+    (tmp_path / "node.hex").write_text(to_hex(MEMORY))
+    formats = ("-I", "ihex", "-O", "binary")
+    subprocess.run([objcopy, *formats, "node.hex", "node.bin"], cwd=tmp_path, check=True)
+    assert (tmp_path / "node.bin").read_bytes() == MEMORY
+
+
+def test_gaps_in_the_hex_are_blank() -> None:
+    assert from_hex(":01000300AB51\n:00000001FF\n") == b"\xff\xff\xff\xab"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "no end record"),
+        (to_hex(MEMORY).replace(":00000001FF", ""), "no end record"),
+        (to_hex(MEMORY).replace("54", "55", 1), "line 1: wrong checksum"),
+        ("#!/bin/sh\n", "line 1: '#!/bin/sh' is no Intel HEX record"),
+        (":0100\n", "line 1: ':0100' is no Intel HEX record"),
+        (":020000040001F9\n:00000001FF\n", "line 1: Intel HEX record of type 4"),
+    ],
+)
+def test_broken_hex_is_named(text: str, message: str) -> None:
+    with pytest.raises(NodeMemoryError) as error:
+        from_hex(text)
+    assert message in str(error.value)

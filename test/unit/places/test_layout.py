@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Geometry of layouts: surfaces, neighbours, rasters."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tactile_cdma.base.errors import SpecError
+from tactile_cdma.places.layout import MAX_CELLS, NEIGHBOUR_PITCHES, Layout
+from tactile_cdma.places.layout_shapes import Surface, cylinder, plane, sphere
+from tactile_cdma.places.proximity import beside, usual_distance_m
+from tactile_cdma.views.heatmap import NO_TAXEL_RGB, heatmap
+
+PITCH_M = 7e-3
+SURFACES = {
+    "plane": plane(5, 8, PITCH_M),
+    "cylinder": cylinder(5, 8, PITCH_M, 20e-3),
+    "sphere": sphere(5, 8, PITCH_M, 25e-3),
+}
+
+
+def on(surface: Surface, rows: int = 5, columns: int = 8) -> Layout:
+    nodes = np.arange(1, rows * columns + 1, dtype=np.int32)
+    return Layout.on(surface, "skin", rows, columns, nodes, PITCH_M)
+
+
+def irregular(places_m: np.ndarray, pitch_m: float = PITCH_M) -> Layout:
+    """Taxels anywhere on a plane; places_m: (t, 2)."""
+    flat_m = places_m.astype(np.float32)
+    count = len(flat_m)
+    surface = Surface(
+        flat_m,
+        np.pad(flat_m, ((0, 0), (0, 1))),
+        np.tile(np.array([0, 0, 1], np.float32), (count, 1)),
+        np.full(count, pitch_m**2, np.float32),
+    )
+    nodes = np.arange(1, count + 1, dtype=np.int32)
+    return replace(Layout.on(surface, "list", 1, count, nodes, pitch_m), irregular=True)
+
+
+def pairs(layout: Layout) -> set[tuple[int, int]]:
+    return {
+        (taxel, int(other))
+        for taxel, row in enumerate(layout.neighbours)
+        for other in row
+        if other != taxel
+    }
+
+
+def all_close_pairs(layout: Layout) -> set[tuple[int, int]]:
+    """The same, by measuring every distance."""
+    places = layout.positions_m.astype(float)
+    near = np.linalg.norm(places[:, None] - places, axis=2) <= NEIGHBOUR_PITCHES * layout.pitch_m
+    near &= layout.normals @ layout.normals.T > -1e-3
+    near &= (layout.nodes > 0) & (layout.nodes[:, None] > 0)
+    np.fill_diagonal(near, False)
+    return set(zip(*(i.tolist() for i in np.nonzero(near)), strict=True))
+
+
+@pytest.mark.parametrize("name", SURFACES)
+def test_normals_are_unit_vectors_along_the_gradient(name: str) -> None:
+    surface = SURFACES[name]
+    assert np.allclose(np.linalg.norm(surface.normals, axis=1), 1, atol=1e-6)
+    radius_m = {"plane": math.inf, "cylinder": 20e-3, "sphere": 25e-3}[name]
+    if name == "plane":
+        assert (surface.normals == [0, 0, 1]).all()
+        return
+    from_centre = surface.positions_m + np.array([0, 0, radius_m])
+    if name == "cylinder":
+        from_centre[:, 1] = 0  # the axis is along y
+    assert np.allclose(np.linalg.norm(from_centre, axis=1), radius_m, rtol=1e-6)
+    assert np.allclose(from_centre / radius_m, surface.normals, atol=1e-6)
+
+
+def test_columns_of_a_cylinder_are_a_chord_apart_and_rows_a_pitch() -> None:
+    places = SURFACES["cylinder"].positions_m.reshape(5, 8, 3).astype(float)
+    around = np.linalg.norm(np.diff(places, axis=1), axis=2)
+    assert np.allclose(around, 2 * 20e-3 * math.sin(PITCH_M / 20e-3 / 2), rtol=1e-5)
+    assert np.allclose(np.diff(places, axis=0), [0, -PITCH_M, 0], atol=1e-9)
+
+
+def test_distances_and_directions_from_the_middle_of_a_sphere_are_kept() -> None:
+    surface, radius_m = SURFACES["sphere"], 25e-3
+    angle = np.arccos(np.clip(surface.normals[:, 2].astype(float), -1, 1))
+    assert np.allclose(angle * radius_m, np.linalg.norm(surface.flat_m, axis=1), atol=1e-7)
+    across, flat = surface.positions_m[:, :2].astype(float), surface.flat_m.astype(float)
+    assert np.allclose(across[:, 0] * flat[:, 1], across[:, 1] * flat[:, 0], atol=1e-9)
+    assert ((across * flat).sum(axis=1) > 0).all()
+
+
+def test_areas_add_up_to_that_of_the_surface() -> None:
+    flat_m2 = 40 * PITCH_M**2
+    assert SURFACES["plane"].areas_m2.sum() == pytest.approx(flat_m2)
+    assert SURFACES["cylinder"].areas_m2.sum() == pytest.approx(flat_m2)
+    # Over all directions, the cap of the sphere that reaches to the edge of the rectangle.
+    radius_m, half = 25e-3, np.array([8, 5]) * PITCH_M / 2
+    turn = (np.arange(200_000) + 0.5) * 2 * np.pi / 200_000
+    edge = np.min(half / np.abs(np.stack([np.cos(turn), np.sin(turn)], axis=1)), axis=1)
+    cap_m2 = radius_m**2 * 2 * np.pi * np.mean(1 - np.cos(edge / radius_m))
+    assert SURFACES["sphere"].areas_m2.sum() == pytest.approx(cap_m2, rel=1e-5)
+    assert SURFACES["sphere"].areas_m2.min() < SURFACES["sphere"].areas_m2.max() < PITCH_M**2
+
+
+@pytest.mark.parametrize("bend", [cylinder, sphere])
+def test_a_large_radius_is_flat(bend) -> None:
+    bent, flat = bend(5, 8, PITCH_M, 1e3), SURFACES["plane"]
+    assert np.allclose(bent.positions_m, flat.positions_m, atol=1e-6)
+    assert np.allclose(bent.normals, flat.normals, atol=1e-4)
+    assert np.allclose(bent.areas_m2, flat.areas_m2, rtol=1e-6)
+
+
+def test_what_does_not_go_round_is_refused() -> None:
+    with pytest.raises(SpecError, match=r"12 columns of 7 mm take 84 mm.*62\.8 mm round"):
+        cylinder(2, 12, PITCH_M, 10e-3)
+    with pytest.raises(SpecError, match="hemisphere"):
+        sphere(6, 6, PITCH_M, 15e-3)
+
+
+@pytest.mark.parametrize("name", SURFACES)
+def test_neighbours_on_gridded_surfaces_are_the_eight_around(name: str) -> None:
+    layout = on(SURFACES[name])
+    row, column = np.divmod(np.arange(40), 8)
+    step = np.maximum(abs(row[:, None] - row), abs(column[:, None] - column))
+    assert pairs(layout) == set(zip(*(i.tolist() for i in np.nonzero(step == 1)), strict=True))
+    assert layout.neighbours.shape == (40, 8)
+    assert layout.neighbours.dtype == np.int32
+
+
+def test_a_sleeve_closes_and_a_thin_finger_keeps_its_sides_apart() -> None:
+    sleeve = on(cylinder(3, 12, PITCH_M, 12 * PITCH_M / (2 * math.pi)), 3, 12)
+    assert {len(set(row)) for row in sleeve.neighbours[12:24].tolist()} == {8}
+    assert (0, 11) in pairs(sleeve)
+    finger = on(cylinder(1, 4, PITCH_M, 4 * PITCH_M / (2 * math.pi)), 1, 4)
+    assert pairs(finger) == {(a, b) for a in range(4) for b in range(4) if (a - b) % 4 in (1, 3)}
+
+
+def test_places_without_a_node_are_nobodys_neighbours() -> None:
+    layout = on(SURFACES["plane"])
+    nodes = layout.nodes.copy()
+    nodes[9] = 0
+    holed = replace(layout, nodes=nodes)
+    assert (holed.neighbours[9] == 9).all()
+    assert pairs(holed) == {(a, b) for a, b in pairs(layout) if 9 not in (a, b)}
+
+
+def test_a_lonely_taxel_has_none() -> None:
+    assert irregular(np.zeros((1, 2))).neighbours.tolist() == [[0]]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 80), st.floats(0.5, 12))
+def test_neighbours_are_exactly_who_is_near_enough(seed: int, count: int, spread: float) -> None:
+    rng = np.random.default_rng(seed)
+    places = rng.uniform(-spread, spread, (count, 3)) * PITCH_M
+    normals = rng.normal(size=(count, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    layout = replace(
+        irregular(places[:, :2]),
+        positions_m=places.astype(np.float32),
+        normals=normals.astype(np.float32),
+        nodes=rng.permutation(count).astype(np.int32),  # one of them is 0
+    )
+    found = pairs(layout)
+    assert found == all_close_pairs(layout)
+    assert found == {(b, a) for a, b in found}, "who is beside me has me beside him"
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(2, 60))
+def test_the_usual_distance_is_the_median_of_the_nearest(seed: int, count: int) -> None:
+    places = np.random.default_rng(seed).normal(size=(count, 3))
+    distance = np.linalg.norm(places[:, None] - places, axis=2) + np.diag([np.inf] * count)
+    nearest = np.sort(distance.min(axis=1))
+    upwards = np.tile([0.0, 0.0, 1.0], (count, 1))
+    assert usual_distance_m(places, upwards) == pytest.approx(nearest[(count - 1) // 2])
+
+
+def test_heaps_of_places_are_refused_instead_of_compared() -> None:
+    with pytest.raises(SpecError, match="on top of each other"):
+        beside(np.zeros((3000, 3)), np.tile([0.0, 0.0, 1.0], (3000, 1)), 1e-3)
+
+
+def test_a_list_that_is_a_grid_is_drawn_as_that_grid() -> None:
+    grid = Layout.grid(40, 5, 8, PITCH_M, PITCH_M)
+    same = irregular(grid.flat_m)
+    assert np.array_equal(grid.raster, np.arange(40).reshape(5, 8))
+    assert np.array_equal(same.raster, grid.raster.repeat(2, axis=0).repeat(2, axis=1))
+    pressure = np.linspace(0, 1e5, 40).astype(np.float32)
+    expected = heatmap(pressure, grid, 1e5, pixels=6)
+    assert np.array_equal(heatmap(pressure, same, 1e5, pixels=6), expected)
+
+
+@pytest.mark.parametrize("name", [*SURFACES, "list"])
+def test_pictures_show_the_skin_as_it_looks_from_outside(name: str) -> None:
+    """With its normals towards the eye x goes right and y up: no mirror image."""
+    layout = irregular(SURFACES["plane"].flat_m) if name == "list" else on(SURFACES[name])
+    right, up = layout.positions_m[:, 0].argmax(), layout.positions_m[:, 1].argmax()
+    assert np.argwhere(layout.raster == right)[:, 1].max() == layout.raster.shape[1] - 1
+    assert np.argwhere(layout.raster == up)[:, 0].min() == 0
+    assert (layout.normals[:, 2] > 0).all()
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 60), st.floats(1, 10))
+def test_every_cell_of_a_raster_shows_the_nearest_taxel(
+    seed: int, count: int, spread: float
+) -> None:
+    layout = irregular(np.random.default_rng(seed).uniform(-spread, spread, (count, 2)) * PITCH_M)
+    height, width = layout.raster.shape
+    y, x = np.mgrid[:height, :width] + 0.5
+    left, top = layout.flat_m.min(axis=0)[0], layout.flat_m.max(axis=0)[1]
+    right_m, down_m = (axis * layout.cell_m - PITCH_M / 2 for axis in (x, y))
+    cells = np.stack([left + right_m, top - down_m], axis=-1)
+    distance = np.linalg.norm(cells[:, :, None] - layout.flat_m, axis=3)
+    shown = layout.raster >= 0
+    chosen = np.take_along_axis(distance, np.maximum(layout.raster, 0)[..., None], axis=2)[..., 0]
+    assert np.allclose(chosen[shown], distance.min(axis=2)[shown], atol=1e-8)
+    assert (distance.min(axis=2)[~shown] > 0.7 * PITCH_M).all()
+
+
+def test_rasters_of_scattered_skins_are_bounded_and_show_everybody() -> None:
+    far = irregular(np.array([[0, 0], [1, 0], [3000, 4000]]) * PITCH_M)
+    assert far.raster.size <= MAX_CELLS
+    assert far.raster.max() == 2
+    picture = heatmap(np.zeros(3, np.float32), far, 1e5, pixels=256)
+    assert picture.size <= 3 << 20
+    assert tuple(picture[0, 0]) == tuple(picture[-1, -1]) == NO_TAXEL_RGB

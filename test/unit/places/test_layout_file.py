@@ -1,0 +1,355 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Layout files: what they become, on the way from a node to its taxel, and what is refused."""
+
+import re
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from simulated_stream import run, stream
+
+from tactile_cdma.base.errors import LayoutError, SpecError
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline
+from tactile_cdma.places.layout import Layout
+from tactile_cdma.places.layout_file import read_layout
+from tactile_cdma.places.layout_nodes import Wiring
+from tactile_cdma.readings.taxels import Status
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.words.decode import silent
+
+EXAMPLES = sorted((Path(__file__).resolve().parents[3] / "config" / "layouts").glob("*.yaml"))
+HEAD = "schema: tactile_cdma/layout\nversion: 1\n"
+GRID = HEAD + "shape: grid\nrows: 2\ncolumns: 3\npitch_mm: 7\n"
+LIST = HEAD + "shape: list\n"
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "skin.yaml"
+    path.write_text(text)
+    return path
+
+
+def taxels(*places: str) -> str:
+    return "taxels:\n" + "".join(f"  - {{{place}}}\n" for place in places)
+
+
+def test_a_grid_file_is_the_grid_of_the_parameters(tmp_path: Path) -> None:
+    layout = read_layout(written(tmp_path, GRID), Wiring(nodes=6))
+    grid = Layout.grid(6, 2, 3, 7e-3, 7e-3)
+    for name in ("positions_m", "normals", "areas_m2", "flat_m", "nodes"):
+        assert np.array_equal(getattr(layout, name), getattr(grid, name)), name
+    assert (layout.name, layout.rows, layout.columns) == ("skin", 2, 3)
+    assert layout.source is None
+
+
+def test_a_list_stands_where_it_says(tmp_path: Path) -> None:
+    text = (
+        LIST
+        + "name: odd\nunplaced: [2]\nmasked: [3]\n"
+        + taxels(
+            "position_mm: [0, 0, 0], node: 4",
+            "position_mm: [5, 0, 1], node: 1, normal: [0, 3, 4], area_mm2: 20",
+            "position_mm: [0, 5, 0], node: 3",
+        )
+    )
+    layout = read_layout(written(tmp_path, text), Wiring(nodes=4))
+    assert (layout.name, layout.rows, layout.columns, layout.irregular) == ("odd", 1, 3, True)
+    assert np.allclose(layout.positions_m, [[0, 0, 0], [5e-3, 0, 1e-3], [0, 5e-3, 0]])
+    assert np.allclose(layout.normals, [[0, 0, 1], [0, 0.6, 0.8], [0, 0, 1]])
+    assert layout.nodes.tolist() == [4, 1, 3]
+    assert (layout.masked, layout.unplaced, layout.wired) == ((3,), (2,), 4)
+    assert layout.pitch_m == pytest.approx(5e-3)
+    assert np.allclose(layout.areas_m2, [25e-6, 20e-6, 25e-6])
+
+
+def test_a_list_is_drawn_as_seen_from_outside(tmp_path: Path) -> None:
+    """Along the normals x is to the right, y is up."""
+    side = taxels(  # a wall in the plane x = 0 whose outside is at x > 0
+        "position_mm: [0, 0, 0], normal: [1, 0, 0], node: 1",
+        "position_mm: [0, 7, 0], normal: [1, 0, 0], node: 2",
+        "position_mm: [0, 0, 7], normal: [1, 0, 0], node: 3",
+    )
+    flat = read_layout(written(tmp_path, LIST + side), Wiring()).flat_m
+    assert np.allclose(flat, [[0, 0], [0, 7e-3], [-7e-3, 0]], atol=1e-9)
+
+
+def test_code_rows_count_from_the_first_row(tmp_path: Path) -> None:
+    text = GRID + "code_rows: [[0, 1, ~], [4, 3, 2]]\n"
+    layout = read_layout(written(tmp_path, text), Wiring(nodes=5, first_row=0))
+    assert layout.nodes.tolist() == [1, 2, 0, 5, 4, 3]
+    rows = taxels("position_mm: [0, 0, 0], code_row: 9", "position_mm: [9, 0, 0], code_row: 8")
+    layout = read_layout(written(tmp_path, LIST + rows), Wiring(first_row=8))
+    assert layout.nodes.tolist() == [2, 1]
+
+
+def test_an_area_is_for_all(tmp_path: Path) -> None:
+    layout = read_layout(written(tmp_path, GRID + "area_mm2: 30\n"), Wiring())
+    assert np.allclose(layout.areas_m2, 30e-6)
+
+
+def test_a_wrap_around_layout_reads_the_same_forces_anywhere_in_the_order(tmp_path: Path) -> None:
+    """Permuted nodes give permuted arrays, through the whole chain."""
+    rng = np.random.default_rng(3)
+    nodes = np.append(rng.permutation(16) + 1, [0, 0]).reshape(3, 6)
+    text = GRID.replace("rows: 2", "rows: 3").replace("columns: 3", "columns: 6")
+    path = written(tmp_path, text + f"nodes: {nodes.tolist()}\nmasked: [5]\n")
+    plain = SkinConfig.of({})
+    data = stream(plain, "sim://?scene=all&seed=3&threshold=0", 10)
+    placed = run(SkinConfig.of({"layout_file": str(path)}), data)
+    order, read = nodes.ravel() - 1, run(plain, data)
+    assert len(placed) == len(read) >= 8
+    for ours, theirs in zip(placed, read, strict=True):
+        masked = (nodes.ravel() == 5) | (nodes.ravel() == 0)
+        for name in ("pressure_pa", "voltage_v", "status"):
+            values = getattr(ours.readings, name)
+            assert values.shape == (18,)
+            expected = getattr(theirs.readings, name)[order]
+            assert np.array_equal(values[~masked], expected[~masked])
+        assert np.isnan(ours.readings.pressure_pa[masked]).all()
+        assert np.isnan(ours.readings.voltage_v[masked]).all()
+        assert (ours.readings.status[masked] == Status.MASKED).all()
+        assert not np.isnan(ours.readings.pressure_pa[~masked]).any()
+
+
+def test_nodes_out_of_service_or_without_a_place_are_not_missed(tmp_path: Path) -> None:
+    places = taxels(*(f"position_mm: [{7 * n}, 0, 0], node: {n}" for n in (1, 2, 4)))
+    path = written(tmp_path, LIST + "masked: [2]\nunplaced: [3]\n" + places)
+    pipeline = Pipeline(SkinConfig.of({"nodes": 4, "layout_file": str(path)}))
+    pipeline.taxels.update(silent(4, 0.0), 10.0, pipeline.health)
+    assert pipeline.taxels.missing == [1, 4]
+    assert pipeline.taxels.awaited == 2
+
+
+def test_the_simulator_presses_on_the_unrolled_skin(tmp_path: Path) -> None:
+    text = GRID + "nodes: [[6, 5, 4], [1, 2, 0]]\nunplaced: [3, 7]\n"
+    options = SimOptions.from_url(f"sim://?scene=press&layout={written(tmp_path, text)}")
+    assert options.setup().spec.nodes == 7, "as many as the layout says"
+    skin = options.skin(7)
+    x, y = skin.positions_m.T * 1e3
+    assert np.allclose(x[[5, 4, 3, 0, 1]], [-7, 0, 7, -7, 0])
+    assert np.allclose(y[[5, 4, 3, 0, 1]], [3.5, 3.5, 3.5, -3.5, -3.5])
+    for query in ("rows=2", "nodes=8"):
+        with pytest.raises(SpecError):
+            SimOptions.from_url(f"sim://?{query}&layout={tmp_path / 'skin.yaml'}")
+
+
+def test_the_simulator_has_its_middle_in_that_of_the_skin(tmp_path: Path) -> None:
+    path = written(
+        tmp_path,
+        LIST + taxels(*(f"position_mm: [{100 + 7 * n}, 50, 0], node: {4 - n}" for n in range(4))),
+    )
+    skin = SimOptions.from_url(f"sim://?layout={path}").skin(4)
+    assert np.allclose(skin.positions_m * 1e3, [[10.5, 0], [3.5, 0], [-3.5, 0], [-10.5, 0]])
+    assert skin.pitch_m == pytest.approx(7e-3)
+
+
+def test_nodes_without_a_place_take_none_in_the_arrays(tmp_path: Path) -> None:
+    path = written(tmp_path, GRID + "unplaced: [7]\n")
+    pipeline = Pipeline(SkinConfig.of({"nodes": 7, "layout_file": str(path)}))
+    readings = pipeline.taxels.update(silent(7, 0.0), 0.0, pipeline.health)
+    assert len(readings.pressure_pa) == len(readings.voltage_v) == len(readings.status) == 6
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_the_examples_are_for_skins_that_exist(path: Path) -> None:
+    layout = read_layout(path, Wiring())
+    assert layout.name != path.stem
+    assert layout.neighbours.shape[1] > 3
+    assert set(layout.raster.ravel()) - {-1} == set(np.flatnonzero(layout.nodes))
+    assert yaml.safe_load(path.read_text())["shape"] == path.stem
+
+
+def test_there_is_an_example_of_every_shape() -> None:
+    assert {path.stem for path in EXAMPLES} == {"grid", "cylinder", "sphere", "list"}
+
+
+ONE = "position_mm: [0, 0, 0], node: 1"
+BENT = "shape: cylinder\nrows: 2\ncolumns: 9\npitch_mm: 7\n"
+REFUSED = {
+    # what it is
+    "another schema": ("schema: 1\nversion: 1\n", ["line 1", "schema is '1'", "layout"]),
+    "no schema": ("shape: grid\n", ["has no 'schema'"]),
+    "newer": (GRID.replace("version: 1", "version: 2"), ["line 2", "version is 2", "update"]),
+    "no mapping": ("- 1\n", ["line 1", "is a list"]),
+    "another skin": (GRID + "skin: left\n", ["line 7", "'left'", "'right'"]),
+    "shape": (HEAD + "shape: cube\n", ["line 3", "'cube'", "grid, cylinder, sphere, list"]),
+    "no shape": (HEAD, ["has no 'shape'"]),
+    "misspelt": (GRID + "node: []\n", ["line 7", "'node'", "did you mean 'nodes'"]),
+    "key of another shape": (GRID + "radius_mm: 3\n", ["line 7", "unknown key 'radius_mm'"]),
+    # numbers
+    "no rows": (GRID.replace("rows: 2\n", ""), ["has no 'rows'"]),
+    "text": (GRID.replace("rows: 2", "rows: two"), ["line 4", "'two'", "whole number"]),
+    "fraction": (GRID.replace("rows: 2", "rows: 2.5"), ["line 4", "'2.5'", "whole number"]),
+    "none at all": (GRID.replace("rows: 2", "rows: 0"), ["line 4", "rows is 0", "1…65535"]),
+    "infinite": (GRID.replace("pitch_mm: 7", "pitch_mm: .inf"), ["line 6", "must be finite"]),
+    "not finite": (
+        GRID.replace("pitch_mm: 7", "pitch_mm: 1e999"),
+        ["line 6", "pitch_mm is 1e999; it must be finite"],
+    ),
+    "pitch in metres": (GRID.replace("pitch_mm: 7", "pitch_mm: 0.007"), ["0.01…1000 mm"]),
+    "too large": (GRID.replace("rows: 2", "rows: 65000"), ["195000 taxels", "65535"]),
+    "area": (GRID + "area_mm2: 50\n", ["line 7", "area_mm2 is 50", "49.05 mm²"]),
+    # nodes of grids
+    "rows of nodes": (GRID + "nodes: [[1, 2, 3]]\n", ["line 7", "nodes has 1 rows; rows is 2"]),
+    "columns of nodes": (
+        GRID + "nodes:\n - [1, 2, 3]\n - [4, 5]\n",
+        ["line 9", "2 entries; columns is 3"],
+    ),
+    "doubled": (
+        GRID + "nodes:\n - [1, 2, 3]\n - [4, 2, 5]\n",
+        ["line 9", "taxel 4 (row 1, column 1)", "node 2", "taxel 1 (row 0, column 1)", "line 8"],
+    ),
+    "negative": (GRID + "nodes: [[1, 2, 3], [4, -5, 6]]\n", ["taxel 4", "-5", "1…65535"]),
+    "gap": (GRID + "nodes: [[1, 2, 3], [4, 0, 6]]\n", ["6 nodes, node 5", "unplaced"]),
+    "beyond": (GRID + "nodes: [[1, 2, 3], [4, 5, 7]]\n", ["taxel 5", "node 7", "6 nodes"]),
+    "empty": (GRID + "nodes: [[0, 0, 0], [0, 0, 0]]\n", ["no taxel has a node"]),
+    "both": (GRID + "nodes: []\ncode_rows: []\n", ["line 8", "leave one out"]),
+    "row 0": (
+        GRID + "code_rows: [[0, 1, 2], [3, 4, 5]]\n",
+        ["line 7", "taxel 0", "code row 0", "node 1 has row 1"],
+    ),
+    "row beyond": (
+        GRID + "code_rows: [[1, 2, 3], [4, 5, 60]]\n",
+        ["taxel 5", "node 60", "code rows 1…6"],
+    ),
+    "no row": (GRID + "code_rows: [[1, 2, 3], [4, 5, x]]\n", ["taxel 5", "'x'", "whole number"]),
+    "masked twice": (GRID + "masked: [2, 2]\n", ["line 7", "masked lists node 2 twice"]),
+    "masked nobody": (GRID + "masked: [7]\n", ["line 7", "node 7", "behind no taxel"]),
+    "unplaced but placed": (GRID + "unplaced: [3]\n", ["line 7", "node 3", "behind taxel 2"]),
+    "unplaced beyond": (GRID + "unplaced: [7]\n", ["line 7", "node 7", "6 nodes"]),
+    # bent ones
+    "no radius": (HEAD + BENT, ["has no 'radius_mm'"]),
+    "round twice": (HEAD + BENT + "radius_mm: 5\n", ["line 7", "go round more than once"]),
+    "beyond the ball": (
+        HEAD + BENT.replace("cylinder", "sphere") + "radius_mm: 10\n",
+        ["line 7", "hemisphere"],
+    ),
+    # lists
+    "no taxels": (LIST, ["has no 'taxels'"]),
+    "empty list": (LIST + "taxels: []\n", ["line 4", "0 entries"]),
+    "no list": (LIST + "taxels: 3\n", ["line 4", "taxels is '3'; it must be a list"]),
+    "no entry": (LIST + "taxels: [3]\n", ["line 4", "taxel 0 is '3'"]),
+    "one": (LIST + taxels(ONE), ["give pitch_mm"]),
+    "flat position": (
+        LIST + taxels("position_mm: [0, 0], node: 1"),
+        ["line 5", "position of taxel 0 has 2 numbers"],
+    ),
+    "no position": (LIST + taxels("node: 1"), ["line 5", "taxel 0 has no 'position_mm'"]),
+    "not a number": (
+        LIST + taxels("position_mm: [0, .nan, 0], node: 1"),
+        ["line 5", "position of taxel 0", "is .nan; it must be finite"],
+    ),
+    "far away": (LIST + taxels("position_mm: [0, 1e6, 0], node: 1"), ["-100000…100000 mm"]),
+    "no normal": (
+        LIST + taxels(ONE, "position_mm: [7, 0, 0], node: 2, normal: [0, 0, 0]"),
+        ["line 6", "normal of taxel 1", "length is 0"],
+    ),
+    "no area": (LIST + taxels(ONE + ", area_mm2: 0"), ["line 5", "area of taxel 0 is 0"]),
+    "no node": (LIST + taxels("position_mm: [0, 0, 0]"), ["line 5", "taxel 0 needs a node or"]),
+    "node and row": (LIST + taxels(ONE + ", code_row: 1"), ["line 5", "not both"]),
+    "node 0": (
+        LIST + taxels("position_mm: [0, 0, 0], node: 0"),
+        ["line 5", "node of taxel 0 is 0"],
+    ),
+    "node twice": (
+        LIST + taxels(ONE, "position_mm: [7, 0, 0], node: 1"),
+        ["line 6", "taxel 1 has node 1", "taxel 0 already (line 5)"],
+    ),
+    "same place": (
+        LIST + taxels(ONE, "position_mm: [0, 0, 0], node: 2"),
+        ["line 6", "taxel 1 is at the same place as taxel 0"],
+    ),
+    "too near": (
+        LIST
+        + taxels(
+            ONE,
+            "position_mm: [7, 0, 0], node: 2",
+            "position_mm: [14, 0, 0], node: 3",
+            "position_mm: [15, 0, 0], node: 4",
+            "position_mm: [22, 0, 0], node: 5",
+            "position_mm: [29, 0, 0], node: 6",
+        ),
+        ["line 8", "taxel 3 is 1 mm from taxel 2", "quarter of the pitch of 7 mm"],
+    ),
+    "in metres": (
+        LIST + taxels(ONE, "position_mm: [0.007, 0, 0], node: 2"),
+        ["0.007 mm apart", "are positions in mm"],
+    ),
+    "misspelt in a list": (
+        LIST + taxels("positon_mm: [0, 0, 0], node: 1"),
+        ["line 5", "taxel 0", "did you mean 'position_mm'"],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_bad_files_are_refused_with_line_taxel_and_cause(name: str, tmp_path: Path) -> None:
+    text, words = REFUSED[name]
+    path = written(tmp_path, text)
+    nodes = 6 if "columns: 3" in text else None
+    with pytest.raises(LayoutError) as caught:
+        read_layout(path, Wiring(nodes=nodes, skin="right"))
+    for word in [str(path), *words]:
+        assert word in str(caught.value)
+
+
+TEXTS = [path.read_text() for path in EXAMPLES]
+VALUES = ["", "~", "0", "-1", "1e9", "0.001", "nan", "[]", "[[0]]", "{}", "'1'", "x", "99999"]
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.sampled_from(TEXTS), st.data())
+def test_whatever_stands_in_a_file_it_is_taken_or_refused(text: str, data: st.DataObject) -> None:
+    """Values, lines and characters in wrong places: never another error, never a wrong layout."""
+    numbers = list(re.finditer(r"-?[\d.]+|\w+$", text, re.MULTILINE))
+    for _ in range(data.draw(st.integers(1, 2))):
+        place = data.draw(st.sampled_from(numbers))
+        text = text[: place.start()] + data.draw(st.sampled_from(VALUES)) + text[place.end() :]
+    lines = text.splitlines(keepends=True)
+    if data.draw(st.booleans()):
+        lines.insert(data.draw(st.integers(0, len(lines))), data.draw(st.sampled_from(lines)))
+    if data.draw(st.booleans()):
+        lines.pop(data.draw(st.integers(0, len(lines) - 1)))
+    with TemporaryDirectory() as folder:
+        path = written(Path(folder), "".join(lines))
+        try:
+            layout = read_layout(path, Wiring())
+        except LayoutError as error:
+            assert str(error).startswith(str(path))
+            return
+    real = layout.nodes[layout.nodes > 0].tolist()
+    assert sorted([*real, *layout.unplaced]) == list(range(1, layout.wired + 1))
+    assert set(layout.masked) <= set(real)
+    assert np.isfinite(layout.positions_m).all()
+    assert np.allclose(np.linalg.norm(layout.normals, axis=1), 1, atol=1e-5)
+    assert (layout.areas_m2 > 0).all()
+    assert len(layout.neighbours) == len(layout) == layout.rows * layout.columns
+
+
+def test_a_heap_of_taxels_is_refused(tmp_path: Path) -> None:
+    heap = taxels(*(f"position_mm: [{n * 1e-5:.5f}, 0, 0], node: {n}" for n in range(1, 3000)))
+    with pytest.raises(LayoutError, match="on top of each other"):
+        read_layout(written(tmp_path, LIST + "pitch_mm: 7\n" + heap), Wiring())
+
+
+def test_a_layout_of_another_number_of_nodes_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path, GRID)
+    with pytest.raises(LayoutError, match=r"16 nodes, 10 nodes \(7, 8, 9, 10, 11, 12, 13, 14, …\)"):
+        SkinConfig.of({"layout_file": str(path)})
+    assert len(SkinConfig.of({"nodes": 6, "layout_file": str(path)}).layout) == 6
+
+
+@pytest.mark.parametrize(("name", "value"), [("rows", 3), ("columns", 2), ("pitch_mm", 5.0)])
+def test_parameters_that_contradict_the_file_are_refused(
+    name: str, value: float, tmp_path: Path
+) -> None:
+    values = {"nodes": 6, "layout_file": str(written(tmp_path, GRID))}
+    with pytest.raises(SpecError, match=f"{name} is {value:g}, but . in layout_file"):
+        SkinConfig.of({**values, name: value})
+    SkinConfig.of({**values, "rows": 2, "columns": 3, "pitch_mm": 7.0})

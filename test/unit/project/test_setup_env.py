@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The environment's own tool: what it stamps must not depend on where it is called from."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+TOOLS = Path(__file__).resolve().parents[3] / "tools"
+CHOOSE = "import setup_env; print(setup_env.choose_interpreter(any_version=True))"
+
+
+def test_inside_a_venv_the_interpreter_is_the_same(tmp_path: Path) -> None:
+    """Else `make` with .venv activated would make .venv anew, and once more without."""
+    base = tmp_path / "python3"
+    base.symlink_to(Path(sys._base_executable).resolve())  # type: ignore[attr-defined]
+    subprocess.run([base, "-m", "venv", "--without-pip", tmp_path / "venv"], check=True)
+
+    def chosen(python: Path) -> str:
+        command = [python, "-c", CHOOSE]
+        return subprocess.run(command, cwd=TOOLS, capture_output=True, text=True, check=True).stdout
+
+    assert chosen(base) == chosen(tmp_path / "venv" / "bin" / "python")
+
+
+def setup(tmp_path: Path, distro: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "setup_env.py", "--venv", tmp_path / "venv", "--distro", distro]
+    inherited = {name: text for name, text in os.environ.items() if name != "ROS_DISTRO"}
+    return subprocess.run(
+        command, cwd=TOOLS, env={**inherited, **environment}, capture_output=True, text=True
+    )
+
+
+@pytest.mark.parametrize(
+    "distro, environment, reason",
+    [
+        ("humbel", {}, "DISTRO=humbel: PyPI has ROS 2 only as jazzy and kilted"),
+        ("kilted", {"ROS_DISTRO": "jazzy"}, "DISTRO=kilted was asked for, but ROS 2 jazzy is"),
+    ],
+)
+def test_a_distribution_that_cannot_be_had_is_refused_before_anything_is_made(
+    tmp_path: Path, distro: str, environment: dict[str, str], reason: str
+) -> None:
+    answer = setup(tmp_path, distro, **environment)
+    assert answer.returncode == 1
+    assert f"setup: error: {reason}" in answer.stderr
+    assert "Traceback" not in answer.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_distributions_from_pypi_bring_the_same_packages() -> None:
+    """But for build tools, which were renamed between them."""
+    packages = {
+        path.name: {
+            match[1]
+            for line in path.read_text().splitlines()
+            if (match := re.match(r"ros-[a-z]+-((?!ament|python)[a-z-]+)", line))
+        }
+        for path in TOOLS.parent.glob("requirements-*.txt")
+    }
+    assert packages["requirements-jazzy.txt"] == packages["requirements-kilted.txt"]

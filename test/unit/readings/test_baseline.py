@@ -1,0 +1,366 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tare: what it takes for zero, when it is refused, and what silent and unheard nodes do."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tactile_cdma.base.errors import RestError
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline
+from tactile_cdma.places.layout import Layout
+from tactile_cdma.readings.baseline import LOOKS
+from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
+from tactile_cdma.readings.dynamics import Dynamics
+from tactile_cdma.readings.taxels import Readings, Status
+from tactile_cdma.words.decode import Words, silent
+from tactile_cdma.words.health import NodeHealth
+
+FRAME_S = 0.0128
+ADC = AdcScale()
+CURVE = PressureCurve.two_stage()
+SECOND = round(1.5 / FRAME_S)
+"""Frames in the second of a tare, and a bit."""
+
+
+class Patch:
+    """Six nodes, 2 × 3, speaking as they would: on a change of two counts, and once a second."""
+
+    def __init__(self, **parameters: float | str) -> None:
+        config = SkinConfig.of({"nodes": 6, "rows": 2, "columns": 3, **parameters})
+        self.pipeline = Pipeline(config)
+        self.taxels, self.health = self.pipeline.taxels, NodeHealth(config.spec)
+        self.mute: tuple[int, ...] = ()
+        self.frame = 0
+        self._sent = np.full(6, -100)
+
+    def words(self, codes: np.ndarray) -> Words:
+        active = np.abs(codes - self._sent) > 1
+        active |= np.arange(6) == self.frame % 78
+        active[list(self.mute)] = False
+        self._sent[active] = codes[active]
+        return replace(silent(6, 0.0), active=active, codes=np.where(active, codes, 0))
+
+    def read(self, frames: int, load_pa: object = 0.0, offset_v: float = 0.0) -> Readings:
+        """So many frames under a load; the last reading."""
+        codes = ADC.code(CURVE.voltage(np.broadcast_to(load_pa, 6)) + offset_v)
+        for _ in range(frames):
+            readings = self.taxels.update(self.words(codes), self.frame * FRAME_S, self.health)
+            self.frame += 1
+        return readings
+
+
+PRELOAD_PA = np.array([0.0, 300.0, 600.0, 900.0, 100.0, 200.0])
+
+
+def test_a_tare_makes_what_the_skin_reads_zero_and_keeps_differences() -> None:
+    patch = Patch(drift_pa_per_min=0.0)
+    before = patch.read(SECOND, PRELOAD_PA).pressure_pa
+    assert patch.taxels.tare(1000.0) == []
+    assert np.array_equal(patch.read(1, PRELOAD_PA).pressure_pa, np.zeros(6))
+    more = patch.read(2, PRELOAD_PA + 10e3).pressure_pa
+    assert np.allclose(more, 10e3, atol=110)
+    patch.taxels.restore()
+    assert np.array_equal(patch.read(2, PRELOAD_PA).pressure_pa, before)
+
+
+def test_a_tare_is_taken_while_nobody_speaks() -> None:
+    """Long after the last change, between heartbeats, silent frames show it at once."""
+    patch = Patch(drift_pa_per_min=0.0)
+    patch.read(3 * SECOND, PRELOAD_PA)
+    patch.taxels.tare(1000.0)
+    patch.frame = 78 * 5 + 20  # nobody's turn
+    readings = patch.read(1, PRELOAD_PA)
+    assert (readings.status & Status.SILENT).all()
+    assert np.array_equal(readings.pressure_pa, np.zeros(6))
+
+
+def test_the_tare_is_the_median_of_the_last_second() -> None:
+    patch = Patch(drift_pa_per_min=0.0)
+    curves, chain, valid = (
+        patch.taxels.chain.calibration.curves,
+        patch.taxels.chain,
+        np.ones(6, bool),
+    )
+    rng = np.random.default_rng(4)
+    looks = 500 + rng.normal(0, 20, (LOOKS, 6))
+    looks[5] += 45  # an outlier
+    for number, pressure in enumerate(np.vstack([np.full(6, 9e4), looks])):
+        chain.update(curves.voltage(pressure).astype(np.float32), valid, 0.125 * number)
+    patch.taxels.tare(1000.0, force=True)
+    assert np.allclose(patch.taxels.baseline.tare_pa, np.median(looks, axis=0), atol=0.05)
+
+
+def test_a_tare_under_load_is_refused_by_name_unless_forced() -> None:
+    patch = Patch(drift_pa_per_min=0.0)
+    patch.read(SECOND, [0, 0, 0, 0, 2e3, 12.3e3])
+    with pytest.raises(RestError) as refused:
+        patch.taxels.tare(1000.0)
+    assert str(refused.value) == (
+        "not tared, under load: node 6 (row 1, column 2) 12.30 kPa, node 5 (row 1, column 1) "
+        "1.95 kPa; take away what touches them, or, if this is how the skin rests, tare with "
+        "force: true"
+    )
+    assert (patch.taxels.baseline.tare_pa == 0).all()
+    patch.taxels.tare(1000.0, force=True)
+    assert np.array_equal(patch.read(1, [0, 0, 0, 0, 2e3, 12.3e3]).pressure_pa, np.zeros(6))
+
+
+def test_load_counts_from_the_present_zero() -> None:
+    """A mounted skin is tared again as it is; a hand on it is refused as on any."""
+    patch = Patch(drift_pa_per_min=0.0)
+    patch.read(SECOND, 20e3)
+    patch.taxels.tare(1000.0, force=True)
+    patch.read(SECOND, 20.3e3)
+    patch.taxels.tare(1000.0)
+    patch.read(SECOND, 22e3)
+    with pytest.raises(RestError, match="under load"):
+        patch.taxels.tare(1000.0)
+
+
+def test_a_tare_while_moving_is_refused_even_if_the_load_is_light() -> None:
+    patch = Patch(drift_pa_per_min=0.0)
+    patch.read(SECOND)
+    patch.read(SECOND // 3, [0, 0, 500.0, 0, 0, 0])
+    with pytest.raises(RestError, match=r"moving: node 3 \(row 0, column 2\) 0\.\d\d kPa; wait"):
+        patch.taxels.tare(1000.0)
+    patch.read(SECOND, [0, 0, 500.0, 0, 0, 0])
+    patch.taxels.tare(1000.0)
+
+
+def test_many_nodes_are_not_all_named() -> None:
+    config = SkinConfig.of({"nodes": 12, "rows": 1, "columns": 12})
+    taxels = Pipeline(config).taxels
+    voltage_v = np.full(12, 2.0, np.float32)
+    for look in range(LOOKS):
+        taxels.chain.update(voltage_v, np.ones(12, bool), 0.125 * look)
+    with pytest.raises(
+        RestError, match=r"node 1 \(taxel 0\).*node 8 .*… 12 in all; take"
+    ) as refused:
+        taxels.tare(1000.0)
+    assert "node 9" not in str(refused.value)
+
+
+def test_nodes_without_a_reading_keep_their_tare_and_are_named() -> None:
+    patch = Patch(drift_pa_per_min=0.0, stale_after_s=1.1)
+    patch.read(SECOND, 500.0)
+    patch.taxels.tare(1000.0)
+    before_pa = patch.taxels.baseline.tare_pa
+    patch.mute = (1, 4)
+    patch.read(3 * SECOND, 1100.0)
+    assert patch.taxels.tare(1000.0) == [2, 5]
+    after_pa = patch.taxels.baseline.tare_pa
+    assert np.array_equal(after_pa[[1, 4]], before_pa[[1, 4]])
+    assert (after_pa[[0, 2, 3, 5]] > 1000).all()
+
+
+def test_a_tare_needs_a_second_of_readings() -> None:
+    patch = Patch()
+    with pytest.raises(RestError, match="less than 1 s; try again"):
+        patch.taxels.tare(1000.0)
+    patch.read(SECOND // 2)
+    with pytest.raises(RestError, match="less than 1 s"):
+        patch.taxels.tare(1000.0, force=True)
+    patch.read(SECOND // 2)
+    patch.taxels.tare(1000.0)
+    patch.taxels.forget()  # the digitizer was started again
+    patch.frame = 0
+    patch.read(5)
+    with pytest.raises(RestError, match="less than 1 s"):
+        patch.taxels.tare(1000.0)
+
+
+def test_a_tare_waits_for_nodes_that_are_still_to_be_heard() -> None:
+    """Those that have yet to speak after a start, and those that spoke only just now."""
+    patch = Patch(drift_pa_per_min=0.0, stale_after_s=3.0)
+    patch.mute = (1, 4)
+    patch.read(SECOND, 500.0)
+    with pytest.raises(RestError, match="not yet heard for 1 s: nodes 2, 5; try again, or"):
+        patch.taxels.tare(1000.0)
+    patch.mute = (4,)
+    patch.read(2 * SECOND, 500.0)  # 4.5 s after the start node 5 is awaited no longer
+    assert patch.taxels.tare(1000.0) == [5]
+    patch.mute = ()
+    patch.read(SECOND // 2, 500.0)
+    with pytest.raises(RestError, match="not yet heard for 1 s: nodes 5;"):
+        patch.taxels.tare(1000.0)
+    assert patch.taxels.tare(1000.0, force=True) == [5]
+    patch.read(SECOND, 500.0)
+    assert patch.taxels.tare(1000.0) == []
+    assert np.array_equal(patch.read(1, 500.0).pressure_pa, np.zeros(6))
+
+
+def test_a_skin_that_nobody_heard_is_not_tared() -> None:
+    patch = Patch()
+    patch.mute = tuple(range(6))
+    patch.read(2 * SECOND)
+    with pytest.raises(RestError, match="no node has a valid reading"):
+        patch.taxels.tare(1000.0, force=True)
+
+
+def test_a_voltage_above_the_curve_is_tared_too() -> None:
+    """The sensor rests 8 counts above its curve: without a tare it would swallow 0.8 kPa."""
+    patch = Patch(v0_v=3.2, drift_pa_per_min=0.0)
+    curve = PressureCurve.two_stage(v0_v=3.2)
+    rest = ADC.code(3.2 + 8 * ADC.lsb_v)
+    voltage_v = np.full(6, ADC.voltage(rest), np.float32)
+    chain, valid = patch.taxels.chain, np.ones(6, bool)
+    for look in range(LOOKS):
+        chain.update(voltage_v, valid, 0.125 * look)
+    patch.taxels.tare(1000.0)
+    lighter_v = (voltage_v - 0.033e-3 * 500).astype(np.float32)
+    assert curve.pressure(lighter_v[0]) == 0
+    assert np.allclose(chain.update(lighter_v, valid, 1.1)[0], 500, atol=1)
+
+
+def test_the_highest_code_is_no_pressure_where_rest_lies_above_it() -> None:
+    """3.3 V of 3.3 V reads as code 1023 at most: "so much or more"; the next codes are as ever."""
+    patch = Patch()
+    readings = patch.read(3000)
+    assert np.array_equal(readings.pressure_pa, np.zeros(6))
+    assert np.allclose(readings.voltage_v, 1023 * ADC.lsb_v)
+    assert (patch.taxels.baseline.drift_v == 0).all()
+    light = patch.read(80, [200.0, 300.0, 400.0, 1e3, 5e3, 80e3]).pressure_pa
+    codes = ADC.code(CURVE.voltage([200.0, 300.0, 400.0, 1e3, 5e3, 80e3]))
+    assert np.allclose(light, CURVE.pressure(ADC.voltage(codes)), rtol=1e-5, atol=0.05)
+    hours_later = patch.read(round(300 / FRAME_S), [200.0, 300.0, 400.0, 1e3, 5e3, 80e3])
+    assert np.array_equal(hours_later.pressure_pa, light)
+
+
+def test_drift_below_the_top_is_given_back_at_the_top() -> None:
+    """The rest fell by three counts, was tared there, and has come back."""
+    patch = Patch(v0_v=1023 * ADC.lsb_v)
+    above_v = 3.3 - 1023 * ADC.lsb_v
+    for part in range(4):
+        patch.read(round(200 / FRAME_S), 0.0, -part * ADC.lsb_v - above_v)
+    assert (patch.taxels.baseline.drift_v > 2.9 * ADC.lsb_v).all()
+    for part in range(2, -2, -1):
+        patch.read(round(200 / FRAME_S), 0.0, -part * ADC.lsb_v - above_v)
+    assert np.abs(patch.read(1).pressure_pa).max() < 2
+    assert (patch.taxels.baseline.drift_v < 0.05 * ADC.lsb_v).all()
+
+
+def test_drift_of_a_node_that_rests_above_the_top_is_followed_once_it_is_tared() -> None:
+    """Code 1022 may be drift, or 0.2 kPa: that is not for the driver to say."""
+    patch = Patch()
+    patch.read(SECOND)
+    seen = patch.read(round(300 / FRAME_S), 0.0, -2 * ADC.lsb_v).pressure_pa
+    assert np.allclose(seen, 195.3, atol=0.1)
+    patch.taxels.tare(1000.0)
+    after = patch.read(round(300 / FRAME_S), 0.0, -3 * ADC.lsb_v).pressure_pa
+    assert np.abs(after).max() < 2
+
+
+def test_other_curves_forget_tare_and_drift_the_same_ones_keep_them() -> None:
+    patch = Patch(drift_pa_per_min=0.0)
+    patch.read(SECOND, 500.0)
+    patch.taxels.tare(1000.0)
+    drift_v = np.full(6, 1e-4, np.float32)
+    baseline = patch.taxels.baseline
+    patch.taxels.restore(baseline.rest_v, drift_v)
+    before = patch.read(1, 700.0).pressure_pa
+    assert patch.taxels.calibrate(Calibration.default(CURVE, 6))
+    assert np.array_equal(patch.read(1, 700.0).pressure_pa, before)
+    other = Calibration.default(PressureCurve.two_stage(stage1_v_per_pa=0.04e-3), 6)
+    assert not patch.taxels.calibrate(other)
+    assert not patch.taxels.baseline.tared
+    assert (patch.taxels.baseline.drift_v == 0).all()
+    assert np.allclose(patch.read(1, 5e3).pressure_pa, 5e3 * 33 / 40, atol=90)
+
+
+def test_a_tare_of_what_compensation_makes_of_a_preload_leaves_drift_alone() -> None:
+    """Rest is the voltage that was tared, though the curve alone has another pressure there."""
+    config = SkinConfig.of({"nodes": 6, "rows": 2, "columns": 3})
+    dynamics = Dynamics(0.2, 0.0109, (0.1,), (0.2,))
+    calibration = replace(config.calibration, dynamics=dynamics)
+    patch = Patch()
+    patch.pipeline = Pipeline(replace(config, calibration=calibration, compensation=True))
+    patch.taxels = patch.pipeline.taxels
+    patch.read(SECOND, 20e3)
+    patch.read(3 * SECOND, 9e3)  # on the way down: hysteresis
+    patch.taxels.tare(1000.0, force=True)
+    tared_pa = patch.taxels.baseline.tare_pa
+    assert np.abs(tared_pa - 9e3).min() > 200
+    readings = patch.read(round(120 / FRAME_S), 9e3)
+    assert np.abs(readings.pressure_pa).max() < 5
+    assert (patch.taxels.baseline.drift_v == 0).all()
+
+
+def test_a_tare_holds_whatever_becomes_of_the_compensation() -> None:
+    """What it makes of a preload depends on earlier loads; begun anew, it knows of none."""
+    config = SkinConfig.of({"nodes": 6, "rows": 2, "columns": 3})
+    calibration = replace(config.calibration, dynamics=Dynamics(0.2, 0.0109, (0.1,), (0.2,)))
+    on = replace(config, calibration=calibration, compensation=True)
+    patch = Patch()
+    patch.pipeline = Pipeline(on)
+    patch.taxels = patch.pipeline.taxels
+    patch.read(SECOND, 20e3)
+    patch.read(3 * SECOND, 9e3)
+    patch.taxels.tare(1000.0, force=True)
+    for other in (replace(on, compensation=False), on):
+        assert patch.pipeline.adjust(other)
+        assert np.abs(patch.read(SECOND, 9e3).pressure_pa).max() < 1
+    rest_v = patch.taxels.baseline.rest_v
+    patch.taxels = Pipeline(on).taxels  # the driver was started again
+    patch.taxels.restore(rest_v)
+    assert np.abs(patch.read(SECOND, 9e3).pressure_pa).max() < 1
+
+
+def test_a_tare_of_a_silent_skin_is_of_its_settled_pressure() -> None:
+    """Nobody speaks while the compensation of a rise dies away, nor later."""
+    config = SkinConfig.of({"nodes": 6, "rows": 2, "columns": 3, "stale_after_s": 60.0})
+    calibration = replace(config.calibration, dynamics=Dynamics(0.74, 0.0109, (0.1,), (0.2,)))
+    pipeline = Pipeline(replace(config, calibration=calibration, compensation=True))
+    health, everybody = NodeHealth(config.spec), np.ones(6, bool)
+    for frame in range(10 * SECOND):
+        words, spoken = silent(6, 0.0), {0: 0.0, SECOND: 20e3}
+        if frame in spoken:
+            codes = ADC.code(CURVE.voltage(np.full(6, spoken[frame])))
+            words = replace(words, active=everybody, codes=codes)
+        pipeline.taxels.update(words, frame * FRAME_S, health)
+    pipeline.taxels.tare(1000.0, force=True)
+    readings = pipeline.taxels.update(silent(6, 0.0), 10 * SECOND * FRAME_S, health)
+    assert np.abs(readings.pressure_pa).max() < 1
+
+
+def test_a_tare_is_of_what_was_seen_with_the_curves_in_force() -> None:
+    patch = Patch(drift_pa_per_min=0.0)
+    patch.read(SECOND, 5e3)
+    curve = PressureCurve.two_stage(stage1_v_per_pa=0.04e-3)
+    patch.taxels.calibrate(Calibration.default(curve, 6))
+    patch.read(SECOND // 2, 5e3)
+    with pytest.raises(RestError, match="less than 1 s"):
+        patch.taxels.tare(1000.0, force=True)
+    patch.read(SECOND // 2, 5e3)
+    patch.taxels.tare(1000.0, force=True)
+    assert np.array_equal(patch.read(1, 5e3).pressure_pa, np.zeros(6))
+
+
+def test_nodes_out_of_service_are_not_named() -> None:
+    """Their readings are not awaited; that of node 6, which is, is."""
+    config = SkinConfig.of({"nodes": 6, "rows": 2, "columns": 3})
+    layout = replace(config.layout, masked=(2, 3))
+    patch = Patch()
+    patch.pipeline = Pipeline(replace(config, layout=layout))
+    patch.taxels = patch.pipeline.taxels
+    patch.mute = (2, 5)
+    patch.read(3 * SECOND)
+    assert patch.taxels.tare(1000.0) == [6]
+
+
+def test_tares_follow_nodes_not_places() -> None:
+    grid = Layout.grid(6, 2, 3, 7e-3, 5e-3)
+    config = SkinConfig.of({"nodes": 6, "rows": 2, "columns": 3, "drift_pa_per_min": 0.0})
+    layout = replace(grid, nodes=grid.nodes[::-1].copy())
+    patch = Patch()
+    patch.pipeline = Pipeline(replace(config, layout=layout))
+    patch.taxels = patch.pipeline.taxels
+    patch.read(SECOND, PRELOAD_PA)
+    patch.taxels.tare(1000.0)
+    assert patch.taxels.baseline.tare_pa[3] == pytest.approx(900, abs=60)
+    assert np.array_equal(patch.read(1, PRELOAD_PA).pressure_pa, np.zeros(6))
+    patch.read(SECOND, 5e3 * (np.arange(6) == 0))
+    with pytest.raises(RestError, match=r"node 1 \(row 1, column 2\)"):
+        patch.taxels.tare(1000.0)

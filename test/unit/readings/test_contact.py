@@ -1,0 +1,458 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Contacts: their forces against integrals, their taxels against a search, their lives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from tactile_cdma.base.errors import SpecError
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline
+from tactile_cdma.places.components import connected
+from tactile_cdma.places.layout import Layout
+from tactile_cdma.readings.contact import SMOOTHING_S, Contacts, ContactThresholds, ContactTracker
+from tactile_cdma.readings.taxels import Readings, Status
+from tactile_cdma.words.decode import silent
+from tactile_cdma.words.health import NodeHealth
+
+PITCH_M, TAXEL_M = 7e-3, 5.5e-3
+ROWS, COLUMNS = 6, 8
+GRID = Layout.grid(ROWS * COLUMNS, ROWS, COLUMNS, PITCH_M, TAXEL_M)
+THRESHOLDS = ContactThresholds(contact_pa=1000.0, release_pa=500.0)
+PERIOD_S = 0.0128
+
+
+def readings(pressure_pa: NDArray[np.float64], saturated: tuple[int, ...] = ()) -> Readings:
+    status = np.zeros(len(pressure_pa), dtype=np.uint8)
+    status[list(saturated)] = Status.SATURATED
+    pressure = pressure_pa.astype(np.float32)
+    return Readings(pressure, pressure, status)
+
+
+def pressed(places: dict[tuple[int, int], float]) -> Readings:
+    """Pressures, kPa, at some rows and columns of GRID."""
+    pressure_pa = np.zeros((ROWS, COLUMNS))
+    for place, kpa in places.items():
+        pressure_pa[place] = kpa * 1e3
+    return readings(pressure_pa.ravel())
+
+
+def contacts_of(*frames: dict[tuple[int, int], float]) -> list[Contacts]:
+    tracker = ContactTracker(GRID, THRESHOLDS)
+    return [tracker.update(pressed(frame), i * PERIOD_S) for i, frame in enumerate(frames)]
+
+
+def taxels(contacts: Contacts) -> list[list[int]]:
+    return [indices.tolist() for indices in contacts.taxels]
+
+
+# Which taxels
+
+
+def components(taxels: list[int], neighbours: NDArray[np.int32]) -> set[frozenset[int]]:
+    left, found = set(taxels), set()
+    while left:
+        component = [left.pop()]
+        for taxel in component:
+            fresh = left.intersection(neighbours[taxel].tolist())
+            left -= fresh
+            component += fresh
+        found.add(frozenset(component))
+    return found
+
+
+@given(st.lists(st.integers(0, ROWS * COLUMNS - 1), unique=True))
+def test_taxels_that_hang_together_are_those_that_a_search_finds(touched: list[int]) -> None:
+    touched.sort()
+    labels = connected(np.array(touched, dtype=np.intp), GRID.neighbours.T.astype(np.intp))
+    groups: dict[int, set[int]] = {}
+    for taxel, label in zip(touched, labels.tolist(), strict=True):
+        groups.setdefault(label, set()).add(taxel)
+    assert set(map(frozenset, groups.values())) == components(touched, GRID.neighbours)
+    assert list(groups) == list(range(len(groups)))
+
+
+@pytest.mark.parametrize("density", [0.2, 0.41, 0.6, 1.0])
+def test_taxels_that_hang_together_on_a_large_skin(density: float) -> None:
+    layout = Layout.grid(1600, 40, 40, PITCH_M, TAXEL_M)
+    touched = np.flatnonzero(np.random.default_rng(4).uniform(size=1600) < density)
+    labels = connected(touched, layout.neighbours.T.astype(np.intp))
+    expected = components(touched.tolist(), layout.neighbours)
+    assert {frozenset(touched[labels == i].tolist()) for i in range(labels.max() + 1)} == expected
+
+
+TOUCHES = st.lists(
+    st.lists(st.tuples(st.integers(0, ROWS - 1), st.integers(0, COLUMNS - 1)), max_size=20),
+    max_size=8,
+)
+"""Places touched, frame by frame."""
+
+
+@given(TOUCHES)
+@example([[(0, 0), (0, 1)], [(0, 0), (5, 5)]])
+@settings(max_examples=60)
+def test_contacts_are_what_hangs_together_in_each_frame(
+    frames: list[list[tuple[int, int]]],
+) -> None:
+    twice = [frame for frame in frames for _ in range(2)]
+    found = contacts_of(*(dict.fromkeys(frame, 2.0) for frame in twice))
+    for frame, contacts in zip(twice, found, strict=True):
+        touched = sorted({row * COLUMNS + column for row, column in frame})
+        assert set(map(frozenset, taxels(contacts))) == components(touched, GRID.neighbours)
+
+
+def test_a_contact_begins_above_one_threshold_and_lasts_above_another() -> None:
+    weak, firm = {(2, 2): 0.9}, {(2, 2): 1.1}
+    counts = [len(c) for c in contacts_of(weak, firm, weak, {(2, 2): 0.4}, weak, firm)]
+    assert counts == [0, 1, 1, 0, 0, 1]
+
+
+def test_a_contact_takes_in_weaker_taxels_beside_it() -> None:
+    [contacts] = contacts_of({(0, 0): 1.1, (1, 1): 0.6, (2, 2): 0.6, (2, 5): 0.9, (3, 2): 0.4})
+    assert taxels(contacts) == [[0, 9, 18]]
+    assert contacts.area_m2 == pytest.approx(3 * PITCH_M**2)
+
+
+def test_a_contact_without_any_taxel_of_its_own_has_ended() -> None:
+    _, contacts = contacts_of({(0, 0): 2.0}, {(0, 0): 0.4, (0, 1): 0.9})
+    assert len(contacts) == 0
+
+
+def test_a_taxel_without_a_reading_neither_counts_nor_connects() -> None:
+    [contacts] = contacts_of({(0, 0): 2.0, (0, 1): np.nan, (0, 2): 1.5})
+    assert taxels(contacts) == [[0], [2]]
+    assert np.isfinite(contacts.force_n).all()
+
+
+def test_the_strongest_comes_first() -> None:
+    [contacts] = contacts_of({(0, 0): 2.0, (0, 4): 3.0, (4, 4): 2.5, (5, 4): 2.5, (4, 0): 0.9})
+    assert contacts.load_n == pytest.approx([5e3 * PITCH_M**2, 3e3 * PITCH_M**2, 2e3 * PITCH_M**2])
+    assert contacts.pressure_max_pa.tolist() == [2500, 3000, 2000]
+    assert taxels(contacts) == [[36, 44], [4], [0]]
+
+
+def test_a_contact_with_a_taxel_beyond_its_range_says_so() -> None:
+    pressure_pa = np.zeros(ROWS * COLUMNS)
+    pressure_pa[[0, 1, 20]] = 140e3
+    contacts = ContactTracker(GRID, THRESHOLDS).update(readings(pressure_pa, saturated=(1,)), 0.0)
+    assert contacts.saturated.tolist() == [True, False]
+
+
+def test_thresholds_take_effect_also_where_no_reading_changes() -> None:
+    tracker, touch = ContactTracker(GRID, THRESHOLDS), pressed({(0, 0): 2.0})
+    assert len(tracker.update(touch, 0.0)) == 1
+    tracker.thresholds = ContactThresholds(3000.0, 2500.0)
+    assert len(tracker.update(touch, PERIOD_S)) == 0
+    tracker.thresholds = THRESHOLDS
+    assert len(tracker.update(touch, 2 * PERIOD_S)) == 1
+
+
+def test_a_release_above_the_contact_is_refused() -> None:
+    with pytest.raises(SpecError, match=r"release_kpa is 0.5 kPa, above contact_kpa.* 0.4 kPa"):
+        SkinConfig.of({"contact_kpa": 0.4})
+    assert SkinConfig.of({"contact_kpa": 0.5}).contact == ContactThresholds(500.0, 500.0)
+
+
+def test_without_contact_there_is_no_centre() -> None:
+    [contacts] = contacts_of({(0, 0): 0.9})
+    assert len(contacts) == 0
+    assert np.isnan(contacts.centre_m).all()
+    assert contacts.force_n.sum(axis=0).tolist() == [0, 0, 0]
+
+
+# Force and place
+
+TRIALS = 60
+SIDE = 16
+LARGE = Layout.grid(SIDE**2, SIDE, SIDE, PITCH_M, TAXEL_M)
+
+
+def hertz(rho: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Two elastic bodies."""
+    return np.sqrt(np.clip(1 - np.square(rho), 0, None))
+
+
+def soft(rho: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The same through a soft cover."""
+    return hertz(rho) ** 3
+
+
+Profile = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+SHARE = {hertz: 2 / 3, soft: 2 / 5}
+"""Mean pressure over peak pressure: ∫ profile(ρ) 2ρ dρ."""
+
+
+def at_taxels(
+    profile: Profile, centre_m: NDArray[np.float64], radius_m: float, averaging: bool
+) -> NDArray[np.float64]:
+    """Relative pressure on the taxels of LARGE: over their sensing areas, or at their centres."""
+    steps = (np.arange(9) - 4) / 9 * (TAXEL_M if averaging else 0.0)
+    offsets = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    places = LARGE.flat_m[:, None, :] + offsets - centre_m
+    return np.asarray(profile(np.linalg.norm(places, axis=-1) / radius_m).mean(axis=1))
+
+
+def errors(
+    profile: Profile, pitches: float, peak_kpa: float, averaging: bool = True
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Relative errors of the force and distances of the centre, in pitches, of random presses.
+
+    Words of 10 bits through the chain with its default parameters.
+    """
+    config = SkinConfig.of({"nodes": SIDE**2, "chip_us": 1.0})
+    skin, health = Pipeline(config).taxels, NodeHealth(config.spec)
+    tracker = ContactTracker(LARGE, config.contact)
+    everybody = replace(silent(SIDE**2, 0.0), active=np.ones(SIDE**2, dtype=bool))
+    rng = np.random.default_rng([int(10 * pitches), int(peak_kpa)])
+    force_n = peak_kpa * 1e3 * SHARE[profile] * np.pi * (pitches * PITCH_M) ** 2
+    of_force, of_centre = [], []
+    for trial in range(TRIALS):
+        centre_m = rng.uniform(-2, 2, 2) * PITCH_M
+        pressure_pa = peak_kpa * 1e3 * at_taxels(profile, centre_m, pitches * PITCH_M, averaging)
+        codes = config.adc.code(config.curve.voltage(pressure_pa)).astype(np.int32)
+        now_s = trial * PERIOD_S
+        contact = tracker.update(skin.update(replace(everybody, codes=codes), now_s, health), now_s)
+        assert len(contact) == 1
+        of_force.append(-contact.force_n[0, 2] / force_n - 1)
+        of_centre.append(np.linalg.norm(contact.centre_m[:2] - centre_m) / PITCH_M)
+    return np.array(of_force), np.array(of_centre)
+
+
+@pytest.mark.parametrize("profile", [hertz, soft])
+@pytest.mark.parametrize("pitches", [2.5, 4.0])
+@pytest.mark.parametrize("peak_kpa", [8.0, 20.0, 45.0, 120.0])  # the last two: up to stage two
+def test_force_within_2_percent_and_centre_within_5_percent_of_a_pitch(
+    profile: Profile, pitches: float, peak_kpa: float
+) -> None:
+    of_force, of_centre = errors(profile, pitches, peak_kpa)
+    assert np.abs(of_force).max() < 0.02
+    assert of_centre.max() < 0.05
+
+
+@pytest.mark.parametrize("peak_kpa", [8.0, 20.0, 45.0, 120.0])
+def test_also_of_taxels_that_feel_nothing_but_their_centres(peak_kpa: float) -> None:
+    """Of soft contacts. The upright edge of a Hertz contact lies between points: see the next."""
+    of_force, of_centre = errors(soft, 2.5, peak_kpa, averaging=False)
+    assert np.abs(of_force).max() < 0.02
+    assert of_centre.max() < 0.05
+
+
+@pytest.mark.parametrize("profile", [hertz, soft])
+@pytest.mark.parametrize("pitches", [1.5, 2.5, 4.0])
+@pytest.mark.parametrize("averaging", [False, True])
+def test_nothing_is_lost_on_the_way_from_taxels_to_force(
+    profile: Profile, pitches: float, averaging: bool
+) -> None:
+    """What is missing between the taxels is the skin's; thresholds and ADC cost less than 2 %."""
+    rng = np.random.default_rng(7)
+    config = SkinConfig.of({"nodes": SIDE**2, "chip_us": 1.0})
+    for _ in range(TRIALS):
+        centre_m = rng.uniform(-2, 2, 2) * PITCH_M
+        pressure_pa = 30e3 * at_taxels(profile, centre_m, pitches * PITCH_M, averaging)
+        volts = config.adc.voltage(config.adc.code(config.curve.voltage(pressure_pa)))
+        contact = ContactTracker(LARGE, THRESHOLDS).update(
+            readings(config.curve.pressure(volts)), 0.0
+        )
+        assert contact.load_n.sum() == pytest.approx(pressure_pa.sum() * PITCH_M**2, rel=0.02)
+
+
+# On a curved skin
+
+RADIUS_M = 0.06
+AROUND, ALONG = 40, 16
+
+
+def cylinder() -> Layout:
+    """A patch of a cylinder about the axis y, its middle at the top: x = z = 0 on the axis."""
+    step = PITCH_M / RADIUS_M
+    angle = (np.arange(AROUND) - (AROUND - 1) / 2) * step
+    y = (np.arange(ALONG) - (ALONG - 1) / 2) * PITCH_M
+    angle, y = (values.ravel() for values in np.meshgrid(angle, y))
+    normals = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle)], axis=1)
+    count = AROUND * ALONG
+    return Layout(
+        name="cylinder",
+        rows=ALONG,
+        columns=AROUND,
+        positions_m=(RADIUS_M * normals + y[:, None] * [0, 1, 0]).astype(np.float32),
+        normals=normals.astype(np.float32),
+        areas_m2=np.full(count, PITCH_M**2, dtype=np.float32),
+        flat_m=np.stack([RADIUS_M * angle, y], axis=1).astype(np.float32),
+        nodes=np.arange(1, count + 1, dtype=np.int32),
+        pitch_m=PITCH_M,
+    )
+
+
+def test_force_and_torque_on_a_cylinder_are_the_integrals_over_its_surface() -> None:
+    """A band 60 degrees wide pressed by p = p0·cos(3θ)·cos(π·y/h): all is known in closed form."""
+    layout, peak_pa, half_m = cylinder(), 30e3, 0.045
+    tracker = ContactTracker(layout, THRESHOLDS)
+    for about, shift_m in [(0.0, 0.0), (0.5, 0.004), (-0.83, -0.0027)]:
+        theta = layout.flat_m[:, 0].astype(np.float64) / RADIUS_M - about
+        y = layout.flat_m[:, 1].astype(np.float64) - shift_m
+        around = np.where(np.abs(theta) < np.pi / 6, np.cos(3 * theta), 0.0)
+        along = np.where(np.abs(y) < half_m, np.cos(np.pi * y / (2 * half_m)), 0.0)
+        tracker.forget()
+        contacts = tracker.update(readings(peak_pa * around * along), 0.0)
+        [force_n], [torque_nm], [normal] = contacts.force_n, contacts.torque_nm, contacts.normals
+        # ∫ cos 3θ cos θ dθ over ±π/6 = 3√3/8;  ∫ cos(πy/2h) dy = 4h/π
+        up = np.array([np.sin(about), 0.0, np.cos(about)])
+        expected_n = -up * peak_pa * RADIUS_M * 4 * half_m / np.pi * 3 * np.sqrt(3) / 8
+        size_n = np.linalg.norm(expected_n)
+        assert np.linalg.norm(force_n - expected_n) < 0.02 * size_n
+        # All forces point to the axis: its torque is that of the resultant at (0, shift, 0).
+        expected_nm = np.cross([0.0, shift_m, 0.0], expected_n)
+        assert np.linalg.norm(torque_nm - expected_nm) < 0.05 * PITCH_M * size_n
+        assert normal @ up > 1 - 1e-4
+        assert np.linalg.norm(normal) == pytest.approx(1.0)
+
+
+def test_torque_is_that_of_the_force_at_the_centre_of_pressure_on_a_flat_skin() -> None:
+    [contacts] = contacts_of({(1, 6): 9.0, (1, 7): 5.0, (2, 6): 2.0})
+    expected = np.cross(contacts.position_m[0], contacts.force_n[0])
+    assert contacts.torque_nm[0] == pytest.approx(expected, abs=1e-9)
+
+
+# Lives
+
+
+@given(TOUCHES)
+@settings(max_examples=60)
+def test_ids_are_never_used_twice(frames: list[list[tuple[int, int]]]) -> None:
+    ended: set[int] = set()
+    last: dict[int, set[int]] = {}
+    for contacts in contacts_of(*(dict.fromkeys(frame, 2.0) for frame in frames)):
+        ids = contacts.ids.tolist()
+        assert len(set(ids)) == len(ids)
+        now = dict(zip(ids, map(set, taxels(contacts)), strict=True))
+        ended |= last.keys() - now.keys()
+        assert not ended & now.keys()
+        for name, indices in now.items():
+            assert name not in last or indices & last[name]
+        last = now
+
+
+def test_a_contact_keeps_its_id_and_grows_older() -> None:
+    frames = contacts_of(*({(2, column): 2.0, (2, column + 1): 2.0} for column in range(6)))
+    assert [c.ids.tolist() for c in frames] == [[1]] * 6
+    assert [c.age_s[0] for c in frames] == pytest.approx([i * PERIOD_S for i in range(6)])
+
+
+def test_contacts_that_merge_and_split_keep_the_ids_of_their_larger_parts() -> None:
+    left, right = {(0, 0): 2.0, (0, 1): 2.0}, {(0, 3): 9.0}
+    apart, together = left | right, left | right | {(0, 2): 2.0}
+    first, merged, split = contacts_of(apart, together, apart)
+    assert dict(zip(first.ids.tolist(), taxels(first), strict=True)) == {1: [3], 2: [0, 1]}
+    assert merged.ids.tolist() == [2]
+    assert dict(zip(split.ids.tolist(), taxels(split), strict=True)) == {2: [0, 1], 3: [3]}
+    assert not merged.velocity_m_s.any() and not split.velocity_m_s.any()
+
+
+def test_a_clock_that_starts_again_ends_all_contacts() -> None:
+    tracker, touch = ContactTracker(GRID, THRESHOLDS), pressed({(0, 0): 2.0})
+    assert tracker.update(touch, 50.0).ids.tolist() == [1]
+    assert tracker.update(touch, 0.0).ids.tolist() == [2]
+
+
+# Motion
+
+Track = list[tuple[float, Contacts]]
+
+
+def track(
+    centre_m: Callable[[float], NDArray[np.float64]],
+    force_n: Callable[[float], float],
+    seconds: float = 1.0,
+) -> Track:
+    """A soft contact of 2.5 pitches through the ADC, noise of a third of a count in the sensor."""
+    config, rng = SkinConfig.of({"nodes": SIDE**2, "chip_us": 1.0}), np.random.default_rng(3)
+    tracker, radius_m, result = ContactTracker(LARGE, THRESHOLDS), 2.5 * PITCH_M, []
+    for now_s in np.arange(0.0, seconds, PERIOD_S).tolist():
+        peak_pa = force_n(now_s) / (SHARE[soft] * np.pi * radius_m**2)
+        volts = config.curve.voltage(peak_pa * at_taxels(soft, centre_m(now_s), radius_m, True))
+        volts += rng.normal(scale=0.3 * config.adc.lsb_v, size=volts.shape)
+        pressure_pa = config.curve.pressure(config.adc.voltage(config.adc.code(volts)))
+        result.append((now_s, tracker.update(readings(pressure_pa), now_s)))
+    return result
+
+
+def test_the_velocity_is_that_of_a_sliding_contact() -> None:
+    velocity_m_s = np.array([0.02, -0.01])
+    slide = track(lambda t: velocity_m_s * (t - 0.5), lambda _: 10.0)
+    settled = [c.velocity_m_s[0] for t, c in slide if t > 5 * SMOOTHING_S]
+    assert np.mean(settled, axis=0)[:2] == pytest.approx(velocity_m_s, rel=0.03)
+    assert np.abs(np.array(settled)[:, :2] - velocity_m_s).max() < 2e-3
+    assert not np.array(settled)[:, 2].any()
+
+
+@pytest.mark.parametrize("speed_mm_s", [5.0, 20.0])
+def test_a_slide_is_told_from_a_changing_grip_within_a_tenth_of_a_second(speed_mm_s: float) -> None:
+    def speeds(history: Track) -> list[float]:
+        return [float(np.linalg.norm(c.velocity_m_s[0])) for t, c in history if t > 0.25]
+
+    grip = track(lambda t: np.array([1e-3, 2e-3]), lambda t: 10.0 + 3.0 * np.sin(2 * np.pi * t))
+    limit = 1.2 * max(speeds(grip))
+    start_s = 0.5
+    slide = track(
+        lambda t: np.array([max(0.0, t - start_s) * speed_mm_s * 1e-3, 0]), lambda _: 10.0
+    )
+    seen = [t - start_s for t, c in slide if t > 0.25 and np.linalg.norm(c.velocity_m_s) > limit]
+    assert 0 < seen[0] < 0.1
+    assert len(seen) * PERIOD_S > 0.4
+
+
+def test_the_force_rate_is_that_of_a_rising_force() -> None:
+    rise = track(lambda t: np.zeros(2), lambda t: 5.0 + 20.0 * t)
+    rates = [c.force_rate_n_s[0] for t, c in rise if t > 6 * SMOOTHING_S]
+    assert np.mean(rates) == pytest.approx(20.0, rel=0.02)
+
+
+def test_an_impact_shows_in_its_first_frame() -> None:
+    still, hit = contacts_of({}, {(2, 2): 100.0})
+    assert len(still) == 0
+    force_n = 100e3 * PITCH_M**2
+    share = 1 - np.exp(-PERIOD_S / SMOOTHING_S)
+    assert hit.force_rate_n_s == pytest.approx([share * force_n / PERIOD_S])
+
+
+def test_what_touches_the_skin_from_the_start_is_no_impact() -> None:
+    [first] = contacts_of({(2, 2): 100.0})
+    assert first.force_rate_n_s.tolist() == [0.0]
+
+
+def test_velocities_on_a_curved_skin_are_along_it() -> None:
+    layout = cylinder()
+    tracker = ContactTracker(layout, THRESHOLDS)
+    for frame in range(40):
+        away = np.linalg.norm(layout.flat_m - [0.04, 0.0] - frame * np.array([4e-4, 0]), axis=1)
+        contacts = tracker.update(readings(30e3 * soft(away / 0.02)), frame * PERIOD_S)
+    [velocity], [normal] = contacts.velocity_m_s, contacts.normals
+    assert abs(velocity @ normal) < 1e-12
+    # The centre of a curved contact lies a little below the surface, and moves that much less.
+    inside = np.linalg.norm(contacts.position_m[0, [0, 2]]) / RADIUS_M
+    assert np.linalg.norm(velocity) == pytest.approx(inside * 4e-4 / PERIOD_S, rel=0.02)
+
+
+def test_frames_that_share_their_readings_are_like_frames_that_repeat_them() -> None:
+    start, then = {(2, 2): 5.0}, {(2, 2): 4.0, (2, 3): 4.0}
+    sharing, repeating = (ContactTracker(GRID, THRESHOLDS) for _ in range(2))
+    shared = pressed(then)
+    for tracker in (sharing, repeating):
+        tracker.update(pressed(start), 0.0)
+        tracker.update(shared, PERIOD_S)
+    for frame in range(2, 6):
+        one = sharing.update(shared, frame * PERIOD_S)
+        other = repeating.update(pressed(then), frame * PERIOD_S)
+        assert one.velocity_m_s == pytest.approx(other.velocity_m_s, rel=1e-9)
+        assert one.force_rate_n_s == pytest.approx(other.force_rate_n_s, rel=1e-9)
+        assert one.age_s == pytest.approx(other.age_s)
+        assert one.force_n.tolist() == other.force_n.tolist()
+        assert one.velocity_m_s.any() and one.force_rate_n_s.any()

@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Recordings exported: what other programs load is what the decoder found."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded import record
+from rosbags.highlevel import AnyReader
+
+from tactile_cdma.base.errors import CaptureError
+from tactile_cdma.commands.cli import main
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.recording.bag_export import write_bag
+from tactile_cdma.recording.capture import read_bytes
+from tactile_cdma.recording.frame_table import write_npz
+from tactile_cdma.recording.offline import offline_values, raw_frames
+from tactile_cdma.recording.recording_file import Recorder, describe
+from tactile_cdma.sim.options import SimOptions
+
+pytestmark = pytest.mark.xdist_group("export")  # its recording is made once
+TAXELS = 16
+
+
+@pytest.fixture(scope="module")
+def skin(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[TactileFrame]]:
+    """A recording with a node that never speaks, and its frames."""
+    folder = tmp_path_factory.mktemp("export")
+    raw, path = folder / "touch.raw", folder / "touch.skin"
+    record(raw, SimOptions(scene="moving", seed=2, dead="5"), 1.5)
+    with Recorder(path, "sim://", 9600, {"amplitude_mv": 300.0, "frame_id": "palm"}) as recorder:
+        begin_s = describe(path).monotonic_ns * 1e-9
+        data = raw.read_bytes()
+        for i in range(0, len(data), 1000):
+            recorder.write(data[i : i + 1000], begin_s + 1.5 * i / len(data))
+    pipeline = Pipeline(SkinConfig.of(offline_values(path, {})), background=False)
+    frames = list(raw_frames(path, pipeline))
+    assert len(frames) > 80
+    return path, frames
+
+
+def exported(path: Path, output: Path, *options: str) -> Path:
+    assert main(["export", str(path), "-o", str(output), *options]) == 0
+    return output
+
+
+def test_numpy_arrays_are_the_decoder_s(
+    skin: tuple[Path, list[TactileFrame]], tmp_path: Path
+) -> None:
+    path, frames = skin
+    table = np.load(exported(path, tmp_path / "out.npz"))
+    assert table["sequence"].tolist() == [frame.sequence for frame in frames]
+    assert table["device_time_s"].tolist() == [frame.t_middle for frame in frames]
+    for name in ("pressure_pa", "voltage_v", "status"):
+        expected = np.array([getattr(frame.readings, name) for frame in frames])
+        assert table[name].dtype == expected.dtype
+        assert table[name].tobytes() == expected.tobytes()
+    assert np.isnan(table["pressure_pa"][:, 4]).all()
+    begun_s = describe(path).wall_ns * 1e-9
+    assert (np.diff(table["wall_time_s"]) > 0).all()
+    assert begun_s - 0.1 < table["wall_time_s"][0] < table["wall_time_s"][-1] < begun_s + 1.6
+    assert table["position_m"].shape == table["normal"].shape == (TAXELS, 3)
+    assert table["node"].tolist() == list(range(1, TAXELS + 1))
+    assert table["shape"].tolist() == [4, 4]
+    assert np.allclose(np.linalg.norm(table["normal"], axis=1), 1)
+    about = json.loads(str(table["about"]))
+    assert about["parameters"]["nodes"] == TAXELS and about["parameters"]["frame_id"] == "palm"
+
+
+def test_csv_holds_the_same_numbers(skin: tuple[Path, list[TactileFrame]], tmp_path: Path) -> None:
+    path, frames = skin
+    output = exported(path, tmp_path / "out.csv")
+    with output.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(frames)
+    for row, frame in zip(rows, frames, strict=True):
+        assert float(row["device_time_s"]) == frame.t_middle
+        for name in ("pressure_pa", "voltage_v"):
+            cells = [np.float32(row[f"{name}_{i}"] or "nan") for i in range(TAXELS)]
+            assert np.array(cells).tobytes() == getattr(frame.readings, name).tobytes()
+        assert [int(row[f"status_{i}"]) for i in range(TAXELS)] == frame.readings.status.tolist()
+        assert row["pressure_pa_4"] == ""
+    with (tmp_path / "out.taxels.csv").open(newline="") as file:
+        taxels = list(csv.DictReader(file))
+    assert [int(taxel["node"]) for taxel in taxels] == list(range(1, TAXELS + 1))
+    assert float(taxels[1]["x_m"]) - float(taxels[0]["x_m"]) == pytest.approx(7e-3, rel=1e-6)
+
+
+def test_a_bag_holds_the_same_and_its_definitions(
+    skin: tuple[Path, list[TactileFrame]], tmp_path: Path
+) -> None:
+    path, frames = skin
+    with AnyReader([exported(path, tmp_path / "bag", "--bag")]) as reader:
+        messages = [
+            (c.topic, t, reader.deserialize(raw, c.msgtype)) for c, t, raw in reader.messages()
+        ]
+    [info] = [message for topic, _, message in messages if topic == "/skin/info"]
+    arrays = [(t, message) for topic, t, message in messages if topic == "/skin/tactile"]
+    assert len(arrays) == len(frames)
+    for (stamp_ns, message), frame in zip(arrays, frames, strict=True):
+        assert message.info_id == info.info_id
+        assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp_ns
+        assert message.header.frame_id == "palm"
+        assert (message.sequence, message.device_time_us) == (
+            frame.sequence,
+            round(frame.t_middle * 1e6),
+        )
+        assert message.pressure.tobytes() == frame.readings.pressure_pa.tobytes()
+        assert message.status.tobytes() == frame.readings.status.tobytes()
+
+
+def test_options_of_decoding_count(skin: tuple[Path, list[TactileFrame]], tmp_path: Path) -> None:
+    params = tmp_path / "skin.yaml"
+    params.write_text("skin:\n  ros__parameters:\n    pitch_mm: 6.0\n    rows: 2\n    columns: 8\n")
+    table = np.load(exported(skin[0], tmp_path / "out.npz", "--params", str(params)))
+    assert table["shape"].tolist() == [2, 8]
+    assert table["position_m"][1, 0] - table["position_m"][0, 0] == pytest.approx(6e-3)
+
+
+def test_bytes_alone_have_no_wall_time(
+    skin: tuple[Path, list[TactileFrame]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    raw = tmp_path / "touch.raw"
+    raw.write_bytes(b"".join(data for data, _ in read_bytes(skin[0])))
+    table = np.load(exported(raw, tmp_path / "out.npz"))
+    assert np.isnan(table["wall_time_s"]).all()
+    assert table["device_time_s"].tolist() == [frame.t_middle for frame in skin[1]]
+    assert main(["export", str(raw), "-o", str(tmp_path / "bag"), "--bag"]) == 1
+    assert "no times" in capsys.readouterr().err
+
+
+def test_an_output_that_cannot_be_is_told_before_the_work(
+    skin: tuple[Path, list[TactileFrame]], tmp_path: Path
+) -> None:
+    def unwanted() -> Iterator[tuple[TactileFrame, float]]:
+        raise AssertionError("frames were asked for")
+        yield
+
+    layout = SkinConfig.of({}).layout
+    with pytest.raises(FileNotFoundError):
+        write_npz(tmp_path / "none" / "out.npz", unwanted(), layout, {})
+
+
+def test_a_bag_refuses_times_that_ros_cannot_tell(
+    skin: tuple[Path, list[TactileFrame]], tmp_path: Path
+) -> None:
+    for wall_s in (-1.0, 2.0**31):
+        frames = iter([(skin[1][0], wall_s)])
+        with pytest.raises(CaptureError, match="clock"):
+            write_bag(tmp_path / str(wall_s), frames, SkinConfig.of({}), "skin")
+
+
+def test_what_cannot_be_exported_is_one_clear_error(
+    skin: tuple[Path, list[TactileFrame]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, output = skin[0], tmp_path / "out.npz"
+    output.write_bytes(b"mine")
+    scope = tmp_path / "scope.csv"
+    scope.write_text("0,1\n" * 100)
+    for arguments, message in (
+        ([path, "-o", output], "--force overwrites it"),
+        ([path, "-o", tmp_path / "out.hdf5"], "name it *.npz or *.csv"),
+        ([path, "-o", tmp_path / "none" / "out.npz"], "No such file"),
+        ([path, "-o", tmp_path, "--bag"], "exists already"),
+        ([tmp_path / "none.skin", "-o", tmp_path / "x.npz"], "No such file"),
+        ([scope, "-o", tmp_path / "x.npz"], "decode --json"),
+    ):
+        assert main(["export", *map(str, arguments)]) == 1
+        said = capsys.readouterr().err
+        assert message in said and len(said.splitlines()) == 1
+    assert output.read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize("options", [["out.npz"], ["out.csv"], ["out", "--bag"]])
+def test_a_recording_without_frames_leaves_no_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str]
+) -> None:
+    path = tmp_path / "silent.skin"
+    with Recorder(path, "sim://", 9600, {}) as recorder:
+        recorder.write(bytes(100), describe(path).monotonic_ns * 1e-9)
+    assert main(["export", str(path), "-o", str(tmp_path / options[0]), *options[1:]]) == 1
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    assert list(tmp_path.iterdir()) == [path]

@@ -1,0 +1,255 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Recordings replayed as ports: the same decoder makes the same of them at every speed."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactile_cdma.base.errors import PortError, RecordingEndError
+from tactile_cdma.commands.cli import main
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.driver import WAITING, Driver
+from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.driver.session import Session
+from tactile_cdma.recording.capture import read_bytes
+from tactile_cdma.recording.offline import raw_frames
+from tactile_cdma.recording.recording_file import Recorder, describe, survey
+from tactile_cdma.replay.options import ReplayOptions
+from tactile_cdma.replay.player import Player
+from tactile_cdma.wire.port import Port
+
+pytestmark = pytest.mark.xdist_group("replay")  # its recording is made once
+CONFIG = SkinConfig.of({})
+URL = "sim://?scene=moving&seed=4&speed=2"
+SECONDS = 1.2
+
+
+@pytest.fixture(scope="module")
+def live(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[TactileFrame]]:
+    """A recording, and what the decoder made of its bytes while they came."""
+    path = tmp_path_factory.mktemp("replay") / "moving skin.skin"
+    frames, pipeline, session = list[TactileFrame](), Pipeline(CONFIG), Session(CONFIG)
+    with Port(URL, 9600) as port, Recorder(path, URL, 9600, {}) as recorder:
+        port.write(session.open())
+        end = time.monotonic() + SECONDS
+        while time.monotonic() < end:
+            data, t_host = port.read()
+            recorder.write(data, t_host)
+            frames += pipeline.feed(data, t_host)
+    assert len(frames) > 100
+    return path, frames
+
+
+def url_of(path: Path, query: str = "") -> str:
+    return f"replay://{path}".replace(" ", "%20") + (f"?{query}" if query else "")
+
+
+def replayed(url: str, enough: int | None = None) -> tuple[list[TactileFrame], list[str], float]:
+    """All frames of a replay (or so many), what the driver complained of, and how long it took."""
+    frames, problems, done = list[TactileFrame](), list[str](), threading.Event()
+
+    def keep(frame: TactileFrame) -> None:
+        frames.append(frame)
+        if len(frames) == enough:
+            done.set()
+
+    def note(problem: str | None) -> None:
+        if problem not in (None, WAITING):
+            problems.append(str(problem))
+            if "has ended" in str(problem):  # a busy machine may seem a silent digitizer before
+                done.set()
+
+    begin = time.monotonic()
+    driver = Driver(CONFIG, url, 9600, keep, note)
+    driver.start()
+    assert done.wait(30)
+    took_s = time.monotonic() - begin
+    driver.stop()
+    assert driver.connections == 1
+    return frames, problems, took_s
+
+
+def assert_same(some: list[TactileFrame], others: list[TactileFrame]) -> None:
+    """All that comes of the bytes; only the host's time is another."""
+    assert len(some) == len(others)
+    for one, other in zip(some, others, strict=True):
+        for name in ("sequence", "t_start", "t_middle", "chip_s", "clipped"):
+            assert getattr(one, name) == getattr(other, name)
+        for name in ("codes", "active", "doubtful"):
+            assert np.array_equal(getattr(one.words, name), getattr(other.words, name))
+        assert one.words.noise_rms_v == other.words.noise_rms_v
+        for name in ("pressure_pa", "voltage_v", "status"):
+            mine, theirs = getattr(one.readings, name), getattr(other.readings, name)
+            assert mine.dtype == theirs.dtype
+            assert mine.tobytes() == theirs.tobytes()
+
+
+def assert_same_words(some: list[TactileFrame], whole: list[TactileFrame]) -> None:
+    """Each of some says what that of the whole says at its time, to within the clock's rounding."""
+    times_s = np.array([frame.t_start for frame in whole])
+    for frame in some:
+        at = int(np.abs(times_s - frame.t_start).argmin())
+        assert times_s[at] == pytest.approx(frame.t_start, abs=1e-4)
+        original = whole[at].words
+        assert np.array_equal(frame.words.active, original.active)
+        assert np.array_equal(frame.words.codes[original.active], original.codes[original.active])
+
+
+@pytest.mark.parametrize("speed", [0, 1, 10])
+def test_a_replay_is_decoded_bit_for_bit_as_it_was_live(
+    live: tuple[Path, list[TactileFrame]], speed: float
+) -> None:
+    path, frames = live
+    again, problems, took_s = replayed(url_of(path, f"speed={speed}"))
+    assert_same(again, frames)
+    assert problems[-1].endswith("the recording has ended")
+    if speed == 1:
+        times = [t_host for _, t_host in read_bytes(path)]
+        assert took_s > times[-1] - times[0] - 1e-3
+        passed_s = again[-1].t_host - again[0].t_host
+        assert passed_s == pytest.approx(frames[-1].t_host - frames[0].t_host, abs=0.3)
+
+
+def test_decoding_the_file_gives_the_same(live: tuple[Path, list[TactileFrame]]) -> None:
+    path, frames = live
+    offline = list(raw_frames(path, Pipeline(CONFIG, background=False)))
+    assert_same(offline[: len(frames)], frames)  # at the end of a file a last frame is given up
+    assert len(offline) - len(frames) in (0, 1)
+    for one, other in zip(offline, frames, strict=False):
+        assert one.t_host == pytest.approx(other.t_host, abs=1e-6)
+
+
+def test_a_loop_goes_on_with_rising_sequence_numbers(
+    live: tuple[Path, list[TactileFrame]],
+) -> None:
+    path, frames = live
+    wanted = 2 * len(frames) + 10
+    again, problems, _ = replayed(url_of(path, "speed=0&loop=true"), wanted)
+    assert not any("has ended" in problem for problem in problems)
+    sequence = [frame.sequence for frame in again[:wanted]]
+    assert all(np.diff(sequence) >= 1)
+    assert_same(again[: len(frames)], frames)
+
+
+def test_a_loop_over_a_file_that_was_taken_away_says_so(
+    live: tuple[Path, list[TactileFrame]], tmp_path: Path
+) -> None:
+    path = tmp_path / "going.skin"
+    for emptied, message in ((False, "No such file"), (True, "holds no bytes any more")):
+        path.write_bytes(live[0].read_bytes())
+        with Port(url_of(path, "speed=0&loop=true"), 9600) as port:
+            path.unlink()
+            if emptied:
+                path.touch()
+            with pytest.raises(PortError, match=message):
+                while True:
+                    port.read()
+
+
+def test_a_part_is_replayed_with_what_describes_it(live: tuple[Path, list[TactileFrame]]) -> None:
+    path, frames = live
+    part, _, _ = replayed(url_of(path, "speed=0&start=0.4&end=0.8"))
+    began_s, pieces = describe(path).monotonic_ns * 1e-9, list(read_bytes(path))
+    inside = sum(len(data) for data, t_host in pieces if 0.4 <= t_host - began_s <= 0.8)
+    share = inside / sum(len(data) for data, _ in pieces)
+    assert 0 < share < 1
+    assert len(part) == pytest.approx(share * len(frames), abs=4)
+    assert_same_words(part, frames)
+
+
+def test_bytes_come_when_they_are_due(live: tuple[Path, list[TactileFrame]]) -> None:
+    path, _ = live
+    now_s = 100.0
+    player = Player(ReplayOptions.from_url(url_of(path, "speed=2")), lambda: now_s)
+    came: list[tuple[float, bytes]] = []
+    while not player.ended:
+        wait_s = player.advance(1 << 20)
+        came.append((now_s, player.take(1 << 20)))
+        now_s += min(wait_s, 10.0)
+    original = list(read_bytes(path))
+    assert b"".join(data for _, data in came) == b"".join(data for data, _ in original)
+    length_s = original[-1][1] - original[0][1]
+    assert came[-1][0] - 100.0 == pytest.approx(length_s / 2, abs=1e-6)
+
+
+def test_a_damaged_and_cut_recording_plays_what_it_has_and_says_what_is_missing(
+    live: tuple[Path, list[TactileFrame]], tmp_path: Path
+) -> None:
+    path, frames = live
+    hurt = tmp_path / "hurt.skin"
+    with Recorder(hurt, URL, 9600, {}) as recorder:  # in small pieces, however loaded we were
+        for data, t_host in read_bytes(path):
+            for begin in range(0, len(data), 1000):
+                recorder.write(data[begin : begin + 1000], t_host)
+    raw = bytearray(hurt.read_bytes())[:-10_000]
+    raw[len(raw) // 3] ^= 255
+    hurt.write_bytes(raw)
+    again, problems, _ = replayed(url_of(hurt, "speed=0"))
+    assert len(frames) / 2 < len(again) < len(frames)
+    assert_same_words(again, frames)
+    said = problems[-1]
+    assert "has ended" in said and "cut short" in said and "damaged in" in said
+    assert survey(hurt).lost_bytes > 0
+
+
+@pytest.mark.parametrize(
+    ("url", "message"),
+    [
+        ("replay://", "name the recording"),
+        ("replay://nowhere/none.skin", "No such file"),
+        ("replay://PATH?pace=2", "no option 'pace'.*speed"),
+        ("replay://PATH?speed=-1", "0…1000"),
+        ("replay://PATH?speed=fast", "speed"),
+        ("replay://PATH?speed=0.01", "0.1"),
+        ("replay://PATH?loop=maybe", "true or false"),
+        ("replay://PATH?start=3&end=2", "not before end"),
+        ("replay://PATH?start=50", "no bytes between"),
+        ("replay://OTHER", "is no recording"),
+    ],
+)
+def test_what_cannot_be_replayed_is_one_clear_error(
+    live: tuple[Path, list[TactileFrame]], tmp_path: Path, url: str, message: str
+) -> None:
+    other = tmp_path / "other.raw"
+    other.write_bytes(b"\x01\x02\0" * 100)
+    with pytest.raises(PortError, match=message) as caught:
+        Port(url.replace("PATH", url_of(live[0])[9:]).replace("OTHER", str(other)), 9600)
+    assert not isinstance(caught.value, RecordingEndError)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_replay_can_be_recorded_and_inspected(
+    live: tuple[Path, list[TactileFrame]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, frames = live
+    copy = tmp_path / "copy.skin"
+    assert main(["record", url_of(path, "speed=0"), str(copy)]) == 0
+    assert [d for d, _ in read_bytes(copy)] and b"".join(
+        d for d, _ in read_bytes(copy)
+    ) == b"".join(d for d, _ in read_bytes(path))
+    capsys.readouterr()
+    assert main(["info", str(copy)]) == 0
+    said = capsys.readouterr().out
+    assert "16 nodes" in said and "checksum: right" in said
+    assert f"frames: {len(frames)}, lost 0" in said or f"frames: {len(frames) + 1}, lost 0" in said
+    copy.write_bytes(copy.read_bytes()[:-1000])
+    assert main(["info", str(copy)]) == 1
+    assert "cut short" in capsys.readouterr().out
+
+
+def test_a_replay_is_never_recorded_over_what_it_replays(
+    live: tuple[Path, list[TactileFrame]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = live[0]
+    before, link = path.read_bytes(), tmp_path / "other name.skin"
+    link.symlink_to(path)
+    for target in (path, link):
+        assert main(["record", url_of(path, "loop=1"), str(target), "--force"]) == 1
+        assert "is what replay://" in capsys.readouterr().err
+    assert path.read_bytes() == before

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The virtual digitizer behind a real tty."""
+
+import os
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+import serial
+
+from tactile_cdma.base.errors import PortError
+from tactile_cdma.sim.digitizer import VirtualDigitizer, stream
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.sim.pty import serve
+from tactile_cdma.wire.messages import Info, Samples, Start, Status
+from tactile_cdma.wire.packets import PacketParser, PacketWriter
+
+
+@contextmanager
+def served(options: SimOptions, link: Path | None = None) -> Iterator[Path]:
+    stop, ready = threading.Event(), threading.Event()
+    paths: list[Path] = []
+
+    def on_ready(path: Path) -> None:
+        paths.append(path)
+        ready.set()
+
+    server = threading.Thread(
+        target=serve, args=(lambda: VirtualDigitizer(options), link, stop, on_ready)
+    )
+    server.start()
+    try:
+        assert ready.wait(5)
+        yield paths[0]
+    finally:
+        stop.set()
+        server.join(timeout=5)
+        assert not server.is_alive()
+
+
+def collect(port: serial.Serial, parser: PacketParser, count: int) -> list[Samples]:
+    packets: list[Samples] = []
+    while len(packets) < count:
+        data = port.read(1) + port.read(port.in_waiting)
+        assert data
+        packets += [packet for packet in parser.feed(data) if isinstance(packet, Samples)]
+    return packets
+
+
+@pytest.mark.parametrize("speed", [1, 0])
+def test_a_tty_carries_the_same_samples(speed: int, tmp_path: Path) -> None:
+    options = SimOptions(seed=4, stretch=0.1, speed=speed)
+    with (
+        served(options, tmp_path / "skin") as path,
+        serial.Serial(str(path), 2_000_000, timeout=2) as port,
+    ):
+        assert path == tmp_path / "skin"
+        port.write(PacketWriter().encode(Start()))
+        parser = PacketParser()
+        packets = collect(port, parser, 150)
+    assert parser.counters.lost_packets == parser.counters.crc_errors == 0
+    for packet, block in zip(packets, stream(options, options.setup()), strict=False):
+        assert (packet.first_index, packet.sync) == (block.first_index, block.sync)
+        assert np.array_equal(packet.counts, block.counts)
+    assert not (tmp_path / "skin").is_symlink()
+
+
+def test_it_is_raw_before_anyone_configures_it() -> None:
+    with served(SimOptions()) as path:
+        host = os.open(path, os.O_RDWR | os.O_NOCTTY)
+        try:
+            packets = PacketParser().feed(os.read(host, 4096))
+        finally:
+            os.close(host)
+    assert isinstance(packets[0], Info)
+
+
+def test_clients_come_and_go() -> None:
+    with served(SimOptions()) as path:
+        with serial.Serial(str(path), timeout=2) as port:
+            port.write(PacketWriter().encode(Start()))
+            collect(port, PacketParser(), 20)
+        time.sleep(1.0)  # nobody reads: more than the buffer holds
+        with serial.Serial(str(path), timeout=2) as port:
+            parser = PacketParser()
+            packets = collect(port, parser, 20)
+            assert packets[-1].first_index > 20 * 512
+            port.write(PacketWriter().encode(Start()))
+            deadline = time.monotonic() + 3
+            statuses: list[Status] = []
+            while not statuses and time.monotonic() < deadline:
+                received = parser.feed(port.read(4096))
+                statuses = [p for p in received if isinstance(p, Status) and p.packets_dropped]
+    assert statuses[0].packets_dropped > 0
+    assert statuses[0].streaming
+
+
+def test_links_replace_links_only(tmp_path: Path) -> None:
+    link = tmp_path / "skin"
+    link.symlink_to("/nonexistent")
+    with served(SimOptions(), link) as path:
+        assert Path(os.readlink(path)).exists()
+    link.write_text("precious")
+    with pytest.raises(PortError, match="no symbolic link"):
+        serve(VirtualDigitizer, link, threading.Event(), lambda path: None)
+    assert link.read_text() == "precious"
+    with pytest.raises(PortError, match="cannot create the link"):
+        serve(VirtualDigitizer, tmp_path / "no" / "skin", threading.Event(), lambda path: None)

@@ -1,0 +1,507 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The virtual digitizer: the same packets at any pace, handshake, truth, back-pressure."""
+
+from itertools import islice, pairwise
+
+import numpy as np
+import pytest
+
+from tactile_cdma.code.encode import line_chips
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.code.transform import correlate
+from tactile_cdma.sim.digitizer import Block, VirtualDigitizer, stream
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.wire._protocol import (
+    MAX_PACKET_US,
+    MAX_SAMPLES,
+    TAIL_CHIPS,
+    Result,
+    SyncMode,
+)
+from tactile_cdma.wire.messages import (
+    Ack,
+    Command,
+    Configure,
+    FrameLayout,
+    GetInfo,
+    Info,
+    Quiet,
+    Received,
+    RollCall,
+    Samples,
+    Start,
+    Status,
+    Stop,
+)
+from tactile_cdma.wire.packets import PacketParser, PacketWriter, wrap
+
+
+class Bench:
+    """A digitizer, a clock that the test turns, and a host."""
+
+    def __init__(self, query: str = "") -> None:
+        self.now_s = 100.0
+        self.digitizer = VirtualDigitizer(
+            SimOptions.from_url(f"sim://?{query}"), clock=lambda: self.now_s
+        )
+        self.parser, self._writer = PacketParser(), PacketWriter()
+
+    def send(self, *commands: Command) -> None:
+        for command in commands:
+            self.digitizer.receive(self._writer.encode(command))
+
+    def read(self, wanted: int = 1) -> list[Received]:
+        self.digitizer.advance(wanted)
+        return self.parser.feed(self.digitizer.take(1 << 30))
+
+    def run(self, seconds: float, step_s: float) -> list[Received]:
+        packets = []
+        for _ in range(round(seconds / step_s)):
+            self.now_s += step_s
+            packets += self.read()
+        return packets
+
+
+def samples(packets: list[Received]) -> list[Samples]:
+    return [packet for packet in packets if isinstance(packet, Samples)]
+
+
+def blocks(query: str, count: int) -> list[Block]:
+    options = SimOptions.from_url(f"sim://?{query}")
+    return list(islice(stream(options, options.setup()), count))
+
+
+def of_kind(packets: list[Received], *kinds: type) -> list[Received]:
+    return [packet for packet in packets if isinstance(packet, kinds)]
+
+
+@pytest.mark.parametrize(
+    "query", ["stretch=0.1", "timing=gap&jitter=0.1&samples_per_chip=7", "integrated=1"]
+)
+def test_samples_depend_on_options_only(query: str) -> None:
+    once, again, other = blocks(f"{query}&seed=1", 60), blocks(f"{query}&seed=1", 60), None
+    for a, b in zip(once, again, strict=True):
+        assert (a.first_index, a.sync, a.begin_s) == (b.first_index, b.sync, b.begin_s)
+        assert np.array_equal(a.counts, b.counts)
+    other = blocks(f"{query}&seed=2", 60)
+    assert any(not np.array_equal(a.counts, b.counts) for a, b in zip(once, other, strict=False))
+
+
+def test_samples_are_the_same_at_any_pace() -> None:
+    runs = []
+    for query, step_s in (("", 1.7e-3), ("", 0.11), ("speed=3", 0.01)):
+        bench = Bench(f"seed=5&stretch=0.1&{query}")
+        bench.now_s += 0.3  # START comes at another moment
+        bench.send(Start())
+        runs.append(samples(bench.run(0.5, step_s)))
+    hurried = Bench("seed=5&stretch=0.1&speed=0")
+    hurried.send(Start())
+    runs.append(samples(hurried.read(100_000)))
+    shortest = min(len(run) for run in runs)
+    assert shortest > 70
+    for run in runs[1:]:
+        for a, b in zip(runs[0], run, strict=False):
+            assert (a.first_index, a.sync) == (b.first_index, b.sync)
+            assert np.array_equal(a.counts, b.counts)
+
+
+def test_packets_come_when_their_last_sample_was_taken() -> None:
+    """That is: when frame and tail are over, and right before the next mark."""
+    bench = Bench()
+    bench.send(Start())
+    bench.read()
+    start_s, begin_s = bench.now_s, 0.0
+    for number in range(10):
+        for end_s in (number * 12.8e-3 + 203 * 50e-6, (number + 1) * 12.8e-3):
+            bench.now_s = start_s + end_s - 1e-6
+            assert not samples(bench.read())
+            assert bench.digitizer.advance() == pytest.approx(1e-6, abs=1e-9)
+            bench.now_s = start_s + end_s + 1e-6
+            (packet,) = samples(bench.read())
+            # µs: the middle of a sample
+            assert packet.device_time_us == pytest.approx(begin_s * 1e6 + 6.25, abs=0.5)
+            begin_s = end_s
+
+
+@pytest.mark.parametrize(
+    "query",
+    ["", "samples_per_chip=7&chip_us=33", "timing=gap&chip_us=10&samples_per_chip=16&stretch=0.1"],
+)
+def test_raw_packets_are_gapless_short_and_marked(query: str) -> None:
+    bench = Bench(f"{query}&frame_period_ms=12.805")
+    bench.send(Start())
+    received = bench.run(1.0, 0.05)
+    packets = samples(received)
+    info = of_kind(received, Info)[0]
+    assert isinstance(info, Info)
+    setup = bench.digitizer.setup
+    period_samples = round(setup.spec.frame_period_s * setup.rate_hz)
+    index = 0
+    for packet in packets:
+        assert packet.first_index == index
+        assert len(packet.counts) <= MAX_SAMPLES
+        frame = (setup.spec.chips + TAIL_CHIPS) * setup.samples_per_chip
+        if packet.sync:
+            assert len(packet.counts) == min(frame, MAX_SAMPLES)
+        elif setup.sync == SyncMode.NONE or index % period_samples >= frame:
+            assert len(packet.counts) / info.sample_rate_hz <= MAX_PACKET_US * 1e-6
+        middle_us = (index + 0.5) / info.sample_rate_hz * 1e6
+        assert packet.device_time_us == pytest.approx(middle_us, abs=1)
+        index += len(packet.counts)
+    marks = [packet.first_index for packet in packets if packet.sync]
+    if setup.sync == SyncMode.NONE:
+        assert not marks
+        assert len({len(packet.counts) for packet in packets}) == 1
+    else:
+        period = setup.spec.frame_period_s * setup.rate_hz
+        assert np.all(np.abs(marks - np.arange(len(marks)) * period) <= 0.5)
+        assert len(marks) == 78
+
+
+def test_after_silence_a_gap_comes_with_the_packet_after_it() -> None:
+    bench = Bench("scene=idle&heartbeat=100")
+    bench.send(Configure(FrameLayout.of(FrameSpec(), 4), quiet_uv=100_000), Start())
+    bench.read()
+    start_s, frame_s, period_s = bench.now_s, 203 * 50e-6, 12.8e-3
+    silences = []
+    for number in range(30):
+        bench.now_s = start_s + number * period_s + frame_s - 1e-6
+        early = of_kind(bench.read(), Samples, Quiet)
+        bench.now_s += 2e-6
+        *gap, frame = of_kind(bench.read(), Samples, Quiet)
+        assert (frame.first_index, frame.sync) == (1024 * number, True)
+        if number:
+            (quiet,) = gap or early[-1:]
+            assert (type(quiet), quiet.first_index) == (Quiet, 1024 * number - 212)
+            assert len(gap) == silences[-1]
+        silences.append(isinstance(frame, Quiet))
+    assert {True, False} == set(silences)
+
+
+@pytest.mark.parametrize("stretch", [0.005, 0.1])
+def test_frames_that_last_longer_are_sent_to_their_end_at_once(stretch: float) -> None:
+    bench = Bench(f"scene=all&threshold=0&stretch={stretch}")
+    bench.send(Configure(FrameLayout.of(FrameSpec(), 4), quiet_uv=100_000), Start())
+    bench.read()
+    start_s = bench.now_s
+    for number in range(1, 60):
+        bench.now_s = start_s + number * 12.8e-3 + 1e-6
+        last = of_kind(bench.read(), Samples, Quiet)[-1]
+        size = last.count if isinstance(last, Quiet) else len(last.counts)
+        assert last.first_index + size == 1024 * number
+
+
+def test_silence_has_the_sums_of_the_samples_left_out() -> None:
+    everything, audible = Bench("scene=idle&offset=0.2"), Bench("scene=idle&offset=0.2")
+    for bench, quiet_uv in ((everything, 0), (audible, 100_000)):
+        bench.send(Configure(FrameLayout.of(FrameSpec(), 4), quiet_uv=quiet_uv), Start())
+    line = np.concatenate([packet.counts for packet in samples(everything.run(0.6, 0.05))])
+    quiet = [packet for packet in audible.run(0.5, 0.05) if isinstance(packet, Quiet)]
+    assert len(quiet) > 30
+    for packet in quiet:
+        part = line[packet.first_index : packet.first_index + packet.count]
+        assert packet == Quiet.of(packet.device_time_us, packet.first_index, part, packet.sync)
+        assert int(part.max()) - int(part.min()) <= 0.1 / audible.digitizer.info().volts_per_count
+
+
+def test_integrated_packets_end_with_the_last_chip_of_a_frame() -> None:
+    bench = Bench("integrated=1&nodes=64&chip_us=10")
+    bench.send(Start())
+    packets = samples(bench.run(1.0, 0.05))
+    spec = bench.digitizer.setup.spec
+    assert [p.first_index for p in packets if p.sync] == [i * spec.chips for i in range(78)]
+    for packet in packets:
+        frame, chip = divmod(packet.first_index, spec.chips)
+        assert chip + len(packet.counts) <= spec.chips
+        begin_s = frame * spec.frame_period_s + chip * spec.chip_s
+        assert packet.device_time_us == pytest.approx(begin_s * 1e6, abs=1)
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        "",
+        "samples_per_chip=9&polarity=-1&drive=unipolar",
+        "integrated=1",
+        "nodes=100&chip_us=5&offset=1.65",
+        "order=16&first_row=0&sign_seed=natural",
+        "stretch=0.1&samples_per_chip=16",
+    ],
+)
+def test_truth_is_what_the_samples_say(query: str) -> None:
+    bench = Bench(f"scene=moving&noise=0&seed=3&{query}")
+    digitizer, options = bench.digitizer, bench.digitizer.options
+    setup, spec, info = digitizer.setup, digitizer.setup.spec, digitizer.info()
+    bench.send(Start())
+    packets = samples(bench.run(0.3, 0.01))
+    volts = info.volts(np.concatenate([p.counts for p in packets])) - options.offset
+    per_chip = 1 if setup.integrated else setup.samples_per_chip
+    for number, start in enumerate([p.first_index for p in packets if p.sync][:-1]):
+        truth = digitizer.truth(number)
+        assert truth.number == number
+        stretch = options.stretch * np.random.default_rng([3, number]).random()
+        middles = start + np.floor((np.arange(spec.chips) + 0.5) * per_chip * (1 + stretch))
+        chips = volts[middles.astype(int)].reshape(spec.bits, spec.order)
+        sent = line_chips(spec, truth.codes, truth.active)
+        assert np.abs(chips - sent).max() <= 1.01 * info.volts_per_count
+        rows = correlate(chips, spec.book)[:, spec.rows] * spec.signs * spec.polarity
+        active = np.abs(rows).mean(axis=0) > spec.node_swing_v / 2
+        codes = (1 << np.arange(spec.bits)[::-1]) @ (rows > 0)
+        assert np.array_equal(active, truth.active)
+        assert np.array_equal(codes[active], truth.codes[active])
+
+
+def test_truth_can_be_asked_for_in_any_order() -> None:
+    digitizer = VirtualDigitizer(SimOptions(scene="presses"))
+    later = digitizer.truth(300)
+    assert digitizer.truth(5).number == 5
+    assert np.array_equal(digitizer.truth(300).codes, later.codes)
+    assert np.array_equal(digitizer.truth(300).active, later.active)
+
+
+def test_start_may_fall_into_a_frame() -> None:
+    late = blocks("start_phase=0.25&noise=0&threshold=0", 40)
+    whole = blocks("noise=0&threshold=0&scene=idle", 40)
+    first_mark = next(block for block in late if block.sync)
+    assert first_mark.first_index == pytest.approx(0.75 * 1024, abs=1)
+    tail = np.concatenate([block.counts for block in late])[: first_mark.first_index]
+    assert len(tail) == 768
+    assert tail.any()
+    assert whole[0].sync
+    assert blocks("start_phase=0.25&integrated=1", 1)[0].begin_s == pytest.approx(0.75 * 12.8e-3)
+
+
+def test_handshake() -> None:
+    bench = Bench("noise=0.001")
+    first = bench.read()
+    assert [type(packet) for packet in first] == [Info, Status]
+    assert first[0].frame == FrameLayout.of(FrameSpec(), 4)
+    wanted = FrameLayout.of(FrameSpec(nodes=64, chip_s=10e-6), 8)
+    bench.send(Configure(wanted, SyncMode.NONE), GetInfo(), Start())
+    packets = of_kind(bench.read(), Ack, Info)
+    kinds = [Ack, Info, Ack, Info, Ack]
+    assert [type(packet) for packet in packets] == kinds
+    acks = of_kind(packets, Ack)
+    assert [(a.command_sequence, a.result) for a in acks] == [(i, Result.OK) for i in range(3)]
+    info = packets[3]
+    assert (info.frame, info.sync_mode, info.integrated) == (wanted, SyncMode.NONE, False)
+    assert info.sample_rate_hz == 800e3
+    bench.now_s += 0.01
+    assert samples(bench.read())
+    bench.send(Stop())
+    assert of_kind(bench.read(), Ack)
+    bench.now_s += 0.5
+    assert not bench.read()
+    bench.send(Start())
+    bench.now_s += 0.01
+    assert samples(bench.read())[0].first_index == 0
+
+
+def test_pinned_layout_is_reported() -> None:
+    bench = Bench("nodes=9&drive=unipolar")
+    bench.send(Configure(FrameLayout.of(FrameSpec(nodes=16), 4)))
+    ack, info = of_kind(bench.read(), Ack, Info)[-2:]
+    assert ack.result == Result.OK
+    assert (info.frame.nodes, info.frame.spec().drive) == (9, "unipolar")
+
+
+def test_impossible_requests_are_refused_and_change_nothing() -> None:
+    bench = Bench("rows=4&columns=4&stretch=0.1")
+    before = bench.digitizer.info()
+    full = FrameSpec(frame_period_s=FrameSpec().frame_s)
+    good = FrameLayout.of(FrameSpec(), 4)
+    bench.send(
+        Configure(FrameLayout.of(FrameSpec(nodes=9), 4)),  # the grid has 16 places
+        Configure(FrameLayout.of(full, 4)),  # no room to stretch
+        Configure(good, SyncMode.NONE, integrated=True),
+    )
+    bench.digitizer.receive(wrap(bytes([0x8F, 9, 0])))
+    packets = bench.read()
+    assert [ack.result for ack in of_kind(packets, Ack)] == [
+        Result.UNSUPPORTED,
+        Result.UNSUPPORTED,
+        Result.UNSUPPORTED,
+        Result.UNKNOWN_COMMAND,
+    ]
+    assert bench.digitizer.info() == before
+    assert bench.run(1.1, 0.1)[-1].commands_refused == 4
+
+
+def test_broken_commands_are_counted_and_not_answered() -> None:
+    bench = Bench()
+    whole = PacketWriter().encode(Start())
+    bench.digitizer.receive(b"\x05\x11\0" + whole[:-3] + b"\0" + bytes(range(1, 100)) * 200 + b"\0")
+    assert of_kind(bench.read(), Ack) == []
+    assert bench.run(1.1, 0.1)[-1].command_errors == 3
+
+
+def test_its_own_packets_coming_back_are_counted_as_the_firmware_does() -> None:
+    bench = Bench()
+    bench.digitizer.receive(PacketWriter().encode(Status(0)) + wrap(b"\x82") + wrap(b"\x7f\0\0"))
+    assert bench.run(1.1, 0.1)[-1].command_errors == 3
+
+
+def test_reports_come_every_second() -> None:
+    bench = Bench()
+    packets = bench.run(5.05, 0.05)
+    assert [type(packet) for packet in packets] == [Info, Status] * 6
+    assert [status.uptime_us for status in of_kind(packets, Status)] == [
+        i * 1_000_000 for i in range(6)
+    ]
+
+
+def test_a_slow_host_loses_whole_packets_and_is_told() -> None:
+    bench = Bench()
+    bench.send(Start())
+    before = samples(bench.run(0.5, 0.01))
+    bench.now_s += 5.0  # the host sleeps
+    bench.digitizer.advance()
+    assert bench.digitizer.pending < 100_000
+    after = bench.run(1.2, 0.01)
+    counters = bench.parser.counters
+    dropped = of_kind(after, Status)[-1].packets_dropped
+    assert dropped == bench.digitizer.packets_dropped == counters.lost_packets > 500
+    assert counters.crc_errors == counters.framing_errors == 0
+    received = sum(len(packet.counts) for packet in before + samples(after))
+    last = samples(after)[-1]
+    assert last.first_index + len(last.counts) - received == pytest.approx(512 * dropped, abs=600)
+
+
+@pytest.mark.parametrize("query", ["", "chip_us=51.3&frame_period_ms=13.37", "integrated=1"])
+def test_a_machine_too_slow_for_the_pace_loses_frames_and_is_never_held_up(query: str) -> None:
+    bench = Bench(f"speed=40&threshold=0&{query}")
+
+    def hurrying_clock() -> float:  # 20 ms pass whenever it is looked at
+        bench.now_s += 0.02
+        return bench.now_s
+
+    bench.digitizer = VirtualDigitizer(bench.digitizer.options, clock=hurrying_clock)
+    bench.send(Start())
+    packets, lost_then = list[Received](), set[int]()
+    for _ in range(300):
+        before_s = bench.now_s
+        packets += bench.read()
+        lost_then.add(bench.digitizer.samples_lost)
+        assert bench.now_s - before_s < 0.2
+    received, status = samples(packets), of_kind(packets, Status)[-1]
+    gaps = {
+        later.first_index: later.first_index - earlier.first_index - len(earlier.counts)
+        for earlier, later in pairwise(received)
+    }
+    assert [p.first_index for p in received if p.overrun] == [i for i, gap in gaps.items() if gap]
+    assert {sum(gaps.values()), status.samples_lost} < lost_then
+    assert status.samples_lost > 100_000
+    assert bench.parser.counters.lost_packets == 0
+    if "integrated" not in query:
+        rate_hz = bench.digitizer.setup.rate_hz
+        indices = [packet.first_index for packet in received]
+        times_s = np.array([packet.device_time_us for packet in received]) * 1e-6
+        assert np.ptp(times_s - np.array(indices) / rate_hz) < 2 / rate_hz
+    assert status.uptime_us * 1e-6 == pytest.approx(40 * (bench.now_s - 100), abs=3 * 40)
+
+
+def test_at_speed_0_nothing_is_dropped_and_only_what_is_read_is_made() -> None:
+    bench = Bench("speed=0")
+    bench.now_s += 0.25
+    bench.send(Start())
+    bench.now_s += 3600.0
+    bench.digitizer.advance(1)
+    assert bench.digitizer.pending < 2000
+    assert len(samples(bench.read(1_000_000))) > 900
+    assert bench.parser.counters.lost_packets == 0
+    bench.send(Stop())
+    bench.read()
+    bench.now_s += 2.0
+    assert [type(packet) for packet in bench.read()] == [Info, Status] * 2
+
+
+def test_noise_between_commands_is_harmless() -> None:
+    bench = Bench()
+    bench.read()
+    bench.digitizer.receive(np.random.default_rng(0).bytes(5000) + b"\0")
+    bench.send(GetInfo())
+    assert Ack(GetInfo.TYPE, 0) in bench.read()
+
+
+def test_a_roll_call_lets_every_node_speak_alone() -> None:
+    bench = Bench("nodes=9&threshold=0&noise=0&samples_per_chip=2")
+    bench.send(RollCall())
+    assert of_kind(bench.read(), Ack)[0].result == Result.UNSUPPORTED  # nothing streams
+    bench.send(Start())
+    packets = bench.run(0.1, 0.004)
+    bench.send(RollCall())
+    assert bench.digitizer.truth(1).active.all()
+    packets += bench.run(0.3, 0.004)
+    assert of_kind(packets, Ack)[-1].result == Result.OK
+    marks = [packet for packet in samples(packets) if packet.sync]
+    called = [number for number, packet in enumerate(marks) if packet.called]
+    assert called == list(range(called[0], called[0] + 9))
+    assert not any(packet.called for packet in samples(packets) if not packet.sync)
+    line = np.concatenate([packet.counts for packet in samples(packets)])
+    spec = bench.digitizer.setup.spec
+    for number in (called[0] - 1, *called, called[-1] + 1):
+        truth, first = bench.digitizer.truth(number), marks[number].first_index
+        turn = np.arange(9) == number - called[0]
+        assert np.array_equal(truth.active, turn if number in called else np.ones(9, bool))
+        chips = line[first : first + 2 * spec.chips : 2].reshape(spec.bits, -1)
+        rows = correlate(chips.astype(np.float32), spec.book)[:, spec.rows]
+        assert np.array_equal(np.abs(rows).mean(axis=0) > 0.5 * np.abs(rows).max(), truth.active)
+
+
+def test_integrated_frames_know_no_roll_call() -> None:
+    bench = Bench("integrated=1")
+    bench.send(Start(), RollCall())
+    assert [ack.result for ack in of_kind(bench.read(), Ack)] == [Result.OK, Result.UNSUPPORTED]
+
+
+@pytest.mark.parametrize("query", ["samples_per_chip=8", "integrated=1&samples_per_chip=8"])
+def test_nodes_with_clocks_of_their_own_are_late_as_told(query: str) -> None:
+    """Against each node's levels, read where its own clock says that its chips are."""
+    bench = Bench(
+        f"{query}&nodes=3&order=20&clock_spread=0.02&delay_spread=0.5&drift=1e-5&noise=0"
+        "&threshold=0&seed=4"
+    )
+    bench.send(Start())
+    packets = samples(bench.run(0.1, 0.01))
+    digitizer, spec = bench.digitizer, bench.digitizer.setup.spec
+    info = digitizer.info()
+    volts, marks = info.volts(np.concatenate([p.counts for p in packets])), []
+    marks = [p.first_index for p in packets if p.sync]
+    per_chip = 1 if info.integrated else 8
+    clocks = digitizer.options.clocks.at(3, 3 * spec.frame_period_s)
+    assert clocks is not None
+    assert clocks.spread_chips(spec) > 1
+    truth, fine = digitizer.truth(3), 64
+    instants = (np.arange(spec.chips * fine) + 0.5) / fine
+    line = np.zeros(instants.size)
+    for node in range(3):
+        alone = np.arange(3) == node
+        levels = line_chips(spec, truth.codes, alone).ravel()
+        late = (instants - clocks.delay_chips[node]) / (1 + clocks.rate_error[node])
+        inside = (late >= 0) & (late < spec.chips)
+        line[inside] += levels[late[inside].astype(int)]
+    if info.integrated:
+        expected = line.reshape(-1, fine).mean(axis=1)
+    else:
+        expected = line[np.arange(spec.chips * 8) * 8 + 4]  # instant s + ½
+    seen = volts[marks[3] : marks[3] + per_chip * spec.chips]
+    wrong = np.abs(seen - expected) > 2 * info.volts_per_count + 0.3 * 4 / fine * info.integrated
+    assert np.mean(wrong) < 0.03  # instants within 1/128 chip of an edge
+
+
+def test_restarts_keep_clocks_together() -> None:
+    """With a restart every 10 chips no node is later than 10 chips of drift make it."""
+    query = "noise=0&threshold=0&nodes=15&samples_per_chip=4&clock_spread=0.01"
+    errors = []
+    for more in ("", "&resync_chips=10&guard_chips=1"):
+        bench = Bench(query + more)
+        bench.send(Start())
+        packets = samples(bench.run(0.05, 0.01))
+        spec, info = bench.digitizer.setup.spec, bench.digitizer.info()
+        first = next(p.first_index for p in packets if p.sync and p.first_index)
+        volts = info.volts(np.concatenate([p.counts for p in packets]))[first:]
+        chips = volts[(4 * spec.places[:, None] + np.arange(4))].mean(axis=1).reshape(spec.bits, -1)
+        sent = line_chips(spec, bench.digitizer.truth(1).codes)
+        errors.append(np.abs(chips - sent).mean())
+    assert errors[1] < 0.25 * errors[0]

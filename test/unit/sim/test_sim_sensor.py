@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The simulated sensor: the paper's figures, and everything that is wrong with real ones."""
+
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.commands.cli import main
+from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
+from tactile_cdma.sim.digitizer import truth
+from tactile_cdma.sim.loads import DWELL_S, LOADS, STEPS_KPA, TURN_S, TURNS_KPA
+from tactile_cdma.sim.nodes import NodeFrame, RollCalls
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.sim.sensor import MOST_MISMATCH, PAPER, Sensor, SensorModel
+from tactile_cdma.sim.sensor_report import (
+    HYSTERESIS,
+    RECOVERY_S,
+    RESPONSE_S,
+    SENSITIVITY_V_PER_KPA,
+    hysteresis,
+    matching,
+    measure,
+)
+
+ROOT = Path(__file__).parents[3]
+PERIOD_S = FrameSpec().frame_period_s
+
+
+def frames(query: str, count: int, roll_calls: RollCalls | None = None) -> list[NodeFrame]:
+    options = SimOptions.from_url(f"sim://?{query}")
+    return list(islice(truth(options, options.setup(), roll_calls), count))
+
+
+def test_the_sensor_has_the_papers_figures() -> None:
+    figures = measure(SensorModel(kind=PAPER))
+    assert figures.sensitivity_v_per_kpa == pytest.approx(SENSITIVITY_V_PER_KPA, rel=0.01)
+    assert figures.response_s == pytest.approx(RESPONSE_S, rel=0.01)
+    assert figures.recovery_s == pytest.approx(RECOVERY_S, rel=0.05)
+    for load_kpa in (90.0, 140.0):
+        assert figures.hysteresis[load_kpa] == pytest.approx(HYSTERESIS[load_kpa], abs=0.3)
+
+
+@pytest.mark.parametrize("load_kpa", HYSTERESIS)
+def test_the_option_matches_each_load_singly(load_kpa: float) -> None:
+    model = SensorModel(kind=PAPER, hysteresis=matching(load_kpa))
+    assert hysteresis(model)[load_kpa] == pytest.approx(HYSTERESIS[load_kpa], rel=0.01)
+
+
+def test_an_ideal_sensor_has_nothing_but_its_curve() -> None:
+    figures = measure(SensorModel())
+    assert max(figures.hysteresis.values()) < 1e-6
+    assert figures.recovery_s < 2e-3
+    assert figures.response_s == pytest.approx(0.5, abs=0.01), "the load itself takes so long"
+
+
+def test_the_command_prints_both_as_the_documentation_shows(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["sensor"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    (response,) = (line for line in lines if line.startswith("response"))
+    assert response.split()[-3:] == ["740", "741", "ms"]
+    shown = (ROOT / "docs" / "sensor.md").read_text(encoding="utf-8")
+    assert "\n".join(f"    {line}" for line in lines) in shown
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_curves_of_any_mismatch_are_curves(seed: int) -> None:
+    """Each falls strictly and stays within the converter's range, to the last of 4096."""
+    curves = SensorModel(mismatch=MOST_MISMATCH, seed=seed).curves(4096)
+    assert np.all(np.diff(curves.pressure_pa, axis=0) > 0)
+    assert np.all(np.diff(curves.voltage_v, axis=0) < 0)
+    assert np.all((curves.voltage_v >= 0) & (curves.voltage_v <= 3.3))
+
+
+def test_mismatch_is_as_large_as_it_says() -> None:
+    nominal = PressureCurve.two_stage()
+    curves = SensorModel(mismatch=0.05).curves(4096)
+    slopes = np.diff(curves.voltage_v, axis=0) / np.diff(curves.pressure_pa, axis=0)
+    expected = np.diff(nominal.voltage_v) / np.diff(nominal.pressure_pa)
+    for found, wanted in ((slopes[0], expected[0]), (slopes[1], expected[1])):
+        assert np.std(found / wanted) == pytest.approx(0.05, rel=0.1)
+    assert np.std(curves.pressure_pa[1] / 50e3) == pytest.approx(0.05, rel=0.1)
+    rest = curves.voltage_v[0] / nominal.voltage_v[0]
+    assert np.sqrt(np.mean((rest - 1) ** 2)) == pytest.approx(0.025, rel=0.1)
+
+
+def test_true_curves_read_true_pressures() -> None:
+    """What benchmarks calibrate with: but for the converter nothing is left of the mismatch."""
+    options = SimOptions(scene="all", mismatch=0.1, seed=3)
+    calibration = Calibration(options.sensors.curves(16), np.zeros(16, dtype=bool))
+    for frame in islice(truth(options, options.setup()), 50):
+        found = calibration.curves.pressure(frame.voltage_v.astype(np.float32))
+        np.testing.assert_allclose(found, frame.pressure_pa, atol=0.5)
+
+
+def test_the_same_arguments_give_the_same_frames() -> None:
+    query = "scene=presses&sensor=paper&mismatch=0.05&warming=20&sensor_noise=0.002&seed=5"
+    for one, other in zip(frames(query, 50), frames(query, 50), strict=True):
+        assert np.array_equal(one.voltage_v, other.voltage_v)
+        assert np.array_equal(one.active, other.active)
+
+
+def test_warming_drifts_within_its_bound_and_back() -> None:
+    sensor = Sensor(SensorModel(warming_v=0.02), 64)
+    courses = np.array([sensor.step(np.zeros(64), t_s) for t_s in np.arange(0, 601, 10.0)])
+    drift_v = courses - sensor.rest_v
+    peaks_v = np.abs(drift_v).max(axis=0)
+    assert np.all((peaks_v >= 0.0099) & (peaks_v <= 0.02))
+    assert np.ptp(peaks_v) > 0.005, "each taxel has its share"
+    assert np.allclose(drift_v[[0, 60]], 0, atol=1e-9)
+
+
+def test_noise_is_white_and_as_large_as_it_says() -> None:
+    sensor = Sensor(SensorModel(noise_v=0.01), 64)
+    noise_v = np.array([sensor.step(np.zeros(64), 0.02 * step) for step in range(500)]) - 3.3
+    assert np.std(noise_v) == pytest.approx(0.01, rel=0.02)
+    assert abs(np.mean(noise_v[1:] * noise_v[:-1])) < 0.05 * 0.01**2
+
+
+def test_a_dead_node_never_speaks() -> None:
+    calls = RollCalls(asked=True)
+    said = np.array([frame.active for frame in frames("dead=3,99&threshold=0", 100, calls)])
+    assert not said[:, 2].any()
+    assert np.delete(said, 2, axis=1).any(axis=0).all()
+
+
+def test_a_stuck_node_says_the_same_at_its_heartbeat_only() -> None:
+    course = frames("scene=all&stuck=5&heartbeat=20", 100)
+    codes = np.array([frame.codes[4] for frame in course])
+    assert len(set(codes)) == 1
+    assert sum(frame.active[4] for frame in course) == 5
+    assert len({int(frame.codes[5]) for frame in course}) > 10
+
+
+def test_steps_and_cycles_are_what_they_are_said_to_be() -> None:
+    skin = SimOptions().skin(16)
+    steps, cycles = LOADS["steps"], LOADS["cycles"]
+    for index, load_kpa in enumerate(STEPS_KPA * 2):
+        for share in (0.01, 0.5, 0.99):
+            assert np.all(steps((index + share) * DWELL_S, skin) == load_kpa * 1e3)
+    for index, load_kpa in enumerate(TURNS_KPA * 2):
+        assert cycles(index * TURN_S, skin) == pytest.approx(load_kpa * 1e3, abs=1e-6)
+    t_s = np.arange(0, len(TURNS_KPA) * TURN_S, 0.01)
+    course = np.array([cycles(time, skin) for time in t_s])
+    assert np.all(course == course[:, :1]), "all taxels alike"
+    assert np.abs(np.diff(course[:, 0])).max() <= 140e3 * np.pi / 2 / TURN_S * 0.0101, "smooth"
+    for load in (STEPS_KPA, TURNS_KPA):
+        assert (min(load), max(load)) == (0, 140)
+
+
+def test_a_paper_sensor_on_the_skin_lags_and_remembers() -> None:
+    course = frames("scene=cycles&sensor=paper", round(3 * TURN_S / PERIOD_S))
+    curve = PressureCurve.two_stage()
+    pressure = np.array([frame.pressure_pa[0] for frame in course])
+    read = curve.pressure(np.array([frame.voltage_v[0] for frame in course]))
+    rising = np.gradient(pressure) > 100
+    falling = np.gradient(pressure) < -100
+    assert np.mean(read[rising] - pressure[rising]) < -2e3
+    assert np.mean(read[falling] - pressure[falling]) > 1e3
+    assert course[0].codes[0] == AdcScale().code(curve.voltage(0))

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Scenes and sensing nodes: who is pressed, and who talks when."""
+
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.readings.calibration import AdcScale, PressureCurve
+from tactile_cdma.sim.nodes import NodeFrame, NodeRules, node_frames
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.sim.scene import PEAK_PA, SCENES, Skin
+
+SPEC = FrameSpec()
+SECONDS = np.arange(0, 20, 0.05)
+
+
+def skin(nodes: int = 16, seed: int = 1) -> Skin:
+    return SimOptions(seed=seed).skin(nodes)
+
+
+def pressures(scene: str, nodes: int = 16) -> np.ndarray:
+    taxels = skin(nodes)
+    return np.array([SCENES[scene](t, taxels) for t in SECONDS])
+
+
+@pytest.mark.parametrize("nodes", [1, 16, 17, 1024])
+@pytest.mark.parametrize("scene", SCENES)
+def test_pressures_are_finite_and_plausible(scene: str, nodes: int) -> None:
+    field = pressures(scene, nodes)
+    assert field.shape == (len(SECONDS), nodes)
+    assert np.all((field >= 0) & (field <= PEAK_PA))
+    if scene != "idle":
+        assert field.max() > 50e3  # both stages of the sensor are seen
+
+
+def test_scenes_are_what_they_are_called() -> None:
+    assert not pressures("idle").any()
+    assert np.count_nonzero(pressures("press").max(axis=0)) == 1
+    press = pressures("press").max(axis=1)
+    assert 0.3 < np.mean(press == 0) < 0.7
+    assert np.count_nonzero(pressures("presses").max(axis=0)) >= 3
+    moving = pressures("moving")
+    assert np.all(moving.max(axis=0) > 0), "the contact visits every taxel"
+    assert np.all(np.count_nonzero(moving, axis=1) < 16)
+    assert pressures("all").min() > 10e3
+    assert np.mean(pressures("hand") > 0) > 0.8, "a small skin is covered"
+    assert 0.02 < np.mean(pressures("hand", 4096) > 0) < 0.3, "a large one is not"
+
+
+def frames_of(pulses: dict[int, float], rules: NodeRules, count: int) -> list[NodeFrame]:
+    """Frames in which node 0 feels some pressure (Pa) during some frames."""
+
+    def scene(t_s: float, taxels: Skin) -> np.ndarray:
+        field = np.zeros(len(taxels.positions_m))
+        field[0] = pulses.get(round(t_s / SPEC.frame_period_s), 0.0)
+        return field
+
+    return list(islice(node_frames(SPEC, scene, skin(), rules), count))
+
+
+def test_nodes_measure_and_convert() -> None:
+    frame = next(node_frames(SPEC, SCENES["all"], skin(), NodeRules()))
+    assert np.array_equal(frame.pressure_pa, SCENES["all"](0.0, skin()))
+    assert np.array_equal(frame.voltage_v, PressureCurve.two_stage().voltage(frame.pressure_pa))
+    assert np.array_equal(frame.codes, AdcScale(10).code(frame.voltage_v))
+    assert frame.active.all()
+
+
+def test_a_node_talks_while_pressed_and_once_after_release() -> None:
+    frames = frames_of({3: 20e3, 4: 20e3}, NodeRules(heartbeat=0), 8)
+    assert [bool(f.active[0]) for f in frames] == [False] * 3 + [True] * 3 + [False] * 2
+    assert frames[5].codes[0] == 1023, "the release is told"
+    assert not any(f.active[1:].any() for f in frames)
+
+
+def test_changes_within_the_threshold_are_not_told() -> None:
+    one_lsb_pa = 1.6 * AdcScale(10).lsb_v / 0.033e-3
+    for threshold, told in ((1, False), (0, True)):
+        frames = frames_of({2: one_lsb_pa}, NodeRules(threshold, heartbeat=0), 3)
+        assert frames[2].codes[0] < 1023
+        assert frames[2].active[0] == told
+
+
+@pytest.mark.parametrize("heartbeat", [1, 5, 16, 78])
+def test_heartbeats_take_turns(heartbeat: int) -> None:
+    frames = frames_of({}, NodeRules(heartbeat=heartbeat), 3 * heartbeat)
+    talked = np.array([f.active for f in frames])
+    first = talked[:heartbeat]
+    assert np.all(first.sum(axis=0) == 1), "everyone once within the first period"
+    assert first.sum(axis=1).max() == -(-16 // heartbeat), "spread evenly"
+    assert np.array_equal(talked, np.tile(first, (3, 1)))
+
+
+def test_threshold_zero_lets_every_node_talk_always() -> None:
+    assert all(f.active.all() for f in frames_of({}, NodeRules(0, 0), 5))

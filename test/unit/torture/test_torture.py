@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""What finds the driver's faults must find them: the oracle and the sums of `make torture`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.driver.session import Session
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
+from torture.oracle import Oracle
+from torture.outcome import Outcome, from_json, summary, to_json
+from torture.page import PAGE, updated
+
+CONFIG = SkinConfig.of({})
+
+
+def published(count: int, oracle: Oracle, scene: str = "moving") -> list[TactileFrame]:
+    """Frames of a sound line, and what the oracle has to know of them."""
+    digitizer = VirtualDigitizer(SimOptions(scene=scene, speed=0, threshold=0))
+    digitizer.receive(Session(CONFIG).open())
+    oracle.began(digitizer.options, digitizer.setup, digitizer.started_s)
+    pipeline, frames = Pipeline(CONFIG), []
+    while len(frames) < count:
+        digitizer.advance(4096)
+        frames += pipeline.feed(digitizer.take(4096), 0.0)
+    return frames[:count]
+
+
+def test_a_sound_line_has_no_fault() -> None:
+    oracle = Oracle()
+    verdicts = [oracle.check(frame) for frame in published(30, oracle)]
+    assert [verdict.number for verdict in verdicts] == list(range(30))
+    assert not any(verdict.wrong.any() or verdict.missed.any() for verdict in verdicts)
+    assert [verdict.lost for verdict in verdicts] == [None] + 29 * [0]
+    assert not any(verdict.uncounted for verdict in verdicts)
+
+
+def another_word(frame: TactileFrame) -> TactileFrame:
+    codes = frame.words.codes.copy()
+    codes[3] ^= 1
+    return replace(frame, words=replace(frame.words, codes=codes))
+
+
+def nobody(frame: TactileFrame) -> TactileFrame:
+    return replace(frame, words=replace(frame.words, active=np.zeros(16, bool)))
+
+
+def elsewhere(frame: TactileFrame) -> TactileFrame:
+    return replace(frame, t_start=frame.t_start + 0.4 * 12.8e-3)
+
+
+@pytest.mark.parametrize(
+    ("damage", "wrong", "missed"), [(another_word, 1, 0), (nobody, 0, 16), (elsewhere, 16, 0)]
+)
+def test_a_false_frame_is_found(
+    damage: Callable[[TactileFrame], TactileFrame], wrong: int, missed: int
+) -> None:
+    oracle = Oracle()
+    frames = published(10, oracle)
+    frames[5] = damage(frames[5])
+    verdicts = [oracle.check(frame) for frame in frames]
+    assert [verdict.wrong.sum() for verdict in verdicts] == 5 * [0] + [wrong] + 4 * [0]
+    assert [verdict.missed.sum() for verdict in verdicts] == 5 * [0] + [missed] + 4 * [0]
+
+
+def test_a_loss_that_the_sequence_does_not_tell_is_found() -> None:
+    oracle = Oracle()
+    frames = published(10, oracle)
+    del frames[3:5]  # the sequence has a gap of two: told
+    verdicts = [oracle.check(frame) for frame in frames]
+    assert [verdict.lost for verdict in verdicts] == [None, 0, 0, 2, 0, 0, 0, 0]
+    assert not any(verdict.uncounted for verdict in verdicts)
+    oracle = Oracle()
+    frames = published(10, oracle)
+    frames = frames[:3] + [replace(f, sequence=f.sequence - 2) for f in frames[5:]]
+    assert [oracle.check(frame).uncounted for frame in frames] == [0, 0, 0, 2, 0, 0, 0, 0]
+
+
+def test_streams_are_told_apart() -> None:
+    """Clocks that start anew, after a reset, make the frames of both plausible."""
+    oracle = Oracle()
+    before, after = published(5, oracle, "all"), published(5, oracle, "press")
+    verdicts = [oracle.check(frame) for frame in before + after]
+    assert [verdict.stream for verdict in verdicts] == 5 * [0] + 5 * [1]
+    assert not any(verdict.wrong.any() for verdict in verdicts)
+
+
+def test_outcomes_add_up() -> None:
+    outcomes = [
+        Outcome("bit flips", 100, uncounted_losses=1),
+        Outcome("a day", 1, wrong_values=2, rss_slope_kb_per_h=3.4),
+        Outcome("an hour", 1, crashes=3, hangs=4, rss_slope_kb_per_h=-20.0),
+    ]
+    assert summary(outcomes) == (
+        "faults=102 wrong_values=2 uncounted_losses=1 crashes=3 hangs=4 rss_slope_kb_per_h=3"
+    )
+    assert [outcome.good for outcome in outcomes] == [False, False, False]
+    assert from_json(to_json(outcomes[1])) == outcomes[1]
+    assert math.isnan(from_json(to_json(outcomes[0])).rss_slope_kb_per_h)
+    assert Outcome("nothing", 1).good
+
+
+def test_the_page_has_what_was_kept() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    assert updated(text) == text

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The campaign on the firmware: it passes on what is sound, and finds what is not."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tactile_cdma.hardware.node_memory import node_memory
+from torture.commands.both_languages import same_answers, same_samples
+from torture.commands.c_fuzzing import BUILD, FIRMWARE, SIMAVR, Fuzzed, build
+from torture.commands.campaign import outcome
+from torture.commands.sync_storms import NODE, SPEC, node_of, storms_at
+from torture.outcome import COUNTS, Outcome, Plan
+
+PLAN = Plan(quick=True, seed=1)
+CORE = ("digitizer", "setup", "stream", "pulses", "packet", "cobs", "crc32")
+
+
+def bad(found: Outcome) -> list[str]:
+    """Names of the counts that are not 0."""
+    return [name for name in COUNTS if getattr(found, name)]
+
+
+def test_what_a_harness_finds_is_counted() -> None:
+    assert outcome("bytes", "libfuzzer", Fuzzed(9, "", "")).good
+    for fault, count in zip(
+        ("wrong value", "uncounted loss", "crash", "hang"), COUNTS, strict=True
+    ):
+        found = outcome("bytes", "standalone", Fuzzed(9, fault, "how"))  # type: ignore[arg-type]
+        assert (bad(found), found.times, found.said) == ([count], 9, "how")
+
+
+@pytest.fixture(scope="module")
+def needs_cc() -> None:
+    if shutil.which("cc") is None:
+        pytest.skip("no cc on this machine: the firmware's core is not compared with the simulator")
+
+
+def test_both_languages_agree(needs_cc: None) -> None:
+    build("replay-native")
+    replay = BUILD / "replay" / "replay"
+    for found in (same_answers(replay, PLAN), same_samples(replay, PLAN)):
+        assert found.times > 100
+        assert found.good
+
+
+@pytest.mark.parametrize(
+    ("file", "right", "wrong", "counts"),
+    [
+        ("digitizer.c", "payload_size != sizeof asked", "payload_size < sizeof asked", COUNTS[:1]),
+        ("digitizer.c", "            dg->reader.errors++;", "            {}", COUNTS[1:2]),
+        (
+            "stream.c",
+            "counts[i] ^ TP_SAMPLE_XOR",
+            "(counts[i] & 0xFFEu) ^ TP_SAMPLE_XOR",
+            COUNTS[:1],
+        ),
+        ("stream.c", "    stream->samples_lost += size;", "", COUNTS[1:2]),
+    ],
+)
+def test_a_core_that_differs_is_found(
+    needs_cc: None, tmp_path: Path, file: str, right: str, wrong: str, counts: tuple[str, ...]
+) -> None:
+    text = (FIRMWARE / "core" / file).read_text()
+    assert text.count(right) == 1
+    (tmp_path / file).write_text(text.replace(right, wrong))
+    sources = [FIRMWARE / "core" / f"{name}.c" for name in CORE if f"{name}.c" != file]
+    sources += [tmp_path / file, FIRMWARE / "digitizer" / "replay" / "replay.c"]
+    program = tmp_path / "replay"
+    command = ["cc", "-std=gnu99", "-I", FIRMWARE / "core", *sources, "-o", program]
+    subprocess.run([str(part) for part in command], check=True, timeout=60)
+    compare = same_answers if file == "digitizer.c" else same_samples
+    assert tuple(bad(compare(program, PLAN))) == counts
+
+
+@pytest.mark.parametrize(
+    ("number", "count"), [(NODE, []), (NODE + 1, ["wrong_values"]), (0, ["hangs"])]
+)
+def test_a_node_is_heard_out_after_storms(number: int, count: list[str]) -> None:
+    """The right one; one that speaks in another's place; one without a memory, which is silent."""
+    if shutil.which("avr-gcc") is None or not SIMAVR.exists():
+        pytest.skip("no avr-gcc or no libsimavr-dev on this machine: no node is emulated")
+    build("node")
+    build("sim")
+    memory = node_memory(SPEC, number, threshold=0, rest=225) if number else b""
+    found = storms_at(node_of("atmega328p", memory), PLAN)
+    assert found.times == 10
+    assert bad(found) == count

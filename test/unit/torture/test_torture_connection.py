@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The campaign that unplugs, resets and stalls: a slice of it, and whether it finds defects."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.driver.session import Session
+from tactile_cdma.sim.options import SimOptions
+from torture.connection import network, stalling, unplugging, wrong_port
+from torture.connection.judge import Digitizer, Judge
+from torture.connection.plug import Host, Plug, Tty
+from torture.connection.strangers import misread
+from torture.connection.trial import Trial, Turns, outcomes, side_by_side
+from torture.outcome import Plan
+
+PLAN = Plan(quick=True, seed=1)
+CONFIG = SkinConfig.of({})
+PERIOD_S = CONFIG.spec.frame_period_s
+
+
+def test_a_slice_of_the_campaign(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    kinds: list[tuple[Plug, Callable[[Trial], Turns]]] = [
+        (Tty(tmp_path / "reset"), lambda trial: unplugging.resets(trial, rng, 3)),
+        (Tty(tmp_path / "line"), stalling.stalls(stalling.line_stalls, rng, 0.9, 1)),
+        (Tty(tmp_path / "consumer"), stalling.stalls(stalling.consumer_stalls, rng, 0.9, 1)),
+        (Tty(tmp_path / "text"), wrong_port.visits("text", rng, 1)),
+        (Host(), network.hosted(network.vanish, rng, 1)),
+    ]
+    trials = [(Trial(plug.url, PLAN, plug), faults) for plug, faults in kinds]
+    found = list(outcomes([(trial, trial.run(faults)) for trial, faults in trials]))
+    alone = Trial("replugs", PLAN, Tty(tmp_path / "replugged"))  # it counts what the process holds
+    side_by_side([alone.run(lambda trial: unplugging.replugs(trial, rng, 8))])
+    found.append(alone.outcome())
+    assert [outcome for outcome in found if not outcome.good] == []
+    assert sum(outcome.times for outcome in found) == 15
+    assert not found[1].said.startswith("0 packets")
+
+
+class Line:
+    """Digitizers one after the other, decoded in a time of their own."""
+
+    def __init__(self) -> None:
+        self.now_s, self._powered_up = 0.0, 0
+        self.judge, self._pipeline = Judge(lambda: self.now_s), Pipeline(CONFIG)
+
+    def publish(
+        self, count: int, damage: Callable[[list[TactileFrame]], list[TactileFrame]]
+    ) -> Judge:
+        """Frames of a digitizer that was powered up just now, with something wrong."""
+        self._powered_up += 1
+        options = SimOptions(scene="all", seed=self._powered_up)  # or their noise would be the same
+        digitizer = Digitizer(options, lambda: self.now_s, self.judge)
+        digitizer.receive(Session(CONFIG).open())
+        frames: list[TactileFrame] = []
+        while len(frames) < count:
+            self.now_s += 1e-3
+            digitizer.advance()
+            frames += self._pipeline.feed(digitizer.take(1 << 16), self.now_s)
+        for frame in damage(frames[:count]):
+            self.judge.take(frame)
+        self.judge.settle()
+        return self.judge
+
+
+def nothing(frames: list[TactileFrame]) -> list[TactileFrame]:
+    return frames
+
+
+def another_word(frames: list[TactileFrame]) -> list[TactileFrame]:
+    codes = frames[5].words.codes.copy()
+    codes[3] ^= 1
+    frames[5] = replace(frames[5], words=replace(frames[5].words, codes=codes))
+    return frames
+
+
+def silenced(frames: list[TactileFrame]) -> list[TactileFrame]:
+    words = replace(frames[5].words, active=np.zeros(16, dtype=bool))
+    frames[5] = replace(frames[5], words=words)
+    return frames
+
+
+def out_of_nowhere(frames: list[TactileFrame]) -> list[TactileFrame]:
+    return [*frames, replace(frames[-1], t_start=frames[-1].t_start + 0.4 * PERIOD_S)]
+
+
+def stamped_too_early(frames: list[TactileFrame]) -> list[TactileFrame]:
+    frames[5] = replace(frames[5], t_host=frames[5].t_host - 0.1)
+    return frames
+
+
+def stamped_in_the_future(frames: list[TactileFrame]) -> list[TactileFrame]:
+    frames[5] = replace(frames[5], t_host=frames[5].t_host + 1000)
+    return frames
+
+
+@pytest.mark.parametrize(
+    ("damage", "wrong"),
+    [
+        (nothing, 0),
+        (another_word, 1),
+        (silenced, 16),
+        (out_of_nowhere, 16),
+        (stamped_too_early, 1),
+        (stamped_in_the_future, 1),
+    ],
+)
+def test_wrong_values_are_found(
+    damage: Callable[[list[TactileFrame]], list[TactileFrame]], wrong: int
+) -> None:
+    judge = Line().publish(10, damage)
+    assert (judge.wrong_values, judge.uncounted_losses, judge.late) == (wrong, 0, 0)
+
+
+def renumbered(frames: list[TactileFrame], by: int) -> list[TactileFrame]:
+    return [replace(frame, sequence=frame.sequence + by) for frame in frames]
+
+
+def test_losses_that_nothing_tells_of_are_found() -> None:
+    assert Line().publish(10, lambda f: f[:3] + f[5:]).uncounted_losses == 0  # the sequence tells
+    assert Line().publish(10, lambda f: f[:3] + renumbered(f[5:], -2)).uncounted_losses == 2
+    assert Line().publish(10, lambda f: f[:3] + renumbered(f[3:], 1)).uncounted_losses == 1
+
+
+@pytest.mark.parametrize(("by", "uncounted"), [(0, 0), (-5, 1), (5, 1)])
+def test_over_a_reset_the_sequence_goes_by_the_time_that_passed(by: int, uncounted: int) -> None:
+    line = Line()
+    line.publish(10, nothing)
+    line.now_s += 20 * PERIOD_S
+    judge = line.publish(10, lambda frames: renumbered(frames, by))
+    assert judge.uncounted_losses == uncounted
+    assert judge.missing == [0, 0]
+    lost = line.judge.account(0)
+    assert 20 + by <= lost <= 26 + by
+    assert judge.account(lost) == 0
+
+
+def test_a_driver_that_leaves_out_two_frames_after_a_start_is_found() -> None:
+    assert Line().publish(10, lambda frames: frames[1:]).late == 0
+    assert Line().publish(10, lambda frames: frames[2:]).late == 1
+
+
+def one_trial(tmp_path: Path, faults: Callable[[Trial], Turns]) -> Trial:
+    trial = Trial("planted", PLAN, Tty(tmp_path / "port"))
+    trial.limit_s = 0.5
+    side_by_side([trial.run(faults)])
+    return trial
+
+
+def test_a_driver_that_ends_is_found(tmp_path: Path) -> None:
+    def faults(trial: Trial) -> Turns:
+        trial.driver.stop()
+        trial.plug.plug(trial.digitizer(SimOptions()))
+        yield from trial.resumes()
+
+    outcome = one_trial(tmp_path, faults).outcome()
+    assert (outcome.hangs, outcome.crashes) == (1, 1)
+
+
+def test_an_exception_in_the_driver_is_found(tmp_path: Path) -> None:
+    def faults(trial: Trial) -> Turns:
+        trial.plug.plug(trial.digitizer(SimOptions()))
+        yield from trial.resumes()
+        trial.driver.pipeline.taxels = None  # type: ignore[assignment]
+        yield from trial.told("internal error")
+
+    outcome = one_trial(tmp_path, faults).outcome()
+    assert outcome.hangs == 0 and outcome.crashes >= 1
+
+
+def test_packets_lost_and_not_counted_are_found(tmp_path: Path) -> None:
+    def faults(trial: Trial) -> Turns:
+        yield from trial.counted(lambda: 3, lambda: 5)
+
+    assert one_trial(tmp_path, faults).outcome().uncounted_losses == 2
+
+
+def test_a_driver_that_mostly_resumes_late_is_found(tmp_path: Path) -> None:
+    trial = Trial("planted", PLAN, Tty(tmp_path / "port"))
+    trial.resumed_s = 20 * [0.1, 0.1, 5.0]
+    assert trial.outcome().good
+    trial.resumed_s = [0.1, 1.2, 1.3]
+    assert trial.outcome().good, "too few to tell"
+    trial.resumed_s *= 20
+    assert trial.outcome().hangs == 1
+
+
+@settings(deadline=None)
+@given(st.binary(max_size=300), st.floats(0.98, 1.02))
+def test_a_uart_of_nearly_the_same_rate_reads_what_was_sent(data: bytes, ratio: float) -> None:
+    assert misread(data, ratio) == data
+
+
+def test_a_uart_of_twice_the_rate_sees_every_bit_twice() -> None:
+    assert misread(b"\xff\xff", 2.0) == b"\xfe\xfe"  # the start bit, and the first bit of the byte
+    assert misread(b"\x00", 2.0) == b"\x00"  # no stop bit, and no edge after it

@@ -1,0 +1,291 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The campaign "line": what does harm, what keeps account of it, what finds a driver's faults."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver import driver as driver_module
+from tactile_cdma.driver import pipeline as pipeline_module
+from tactile_cdma.driver.driver import Driver
+from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.driver.session import Session
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.wire.messages import Received
+from tactile_cdma.wire.packets import PacketParser
+from tactile_cdma.words.decode import Words
+from torture.line import rig as rig_module
+from torture.line.campaign import COMMANDS, harmed, spoilt_commands
+from torture.line.damage import FLIPS, HELD, KINDS, LOST, Kind
+from torture.line.judge import counted
+from torture.line.ledger import Ledger
+from torture.line.man_in_the_middle import ManInTheMiddle, Schedule
+from torture.line.renumbered import Counted
+from torture.line.rig import Rig, Stream
+from torture.outcome import Plan
+
+CHIPS = Stream("chips", {"samples_per_chip": 1}, {"threshold": 0})
+SILENCE = Stream("silence", {}, {"scene": "press"})
+
+
+def carried(
+    kind: Kind, times: int, seed: int, begin: Counted | None = None
+) -> tuple[ManInTheMiddle, Schedule, bytes]:
+    """What a host gets of a digitizer behind a man in the middle, without a tty."""
+    digitizer = VirtualDigitizer(SimOptions(speed=0, threshold=0, seed=1), clock=lambda: 0.0)
+    man = ManInTheMiddle(digitizer, begin)
+    schedule = Schedule(kind, times, np.random.default_rng(seed))
+    man.begin(schedule)
+    man.receive(Session(SkinConfig.of(CHIPS.parameters)).open())
+    data = b""
+    while not man.over():
+        man.advance(4096)
+        data += man.take(4096)
+    return man, schedule, data
+
+
+def short(kind: Kind) -> Kind:
+    """The same kind, tried on fewer bytes and without pauses."""
+    return replace(kind, size=min(kind.size, 3000), hold_s=0.0)
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+def test_the_schedule_depends_on_the_seed_alone(kind: Kind) -> None:
+    man, schedule, data = carried(short(kind), 1, 4)
+    assert carried(short(kind), 1, 4)[2] == data
+    assert schedule.tried == 1
+    assert schedule.done or kind in FLIPS[:2] or kind == HELD
+    assert man.ledger.counts.bytes == len(data)
+
+
+def test_clumps_are_held_back() -> None:
+    digitizer = VirtualDigitizer(SimOptions(speed=0), clock=lambda: 0.0)
+    man = ManInTheMiddle(digitizer)
+    man.begin(Schedule(replace(HELD, hold_s=3600.0), 1, np.random.default_rng(0)))
+    man.receive(Session(SkinConfig.of({})).open())
+    while 0.0 <= man.advance(1) < 1.0:
+        man.take(1)
+    assert man.advance(1) > 3000
+    assert man.take(1) == b""
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.sampled_from(KINDS), st.integers(0, 2**32 - 1))
+def test_the_ledger_knows_what_any_receiver_must_count(kind: Kind, seed: int) -> None:
+    """It compares bytes, the parser decodes them: they come to the same."""
+    man, _, data = carried(short(kind), 3, seed)
+    pipeline = Pipeline(SkinConfig.of(CHIPS.parameters))
+    pipeline.feed(data, 0.0)
+    assert counted(pipeline) == asdict(man.ledger.counts)
+    assert man.ledger.counts.packets > 10
+
+
+def test_the_ledger_tells_losses_from_repetitions() -> None:
+    def wire(number: int) -> bytes:
+        return bytes([number + 1]) * 3 + b"\0"
+
+    ledger = Ledger()
+    said: list[Received] = list(PacketParser().feed(carried(LOST, 0, 0)[2]))
+    for number, contents in enumerate(said[:9]):
+        ledger.sent(wire(number), contents, 0)
+    ledger.arrived(wire(0) + wire(1) + wire(1) + wire(4) + wire(3)[:2])
+    ledger.arrived(b"\0\0" + wire(3) + wire(6))
+    seen = ledger.counts
+    assert (seen.packets, seen.repeated, seen.lost_packets, seen.broken) == (6, 2, 3, 1)
+
+
+@pytest.mark.parametrize(
+    "begin",
+    [Counted(sequence=2**16 - 3), Counted(device_time_us=2**40), Counted(first_index=2**63)],
+)
+def test_counters_are_set_on(begin: Counted) -> None:
+    plain, moved = (carried(LOST, 0, 0, begin)[2] for begin in (None, begin))
+    before, after = PacketParser(), PacketParser()
+    sent = [p for p in before.feed(plain) if hasattr(p, "first_index")]
+    late = [p for p in after.feed(moved) if hasattr(p, "first_index")]
+    assert after.counters.lost_packets == after.counters.jumps == 0
+    for a, b in zip(sent, late, strict=True):
+        assert b.device_time_us - a.device_time_us == begin.device_time_us
+        assert b.first_index - a.first_index == begin.first_index
+        assert (b.sequence - a.sequence - begin.sequence) % 2**16 == 0
+
+
+def tortured(kind: Kind = LOST, times: int = 4, stream: Stream = CHIPS) -> Counter[str]:
+    """What is found while faults of a kind are put on a line."""
+    with Rig(stream, 1, 5.0) as rig:
+        return rig.run(Schedule(kind, times, np.random.default_rng(1)))
+
+
+BAD = ("wrong_values", "uncounted_losses", "crashes", "hangs")
+
+
+def bad(found: Counter[str]) -> list[str]:
+    return [name for name in BAD if found[name]]
+
+
+def test_a_sound_driver_bears_it() -> None:
+    outcomes = {
+        outcome.fault: outcome
+        for outcome in harmed({CHIPS: 1, SILENCE: 1}, Plan(quick=True, seed=3))
+    }
+    assert all(outcome.good for outcome in outcomes.values()), outcomes
+    assert len(outcomes) == len(KINDS)
+    assert sum(outcome.times for outcome in outcomes.values()) > len(KINDS)
+
+
+def test_damaged_commands_are_sent_again() -> None:
+    outcome = spoilt_commands(3, Plan(quick=True, seed=1))
+    assert (outcome.fault, outcome.times, outcome.good) == (COMMANDS, 3, True)
+
+
+def on_call(number: int, change: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Applies a change to one of the values that it is given, the first being 1."""
+    calls = Counter[str]()
+
+    def maybe(value: Any) -> Any:
+        calls["all"] += 1
+        return change(value) if calls["all"] == number else value
+
+    return maybe
+
+
+def other_word(words: Words) -> Words:
+    codes = words.codes.copy()
+    codes[5] ^= 1
+    return replace(words, codes=codes)
+
+
+def unheard(words: Words) -> Words:
+    active = words.active.copy()
+    active[5] = False
+    return replace(words, active=active)
+
+
+@pytest.mark.parametrize("change", [other_word, unheard])
+def test_a_false_word_is_found(
+    monkeypatch: pytest.MonkeyPatch, change: Callable[[Words], Words]
+) -> None:
+    decode, maybe = pipeline_module.decode, on_call(7, change)
+    monkeypatch.setattr(pipeline_module, "decode", lambda *args: maybe(decode(*args)))
+    assert bad(tortured()) == ["wrong_values"]
+
+
+def too_late(frame: TactileFrame) -> TactileFrame:
+    return replace(frame, t_start=frame.t_start + 40e-6)
+
+
+def too_early(frame: TactileFrame) -> TactileFrame:
+    return replace(frame, t_host=frame.t_host - 1.0)
+
+
+def too_much(frame: TactileFrame) -> TactileFrame:
+    pressure_pa = frame.readings.pressure_pa + np.float32(1.0)
+    return replace(frame, readings=replace(frame.readings, pressure_pa=pressure_pa))
+
+
+@pytest.mark.parametrize("change", [too_late, too_early, too_much])
+def test_a_false_time_or_pressure_is_found(
+    monkeypatch: pytest.MonkeyPatch, change: Callable[[TactileFrame], TactileFrame]
+) -> None:
+    publish, maybe = Pipeline._frame, on_call(7, change)
+    monkeypatch.setattr(Pipeline, "_frame", lambda self, heard: maybe(publish(self, heard)))
+    assert bad(tortured()) == ["wrong_values"]
+
+
+@pytest.mark.parametrize(
+    "count", ["lost_packets", "repeated_packets", "crc_errors", "jumps", "framing_errors"]
+)
+def test_a_packet_that_is_not_counted_is_found(monkeypatch: pytest.MonkeyPatch, count: str) -> None:
+    class Miscounting(PacketParser):
+        def feed(self, data: bytes) -> list[Received]:
+            packets = super().feed(data)
+            if packets and not hasattr(self, "done"):
+                self.done = True
+                setattr(self._seen, count, getattr(self._seen, count) + 1)
+            return packets
+
+    monkeypatch.setattr(pipeline_module, "PacketParser", Miscounting)
+    assert bad(tortured()) == ["uncounted_losses"]
+
+
+@pytest.mark.parametrize("count", ["lost_samples", "lost_frames", "implausible_packets"])
+def test_a_loss_that_is_not_counted_is_found(monkeypatch: pytest.MonkeyPatch, count: str) -> None:
+    class Forgetting(Pipeline):
+        def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
+            frames = super().feed(data, t_host, backlog)
+            setattr(self.counters, count, 0)
+            return frames
+
+    monkeypatch.setattr(driver_module, "Pipeline", Forgetting)
+    kind = next(kind for kind in KINDS if kind.forges)
+    assert "uncounted_losses" in bad(tortured(kind))
+
+
+def test_a_frame_that_is_kept_back_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It arrived whole, long after a fault, and is told as lost: streaming resumes too late."""
+
+    class Lazy(Pipeline):
+        def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
+            frames = super().feed(data, t_host, backlog)
+            return [frame for frame in frames if frame.sequence not in (3, 8, 13)]
+
+    monkeypatch.setattr(driver_module, "Pipeline", Lazy)
+    assert "hangs" in bad(tortured())
+
+
+def test_a_driver_that_stops_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Deaf(Pipeline):
+        def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
+            frames = super().feed(data, t_host, backlog)
+            return frames if self.counters.frames <= 5 else []
+
+    monkeypatch.setattr(driver_module, "Pipeline", Deaf)
+    with Rig(CHIPS, 1, 0.5) as rig:
+        assert "hangs" in bad(rig.run(Schedule(LOST, 4, np.random.default_rng(1))))
+
+
+def test_a_driver_that_fails_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Failing(Pipeline):
+        def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
+            frames = super().feed(data, t_host, backlog)
+            if self.counters.frames > 5:
+                raise ZeroDivisionError
+            return frames
+
+    monkeypatch.setattr(driver_module, "Pipeline", Failing)
+    with Rig(CHIPS, 1, 3.0) as rig:
+        assert "crashes" in bad(rig.run(Schedule(LOST, 4, np.random.default_rng(1))))
+
+
+def test_a_driver_that_fails_in_the_end_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing but what it tells shows that, and it tells of it late."""
+
+    class Failing(Pipeline):
+        def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
+            frames = super().feed(data, t_host, backlog)
+            arrived = rig.man.ledger.counts.bytes
+            if frames and rig.man.over() and self.packet_counts["bytes"] >= arrived:
+                raise ZeroDivisionError
+            return frames
+
+    class Slow(Driver):
+        def _report(self, problem: str | None) -> None:
+            time.sleep(0.1)
+            super()._report(problem)
+
+    monkeypatch.setattr(driver_module, "Pipeline", Failing)
+    monkeypatch.setattr(rig_module, "Driver", Slow)
+    with Rig(CHIPS, 1, 3.0) as rig:
+        assert "crashes" in bad(rig.run(Schedule(LOST, 4, np.random.default_rng(1))))
