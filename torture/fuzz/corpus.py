@@ -42,13 +42,14 @@ def unpack(target: str, folder: Path) -> None:
 def main() -> None:
     """See the module."""
     parser = argparse.ArgumentParser(prog="python -m torture.fuzz.corpus", description=__doc__)
-    actions = parser.add_subparsers(dest="action", required=True)
-    for action, rest in (("add", {"nargs": "+"}), ("unpack", {})):
-        command = actions.add_parser(action)
-        command.add_argument("target")
-        command.add_argument("path", type=Path, **rest)
+    parser.add_argument("action", choices=["add", "unpack"])
+    parser.add_argument("target")
+    parser.add_argument("paths", type=Path, nargs="+", metavar="path")
     arguments = parser.parse_args()
-    {"add": add, "unpack": unpack}[arguments.action](arguments.target, arguments.path)
+    if arguments.action == "add":
+        add(arguments.target, arguments.paths)
+    else:
+        unpack(arguments.target, arguments.paths[0])
 
 
 if __name__ == "__main__":
