@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import RestError
+from ..base.listing import listed
 from ..config.parameters import REPLAY, SIMULATION
 from ..config.skin_config import SkinConfig
 from ..readings.baseline import Baseline
@@ -45,8 +46,7 @@ class TareResult:
     def __str__(self) -> str:
         text = f"tared: {_taken_off(self.tare_pa)}"
         if self.unheard:
-            nodes = ", ".join(map(str, self.unheard))
-            text += f"; without a valid reading and as before: nodes {nodes}"
+            text += f"; without a valid reading and as before: {listed(self.unheard, 'node')}"
         return text
 
 

@@ -99,7 +99,9 @@ def test_a_tare_shows_in_readings_info_and_file_and_no_frame_is_lost(
     assert path.name == "skin.rest.yaml"
     assert np.allclose(yaml.safe_load(path.read_text())["rest_v"], REST_V)
     with running(port=IDLE, state_folder=str(tmp_path)) as (_, client):
-        for _ in range(2):  # the next driver takes it over, and keeps it from one stream to the next
+        for _ in range(
+            2
+        ):  # the next driver takes it over, and keeps it from one stream to the next
             before = len(client.arrays)
             wait_for(lambda before=before: len(client.arrays) > before + 10)
             assert np.allclose(client.arrays[-1].pressure, 0, atol=15)
@@ -235,7 +237,7 @@ def test_a_tare_taken_under_load_is_told_of_when_the_load_is_gone(
         wait_for(lambda: "less than nothing" in client.diagnostics[-1].message)
     status = client.diagnostics[-1]
     assert status.level == DiagnosticStatus.WARN
-    assert "16 nodes (1, 2, 3, 4, 5" in status.message and "20.0 kPa less" in status.message
+    assert "nodes 1, 2, 3, 4, 5" in status.message and "20.0 kPa less" in status.message
 
 
 def test_thousands_of_curves_are_read_apart_from_the_stream(tmp_path: Path) -> None:
