@@ -9,7 +9,7 @@
 # make setup   the environment in .venv only; everything else does this first
 # make bench-error, -speed, -skip, -timing, -scale, -ros, -crest, -pressure, -contact, -pictures,
 #              -stuck, -body
-#              QUICK=1: within 40 s each, else up to 7 min
+#              QUICK=1: within 40 s each, into build/benchmarks; else up to 7 min, into docs/img
 # make torture faults of every kind, against the truth; SEED=n, ONLY="line day"
 #              QUICK=1: within 50 s, else within 30 min; docs/reliability.md tells of the last one
 # make soak    the driver node in real time for SECONDS=3600
