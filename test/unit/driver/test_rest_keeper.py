@@ -301,6 +301,7 @@ def test_drift_is_reported_and_kept(
     """The skin rests a count off where it was tared, then two."""
     monkeypatch.setattr(rest_keeper, "TELL_S", 0.0)
     monkeypatch.setattr(rest_keeper, "SAVE_S", 0.0)
+    monkeypatch.setattr("tactile_cdma.readings.drift.SETTLE_S", 1.0)
     preload(PRELOAD_PA)
     run = Run(tmp_path, drift_pa_per_min=0.0).activate().stream(TARE_S)
     run.keeper.tare()
@@ -312,7 +313,7 @@ def test_drift_is_reported_and_kept(
         run.keeper.tick()
         assert run.changes == changes
         run.set(drift_pa_per_min=1e4)
-        assert np.allclose(run.stream(13).pressure_pa, 0, atol=2)
+        assert np.allclose(run.stream(4).pressure_pa, 0, atol=2)
         run.keeper.tick()
         assert run.changes == changes + 1
         assert np.allclose(run.drift_v, counts * COUNT_V, rtol=0.02)
