@@ -63,7 +63,7 @@ class KnownDigitizer(VirtualDigitizer):
             stream, late_s = self._epochs[-1]
             if self.started_s == stream.started_s + late_s:
                 return
-            if self._frames_lost:  # else it was started anew
+            if self.frames_lost:  # else it was started anew
                 self._epochs.append((stream, self.started_s - stream.started_s))
                 return
         self._epochs.append((Stream(self.options, self.setup, self.started_s), 0.0))
