@@ -238,7 +238,7 @@ REFUSED = {
     "one": (LIST + taxels(ONE), ["give pitch_mm"]),
     "flat position": (
         LIST + taxels("position_mm: [0, 0], node: 1"),
-        ["line 5", "position of taxel 0 has 2 numbers"],
+        ["line 5", "position of taxel 0 has 2 entries; it must have 3"],
     ),
     "no position": (LIST + taxels("node: 1"), ["line 5", "taxel 0 has no 'position_mm'"]),
     "not a number": (

@@ -70,7 +70,7 @@ def test_circles_are_named_and_can_be_mended() -> None:
     tree.put("c", "a", SHIFT)
     with pytest.raises(TransformError, match="circle: c → b → a"):
         tree.pose("c", "b")
-    with pytest.raises(TransformError, match="'a' is said to be its own parent"):
+    with pytest.raises(TransformError, match="'a' is given as its own parent"):
         tree.put("a", "a", SHIFT)
     tree.put("map", "a", SHIFT)
     assert tree.pose("map", "c").translation_m[0] == 3.0
