@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import CalibrationError
+from ..base.listing import listed
 from ..readings.calibration import PressureCurve
-from ..readings.calibration_file import numbers
 from .curve_fit import Floats
 from .skin_fit import SkinFit
 
@@ -138,7 +138,7 @@ def _refusals(refused: Mapping[int, str]) -> list[str]:
     nodes_of: dict[str, list[int]] = {}
     for node, reason in refused.items():
         nodes_of.setdefault(reason, []).append(node)
-    lines = [f"  {numbers(nodes)}: no curve: {reason}" for reason, nodes in nodes_of.items()]
+    lines = [f"  {listed(nodes, 'node')}: no curve: {reason}" for reason, nodes in nodes_of.items()]
     more = len(lines) - _MOST_REFUSALS
     return lines[:_MOST_REFUSALS] + ([f"  and {more} reasons more"] if more > 0 else [])
 
@@ -162,7 +162,7 @@ def warnings(fit: SkinFit, default: PressureCurve) -> list[str]:
         )
     if bent := _bent(fit):
         found.append(
-            f"{numbers(bent)}: off to one side over whole stretches of load: more --pieces?"
+            f"{listed(bent, 'node')}: off to one side over whole stretches of load: more --pieces?"
         )
     residual_pa = max(stage.rms_pa for stage in pieces)
     if residual_pa > POOR * largest_pa:

@@ -41,7 +41,8 @@ class Driver:
     on_frame is called in that thread for every frame; on_problem with one sentence whenever the
     reason for not receiving frames changes, and with None when frames flow again.
 
-    url: of the port. vitals: how the thread does. stuck: which nodes do not move.
+    url: of the port. vitals: how the thread does. stuck: which nodes do not move. ended: all of a
+        recording was replayed, and no more frames will come.
     """
 
     def __init__(
@@ -57,6 +58,7 @@ class Driver:
         self.pipeline = Pipeline(config, most_repeated=most_repeated)
         self.problem: str | None = None
         self.connections = 0
+        self.ended = False
         self.vitals = Vitals()
         self.stuck = StuckNodes(config.layout)
         self._first_port: Port | None = None
@@ -117,6 +119,7 @@ class Driver:
                     self._stream(port)
             except RecordingEndError as end:
                 self._report(str(end))
+                self.ended = True
                 return
             except PortError as error:
                 self._report(str(error))

@@ -7,17 +7,17 @@ Every node has one place, or the file says that it has none.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.listing import listed
 from ..base.marked_yaml import Mapping, Marked
 
 MOST_TAXELS = 65_535
 """As many as TactileSkinInfo can count."""
-_SHOWN = 8
 """Nodes that a message lists, at most."""
 
 
@@ -44,12 +44,6 @@ class Place:
     taxel: str
     node: int
     value: Marked
-
-
-def listed(numbers: Sequence[int]) -> str:
-    """Nodes for people, as many as they want to read."""
-    shown = ", ".join(map(str, numbers[:_SHOWN])) + (", …" if len(numbers) > _SHOWN else "")
-    return f"{len(numbers)} nodes ({shown})" if len(numbers) > 1 else f"node {shown}"
 
 
 def node_of_entry(entry: Mapping, first_row: int) -> Place:
@@ -111,7 +105,7 @@ def check_nodes(
     missing = [n for n in range(1, nodes + 1) if n not in placed and n not in unplaced]
     if missing:
         raise content.value.refuse(
-            f"of the skin's {nodes} nodes, {listed(missing)} have no place; place them, or list "
+            f"no place for {listed(missing, 'node')} of the skin's {nodes}; place them, or list "
             "under 'unplaced' what is on the wire but not on the skin"
         )
     nodes_of_taxels = np.array([place.node for place in places], dtype=np.int32)

@@ -17,6 +17,7 @@ from std_srvs.srv import Trigger
 from tactile_cdma.srv import Tare
 
 from ...base.errors import CalibrationError, RestError, TactileError
+from ...base.listing import listed
 from ...config.parameters import REPLAY, SIMULATION
 from ...config.skin_config import SkinConfig
 from ...driver.driver import Driver
@@ -295,7 +296,7 @@ def _report(tare_pa: NDArray[np.float32], unheard: list[int]) -> str:
     """What a tare did, for people."""
     text = f"tared: {_taken_off(tare_pa)}"
     if unheard:
-        text += f"; without a valid reading and as before: nodes {convert.listed(unheard)}"
+        text += f"; without a valid reading and as before: {listed(unheard, 'node')}"
     return text
 
 

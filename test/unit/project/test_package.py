@@ -22,7 +22,7 @@ pytestmark = pytest.mark.xdist_group("package")  # its fixture is made once
 ROOT = Path(__file__).resolve().parents[3]
 PACKAGE = ROOT / "tactile_cdma"
 MODULES = sorted(
-    ".".join(path.relative_to(ROOT).with_suffix("").parts)
+    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
     for path in PACKAGE.rglob("*.py")
     if path.relative_to(PACKAGE).parts[0] != "ros" and path.name != "__main__.py"
 )
@@ -36,6 +36,7 @@ LOAD_SERIAL = {
     "driver.driver",
     "replay.protocol_replay",
     "sim.protocol_sim",
+    "skin",
     "wire.introduction",
     "wire.port",
     "wire.virtual_port",
