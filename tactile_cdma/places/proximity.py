@@ -13,7 +13,7 @@ from ..base.errors import SpecError
 
 MOST_CANDIDATES = 1 << 22
 """Limit of the pairs whose distance is measured: 64 for each of the 65,536 taxels of the largest
-skin; a grid has 20 per taxel. More mean that positions are piled up, or that the radius is wrong."""
+skin; a grid has 20 per taxel. More mean that positions are piled up or the radius is wrong."""
 _CELL_BITS = 21
 """Bits of a cell's key per axis: three of them fill an int64. Cells with the same key only cost
 time, as distances are checked anyway."""
