@@ -58,6 +58,7 @@ class VirtualDigitizer:
     time then passes as usual.
 
     packets_dropped, samples_lost, commands_refused: as in STATUS. frames_lost: since START.
+    born_s: host time of power-up, s.
 
     clock: host time, s. disturbance: of its line. Not thread-safe.
     """
@@ -72,6 +73,7 @@ class VirtualDigitizer:
         self.setup = self.options.setup()
         self.packets_dropped = self.samples_lost = self.commands_refused = self.frames_lost = 0
         self._schedule = Schedule(clock, self.options.speed)
+        self.born_s = self._schedule.born_s
         self._disturbance = disturbance
         self._roll_calls = RollCalls()
         self._parser, self._writer = PacketParser(), PacketWriter()

@@ -22,12 +22,13 @@ class Schedule:
     now_s: s since power-up, at `speed` times the host's pace. At speed 0, while streaming, the
     clock stands until something is asked for, and then steps to when that is due.
     started_s: when the stream began, s; later by the duration of frames lost since.
-    report_s: when the next report is due.
+    report_s: when the next report is due. born_s: host time of power-up, s.
     """
 
     def __init__(self, clock: Callable[[], float], speed: float) -> None:
         """clock: host time, s."""
-        self.host_clock, self._host_s, self._speed = clock, clock(), speed
+        self.host_clock, self._speed = clock, speed
+        self.born_s = self._host_s = clock()
         self.now_s = self.started_s = self.report_s = 0.0
         self._steps: Iterator[_Step] | None = None
         self._next = _Step(0.0)
