@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What every benchmark shares: how it measures, and how it tells what it measured.
+"""Shared by all benchmarks: timing of calls, and the report of what was measured.
 
-A report is a table on the terminal, a picture docs/img/<name>.png with the numbers and the machine
-in docs/img/<name>.json beside it, and a last line of key=value pairs.
+A report is tables on the terminal, a figure NAME.png, NAME.json with the numbers and the machine
+beside it, and a last line of key=value pairs. Full runs write docs/img, which is tracked and quoted
+by the documents; QUICK=1 writes build/benchmarks, which is ignored.
 """
 
 from __future__ import annotations
@@ -15,28 +16,27 @@ import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib
 import numpy as np
 
-matplotlib.use("Agg")
-from matplotlib.figure import Figure
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 QUICK = os.environ.get("QUICK", "") not in ("", "0")
-"""Asked for a result within 40 s: fewer repetitions, wider error bars."""
-IMAGES = Path(__file__).resolve().parent.parent / "docs" / "img"
+"""A result within 40 s: fewer repetitions, wider error bars."""
+ROOT = Path(__file__).resolve().parent.parent
 
 
 class Report:
-    """Collects what a benchmark found; `finish` writes it and prints the last line."""
+    """Collects the tables of a benchmark; `finish` writes the files and prints the last line."""
 
-    def __init__(self, name: str, title: str) -> None:
-        """name: of the make target and of the files. title: one line, above the table."""
-        self.name, self.title = name, title
+    def __init__(self, name: str, title: str, quick: bool = QUICK) -> None:
+        """name: of the make target and of the files. title: one line, above the tables."""
+        self.name, self.title, self.quick = name, title, quick
         self._tables: list[dict[str, Any]] = []
         self._started = time.monotonic()
-        print(f"{title}{' (quick)' if QUICK else ''}")
+        print(f"{title}{' (quick)' if quick else ''}")
 
     def table(self, headers: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
         """Print a table and keep it for the JSON file."""
@@ -48,24 +48,26 @@ class Report:
         self._tables.append({"headers": list(headers), "rows": [list(row) for row in rows]})
 
     def finish(self, figure: Figure, **results: float | int | str) -> None:
-        """Write picture and JSON; print the results as the last line."""
-        IMAGES.mkdir(parents=True, exist_ok=True)
-        figure.savefig(IMAGES / f"{self.name}.png", dpi=110, bbox_inches="tight")
+        """Write figure and JSON; print the results as the last line."""
+        folder = ROOT / ("build/benchmarks" if self.quick else "docs/img")
+        folder.mkdir(parents=True, exist_ok=True)
+        figure.savefig(folder / f"{self.name}.png", dpi=110, bbox_inches="tight")
         content = {
             "title": self.title,
-            "quick": QUICK,
+            "quick": self.quick,
             "seconds": round(time.monotonic() - self._started, 1),
             "machine": machine(),
             "tables": self._tables,
             "results": results,
         }
         text = json.dumps(content, indent=1, default=_plain, ensure_ascii=False)
-        (IMAGES / f"{self.name}.json").write_text(text + "\n", encoding="utf-8")
+        (folder / f"{self.name}.json").write_text(text + "\n", encoding="utf-8")
+        print(f"written: {folder / self.name}.png, .json")
         print(" ".join(f"{key}={_text(value)}" for key, value in results.items()))
 
 
 def machine() -> dict[str, str | int | None]:
-    """What this was measured on."""
+    """The machine and versions that the figures belong to."""
     model = platform.processor() or platform.machine()
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
@@ -87,10 +89,11 @@ def medians_s(
     least_s: float = 2e-3,
     clock: Callable[[], float] = time.perf_counter,
 ) -> dict[str, float]:
-    """Median time of one call of each subject, s, all measured in turn in every round.
+    """Median time of one call of each subject, s.
 
-    In turn, because machines get slower and faster: what is compared was measured at the same
-    time. least_s: each measurement repeats its subject for at least so long.
+    Every round measures all subjects in turn, because the speed of a machine drifts: what is
+    compared was measured at the same time. least_s: duration of one measurement, which repeats
+    its subject as often as that takes.
     """
     repeats = {}
     for name, call in subjects.items():
@@ -113,7 +116,7 @@ def _text(value: object) -> str:
 
 
 def _plain(value: object) -> object:
-    """Scalars and arrays of numpy for json."""
+    """Convert numpy scalars and arrays for json."""
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
-    raise TypeError(f"{type(value).__name__} does not go into JSON")
+    raise TypeError(f"{type(value).__name__} cannot be written to JSON")

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Writes the driver's table of parameters into README.md; --check only compares."""
+"""Writes the table of the driver's parameters into docs/parameters.md; --check only compares."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tactile_cdma.config.parameters import PARAMETERS, Parameter
 
-README = Path(__file__).resolve().parents[1] / "README.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "parameters.md"
 BEGIN, END = (
     "<!-- parameters: written by tools/parameter_table.py -->",
     "<!-- end of parameters -->",
@@ -31,7 +31,7 @@ def row(parameter: Parameter) -> str:
 
 
 def with_table(text: str) -> str:
-    """The README's text with the present table."""
+    """The page's text with the table replaced by the current one."""
     before, rest = text.split(BEGIN)
     _, after = rest.split(END)
     lines = ["| name | default | allowed | meaning |", "|---|---|---|---|", *map(row, PARAMETERS)]
@@ -39,10 +39,10 @@ def with_table(text: str) -> str:
 
 
 def main() -> int:
-    text = README.read_text(encoding="utf-8")
+    text = PAGE.read_text(encoding="utf-8")
     if "--check" in sys.argv:
         return int(with_table(text) != text)
-    README.write_text(with_table(text), encoding="utf-8")
+    PAGE.write_text(with_table(text), encoding="utf-8")
     return 0
 
 

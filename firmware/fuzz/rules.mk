@@ -1,12 +1,14 @@
-# Fuzzing: a harness for each fuzz/fuzz_NAME.c; seeds and found cases are test/corpus/firmware_NAME.
+# Fuzzing: one harness per fuzz/fuzz_NAME.c; its kept inputs are test/corpus/firmware_NAME.txt.
 #
-#   make fuzz COUNT=100000 SEED=1   so many inputs to each; what is found is left in build/fuzz
-#   make fuzz-harnesses             the harnesses, by the best way that is there:
-#   make fuzz-libfuzzer             the harnesses, by clang with libFuzzer: guided by coverage
-#   make fuzz-standalone            the harnesses, by any compiler, with a main() of their own
+#   make fuzz COUNT=100000 SEED=1   runs COUNT inputs on each; finds are left in build/fuzz
+#   make fuzz-harnesses             builds the harnesses, with libFuzzer if it is installed:
+#   make fuzz-libfuzzer             builds them with clang and libFuzzer, guided by coverage
+#   make fuzz-standalone            builds them with any compiler and a main() of their own
+#
+# To keep a find: python -m torture.fuzz.corpus add firmware_NAME FILE…
 
 FUZZ_OUT := $(BUILD)/fuzz
-FUZZ_CORPUS := ../test/corpus
+FUZZ_UNPACK := python3 ../torture/fuzz/corpus.py unpack
 FUZZ_NAMES := framing setup digitizer node $(if $(wildcard /usr/include/simavr/sim_avr.h),board)
 FUZZ_SOURCES := $(addprefix fuzz/,commands.c framing.c host.c line.c settings.c) $(wildcard $(CORE)/*.c)
 FUZZ_HEADERS := $(wildcard fuzz/*.h sim/*.h $(CORE)/*.h) fuzz/rules.mk
@@ -22,8 +24,9 @@ fuzz-harnesses: fuzz-$(FUZZ_KIND)
 fuzz: fuzz-harnesses
 	@set -e; for name in $(FUZZ_NAMES); do \
 	    echo "$$name: $(COUNT) inputs"; mkdir -p $(FUZZ_OUT)/corpus/$$name; \
+	    $(FUZZ_UNPACK) firmware_$$name $(FUZZ_OUT)/kept/$$name; \
 	    $(FUZZ_OUT)/$(FUZZ_KIND)/$$name -runs=$(COUNT) -seed=$(SEED) $(FUZZ_OPTIONS_$(FUZZ_KIND)) \
-	        $(FUZZ_OUT)/corpus/$$name $(FUZZ_CORPUS)/firmware_$$name; \
+	        $(FUZZ_OUT)/corpus/$$name $(FUZZ_OUT)/kept/$$name; \
 	done
 FUZZ_OPTIONS_libfuzzer = -artifact_prefix=$(FUZZ_OUT)/found-$$name- -verbosity=0
 

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 from ..base.errors import CalibrationError, CaptureError
+from ..base.listing import listed
 from ..config.arguments import add_skin_options, finite, given, positive
 from ..config.parameters import BY_NAME, Value
 from ..config.skin_config import SkinConfig
 from ..driver.pipeline import Pipeline
 from ..readings.calibration import Calibration
 from ..readings.calibration_file import (
-    numbers,
     read_content,
     seal_calibration,
     write_calibration,
@@ -253,6 +253,13 @@ def _check_dynamics(arguments: argparse.Namespace) -> None:
             )
     if not arguments.capture:
         raise CalibrationError("--dynamics takes loading cycles: give --capture, too")
+    try:
+        import scipy.optimize  # noqa: F401
+    except ImportError as error:
+        raise CalibrationError(
+            f"--dynamics needs scipy ({error}): sudo apt install python3-scipy, or "
+            "pip install 'tactile_cdma[calibrate]'"
+        ) from None
 
 
 def _described(capture: Path) -> dict[str, Value]:
@@ -326,8 +333,9 @@ def _check_missing(fit: SkinFit, allow_missing: bool) -> None:
         raise CalibrationError(f"{source}: no node has a sound curve; nothing is written")
     if fit.refused and not allow_missing:
         raise CalibrationError(
-            f"{source}: no sound curve for {numbers(list(fit.refused))} (see above); nothing is "
-            "written: mend the loads, or --allow-missing takes the default curve for them"
+            f"{source}: no sound curve for {listed(list(fit.refused), 'node')} (see above); "
+            "nothing is written: mend the loads, or take the default curve for them with "
+            "--allow-missing"
         )
 
 

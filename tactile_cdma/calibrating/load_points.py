@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.listing import listed
 from .load_table import Table, read_table
 
 HEADING = "node,pressure_kpa,voltage_v"
@@ -18,7 +19,6 @@ PLAUSIBLE_PA = (200.0, 1e8)
 NOISE = 0.01
 """By so much of the largest load a reference that is not loaded may read less than 0."""
 _CHANGE = 0.005
-_SHOWN = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +60,7 @@ class LoadPoints:
 
     def lines(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> str:
         """Where points come from, in words: "lines 3, 5, 9"."""
-        lines = sorted(set(self.line[rows].tolist()))
-        shown = ", ".join(map(str, lines[:_SHOWN])) + (", …" if len(lines) > _SHOWN else "")
-        return f"line{'s' if len(lines) != 1 else ''} {shown}"
+        return listed(sorted(set(self.line[rows].tolist())), "line")
 
 
 def read_points(path: Path, nodes: int, vref_v: float, area_m2: float | None = None) -> LoadPoints:

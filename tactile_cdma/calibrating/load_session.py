@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import CalibrationError, PortError
+from ..base.listing import listed
 from ..config.skin_config import SkinConfig
 from ..driver.driver import Driver
 from ..driver.pipeline import TactileFrame
@@ -27,7 +28,6 @@ PATIENCE_S = 5.0
 """Without a frame for so long, a step is given up."""
 MOVED = 2.0
 """LSB by which a node must change to have moved: more than a code that flickers."""
-_SHOWN = 12
 
 
 class LiveSkin:
@@ -189,9 +189,8 @@ class LoadSession:
 
     def _list(self, what: str, where: NDArray[np.bool_]) -> list[str]:
         """At most one entry: which nodes."""
-        found = [str(self.nodes[i]) for i in np.flatnonzero(where).tolist()]
-        more = f" and {len(found) - _SHOWN} more" if len(found) > _SHOWN else ""
-        return [f"{what}: {' '.join(found[:_SHOWN])}{more}"] if found else []
+        found = [self.nodes[i] for i in np.flatnonzero(where).tolist()]
+        return [f"{what}: {listed(found, 'node')}"] if found else []
 
 
 def _go_on(file: TextIO) -> None:

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.errors import CalibrationError
+from ..base.listing import listed
 from ..readings.calibration import PressureCurve
-from ..readings.calibration_file import numbers
 from .curve_fit import Floats
+from .picture import picture
 from .skin_fit import SkinFit
 
 WORST = 5
@@ -138,7 +138,7 @@ def _refusals(refused: Mapping[int, str]) -> list[str]:
     nodes_of: dict[str, list[int]] = {}
     for node, reason in refused.items():
         nodes_of.setdefault(reason, []).append(node)
-    lines = [f"  {numbers(nodes)}: no curve: {reason}" for reason, nodes in nodes_of.items()]
+    lines = [f"  {listed(nodes, 'node')}: no curve: {reason}" for reason, nodes in nodes_of.items()]
     more = len(lines) - _MOST_REFUSALS
     return lines[:_MOST_REFUSALS] + ([f"  and {more} reasons more"] if more > 0 else [])
 
@@ -162,7 +162,7 @@ def warnings(fit: SkinFit, default: PressureCurve) -> list[str]:
         )
     if bent := _bent(fit):
         found.append(
-            f"{numbers(bent)}: off to one side over whole stretches of load: more --pieces?"
+            f"{listed(bent, 'node')}: off to one side over whole stretches of load: more --pieces?"
         )
     residual_pa = max(stage.rms_pa for stage in pieces)
     if residual_pa > POOR * largest_pa:
@@ -216,25 +216,13 @@ def results(fit: SkinFit) -> dict[str, str]:
 
 
 def draw(fit: SkinFit, path: Path) -> None:
-    """Curves with points, residuals, and knees as a PNG.
-
-    Raises CalibrationError where it cannot be written.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(15, 4.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    curve_axes, residual_axes, knee_axes = figure.subplots(1, 3)
-    _draw_curves(fit, curve_axes)
-    _draw_residuals(fit, residual_axes)
-    for number, knees in enumerate(_knees_pa(fit).T, 1):
-        knee_axes.plot(list(fit.curves), knees / 1e3, ".", label=f"knee {number}")
-    knee_axes.set(xlabel="node", ylabel="knee / kPa", title="where the slope changes")
-    try:
-        figure.savefig(path, format="png", dpi=110)
-    except OSError as error:
-        raise CalibrationError(f"{path}: {error.strerror}") from None
+    """Curves with points, residuals, and knees as a PNG."""
+    with picture(path, (1, 1, 1)) as (curve_axes, residual_axes, knee_axes):
+        _draw_curves(fit, curve_axes)
+        _draw_residuals(fit, residual_axes)
+        for number, knees in enumerate(_knees_pa(fit).T, 1):
+            knee_axes.plot(list(fit.curves), knees / 1e3, ".", label=f"knee {number}")
+        knee_axes.set(xlabel="node", ylabel="knee / kPa", title="where the slope changes")
 
 
 def _draw_curves(fit: SkinFit, axes: Any) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import TactileError
+from ..base.listing import listed
 from ..code.frame import FrameSpec
 from .clock_tracking import REBUILD, ClockTracker
 from .decorrelate import Decorrelator
@@ -112,8 +113,7 @@ class ClockKeeper:
             return self.decorrelator
         problem: str | None = None
         if missing := (np.flatnonzero(~clocks.known) + 1).tolist():
-            numbers = ", ".join(map(str, missing[:10])) + (", …" if len(missing) > 10 else "")
-            problem = f"not heard alone in the roll call: nodes {numbers}"
+            problem = f"not heard alone in the roll call: {listed(missing, 'node')}"
         self._tracker = ClockTracker(clocks)
         if needs_decorrelation(self._spec, clocks):
             return self._build(clocks, problem)

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 
 from ..base.errors import LayoutError
+from ..base.listing import listed
 from ..base.plain_text import plain
 from ..config.parameters import BY_NAME, Values, read_file
 from ..places.layout import Layout
 from ..places.layout_file import read_layout
-from ..places.layout_nodes import Wiring, listed
+from ..places.layout_nodes import Wiring
 from .layout_picture import draw_layout
 
 
@@ -65,7 +66,7 @@ def describe_layout(layout: Layout) -> str:
     ]
     for what, nodes in (("masked", layout.masked), ("without a place", layout.unplaced)):
         if nodes:
-            lines.append(f"{what}: {listed(nodes)}")
+            lines.append(f"{what}: {listed(nodes, 'node')}")
     if alone := np.flatnonzero(real)[beside == 0].tolist():
-        lines.append(f"taxels without a neighbour: {alone[:10]}")
+        lines.append(f"taxels without a neighbour: {listed(alone)}")
     return "\n".join(lines)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Arguments that several commands share: those that describe the skin."""
+"""Command-line arguments that several commands share: those that describe the skin."""
 
 from __future__ import annotations
 
@@ -32,14 +32,12 @@ def add_skin_options(
     parser: argparse.ArgumentParser,
     default: str = "what a raw capture says, else the driver's; amplitude: learnt",
 ) -> None:
-    """The parameters of the skin as options; default: where those come from that are not given."""
+    """Add the skin's parameters as options; default: help text on where missing ones come from."""
     group = parser.add_argument_group(f"the skin (default: {default})")
     group.add_argument("--params", type=Path, metavar="FILE", help="ROS 2 parameter file")
     for option, name in _SKIN_OPTIONS.items():
         parameter = BY_NAME[name]
-        unit = f" [{parameter.unit}]" if parameter.unit else ""
-        kind = type(parameter.default)
-        text = f"{parameter.text}{unit}".replace("%", "%%")  # argparse formats it
+        kind, text = type(parameter.default), parameter.description.replace("%", "%%")
         group.add_argument(option, type=kind, dest=name, help=text)
     group.add_argument(
         "--natural-signs",
@@ -58,16 +56,16 @@ def given(arguments: argparse.Namespace) -> dict[str, Value]:
 
 
 def positive(text: str) -> float:
-    """A number above 0; as a time in s, one that threads can wait for."""
+    """Parse a number above 0 that, as a time in s, a thread can wait for."""
     value = float(text)
     if not 0 < value <= threading.TIMEOUT_MAX:
-        raise argparse.ArgumentTypeError(f"{text} is no number above 0")
+        raise argparse.ArgumentTypeError(f"{text} is not a number above 0")
     return value
 
 
 def finite(text: str) -> float:
-    """A number that is one."""
+    """Parse a finite number."""
     value = float(text)
     if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text} is no finite number")
+        raise argparse.ArgumentTypeError(f"{text} is not a finite number")
     return value

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Every user-visible parameter, once: name, default, limits, unit, meaning.
+"""The table of all user-visible parameters: name, default, meaning, unit, limits.
 
-The ROS node declares its parameters from this table, the command line takes its defaults from it,
-and the parameter file is read against it.
+The ROS node declares its parameters from this table, the command line takes defaults and help texts
+from it, and parameter files are checked against it. docs/parameters.md is generated from it.
 """
 
 from __future__ import annotations
@@ -24,22 +24,23 @@ from ..code.frame import BIPOLAR, DEFAULT_AMPLITUDE_V, UNIPOLAR
 
 Value = bool | int | float | str | tuple[float, ...]
 Values = Mapping[str, Any]
-"""Values by name, each of its parameter's type."""
+"""Values by parameter name, each in its parameter's type."""
 NATURAL_SIGNS = -1
+"""sign_seed for rows without sign changes."""
 SIMULATION = "sim://"
-"""Beginning of the ports that are simulated skins."""
+"""Prefix of ports that are simulated skins."""
 REPLAY = "replay://"
-"""Beginning of the ports that are recordings."""
+"""Prefix of ports that are recordings."""
 LINE, GAP = "line", "gap"
 STANDARD_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides")
-"""Beginnings of the names of parameters that every ROS 2 node has."""
+"""Name prefixes of the parameters that every ROS 2 node has."""
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
     """One parameter. limits are inclusive; live parameters may change while the node is active.
 
-    Where the default is a tuple, values are as long as it is, and limits hold for every element.
+    If the default is a tuple, values have its length and limits apply to every element.
     """
 
     name: str
@@ -50,10 +51,15 @@ class Parameter:
     choices: tuple[Value, ...] = ()
     live: bool = False
 
-    def check(self, value: object) -> Value:
-        """The value in this parameter's type.
+    @property
+    def description(self) -> str:
+        """The text with the unit."""
+        return self.text + (f" [{self.unit}]" if self.unit else "")
 
-        Raises ParameterError, naming the value, the limit and the unit.
+    def check(self, value: object) -> Value:
+        """Return the value in this parameter's type.
+
+        Raises ParameterError, which names the value, the limit and the unit.
         """
         kind = type(self.default)
         if kind is float and type(value) is int:
@@ -110,216 +116,113 @@ _KIND_NAMES = {
     tuple: "a list of numbers",
 }
 
+# fmt: off
 PARAMETERS: tuple[Parameter, ...] = (
-    Parameter(
-        "port",
-        SIMULATION,
-        "of the digitizer: /dev/ttyACM0, usb://SERIAL or any pyserial URL: sim://?scene=hand, …",
-    ),
-    Parameter(
-        "digitizer_id",
-        "",
-        "another digitizer than this is refused: its id, in quotes, from tactile-cdma ports; "
-        "empty: any",
-    ),
+    Parameter("port", SIMULATION,
+        "port of the digitizer: /dev/ttyACM0, usb://SERIAL, sim://?scene=hand, replay://FILE or "
+        "another pyserial URL"),
+    Parameter("digitizer_id", "",
+        "accept only the digitizer with this id (in quotes; tactile-cdma ports lists ids); "
+        "empty: any"),
     Parameter("baud", 2_000_000, "baud rate; USB ports ignore it", "baud", (1_200, 20_000_000)),
-    Parameter("nodes", 16, "sensing nodes on the wire", "", (1, 65_535)),
-    Parameter("bits", 10, "word length of a node's ADC", "bit", (8, 16)),
-    Parameter("parity", False, "every word is followed by a bit that makes its ones even"),
-    Parameter("chip_us", 50.0, "pulse length: duration of one chip", "µs", (0.01, 1e6)),
-    Parameter("frame_period_ms", 12.8, "from one frame's start to the next", "ms", (0.01, 1e5)),
-    Parameter(
-        "order",
-        0,
-        "code order (chips per bit); 0: the smallest that fits, or a bit more if that is faster",
-        "",
-        (0, 65_536),
-    ),
+    Parameter("nodes", 16, "number of sensing nodes on the wire", "", (1, 65_535)),
+    Parameter("bits", 10, "word length: resolution of the nodes' ADC", "bit", (8, 16)),
+    Parameter("parity", False, "each word is followed by an even-parity bit"),
+    Parameter("chip_us", 50.0, "duration of one chip", "µs", (0.01, 1e6)),
+    Parameter("frame_period_ms", 12.8, "time from frame start to frame start", "ms", (0.01, 1e5)),
+    Parameter("order", 0,
+        "code order (chips per bit); 0: the smallest possible, or one slightly larger if it is "
+        "faster to decode", "", (0, 65_536)),
     Parameter("first_row", 1, "code row of node 1; the paper uses 0", "", (0, 65_535)),
-    Parameter(
-        "sign_seed",
-        1,
-        "seed of the row signs; -1: natural signs, as in the paper",
-        "",
-        (-1, 2**32 - 1),
-    ),
-    Parameter(
-        "resync_chips",
-        0,
-        "nodes start anew at a sync edge every so many chips; 0: at the frame's start only",
-        "",
-        (0, 65_535),
-    ),
+    Parameter("sign_seed", 1,
+        "seed of the random row signs; -1: natural signs, as in the paper", "", (-1, 2**32 - 1)),
+    Parameter("resync_chips", 0,
+        "chips between the sync edges at which nodes restart their chip timers; 0: at the "
+        "frame's start only", "", (0, 65_535)),
     Parameter("guard_chips", 0, "pause before each such restart, in chips", "", (0, 255)),
-    Parameter("drive", BIPOLAR, "a node's chip is ±A or 0/A", choices=(BIPOLAR, UNIPOLAR)),
-    Parameter("polarity", 1, "-1 where the amplifier inverts", choices=(1, -1)),
-    Parameter(
-        "amplitude_mv",
-        DEFAULT_AMPLITUDE_V * 1e3,
-        "level A of one node on the digitized line; 0: learnt from every frame",
-        "mV",
-        (0.0, 1e5),
-    ),
-    Parameter(
-        "timing",
-        LINE,
-        "frame starts: marked by the digitizer, or found in the waveform",
-        choices=(LINE, GAP),
-    ),
-    Parameter(
-        "samples_per_chip", 4, "asked of the digitizer; 1: it sends one mean per chip", "", (1, 256)
-    ),
-    Parameter(
-        "roll_call",
-        False,
-        "nodes have clocks of their own: measure these at the start, one node after the other",
-    ),
-    Parameter(
-        "vref_v", 3.3, "reference of the nodes' ADC: V = code·vref/2^bits", "V", (0.1, 100.0)
-    ),
-    Parameter("v0_v", 3.3, "sensor voltage without pressure", "V", (0.01, 100.0)),
+    Parameter("drive", BIPOLAR,
+        "levels of a node's chips: ±A (bipolar) or 0 and A (unipolar)",
+        choices=(BIPOLAR, UNIPOLAR)),
+    Parameter("polarity", 1, "-1 if the amplifier inverts", choices=(1, -1)),
+    Parameter("amplitude_mv", DEFAULT_AMPLITUDE_V * 1e3,
+        "level A of one node at the digitizer; 0: estimated from every frame", "mV", (0.0, 1e5)),
+    Parameter("timing", LINE,
+        "how frame starts are found: by sync edges that the digitizer reports (line), or by the "
+        "pauses between frames (gap)", choices=(LINE, GAP)),
+    Parameter("samples_per_chip", 4,
+        "samples per chip requested from the digitizer; 1: it sends the mean of each chip",
+        "", (1, 256)),
+    Parameter("roll_call", False,
+        "for nodes with clocks of their own: at start each node transmits alone once, and its "
+        "delay and clock error are measured"),
+    Parameter("vref_v", 3.3,
+        "reference of the nodes' ADC: V = code·vref/2^bits", "V", (0.1, 100.0)),
+    Parameter("v0_v", 3.3, "sensor voltage at zero pressure", "V", (0.01, 100.0)),
     Parameter("knee_kpa", 50.0, "end of the sensor's first stage", "kPa", (0.001, 1e5)),
     Parameter("range_kpa", 140.0, "end of the sensor's second stage", "kPa", (0.001, 1e5)),
-    Parameter(
-        "sensitivity1_v_per_kpa", 0.033, "fall of voltage, first stage", "V/kPa", (1e-6, 100.0)
-    ),
-    Parameter(
-        "sensitivity2_v_per_kpa", 0.0059, "fall of voltage, second stage", "V/kPa", (1e-6, 100.0)
-    ),
-    Parameter(
-        "threshold",
-        0.5,
-        "a node spoke where its amplitude exceeds this share of amplitude_mv",
-        "",
-        (0.1, 0.9),
-        live=True,
-    ),
-    Parameter(
-        "stale_after_s",
-        3.0,
-        "a node silent for longer is stale (pressure NaN)",
-        "s",
-        (0.1, 86_400.0),
-        live=True,
-    ),
-    Parameter(
-        "skin",
-        "",
-        "name of this very skin; files made for another one are refused; empty: not checked",
-    ),
-    Parameter(
-        "calibration_file",
-        "",
-        "curves of the single taxels, from tactile-cdma calibrate; set it again to read it again; "
-        "empty: the curve above for all",
-        live=True,
-    ),
-    Parameter(
-        "compensation",
-        False,
-        "undo hysteresis and lag as the calibration file describes them",
-        live=True,
-    ),
-    Parameter(
-        "drift_pa_per_min",
-        60.0,
-        "fastest drift of a taxel at rest that is followed; 0: none",
-        "Pa/min",
-        (0.0, 1e5),
-        live=True,
-    ),
-    Parameter(
-        "state_folder",
-        "",
-        "where tare and drift are kept; empty: $ROS_HOME/tactile_cdma, ~/.ros/tactile_cdma",
-    ),
-    Parameter(
-        "contact_kpa",
-        1.0,
-        "a contact begins where a taxel exceeds this",
-        "kPa",
-        (0.01, 1e5),
-        live=True,
-    ),
-    Parameter(
-        "release_kpa",
-        0.5,
-        "and takes in the taxels beside it that exceed this, until none does",
-        "kPa",
-        (0.01, 1e5),
-        live=True,
-    ),
-    Parameter(
-        "layout_file",
-        "",
-        "places of the taxels, for skins that are no flat grid; empty: rows, columns, pitch_mm",
-    ),
-    Parameter("rows", 0, "taxel rows of the skin; 0: as square as fits", "", (0, 4_096)),
-    Parameter("columns", 0, "taxel columns of the skin; 0: as square as fits", "", (0, 4_096)),
-    Parameter("pitch_mm", 7.0, "distance of neighbouring taxels", "mm", (0.01, 1_000.0)),
+    Parameter("sensitivity1_v_per_kpa", 0.033,
+        "voltage drop per pressure in the first stage", "V/kPa", (1e-6, 100.0)),
+    Parameter("sensitivity2_v_per_kpa", 0.0059,
+        "voltage drop per pressure in the second stage", "V/kPa", (1e-6, 100.0)),
+    Parameter("threshold", 0.5,
+        "a node is active if its amplitude exceeds this fraction of amplitude_mv",
+        "", (0.1, 0.9), live=True),
+    Parameter("stale_after_s", 3.0,
+        "a node silent for longer is stale (pressure NaN)", "s", (0.1, 86_400.0), live=True),
+    Parameter("skin", "",
+        "name of this individual skin; files made for another skin are refused; empty: not "
+        "checked"),
+    Parameter("calibration_file", "",
+        "curves of individual taxels, from tactile-cdma calibrate; setting it again, even to "
+        "the same path, reads the file again; empty: the two-stage curve for all", live=True),
+    Parameter("compensation", False,
+        "undo hysteresis and lag as described by the calibration file", live=True),
+    Parameter("drift_pa_per_min", 60.0,
+        "fastest drift of a taxel at rest that is followed; 0: drift is not followed",
+        "Pa/min", (0.0, 1e5), live=True),
+    Parameter("state_folder", "",
+        "folder for saved tare and drift; empty: $ROS_HOME/tactile_cdma, else "
+        "~/.ros/tactile_cdma"),
+    Parameter("contact_kpa", 1.0,
+        "a contact starts at a taxel above this", "kPa", (0.01, 1e5), live=True),
+    Parameter("release_kpa", 0.5,
+        "a contact extends over adjacent taxels above this", "kPa", (0.01, 1e5), live=True),
+    Parameter("layout_file", "",
+        "taxel positions, for skins other than a flat grid; empty: rows, columns, pitch_mm"),
+    Parameter("rows", 0, "taxel rows; 0: as square as possible", "", (0, 4_096)),
+    Parameter("columns", 0, "taxel columns; 0: as square as possible", "", (0, 4_096)),
+    Parameter("pitch_mm", 7.0, "distance between neighbouring taxels", "mm", (0.01, 1_000.0)),
     Parameter("taxel_mm", 5.5, "edge length of a taxel's sensing area", "mm", (0.01, 1_000.0)),
     Parameter("frame_id", "skin", "tf frame of the skin"),
-    Parameter(
-        "parent_frame",
-        "",
-        "tf frame that the skin is mounted on; empty: somebody else says where it is",
-    ),
-    Parameter(
-        "mount_xyz_m",
-        (0.0, 0.0, 0.0),
-        "place of frame_id in parent_frame",
-        "m",
-        (-1e3, 1e3),
-        live=True,
-    ),
-    Parameter(
-        "mount_rpy_rad",
-        (0.0, 0.0, 0.0),
-        "its roll, pitch and yaw, as in URDF",
-        "rad",
-        (-10.0, 10.0),
-        live=True,
-    ),
+    Parameter("parent_frame", "",
+        "tf frame that the skin is mounted on; empty: the driver publishes no transform"),
+    Parameter("mount_xyz_m", (0.0, 0.0, 0.0),
+        "position of frame_id in parent_frame", "m", (-1e3, 1e3), live=True),
+    Parameter("mount_rpy_rad", (0.0, 0.0, 0.0),
+        "orientation of frame_id in parent_frame: roll, pitch, yaw, as in URDF",
+        "rad", (-10.0, 10.0), live=True),
     Parameter("publish_voltage", False, "also fill TactileArray.voltage", live=True),
-    Parameter(
-        "idle_rate_hz",
-        0.0,
-        "frames in which no node spoke are published at most so often; 0: all are",
-        "Hz",
-        (0.0, 1e5),
-        live=True,
-    ),
-    Parameter(
-        "visual_rate_hz",
-        30.0,
-        "most pictures per second",
-        "Hz",
-        (0.1, 30.0),
-        live=True,
-    ),
-    Parameter(
-        "colour_max_kpa",
-        140.0,
-        "pressure at the top of the colour scale",
-        "kPa",
-        (0.1, 1e5),
-        live=True,
-    ),
-    Parameter(
-        "heatmap_pixels", 16, "edge length of a taxel in the heatmap", "px", (1, 256), live=True
-    ),
-    Parameter("autostart", True, "configure and activate without being asked"),
+    Parameter("idle_rate_hz", 0.0,
+        "maximum rate of frames in which no node is active; 0: every frame is published",
+        "Hz", (0.0, 1e5), live=True),
+    Parameter("visual_rate_hz", 30.0, "maximum rate of pictures", "Hz", (0.1, 30.0), live=True),
+    Parameter("colour_max_kpa", 140.0,
+        "pressure at the top of the colour scale", "kPa", (0.1, 1e5), live=True),
+    Parameter("heatmap_pixels", 16,
+        "edge length of a taxel in the heatmap", "px", (1, 256), live=True),
+    Parameter("autostart", True, "configure and activate when the node starts"),
 )
+# fmt: on
 BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
 
 
 def _shown(value: object) -> str:
-    """A value in a message: somebody may send a megabyte."""
+    """A value for a message, cut to a short length: a client may send a megabyte."""
     return reprlib.repr(list(value) if isinstance(value, array | tuple) else value)
 
 
 def check_values(values: Mapping[str, object]) -> dict[str, Value]:
-    """Every value in its parameter's type; raises ParameterError for a bad name or value."""
+    """Convert values to their parameters' types; raises ParameterError for a bad name or value."""
     for name in values:
         if name not in BY_NAME:
             raise ParameterError(unknown(name, BY_NAME))
@@ -327,15 +230,15 @@ def check_values(values: Mapping[str, object]) -> dict[str, Value]:
 
 
 def unknown(name: str, known: Iterable[str]) -> str:
-    """What to say of a name that isn't there."""
+    """The message for an unknown name, with the closest known one."""
     close = difflib.get_close_matches(name, list(known), n=1)
     return f"unknown parameter {name!r}" + (f"; did you mean {close[0]!r}?" if close else "")
 
 
 def read_file(path: Path) -> dict[str, Value]:
-    """Values of a ROS 2 parameter file (every node's `ros__parameters` merged in file order).
+    """Read a ROS 2 parameter file; every node's `ros__parameters` are merged in file order.
 
-    Raises ParameterError, naming file and line, for anything that is not such a file.
+    Raises ParameterError, which names file and line, if it is no such file or a value is wrong.
     """
     file = read_marked(path, ParameterError)
     sections = list(_sections(file))
@@ -366,11 +269,11 @@ def _checked(name: str, value: Marked) -> Value:
 
 
 def _typed(value: Marked) -> object:
-    """A value in the type that ROS 2's reader of such files takes it for."""
+    """A value in the type that ROS 2's own reader of parameter files gives it."""
     if isinstance(value.content, list):
         return [_typed(item) for item in value.content]
     if isinstance(value.content, dict):
-        raise value.refuse("keys with values, where one value must be")
+        raise value.refuse("keys with values where a single value is expected")
     text = value.content
     if value.quoted:
         return text

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import PortError
+from ..base.listing import listed
 from ..code.frame import UNIPOLAR
 from ..config.skin_config import SkinConfig
 from ..driver.checkup import CLIPPED_SHARE, decibels
 from ..driver.pipeline import Pipeline, TactileFrame
-from ..places.layout_nodes import listed
 from ..wire.messages import Status
 from ..wire.packets import PacketParser
 from ..words.decode import DOUBLE_SHARE, FAINT_SHARE, LOW_MARGIN, LOW_RHO
@@ -250,4 +250,4 @@ def _nodes(heard: Heard, typical_v: float) -> Iterator[Check]:
 
 
 def _numbers(mask: NDArray[np.bool_]) -> str:
-    return listed((np.flatnonzero(mask) + 1).tolist())
+    return listed((np.flatnonzero(mask) + 1).tolist(), "node")

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..places.layout_nodes import listed
+from ..base.listing import listed
 from ..words.decode import LOW_RHO
 from ..words.health import NodeState
 from .findings import Finding, Level
@@ -138,25 +138,28 @@ def nodes(pipeline: Pipeline, stuck: list[int], window: Window) -> Iterator[Find
         yield Finding(
             "dead",
             Level.WARN,
-            f"never heard: {listed(dead)}; check supply and wiring, or mask them in the layout",
+            f"never heard: {listed(dead, 'node')}; check supply and wiring, or mask them in the "
+            "layout",
             event=True,
         )
     if stale:
         yield Finding(
             "stale",
             Level.WARN,
-            f"fell silent: {listed(stale)}; check supply and wiring; stale_after_s must be longer "
-            "than the nodes' heartbeat",
+            f"fell silent: {listed(stale, 'node')}; check supply and wiring; stale_after_s must "
+            "be longer than the nodes' heartbeat",
             event=True,
         )
     for state, problem in _PROBLEMS_OF_NODES.items():
         if numbers := pipeline.health.nodes(state):
-            yield Finding(state.name, Level.WARN, problem.format(listed(numbers)), event=True)
+            text = problem.format(listed(numbers, "node"))
+            yield Finding(state.name, Level.WARN, text, event=True)
     if stuck:
         yield Finding(
             "stuck",
             Level.WARN,
-            f"do not move while all around them do: {listed(stuck)}; check sensor and converter",
+            f"do not move while all around them do: {listed(stuck, 'node')}; check sensor and "
+            "converter",
             event=True,
         )
     node, rho = weakest(pipeline, window)
@@ -169,7 +172,7 @@ def nodes(pipeline: Pipeline, stuck: list[int], window: Window) -> Iterator[Find
             "amplitude",
         )
     if clocks is not None and clocks.unresolved:
-        text = f"clocks leave nodes not told apart: {listed(clocks.unresolved)}"
+        text = f"clocks leave nodes not told apart: {listed(clocks.unresolved, 'node')}"
         yield Finding("unresolved", Level.WARN, text)
     if clocks is not None and clocks.problem:
         yield Finding("clocks", Level.WARN, clocks.problem)
@@ -244,7 +247,7 @@ def _below_rest(pipeline: Pipeline, latest: TactileFrame | None) -> str | None:
     below = np.flatnonzero(pressure_pa < -pipeline.config.rest.contact_pa)
     if not len(below):
         return None
-    numbers = listed(np.sort(layout.nodes[below]).tolist())
+    numbers = listed(np.sort(layout.nodes[below]).tolist(), "node")
     return (
         f"up to {-pressure_pa[below].min() / 1e3:.1f} kPa less than nothing: {numbers}; "
         "tare while nothing touches the skin"

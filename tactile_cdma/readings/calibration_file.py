@@ -18,6 +18,7 @@ import numpy as np
 import yaml
 
 from ..base.errors import CalibrationError, SpecError
+from ..base.listing import listed
 from ..base.marked_yaml import Mapping, Marked, read_marked
 from ..base.whole_file import replace_file
 from .calibration import AdcScale, Calibration, PressureCurve
@@ -304,24 +305,17 @@ def _source(made: Marked) -> str:
 
 def _check_complete(root: Mapping, content: CalibrationContent) -> None:
     """Every node has a curve or is said to have none."""
-    listed: set[int] = set()
+    without: set[int] = set()
     for item in root["uncalibrated"].items("uncalibrated"):
         node = item.whole("a node's number", 1, content.nodes)
-        if node in listed or node in content.curves:
-            where = "listed twice" if node in listed else "uncalibrated, but has a curve"
+        if node in without or node in content.curves:
+            where = "listed twice" if node in without else "uncalibrated, but has a curve"
             raise item.refuse(f"node {node} is {where}")
-        listed.add(node)
-    if missing := [node for node in content.uncalibrated if node not in listed]:
+        without.add(node)
+    if missing := [node for node in content.uncalibrated if node not in without]:
         raise root["curves"].refuse(
-            f"no curve for {numbers(missing)}; calibrate them, or list them as uncalibrated"
+            f"no curve for {listed(missing, 'node')}; calibrate them, or list them as uncalibrated"
         )
-
-
-def numbers(nodes: list[int], most: int = 10) -> str:
-    """Nodes in a sentence: "node 3", "nodes 3, 4, 9 and 12 more"."""
-    shown = ", ".join(map(str, nodes[:most]))
-    more = f" and {len(nodes) - most} more" if len(nodes) > most else ""
-    return f"node{'s' if len(nodes) > 1 else ''} {shown}{more}"
 
 
 def _rounded(curve: PressureCurve) -> PressureCurve:

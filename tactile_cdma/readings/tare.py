@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import RestError
+from ..base.listing import listed
 from ..places.layout import Layout
 from .baseline import LOOK_S, LOOKS, Baseline
 from .calibration import Curves
@@ -67,12 +68,9 @@ def _refuse_early(numbers: NDArray[np.intp]) -> None:
     """Raises RestError where there are nodes, which would be left with another zero."""
     if not len(numbers):
         return
-    names = ", ".join(map(str, numbers[:_MOST_NAMES]))
-    if len(numbers) > _MOST_NAMES:
-        names += f", … {len(numbers)} in all"
     raise RestError(
-        f"not tared: not yet heard for {LOOKS * LOOK_S:g} s: nodes {names}; try again, or tare the "
-        "others with force: true"
+        f"not tared: not yet heard for {LOOKS * LOOK_S:g} s: {listed(numbers.tolist(), 'node')}; "
+        "try again, or tare the others with force: true"
     )
 
 
@@ -88,10 +86,12 @@ def _refuse(
     if not len(numbers):
         return
     numbers = numbers[np.argsort(-pressure_pa[numbers], kind="stable")]
-    names = [f"{_name(i, layout)} {pressure_pa[i] / 1e3:.2f} kPa" for i in numbers[:_MOST_NAMES]]
-    if len(numbers) > _MOST_NAMES:
-        names.append(f"… {len(numbers)} in all")
-    raise RestError(f"not tared, {state}: {', '.join(names)}; {remedy}")
+    names = listed(
+        numbers.tolist(),
+        most=_MOST_NAMES,
+        show=lambda i: f"{_name(i, layout)} {pressure_pa[i] / 1e3:.2f} kPa",
+    )
+    raise RestError(f"not tared, {state}: {names}; {remedy}")
 
 
 def _name(index: int, layout: Layout) -> str:

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 from conftest import CORE, FIRMWARE, SANITIZE, STRICT, need, run
 
-from torture.commands.c_fuzzing import BUILD, CORPUS, best_kind, build, fuzz, harnesses
+from torture.commands.c_fuzzing import BUILD, best_kind, build, fuzz, harnesses
+from torture.fuzz import corpus
 
 SECONDS, HANG_S = 20, 30
 DEFECTS = {  # file; what is there; what is there instead; what must be found
@@ -40,10 +41,9 @@ def test_kept_cases_and_mutants_of_them(name: str) -> None:
     """By any compiler: where there is no clang, too."""
     need("cc")
     build("fuzz-standalone")
-    program, corpus = BUILD / "fuzz" / "standalone" / name, CORPUS / f"firmware_{name}"
-    found = fuzz(program, "standalone", corpus, 200, 1, SECONDS, HANG_S)
+    found = fuzz(BUILD / "fuzz" / "standalone" / name, "standalone", 200, 1, SECONDS, HANG_S)
     assert (found.fault, found.said) == ("", "")
-    assert found.inputs == 200 + len(list(corpus.iterdir()))
+    assert found.inputs == 200 + len(corpus.read(f"firmware_{name}")) > 200
 
 
 @pytest.mark.parametrize("name", harnesses())
@@ -51,8 +51,7 @@ def test_a_slice_of_what_libfuzzer_tries(name: str) -> None:
     if best_kind() != "libfuzzer":
         pytest.skip("no libFuzzer on this machine: the core is not fuzzed with it")
     build("fuzz-libfuzzer")
-    program, corpus = BUILD / "fuzz" / "libfuzzer" / name, CORPUS / f"firmware_{name}"
-    found = fuzz(program, "libfuzzer", corpus, 500, 1, SECONDS, HANG_S)
+    found = fuzz(BUILD / "fuzz" / "libfuzzer" / name, "libfuzzer", 500, 1, SECONDS, HANG_S)
     assert (found.fault, found.said) == ("", "")
     assert found.inputs > 0
 
@@ -68,5 +67,5 @@ def test_a_planted_defect_is_found(defect: str, tmp_path: Path) -> None:
     program = tmp_path / "framing"
     sources = [*own, *sound, tmp_path / file]
     run(need("cc"), *STRICT, "-I", FIRMWARE / "fuzz", "-g", *SANITIZE, *sources, "-o", program)
-    found = fuzz(program, "standalone", CORPUS / "firmware_framing", 1000, 1, 2, 2)
+    found = fuzz(program, "standalone", 1000, 1, 2, 2)
     assert found.fault == fault, found.said

@@ -2,8 +2,8 @@
 
 """Builds and runs the harnesses of firmware/fuzz, and tells what they found.
 
-With clang, libFuzzer looks for inputs that reach new code; without it, mutants of the kept cases
-are run, which finds much less.
+With clang, libFuzzer searches for inputs that reach new code. Without clang, the kept inputs and
+mutants of them are run, which finds much less.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Literal
 
+from ..fuzz import corpus
+
 ROOT = Path(__file__).resolve().parents[2]
 FIRMWARE = ROOT / "firmware"
-CORPUS = ROOT / "test" / "corpus"
 BUILD = FIRMWARE / "build"
 SIMAVR = Path("/usr/include/simavr/sim_avr.h")
 BUILD_S = 300
@@ -62,19 +63,18 @@ def build(target: str) -> None:
         raise RuntimeError(f"make -C firmware {target}: {done.stderr}")
 
 
-def fuzz(
-    program: Path, kind: Kind, corpus: Path, count: int, seed: int, seconds: float, hang_s: int
-) -> Fuzzed:
-    """Runs the cases of a corpus and `count` inputs like them, for about so long at most.
+def fuzz(program: Path, kind: Kind, count: int, seed: int, seconds: float, hang_s: int) -> Fuzzed:
+    """Run a harness on its kept inputs and `count` new ones, for about `seconds` at most.
 
-    An input that takes hang_s is a hang.
+    program: the harness; its file name is that of the target. An input that takes hang_s is a hang.
     """
     command = [str(program), f"-runs={count}", f"-seed={seed}", f"-max_total_time={seconds:.0f}"]
-    with TemporaryDirectory() as new:
+    with TemporaryDirectory() as kept, TemporaryDirectory() as new:
+        corpus.unpack(f"firmware_{program.name}", Path(kept))
         if kind == "libfuzzer":
             command += [f"-timeout={hang_s}", "-print_final_stats=1"]
             command += [f"-artifact_prefix={new}/", new]
-        command.append(str(corpus))
+        command.append(kept)
         try:
             done = subprocess.run(
                 command, capture_output=True, text=True, errors="replace", timeout=seconds + hang_s

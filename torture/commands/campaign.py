@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ..outcome import Outcome, Plan
 from .both_languages import same_answers, same_samples
-from .c_fuzzing import BUILD, CORPUS, Fuzzed, Kind, best_kind, build, fuzz, harnesses
+from .c_fuzzing import BUILD, Fuzzed, Kind, best_kind, build, fuzz, harnesses
 from .sync_storms import storms
 
 WHAT = {
@@ -48,9 +48,8 @@ def run(plan: Plan) -> Iterator[Outcome]:
 def fuzzed(program: Path, kind: Kind, plan: Plan) -> Outcome:
     """What a harness finds in its slice."""
     name, length = program.name, 0 if plan.quick else 1
-    corpus = CORPUS / f"firmware_{name}"
     limits = (COUNTS[name][length], plan.seed, MOST_S[length], HANG_S[length])
-    return outcome(WHAT[name], kind, fuzz(program, kind, corpus, *limits))
+    return outcome(WHAT[name], kind, fuzz(program, kind, *limits))
 
 
 def outcome(what: str, kind: Kind, found: Fuzzed) -> Outcome:

@@ -68,8 +68,8 @@ def body_setup(node: Node) -> BodySetup:
 
 def declared(node: Node, parameter: Parameter) -> Any:
     """The value of a parameter, which is fixed from the node's start on; raises ParameterError."""
-    text = parameter.text + (f" [{parameter.unit}]" if parameter.unit else "")
-    return parameter.check(_declare(node, parameter.name, parameter.default, text))
+    default = parameter.default
+    return parameter.check(_declare(node, parameter.name, default, parameter.description))
 
 
 def _declare(node: Node, name: str, default: Value | list[str], text: str) -> object:

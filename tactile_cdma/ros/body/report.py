@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from ..common.convert import diagnostic, listed
+from ...base.listing import listed
+from ..common.convert import diagnostic
 
 CLOCKS_APART_S = 0.5
 """What no transport makes of stamps."""

@@ -150,15 +150,6 @@ def diagnostic(
     )
 
 
-def listed(items: Sequence[object]) -> str:
-    """Node numbers, and the like, for people: not thousands of them."""
-    text = ", ".join(map(str, items[:_MOST_LISTED]))
-    return f"{text}, … {len(items)} in all" if len(items) > _MOST_LISTED else text
-
-
-_MOST_LISTED = 20
-
-
 def stamp(nanoseconds: int) -> Time:
     """A ROS time stamp."""
     return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from ...base.listing import listed
 from ...driver import checkup
 from ...driver.driver import WAITING, Driver
 from ...driver.findings import Finding, Level, Settling, worst
@@ -17,7 +18,7 @@ from ...driver.pipeline import Pipeline, TactileFrame
 from ...driver.vitals import Window
 from ...wire.identity import shown_id
 from ...words.health import NodeState
-from ..common.convert import diagnostic, listed
+from ..common.convert import diagnostic
 
 STREAM, NODES, LINK, HOST = "stream", "nodes", "link", "host"
 ENTRIES = (STREAM, NODES, LINK, HOST)

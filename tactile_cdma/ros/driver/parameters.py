@@ -142,8 +142,7 @@ class NodeParameters:
 
 
 def _descriptor(parameter: Parameter, read_only: bool) -> ParameterDescriptor:
-    text = parameter.text + (f" [{parameter.unit}]" if parameter.unit else "")
-    descriptor = ParameterDescriptor(description=text, read_only=read_only)
+    descriptor = ParameterDescriptor(description=parameter.description, read_only=read_only)
     if parameter.choices:
         descriptor.additional_constraints = "one of " + ", ".join(map(str, parameter.choices))
     elif read_only:

@@ -20,7 +20,7 @@ from rclpy.utilities import remove_ros_args
 from tactile_cdma.msg import TactileContact, TactileContacts
 
 from ...base.interrupt import raise_when_told_to_end
-from ..common.convert import listed
+from ...base.listing import listed
 from ..common.qos import RELIABLE
 from .patches import NODE_NAME
 

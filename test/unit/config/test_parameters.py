@@ -166,6 +166,6 @@ def test_values_have_the_types_that_ros_reads(tmp_path: Path) -> None:
     }
 
 
-def test_the_table_in_the_readme_is_fresh() -> None:
+def test_the_table_in_the_documentation_is_up_to_date() -> None:
     command = [sys.executable, str(ROOT / "tools" / "parameter_table.py"), "--check"]
     assert subprocess.run(command, env={**os.environ, "PYTHONPATH": str(ROOT)}).returncode == 0

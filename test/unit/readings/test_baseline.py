@@ -137,7 +137,7 @@ def test_many_nodes_are_not_all_named() -> None:
     for look in range(LOOKS):
         taxels.chain.update(voltage_v, np.ones(12, bool), 0.125 * look)
     with pytest.raises(
-        RestError, match=r"node 1 \(taxel 0\).*node 8 .*… 12 in all; take"
+        RestError, match=r"node 1 \(taxel 0\).*node 8 [^,]* and 4 more; take"
     ) as refused:
         taxels.tare(1000.0)
     assert "node 9" not in str(refused.value)
@@ -184,7 +184,7 @@ def test_a_tare_waits_for_nodes_that_are_still_to_be_heard() -> None:
     assert patch.taxels.tare(1000.0) == [5]
     patch.mute = ()
     patch.read(SECOND // 2, 500.0)
-    with pytest.raises(RestError, match="not yet heard for 1 s: nodes 5;"):
+    with pytest.raises(RestError, match="not yet heard for 1 s: node 5;"):
         patch.taxels.tare(1000.0)
     assert patch.taxels.tare(1000.0, force=True) == [5]
     patch.read(SECOND, 500.0)

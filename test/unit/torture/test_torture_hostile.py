@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from tactile_cdma.base.errors import CaptureError
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.wire.packets import PacketParser
-from torture.fuzz import streams
+from torture.commands.c_fuzzing import FIRMWARE
+from torture.fuzz import corpus, streams
 from torture.fuzz.mutation import inputs
 from torture.fuzz.search import search
 from torture.fuzz.target import CRASH, SLOW, UNCOUNTED, WRONG, Target, trying
@@ -24,22 +25,39 @@ from torture.hostile import bombs, garbage
 from torture.hostile import campaign as hostile
 from torture.outcome import Plan
 
-CORPUS = Path(__file__).resolve().parents[2] / "corpus"
 QUICK = Plan(quick=True, seed=2)
 
 
 @pytest.mark.parametrize("name", TARGETS)
 def test_seeds_and_found_inputs_are_read_or_refused(name: str) -> None:
     target = TARGETS[name]
-    found = [path.read_bytes() for path in sorted((CORPUS / name).glob("*"))]
     with trying(target) as attempt:
-        for data in [*target.seeds().values(), *found]:
+        for data in [*target.seeds().values(), *corpus.read(name).values()]:
             assert attempt(data) is None
 
 
-def test_the_corpus_is_of_targets_that_there_are() -> None:
-    names = {path.name for path in CORPUS.iterdir() if not path.name.startswith("firmware_")}
-    assert names <= set(TARGETS)
+def test_every_corpus_belongs_to_a_target() -> None:
+    names = {path.stem for path in corpus.FOLDER.iterdir()}
+    assert {"line", "firmware_framing"} <= names
+    harnesses = FIRMWARE.glob("fuzz/fuzz_*.c")
+    assert names <= {*TARGETS, *(f"firmware_{path.stem[5:]}" for path in harnesses)}
+
+
+def test_inputs_are_kept_and_unpacked_as_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(corpus, "FOLDER", tmp_path)
+    inputs = {"empty": b"", "every_byte": bytes(range(256)), "text": b"a\n"}
+    files = [tmp_path / name for name in inputs]
+    for path, data in zip(files, inputs.values(), strict=True):
+        path.write_bytes(data)
+    assert corpus.read("new") == {}
+    corpus.add("new", files[2:])
+    corpus.add("new", files[:2])
+    assert corpus.read("new") == inputs
+    corpus.unpack("new", tmp_path / "unpacked")
+    unpacked = {path.name: path.read_bytes() for path in (tmp_path / "unpacked").iterdir()}
+    assert unpacked == inputs
 
 
 @pytest.mark.parametrize("name", TARGETS)

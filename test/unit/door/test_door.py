@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The public door: live frames, bytes to frames, errors, and the examples of its documents."""
+
+from __future__ import annotations
+
+import doctest
+import os
+import subprocess
+import sys
+import time
+from itertools import islice, pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tactile_cdma
+from tactile_cdma import Decoder, Frame, Skin, Status, read_recording
+from tactile_cdma.base.errors import ParameterError, PortError, RestError, SpecError
+from tactile_cdma.commands.cli import main
+
+pytestmark = pytest.mark.xdist_group("door")
+ROOT = Path(__file__).resolve().parents[3]
+IDLE = "sim://?scene=idle&heartbeat=2"  # every node speaks early, so that no taxel is awaited
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("door") / "touch.skin"
+    assert main(["record", "sim://?scene=moving&seed=3&speed=0", str(path), "--seconds", "2"]) == 0
+    return path
+
+
+def decoded(path: Path, chunk: int | None = None) -> list[Frame]:
+    decoder = Decoder(nodes=16)
+    data = b"".join(piece for piece, _ in read_recording(path))
+    step = chunk or len(data)
+    frames: list[Frame] = []
+    for start in range(0, len(data), step):
+        frames += decoder.feed(data[start : start + step], 0.0)
+    return frames + decoder.flush()
+
+
+def assert_same(some: list[Frame], others: list[Frame]) -> None:
+    """In all but the host's time."""
+    assert len(some) == len(others)
+    for one, other in zip(some, others, strict=True):
+        assert (one.sequence, one.t_device) == (other.sequence, other.t_device)
+        for name in ("pressure_pa", "voltage_v", "status", "active", "codes", "doubtful"):
+            assert np.array_equal(
+                getattr(one, name), getattr(other, name), equal_nan=name.endswith(("_pa", "_v"))
+            )
+
+
+def test_every_public_name_is_there_and_nothing_else_is_loaded_before() -> None:
+    probe = (
+        "import sys, tactile_cdma as t\n"
+        "assert 'numpy' not in sys.modules\n"
+        "print([getattr(t, name).__doc__ is not None for name in t.__all__])\n"
+        "print('rclpy' in sys.modules, set(t.__all__) <= set(dir(t)))\n"
+    )
+    answer = subprocess.run(
+        [sys.executable, "-c", probe], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert "False" not in answer.stdout.splitlines()[0]
+    assert answer.stdout.splitlines()[1] == "False True"
+    with pytest.raises(AttributeError, match="no attribute 'Skim'"):
+        _ = tactile_cdma.Skim  # type: ignore[attr-defined]
+
+
+def test_examples_of_the_docstrings_run() -> None:
+    result = doctest.testmod(sys.modules[Skin.__module__])
+    assert (result.failed, result.attempted > 3) == (0, True)
+
+
+def test_examples_of_the_page_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = ROOT / "docs" / "python.md"
+    text = page.read_text(encoding="utf-8").replace("```", "")
+    command = "tactile-cdma record 'sim://?speed=0' touch.skin --seconds 1"
+    assert command in text
+    (tmp_path / "config").symlink_to(ROOT / "config")
+    monkeypatch.chdir(tmp_path)
+    assert main(["record", "sim://?speed=0", "touch.skin", "--seconds", "1"]) == 0
+    test = doctest.DocTestParser().get_doctest(text, {}, page.name, str(page), 0)
+    results = doctest.DocTestRunner().run(test)
+    assert (results.failed, results.attempted > 8) == (0, True)
+
+
+def test_live_frames_come_in_order_with_all_that_a_program_wants() -> None:
+    with Skin("sim://?scene=all", nodes=16) as skin:
+        frames = list(islice(skin, 20))
+        assert skin.problem is None
+    assert all(after.sequence > before.sequence for before, after in pairwise(frames))
+    assert all(after.t_host > before.t_host for before, after in pairwise(frames))
+    last = frames[-1]
+    assert abs(time.monotonic() - last.t_host) < 5.0
+    assert last.positions_m.shape == (16, 3)
+    assert last.nodes.tolist() == list(range(1, 17))
+    assert last.active.any() and last.codes[last.active].min() > 0
+    assert np.isnan(last.pressure_pa).sum() == np.count_nonzero(last.status & Status.STALE)
+
+
+def test_any_split_of_the_bytes_gives_the_same_frames(recording: Path) -> None:
+    frames = decoded(recording)
+    assert len(frames) > 60
+    assert_same(decoded(recording, 1000), frames)
+    assert_same(decoded(recording, 211), frames)
+
+
+def test_a_replay_gives_every_frame_to_a_slow_program_and_ends(
+    recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tactile_cdma.skin.BUFFER_S", 0.1)
+    expected = decoded(recording)
+    with Skin(f"replay://{recording}?speed=0") as skin:
+        frames = []
+        for frame in skin:
+            frames.append(frame)
+            if len(frames) in (10, 50):
+                time.sleep(0.3)
+        assert skin.dropped == 0
+    # the last frame waits for what follows it: the driver's stream ends, it is not flushed
+    assert_same(frames, expected[: len(frames)])
+    assert len(frames) >= len(expected) - 1
+
+
+def test_a_slow_program_loses_the_oldest_frames_and_is_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("tactile_cdma.skin.BUFFER_S", 0.1)
+    with Skin("sim://", nodes=16) as skin:
+        first = skin.read()
+        deadline = time.monotonic() + 20
+        while skin.dropped == 0 and time.monotonic() < deadline:
+            time.sleep(0.05)
+        waiting, dropped = skin.read(), skin.dropped
+        newest = skin.newest()
+    assert dropped > 0
+    assert waiting.sequence > first.sequence + 1
+    assert newest.sequence > waiting.sequence
+
+
+def test_newest_is_never_the_same_frame_twice() -> None:
+    with Skin("sim://", nodes=16) as skin:
+        numbers = [skin.newest().sequence for _ in range(10)]
+    assert numbers == sorted(set(numbers))
+
+
+def test_tare_takes_off_what_a_resting_skin_reads_and_refuses_a_pressed_one() -> None:
+    with Skin(f"{IDLE}&mismatch=0.005", nodes=16) as skin:
+        tared = None
+        deadline = time.monotonic() + 30
+        while tared is None and time.monotonic() < deadline:
+            skin.newest()
+            try:
+                tared = skin.tare()
+            except RestError as error:
+                assert "not tared" in str(error)
+        assert tared is not None and tared.shape == (16,) and np.abs(tared).max() > 0
+        skin.newest()
+        assert np.nanmax(np.abs(skin.newest().pressure_pa)) < 500.0
+    with Skin("sim://?scene=press", nodes=16) as skin:
+        while np.nanmax(skin.newest().pressure_pa, initial=0.0) < 5e3:
+            pass
+        with pytest.raises(RestError, match="not tared"):
+            skin.tare()
+
+
+def test_a_replay_can_be_tared_while_it_waits_for_the_program(
+    recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The driver's thread waits for room among the frames, and must not keep the tare waiting."""
+    monkeypatch.setattr("tactile_cdma.skin.BUFFER_S", 0.05)
+    with Skin(f"replay://{recording}?speed=0") as skin:
+        for _ in range(90):  # 1 s, which a tare asks for
+            skin.read()
+        time.sleep(0.2)
+        assert skin.tare(force=True).shape == (16,)
+        assert len(list(skin)) > 20
+
+
+def test_wrong_parameters_are_refused_by_name_and_limit() -> None:
+    with pytest.raises(ParameterError, match="did you mean 'nodes'"):
+        Skin("sim://", node=16)
+    with pytest.raises(ParameterError, match=r"bits is 99 bit; it must lie within 8…16"):
+        Decoder(bits=99)
+    with pytest.raises(SpecError):
+        Skin("sim://", nodes=16, frame_period_ms=1.0)
+
+
+def test_a_port_that_is_none_and_one_that_says_nothing_are_told_apart(tmp_path: Path) -> None:
+    with pytest.raises(PortError, match="no such port"):
+        Skin(str(tmp_path / "ttyACM9")).open()
+    parent, child = os.openpty()
+    try:
+        with (
+            Skin(os.ttyname(child), timeout_s=0.5) as skin,
+            pytest.raises(PortError, match=r"no frame for 0\.5 s: "),
+        ):
+            skin.read()
+    finally:
+        os.close(parent)
+        os.close(child)
+
+
+def test_a_closed_skin_says_so_and_can_be_opened_again() -> None:
+    skin = Skin("sim://", nodes=16)
+    with pytest.raises(PortError, match="not open"):
+        skin.read()
+    for _ in range(2):
+        with skin:
+            assert skin.open() is skin
+            assert skin.read().pressure_pa.shape == (16,)
+    with pytest.raises(PortError, match="not open"):
+        skin.newest()

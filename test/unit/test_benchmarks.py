@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The report of a benchmark: where quick and full runs write."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from benchmarks import report
+
+
+class Figure:
+    """Stands in for matplotlib's."""
+
+    def savefig(self, path: Path, **_: object) -> None:
+        path.write_bytes(b"png")
+
+
+@pytest.mark.parametrize(
+    ("quick", "folder"), [(True, "build/benchmarks"), (False, "docs/img")], ids=["quick", "full"]
+)
+def test_quick_runs_write_nothing_that_is_tracked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick: bool, folder: str
+) -> None:
+    monkeypatch.setattr(report, "ROOT", tmp_path)
+    benchmark = report.Report("speed", "Run time", quick)
+    benchmark.table(["order", "us"], [[16, 1.5]])
+    benchmark.finish(Figure(), us_16=1.5)  # type: ignore[arg-type]
+    written = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*.*")}
+    assert written == {f"{folder}/speed.png", f"{folder}/speed.json"}
+    kept = json.loads((tmp_path / folder / "speed.json").read_text())
+    assert (kept["quick"], kept["results"]) == (quick, {"us_16": 1.5})
+
+
+def test_what_quick_runs_write_is_ignored_by_git() -> None:
+    root = Path(__file__).resolve().parents[2]
+    if not (root / ".git").exists():
+        pytest.skip("not a git checkout")
+    ignored = ["git", "-C", str(root), "check-ignore", "build/benchmarks/speed.png"]
+    assert subprocess.run(ignored, capture_output=True).returncode == 0

@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Reading ports: all that is there, in order, and a clear error when the other end goes."""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+import tty
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import FileIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactile_cdma.base.errors import PortError
+from tactile_cdma.wire.discovery import is_away
+from tactile_cdma.wire.messages import Start
+from tactile_cdma.wire.packets import PacketWriter
+from tactile_cdma.wire.port import HOST_GONE_S, READ_SIZE, Port
+
+
+@contextmanager
+def pty_port() -> Iterator[tuple[FileIO, Port]]:
+    host, device = os.openpty()
+    tty.setraw(device)
+    name = os.ttyname(device)
+    with os.fdopen(host, "wb", buffering=0) as file, Port(name, 115_200) as port:
+        os.close(device)
+        yield file, port
+
+
+@contextmanager
+def socket_port() -> Iterator[tuple[socket.socket, Port]]:
+    with (
+        socket.create_server(("127.0.0.1", 0)) as server,
+        Port(f"socket://127.0.0.1:{server.getsockname()[1]}", 115_200) as port,
+    ):
+        connection, _ = server.accept()
+        with connection:
+            yield connection, port
+
+
+def read_all(port: Port, size: int) -> list[bytes]:
+    parts: list[bytes] = []
+    while sum(map(len, parts)) < size:
+        data, _ = port.read()
+        assert data, "it was sent and must come"
+        parts.append(data)
+    return parts
+
+
+SENT = np.random.default_rng(1).integers(0, 256, 9000, dtype=np.uint8).tobytes()
+
+
+def test_a_tty_gives_all_bytes_in_order() -> None:
+    with pty_port() as (host, port):
+        for size in (1, 4095, 4096, 9000):
+            host.write(SENT[:size])
+            assert b"".join(read_all(port, size)) == SENT[:size]
+        assert port.read()[0] == b""
+
+
+def test_a_socket_gives_all_bytes_in_order_and_no_read_is_endless() -> None:
+    with socket_port() as (connection, port):
+        flood = SENT * 40
+        connection.settimeout(5)
+        sent = connection.send(flood)
+        parts = read_all(port, sent)
+        assert b"".join(parts) == flood[:sent]
+        assert max(map(len, parts)) <= READ_SIZE
+        assert port.read()[0] == b""
+
+
+def test_a_tty_whose_other_end_is_gone_is_lost() -> None:
+    with pty_port() as (host, port):
+        host.close()
+        with pytest.raises(PortError, match="lost while reading; unplugged"):
+            port.read()
+
+
+def test_a_socket_whose_other_end_is_closed_is_lost() -> None:
+    with socket_port() as (connection, port):
+        connection.sendall(b"last words")
+        connection.close()
+        assert port.read()[0] == b"last words"
+        with pytest.raises(PortError, match="end of file"):
+            port.read()
+
+
+@pytest.mark.parametrize(
+    ("url", "message"),
+    [
+        ("", "no port is named; Serial ports on this machine"),
+        ("/tmp", "not a serial port"),
+        ("/dev/null", "not a serial port"),
+        ("socket://", "host and port .* are not named"),
+        ("socket://localhost", "host and port .* are not named"),
+        ("socket://localhost:99999", "host and port .* are not named"),
+        ("rfc2217://", "host and port .* are not named"),
+        ("socket://localhost:1", "refused"),
+    ],
+)
+def test_what_is_no_port_is_told_in_words(url: str, message: str) -> None:
+    with pytest.raises(PortError, match=message):
+        Port(url, 115_200)
+
+
+def test_time_is_taken_after_the_bytes_came() -> None:
+    with pty_port() as (host, port):
+        times = []
+        for _ in range(3):
+            host.write(b"x")
+            times.append(port.read()[1])
+        assert times == sorted(times)
+        assert len(set(times)) == 3
+
+
+def test_what_waits_in_a_port_is_told_and_a_lost_port_is_an_error() -> None:
+    with pty_port() as (file, port):
+        assert port.waiting == 0
+        file.write(SENT[:1000])
+        deadline = time.monotonic() + 5  # the kernel carries them over in its own time
+        while port.waiting < 1000 and time.monotonic() < deadline:
+            time.sleep(0.001)
+        assert port.waiting == 1000
+        assert len(port.read()[0]) == 1000
+        assert port.waiting == 0
+        port.close()
+        with pytest.raises(PortError, match="unplugged"):
+            _ = port.waiting
+
+
+def test_a_device_is_away_while_it_cannot_be_opened(tmp_path: Path) -> None:
+    device, link = tmp_path / "device", tmp_path / "link"
+    link.symlink_to(device)
+    assert is_away(str(link))
+    device.touch()
+    assert not is_away(str(link))
+    for url in ("usb://1234", "socket://127.0.0.1:1", "sim://", "no\0path"):
+        assert not is_away(url)
+
+
+@pytest.mark.skipif(not hasattr(socket, "TCP_USER_TIMEOUT"), reason="Linux tells TCP how long")
+def test_a_host_that_acknowledges_nothing_is_given_up() -> None:
+    """By the kernel, which fails the read then; else it would go on for a quarter of an hour."""
+    with socket_port() as (_, port):
+        own = socket.fromfd(port._serial.fileno(), socket.AF_INET, socket.SOCK_STREAM)
+        with own:
+            given_up_ms = own.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT)
+    assert given_up_ms == HOST_GONE_S * 1e3
+
+
+def test_what_is_skipped_is_counted_and_what_comes_later_is_read() -> None:
+    with pty_port() as (file, port):
+        assert port.skip() == 0
+        file.write(SENT[:3000])
+        skipped, deadline = 0, time.monotonic() + 5
+        while skipped < 3000 and time.monotonic() < deadline:
+            skipped += port.skip()
+        assert skipped == 3000
+        file.write(b"later")
+        assert b"".join(read_all(port, 5)) == b"later"
+        port.close()
+        with pytest.raises(PortError, match="unplugged"):
+            port.skip()
+
+
+def test_what_waits_in_a_port_without_a_file_is_skipped_too() -> None:
+    with Port("sim://?speed=0", 0) as port:
+        port.write(PacketWriter().encode(Start()))
+        while port.waiting < 1000:
+            time.sleep(0.001)
+        assert port.skip() >= 1000
+
+
+@pytest.mark.parametrize("kind", ["spy", "SPY"])
+def test_a_port_never_writes_a_file_of_its_url_s_choosing(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "mine"
+    path.write_text("kept")
+    with pytest.raises(PortError, match="would write a file"):
+        Port(f"{kind}://loop://?file={path}", 9600)
+    assert path.read_text() == "kept"
