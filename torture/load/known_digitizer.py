@@ -50,7 +50,6 @@ class KnownDigitizer(VirtualDigitizer):
 
     def __init__(self, options: SimOptions) -> None:
         super().__init__(options)
-        self.born_s = self._host_s  # not a new clock reading: this thread may have to wait
         # Streams, and how late each is: while a digitizer falls behind, its skin stands still.
         self._epochs: list[tuple[Stream, float]] = []
         self._lags_s = deque([(0.0, 0.0)], maxlen=KEPT)  # least and most, a SPAN_S each
@@ -87,7 +86,7 @@ class KnownDigitizer(VirtualDigitizer):
             stream, late_s = self._epochs[-1]
             if self.started_s == stream.started_s + late_s:
                 return
-            if self._frames_lost:  # otherwise there was another START
+            if self.frames_lost:  # otherwise there was another START
                 self.streamed(stream, self.started_s - stream.started_s)
                 return
         self.streamed(Stream(self.options, self.setup, self.started_s))

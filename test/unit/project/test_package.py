@@ -37,8 +37,10 @@ LOAD_SERIAL = {
     "replay.protocol_replay",
     "sim.protocol_sim",
     "skin",
+    "wire.discovery",
     "wire.introduction",
     "wire.port",
+    "wire.port_failures",
     "wire.virtual_port",
 }
 """Modules that open ports. import-linter checks which folder imports which; the test below checks
