@@ -30,7 +30,7 @@ class LevelDecoder:
         low_v, high_v = info.volts(np.array([info.min_count, info.max_count], dtype=np.int16))
         rails_v = float(low_v), float(high_v)
         self.pace = Pace(info, spec)
-        self.timing: GapTiming | LineTiming
+        self.timing: LineTiming | NodeTiming | GapTiming
         if config.timing == GAP:
             self.timing = GapTiming(spec, rate_hz, rails_v)
         elif info.integrated or spec.resync_chips:
@@ -64,6 +64,4 @@ class LevelDecoder:
             packet.sync,
             packet.called,
         )
-        if isinstance(self.timing, GapTiming):
-            return self.timing.feed(block.samples())
         return self.timing.quiet(block)
