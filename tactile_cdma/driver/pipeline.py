@@ -116,7 +116,7 @@ class Pipeline:
         self.problem: str | None = None
         self._earlier_packets: Counter[str] = Counter()
         self._clock = DeviceClock()
-        self._timing: LineTiming | GapTiming | None = None
+        self._timing: LineTiming | NodeTiming | GapTiming | None = None
         self._anchors: deque[tuple[int, float]] = deque(maxlen=4096)
         # From here on samples are counted in here: indices near 2⁶⁴ are no exact floats.
         self._base = 0
@@ -310,9 +310,7 @@ class Pipeline:
             packet.sync,
             packet.called,
         )
-        return (
-            timing.quiet(block) if isinstance(timing, LineTiming) else timing.feed(block.samples())
-        )
+        return timing.quiet(block)
 
     def _goes_on(self, packet: AnySamples, t_host: float) -> bool:
         """Whether this is the device time that was known so far, as it is after another START.

@@ -41,7 +41,7 @@ def stalls(
         yield from trial.resumes()
         for _ in range(times):
             yield from trial.after(rng.uniform(0, 0.1))
-            trial.times += 1
+            trial.tally.times += 1
             yield from stall(trial, stall_s)
             yield from trial.caught_up()
         yield from trial.counted(

@@ -269,7 +269,7 @@ def info_of(config: SkinConfig) -> Info:
         ({"volts_per_count": 0.0}, "describes no voltages"),
         ({"volts_per_count": -1.0}, "describes no voltages"),
         ({"min_count": 5, "max_count": 5}, "describes no voltages"),
-        ({"sample_rate_uhz": 1}, "says it sends raw samples, but|less than one sample per"),
+        ({"sample_rate_uhz": 1}, "says it sends raw samples, but|or at least two samples"),
         ({"sample_rate_uhz": 2**62}, "1000 at most"),
         ({"sample_rate_uhz": 24_000 * 10**6}, "does not fit.*1.2 samples per chip"),
         ({"integrated": True}, "says it sends chip means, but 4 per chip"),

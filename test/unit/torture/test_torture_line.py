@@ -34,7 +34,7 @@ from torture.line.ledger import Ledger
 from torture.line.man_in_the_middle import ManInTheMiddle, Schedule
 from torture.line.renumbered import Counted
 from torture.line.rig import Rig, Stream
-from torture.outcome import Plan
+from torture.outcome import COUNTS, Plan, Tally
 
 CHIPS = Stream("chips", {"samples_per_chip": 1}, {"threshold": 0})
 SILENCE = Stream("silence", {}, {"scene": "press"})
@@ -122,17 +122,14 @@ def test_counters_are_set_on(begin: Counted) -> None:
         assert (b.sequence - a.sequence - begin.sequence) % 2**16 == 0
 
 
-def tortured(kind: Kind = LOST, times: int = 4, stream: Stream = CHIPS) -> Counter[str]:
+def tortured(kind: Kind = LOST, times: int = 4, stream: Stream = CHIPS) -> Tally:
     """What is found while faults of a kind are put on a line."""
     with Rig(stream, 1, 5.0) as rig:
         return rig.run(Schedule(kind, times, np.random.default_rng(1)))
 
 
-BAD = ("wrong_values", "uncounted_losses", "crashes", "hangs")
-
-
-def bad(found: Counter[str]) -> list[str]:
-    return [name for name in BAD if found[name]]
+def bad(found: Tally) -> list[str]:
+    return [name for name in COUNTS if getattr(found, name)]
 
 
 def test_a_sound_driver_bears_it() -> None:
