@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_cdma.driver.pipeline import TactileFrame
-from tactile_cdma.sim.digitizer import truth
+from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.nodes import NodeFrame
 from tactile_cdma.sim.options import Setup, SimOptions
 

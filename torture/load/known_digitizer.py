@@ -49,7 +49,6 @@ class KnownDigitizer(VirtualDigitizer):
 
     def __init__(self, options: SimOptions) -> None:
         super().__init__(options)
-        self.born_s = self._host_s  # not a clock reading of its own: this thread may have to wait
         # Streams, and how late each is: while a digitizer falls behind, its skin stands still.
         self._epochs: list[tuple[Stream, float]] = []
         self._lags_s, self._next_s, self._forget_s = [0.0, 0.0], self.born_s, self.born_s
@@ -77,7 +76,7 @@ class KnownDigitizer(VirtualDigitizer):
             stream, late_s = self._epochs[-1]
             if self.started_s == stream.started_s + late_s:
                 return
-            if self._frames_lost:  # otherwise there was another START
+            if self.frames_lost:  # otherwise there was another START
                 self.streamed(stream, self.started_s - stream.started_s)
                 return
         self.streamed(Stream(self.options, self.setup, self.started_s))
