@@ -107,11 +107,12 @@ class PressureCurve:
 
     def voltage(self, pressure_pa: ArrayLike) -> NDArray[np.float64]:
         """Pa to V, clamped to the curve's ends."""
-        return np.interp(pressure_pa, self.pressure_pa, self.voltage_v)
+        return np.interp(np.asarray(pressure_pa, np.float64), self.pressure_pa, self.voltage_v)
 
     def pressure(self, voltage_v: ArrayLike) -> NDArray[np.float64]:
         """V to Pa, clamped to the curve's ends."""
-        return np.interp(voltage_v, self.voltage_v[::-1], self.pressure_pa[::-1])
+        volts = np.asarray(voltage_v, np.float64)
+        return np.interp(volts, self.voltage_v[::-1], self.pressure_pa[::-1])
 
 
 @dataclass(frozen=True, eq=False)
