@@ -16,6 +16,8 @@ from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.nodes import NodeFrame
 from tactile_cdma.sim.options import Setup, SimOptions
 
+from .outcome import Tally
+
 KEPT = 4096
 """True frames kept for published ones that come late."""
 NEAR = 0.25
@@ -120,3 +122,22 @@ class Oracle:
             if found[1] is None:
                 found = (index, true)
         return found
+
+
+class Judge:
+    """Judges the frames that one driver publishes by what the nodes really said.
+
+    What campaigns look at besides, times, pressures, counts, is added by their own judges.
+    tally: what was found so far.
+    """
+
+    def __init__(self) -> None:
+        self.tally = Tally()
+        self.oracle = Oracle()
+
+    def check(self, frame: TactileFrame) -> Verdict:
+        """What is to be said of the next published frame; its wrong words are counted."""
+        verdict = self.oracle.check(frame)
+        self.tally.frames += 1
+        self.tally.wrong_values += int(verdict.wrong.sum() + verdict.missed.sum())
+        return verdict

@@ -56,14 +56,15 @@ class Tally:
 
     times: faults put in. frames: frames or messages that were published. lost: those that were not.
     late: whole frames, right after a fault or a start, that were not published either.
-    wrong_values … hangs: see Outcome. example: a wrong value. stamp_errors_s: of every message,
-    its stamp minus the true time.
+    wrong_values … hangs: see Outcome. example: a wrong value. bytes: that were exposed to faults.
+    stamp_errors_s: of every message, stamp minus true time, as far as the driver could know that.
     """
 
     times: int = 0
     frames: int = 0
     lost: int = 0
     late: int = 0
+    bytes: int = 0
     wrong_values: int = 0
     uncounted_losses: int = 0
     crashes: int = 0

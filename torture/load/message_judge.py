@@ -60,7 +60,7 @@ class MessageJudge:
         self.newest_ahead_s = nanoseconds(message.header.stamp) * 1e-9 - middle_s
         ahead_s = self.ahead_s or [real_time_ahead_s()]
         off_s = min((self.newest_ahead_s - ahead for ahead in ahead_s), key=abs)
-        tally.stamp_errors_s.append(off_s)
+        tally.stamp_errors_s.append(off_s - self._digitizer.least_lag_s)
         known, wrong = self._best(message, t_middle - self._middle_s)
         self._count(known, message.sequence)
         if known is not None:
