@@ -25,7 +25,7 @@ BENT = 0.3
 """Von Neumann's ratio, halved, below which a curve is too simple: 3 σ below the 1 of independent
 residuals of 20 points, where σ is 1/√20."""
 POOR = 0.05
-"""Rms residual, as a share of the largest load, that is warned of; chosen above a sensor's noise."""
+"""Rms residual, as a share of the largest load, that is warned of; chosen: above noise."""
 UNSEEN = 0.01
 """Lightest load, as a share of the largest, up to which the voltage at rest counts as measured."""
 WRONG_UNIT = 5.0
