@@ -2,7 +2,8 @@
 #              PATCHES=config/body.yaml: a body of many patches
 #              FIRMWARE=1: the emulated skin, real firmware on its nodes and in its digitizer
 # make view    the same in the Rerun viewer, which it installs; WEB=1: in a browser
-# make test    lint and tests
+# make check   lint and the core's tests, under a minute: the loop to work in
+# make test    lint and all tests
 # make firmware         the images of nodes and digitizer, in firmware/build
 # make firmware-test    runs them in emulators, 16 nodes on one wire; the last line counts
 # make firmware-figures what they take: share of time awake, load of the digitizer
@@ -31,11 +32,13 @@ ONLY ?=
 SEED ?= 1
 COUNT ?= 1000000
 PYTEST ?= -n 4 --dist loadgroup
+# What `make check` tests: bytes to frames, and what they are read with.
+CORE = base code places wire words framing clocks readings config views driver door
 export LC_ALL ?= C.UTF-8
 
 BIN = $(VENV)/bin
 .DEFAULT_GOAL := help
-.PHONY: help run test lint setup bench-setup view view-setup torture soak fuzz fuzz-setup fuzz-packages audit audit-packages clean firmware firmware-test firmware-figures firmware-tools
+.PHONY: help run check test lint setup bench-setup view view-setup torture soak fuzz fuzz-setup fuzz-packages audit audit-packages clean firmware firmware-test firmware-figures firmware-tools
 
 help:
 	@sed -n 's/^# //p' Makefile
@@ -53,6 +56,9 @@ view-setup:
 
 view: view-setup $(if $(filter-out 0,$(FIRMWARE)),firmware)
 	@"$(BIN)/python" tools/run.py --port "$(PORT)" --params "$(PARAMS)" --firmware "$(FIRMWARE)" --patches "$(PATCHES)" --rerun $(if $(filter-out 0,$(WEB)),web,window)
+
+check: lint
+	@"$(BIN)/python" -m pytest -n 2 --dist loadgroup -q -m "not slow" $(CORE:%=test/unit/%)
 
 test: lint fuzz-packages
 	@"$(BIN)/python" tools/firmware_tools.py

@@ -12,9 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_cdma.driver.pipeline import TactileFrame
-from tactile_cdma.sim.digitizer import truth
+from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.nodes import NodeFrame
 from tactile_cdma.sim.options import Setup, SimOptions
+
+from .outcome import Tally
 
 KEPT = 4096
 """True frames kept for published ones that come late."""
@@ -47,6 +49,14 @@ class Stream:
             return None
         frame = self._past[place]
         return frame if abs(frame.start_s - since_s) < NEAR * period_s else None
+
+    def spoke(self, first: int, stop: int) -> NDArray[np.bool_]:
+        """(n,) bool: nodes that spoke in any kept frame of these numbers, [first, stop)."""
+        spoke = np.zeros(self.setup.spec.nodes, bool)
+        for frame in self._past if first < stop else ():
+            if first <= frame.number < stop:
+                spoke |= frame.active
+        return spoke
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,3 +122,22 @@ class Oracle:
             if found[1] is None:
                 found = (index, true)
         return found
+
+
+class Judge:
+    """Judges the frames that one driver publishes by what the nodes really said.
+
+    What campaigns look at besides, times, pressures, counts, is added by their own judges.
+    tally: what was found so far.
+    """
+
+    def __init__(self) -> None:
+        self.tally = Tally()
+        self.oracle = Oracle()
+
+    def check(self, frame: TactileFrame) -> Verdict:
+        """What is to be said of the next published frame; its wrong words are counted."""
+        verdict = self.oracle.check(frame)
+        self.tally.frames += 1
+        self.tally.wrong_values += int(verdict.wrong.sum() + verdict.missed.sum())
+        return verdict

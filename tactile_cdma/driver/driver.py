@@ -16,8 +16,9 @@ from ..base.errors import PortError, RecordingEndError
 from ..config.parameters import REPLAY
 from ..config.skin_config import SkinConfig
 from ..readings.stuck import StuckNodes
+from ..wire.discovery import is_away
 from ..wire.packets import MAX_REPEATED
-from ..wire.port import NETWORK, Port, is_away
+from ..wire.port import Port
 from .backlog import Backlog
 from .pipeline import Pipeline, TactileFrame
 from .session import Session
@@ -161,8 +162,6 @@ class Driver:
             self._report(WAITING)
         port.write(session.open())
         backlog = Backlog(pipeline.config.spec.frame_period_s)
-        # Others hold back no more than a terminal does, or are read at the pace of the reader.
-        hoards = self.url.startswith(NETWORK)
         look_s, age_s = -math.inf, 0.0
         try:
             while not self._stop.is_set():
@@ -172,15 +171,15 @@ class Driver:
                     t_decoded = time.monotonic()
                     for frame in frames:
                         self._on_frame(frame)
-                        self.vitals.handed_on(frame, t_host, t_decoded)
+                        self.vitals.note_frame(frame, t_host, t_decoded)
                         contact_pa = pipeline.config.rest.contact_pa
                         self.stuck.look(frame.readings, frame.t_middle, contact_pa)
                 age_s = t_host - frames[-1].t_host if frames else age_s
                 if t_host >= look_s:
                     waiting_bytes = port.waiting
-                    self.vitals.dealt_with(waiting_bytes)
+                    self.vitals.note_read(waiting_bytes)
                     look_s = t_host + LOOK_S
-                    if hoards and backlog.is_hopeless(waiting_bytes, age_s, t_host):
+                    if port.over_network and backlog.observe(waiting_bytes, age_s, t_host):
                         with self._busy:
                             pipeline.skipped(port.skip())
                 if frames and self.problem:

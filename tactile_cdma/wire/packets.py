@@ -11,10 +11,11 @@ Both sides of the line use the same two classes: the parser knows the packets of
 
 from __future__ import annotations
 
+import operator
 import struct
 import zlib
 from array import array
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
@@ -74,6 +75,9 @@ class Counters:
     """Runs longer than any packet without a delimiter."""
     text_bytes: int = 0
     """Printable ASCII before the first packet."""
+
+    def __add__(self, other: Counters) -> Counters:
+        return Counters(*map(operator.add, astuple(self), astuple(other)))
 
 
 class PacketParser:

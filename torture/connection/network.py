@@ -34,7 +34,7 @@ def hosted(fault: Callable[[Trial, Rng], Turns], rng: Rng, times: int) -> Callab
         yield from trial.resumes()
         for _ in range(times):
             yield from trial.after(rng.uniform(0, 0.05))
-            trial.times += 1
+            trial.tally.times += 1
             yield from fault(trial, rng)
             yield from trial.resumes()
         trial.said = trial.took

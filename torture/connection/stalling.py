@@ -41,11 +41,11 @@ def stalls(
         yield from trial.resumes()
         for _ in range(times):
             yield from trial.after(rng.uniform(0, 0.1))
-            trial.times += 1
+            trial.tally.times += 1
             yield from stall(trial, stall_s)
             yield from trial.caught_up()
         yield from trial.counted(
-            lambda: trial.driver.pipeline.packet_counts["lost_packets"],
+            lambda: trial.driver.pipeline.packet_counts.lost_packets,
             lambda: digitizer.packets_dropped,
         )
         lost_frames = trial.driver.pipeline.counters.lost_frames

@@ -51,14 +51,14 @@ def replugs(trial: Trial, rng: Rng, times: int) -> Turns:
                 yield from trial.after(rng.uniform(0, 0.02))
                 trial.plug.step(int(rng.integers(1, 200)))
         trial.plug.unplug()
-        trial.times += 1
+        trial.tally.times += 1
         yield from trial.after(rng.uniform(0, 0.03))
         if count == WARM:
             yield from trial.told(*GONE)
             before, before_kb = _held(), _settled_kb()
     yield from trial.until(lambda: _held() <= before)
     grown_kb = _settled_kb() - before_kb
-    trial.crashes += grown_kb > MOST_GROWTH_KB
+    trial.tally.crashes += grown_kb > MOST_GROWTH_KB
     trial.said = f"{trial.took}; memory {grown_kb:+d} kB"
 
 
@@ -102,7 +102,7 @@ def resets(trial: Trial, rng: Rng, times: int) -> Turns:
         yield from trial.after(rng.uniform(0, 0.25))
         trial.plug.step(int(rng.integers(1, 200)))
         trial.plug.swap(trial.digitizer(some_skin(rng)))
-        trial.times += 1
+        trial.tally.times += 1
         yield from trial.resumes()
     trial.said = trial.took
 
@@ -114,7 +114,7 @@ def reset_loops(trial: Trial, rng: Rng, loops: int) -> Turns:
     for _ in range(loops):
         for _ in range(20):
             trial.plug.swap(trial.digitizer(some_skin(rng)))
-            trial.times += 1
+            trial.tally.times += 1
             yield from trial.after(rng.uniform(1e-3, 80e-3))
         yield from trial.resumes()
     trial.said = trial.took

@@ -38,7 +38,7 @@ def visits(name: str, rng: Rng, times: int) -> Callable[[Trial], Turns]:
     def faults(trial: Trial) -> Turns:
         for _ in range(times):
             trial.plug.plug(make(rng))
-            trial.times += 1
+            trial.tally.times += 1
             yield from trial.told(*texts)
             if rng.integers(2):
                 trial.plug.unplug()
@@ -82,7 +82,7 @@ def _several(
 ) -> Callable[[Trial], Turns]:
     def faults(trial: Trial) -> Turns:
         for _ in range(times):
-            trial.times += 1
+            trial.tally.times += 1
             yield from fault(trial, rng)
             yield from trial.resumes()
             trial.plug.unplug()

@@ -21,7 +21,7 @@ from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCur
 from tactile_cdma.readings.calibration_file import read_content
 from tactile_cdma.readings.dynamics import Lag
 from tactile_cdma.recording.offline import described_parameters, raw_frames
-from tactile_cdma.sim.digitizer import truth
+from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.loads import DWELL_S, LOADS, STEPS_KPA
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES, Skin

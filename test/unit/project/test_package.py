@@ -31,14 +31,16 @@ LOAD_SERIAL = {
     "calibrating.load_session",
     "commands.cli",
     "commands.ports",
-    "commands.recording",
+    "commands.record",
     "doctor.port",
     "driver.driver",
     "replay.protocol_replay",
     "sim.protocol_sim",
     "skin",
+    "wire.discovery",
     "wire.introduction",
     "wire.port",
+    "wire.port_failures",
     "wire.virtual_port",
 }
 """Modules that open ports. import-linter checks which folder imports which; the test below checks

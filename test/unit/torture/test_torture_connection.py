@@ -18,7 +18,7 @@ from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
 from tactile_cdma.sim.options import SimOptions
 from torture.connection import network, stalling, unplugging, wrong_port
-from torture.connection.judge import Digitizer, Judge
+from torture.connection.judge import ConnectionJudge, Digitizer
 from torture.connection.plug import Host, Plug, Tty
 from torture.connection.strangers import misread
 from torture.connection.trial import Trial, Turns, outcomes, side_by_side
@@ -53,11 +53,11 @@ class Line:
 
     def __init__(self) -> None:
         self.now_s, self._powered_up = 0.0, 0
-        self.judge, self._pipeline = Judge(lambda: self.now_s), Pipeline(CONFIG)
+        self.judge, self._pipeline = ConnectionJudge(lambda: self.now_s), Pipeline(CONFIG)
 
     def publish(
         self, count: int, damage: Callable[[list[TactileFrame]], list[TactileFrame]]
-    ) -> Judge:
+    ) -> ConnectionJudge:
         """Frames of a digitizer that was powered up just now, with something wrong."""
         self._powered_up += 1
         options = SimOptions(scene="all", seed=self._powered_up)  # or their noise would be the same
@@ -120,17 +120,25 @@ def test_wrong_values_are_found(
     damage: Callable[[list[TactileFrame]], list[TactileFrame]], wrong: int
 ) -> None:
     judge = Line().publish(10, damage)
-    assert (judge.wrong_values, judge.uncounted_losses, judge.late) == (wrong, 0, 0)
+    assert (judge.tally.wrong_values, judge.tally.uncounted_losses, judge.late) == (wrong, 0, 0)
 
 
 def renumbered(frames: list[TactileFrame], by: int) -> list[TactileFrame]:
     return [replace(frame, sequence=frame.sequence + by) for frame in frames]
 
 
-def test_losses_that_nothing_tells_of_are_found() -> None:
-    assert Line().publish(10, lambda f: f[:3] + f[5:]).uncounted_losses == 0  # the sequence tells
-    assert Line().publish(10, lambda f: f[:3] + renumbered(f[5:], -2)).uncounted_losses == 2
-    assert Line().publish(10, lambda f: f[:3] + renumbered(f[3:], 1)).uncounted_losses == 1
+@pytest.mark.parametrize(
+    ("damage", "uncounted"),
+    [
+        (lambda frames: frames[:3] + frames[5:], 0),  # the sequence tells
+        (lambda frames: frames[:3] + renumbered(frames[5:], -2), 2),
+        (lambda frames: frames[:3] + renumbered(frames[3:], 1), 1),
+    ],
+)
+def test_losses_that_nothing_tells_of_are_found(
+    damage: Callable[[list[TactileFrame]], list[TactileFrame]], uncounted: int
+) -> None:
+    assert Line().publish(10, damage).tally.uncounted_losses == uncounted
 
 
 @pytest.mark.parametrize(("by", "uncounted"), [(0, 0), (-5, 1), (5, 1)])
@@ -139,7 +147,7 @@ def test_over_a_reset_the_sequence_goes_by_the_time_that_passed(by: int, uncount
     line.publish(10, nothing)
     line.now_s += 20 * PERIOD_S
     judge = line.publish(10, lambda frames: renumbered(frames, by))
-    assert judge.uncounted_losses == uncounted
+    assert judge.tally.uncounted_losses == uncounted
     assert judge.missing == [0, 0]
     lost = line.judge.account(0)
     assert 20 + by <= lost <= 26 + by
