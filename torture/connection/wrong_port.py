@@ -12,23 +12,23 @@ from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 
 from ..outcome import Plan
+from .interruptions import GONE, Fault
 from .plug import Tty
 from .strangers import STRANGERS
-from .trial import Rng, Started, Trial, Turns, rng_of, some_skin
-from .unplugging import GONE
+from .trial import Rng, Trial, Turns, rng_of, some_skin
 
 
-def strange(plan: Plan, folder: Path) -> list[Started]:
+def strange(plan: Plan, folder: Path) -> list[Trial]:
     """Every stranger, and the digitizer after it."""
-    started = []
-    for number, name in enumerate(STRANGERS):
-        fault = "wrong baud rate" if "baud" in name else "another device on the port"
-        trial = Trial(fault, plan, Tty(folder / f"stranger{number}"))
-        rng = rng_of(plan, 4, number)
-        faults = visits(name, rng, 1 if plan.quick else 10)
-        trial.said = "named, and none of it published; then the digitizer"
-        started.append((trial, trial.run(faults)))
-    return started
+    return [
+        Trial(
+            "wrong baud rate" if "baud" in name else "another device on the port",
+            plan,
+            Tty(folder / f"stranger{number}"),
+            visits(name, rng_of(plan, 4, number), 1 if plan.quick else 10),
+        )
+        for number, name in enumerate(STRANGERS)
+    ]
 
 
 def visits(name: str, rng: Rng, times: int) -> Callable[[Trial], Turns]:
@@ -48,38 +48,39 @@ def visits(name: str, rng: Rng, times: int) -> Callable[[Trial], Turns]:
             yield from trial.resumes()
             trial.plug.unplug()
             yield from trial.told(*GONE)
+        trial.said = "named, and none of it published; then the digitizer"
 
     return faults
 
 
-def unusable(plan: Plan, folder: Path) -> list[Started]:
+def unusable(plan: Plan, folder: Path) -> list[Trial]:
     """Ports and digitizers that will not do for now."""
     times = 1 if plan.quick else 10
-    kinds: tuple[tuple[str, Callable[[Trial, Rng], Turns], dict[str, object]], ...] = (
+    kinds: tuple[tuple[str, Fault, dict[str, object]], ...] = (
         ("port busy", busy, {}),
         ("port takes no bytes", unwritable, {}),
         ("another skin's digitizer", others, {"digitizer_id": _OURS.hex()}),
         ("digitizer set otherwise", otherwise, {}),
     )
-    started = []
-    for number, (fault, faults, parameters) in enumerate(kinds):
-        trial = Trial(fault, plan, Tty(folder / f"port{number}"), parameters)
-        rng = rng_of(plan, 5, number)
-        started.append((trial, trial.run(_several(faults, rng, times))))
-    return started
-
-
-def forbidden(plan: Plan, folder: Path) -> list[Started]:
-    """Ports that nobody may open; to be run as an ordinary user."""
-    trial = Trial("permission taken away", plan, Tty(folder / "port"))
     return [
-        (trial, trial.run(_several(without_permission, rng_of(plan, 6), 2 if plan.quick else 20)))
+        Trial(
+            name,
+            plan,
+            Tty(folder / f"port{number}"),
+            _several(fault, rng_of(plan, 5, number), times),
+            parameters,
+        )
+        for number, (name, fault, parameters) in enumerate(kinds)
     ]
 
 
-def _several(
-    fault: Callable[[Trial, Rng], Turns], rng: Rng, times: int
-) -> Callable[[Trial], Turns]:
+def forbidden(plan: Plan, folder: Path) -> list[Trial]:
+    """Ports that nobody may open; to be run as an ordinary user."""
+    faults = _several(without_permission, rng_of(plan, 6), 2 if plan.quick else 20)
+    return [Trial("permission taken away", plan, Tty(folder / "port"), faults)]
+
+
+def _several(fault: Fault, rng: Rng, times: int) -> Callable[[Trial], Turns]:
     def faults(trial: Trial) -> Turns:
         for _ in range(times):
             trial.tally.times += 1
