@@ -16,17 +16,19 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from itertools import cycle, repeat
 from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from lifecycle_msgs.srv import GetState
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from rclpy.parameter import Parameter
+from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from ..outcome import Outcome, Plan
@@ -156,13 +158,9 @@ def _calls(skin: LoadedSkin, plan: Plan) -> Outcome:
     skin.waits_for(lambda: all(client.service_is_ready() for client, _ in clients))
     end_s, answered = time.monotonic() + (1.0 if plan.quick else 20.0), True
     while answered and time.monotonic() < end_s:
-        calls = [
-            client.call_async(next(requests))
-            for _ in range(AT_ONCE)
-            for client, requests in clients
-        ]
+        calls = [client.call_async(next(requests)) for client, requests in clients * AT_ONCE]
         asked += len(calls)
-        answered = skin.waits_for(lambda calls=calls: all(call.done() for call in calls))
+        answered = skin.waits_for(partial(_all_done, calls))
         for answer in (call.result() for call in calls[:: len(clients)] if call.done()):
             refused += not answer.results[0].successful
     skin.streams_on()
@@ -172,6 +170,10 @@ def _calls(skin: LoadedSkin, plan: Plan) -> Outcome:
         f"{refused} refused as they should be",
         wrong=abs(refused - asked // len(clients) // 3) > 1,
     )
+
+
+def _all_done(calls: Sequence[Future[Any]]) -> bool:
+    return all(call.done() for call in calls)
 
 
 def _stops(skin: LoadedSkin, plan: Plan, rng: Random) -> Outcome:
