@@ -23,8 +23,7 @@ from tactile_cdma.sim.pty import serve
 from ..outcome import Tally
 from .damage import LOST
 from .judge import LineJudge
-from .man_in_the_middle import ManInTheMiddle, Schedule
-from .renumbered import Counted
+from .man_in_the_middle import Counted, ManInTheMiddle, Schedule
 
 BAUD = 115_200
 """A tty has to be given one; a pseudo-terminal takes all at once."""

@@ -20,8 +20,8 @@ from tactile_cdma.sim.options import SimOptions
 from torture.connection import interruptions, wrong_port
 from torture.connection.judge import ConnectionJudge, Digitizer
 from torture.connection.plug import Host, Plug, Tty
-from torture.connection.strangers import misread
 from torture.connection.trial import Trial, Turns, outcomes, side_by_side
+from torture.connection.wrong_port import misread
 from torture.outcome import Plan
 
 PLAN = Plan(quick=True, seed=1)
