@@ -34,6 +34,7 @@ from tactile_cdma.readings.taxels import Readings
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES
 from tactile_cdma.views.cloud import Cloud
+from tactile_cdma.views.heatmap import heatmap, pressure_raster
 
 from .report import QUICK, Report, medians_s
 
@@ -117,8 +118,10 @@ def drawings(taxels: int) -> dict[str, Callable[[], Any]]:
         return draw
 
     return {
-        HEATMAP: lambda: convert.heatmap_image(next(frames)[0], layout, header, MAX_PA, PIXELS),
-        IMAGE: lambda: convert.pressure_image(next(frames)[0], layout, header),
+        HEATMAP: lambda: convert.image(
+            heatmap(next(frames)[0], layout, MAX_PA, PIXELS), "rgb8", header
+        ),
+        IMAGE: lambda: convert.image(pressure_raster(next(frames)[0], layout), "32FC1", header),
         POINTS: lambda: convert.point_cloud(cloud.points(next(frames)[0], MAX_PA), header),
         CONTACTS: markers(most_squares=0),
         SQUARES: markers(most_squares=taxels),

@@ -211,7 +211,7 @@ def stalls(
             yield from stall(trial, stall_s)
             yield from trial.caught_up()
         yield from trial.counted(
-            lambda: trial.driver.pipeline.packet_counts["lost_packets"],
+            lambda: trial.driver.pipeline.packet_counts.lost_packets,
             lambda: digitizer.packets_dropped,
         )
         lost_frames = trial.driver.pipeline.counters.lost_frames

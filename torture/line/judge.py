@@ -142,13 +142,13 @@ class LineJudge(Judge):
 def counted(pipeline: Pipeline) -> dict[str, int]:
     """What a driver has counted, by the names of Counts; what must not come is added to broken."""
     packets, counters = pipeline.packet_counts, pipeline.counters
-    broken = ("crc_errors", "framing_errors", "resyncs", "jumps", "malformed", "unknown")
+    unintelligible = packets.crc_errors + packets.framing_errors + packets.resyncs
     counts = Counts(
-        bytes=packets["bytes"],
-        packets=packets["packets"],
-        broken=sum(packets[name] for name in broken),
-        lost_packets=packets["lost_packets"],
-        repeated=packets["repeated_packets"],
+        bytes=packets.bytes,
+        packets=packets.packets,
+        broken=unintelligible + packets.jumps + packets.malformed + packets.unknown,
+        lost_packets=packets.lost_packets,
+        repeated=packets.repeated_packets,
         samples=counters.samples,
         lost_samples=counters.lost_samples,
         unannounced=counters.unannounced_samples,

@@ -123,7 +123,7 @@ class Rig:
         if not self.man.over():
             return False
         with self.driver.between_frames() as pipeline:
-            return pipeline.packet_counts["bytes"] >= self.man.ledger.counts.bytes
+            return pipeline.packet_counts.bytes >= self.man.ledger.counts.bytes
 
     def _taken(self) -> list[TactileFrame]:
         """The frames that were published since the last time."""

@@ -156,5 +156,7 @@ class PatchFeed:
         if len(message.positions) != len(message.normals):
             self._cloud = None  # of no driver of ours
             return
-        cloud = PatchCloud(rows(message.positions), rows(message.normals), self._index)
+        positions_m = rows(message.positions).astype(np.float32)
+        normals = rows(message.normals).astype(np.float32)
+        cloud = PatchCloud(positions_m, normals, self._index)
         self._cloud = message.info_id, cloud
