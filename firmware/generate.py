@@ -80,7 +80,7 @@ def outputs() -> Iterator[tuple[str, str]]:
     yield PYTHON, f"# {LICENCE}\n\n" + python_tables(definition)
     yield HEADER, f"// {LICENCE}\n\n" + c_header(definition)
     sys.path[:0] = [str(ROOT), str(ROOT / "firmware")]
-    make_vectors = importlib.import_module("make_vectors")  # it imports the Python tables, written just now
+    make_vectors = importlib.import_module("make_vectors")  # imports the Python tables
     yield VECTORS, make_vectors.protocol_vectors()
     yield CODES, make_vectors.code_vectors()
     examples = {"example": make_vectors.example(), "signs": make_vectors.sign_table()}
