@@ -30,7 +30,8 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.driver import Driver
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
-from tactile_cdma.sim.digitizer import VirtualDigitizer, truth
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.sim.pty import serve
 from tactile_cdma.wire._protocol import SyncMode

@@ -24,7 +24,7 @@ from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.readings.stuck import LOOK_S, StuckNodes
 from tactile_cdma.readings.taxels import Readings
-from tactile_cdma.sim.digitizer import truth
+from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.words.decode import Words
 

@@ -26,6 +26,8 @@ def pytest_configure(config: pytest.Config) -> None:
     worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
     os.environ["ROS_DOMAIN_ID"] = str(1 + (zlib.crc32(run.encode()) + worker) % DOMAINS)
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    # Messages assert their fields' types, as those of a plain colcon build do in C.
+    os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
     home = TemporaryDirectory(prefix="ros-home-")
     os.environ["ROS_HOME"] = home.name  # drivers keep tare and drift there
     config.add_cleanup(home.cleanup)

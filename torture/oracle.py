@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_cdma.driver.pipeline import TactileFrame
-from tactile_cdma.sim.digitizer import truth
+from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.nodes import NodeFrame
 from tactile_cdma.sim.options import Setup, SimOptions
 
@@ -47,6 +47,14 @@ class Stream:
             return None
         frame = self._past[place]
         return frame if abs(frame.start_s - since_s) < NEAR * period_s else None
+
+    def spoke(self, first: int, stop: int) -> NDArray[np.bool_]:
+        """(n,) bool: nodes that spoke in any kept frame of these numbers, [first, stop)."""
+        spoke = np.zeros(self.setup.spec.nodes, bool)
+        for frame in self._past if first < stop else ():
+            if first <= frame.number < stop:
+                spoke |= frame.active
+        return spoke
 
 
 @dataclass(frozen=True, slots=True)

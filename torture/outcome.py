@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, fields
+from typing import Self
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +48,38 @@ class Outcome:
 
 
 COUNTS = ("wrong_values", "uncounted_losses", "crashes", "hangs")
+
+
+@dataclass
+class Tally:
+    """Running sums of what the judges find under one kind of fault; an Outcome is made of it.
+
+    times: faults put in. frames: frames or messages that were published. lost: those that were not.
+    late: whole frames, right after a fault or a start, that were not published either.
+    wrong_values … hangs: see Outcome. example: a wrong value. stamp_errors_s: of every message,
+    its stamp minus the true time.
+    """
+
+    times: int = 0
+    frames: int = 0
+    lost: int = 0
+    late: int = 0
+    wrong_values: int = 0
+    uncounted_losses: int = 0
+    crashes: int = 0
+    hangs: int = 0
+    example: str = ""
+    stamp_errors_s: list[float] = field(default_factory=list)
+
+    def __iadd__(self, other: Self) -> Self:
+        for item in fields(self):
+            setattr(self, item.name, getattr(self, item.name) + getattr(other, item.name))
+        return self
+
+    def outcome(self, fault: str, said: str = "") -> Outcome:
+        """The row of the table. said: unless there is an example of what is wrong."""
+        counts = {name: int(getattr(self, name)) for name in COUNTS}
+        return Outcome(fault, self.times, **counts, said=self.example or said)
 
 
 def summary(outcomes: Iterable[Outcome]) -> str:

@@ -34,10 +34,15 @@ class Held:
         self._nodes = np.arange(config.spec.nodes)
         self.pressure_pa = np.full(config.spec.nodes, np.nan)
 
+    def after(
+        self, active: NDArray[np.bool_], codes: NDArray[np.integer[Any]]
+    ) -> NDArray[np.float64]:
+        """What pressure_pa would be after these words, (n,) each."""
+        return np.where(active, self._pressure_of[self._nodes, codes], self.pressure_pa)
+
     def hear(self, active: NDArray[np.bool_], codes: NDArray[np.integer[Any]]) -> None:
-        """Words, (n,) each."""
-        said_pa = self._pressure_of[self._nodes, codes]
-        self.pressure_pa = np.where(active, said_pa, self.pressure_pa)
+        """Take in words, (n,) each."""
+        self.pressure_pa = self.after(active, codes)
 
     def miss(self, nodes: NDArray[np.bool_]) -> None:
         """Words of these nodes, (n,) bool, may have been lost."""

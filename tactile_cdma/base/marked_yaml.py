@@ -69,11 +69,21 @@ class Marked:
             raise self.refuse(f"{what} is {self._kind}; it must be keys with values")
         return Mapping(what, self, self.content)
 
-    def items(self, what: str) -> list[Marked]:
-        """A list."""
+    def items(self, what: str, least: int = 0, most: int = MOST_EVENTS) -> list[Marked]:
+        """A list, of least to most entries."""
         if not isinstance(self.content, list):
             raise self.refuse(f"{what} is {self._kind}; it must be a list")
+        if not least <= (count := len(self.content)) <= most:
+            allowed = least if least == most else f"{least}…{most}"
+            raise self.refuse(f"{what} has {count} entries; it must have {allowed}")
         return self.content
+
+    def numbers(
+        self, what: str, low: float, high: float, unit: str = "", least: int = 0, most: int = 64
+    ) -> list[float]:
+        """A list of least to most finite numbers, each within low…high, both inclusive."""
+        entries = self.items(what, least, most)
+        return [entry.number(f"a number in {what}", low, high, unit) for entry in entries]
 
     def text(self, what: str) -> str:
         """A scalar as it stands."""
@@ -133,12 +143,36 @@ class Mapping:
                 hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known)}"
                 raise value.refuse(f"unknown key {name!r} in {self.what}; {hint}")
 
+    def check_schema(self, schema: str, version: int) -> None:
+        """Refuse a file of another kind or version, by its keys schema and version."""
+        if (found := self.text("schema")) != schema:
+            raise self["schema"].refuse(f"schema is {found[:40]!r}; it must be {schema!r}")
+        if (number := self.whole("version", 0, 10**6)) != version:
+            remedy = "update this program" if number > version else "write the file anew"
+            raise self["version"].refuse(
+                f"version is {number}; this program reads version {version}: {remedy}"
+            )
+
+    def text(self, key: str, default: str | None = None) -> str:
+        """The text under a key, or the default, if there is one, where the key is missing."""
+        if default is not None and key not in self.entries:
+            return default
+        return self[key].text(key)
+
+    def number(self, key: str, low: float, high: float, unit: str = "") -> float:
+        """The number under a key, within low…high, both inclusive."""
+        return self[key].number(key, low, high, unit)
+
+    def whole(self, key: str, low: int, high: int) -> int:
+        """The whole number under a key, within low…high, both inclusive."""
+        return self[key].whole(key, low, high)
+
     def get(self, key: str) -> Marked | None:
-        """The value, or None where the key is left out."""
+        """The value, or None where the key is missing."""
         return self.entries.get(key)
 
     def __getitem__(self, key: str) -> Marked:
-        """The value; raises the file's error where the key is left out."""
+        """The value; raises the file's error where the key is missing."""
         if key not in self.entries:
             raise self.value.refuse(f"{self.what} has no {key!r}")
         return self.entries[key]

@@ -253,6 +253,13 @@ def _check_dynamics(arguments: argparse.Namespace) -> None:
             )
     if not arguments.capture:
         raise CalibrationError("--dynamics takes loading cycles: give --capture, too")
+    try:
+        import scipy.optimize  # noqa: F401
+    except ImportError as error:
+        raise CalibrationError(
+            f"--dynamics needs scipy ({error}): sudo apt install python3-scipy, or "
+            "pip install 'tactile_cdma[calibrate]'"
+        ) from None
 
 
 def _described(capture: Path) -> dict[str, Value]:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Dynamics from a reference beside a capture of loading cycles, and what they are worth."""
+"""Dynamics from a reference recorded beside loading cycles, and the report on them."""
 
 from __future__ import annotations
 
@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 from ..base.errors import CalibrationError
 from ..readings.calibration import Calibration
 from .identify import Identified, identify
+from .picture import picture
 from .plateaus import Recording, Reference
 
 LEAST_COMMON_S = 5.0
-"""Fewer seconds of both reference and capture are hardly a few cycles."""
-_MOST_GAP_S = 0.1
-"""Between readings of the reference: cycles are not straight for longer."""
+"""Overlap of reference and capture, s; chosen: three cycles of one to two seconds."""
+MOST_GAP_S = 0.1
+"""Between readings of the reference, s; chosen: interpolated straight, a cycle of a second or two
+keeps its shape."""
 
 
 def find_dynamics(
@@ -27,10 +29,10 @@ def find_dynamics(
     offset_s: float,
     uncertain_s: float = 0.0,
 ) -> Identified:
-    """The dynamics that cycles show of sensors whose curves are known.
+    """Identify the dynamics of sensors whose curves are known from loading cycles.
 
-    offset_s: to add to the reference's times for the recording's, s; uncertain_s: by how much it
-    may be wrong. Only frames that lie within the reference count.
+    offset_s: recording's time minus the reference's, s. uncertain_s: bound of its error, s. Frames
+    outside the time of the reference are left out.
     Raises CalibrationError, with the reason, where the record cannot tell.
     """
     t_s = reference.t_s + offset_s
@@ -50,40 +52,37 @@ def find_dynamics(
 def _check(reference: Reference, recording: Recording, within: NDArray[np.bool_]) -> None:
     if reference.node is not None:
         raise reference.refusal(
-            "there is a column node, but dynamics are those of all nodes: load all alike, and "
-            "leave it out"
+            "there is a column node, but dynamics are those of all nodes: load all alike and leave "
+            "the column out"
         )
     common_s = np.ptp(recording.t_s[within]) if within.any() else 0.0
     if common_s < LEAST_COMMON_S:
         raise reference.refusal(
             f"{common_s:.1f} s of it lie within the capture, {LEAST_COMMON_S:g} s or more are "
-            "needed: do they belong together, is --offset right?"
+            "needed: do they belong together, and is --offset right?"
         )
     gap = int(np.argmax(np.diff(reference.t_s)))
     gap_s = float(reference.t_s[gap + 1] - reference.t_s[gap])
-    if gap_s > _MOST_GAP_S:
+    if gap_s > MOST_GAP_S:
         raise reference.refusal(
-            f"{gap_s:.2g} s from the reading before; dynamics take {1 / _MOST_GAP_S:.0f} readings "
+            f"{gap_s:.2g} s from the reading before; dynamics take {1 / MOST_GAP_S:.0f} readings "
             "per second or more",
             gap + 1,
         )
 
 
 def describe(found: Identified) -> str:
-    """A report for people."""
+    """The report for people."""
     dynamics, held_out = found.dynamics, found.held_out
     opened = np.expm1(np.dot(dynamics.widths, dynamics.weights))
-    return "\n".join(
-        (
-            f"dynamics from {found.cycles} loading cycles, which move the offset of the clocks by "
-            f"{-found.late_s * 1e3:+.0f} ms",
-            f"lag: rising {dynamics.rise_s * 1e3:.0f} ms, falling {dynamics.fall_s * 1e3:.0f} ms",
-            f"hysteresis: falling loads read up to {opened:.1%} more than rising ones",
-            f"error on the last third, which was not fitted: {held_out.before_pa:.0f} Pa rms "
-            f"without, {held_out.after_pa:.0f} Pa with compensation ({held_out.removed:.0%} "
-            "removed)",
-            f"noise grows up to {dynamics.noise_gain:.1f} times while a pressure rises",
-        )
+    return (
+        f"dynamics from {found.cycles} loading cycles, which move the offset of the clocks by "
+        f"{-found.late_s * 1e3:+.0f} ms\n"
+        f"lag: rising {dynamics.rise_s * 1e3:.0f} ms, falling {dynamics.fall_s * 1e3:.0f} ms\n"
+        f"hysteresis: falling loads read up to {opened:.1%} more than rising ones\n"
+        f"error on the last third, which was not fitted: {held_out.before_pa:.0f} Pa rms without, "
+        f"{held_out.after_pa:.0f} Pa with compensation ({held_out.removed:.0%} removed)\n"
+        f"noise grows up to {dynamics.noise_gain:.1f} times while a pressure rises"
     )
 
 
@@ -99,32 +98,20 @@ def results(found: Identified) -> dict[str, str]:
 
 
 def draw(found: Identified, path: Path) -> None:
-    """The part that was not fitted, over time and over the known pressure, as a PNG.
-
-    Raises CalibrationError where it cannot be written.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(15, 4.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    time_axes, loop_axes = figure.subplots(1, 2, width_ratios=(2, 1))
+    """The part that was not fitted, over time and over the known pressure, as a PNG."""
     held_out = found.held_out
     known_kpa = held_out.reference_pa / 1e3
-    time_axes.plot(held_out.t_s, known_kpa, "k", lw=2, label="reference")
-    for pressure_pa, style, name in (
-        (held_out.static_pa, "C1", "curves alone"),
-        (held_out.compensated_pa, "C0", "with compensation"),
-    ):
-        middle_kpa = np.nanmedian(pressure_pa, axis=1) / 1e3
-        time_axes.plot(held_out.t_s, middle_kpa, style, lw=1, label=name)
-        loop_axes.plot(known_kpa, middle_kpa - known_kpa, style, lw=0.8)
-    time_axes.set(
-        xlabel="time of the capture / s", ylabel="pressure / kPa", title="median of the nodes"
-    )
-    time_axes.legend()
-    loop_axes.set(xlabel="reference / kPa", ylabel="off by / kPa", title="loops")
-    try:
-        figure.savefig(path, format="png", dpi=110)
-    except OSError as error:
-        raise CalibrationError(f"{path}: {error.strerror}") from None
+    with picture(path, (2, 1)) as (time_axes, loop_axes):
+        time_axes.plot(held_out.t_s, known_kpa, "k", lw=2, label="reference")
+        for pressure_pa, colour, name in (
+            (held_out.static_pa, "C1", "curves alone"),
+            (held_out.compensated_pa, "C0", "with compensation"),
+        ):
+            middle_kpa = np.nanmedian(pressure_pa, axis=1) / 1e3
+            time_axes.plot(held_out.t_s, middle_kpa, colour, lw=1, label=name)
+            loop_axes.plot(known_kpa, middle_kpa - known_kpa, colour, lw=0.8)
+        time_axes.set(
+            xlabel="time of the capture / s", ylabel="pressure / kPa", title="median of the nodes"
+        )
+        time_axes.legend()
+        loop_axes.set(xlabel="reference / kPa", ylabel="off by / kPa", title="loops")

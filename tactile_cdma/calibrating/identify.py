@@ -1,18 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Lag and hysteresis of a skin's sensors, from loading cycles with a known pressure.
+"""Identifies lag and hysteresis of a skin's sensors from loading cycles with a known pressure.
 
-The static pressures that the sensors show are, on the logarithmic axis of `dynamics`, linear in the
-weights of the plays once the lag is given. So for many time constants at once the plays follow the
-known pressure, non-negative least squares give their weights, and the time constants that leave
-least are refined. Where the clock of the known pressure is only known roughly, what is left of its
-offset is one more unknown, linear for small ones. The last third of the record takes no part: on it
-the result has to prove itself, through the very compensation that will run.
+The model is that of `readings.dynamics`. For given time constants its logarithmic reading is linear
+in the weights of the plays, which non-negative least squares give; nonlinear least squares over the
+time constants, and over the clock offset of the known pressure where that is uncertain, do the rest
+(variable projection). The last third of the record is held out: there the result has to remove
+error, through the same compensation that the driver runs.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,24 +21,30 @@ from ..readings.dynamics import Compensator, Dynamics, Lag, Plays
 
 Floats = NDArray[np.float64]
 WIDTHS = (0.03, 0.06, 0.1, 0.15, 0.22, 0.32, 0.45, 0.65, 0.9, 1.3)
-"""Of the plays: from a few per cent of the load to more than half of it."""
+"""Widths of the plays, on the logarithmic axis: chosen to span 3 % of a load to more than half."""
 MOST_WEIGHT = 0.75
-"""All plays together; more would quadruple noise where pressures turn."""
-LEAST_POINTS, LEAST_CYCLES = 200, 3
+"""Bound of the sum of all weights: the inverse multiplies noise by 1/(1 − sum), here 4."""
+LEAST_CYCLES = 3
+"""Loading cycles: two to fit, and one in the third that is held out."""
+LEAST_POINTS = 200
+"""Frames; chosen: some 20 for each of the twelve or thirteen unknowns, less the third held out."""
 LEAST_LOAD_PA = 5e3
+"""Largest load, Pa; chosen: well above SCALE_PA, where the model is no longer linear."""
 LEAST_REMOVED = 0.1
-"""Share of the error that must go; chance takes a few per cent of any."""
+"""Share of the error that must go; chosen above the few per cent that a fit to noise removes."""
 MOST_LEFT = 0.2
-"""Share of the largest load that may be left of the error: less than of any sensor worth it."""
+"""Error that may be left, as a share of the largest load; chosen: more is no use to anybody."""
 SCALE_PA = 2e3
-_RISES_S, _FALLS_S = (2e-3, 3.0), (2e-3, 1.0)
-_TRIES = 16
-_SHRINK = (1.0, 0.15, 0.03)
-_REPEATS = 3
-"""Of each of these steps, where the clock is to be found, too."""
-_SWEEPS = 300
+"""Where the logarithmic axis turns linear, Pa: the default of `Dynamics.scale_pa`."""
+_LEAST_S, _MOST_S = (2e-3, 2e-3), (3.0, 1.0)
+"""Limits of the time constants of rising and falling pressures, s; chosen: from a fraction of a
+frame to several times what the paper's sensor has (docs/sensor.md)."""
+_STEP = 1e-3
+"""Step of the numerical derivatives: a thousandth of a time constant, or of the uncertainty."""
+_TOLERANCE = 1e-4
+"""Relative change of cost or unknowns that ends the search: less than what noise changes."""
 _PROBE_S = 0.1
-"""A lag that the loads must be quick enough to show."""
+"""Lag that the loads must be quick enough to show, s; chosen: about that of the paper's sensor."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +62,12 @@ class HeldOut:
 
     @property
     def before_pa(self) -> float:
-        """Rms error of the static pressures of the middle one of the nodes, Pa."""
+        """Rms error of the static pressures, Pa, median of the nodes."""
         return self._error_pa(self.static_pa)
 
     @property
     def after_pa(self) -> float:
-        """The same with compensation."""
+        """Rms error of the compensated pressures, Pa, median of the nodes."""
         return self._error_pa(self.compensated_pa)
 
     @property
@@ -72,14 +76,15 @@ class HeldOut:
         return 1.0 - self.after_pa / self.before_pa
 
     def _error_pa(self, pressure_pa: NDArray[np.floating]) -> float:
-        return float(np.nanmedian(_rms(pressure_pa - self.reference_pa[:, None])))
+        error_pa = np.ma.masked_invalid(pressure_pa - self.reference_pa[:, None])
+        return float(np.nanmedian(np.sqrt((error_pa**2).mean(axis=0).filled(np.nan))))
 
 
 @dataclass(frozen=True, eq=False)
 class Identified:
     """Dynamics, and what their compensation makes of cycles that they were not fitted to.
 
-    cycles: loads and releases in the record. late_s: so much too late was the reference, s.
+    cycles: loads and releases in the record. late_s: by how much the reference was late, s.
     """
 
     dynamics: Dynamics
@@ -94,11 +99,11 @@ def identify(
     pressure_pa: NDArray[np.floating],
     uncertain_s: float = 0.0,
 ) -> Identified:
-    """The dynamics that all sensors of a skin share.
+    """Identify the dynamics that all sensors of a skin share; needs scipy.
 
     t_s: (m,) rising, s. reference_pa: (m,) the known pressure on all taxels, Pa. pressure_pa:
     (m, n) what the static curves make of the voltages of n nodes, Pa; NaN where there is none.
-    uncertain_s: by how much the reference may be too late or too early as a whole, s.
+    uncertain_s: bound of the offset, early or late, of the reference's clock, s.
 
     Raises CalibrationError, with the reason, where the record cannot tell.
     """
@@ -110,11 +115,14 @@ def identify(
         )
     heard = np.isfinite(pressure_pa).any(axis=1)
     t_s, reference_pa, pressure_pa = t_s[heard], reference_pa[heard], pressure_pa[heard]
-    fit = _Fit(t_s, reference_pa, np.nanmedian(pressure_pa, axis=1), uncertain_s)
-    dynamics = _search(fit)
-    last = slice(fit.fitted, None)
+    fitted = len(t_s) * 2 // 3
+    record = _Record(t_s, reference_pa, np.nanmedian(pressure_pa[:fitted], axis=1), uncertain_s)
+    dynamics, late_s = _search(record)
+    reference_pa = np.interp(t_s + late_s, t_s, reference_pa)
     compensated_pa = _compensated(dynamics, t_s, pressure_pa)
-    held_out = HeldOut(t_s[last], fit.reference_pa[last], pressure_pa[last], compensated_pa[last])
+    held_out = HeldOut(
+        t_s[fitted:], reference_pa[fitted:], pressure_pa[fitted:], compensated_pa[fitted:]
+    )
     if not held_out.after_pa < (1 - LEAST_REMOVED) * held_out.before_pa:
         raise CalibrationError(
             "what the first cycles taught makes the last ones hardly better: "
@@ -126,132 +134,92 @@ def identify(
             f"{held_out.after_pa:.0f} Pa rms stay of loads up to {held_out.reference_pa.max():.0f} "
             "Pa: do the capture, the reference and the curves belong together?"
         )
-    return Identified(dynamics, cycles, fit.late_s, held_out)
+    return Identified(dynamics, cycles, late_s, held_out)
 
 
 @dataclass(frozen=True, eq=False)
-class _Solution:
-    """What fits best for k pairs of time constants.
+class _Record:
+    """A record of f frames, of which the first m are fitted.
 
-    (k, j) weights of the plays; (k,) so much later still is the reference, s; (k,) what all that
-    leaves unexplained, Pa rms.
+    t_s: (f,) s. reference_pa: (f,) Pa. measured_pa: (m,) median of the nodes, Pa. uncertain_s:
+    bound of the reference's clock offset, s. A try is (ln rise_s, ln fall_s, offset as a share of
+    uncertain_s).
     """
 
-    weights: Floats
-    late_s: Floats
-    left_pa: Floats
+    t_s: Floats
+    reference_pa: Floats
+    measured_pa: Floats
+    uncertain_s: float
+
+    def delayed(self, tries: Floats) -> Floats:
+        """The known pressure behind the lags of k tries, (k, 3): (m, k) Pa."""
+        t_s, late_s = self.t_s[: len(self.measured_pa)], self.uncertain_s * tries[:, 2]
+        known_pa = np.interp(t_s[:, None] + late_s, self.t_s, self.reference_pa)
+        lag, passed_s = Lag(*np.exp(tries[:, :2].T)), np.diff(t_s, prepend=t_s[0]).tolist()
+        return np.array([lag.update(*now) for now in zip(known_pa, passed_s, strict=True)])
+
+    def explain(self, tries: Floats) -> tuple[Floats, Floats]:
+        """Best weights of the plays for k tries, (k, 3), and what stays unexplained.
+
+        Returns (k, j) weights and (k, m) Pa.
+        """
+        levels = np.log1p(self.delayed(tries) / SCALE_PA)
+        plays = Plays(np.array(WIDTHS), len(tries), np.float64)
+        behind = np.array([plays.follow(level) - level for level in levels])  # (m, j, k)
+        missing = np.log1p(self.measured_pa[:, None] / SCALE_PA) - levels
+        # Errors on the logarithmic axis, times this, are errors in Pa.
+        slope_pa = SCALE_PA + self.measured_pa
+        behind *= slope_pa[:, None, None]
+        missing *= slope_pa[:, None]
+        weights = np.array([_weights(*pair) for pair in zip(behind.T, missing.T, strict=True)])
+        return weights, missing.T - np.einsum("mjk,kj->km", behind, weights)
 
 
-class _Fit:
-    """Weights of the plays for given time constants, many at once."""
+def _weights(behind: Floats, missing: Floats) -> Floats:
+    """Non-negative weights of the plays, (j, m), whose sum explains most of (m,); bounded."""
+    from scipy.optimize import nnls  # slow to load, and an extra
 
-    def __init__(
-        self, t_s: Floats, reference_pa: Floats, measured_pa: Floats, uncertain_s: float
-    ) -> None:
-        self.fitted = len(t_s) * 2 // 3
-        self.reference_pa, self.late_s = reference_pa, 0.0
-        self.uncertain_s = uncertain_s
-        self._t_s, self._given_pa = t_s, reference_pa
-        self._passed_s = np.diff(t_s, prepend=t_s[0])
-        # On the logarithmic axis errors count by what they are in Pa.
-        self._relevance = (SCALE_PA + measured_pa)[: self.fitted, None]
-        self._measured = np.log1p(measured_pa[: self.fitted, None] / SCALE_PA)
-
-    def delayed(self, rise_s: Floats, fall_s: Floats) -> Floats:
-        """(m', k) the known pressure behind lags of k pairs of time constants."""
-        lag = Lag(rise_s, fall_s)
-        course = zip(self.reference_pa[: self.fitted], self._passed_s.tolist(), strict=False)
-        return np.array([lag.update(np.full(len(rise_s), p), passed) for p, passed in course])
-
-    def solve(self, rise_s: Floats, fall_s: Floats) -> _Solution:
-        """What explains the fitted part best, for k pairs of time constants."""
-        levels = np.log1p(self.delayed(rise_s, fall_s) / SCALE_PA)
-        plays = Plays(np.array(WIDTHS), len(rise_s), np.float64)
-        behind = np.array([plays.follow(level) - level for level in levels])  # (m', j, k)
-        if self.uncertain_s:
-            ahead = np.gradient(levels, self._t_s[: self.fitted], axis=0)[:, None]
-            behind = np.concatenate((behind, ahead, -ahead), axis=1)
-        behind *= self._relevance[:, :, None]
-        wanted = (self._measured - levels) * self._relevance
-        columns = behind.transpose(2, 1, 0)
-        found = _non_negative(
-            columns @ columns.transpose(0, 2, 1),
-            np.einsum("kjm,mk->kj", columns, wanted),
-        )
-        weights = found[:, : len(WIDTHS)]
-        weights *= MOST_WEIGHT / np.maximum(weights.sum(axis=1, keepdims=True), MOST_WEIGHT)
-        left_pa = _rms(wanted - np.einsum("kjm,kj->mk", columns, found))
-        late_s = found[:, len(WIDTHS) :] @ [1, -1] if self.uncertain_s else np.zeros(len(found))
-        return _Solution(weights, late_s, left_pa)
-
-    def shift(self, late_s: float) -> None:
-        """The reference was so much later still than it should have been."""
-        most_s = self.uncertain_s
-        self.late_s = min(max(self.late_s + late_s, -most_s), most_s)
-        self.reference_pa = np.interp(self._t_s + self.late_s, self._t_s, self._given_pa)
+    weights = nnls(behind.T, missing, maxiter=1000)[0]
+    return np.asarray(weights * MOST_WEIGHT / max(weights.sum(), MOST_WEIGHT))
 
 
-def _search(fit: _Fit) -> Dynamics:
-    """The time constants, and the weights with them, that leave least; the reference is shifted."""
-    rise_s, fall_s = (math.sqrt(low * high) for low, high in (_RISES_S, _FALLS_S))
-    # An offset of the clocks that is not yet right makes the time constants wrong by as much.
-    for shrink in np.repeat(_SHRINK, _REPEATS if fit.uncertain_s else 1):
-        rise_s = _best(fit, _around(rise_s, _RISES_S, shrink), np.array([fall_s]))[0]
-        falls_s = _around(fall_s, _FALLS_S, shrink)
-        # What both lags have in common looks much like an offset of the clocks.
-        rises_s = rise_s + falls_s - fall_s if fit.uncertain_s else np.array([rise_s])
-        rise_s, fall_s = _best(fit, np.clip(rises_s, *_RISES_S), falls_s)
-        if fit.uncertain_s:
-            fit.shift(float(fit.solve(np.array([rise_s]), np.array([fall_s])).late_s[0]))
-    if abs(fit.late_s) >= fit.uncertain_s > 0:
+def _search(record: _Record) -> tuple[Dynamics, float]:
+    """The dynamics that leave the least error, and by how much the reference is late, s."""
+    from scipy.optimize import least_squares
+
+    def slopes(x: Floats) -> Floats:
+        left_pa = record.explain(np.vstack((x, x + _STEP * np.eye(len(x)))))[1]
+        return np.asarray((left_pa[1:] - left_pa[0]).T / _STEP)
+
+    low, high = np.append(np.log(_LEAST_S), -1.0), np.append(np.log(_MOST_S), 1.0)
+    found = least_squares(
+        lambda x: record.explain(x[None])[1][0],
+        (low + high) / 2,
+        slopes,
+        bounds=(low, high),
+        ftol=_TOLERANCE,
+        xtol=_TOLERANCE,
+    )
+    rise, fall, late = found.x.tolist()
+    if record.uncertain_s and abs(late) > 1 - _STEP:
         raise CalibrationError(
-            f"the clocks differ by {fit.uncertain_s:g} s or more from the offset that was found by "
-            "matching the loads: give --offset"
+            f"the clocks differ by {record.uncertain_s:g} s or more from the offset that was found "
+            "by matching the loads: give --offset"
         )
-    found = fit.solve(np.array([rise_s]), np.array([fall_s]))
-    probe = fit.delayed(np.array([1e-6, _PROBE_S]), np.array([1e-6, 1e-6]))
-    shown_pa = float(_rms(probe[:, 1] - probe[:, 0]))
-    if shown_pa < found.left_pa[0]:
+    none = np.log(1e-6)
+    quick_pa, slow_pa = record.delayed(
+        np.array([[none, none, late], [np.log(_PROBE_S), none, late]])
+    ).T
+    shown_pa, left_pa = (np.sqrt(np.mean(x**2)) for x in (slow_pa - quick_pa, found.fun))
+    if shown_pa < left_pa:
         raise CalibrationError(
             f"a lag of {_PROBE_S:g} s would change the readings by {shown_pa:.0f} Pa rms, but "
-            f"{found.left_pa[0]:.0f} Pa stay unexplained anyway: the loads change too slowly to "
+            f"{left_pa:.0f} Pa stay unexplained anyway: the loads change too slowly to "
             "tell, or capture and reference do not belong together"
         )
-    return Dynamics(
-        rise_s=float(rise_s),
-        fall_s=float(fall_s),
-        widths=WIDTHS,
-        weights=tuple(found.weights[0].tolist()),
-        scale_pa=SCALE_PA,
-    )
-
-
-def _around(centre_s: float, limits_s: tuple[float, float], share: float) -> Floats:
-    """Time constants about one, evenly on a logarithmic axis, over a share of the whole range."""
-    reach = (limits_s[1] / limits_s[0]) ** (share / 2)
-    return np.clip(np.geomspace(centre_s / reach, centre_s * reach, _TRIES), *limits_s)
-
-
-def _best(fit: _Fit, rise_s: Floats, fall_s: Floats) -> tuple[float, float]:
-    """The pair that leaves least, of pairs given along one axis."""
-    rise_s, fall_s = np.broadcast_arrays(rise_s, fall_s)
-    best = np.argmin(fit.solve(rise_s, fall_s).left_pa)
-    return float(rise_s[best]), float(fall_s[best])
-
-
-def _non_negative(gram: Floats, right: Floats) -> Floats:
-    """Minima of wᵀ·G·w/2 − rᵀ·w with w ≥ 0, (k, j), one weight after another, over and over.
-
-    gram: (k, j, j), positive semidefinite; right: (k, j).
-    """
-    weights = np.zeros_like(right)
-    for _ in range(_SWEEPS):
-        for j in range(right.shape[1]):
-            own = gram[:, j, j]
-            pull = right[:, j] - (gram[:, j] * weights).sum(axis=1) + own * weights[:, j]
-            free = np.divide(pull, own, out=np.zeros_like(pull), where=own > 0)
-            weights[:, j] = np.maximum(free, 0.0)
-    return weights
+    weights = tuple(record.explain(found.x[None])[0][0].tolist())
+    rise_s, fall_s = np.exp([rise, fall]).tolist()
+    return Dynamics(rise_s, fall_s, WIDTHS, weights, SCALE_PA), record.uncertain_s * late
 
 
 def _compensated(
@@ -299,11 +267,3 @@ def _cycles(reference_pa: Floats) -> int:
     share = (reference_pa - low) / (high - low)
     pressed = share[(share < 0.4) | (share > 0.6)] > 0.5
     return int(np.count_nonzero(pressed[1:] & ~pressed[:-1]))
-
-
-def _rms(values: NDArray[np.floating]) -> Floats:
-    """Down the columns, without what is missing; NaN where all is."""
-    known = np.isfinite(values)
-    squares = np.where(known, np.square(values, dtype=np.float64), 0.0).sum(axis=0)
-    counts = np.maximum(known.sum(axis=0), 1)
-    return np.asarray(np.where(known.any(axis=0), np.sqrt(squares / counts), np.nan))

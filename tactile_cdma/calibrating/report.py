@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.errors import CalibrationError
 from ..base.listing import listed
 from ..readings.calibration import PressureCurve
 from .curve_fit import Floats
+from .picture import picture
 from .skin_fit import SkinFit
 
 WORST = 5
@@ -216,25 +216,13 @@ def results(fit: SkinFit) -> dict[str, str]:
 
 
 def draw(fit: SkinFit, path: Path) -> None:
-    """Curves with points, residuals, and knees as a PNG.
-
-    Raises CalibrationError where it cannot be written.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(15, 4.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    curve_axes, residual_axes, knee_axes = figure.subplots(1, 3)
-    _draw_curves(fit, curve_axes)
-    _draw_residuals(fit, residual_axes)
-    for number, knees in enumerate(_knees_pa(fit).T, 1):
-        knee_axes.plot(list(fit.curves), knees / 1e3, ".", label=f"knee {number}")
-    knee_axes.set(xlabel="node", ylabel="knee / kPa", title="where the slope changes")
-    try:
-        figure.savefig(path, format="png", dpi=110)
-    except OSError as error:
-        raise CalibrationError(f"{path}: {error.strerror}") from None
+    """Curves with points, residuals, and knees as a PNG."""
+    with picture(path, (1, 1, 1)) as (curve_axes, residual_axes, knee_axes):
+        _draw_curves(fit, curve_axes)
+        _draw_residuals(fit, residual_axes)
+        for number, knees in enumerate(_knees_pa(fit).T, 1):
+            knee_axes.plot(list(fit.curves), knees / 1e3, ".", label=f"knee {number}")
+        knee_axes.set(xlabel="node", ylabel="knee / kPa", title="where the slope changes")
 
 
 def _draw_curves(fit: SkinFit, axes: Any) -> None:

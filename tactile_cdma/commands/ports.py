@@ -14,10 +14,11 @@ from typing import Any
 from ..base.errors import TactileError
 from ..base.plain_text import plain
 from ..config.parameters import BY_NAME
+from ..wire.discovery import USB, SerialPort, leave_alone_if_open, serial_ports
 from ..wire.identity import shown_id
 from ..wire.introduction import described_info, introduction
 from ..wire.messages import Info
-from ..wire.port import USB, Port, SerialPort, leave_alone_if_open, serial_ports
+from ..wire.port import Port
 
 MOST_AT_ONCE = 64
 

@@ -16,8 +16,9 @@ from ..config.skin_config import SkinConfig
 from ..driver.pipeline import Pipeline
 from ..driver.session import Session
 from ..recording.offline import parameters_of
+from ..wire.discovery import leave_alone_if_open
 from ..wire.introduction import described_info, introduction
-from ..wire.port import Port, leave_alone_if_open
+from ..wire.port import Port
 from .report import Check, ok, problem
 from .stream import Stream, judge
 

@@ -16,8 +16,9 @@ from ..base.errors import PortError, RecordingEndError
 from ..config.parameters import REPLAY
 from ..config.skin_config import SkinConfig
 from ..readings.stuck import StuckNodes
+from ..wire.discovery import is_away
 from ..wire.packets import MAX_REPEATED
-from ..wire.port import NETWORK, Port, is_away
+from ..wire.port import Port
 from .backlog import Backlog
 from .pipeline import Pipeline, TactileFrame
 from .session import Session
@@ -161,8 +162,6 @@ class Driver:
             self._report(WAITING)
         port.write(session.open())
         backlog = Backlog(pipeline.config.spec.frame_period_s)
-        # Others hold back no more than a terminal does, or are read at the pace of the reader.
-        hoards = self.url.startswith(NETWORK)
         look_s, age_s = -math.inf, 0.0
         try:
             while not self._stop.is_set():
@@ -180,7 +179,7 @@ class Driver:
                     waiting_bytes = port.waiting
                     self.vitals.dealt_with(waiting_bytes)
                     look_s = t_host + LOOK_S
-                    if hoards and backlog.is_hopeless(waiting_bytes, age_s, t_host):
+                    if port.over_network and backlog.is_hopeless(waiting_bytes, age_s, t_host):
                         with self._busy:
                             pipeline.skipped(port.skip())
                 if frames and self.problem:

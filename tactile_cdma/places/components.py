@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which taxels hang together: connected components of a part of the skin."""
+"""Connected components of the pressed taxels."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ from numpy.typing import NDArray
 
 
 def connected(taxels: NDArray[np.intp], beside: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Which of some taxels hang together: (k,) labels, 0…c − 1 in the order of first taxels.
+    """Label the connected components of some taxels: (k,), 0…c − 1 in the order of first taxels.
 
-    taxels: (k,) int, rising. beside: (m, t) int, the neighbours of all t taxels, a column each,
-    filled up with the taxel itself.
+    taxels: (k,) int, rising. beside: (m, t) int, the neighbours of all t taxels, one column per
+    taxel, padded with the taxel itself.
 
-    Trees of taxels grow together along the links between them: in each round every root whose tree
-    touches lower ones hangs itself below the lowest, and the trees are flattened. (A form of
-    Shiloach & Vishkin, An O(log n) parallel connectivity algorithm, 1982.)
+    Trees of taxels merge along the links between them: in each round every root whose tree touches
+    lower ones is attached to the lowest, then the trees are flattened. (A form of Shiloach &
+    Vishkin, An O(log n) parallel connectivity algorithm, 1982. scipy's connected_components would
+    do it too, but the core does without scipy.)
     """
     count = len(taxels)
-    own = np.arange(count + 1)  # the last one stands for all that is not among the taxels
+    own = np.arange(count + 1)  # the last entry stands for all other taxels
     among = np.full(beside.shape[1], count)
     among[taxels] = own[:-1]
     near = among[beside[:, taxels]]

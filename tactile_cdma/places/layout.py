@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where the taxels are: their places on the skin, the nodes behind them, who is beside whom."""
+"""The layout of a skin patch: taxel positions, the node behind each taxel, and neighbours."""
 
 from __future__ import annotations
 
@@ -16,36 +16,30 @@ from .layout_shapes import Surface, plane
 from .proximity import beside
 
 NEIGHBOUR_PITCHES = 1.5
-"""Neighbours' centres are so many pitches apart at most: the eight about a taxel of a grid."""
+"""Largest distance between neighbours' centres, in pitches: between √2 (the diagonal) and 2, so
+that a taxel of a grid has its eight neighbours."""
 COVER_PITCHES = 0.75
-"""In pictures an irregular skin's taxel covers what is nearest to it, up to so far."""
+"""Radius that an irregular skin's taxel covers in pictures, in pitches: above √½ ≈ 0.71, so that a
+square arrangement leaves no gaps."""
 MAX_CELLS = 1 << 18
+"""Most cells in an irregular skin's raster: 4, of half a pitch, for each of 65,535 taxels."""
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
-    """The taxels of one skin patch, t of them, in the order of all arrays that are published.
+class Layout(Surface):
+    """The taxels of one skin patch, t of them, in the order of all published arrays.
 
-    name: of the layout; shown to people. rows, columns: t = rows · columns, row-major; an
-        irregular skin is one row.
-    positions_m: (t, 3) float32, centres, m, in the frame of the patch.
-    normals: (t, 3) float32, unit vectors out of the surface.
-    areas_m2: (t,) float32, the share of the surface that each taxel stands for, m²: force is
-        pressure times this area.
-    flat_m: (t, 2) float32, the places on the unrolled surface, m.
+    name: shown to people. rows, columns: t = rows · columns, row-major; an irregular skin is one
+        row.
     nodes: (t,) int32, 1-based number of the node behind each taxel; 0: none.
-    pitch_m: usual distance of neighbouring taxels, m.
+    pitch_m: typical distance between neighbouring taxels, m.
     masked: nodes that are out of service. unplaced: nodes on the wire that are behind no taxel.
-    irregular: rows and columns say nothing of where taxels are.
+    irregular: rows and columns do not describe positions.
     """
 
     name: str
     rows: int
     columns: int
-    positions_m: NDArray[np.float32]
-    normals: NDArray[np.float32]
-    areas_m2: NDArray[np.float32]
-    flat_m: NDArray[np.float32]
     nodes: NDArray[np.int32]
     pitch_m: float
     masked: tuple[int, ...] = ()
@@ -53,35 +47,13 @@ class Layout:
     irregular: bool = False
 
     @classmethod
-    def on(
-        cls,
-        surface: Surface,
-        name: str,
-        rows: int,
-        columns: int,
-        nodes: NDArray[np.int32],
-        pitch_m: float,
-    ) -> Layout:
-        """Taxels at the places of a surface, all in service."""
-        return cls(
-            name=name,
-            rows=rows,
-            columns=columns,
-            positions_m=surface.positions_m,
-            normals=surface.normals,
-            areas_m2=surface.areas_m2,
-            flat_m=surface.flat_m,
-            nodes=nodes,
-            pitch_m=pitch_m,
-        )
-
-    @classmethod
     def grid(cls, nodes: int, rows: int, columns: int, pitch_m: float, taxel_m: float) -> Layout:
-        """A flat grid for n nodes, row-major, about the centre of the skin.
+        """A flat grid of nodes 1…n, row-major, about the centre of the skin.
 
-        Node 1 is row 0, column 0; x grows with columns, y falls with rows. 0 rows or columns are
-        chosen, as square as a full grid allows. taxel_m: edge of a taxel's sensing area, m.
-        Raises SpecError where rows × columns is not the number of nodes.
+        Node 1 is row 0, column 0; x grows with columns, y falls with rows. Where rows or columns
+        are 0 they are chosen, as square as a full grid allows. taxel_m: edge of a taxel's sensing
+        area, m.
+        Raises SpecError where rows × columns is not the number of nodes, or taxels overlap.
         """
         if not rows and not columns:
             rows = next(r for r in range(math.isqrt(nodes), 0, -1) if nodes % r == 0)
@@ -96,23 +68,28 @@ class Layout:
             raise SpecError(
                 f"taxels of {taxel_m * 1e3:g} mm overlap at a pitch of {pitch_m * 1e3:g} mm"
             )
-        surface, numbers = plane(rows, columns, pitch_m), np.arange(1, nodes + 1, dtype=np.int32)
-        return cls.on(surface, f"grid of {rows} × {columns}", rows, columns, numbers, pitch_m)
+        return cls(
+            **vars(plane(rows, columns, pitch_m)),
+            name=f"grid of {rows} × {columns}",
+            rows=rows,
+            columns=columns,
+            nodes=np.arange(1, nodes + 1, dtype=np.int32),
+            pitch_m=pitch_m,
+        )
 
     def __len__(self) -> int:
         return len(self.nodes)
 
     @property
     def wired(self) -> int:
-        """Nodes on the wire: the highest number that the layout knows."""
+        """Number of nodes on the wire: the highest node number in the layout."""
         return max((int(self.nodes.max()), *self.unplaced))
 
     @cached_property
     def source(self) -> NDArray[np.intp] | None:
         """(t,) index of each taxel's node in arrays of all nodes; −1: no node.
 
-        None where taxel i has node i + 1 and every node has a taxel, so that nothing has to be
-        moved.
+        None if taxel i has node i + 1 and every node has a taxel: arrays need no reordering.
         """
         index = self.nodes.astype(np.intp) - 1
         in_order = np.array_equal(index, np.arange(len(index))) and not self.unplaced
@@ -120,10 +97,10 @@ class Layout:
 
     @cached_property
     def neighbours(self) -> NDArray[np.int32]:
-        """(t, m) int32, the taxels beside each one, padded with its own index.
+        """(t, m) int32, the neighbours of each taxel, padded with its own index.
 
-        Two are neighbours where their centres are within NEIGHBOUR_PITCHES of each other and they
-        do not face away from each other. Taxels without a node neither have nor are neighbours.
+        Two taxels are neighbours if their centres are within NEIGHBOUR_PITCHES and they do not face
+        away from each other. Taxels without a node neither have nor are neighbours.
         """
         placed = np.flatnonzero(self.nodes)
         reach_m = NEIGHBOUR_PITCHES * self.pitch_m
@@ -138,8 +115,8 @@ class Layout:
     def raster(self) -> NDArray[np.int32]:
         """(h, w) int32, the taxel in each cell of a picture of the unrolled skin; −1: none.
 
-        Seen from outside, the first row on top, at the greatest y. Of a grid the cells are its
-        taxels with a node; of an irregular skin they are cell_m wide and hold the nearest taxel.
+        Seen from outside, with the greatest y in the top row. The cells of a grid are its taxels
+        with a node; those of an irregular skin are cell_m wide and hold the nearest taxel.
         """
         if not self.irregular:
             taxels = np.where(self.nodes > 0, np.arange(len(self)), -1)
@@ -155,7 +132,7 @@ class Layout:
         own = (offsets == 0).all(axis=1)
         inside = ((cells >= 0) & (cells < [width, height])).all(axis=2)
         taxel, offset = np.nonzero(inside & ((distance <= reach) | own))
-        # The nearest is written last, so it stays.
+        # The nearest taxel of a cell is written last and stays.
         order = np.argsort(-distance[taxel, offset], kind="stable")
         x, y = cells[taxel, offset][order].T
         raster = np.full((height, width), -1, dtype=np.int32)
@@ -164,9 +141,9 @@ class Layout:
 
     @cached_property
     def cell_m(self) -> float:
-        """Edge length of a cell of the raster, m.
+        """Edge length of a cell of the raster, m: the pitch of a grid.
 
-        The pitch of a grid; half of it, or what MAX_CELLS allow, on an irregular skin.
+        On an irregular skin half the pitch, doubled until there are at most MAX_CELLS cells.
         """
         if not self.irregular:
             return self.pitch_m
@@ -176,8 +153,8 @@ class Layout:
         return cell_m
 
     def _cells(self, cell_m: float) -> tuple[int, int]:
-        """Width and height of an irregular skin with half a pitch of border, in cells."""
+        """Width and height of an irregular skin with a border of half a pitch, in cells."""
         extent_m = np.ptp(self.flat_m.astype(np.float64), axis=0) + self.pitch_m
-        # What float32 places are off by is no cell more.
+        # Rounding of float32 positions must not add a cell.
         width, height = np.ceil(extent_m / cell_m - 0.01).astype(int).tolist()
         return max(1, width), max(1, height)

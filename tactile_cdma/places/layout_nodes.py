@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which node is behind which taxel of a layout file.
+"""Assigns nodes to the taxels of a layout file.
 
-Every node has one place, or the file says that it has none.
+Every node has one place, or is listed as unplaced.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from ..base.listing import listed
 from ..base.marked_yaml import Mapping, Marked
 
 MOST_TAXELS = 65_535
-"""As many as TactileSkinInfo can count."""
+"""Largest count that TactileSkinInfo can hold: 16 bits."""
 """Nodes that a message lists, at most."""
 
 
 @dataclass(frozen=True, slots=True)
 class Wiring:
-    """What the parameters say of the skin that a layout is for.
+    """The parameters of the skin that a layout is for.
 
-    nodes: on the wire; None: as many as the layout names. first_row: code row of node 1. skin: its
-    name; empty: not checked.
+    nodes: number on the wire; None: the highest in the layout. first_row: code row of node 1.
+    skin: its name; empty: not checked.
     """
 
     nodes: int | None = None
@@ -36,9 +36,9 @@ class Wiring:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A taxel and its node as the file has them.
+    """A taxel and its node in the file.
 
-    taxel: what to call it. node: 1-based; 0: none. value: where the file says so.
+    taxel: its name in messages. node: 1-based; 0: none. value: where the file states the node.
     """
 
     taxel: str
@@ -47,40 +47,39 @@ class Place:
 
 
 def node_of_entry(entry: Mapping, first_row: int) -> Place:
-    """The node of a taxel that is listed by itself, from its node or code_row."""
+    """The node of a taxel in a list, from its key node or code_row."""
     node, code_row = entry.get("node"), entry.get("code_row")
-    if node and not code_row:
-        return Place(entry.what, _node(node, entry.what), node)
-    if code_row and not node:
-        return Place(entry.what, _node_of_row(code_row, entry.what, first_row), code_row)
-    raise entry.value.refuse(f"{entry.what} needs a node or a code_row, and not both")
+    value = node or code_row
+    if not value or (node and code_row):
+        raise entry.value.refuse(f"{entry.what} needs a node or a code_row, and not both")
+    return _place(entry.what, value, None if node else first_row)
 
 
 def nodes_of_grid(content: Mapping, rows: int, columns: int, first_row: int) -> list[Place]:
-    """Row-major, from the matrix of nodes or of code_rows; without one 1, 2, 3 and so on."""
+    """Row-major, from the matrix of nodes or of code_rows; without either 1, 2, 3 and so on."""
     nodes, code_rows = content.get("nodes"), content.get("code_rows")
     if nodes and code_rows:
         raise code_rows.refuse("nodes and code_rows say the same: leave one out")
-    taxels = (
+    taxels = [
         f"taxel {row * columns + column} (row {row}, column {column})"
         for row in range(rows)
         for column in range(columns)
-    )
+    ]
     if nodes:
         cells = zip(taxels, _matrix(nodes, "nodes", rows, columns), strict=True)
-        return [Place(t, 0 if v.content == "0" else _node(v, t), v) for t, v in cells]
+        return [Place(t, 0, v) if v.content == "0" else _place(t, v) for t, v in cells]
     if code_rows:
         cells = zip(taxels, _matrix(code_rows, "code_rows", rows, columns), strict=True)
-        return [Place(t, 0 if v.is_null else _node_of_row(v, t, first_row), v) for t, v in cells]
+        return [Place(t, 0, v) if v.is_null else _place(t, v, first_row) for t, v in cells]
     return [Place(taxel, node, content["shape"]) for node, taxel in enumerate(taxels, start=1)]
 
 
 def check_nodes(
     content: Mapping, places: list[Place], wiring: Wiring
 ) -> tuple[NDArray[np.int32], tuple[int, ...], tuple[int, ...]]:
-    """The nodes of the taxels, (t,) int32, and the numbers of those masked and of those unplaced.
+    """The nodes of the taxels, (t,) int32, and the masked and the unplaced nodes.
 
-    Raises LayoutError for nodes with two places or none, nodes that the skin doesn't have, and
+    Raises LayoutError for nodes with two places or none, nodes beyond the skin's number, and
     numbers under masked or unplaced that contradict the places.
     """
     placed = _by_node(places)
@@ -131,28 +130,21 @@ def _matrix(value: Marked, what: str, rows: int, columns: int) -> list[Marked]:
     lines = value.items(what)
     if len(lines) != rows:
         raise value.refuse(f"{what} has {len(lines)} rows; rows is {rows}")
-    cells: list[Marked] = []
-    for line in lines:
-        entries = line.items(f"a row of {what}")
-        if len(entries) != columns:
-            raise line.refuse(f"a row of {what} has {len(entries)} entries; columns is {columns}")
-        cells += entries
-    return cells
+    return [cell for line in lines for cell in line.items(f"a row of {what}", columns, columns)]
 
 
-def _node(value: Marked, taxel: str) -> int:
-    return value.whole(f"the node of {taxel}", 1, MOST_TAXELS)
-
-
-def _node_of_row(value: Marked, taxel: str, first_row: int) -> int:
+def _place(taxel: str, value: Marked, first_row: int | None = None) -> Place:
+    """A taxel with its node, which is given by number or, with first_row, by its code row."""
+    if first_row is None:
+        return Place(taxel, value.whole(f"the node of {taxel}", 1, MOST_TAXELS), value)
     code_row = value.whole(f"the code row of {taxel}", 0, first_row + MOST_TAXELS - 1)
     if code_row < first_row:
         raise value.refuse(f"{taxel} has code row {code_row}, but node 1 has row {first_row}")
-    return code_row - first_row + 1
+    return Place(taxel, code_row - first_row + 1, value)
 
 
 def _numbers(content: Mapping, key: str) -> dict[int, Marked]:
-    """A list of node numbers, each with where it stands."""
+    """A list of node numbers, each with its place in the file."""
     listing, numbers = content.get(key), dict[int, Marked]()
     for value in listing.items(key) if listing else ():
         number = value.whole(f"a node in {key}", 1, MOST_TAXELS)

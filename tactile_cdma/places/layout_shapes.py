@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where a regular skin's taxels lie: rows and columns on a plane, a cylinder or a sphere.
+"""Taxel positions on regular surfaces: rows and columns on a plane, a cylinder or a sphere.
 
-The frame is that of the patch: its origin is the middle of the skin, z points out of the surface
-there. Seen from outside columns go right, along x, and rows down, against y, as in a picture. A
-curved patch of large radius is a flat one.
+The frame is the patch's: its origin is the centre of the skin, where z points out of the surface.
+Seen from outside, columns run to the right (+x) and rows down (−y), as in a picture. As the radius
+grows, a curved patch becomes the flat one.
 """
 
 from __future__ import annotations
@@ -18,17 +18,22 @@ from numpy.typing import NDArray
 from ..base.errors import SpecError
 
 OVERLAP = 0.25
-"""Share of the pitch by which places may be off without being a mistake."""
+"""Tolerance of positions, in pitches; chosen: two taxels this close are an error in the file, and a
+cylinder whose columns exceed its circumference by no more than this was rounded."""
 _QUADRATURE = 6
-"""Points per edge of a cell in the integral of its area: exact to float32 on a hemisphere."""
+"""Gauss–Legendre points per edge of a cell in the integral of its area: exact to float32 on a
+hemisphere."""
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Places on a surface.
+    """Taxel positions on a surface, t of them.
 
-    flat_m: (t, 2) float32, on the unrolled surface, m. positions_m: (t, 3) float32, m. normals:
-    (t, 3) float32, unit vectors out of the surface. areas_m2: (t,) float32, of the cells, m².
+    flat_m: (t, 2) float32, positions on the unrolled surface, m.
+    positions_m: (t, 3) float32, centres in the frame of the patch, m.
+    normals: (t, 3) float32, unit vectors out of the surface.
+    areas_m2: (t,) float32, share of the surface that each taxel represents, m²: force is pressure
+        times this area.
     """
 
     flat_m: NDArray[np.float32]
@@ -36,19 +41,24 @@ class Surface:
     normals: NDArray[np.float32]
     areas_m2: NDArray[np.float32]
 
+    @classmethod
+    def of(cls, *arrays: NDArray[np.float64]) -> Surface:
+        """From arrays in the order of the fields, of any float type."""
+        return cls(*(np.array(values, dtype=np.float32) for values in arrays))
+
 
 def plane(rows: int, columns: int, pitch_m: float) -> Surface:
-    """A flat grid, row-major about its centre."""
+    """A flat grid, row-major, about its centre."""
     flat_m = _grid(rows, columns, pitch_m)
     normals = np.broadcast_to([0.0, 0.0, 1.0], (len(flat_m), 3))
     areas_m2 = np.full(len(flat_m), pitch_m**2)
-    return _surface(flat_m, np.pad(flat_m, ((0, 0), (0, 1))), normals, areas_m2)
+    return Surface.of(flat_m, np.pad(flat_m, ((0, 0), (0, 1))), normals, areas_m2)
 
 
 def cylinder(rows: int, columns: int, pitch_m: float, radius_m: float) -> Surface:
-    """A grid bent round an axis: columns go around, rows along it, the axis is y at z = −radius.
+    """A grid bent around an axis parallel to y at z = −radius: columns go around it, rows along it.
 
-    Distances are kept along the surface: neighbouring columns are a chord of pitch/radius apart.
+    Distances along the surface are preserved: neighbouring columns are an angle pitch/radius apart.
     Raises SpecError where the columns go round more than once.
     """
     round_m = 2 * math.pi * radius_m
@@ -63,7 +73,7 @@ def cylinder(rows: int, columns: int, pitch_m: float, radius_m: float) -> Surfac
     normals = np.stack([np.sin(angle), np.zeros(len(angle)), np.cos(angle)], axis=1)
     positions_m = radius_m * (normals - [0.0, 0.0, 1.0])
     positions_m[:, 1] = flat_m[:, 1]
-    return _surface(flat_m, positions_m, normals, np.full(len(flat_m), pitch_m**2))
+    return Surface.of(flat_m, positions_m, normals, np.full(len(flat_m), pitch_m**2))
 
 
 def sphere(rows: int, columns: int, pitch_m: float, radius_m: float) -> Surface:
@@ -85,15 +95,15 @@ def sphere(rows: int, columns: int, pitch_m: float, radius_m: float) -> Surface:
     across = flat_m * (_sinc(angle) / radius_m)[:, None]
     normals = np.column_stack([across, np.cos(angle)])
     positions_m = radius_m * (normals - [0.0, 0.0, 1.0])
-    return _surface(flat_m, positions_m, normals, _sphere_areas_m2(flat_m, pitch_m, radius_m))
+    return Surface.of(flat_m, positions_m, normals, _sphere_areas_m2(flat_m, pitch_m, radius_m))
 
 
 def seen_from_outside(
     positions_m: NDArray[np.floating], normals: NDArray[np.floating]
 ) -> NDArray[np.float64]:
-    """Places as seen against the mean normal, (t, 2), m; along z where normals cancel out.
+    """Positions projected along the mean normal, (t, 2), m; along z where the normals cancel out.
 
-    x is to the right, as nearly as the direction of view allows.
+    x points to the right as closely as the direction of view allows.
     """
     out = normals.mean(axis=0)
     if np.linalg.norm(out) < 1e-3:
@@ -107,7 +117,7 @@ def seen_from_outside(
 
 
 def _grid(rows: int, columns: int, pitch_m: float) -> NDArray[np.float64]:
-    """Row-major places of a flat grid about its centre, (rows · columns, 2), m."""
+    """Row-major positions of a flat grid about its centre, (rows · columns, 2), m."""
     y, x = np.mgrid[:rows, :columns].astype(np.float64)
     centred = np.stack([x.ravel() - (columns - 1) / 2, (rows - 1) / 2 - y.ravel()], axis=1)
     return np.asarray(centred * pitch_m)
@@ -116,7 +126,7 @@ def _grid(rows: int, columns: int, pitch_m: float) -> NDArray[np.float64]:
 def _sphere_areas_m2(
     flat_m: NDArray[np.float64], pitch_m: float, radius_m: float
 ) -> NDArray[np.float64]:
-    """Areas on the sphere of the square cells about flat places: the integral of sin(c)/c."""
+    """Areas on the sphere of the square cells around flat positions: the integral of sin(c)/c."""
     at, weight = np.polynomial.legendre.leggauss(_QUADRATURE)
     areas_m2 = np.zeros(len(flat_m))
     for y, weight_y in zip(at, weight, strict=True):
@@ -130,7 +140,3 @@ def _sphere_areas_m2(
 def _sinc(angle: NDArray[np.float64]) -> NDArray[np.float64]:
     """sin(c)/c."""
     return np.asarray(np.sinc(angle / np.pi))
-
-
-def _surface(*arrays: NDArray[np.float64]) -> Surface:
-    return Surface(*(np.array(values, dtype=np.float32) for values in arrays))

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The skin's surface as triangles: a square for every taxel, in the plane that touches it there."""
+"""The skin's surface as triangles: a square for every taxel, in its tangent plane."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from numpy.typing import NDArray
 from .layout import Layout
 
 CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, -1), (1, 1), (-1, 1))
-"""Of a taxel's two triangles, in half edges right and up; anticlockwise, seen from outside."""
+"""Corners of a taxel's two triangles, in half edges right and up; anticlockwise from outside."""
 
 
 def taxel_squares(layout: Layout) -> NDArray[np.float32]:
     """Two triangles per taxel, (t, 6, 3) float32, corners in m, anticlockwise seen from outside.
 
-    A square has its taxel's area. So they meet on a plane; on a cylinder they touch it, and on a
-    sphere, where cells are narrower one way, they overlap a little the other way.
+    Each square has its taxel's area. On a plane neighbouring squares meet; on a cylinder they are
+    tangent to it; on a sphere, whose cells are narrower one way, they overlap slightly the other
+    way.
     """
     right, up = tangents(layout.normals)
     half_m = np.sqrt(layout.areas_m2.astype(np.float64))[:, None, None] / 2
@@ -27,16 +28,17 @@ def taxel_squares(layout: Layout) -> NDArray[np.float32]:
 
 
 def tangents(normals: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Right and up on the surface, (t, 3) float64 both, unit vectors; right × up is the normal.
+    """Right and up on the surface, (t, 3) float64 each, unit vectors; right × up is the normal.
 
-    normals: (t, 3), unit vectors. They are x and y, turned with z the shortest way to the normal:
-    the rows and columns of regular skins. Straight down it is turned about y, as on a cylinder.
+    normals: (t, 3), unit vectors. Right and up are x and y, rotated as z is the shortest way to the
+    normal: the directions of rows and columns on regular skins. For a normal straight down the
+    rotation is about y, as on a cylinder.
     """
     x, y, z = normals.T.astype(np.float64)
     slope = np.hypot(x, y)
     upright = slope == 0
     along = np.where(upright, 1.0, slope)  # no division by 0
-    # Which way a normal leans, and what a unit vector that way gains by the turn.
+    # The direction in which a normal leans, and how the rotation changes the unit vector there.
     lean_x, lean_y = np.where(upright, 1.0, x) / along, y / along
     gain = np.stack([(z - 1) * lean_x, (z - 1) * lean_y, -slope], axis=1)
     return [1, 0, 0] + lean_x[:, None] * gain, [0, 1, 0] + lean_y[:, None] * gain

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where a frame lies in another one: rotation and translation."""
+"""Poses of frames: rotation and translation."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Pose:
 
     @classmethod
     def of_rpy(cls, xyz_m: Sequence[float], rpy_rad: Sequence[float]) -> Pose:
-        """As URDF writes it: rolled, pitched and yawed, in this order, about the parent's axes."""
+        """From roll, pitch and yaw about the parent's fixed axes, in this order, as in URDF."""
         (sr, sp, sy), (cr, cp, cy) = np.sin(rpy_rad), np.cos(rpy_rad)
         roll = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
         pitch = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
@@ -35,16 +35,15 @@ class Pose:
 
     @classmethod
     def of_quaternion(cls, xyz_m: Sequence[float], xyzw: Sequence[float]) -> Pose:
-        """As ROS messages write it; a quaternion that is not quite of length 1 is made so.
+        """From a translation and a quaternion, as in ROS messages; the quaternion is normalised.
 
-        Raises ValueError for a quaternion without a direction: zero, or not finite; and for a place
-        that is not finite.
+        Raises ValueError for a zero or non-finite quaternion and for a non-finite translation.
         """
         if not all(map(math.isfinite, xyz_m)):
-            raise ValueError(f"no place: {tuple(xyz_m)}")
+            raise ValueError(f"not a translation: {tuple(xyz_m)}")
         length = math.hypot(*xyzw)
         if not (length > 0 and math.isfinite(length)):
-            raise ValueError(f"no rotation: quaternion {tuple(xyzw)}")
+            raise ValueError(f"not a rotation: quaternion {tuple(xyzw)}")
         x, y, z, w = np.asarray(xyzw, dtype=np.float64) / length
         rotation = np.array(
             [
@@ -59,7 +58,7 @@ class Pose:
     def quaternion(self) -> Floats:
         """The rotation as (4,) float64: x, y, z, w, of length 1, w ≥ 0."""
         r = self.rotation
-        # 4·q·qᵀ: the row with the largest square of its own loses the least (Markley 2008).
+        # 4·q·qᵀ: the row with the largest diagonal entry is the most accurate (Markley 2008).
         outer = np.array(
             [
                 [1 + r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], 0],
@@ -74,17 +73,17 @@ class Pose:
 
     @property
     def inverse(self) -> Pose:
-        """The parent in this frame."""
+        """The parent's pose in this frame."""
         return Pose(self.rotation.T, -self.rotation.T @ self.translation_m)
 
     def __matmul__(self, other: Pose) -> Pose:
-        """self: b in a, other: c in b; returns c in a."""
+        """Chain poses: self is b in a, other is c in b; returns c in a."""
         return Pose(self.rotation @ other.rotation, self.apply(other.translation_m))
 
     def apply(self, points_m: Floats) -> Floats:
-        """Points (…, 3), m, of this frame in the parent."""
+        """Points (…, 3), m, from this frame to the parent."""
         return self.rotate(points_m) + self.translation_m
 
     def rotate(self, vectors: Floats) -> Floats:
-        """Vectors (…, 3) of this frame, such as normals and forces, in the parent."""
+        """Vectors (…, 3), such as normals and forces, from this frame to the parent."""
         return np.asarray(vectors @ self.rotation.T)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which places on a skin are near each other, found by cell hashing: linear in their number."""
+"""Pairs of nearby positions on a skin, found by cell hashing in linear time."""
 
 from __future__ import annotations
 
@@ -12,25 +12,26 @@ from numpy.typing import NDArray
 from ..base.errors import SpecError
 
 MOST_CANDIDATES = 1 << 22
-"""Pairs to measure, 64 for each of as many taxels as there can be; a grid has 20. More of them
-mean that places are heaped up, or that the radius is wrong.
-"""
+"""Limit of the pairs whose distance is measured: 64 for each of the 65,536 taxels of the largest
+skin; a grid has 20 per taxel. More mean that positions are piled up or the radius is wrong."""
 _CELL_BITS = 21
-"""Per axis. Cells that share a key only cost time: distances are looked at anyway."""
+"""Bits of a cell's key per axis: three of them fill an int64. Cells with the same key only cost
+time, as distances are checked anyway."""
 _FACING_AWAY = -1e-3
-"""Cosine between normals below which two places are on opposite sides of a fold."""
+"""Cosine between normals below which two positions are on opposite sides of a fold: 90°, with room
+for the rounding of float32 normals."""
 
 
 def beside(
     positions_m: NDArray[np.floating], normals: NDArray[np.floating], radius_m: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
-    """All pairs of places within radius_m of each other whose normals are at most 90° apart.
+    """All pairs of positions within radius_m of each other whose normals are at most 90° apart.
 
-    positions_m, normals: (t, 3), m and unit vectors. Returns first and second place of
-    every pair, in both orders, sorted, and their distance, m. The front and the back of a thin
-    flap are not beside each other, however close.
+    positions_m, normals: (t, 3), m and unit vectors. Returns the indices of the first and second
+    position of each pair, in both orders, sorted, and their distance, m. The two sides of a thin
+    flap are not neighbours, however close.
 
-    Raises SpecError where far more places lie within the radius than a skin has.
+    Raises SpecError if far more positions lie within the radius than on any skin.
     """
     places_m = positions_m.astype(np.float64)
     first, second = _candidates(np.floor(places_m / radius_m).astype(np.int64), radius_m)
@@ -45,10 +46,10 @@ def beside(
 def usual_distance_m(
     positions_m: NDArray[np.floating], normals: NDArray[np.floating]
 ) -> float | None:
-    """Median distance of a place to the nearest one beside it, m; None where there is none."""
+    """Median distance to the nearest neighbour, m; None if there are no neighbours."""
     count = len(positions_m)
     extent_m = float(np.linalg.norm(np.ptp(positions_m.astype(np.float64), axis=0)))
-    # Never too wide for most places, so that pairs stay few; wider until half of them have one.
+    # Start small, so that pairs stay few, and widen until half of the positions have a neighbour.
     radius_m = extent_m / count
     while 0 < radius_m <= 2 * extent_m:
         first, _, distance_m = beside(positions_m, normals, radius_m)
@@ -64,7 +65,7 @@ def usual_distance_m(
 def _candidates(
     cells: NDArray[np.int64], radius_m: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Pairs of places in the same cell or in cells side by side."""
+    """Pairs of positions in the same cell or in adjacent ones."""
     strides = np.array([1 << (_CELL_BITS * axis) for axis in range(3)])
     keys = cells @ strides
     order = np.argsort(keys, kind="stable")

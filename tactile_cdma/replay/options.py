@@ -4,15 +4,15 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qsl, unquote
+from urllib.parse import unquote
 
-from ..base.errors import ParameterError, SpecError
+from ..base.errors import SpecError
 from ..config.parameters import REPLAY, Parameter
 from ..config.skin_config import user_path
+from ..config.url_options import parse_options
 
 _LONGEST_S = 1e9
 OPTIONS: tuple[Parameter, ...] = (
@@ -25,8 +25,6 @@ OPTIONS: tuple[Parameter, ...] = (
 )
 SLOWEST = 0.1
 """A driver takes a port that is slower than that for dead."""
-_BY_NAME = {option.name: option for option in OPTIONS}
-_TRUTH = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no": False}
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,9 +43,8 @@ class ReplayOptions:
         file, _, query = url[len(REPLAY) :].partition("?")
         if not file:
             raise SpecError("name the recording: replay://FILE, for example replay://touch.skin")
-        values: dict[str, Any] = {option.name: option.default for option in OPTIONS}
-        for name, text in parse_qsl(query, keep_blank_values=True):
-            values[name] = _parse(name, text)
+        defaults: dict[str, Any] = {option.name: option.default for option in OPTIONS}
+        values = defaults | parse_options(query, OPTIONS, "replay://")
         speed, start_s, end_s = values["speed"], values["start"], values["end"]
         if 0 < speed < SLOWEST:
             raise SpecError(f"option speed is {speed:g}; it must be 0 or at least {SLOWEST:g}")
@@ -55,21 +52,3 @@ class ReplayOptions:
             raise SpecError(f"option start is {start_s:g} s, which is not before end, {end_s:g} s")
         path = user_path("the recording", unquote(file))
         return cls(path, speed, values["loop"], start_s, end_s)
-
-
-def _parse(name: str, text: str) -> Any:
-    if name not in _BY_NAME:
-        raise SpecError(f"replay:// has no option {name!r}; options: {', '.join(_BY_NAME)}")
-    option = _BY_NAME[name]
-    if isinstance(option.default, bool):
-        if text.lower() not in _TRUTH:
-            raise SpecError(f"option {name} is {text!r}; it must be true or false")
-        return _TRUTH[text.lower()]
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    try:
-        return option.check(value)
-    except ParameterError as error:
-        raise SpecError(f"option {error}") from None

@@ -12,29 +12,7 @@ from numpy.typing import NDArray
 
 from .scene import Scene, Skin
 
-_RISING_KPA = (
-    0,
-    5,
-    10,
-    15,
-    20,
-    25,
-    30,
-    35,
-    40,
-    45,
-    50,
-    55,
-    60,
-    70,
-    80,
-    90,
-    100,
-    110,
-    120,
-    130,
-    140,
-)
+_RISING_KPA = (*range(0, 60, 5), *range(60, 141, 10))
 STEPS_KPA = (*_RISING_KPA, *_RISING_KPA[-2:0:-1])
 """The staircase of "steps": up to the range's end and down again, over and over."""
 DWELL_S = 2.0

@@ -4,18 +4,18 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
-from urllib.parse import parse_qsl, urlsplit
+from urllib.parse import urlsplit
 
-from ..base.errors import ParameterError, SpecError
+from ..base.errors import SpecError
 from ..clocks.roll_call import LARGEST_RATE_ERROR, LATEST
 from ..code.codes import default_order
 from ..code.frame import DEFAULT_AMPLITUDE_V, MAX_STRETCH, FrameSpec
 from ..config.parameters import BY_NAME, GAP, NATURAL_SIGNS, Parameter, Value
 from ..config.skin_config import user_path
+from ..config.url_options import check_option, parse_options
 from ..places.layout import Layout
 from ..places.layout_file import read_layout
 from ..places.layout_nodes import Wiring
@@ -65,21 +65,9 @@ class Setup:
         return (1 if self.integrated else self.samples_per_chip) / self.spec.chip_s
 
 
-def _option(
-    name: str,
-    default: Value,
-    text: str,
-    unit: str = "",
-    limits: tuple[float, float] | None = None,
-    choices: tuple[Value, ...] = (),
-) -> Any:
-    parameter = Parameter(name, default, text, unit, limits, choices)
-    return field(default=default, metadata={"parameter": parameter})
-
-
-def _pin(name: str) -> Any:
-    """An option that pins one of the driver's parameters; None leaves it to the host."""
-    return field(default=None, metadata={"parameter": BY_NAME[name]})
+def _option(default: Value, *about: Any) -> Any:
+    """An option of the simulator's own; about: what follows name and default in a Parameter."""
+    return field(default=default, metadata={"about": about})
 
 
 @dataclass(frozen=True)
@@ -90,103 +78,79 @@ class SimOptions:
     Raises SpecError, naming option, value and limits, for a bad value or combination.
     """
 
-    scene: str = _option("scene", "moving", "what touches the skin", choices=(*SCENES, *LOADS))
-    nodes: int | None = _pin("nodes")
-    bits: int | None = _pin("bits")
-    parity: bool | None = _pin("parity")
-    order: int | None = _pin("order")
-    chip_us: float | None = _pin("chip_us")
-    frame_period_ms: float | None = _pin("frame_period_ms")
-    first_row: int | None = _pin("first_row")
-    sign_seed: int | None = _pin("sign_seed")
-    resync_chips: int | None = _pin("resync_chips")
-    guard_chips: int | None = _pin("guard_chips")
-    drive: str | None = _pin("drive")
-    polarity: int | None = _pin("polarity")
-    samples_per_chip: int | None = _pin("samples_per_chip")
-    timing: str | None = _pin("timing")
-    integrated: bool | None = field(
-        default=None,
-        metadata={"parameter": Parameter("integrated", False, "send one mean value per chip")},
-    )
+    scene: str = _option("moving", "what touches the skin", "", None, (*SCENES, *LOADS))
+    nodes: int | None = None
+    bits: int | None = None
+    parity: bool | None = None
+    order: int | None = None
+    chip_us: float | None = None
+    frame_period_ms: float | None = None
+    first_row: int | None = None
+    sign_seed: int | None = None
+    resync_chips: int | None = None
+    guard_chips: int | None = None
+    drive: str | None = None
+    polarity: int | None = None
+    samples_per_chip: int | None = None
+    timing: str | None = None
+    integrated: bool | None = None
     amplitude_mv: float = _option(
-        "amplitude_mv",
-        DEFAULT_AMPLITUDE_V * 1e3,
-        "level of one node on the digitized line",
-        "mV",
-        (1e-3, 1e5),
+        DEFAULT_AMPLITUDE_V * 1e3, "level of one node on the digitized line", "mV", (1e-3, 1e5)
     )
-    noise: float = _option("noise", 0.005, "noise of one sample, rms", "V", (0.0, 100.0))
-    offset: float = _option("offset", 0.0, "level of the silent line", "V", (-100.0, 100.0))
+    noise: float = _option(0.005, "noise of one sample, rms", "V", (0.0, 100.0))
+    offset: float = _option(0.0, "level of the silent line", "V", (-100.0, 100.0))
     stretch: float = _option(
-        "stretch", 0.0, "frames last up to this share longer, at random", "", (0.0, MAX_STRETCH)
+        0.0, "frames last up to this share longer, at random", "", (0.0, MAX_STRETCH)
     )
     jitter: float = _option(
-        "jitter", 0.0, "largest displacement of a chip's edge, in chips", "", (0.0, MAX_JITTER)
+        0.0, "largest displacement of a chip's edge, in chips", "", (0.0, MAX_JITTER)
     )
     clock_spread: float = _option(
-        "clock_spread", 0.0, "largest error of a node's own clock", "", (0.0, LARGEST_RATE_ERROR)
+        0.0, "largest error of a node's own clock", "", (0.0, LARGEST_RATE_ERROR)
     )
     delay_spread: float = _option(
-        "delay_spread", 0.0, "largest delay of a node after the sync edge", "chips", (0.0, LATEST)
+        0.0, "largest delay of a node after the sync edge", "chips", (0.0, LATEST)
     )
-    drift: float = _option(
-        "drift", 0.0, "fastest change of a node's clock error", "1/s", (0.0, 5e-5)
-    )
+    drift: float = _option(0.0, "fastest change of a node's clock error", "1/s", (0.0, 5e-5))
     sensor: str = _option(
-        "sensor",
-        IDEAL,
-        "ideal: the curve alone; paper: lag and hysteresis too",
-        "",
-        None,
-        (IDEAL, PAPER),
+        IDEAL, "ideal: the curve alone; paper: lag and hysteresis too", "", None, (IDEAL, PAPER)
     )
     hysteresis: float = _option(
-        "hysteresis", 1.0, "factor to the loops of sensor 'paper'", "", (0.0, MOST_HYSTERESIS)
+        1.0, "factor to the loops of sensor 'paper'", "", (0.0, MOST_HYSTERESIS)
     )
-    mismatch: float = _option(
-        "mismatch", 0.0, "spread of the taxels' curves, rms", "", (0.0, MOST_MISMATCH)
-    )
+    mismatch: float = _option(0.0, "spread of the taxels' curves, rms", "", (0.0, MOST_MISMATCH))
     warming: float = _option(
-        "warming", 0.0, "largest drift of a sensor's voltage, over minutes", "mV", (0.0, 1e3)
+        0.0, "largest drift of a sensor's voltage, over minutes", "mV", (0.0, 1e3)
     )
-    sensor_noise: float = _option(
-        "sensor_noise", 0.0, "noise at a node's converter, rms", "V", (0.0, 1.0)
-    )
-    dead: str = _option("dead", "", "nodes that never speak: 3,17")
-    stuck: str = _option("stuck", "", "nodes that always measure the same: 3,17")
+    sensor_noise: float = _option(0.0, "noise at a node's converter, rms", "V", (0.0, 1.0))
+    dead: str = _option("", "nodes that never send: 3,17")
+    stuck: str = _option("", "nodes that always measure the same: 3,17")
     rail: float = _option(
-        "rail", 0.0, "amplifier's rails about the offset; 0: out of reach", "V", (0.0, 1e4)
+        0.0, "amplifier's rails about the offset; 0: out of reach", "V", (0.0, 1e4)
     )
-    adc_bits: int = _option("adc_bits", 12, "resolution of the digitizer", "bit", (4, 16))
-    threshold: int = _option(
-        "threshold", 1, "change that makes a node talk; 0: always", "LSB", (0, 65_535)
-    )
+    adc_bits: int = _option(12, "resolution of the digitizer", "bit", (4, 16))
+    threshold: int = _option(1, "change that makes a node talk; 0: always", "LSB", (0, 65_535))
     heartbeat: int = _option(
-        "heartbeat", 78, "a node talks at least once in so many frames; 0: never", "", (0, 65_535)
+        78, "a node talks at least once in so many frames; 0: never", "", (0, 65_535)
     )
     start_phase: float = _option(
-        "start_phase", 0.0, "share of the first frame's period that START comes late", "", (0, 0.99)
+        0.0, "share of the first frame's period that has passed at START", "", (0, 0.99)
     )
-    seed: int = _option("seed", 0, "of everything random", "", (0, 2**32 - 1))
-    speed: float = _option(
-        "speed", 1.0, "pace; 1: real time, 0: as fast as it is read", "", (0.0, 1000.0)
-    )
-    rows: int = _option("rows", 0, "taxel rows; 0: as square as fits", "", (0, 4_096))
-    columns: int = _option("columns", 0, "taxel columns; 0: as square as fits", "", (0, 4_096))
-    pitch_mm: float = _option(
-        "pitch_mm", 7.0, "distance of neighbouring taxels", "mm", (0.01, 1_000.0)
-    )
-    layout: str = _option("layout", "", "layout file of the skin; empty: rows, columns, pitch_mm")
+    seed: int = _option(0, "of everything random", "", (0, 2**32 - 1))
+    speed: float = _option(1.0, "pace; 1: real time, 0: as fast as it is read", "", (0.0, 1000.0))
+    rows: int = _option(0, "taxel rows; 0: as square as fits", "", (0, 4_096))
+    columns: int = _option(0, "taxel columns; 0: as square as fits", "", (0, 4_096))
+    pitch_mm: float = _option(7.0, "distance of neighbouring taxels", "mm", (0.01, 1_000.0))
+    layout: str = _option("", "layout file of the skin; empty: rows, columns, pitch_mm")
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
+        for option in OPTIONS:
+            value = getattr(self, option.name)
             if value is not None:
-                object.__setattr__(self, item.name, _check(item.metadata["parameter"], value))
+                object.__setattr__(self, option.name, check_option(option, value))
         for name, numbers in (("dead", self.sensors.dead), ("stuck", self.sensors.stuck)):
             for number in numbers:
-                _check(Parameter(name, 1, "", "", (1, self.nodes or 65_535)), number)
+                check_option(Parameter(name, 1, "", "", (1, self.nodes or 65_535)), number)
         self.setup()
 
     @classmethod
@@ -195,12 +159,7 @@ class SimOptions:
         parts = urlsplit(url)
         if parts.scheme != SCHEME or parts.netloc or parts.path.strip("/") or parts.fragment:
             raise SpecError(f"{url!r} is not of the form sim://?option=value&option=value")
-        values: dict[str, Value] = {}
-        for name, text in parse_qsl(parts.query, keep_blank_values=True):
-            if name in values:
-                raise SpecError(f"option {name!r} is given twice")
-            values[name] = _parse(_known(name), text)
-        return cls(**values)  # type: ignore[arg-type]  # checked in __post_init__
+        return cls(**parse_options(parts.query, OPTIONS, "the simulator"))
 
     @property
     def channel(self) -> Channel:
@@ -338,31 +297,16 @@ class SimOptions:
         return {name: value for name, value in room.items() if name not in pins}
 
 
-OPTIONS: tuple[Parameter, ...] = tuple(item.metadata["parameter"] for item in fields(SimOptions))
+def _parameter(name: str, default: Any, about: tuple[Any, ...] | None) -> Parameter:
+    if about is not None:
+        return Parameter(name, default, *about)
+    if name == "integrated":
+        return Parameter(name, False, "send one mean value per chip")
+    return BY_NAME[name]  # pins one of the driver's parameters; None leaves it to the host
+
+
+OPTIONS = tuple(_parameter(i.name, i.default, i.metadata.get("about")) for i in fields(SimOptions))
 """Every option of a sim:// URL: name, meaning, unit, limits."""
-
-_BY_NAME = {parameter.name: parameter for parameter in OPTIONS}
-_TRUTH = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no": False}
-
-
-def _known(name: str) -> Parameter:
-    if name not in _BY_NAME:
-        close = difflib.get_close_matches(name, _BY_NAME, n=2)
-        hint = f"did you mean {' or '.join(close)}?" if close else f"options: {', '.join(_BY_NAME)}"
-        raise SpecError(f"the simulator has no option {name!r}; {hint}")
-    return _BY_NAME[name]
-
-
-def _parse(parameter: Parameter, text: str) -> Value:
-    """An option's text in the type of its parameter."""
-    kind: Any = type(parameter.default)
-    if parameter.name == "sign_seed" and text == "natural":
-        return NATURAL_SIGNS
-    try:
-        return _TRUTH[text.lower()] if kind is bool else kind(text)
-    except (ValueError, KeyError):
-        wanted = {bool: "0 or 1", int: "an integer", float: "a number"}[kind]
-        raise SpecError(f"option {parameter.name} is {text!r}; it must be {wanted}") from None
 
 
 def _numbers(name: str, text: str) -> tuple[int, ...]:
@@ -373,12 +317,3 @@ def _numbers(name: str, text: str) -> tuple[int, ...]:
         raise SpecError(
             f"option {name} is {text!r}; it must be numbers of nodes with commas between: 3,17"
         ) from None
-
-
-def _check(parameter: Parameter, value: Value) -> Value:
-    try:
-        return parameter.check(value)
-    except ParameterError as error:
-        close = difflib.get_close_matches(str(value), [str(c) for c in parameter.choices], n=1)
-        hint = f"; did you mean {close[0]}?" if close else ""
-        raise SpecError(f"option {error}{hint}") from None

@@ -1,21 +1,89 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""How a digitizer divides the line among packets, and what of it it leaves unsaid."""
+"""How a digitizer divides the line among packets, and when each is sent; docs/protocol.md."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..wire._protocol import MAX_PACKET_US, MAX_SAMPLES, TAIL_CHIPS, SyncMode
-from .options import Setup
+from .disturbance import Disturbance
+from .line import line_counts, truth
+from .nodes import RollCalls
+from .options import Setup, SimOptions
 
 
-class Cut(NamedTuple):
-    """Samples of a frame period that make one packet; quiet: sent as Quiet; waits: for the next."""
+@dataclass(frozen=True, slots=True)
+class Block:
+    """The samples of one packet.
+
+    first_index: of the first sample, counted from START. counts: (m,) int16.
+    sync: the first sample is the first of a frame. called: of a frame of a roll call.
+    quiet: sent as Quiet.
+    begin_s: when the first sample is taken; if integrated, when its chip begins. due_s: when the
+        packet is sent: as its last sample's period ends or, if it waits, with the packet after it.
+        Both in s since START. waits: a silent gap after a silent frame.
+    """
+
+    first_index: int
+    counts: NDArray[np.int16]
+    sync: bool
+    called: bool
+    quiet: bool
+    begin_s: float
+    due_s: float
+    waits: bool
+
+
+def stream(
+    options: SimOptions,
+    setup: Setup,
+    roll_calls: RollCalls | None = None,
+    disturbance: Disturbance | None = None,
+) -> Iterator[Block]:
+    """All packets of samples since START, endlessly; a pure function of its arguments.
+
+    Where frames are marked, each begins a new block and ends one; else blocks are of equal size.
+    roll_calls: may be asked for meanwhile.
+    """
+    rate_hz, marks = setup.rate_hz, setup.sync != SyncMode.NONE
+    cutter = _Cutter(setup, options.channel.volts_per_count(setup.spec))
+    instant = 0.0 if setup.integrated else 0.5  # of a sample within its period
+    held = np.empty(0, dtype=np.int16)  # without marks: samples that fill no packet yet
+    index, epoch_s = 0, 0.0
+    for frame in truth(options, setup, roll_calls):
+        whole = frame.start_s >= 0
+        if setup.integrated:
+            if not whole:
+                continue  # it takes a frame mark to know where a chip begins
+            epoch_s = frame.start_s - index / rate_hz
+        counts = line_counts(options, setup, frame, disturbance)
+        if not marks:
+            counts = np.concatenate((held, counts))
+            counts, held = np.split(counts, [len(counts) // cutter.gap_size * cutter.gap_size])
+        for cut in cutter.cuts(counts, whole and marks):
+            stop = index + cut.stop - cut.start
+            due = stop + min(cutter.frame_size, MAX_SAMPLES) if cut.waits else stop
+            yield Block(
+                first_index=index,
+                counts=counts[cut.start : cut.stop],
+                sync=whole and marks and cut.start == 0,
+                called=cut.start == 0 and frame.called,
+                quiet=cut.quiet,
+                begin_s=epoch_s + (index + instant) / rate_hz,
+                due_s=epoch_s + due / rate_hz,
+                waits=cut.waits,
+            )
+            index = stop
+
+
+class _Cut(NamedTuple):
+    """The part of a frame period's samples that makes one packet; see Block."""
 
     start: int
     stop: int
@@ -23,21 +91,23 @@ class Cut(NamedTuple):
     waits: bool = False
 
 
-class Cutter:
-    """Cuts one frame period after the other; see docs/protocol.md for the rules."""
+class _Cutter:
+    """Cuts one frame period after the other.
 
-    def __init__(self, setup: Setup, quiet_counts: int) -> None:
-        """quiet_counts: largest difference of samples in a Quiet; 0: there are none."""
+    gap_size: most samples of a packet outside of frames. frame_size: samples of a frame: its coded
+    chips, or if raw its whole span and the tail.
+    """
+
+    def __init__(self, setup: Setup, volts_per_count: float) -> None:
         spec = setup.spec
         self.gap_size = min(MAX_SAMPLES, max(1, MAX_PACKET_US * round(setup.rate_hz) // 10**6))
-        """Most samples in a packet outside of frames."""
         self.frame_size = spec.chips
-        """Samples of a frame: its coded chips, or if raw its whole span and the tail."""
         if not setup.integrated:
             self.frame_size = (spec.span_chips + TAIL_CHIPS) * setup.samples_per_chip
+        quiet_counts = int(setup.quiet_uv * 1e-6 / volts_per_count)
         self._quiet_counts = 0 if setup.sync == SyncMode.NONE else quiet_counts
 
-    def cuts(self, counts: NDArray[np.int16], marked: bool) -> Iterator[Cut]:
+    def cuts(self, counts: NDArray[np.int16], marked: bool) -> Iterator[_Cut]:
         """The packets of the samples from one frame's start to the next one's.
 
         marked: the first sample is a frame's, and known to be.
@@ -46,17 +116,18 @@ class Cutter:
         frame_size = min(self.frame_size, end) if marked else 0
         silent = frame_size > 0 and self._quiet(counts[:frame_size])
         if silent:
-            yield Cut(0, frame_size, quiet=True)
+            yield _Cut(0, frame_size, quiet=True)
         else:
             for start in range(0, frame_size, MAX_SAMPLES):
-                yield Cut(start, min(start + MAX_SAMPLES, frame_size))
+                yield _Cut(start, min(start + MAX_SAMPLES, frame_size))
         gap = counts[frame_size:]
         if silent and gap.size and self._quiet(gap):
-            yield Cut(frame_size, end, quiet=True, waits=True)
+            yield _Cut(frame_size, end, quiet=True, waits=True)
         else:
             for start in range(frame_size, end, self.gap_size):
                 stop = min(start + self.gap_size, end)
-                yield Cut(start, stop, self._quiet(counts[start:stop]))
+                yield _Cut(start, stop, self._quiet(counts[start:stop]))
 
     def _quiet(self, counts: NDArray[np.int16]) -> bool:
+        """Whether the samples differ by so little that a Quiet stands for them."""
         return 0 < self._quiet_counts >= int(counts.max()) - int(counts.min())

@@ -1,3 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Bytes ↔ packets ↔ port. `port.py` is the only user of pyserial."""
+"""Bytes ↔ packets ↔ port. The only user of pyserial."""

@@ -19,9 +19,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.sim.digitizer import stream
 from tactile_cdma.sim.nodes import RollCalls
 from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.sim.packets import stream
 from tactile_cdma.wire._protocol import MAX_SAMPLES, TAIL_CHIPS, Drive, Polarity, SyncMode
 from tactile_cdma.wire.messages import (
     Ack,

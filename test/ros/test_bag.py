@@ -178,7 +178,7 @@ def test_a_node_replays_a_recording_as_decode_reads_it(recording: Path, tmp_path
             if connection.topic == "/skin/info"
         ]
     live = client.infos[0]
-    live.header, live.info_id = info.header, info.info_id  # times and counts of another program
+    info.header, info.info_id = live.header, live.info_id  # times and counts of another program
     assert_same(info, live)
     for message in client.arrays:
         frame = offline[message.sequence]

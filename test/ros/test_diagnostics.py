@@ -22,7 +22,7 @@ from skin_client import Client, running, wait_for  # noqa: E402
 from tactile_cdma.code.encode import frame_levels, line_chips  # noqa: E402
 from tactile_cdma.ros.driver.diagnostics import ENTRIES, NO_FRAMES  # noqa: E402
 from tactile_cdma.ros.driver.node import SkinNode  # noqa: E402
-from tactile_cdma.sim import digitizer  # noqa: E402
+from tactile_cdma.sim import line  # noqa: E402
 from tactile_cdma.sim.digitizer import VirtualDigitizer  # noqa: E402
 from tactile_cdma.sim.pty import Digitizer, serve  # noqa: E402
 
@@ -127,7 +127,7 @@ def test_dead_nodes_are_told_from_those_that_fall_silent() -> None:
 @pytest.fixture
 def on_the_line(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[..., Any]], None]:
     """Adds to the line of the simulated skin what a function makes of the chips of its nodes."""
-    waveforms = digitizer.waveforms
+    waveforms = line.waveforms
 
     def add(extra: Callable[..., Any]) -> None:
         def with_extra(spec: Any, codes: Any, active: Any, edges_s: Any, clocks: Any) -> Any:
@@ -137,7 +137,7 @@ def on_the_line(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[..., Any]
             yield from waveforms(spec, codes, active, edges_s, clocks)
             yield frame_levels(extra(chips), spec), edges_s
 
-        monkeypatch.setattr(digitizer, "waveforms", with_extra)
+        monkeypatch.setattr(line, "waveforms", with_extra)
 
     return add
 

@@ -32,7 +32,14 @@ from tactile_cdma.views.heatmap import NO_READING_RGB, colours
 pytestmark = pytest.mark.ros
 PITCH_M, MAX_PA, HEADER = 7e-3, 140e3, Header(frame_id="cuff")
 NODES = np.array([*range(1, 24), 0], dtype=np.int32)
-CUFF = Layout.on(cylinder(4, 6, PITCH_M, 20e-3), "cuff", 4, 6, NODES, PITCH_M)
+CUFF = Layout(
+    **vars(cylinder(4, 6, PITCH_M, 20e-3)),
+    name="cuff",
+    rows=4,
+    columns=6,
+    nodes=NODES,
+    pitch_m=PITCH_M,
+)
 
 
 class Skin:

@@ -27,7 +27,7 @@ from tactile_cdma.msg import TactileArray  # noqa: E402
 from tactile_cdma.readings.calibration import AdcScale, PressureCurve  # noqa: E402
 from tactile_cdma.readings.taxels import Status  # noqa: E402
 from tactile_cdma.ros.common.qos import PICTURE  # noqa: E402
-from tactile_cdma.sim.digitizer import truth  # noqa: E402
+from tactile_cdma.sim.line import truth  # noqa: E402
 from tactile_cdma.sim.options import Setup, SimOptions  # noqa: E402
 
 pytestmark = pytest.mark.ros

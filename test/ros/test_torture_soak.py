@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 import time
@@ -21,67 +22,71 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.msg import TactileArray
 from tactile_cdma.ros.common.convert import ros_array, stamp
 from tactile_cdma.sim.options import SimOptions
-from torture.laps import Stretch, record
+from torture.load.known_digitizer import KnownDigitizer
+from torture.load.loaded_skin import SOAKED, LoadedSkin
+from torture.load.message_judge import MessageJudge
+from torture.oracle import Stream
+from torture.outcome import Tally
 from torture.process_watch import Watch
 from torture.readings import Held
 from torture.soak import campaign as soak
-from torture.soak.judge import Judge
-from torture.soak.listener import Listener
 
 pytestmark = [pytest.mark.ros, pytest.mark.xdist_group("soak")]  # many: so they begin early
 CONFIG = SkinConfig.of({})
 SOAK_S = 120.0
-FRAMES = 300
+FIRST, FRAMES = 100, 300
 POWERED_S = 1000.0
+OPTIONS = SimOptions(scene="presses")
 
 
 def test_two_minutes_of_the_real_driver() -> None:
     outcome = soak.soak(SOAK_S)
     assert outcome.good, outcome
     assert "kB/h" in outcome.said
+    assert " 0 pictures" not in outcome.said
 
 
-@pytest.fixture(scope="module")
-def told() -> Stretch:
-    return record(CONFIG, SimOptions(scene="presses"), 100)
-
-
-def messages(told: Stretch) -> list[TactileArray]:
-    """What a sound driver publishes of laps of this stretch, from the second one on."""
+def messages() -> list[TactileArray]:
+    """What a sound driver publishes of a skin, from its frame FIRST on."""
     held, made = Held(CONFIG), []
-    lsb_v = CONFIG.adc.lsb_v
+    frames, lsb_v = Stream(OPTIONS, OPTIONS.setup(), 0.0), CONFIG.adc.lsb_v
     for number in range(FRAMES):
-        place = number % len(told)
-        active = told.active[place]
-        held.hear(active, told.codes[place])
-        if number < len(told):
+        frame = frames.frame_at(number * CONFIG.spec.frame_period_s)
+        assert frame is not None
+        held.hear(frame.active, frame.codes)
+        if number < FIRST:
             continue
-        middle_s = number * told.period_us * 1e-6 + CONFIG.spec.frame_s / 2
+        middle_s = frame.start_s + CONFIG.spec.frame_s / 2
         made.append(
             TactileArray(
                 header=Header(stamp=stamp(round((POWERED_S + middle_s) * 1e9))),
                 sequence=number - 7,
                 device_time_us=round(middle_s * 1e6),
                 pressure=ros_array(held.pressure_pa.astype(np.float32)),
-                voltage=ros_array((told.codes[place] * lsb_v).astype(np.float32)),
-                status=ros_array((~active).astype(np.uint8)),
+                voltage=ros_array((frame.codes * lsb_v).astype(np.float32)),
+                status=ros_array((~frame.active).astype(np.uint8)),
             )
         )
     return made
 
 
-def judged(told: Stretch, damage: Callable[[list[TactileArray]], object]) -> Judge:
-    heard, judge = messages(told), Judge(told, CONFIG, POWERED_S)
+def judged(damage: Callable[[list[TactileArray]], object]) -> Tally:
+    """What is found in these messages after they were damaged."""
+    heard, digitizer = messages(), KnownDigitizer(OPTIONS)
+    digitizer.born_s = POWERED_S
+    digitizer.streamed(Stream(OPTIONS, digitizer.setup, 0.0))
+    judge = MessageJudge(digitizer, SOAKED.near_pa, SOAKED.flags)
+    judge.ahead_s = [0.0]
     damage(heard)
     for message in heard:
-        judge.judge(message, ahead_ns=0)
-    return judge
+        judge.take(message)
+    return judge.tally
 
 
-def test_sound_messages_have_no_fault(told: Stretch) -> None:
-    judge = judged(told, lambda heard: None)
-    assert (judge.received, judge.wrong, judge.lost, judge.uncounted) == (200, 0, 0, 0)
-    assert np.abs(judge.errors_s).max() < 1e-6
+def test_sound_messages_have_no_fault() -> None:
+    tally = judged(lambda heard: None)
+    assert (tally.frames, tally.wrong_values, tally.lost, tally.uncounted_losses) == (200, 0, 0, 0)
+    assert np.abs(tally.stamp_errors_s).max() < 1e-6
 
 
 def another_word(message: TactileArray) -> None:
@@ -112,8 +117,19 @@ def elsewhere(message: TactileArray) -> None:
 @pytest.mark.parametrize(
     "damage", [another_word, another_pressure, no_pressure, nobody, another_flag, elsewhere]
 )
-def test_a_false_message_is_found(damage: Callable[[TactileArray], None], told: Stretch) -> None:
-    assert judged(told, lambda heard: damage(heard[50])).wrong == 1
+def test_a_false_message_is_found(damage: Callable[[TactileArray], None]) -> None:
+    assert judged(lambda heard: damage(heard[50])).wrong_values == 1
+
+
+def test_a_false_held_value_is_found() -> None:
+    """Of a node that was silent in all frames that were lost."""
+
+    def damage(heard: list[TactileArray]) -> None:
+        silent = np.all([np.frombuffer(message.status, np.uint8) for message in heard[50:54]], 0)
+        lose(heard)
+        heard[50].pressure[int(np.flatnonzero(silent)[0])] += 90
+
+    assert judged(damage).wrong_values == 1
 
 
 def lose(heard: list[TactileArray]) -> None:
@@ -126,55 +142,64 @@ def hide(heard: list[TactileArray]) -> None:
         message.sequence -= 2
 
 
-def test_lost_messages_are_told_from_hidden_losses(told: Stretch) -> None:
-    judge = judged(told, lose)
-    assert (judge.lost, judge.uncounted, judge.wrong) == (3, 0, 0)
-    judge = judged(told, hide)
-    assert (judge.lost, judge.uncounted, judge.wrong) == (3, 2, 0)
+def test_lost_messages_are_told_from_hidden_losses() -> None:
+    tally = judged(lose)
+    assert (tally.lost, tally.uncounted_losses, tally.wrong_values) == (3, 0, 0)
+    tally = judged(hide)
+    assert (tally.lost, tally.uncounted_losses, tally.wrong_values) == (3, 2, 0)
 
 
-def test_stamps_that_drift_are_found(told: Stretch) -> None:
+def test_stamps_that_drift_are_found() -> None:
     rng = np.random.default_rng(0)
     late_s = 0.3e-3 + rng.exponential(1e-3, 10_000)
     assert abs(soak.drift(late_s)) < 0.1e-3
-    assert soak.drift(late_s + np.linspace(0, 2.5e-3, 10_000)) > soak.MOST_DRIFT_S
-    judge = judged(told, lambda heard: None)
-    judge.errors_s = (late_s + np.linspace(0, 2.5e-3, 10_000)).tolist()
-    assert soak.outcome_of(60.0, judge, Watch(1), "", 0, 0).wrong_values == 1
+    drifting_s = late_s + np.linspace(0, 2.5e-3, 10_000)
+    assert soak.drift(drifting_s) > soak.MOST_DRIFT_S
+    tally = Tally(stamp_errors_s=drifting_s.tolist())
+    assert soak.outcome_of(60.0, tally, Watch(1), "", 0, 0).wrong_values == 1
 
 
-def test_a_leak_is_found(told: Stretch) -> None:
-    judge, watch = judged(told, lambda heard: None), Watch(1)
+def test_a_leak_is_found() -> None:
+    watch = Watch(1)
     watch.t_s = np.arange(0, 3600, 0.5).tolist()
     watch.rss_kb = [90_000 + int(t_s) for t_s in watch.t_s]
-    assert soak.outcome_of(3600.0, judge, watch, "", 0, 0).crashes == 1
+    assert soak.outcome_of(3600.0, Tally(), watch, "", 0, 0).crashes == 1
     watch.rss_kb = [90_000] * len(watch.t_s)
     watch.alone = [(16, 23)] * 100
-    assert soak.outcome_of(3600.0, judge, watch, "", 0, 0).good
+    assert soak.outcome_of(3600.0, Tally(), watch, "", 0, 0).good
     watch.alone = [(16, 23 + number // 20) for number in range(100)]
-    assert soak.outcome_of(3600.0, judge, watch, "", 0, 0).crashes == 1
+    assert soak.outcome_of(3600.0, Tally(), watch, "", 0, 0).crashes == 1
 
 
-def test_a_driver_that_ends_or_hangs_is_found(
-    told: Stretch, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(soak, "PATIENCE_S", 1.0)
-    judge, stubborn = judged(told, lambda heard: None), "import signal, time; print(flush=True);"
-    stubborn = f"import signal; signal.signal(2, signal.SIG_IGN); {stubborn} time.sleep(60)"
-    with Listener("/nobody") as listener:
-        with subprocess.Popen([sys.executable, "-c", ""]) as ended:
-            ended.wait()
-            watch = Watch(ended.pid)
-            assert not soak.begins(listener, ended)
-            assert not soak.goes_on(5.0, listener, ended, judge, watch, tmp_path)
-            assert soak.ends(ended) == (1, 0)
-        command = [sys.executable, "-c", stubborn]
-        with subprocess.Popen(command, stdout=subprocess.PIPE) as hangs:
-            assert hangs.stdout is not None
-            hangs.stdout.readline()
-            began_s = time.monotonic()
-            assert not soak.begins(listener, hangs)
-            assert not soak.goes_on(30.0, listener, hangs, judge, Watch(hangs.pid), tmp_path)
-            assert time.monotonic() < began_s + 20
-            assert soak.ends(hangs) == (0, 1)
-            hangs.kill()
+def test_what_is_found_is_in_the_outcome() -> None:
+    tally = Tally(wrong_values=2, uncounted_losses=3)
+    outcome = soak.outcome_of(60.0, tally, Watch(1), "", 4, 5)
+    assert (outcome.wrong_values, outcome.uncounted_losses) == (2, 3)
+    assert (outcome.crashes, outcome.hangs) == (4, 5)
+
+
+def test_a_driver_whose_frames_stop_is_found(tmp_path: Path) -> None:
+    with LoadedSkin(tmp_path, 1, 30.0, setting=SOAKED) as skin:
+        assert skin.streams_on()
+        skin.patience_s = 1.0
+        skin.process.send_signal(signal.SIGSTOP)
+        began_s = time.monotonic()
+        soak.goes_on(60.0, skin, Watch(skin.process.pid))
+        assert skin.hangs == 1
+        assert time.monotonic() < began_s + 20
+
+
+def test_a_driver_that_ends_or_does_not_is_found() -> None:
+    with subprocess.Popen([sys.executable, "-c", ""]) as ended:
+        ended.wait()
+        assert soak.ends(ended, 1.0) == (1, 0)
+    stubborn = "import signal, time; signal.signal(2, signal.SIG_IGN); print(flush=True);"
+    command = [sys.executable, "-c", f"{stubborn} time.sleep(60)"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as hangs:
+        assert hangs.stdout is not None
+        hangs.stdout.readline()
+        assert soak.ends(hangs, 1.0) == (0, 1)
+        hangs.kill()
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as fails:
+        time.sleep(0.5)
+        assert soak.ends(fails, 10.0) == (1, 0)

@@ -31,7 +31,7 @@ class Digitizer(VirtualDigitizer):
         """clock: its time, which may stand at times, but is no faster than the host's."""
         self.powered_s, self._power_s = judge.clock(), clock()
         super().__init__(options, clock)
-        self._judge = judge
+        self._clock, self._judge = clock, judge
         self._told = (False, 0.0)
 
     @property

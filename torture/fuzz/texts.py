@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from tactile_cdma.base.errors import ParameterError, PortError, SpecError, TactileError
 from tactile_cdma.replay.options import ReplayOptions
 from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.wire.discovery import SerialPort, find_usb
 from tactile_cdma.wire.identity import parse_id, shown_id
-from tactile_cdma.wire.port import SerialPort, find_usb
 
 from .target import Target
 

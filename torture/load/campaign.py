@@ -27,7 +27,7 @@ from tempfile import TemporaryDirectory
 from std_srvs.srv import Trigger
 
 from ..outcome import Outcome, Plan
-from .loaded_skin import LoadedSkin
+from .loaded_skin import LoadedSkin, frames_missing, stamps_off
 from .simulated_time import SimulatedTime
 
 MOST_GROWTH_KB = 50_000
@@ -158,12 +158,12 @@ def _stops(skin: LoadedSkin, plan: Plan, rng: Random) -> Outcome:
     rng.shuffle(stops_s)
     period_s, wrong, lost = skin.digitizer.setup.spec.frame_period_s, 0, 0
     for seconds in stops_s:
-        missing = skin.judge.tally.missing
+        missing = skin.judge.tally.lost
         begin_s = time.monotonic()
         skin.stopped_for(seconds)
         skin.is_newest(time.monotonic())
         passed_s = time.monotonic() - begin_s
-        gap = skin.judge.tally.missing - missing
+        gap = skin.judge.tally.lost - missing
         lost += gap
         wrong += gap > passed_s / period_s + SLACK_FRAMES
     uncounted = _uncounted(skin)
@@ -243,12 +243,11 @@ def _starved(skin: LoadedSkin, plan: Plan) -> Outcome:
         hog.wait()
     skin.is_fresh()
     tally, skipped = skin.judge.tally, skin.says("skipped bytes")
-    said = f"{tally.missing} of {tally.missing + tally.received} frames missing, stamps off by "
-    said += f"{tally.off_s * 1e3:.0f} ms at most, "
+    said = f"{frames_missing(tally)}, {stamps_off(tally)}, {skipped} bytes skipped"
     return skin.outcome(
         "s with the driver at nice 19 and two hogs per core",
         round(seconds),
-        f"{said}{skipped} bytes skipped",
+        said,
         _uncounted(skin),
     )
 
@@ -281,10 +280,7 @@ def _stops_behind_a_socket(skin: LoadedSkin, rng: Random) -> Outcome:
         skin.stopped_for(seconds)
         skin.is_newest(time.monotonic())
     tally = skin.judge.tally
-    said = (
-        f"{tally.missing} of {tally.missing + tally.received} frames missing; stamps off by "
-        f"{tally.off_s * 1e3:.0f} ms at most"
-    )
+    said = f"{frames_missing(tally)}; {stamps_off(tally)}"
     return skin.outcome("the driver is stopped, a socket before it", len(stops_s), said)
 
 

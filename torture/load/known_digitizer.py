@@ -10,6 +10,10 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.nodes import NodeFrame
@@ -20,23 +24,32 @@ from ..oracle import Stream
 
 READY_S = 30.0
 MEMORY_S = 35.0
-"""Longer than the driver's idea of the digitizer's clock goes back."""
+"""Longer than the window of the driver's clock estimate, 30 s."""
 _CHUNK = 65_536
 _TURN_S = 1e-3
 
 
-class KnownDigitizer(VirtualDigitizer):
-    """Keeps what is true of every frame that it sent, also where it fell behind itself.
+class Known(NamedTuple):
+    """A true frame. epoch: counted from 0, one for every START and every time it fell behind.
 
-    born_s: host's monotonic time, s, at which its own was 0. lag_s: how late it was itself, for
-    want of a processor, at most in the last MEMORY_S to 2 · MEMORY_S.
+    start_s: device time at which its first chip was sampled, s.
+    """
+
+    epoch: int
+    start_s: float
+    frame: NodeFrame
+
+
+class KnownDigitizer(VirtualDigitizer):
+    """Remembers the truth of every frame it sent, also where it could not keep up.
+
+    born_s: host's monotonic time, s, at which its own clock read 0. lag_s: by how much it was late
+    itself for lack of processor time, at most, in the last MEMORY_S to 2 · MEMORY_S.
     """
 
     def __init__(self, options: SimOptions) -> None:
         super().__init__(options)
-        self.born_s = time.monotonic()
-        # A stream, and by how much it is late: where a digitizer falls behind, its skin stands
-        # still meanwhile.
+        # Streams, and how late each is: while a digitizer falls behind, its skin stands still.
         self._epochs: list[tuple[Stream, float]] = []
         self._lags_s, self._next_s, self._forget_s = [0.0, 0.0], self.born_s, self.born_s
 
@@ -52,7 +65,7 @@ class KnownDigitizer(VirtualDigitizer):
             self._lags_s, self._forget_s = [0.0, self._lags_s[0]], begin_s + MEMORY_S
         self._lags_s[0] = max(self._lags_s[0], begin_s - self._next_s)
         wait_s = super().advance(wanted)
-        if wait_s:  # else it does not keep up
+        if wait_s:  # 0: it is behind
             self._next_s = time.monotonic() + wait_s
         if self.streaming:
             self._keep_epochs()
@@ -63,17 +76,25 @@ class KnownDigitizer(VirtualDigitizer):
             stream, late_s = self._epochs[-1]
             if self.started_s == stream.started_s + late_s:
                 return
-            if self._frames_lost:  # else it was started anew
-                self._epochs.append((stream, self.started_s - stream.started_s))
+            if self.frames_lost:  # otherwise there was another START
+                self.streamed(stream, self.started_s - stream.started_s)
                 return
-        self._epochs.append((Stream(self.options, self.setup, self.started_s), 0.0))
+        self.streamed(Stream(self.options, self.setup, self.started_s))
 
-    def frames_at(self, t_start: float) -> Iterator[tuple[int, NodeFrame]]:
-        """Number of the epoch and frame for all that began then, device s; the newest first."""
-        for number in range(len(self._epochs) - 1, -1, -1):
-            stream, late_s = self._epochs[number]
+    def streamed(self, stream: Stream, late_s: float = 0.0) -> None:
+        """From here on these frames are sent, so much later than the stream's own times."""
+        self._epochs.append((stream, late_s))
+
+    def frames_at(self, t_start: float) -> Iterator[Known]:
+        """All frames that began about then, device s; those of the newest epoch first."""
+        for epoch in range(len(self._epochs) - 1, -1, -1):
+            stream, late_s = self._epochs[epoch]
             if (frame := stream.frame_at(t_start - late_s)) is not None:
-                yield number, frame
+                yield Known(epoch, stream.started_s + late_s + frame.start_s, frame)
+
+    def spoke(self, epoch: int, first: int, stop: int) -> NDArray[np.bool_]:
+        """(n,) bool: nodes that spoke in frames [first, stop) of an epoch."""
+        return self._epochs[epoch][0].spoke(first, stop)
 
 
 @contextmanager

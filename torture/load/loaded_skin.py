@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A driver in a process of its own, to be put under load, and a subscriber who knows the truth."""
+"""The rig of load and soak: a driver node in its own process, and a subscriber with the truth."""
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 from types import TracebackType
@@ -20,31 +22,68 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import Image
 
 from tactile_cdma.msg import TactileArray
+from tactile_cdma.readings.taxels import Status
 from tactile_cdma.sim.options import SimOptions
 
-from ..outcome import Outcome
+from ..outcome import Outcome, Tally
 from ..process_watch import memory_kb
 from .known_digitizer import KnownDigitizer, on_a_socket, on_a_tty
-from .message_judge import MessageJudge, Tally
+from .message_judge import MessageJudge
 
-SCENE = "sim://?scene=hand&threshold=0&seed={}"
+SKIN_DRIVER = Path(__file__).resolve().parents[2] / "scripts" / "skin_driver"
 DEFECTS = ("Traceback", "internal error")
-"""What a driver's log must not hold."""
+"""Text that must not be in a driver's log."""
 DOMAINS = 101
+"""Domain ids up to this one leave their ports below Linux's ephemeral ones."""
 FRESH_S = 0.5
-"""Messages that are no older come as they should, on a busy computer."""
-QUEUE = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
-_TURN_S = 0.02
+"""Age of the newest message up to which a driver on a busy computer keeps up."""
+_TURN_S, _WATCH_S = 0.02, 0.2
 _NUMBERS = count()
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """How a skin is set up.
+
+    scene: options of the simulator. parameters: of the driver. reliable: arrays are published and
+    subscribed to reliably, so that the driver waits for its subscribers, instead of best effort.
+    near_pa, flags: see MessageJudge.
+    """
+
+    scene: str
+    parameters: Mapping[str, object]
+    reliable: bool
+    near_pa: float
+    flags: Status
+
+
+LOADED = Setting(
+    scene="scene=hand&threshold=0",  # all nodes speak in every frame
+    parameters={"drift_pa_per_min": 0.0},  # a word has one pressure: any rounding is seen
+    reliable=True,
+    near_pa=0.05,
+    flags=Status.SATURATED,
+)
+SOAKED = Setting(
+    scene="scene=presses",  # nodes are silent as long as nothing changes
+    parameters={},
+    reliable=False,
+    near_pa=30.0,  # drift is followed; a third of the smallest step between two words
+    flags=Status.STALE,
+)
 
 
 class LoadedSkin:
     """Use as a context manager. patience_s: without progress for so long, something hangs.
 
-    folder: for whatever there is to write; state_folder: the driver's.
-    judge: takes every message. warned: what /diagnostics said at WARN or worse, by entry.
+    folder: for all files that are written; state_folder: the driver's.
+    judge: takes every message. reports: number of messages on /diagnostics. warned: what they said
+    at WARN or worse, by entry. watches: whether to subscribe to the heatmap; pictures: how many of
+    it came.
     """
 
     def __init__(
@@ -53,10 +92,15 @@ class LoadedSkin:
         seed: int,
         patience_s: float,
         networked: bool = False,
+        setting: Setting = LOADED,
     ) -> None:
-        """networked: the digitizer is behind a socket, else behind a tty."""
-        self.digitizer = KnownDigitizer(SimOptions.from_url(SCENE.format(seed)))
-        self.judge = MessageJudge(self.digitizer)
+        """networked: the digitizer is behind a socket instead of a tty."""
+        options = SimOptions.from_url(f"sim://?{setting.scene}&seed={seed}")
+        self.digitizer = KnownDigitizer(options)
+        self.judge = MessageJudge(self.digitizer, setting.near_pa, setting.flags)
+        self.reports = self.pictures = 0
+        self.watches = False
+        self._heatmap: Subscription | None = None
         self.warned: dict[str, set[str]] = {}
         self.hangs = 0
         namespace = f"/load_{os.getpid()}_{next(_NUMBERS)}"  # others may be in the same domain
@@ -69,9 +113,13 @@ class LoadedSkin:
         }
         self.folder, self.state_folder = folder, folder / "state"
         self.patience_s, self._networked = patience_s, networked
-        # Subscribers that a publisher waits for are the worse ones.
-        reliability = f"qos_overrides.{self.name}/tactile.publisher.reliability"
-        self._arguments = ["-r", f"__ns:={namespace}", "-p", f"{reliability}:=reliable"]
+        self._parameters: dict[str, object] = {"publish_voltage": True, **setting.parameters}
+        self._qos = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+        if setting.reliable:
+            topic = f"{self.name}/tactile"
+            self._parameters[f"qos_overrides.{topic}.publisher.reliability"] = "reliable"
+            self._qos.reliability = ReliabilityPolicy.RELIABLE
+        self._arguments = ["-r", f"__ns:={namespace}"]
         self._values: dict[str, str] = {}
         self._log_read = 0
         self._stack = ExitStack()
@@ -101,14 +149,14 @@ class LoadedSkin:
 
     def streams_on(self, frames: int = 20) -> bool:
         """Wait until so many messages have come from now on; where they don't, it hangs."""
-        wanted = self.judge.tally.received + frames
+        wanted = self.judge.tally.frames + frames
         before = -1
 
         def goes_on() -> bool:
-            return self.judge.tally.received > before
+            return self.judge.tally.frames > before
 
         while before < wanted and self.waits_for(goes_on):
-            before = self.judge.tally.received
+            before = self.judge.tally.frames
         return before >= wanted
 
     def is_fresh(self) -> bool:
@@ -157,36 +205,27 @@ class LoadedSkin:
     ) -> Outcome:
         """What came of a fault since the last outcome; uncounted, wrong: what else was found."""
         tally, self.judge.tally = self.judge.tally, Tally()
-        said = said or f"{tally.missing} of {tally.received + tally.missing} frames missing"
-        hangs, self.hangs, self.warned = self.hangs, 0, {}
+        tally.times = times
+        tally.wrong_values += wrong
+        tally.uncounted_losses += uncounted
+        tally.crashes = self.defects() + (self.process.poll() is not None)
+        tally.hangs, self.hangs, self.warned = self.hangs, 0, {}
+        return tally.outcome(fault, said or frames_missing(tally))
+
+    def defects(self) -> int:
+        """How many defects the driver's log tells of since the last call."""
         log = (self.folder / "driver.log").read_text()
-        crashes = sum(log[self._log_read :].count(defect) for defect in DEFECTS)
-        crashes += self.process.poll() is not None
-        self._log_read = len(log)
-        return Outcome(
-            fault,
-            times,
-            wrong_values=tally.wrong + wrong,
-            uncounted_losses=tally.uncounted + uncounted,
-            crashes=crashes,
-            hangs=hangs,
-            said=tally.example or said,
-        )
+        new, self._log_read = log[self._log_read :], len(log)
+        return sum(new.count(defect) for defect in DEFECTS)
 
     # How it runs
 
     @contextmanager
     def _driver(self, port: str) -> Iterator[subprocess.Popen[bytes]]:
-        command = [
-            sys.executable,
-            "-m",
-            "tactile_cdma.ros.driver.node",
-            "--ros-args",
-            *self._arguments,
-        ]
-        values = {"port": port, "state_folder": self.state_folder, "drift_pa_per_min": 0.0}
+        command = [sys.executable, str(SKIN_DRIVER), "--ros-args", *self._arguments]
+        values = {"port": port, "state_folder": str(self.state_folder), **self._parameters}
         for name, value in values.items():
-            command += ["-p", f"{name}:={value}"]
+            command += ["-p", f"{name}:={json.dumps(value)}"]
         with (self.folder / "driver.log").open("wb") as log:
             process = subprocess.Popen(command, env=self.environment, stderr=log, stdout=log)
         try:
@@ -204,8 +243,10 @@ class LoadedSkin:
         context = rclpy.Context()
         rclpy.init(context=context, domain_id=int(self.environment["ROS_DOMAIN_ID"]))
         self.node = rclpy.create_node("watcher", context=context)
-        self.node.create_subscription(TactileArray, f"{self.name}/tactile", self._take, QUEUE)
+        topic = f"{self.name}/tactile"
+        self.node.create_subscription(TactileArray, topic, lambda m: self.judge.take(m), self._qos)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnosed, 10)
+        self.node.create_timer(_WATCH_S, self._watch)
         executor = SingleThreadedExecutor(context=context)
         executor.add_node(self.node)
         thread = threading.Thread(target=executor.spin)
@@ -218,10 +259,20 @@ class LoadedSkin:
             self.node.destroy_node()
             rclpy.shutdown(context=context)
 
-    def _take(self, message: TactileArray) -> None:
-        self.judge.take(message)
+    def _watch(self) -> None:
+        """Subscribe to the heatmap or end that; in the executor's thread, which uses it."""
+        if self.watches and self._heatmap is None:
+            topic = f"{self.name}/heatmap"
+            self._heatmap = self.node.create_subscription(Image, topic, self._seen, 2)
+        elif not self.watches and self._heatmap is not None:
+            self.node.destroy_subscription(self._heatmap)
+            self._heatmap = None
+
+    def _seen(self, picture: Image) -> None:
+        self.pictures += 1
 
     def _diagnosed(self, message: DiagnosticArray) -> None:
+        self.reports += 1
         ours = f"{self.name.lstrip('/')}: "
         for status in message.status:
             if not status.name.startswith(ours):
@@ -229,3 +280,14 @@ class LoadedSkin:
             self._values |= {pair.key: pair.value for pair in status.values}
             if status.level in (status.WARN, status.ERROR):
                 self.warned.setdefault(status.name.removeprefix(ours), set()).add(status.message)
+
+
+def frames_missing(tally: Tally) -> str:
+    """The frames that did not come, in words."""
+    return f"{tally.lost} of {tally.frames + tally.lost} frames missing"
+
+
+def stamps_off(tally: Tally) -> str:
+    """The error of the worst stamp, in words."""
+    worst_s = max(tally.stamp_errors_s, key=abs, default=0.0)
+    return f"stamps off by {worst_s * 1e3:.0f} ms at most"

@@ -16,6 +16,7 @@ from rosgraph_msgs.msg import Clock
 from tactile_cdma.ros.common.convert import stamp
 
 from .loaded_skin import LoadedSkin
+from .message_judge import real_time_ahead_s
 
 BEGIN_S = 1_000_000.0
 TICK_S = 2e-3
@@ -40,10 +41,10 @@ class SimulatedTime:
         judge, before_s = self._skin.judge, self._ahead_s
         after_s = before_s + step_s
         judge.ahead_s = [before_s, after_s]
-        begin = judge.tally.received
+        begin = judge.tally.frames
         self._ahead_s = after_s
         self._skin.waits_for(lambda: abs(judge.newest_ahead_s - after_s) < abs(step_s) / 2)
-        late = judge.tally.received - begin
+        late = judge.tally.frames - begin
         judge.ahead_s = [after_s]
         self._skin.streams_on(STEP_FRAMES)
         return late
@@ -59,7 +60,8 @@ class SimulatedTime:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._use(False, time.time() - time.monotonic())
+        self._use(False, real_time_ahead_s())
+        self._skin.judge.ahead_s = []
         self._stop.set()
         self._thread.join()
 
@@ -68,7 +70,8 @@ class SimulatedTime:
         judge, node = self._skin.judge, self._skin.node
         client = node.create_client(SetParameters, f"{self._skin.name}/set_parameters")
         self._skin.waits_for(client.service_is_ready)
-        judge.ahead_s += [ahead_s, -time.monotonic()]  # the last one: before /clock was heard
+        # The last one: the driver has not heard /clock yet.
+        judge.ahead_s = [*(judge.ahead_s or [real_time_ahead_s()]), ahead_s, -time.monotonic()]
         value = Parameter("use_sim_time", value=simulated).to_parameter_msg()
         client.call_async(SetParameters.Request(parameters=[value]))
         self._skin.waits_for(lambda: abs(judge.newest_ahead_s - ahead_s) < 1)

@@ -1,26 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The driver node left running in real time, as a robot does.
+"""The driver node left running in real time, as on a robot.
 
-    lap_digitizer (process) ──pty──▶ skin_driver (process) ──DDS──▶ Listener (this process)
+    KnownDigitizer ──pty──▶ skin_driver (process) ──DDS──▶ MessageJudge
 
-Meanwhile pictures are looked at and left alone, and a recorder of topics comes and goes.
+Meanwhile a subscriber of pictures and a recorder of topics come and go.
 
     python -m torture.soak --seconds 3600
 """
 
 from __future__ import annotations
 
-import json
 import math
-import os
 import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -28,126 +26,80 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tactile_cdma.config.skin_config import SkinConfig
-
-from ..outcome import Outcome, Plan
+from ..load.loaded_skin import SKIN_DRIVER, SOAKED, LoadedSkin
+from ..outcome import Outcome, Plan, Tally
 from ..process_watch import Watch
-from .judge import Judge
-from .lap_digitizer import stretch
-from .listener import Listener
 
-NAMESPACE = f"soak_{os.getpid()}"
-"""Others may run drivers on this machine, too."""
-DOMAINS = 101
-"""Domain ids that leave room below Linux's ephemeral ports."""
-SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 QUICK_S, FULL_S = 6.0, 240.0
 SHORTEST_CYCLE_S, LONGEST_CYCLE_S = 6.0, 120.0
 PICTURES, RECORDER = (0.1, 0.4), (0.3, 0.6)
 """Shares of a cycle in which these guests are there."""
 ALONE = 0.8
-"""From this share of a cycle on they are gone for long enough to compare what is held."""
+"""Share of a cycle after which both guests are gone, and threads and descriptors are compared."""
 PATIENCE_S, GRACE_S = 30.0, 5.0
 LOOK_S = 0.5
 WARM_UP, LONGEST_WARM_UP_S = 0.5, 1800.0
 """Share of the run, but no longer, after which memory is looked at: pools fill for half an hour."""
 MOST_DRIFT_S = 1e-3
-"""Of stamps against true time, from the first part of the run to the last."""
+"""Of stamps against the true time, from the first part of the run to the last."""
 PARTS = 5
 LONG_S = 600.0
-"""In less time slopes are but told: a page more or less is too much."""
+"""Slopes of shorter runs are told, not judged: single pages make too much of them."""
 MOST_KB_PER_H, SPREADS = 2048.0, 3.0
-"""Memory that grows faster than that, by more than so many spreads of the slope, is a leak."""
+"""A leak is memory that grows faster than this, by more than so many spreads of the slope."""
 
 
 def run(plan: Plan) -> Iterator[Outcome]:
-    """A short soak: it takes hours to be sure."""
-    yield soak(QUICK_S if plan.quick else FULL_S)
+    """A short soak; only one of hours proves much."""
+    yield soak(QUICK_S if plan.quick else FULL_S, plan.seed)
 
 
-def soak(seconds: float) -> Outcome:
+def soak(seconds: float, seed: int = 1) -> Outcome:
     """Run the driver for so long after its first frame."""
-    with ExitStack() as stack:
-        folder = Path(stack.enter_context(TemporaryDirectory()))
-        os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % DOMAINS))
-        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        config, link = SkinConfig.of({}), folder / "digitizer"
-        powered_s = stack.enter_context(_digitizer(link))
-        judge = Judge(stretch(config), config, powered_s)
-        listener = stack.enter_context(Listener(f"/{NAMESPACE}/skin"))
-        log = stack.enter_context((folder / "log").open("w+"))
-        parameters = {"port": str(link), "publish_voltage": True, "state_folder": str(folder)}
-        driver = stack.enter_context(_process(_node("skin_driver", parameters), stderr=log))
-        watch = Watch(driver.pid)
-        lives = begins(listener, driver) and goes_on(
-            seconds, listener, driver, judge, watch, folder
-        )
-        crashes, hangs = ends(driver)
-        log.seek(0)
-        text = log.read()
-    crashes += "Traceback" in text or "internal error" in text
-    reports = f"{listener.pictures} pictures, {listener.reports} reports"
-    return outcome_of(seconds, judge, watch, reports, crashes, hangs + (not lives))
+    with (
+        TemporaryDirectory(prefix="soak-") as folder,
+        LoadedSkin(Path(folder), seed, PATIENCE_S, setting=SOAKED) as skin,
+    ):
+        watch = Watch(skin.process.pid)
+        if skin.streams_on(1):
+            goes_on(seconds, skin, watch)
+        crashes, hangs = ends(skin.process, PATIENCE_S)
+        reports = f"{skin.pictures} pictures, {skin.reports} reports"
+        crashes, hangs = crashes + skin.defects(), hangs + skin.hangs
+        return outcome_of(seconds, skin.judge.tally, watch, reports, crashes, hangs)
 
 
-def begins(listener: Listener, driver: subprocess.Popen[Any]) -> bool:
-    """Whether a first frame comes."""
-    until_s = time.monotonic() + PATIENCE_S
-    while not listener.heard and time.monotonic() < until_s and driver.poll() is None:
-        time.sleep(0.05)
-    return bool(listener.heard)
-
-
-def goes_on(
-    seconds: float,
-    listener: Listener,
-    driver: subprocess.Popen[Any],
-    judge: Judge,
-    watch: Watch,
-    folder: Path,
-) -> bool:
-    """Let time pass while guests come and go; whether frames came all the time."""
-    began_s = heard_s = time.monotonic()
+def goes_on(seconds: float, skin: LoadedSkin, watch: Watch) -> None:
+    """Let time pass while guests come and go, until it is over or no frame comes."""
     cycle_s = min(max(seconds / 4, SHORTEST_CYCLE_S), LONGEST_CYCLE_S)
-    with Recorder(folder / "bag") as recorder:
-        while (now_s := time.monotonic()) < began_s + seconds:
+    began_s = time.monotonic()
+    with Recorder(skin) as recorder:
+        while (now_s := time.monotonic()) < began_s + seconds and skin.streams_on(1):
             place = (now_s - began_s) / cycle_s % 1
-            listener.watches = PICTURES[0] < place < PICTURES[1]
+            skin.watches = PICTURES[0] < place < PICTURES[1]
             recorder.be_there(RECORDER[0] < place < RECORDER[1])
             watch.look(alone=place > ALONE)
-            while listener.heard:
-                judge.judge(*listener.heard.popleft())
-                heard_s = now_s
-            if now_s - heard_s > PATIENCE_S or driver.poll() is not None:
-                return False
             time.sleep(LOOK_S)
-    return True
-
-
-def ends(driver: subprocess.Popen[Any]) -> tuple[int, int]:
-    """Ask it to; whether it had ended before, or ends with a complaint; whether it does not end."""
-    if driver.poll() is not None:
-        return 1, 0
-    driver.send_signal(signal.SIGINT)
-    try:
-        return int(driver.wait(PATIENCE_S) != 0), 0
-    except subprocess.TimeoutExpired:
-        return 0, 1
 
 
 class Recorder:
     """A recorder of topics that is there or not."""
 
-    def __init__(self, bag: Path) -> None:
-        self._bag = bag
+    def __init__(self, skin: LoadedSkin) -> None:
+        self._skin, self._bag = skin, skin.folder / "bag"
         self._process: subprocess.Popen[bytes] | None = None
 
     def be_there(self, wanted: bool) -> None:
+        """Start or end it if necessary; what it has written is removed."""
         if wanted and self._process is None:
-            command = [sys.executable, str(SCRIPTS / "skin_bag"), str(self._bag)]
-            command += ["--node", f"/{NAMESPACE}/skin"]
-            quiet = subprocess.DEVNULL
-            self._process = subprocess.Popen(command, stdout=quiet, stderr=quiet)
+            skin_bag = SKIN_DRIVER.with_name("skin_bag")
+            command = [sys.executable, str(skin_bag), str(self._bag), "--node", self._skin.name]
+            self._process = subprocess.Popen(
+                command,
+                env=self._skin.environment,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
         elif not wanted and self._process is not None:
             self._process.send_signal(signal.SIGINT)
             with suppress(subprocess.TimeoutExpired):
@@ -164,25 +116,36 @@ class Recorder:
         self.be_there(False)
 
 
+def ends(driver: subprocess.Popen[Any], patience_s: float) -> tuple[int, int]:
+    """Interrupt it; (crashes, hangs): had it ended before or fails now, or does it not end."""
+    if driver.poll() is not None:
+        return 1, 0
+    driver.send_signal(signal.SIGINT)
+    try:
+        return int(driver.wait(patience_s) != 0), 0
+    except subprocess.TimeoutExpired:
+        return 0, 1
+
+
 def outcome_of(
-    seconds: float, judge: Judge, watch: Watch, reports: str, crashes: int, hangs: int
+    seconds: float, tally: Tally, watch: Watch, reports: str, crashes: int, hangs: int
 ) -> Outcome:
-    """What came of a run. reports: what else is to be said."""
+    """The row of a run. reports: what else is to be said."""
     began_s = watch.t_s[0] if watch.t_s else 0.0
     slope = watch.slope(began_s + min(WARM_UP * seconds, LONGEST_WARM_UP_S))
     long = seconds >= LONG_S
     leaks = long and slope.kb_per_h - SPREADS * slope.spread_kb_per_h > MOST_KB_PER_H
-    late_ms = np.array(judge.errors_s or [np.nan]) * 1e3
-    moved_s = drift(judge.errors_s)
+    late_ms = np.array(tally.stamp_errors_s or [np.nan]) * 1e3
+    moved_s = drift(tally.stamp_errors_s)
     held = "{} threads, {} descriptors".format(*(watch.alone[-1] if watch.alone else (0, 0)))
     return Outcome(
         f"{seconds:g} s in real time, pictures and a recorder coming and going",
         times=1,
-        wrong_values=judge.wrong + (abs(moved_s) > MOST_DRIFT_S),
-        uncounted_losses=judge.uncounted,
+        wrong_values=tally.wrong_values + (abs(moved_s) > MOST_DRIFT_S),
+        uncounted_losses=tally.uncounted_losses,
         crashes=crashes + watch.more_is_held + leaks,
         hangs=hangs,
-        said=f"{judge.received:,} frames heard, {judge.lost} lost and told; {watch.rss_mb:.0f} MB "
+        said=f"{tally.frames:,} frames heard, {tally.lost} lost and told; {watch.rss_mb:.0f} MB "
         f"{slope}, {held}; stamps late by {np.median(late_ms):.2f} ms, "
         f"p99 {np.percentile(late_ms, 99):.2f}, drift {moved_s * 1e3:+.2f}; {reports}",
         rss_slope_kb_per_h=slope.kb_per_h if long else math.nan,
@@ -193,29 +156,3 @@ def drift(errors_s: ArrayLike) -> float:
     """By how much stamps moved from the first to the last part of the run, s; 0 where few came."""
     first, *_, last = np.array_split(np.asarray(errors_s, float), PARTS)
     return float(np.median(last) - np.median(first)) if first.size and last.size else 0.0
-
-
-def _node(script: str, parameters: Mapping[str, object]) -> list[str]:
-    namespace = f"__ns:=/{NAMESPACE}"
-    command = [sys.executable, str(SCRIPTS / script), "--ros-args", "-r", namespace]
-    for name, value in parameters.items():
-        command += ["-p", f"{name}:={json.dumps(value)}"]
-    return command
-
-
-@contextmanager
-def _digitizer(link: Path) -> Iterator[float]:
-    """A LapDigitizer as a process; the host time of its power-up, s."""
-    command = [sys.executable, "-m", "torture.soak.lap_digitizer", str(link)]
-    with _process(command, stdout=subprocess.PIPE, text=True) as process:
-        yield float(process.stdout.readline())
-
-
-@contextmanager
-def _process(command: Sequence[str], **options: Any) -> Iterator[Any]:
-    """A process that ends with the soak, whatever happens."""
-    with subprocess.Popen(command, stdin=subprocess.DEVNULL, **options) as process:
-        try:
-            yield process
-        finally:
-            process.kill()

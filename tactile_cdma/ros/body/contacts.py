@@ -32,7 +32,7 @@ def body_contacts(
         sequence=sequence,
         absent=absent,
         touched=bool(contacts),
-        area=sum(message.area for _, message in parts),
+        area=sum((message.area for _, message in parts), start=0.0),
         position=_centre(contacts),
         wrench=_wrench(parts),
         contacts=[contact for _, contact in contacts],

@@ -25,6 +25,7 @@ from ...config.parameters import Values
 from ...config.skin_config import SkinConfig
 from ...driver.driver import WAITING, Driver
 from ...driver.pipeline import TactileFrame
+from ...driver.rest_keeper import RestKeeper
 from ...driver.session import Session
 from ...readings.rest_file import rest_path
 from ...wire.port import Port
@@ -37,7 +38,7 @@ from .diagnostics import SkinReport
 from .mount import TF_STATIC, Mount, transform_of
 from .parameters import NodeParameters
 from .pictures import Pictures
-from .services import RestKeeper
+from .services import RestServices
 from .stamps import Stamps
 
 APART_NODES = 256
@@ -69,7 +70,8 @@ class SkinNode(ManagedNode):
         self._last_failure = ""
         self._report = SkinReport(self.get_fully_qualified_name())
         self._silence_due_s = 0.0  # device time from which a frame without words is published again
-        self._rest = RestKeeper(self, self._publish_info)
+        self._rest: RestKeeper | None = None
+        RestServices(self, lambda: self._rest)
         self._array_publisher = self.create_lifecycle_publisher(
             TactileArray, "~/tactile", qos_profile_sensor_data
         )
@@ -108,7 +110,7 @@ class SkinNode(ManagedNode):
 
     def _change(self, values: Values, new: set[str]) -> None:
         """Let new values of parameters take effect; raises TactileError to refuse them."""
-        if self._config is not None:
+        if self._config is not None and self._rest is not None:
             config = self._config.adjusted(values)
             if CALIBRATING & new:
                 config = recalibrated(config, values)
@@ -146,14 +148,16 @@ class SkinNode(ManagedNode):
             return TransitionCallbackReturn.FAILURE
         self._last_failure = ""
         self._config, self._declared.fixed = config, True
-        self._rest.configure(config, path, str(self._live["port"]))
+        self._rest = RestKeeper(
+            config, str(self._live["port"]), path, self.get_logger(), self._publish_info
+        )
         self._mount.configure(transform)
         return super().on_configure(state)
 
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stream."""
-        assert self._config is not None
+        assert self._config is not None and self._rest is not None
         result = super().on_activate(state)
         self._driver = Driver(
             self._config,
@@ -212,7 +216,7 @@ class SkinNode(ManagedNode):
             self._start_timer.cancel()
 
     def _stop_driver(self) -> None:
-        if self._driver is not None:
+        if self._driver is not None and self._rest is not None:
             self._driver.stop()
             self._rest.deactivate()
             self._driver = None
@@ -225,8 +229,8 @@ class SkinNode(ManagedNode):
         if self._port is not None:
             self._port.close()
             self._port = None
-        self._config, self._declared.fixed = None, False
-        self._rest.release()
+        self._config = self._rest = None
+        self._declared.fixed = False
         self._mount.release()
 
     # Publishing
@@ -274,7 +278,7 @@ class SkinNode(ManagedNode):
         return True
 
     def _publish_diagnostics(self) -> None:
-        if self._driver is None:
+        if self._driver is None or self._rest is None:
             entries = self._report.inactive(self._last_failure)
         else:
             drivers = self.count_publishers(self._array_publisher.topic_name)

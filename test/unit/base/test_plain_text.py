@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import LayoutError, PortError, TactileError
 from tactile_cdma.base.plain_text import MOST_SHOWN, plain
-from tactile_cdma.wire.port import SerialPort
+from tactile_cdma.wire.discovery import SerialPort
 
 
 @given(st.text())

@@ -2,6 +2,7 @@
 
 """tactile-cdma calibrate --rising and --dynamics: from two recordings to pressures to rely on."""
 
+import sys
 from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
@@ -20,7 +21,7 @@ from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCur
 from tactile_cdma.readings.calibration_file import read_content
 from tactile_cdma.readings.dynamics import Lag
 from tactile_cdma.recording.offline import described_parameters, raw_frames
-from tactile_cdma.sim.digitizer import truth
+from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.loads import DWELL_S, LOADS, STEPS_KPA
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES, Skin
@@ -193,6 +194,17 @@ def test_what_does_not_go_together_is_refused(
     own.write_text("\n".join(lines))
     assert f"{own}: the loads rise and fall" in refusal(own, *at, BEHIND_S)
     assert not (tmp_path / "out.yaml").exists()
+
+
+def test_without_scipy_the_command_says_how_to_install_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "scipy.optimize", None)
+    output = tmp_path / "out.yaml"
+    assert calibrate("c.csv", "--capture", "c.raw", "--dynamics", "c.yaml", "-o", output) == 1
+    said = capsys.readouterr().err
+    assert "--dynamics needs scipy" in said
+    assert "apt install python3-scipy, or pip install 'tactile_cdma[calibrate]'" in said
 
 
 @pytest.mark.parametrize(("late_s", "sure"), [(0.05, True), (0.32, False)])

@@ -12,7 +12,7 @@ from tactile_cdma.base.errors import CalibrationError
 from tactile_cdma.calibrating.identify import LEAST_POINTS, Identified, identify
 from tactile_cdma.readings.calibration import AdcScale, Calibration
 from tactile_cdma.readings.dynamics import Compensator, Dynamics, Hysteresis, Lag
-from tactile_cdma.sim.digitizer import truth
+from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.sensor import PAPER_DYNAMICS
 

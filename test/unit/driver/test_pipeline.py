@@ -16,7 +16,8 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
 from tactile_cdma.readings.taxels import Status
-from tactile_cdma.sim.digitizer import VirtualDigitizer, truth
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.sim.sensor import PAPER_DYNAMICS
 from tactile_cdma.wire._protocol import VERSION
@@ -354,8 +355,8 @@ def test_another_start_leaves_the_devices_clock_and_the_sequence_as_they_were() 
         digitizer.receive(Session(config).open())
         for _ in range(60):
             digitizer.advance(4096)
-            frames += pipeline.feed(digitizer.take(4096), digitizer._now_s + late_s)
-        digitizer._now_s += 5.2 * config.spec.frame_period_s
+            frames += pipeline.feed(digitizer.take(4096), digitizer._schedule.now_s + late_s)
+        digitizer._schedule.now_s += 5.2 * config.spec.frame_period_s
         digitizer.advance(0)
         digitizer.take(digitizer.pending)  # nobody reads that
     assert pipeline.counters.restarts == 1

@@ -22,8 +22,9 @@ from tactile_cdma.framing.line_timing import (
     LineTiming,
 )
 from tactile_cdma.framing.timing import FrameLevels, SampleBlock
-from tactile_cdma.sim.digitizer import stream, truth
+from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.options import Setup, SimOptions
+from tactile_cdma.sim.packets import stream
 from tactile_cdma.wire._protocol import SyncMode
 from tactile_cdma.words.decode import decode
 from tactile_cdma.words.health import NodeHealth, NodeState

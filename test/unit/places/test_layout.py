@@ -26,7 +26,8 @@ SURFACES = {
 
 def on(surface: Surface, rows: int = 5, columns: int = 8) -> Layout:
     nodes = np.arange(1, rows * columns + 1, dtype=np.int32)
-    return Layout.on(surface, "skin", rows, columns, nodes, PITCH_M)
+    wiring = {"name": "skin", "nodes": nodes, "pitch_m": PITCH_M}
+    return Layout(**vars(surface), rows=rows, columns=columns, **wiring)
 
 
 def irregular(places_m: np.ndarray, pitch_m: float = PITCH_M) -> Layout:
@@ -40,7 +41,8 @@ def irregular(places_m: np.ndarray, pitch_m: float = PITCH_M) -> Layout:
         np.full(count, pitch_m**2, np.float32),
     )
     nodes = np.arange(1, count + 1, dtype=np.int32)
-    return replace(Layout.on(surface, "list", 1, count, nodes, pitch_m), irregular=True)
+    wiring = {"name": "list", "nodes": nodes, "pitch_m": pitch_m, "irregular": True}
+    return Layout(**vars(surface), rows=1, columns=count, **wiring)
 
 
 def pairs(layout: Layout) -> set[tuple[int, int]]:

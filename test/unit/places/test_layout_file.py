@@ -199,7 +199,7 @@ REFUSED = {
     "rows of nodes": (GRID + "nodes: [[1, 2, 3]]\n", ["line 7", "nodes has 1 rows; rows is 2"]),
     "columns of nodes": (
         GRID + "nodes:\n - [1, 2, 3]\n - [4, 5]\n",
-        ["line 9", "2 entries; columns is 3"],
+        ["line 9", "2 entries; it must have 3"],
     ),
     "doubled": (
         GRID + "nodes:\n - [1, 2, 3]\n - [4, 2, 5]\n",
@@ -241,7 +241,7 @@ REFUSED = {
     "one": (LIST + taxels(ONE), ["give pitch_mm"]),
     "flat position": (
         LIST + taxels("position_mm: [0, 0], node: 1"),
-        ["line 5", "position of taxel 0 has 2 numbers"],
+        ["line 5", "position of taxel 0 has 2 entries; it must have 3"],
     ),
     "no position": (LIST + taxels("node: 1"), ["line 5", "taxel 0 has no 'position_mm'"]),
     "not a number": (

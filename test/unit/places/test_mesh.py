@@ -23,7 +23,8 @@ shapes = pytest.mark.parametrize("surface", SURFACES.values(), ids=SURFACES)
 
 def layout(surface: Surface) -> Layout:
     numbers = np.arange(1, ROWS * COLUMNS + 1, dtype=np.int32)
-    return Layout.on(surface, "skin", ROWS, COLUMNS, numbers, PITCH_M)
+    wiring = {"name": "skin", "nodes": numbers, "pitch_m": PITCH_M}
+    return Layout(**vars(surface), rows=ROWS, columns=COLUMNS, **wiring)
 
 
 def triangles(squares: np.ndarray) -> np.ndarray:

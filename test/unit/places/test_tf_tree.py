@@ -63,14 +63,14 @@ def test_frames_that_nothing_connects_are_named() -> None:
         tree.pose("body", "palm")
 
 
-def test_circles_are_named_and_can_be_mended() -> None:
+def test_cycles_are_named_and_can_be_mended() -> None:
     tree = TfTree()
     tree.put("a", "b", SHIFT)
     tree.put("b", "c", SHIFT)
     tree.put("c", "a", SHIFT)
-    with pytest.raises(TransformError, match="circle: c → b → a"):
+    with pytest.raises(TransformError, match="cycle: c → b → a"):
         tree.pose("c", "b")
-    with pytest.raises(TransformError, match="'a' is said to be its own parent"):
+    with pytest.raises(TransformError, match="'a' is given as its own parent"):
         tree.put("a", "a", SHIFT)
     tree.put("map", "a", SHIFT)
     assert tree.pose("map", "c").translation_m[0] == 3.0

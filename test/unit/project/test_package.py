@@ -37,8 +37,10 @@ LOAD_SERIAL = {
     "replay.protocol_replay",
     "sim.protocol_sim",
     "skin",
+    "wire.discovery",
     "wire.introduction",
     "wire.port",
+    "wire.port_failures",
     "wire.virtual_port",
 }
 """Modules that open ports. import-linter checks which folder imports which; the test below checks
@@ -57,6 +59,7 @@ PACKAGES_OF_KEYS = {
     "python3-numpy": "numpy",
     "python3-packaging": "packaging",
     "python3-rosbags-pip": "rosbags",
+    "python3-scipy": "scipy",
     "python3-serial": "pyserial",
     "python3-yaml": "pyyaml",
 }
@@ -71,11 +74,16 @@ def dependencies(package_xml: ElementTree.Element, *kinds: str) -> set[str]:
     return {element.text or "" for element in package_xml if element.tag in {"depend", *kinds}}
 
 
-def requirements(name: str) -> set[str]:
-    lines = (ROOT / name).read_text().splitlines()
+def names_of(requirements: list[str]) -> set[str]:
     return {
-        match[0].lower() for line in lines if (match := re.match(r"[\w-]+", line.split("#")[0]))
+        match[0].lower()
+        for line in requirements
+        if (match := re.match(r"[\w-]+", line.split("#")[0]))
     }
+
+
+def requirements(name: str) -> set[str]:
+    return names_of((ROOT / name).read_text().splitlines())
 
 
 def test_version_is_the_same_everywhere(package_xml: ElementTree.Element) -> None:
@@ -85,9 +93,12 @@ def test_version_is_the_same_everywhere(package_xml: ElementTree.Element) -> Non
     assert project["tool"]["setuptools"]["dynamic"]["version"]["attr"] == "tactile_cdma.__version__"
 
 
-def test_core_requirements_are_known_to_rosdep(package_xml: ElementTree.Element) -> None:
+def test_requirements_are_known_to_rosdep(package_xml: ElementTree.Element) -> None:
     keys = {key for key in dependencies(package_xml, "exec_depend") if key.startswith("python3-")}
-    assert {PACKAGES_OF_KEYS[key] for key in keys} == requirements("requirements.txt")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = names_of(project["optional-dependencies"]["calibrate"])
+    assert {PACKAGES_OF_KEYS[key] for key in keys} == requirements("requirements.txt") | extras
+    assert extras <= requirements("requirements-dev.txt")
 
 
 @pytest.mark.parametrize("distro", ["jazzy", "kilted"])

@@ -215,9 +215,7 @@ def test_nodes_beside_a_contact_are_frozen_too() -> None:
 def test_nodes_are_beside_each_other_by_their_places_not_their_numbers() -> None:
     grid = Layout.grid(9, 3, 3, 7e-3, 5e-3)
     shuffled = np.array([5, 9, 1, 7, 3, 8, 0, 2, 6], np.int32)
-    layout = Layout(
-        "", 3, 3, grid.positions_m, grid.normals, grid.areas_m2, grid.flat_m, shuffled, 7e-3
-    )
+    layout = replace(grid, nodes=shuffled)
     table = nodes_beside(layout, 9)
     beside = [set(numbers.tolist()) - {own} for own, numbers in enumerate(table + 1, start=1)]
     assert beside[3 - 1] == {5, 9, 1, 7, 8, 2, 6}  # in the middle

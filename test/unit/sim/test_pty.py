@@ -14,8 +14,9 @@ import pytest
 import serial
 
 from tactile_cdma.base.errors import PortError
-from tactile_cdma.sim.digitizer import VirtualDigitizer, stream
+from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.sim.packets import stream
 from tactile_cdma.sim.pty import serve
 from tactile_cdma.wire.messages import Info, Samples, Start, Status
 from tactile_cdma.wire.packets import PacketParser, PacketWriter

@@ -10,8 +10,9 @@ import pytest
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.transform import correlate
-from tactile_cdma.sim.digitizer import Block, VirtualDigitizer, stream
+from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.sim.packets import Block, stream
 from tactile_cdma.wire._protocol import (
     MAX_PACKET_US,
     MAX_SAMPLES,

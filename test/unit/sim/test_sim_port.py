@@ -11,13 +11,13 @@ import pytest
 import serial
 
 from tactile_cdma.base.errors import SpecError
-from tactile_cdma.sim.digitizer import stream
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.wire import port as source
+from tactile_cdma.sim.packets import stream
+from tactile_cdma.wire import port as port_module
 from tactile_cdma.wire.messages import Info, Samples, Start
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 
-assert set(source.HANDLERS) <= set(serial.protocol_handler_packages)
+assert set(port_module.HANDLERS) <= set(serial.protocol_handler_packages)
 
 
 @pytest.fixture

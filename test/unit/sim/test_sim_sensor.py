@@ -11,7 +11,7 @@ import pytest
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.commands.cli import main
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
-from tactile_cdma.sim.digitizer import truth
+from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.loads import DWELL_S, LOADS, STEPS_KPA, TURN_S, TURNS_KPA
 from tactile_cdma.sim.nodes import NodeFrame, RollCalls
 from tactile_cdma.sim.options import SimOptions

@@ -15,7 +15,14 @@ from tactile_cdma.views.heatmap import SCALE_RGB, colours, heatmap, pressure_ras
 ROWS, COLUMNS, PITCH_M, MAX_PA = 3, 4, 7e-3, 140e3
 COUNT = ROWS * COLUMNS
 NODES = np.array([1, 2, 0, 3, 4, 5, 6, 7, 8, 9, 10, 11], dtype=np.int32)  # one place without
-BALL = Layout.on(sphere(ROWS, COLUMNS, PITCH_M, 25e-3), "ball", ROWS, COLUMNS, NODES, PITCH_M)
+BALL = Layout(
+    **vars(sphere(ROWS, COLUMNS, PITCH_M, 25e-3)),
+    name="ball",
+    rows=ROWS,
+    columns=COLUMNS,
+    nodes=NODES,
+    pitch_m=PITCH_M,
+)
 pressures = arrays(
     np.float32, COUNT, elements=st.floats(-1e4, 3e5, width=32) | st.just(float("nan"))
 )

@@ -132,15 +132,15 @@ def test_an_irregular_skin_is_drawn_as_it_lies() -> None:
     angle = np.linspace(0, 2 * np.pi, 7)[:-1]
     flat_m = (np.stack([np.cos(angle), np.sin(angle)], axis=1) * 0.01).astype(np.float32)
     ring = Layout(
-        "ring",
-        1,
-        6,
+        flat_m,
         np.pad(flat_m, ((0, 0), (0, 1))),
         np.tile(np.float32([0, 0, 1]), (6, 1)),
         np.full(6, 1e-4, np.float32),
-        flat_m,
-        np.arange(1, 7, dtype=np.int32),
-        0.01,
+        name="ring",
+        rows=1,
+        columns=6,
+        nodes=np.arange(1, 7, dtype=np.int32),
+        pitch_m=0.01,
         irregular=True,
     )
     reading = Reading(

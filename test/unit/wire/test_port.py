@@ -17,9 +17,10 @@ import numpy as np
 import pytest
 
 from tactile_cdma.base.errors import PortError
+from tactile_cdma.wire.discovery import is_away
 from tactile_cdma.wire.messages import Start
 from tactile_cdma.wire.packets import PacketWriter
-from tactile_cdma.wire.port import HOST_GONE_S, READ_SIZE, Port, is_away
+from tactile_cdma.wire.port import HOST_GONE_S, READ_SIZE, Port
 
 
 @contextmanager

@@ -21,10 +21,11 @@ from serial.tools import list_ports
 
 from tactile_cdma.base.errors import PortError
 from tactile_cdma.commands.cli import main
+from tactile_cdma.wire.discovery import find_usb, holders, serial_ports
 from tactile_cdma.wire.introduction import introduction
 from tactile_cdma.wire.messages import GetInfo, Status
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
-from tactile_cdma.wire.port import Port, find_usb, holders, serial_ports
+from tactile_cdma.wire.port import Port
 
 Kernel = list[tuple[str, str | None]]
 

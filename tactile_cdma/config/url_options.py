@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Options of a port's URL, ?name=value&name=value, read against a table of parameters."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import Any
+from urllib.parse import parse_qsl
+
+from ..base.errors import ParameterError, SpecError
+from .parameters import NATURAL_SIGNS, Parameter, Value
+
+_TRUTH = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no": False}
+
+
+def parse_options(query: str, options: Iterable[Parameter], scheme: str) -> dict[str, Any]:
+    """The options that a query gives, each in its parameter's type.
+
+    Raises SpecError for an option that is unknown, given twice or of a wrong value.
+    """
+    known, values = {option.name: option for option in options}, dict[str, Any]()
+    for name, text in parse_qsl(query, keep_blank_values=True):
+        if name not in known:
+            close = difflib.get_close_matches(name, known, n=2)
+            hint = (
+                f"did you mean {' or '.join(close)}?" if close else f"options: {', '.join(known)}"
+            )
+            raise SpecError(f"{scheme} has no option {name!r}; {hint}")
+        if name in values:
+            raise SpecError(f"option {name!r} is given twice")
+        values[name] = check_option(known[name], _typed(known[name], text))
+    return values
+
+
+def check_option(option: Parameter, value: Value) -> Value:
+    """The value in the option's type. Raises SpecError, naming value, limits and near choices."""
+    try:
+        return option.check(value)
+    except ParameterError as error:
+        close = difflib.get_close_matches(str(value), map(str, option.choices), n=1)
+        hint = f"; did you mean {close[0]}?" if close else ""
+        raise SpecError(f"option {error}{hint}") from None
+
+
+def _typed(option: Parameter, text: str) -> Value:
+    if option.name == "sign_seed" and text == "natural":
+        return NATURAL_SIGNS
+    kind: Any = type(option.default)
+    try:
+        value: Value = _TRUTH[text.lower()] if kind is bool else kind(text)
+    except (ValueError, KeyError):
+        wanted = {bool: "true or false (0 or 1)", int: "an integer", float: "a number"}[kind]
+        raise SpecError(f"option {option.name} is {text!r}; it must be {wanted}") from None
+    return value

@@ -1,0 +1,263 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tare, drift and calibration of a running skin: restored at its start, changed, saved."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.errors import RestError
+from ..base.listing import listed
+from ..config.parameters import REPLAY, SIMULATION
+from ..config.skin_config import SkinConfig
+from ..readings.baseline import Baseline
+from ..readings.rest_file import RestState
+from ..readings.rest_store import Log, RestStore
+from .driver import Driver
+
+TELL_S = 10.0
+"""Least time between two reports of drift, s: each makes every subscriber take the layout anew."""
+SAVE_S = 60.0
+"""Least time between two writes of drift, s; a crash loses at most this much of it."""
+_TOLD_LSB = 0.9
+"""Drift is reported when it has moved by this much, LSB: by one count, whatever the rounding."""
+_SAVED_LSB = 0.1
+"""Drift is saved when it has moved by this much, LSB; less changes no reading."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class TareResult:
+    """What a tare did; as a string, a sentence about it.
+
+    tare_pa: (n,) float32, Pa, subtracted from the readings of every node from now on. unheard:
+    numbers of the nodes without a valid reading, which keep the tare they had.
+    """
+
+    tare_pa: NDArray[np.float32]
+    unheard: list[int]
+
+    def __str__(self) -> str:
+        text = f"tared: {_taken_off(self.tare_pa)}"
+        if self.unheard:
+            text += f"; without a valid reading and as before: {listed(self.unheard, 'node')}"
+        return text
+
+
+class RestKeeper:
+    """Tare and drift of one skin, kept in a file from one run to the next.
+
+    Call it from any one thread but the driver's, which goes on meanwhile.
+
+    config: in force. tared: when the tare in force was taken, in ISO 8601; empty without one.
+    """
+
+    def __init__(
+        self,
+        config: SkinConfig,
+        url: str,
+        path: Path | None,
+        log: Log,
+        on_change: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Read the file of this skin, if there is one.
+
+        url: of the port. A recording's tare and drift are neither read nor kept: every replay of
+        it is the same, and says nothing about the skin of today. path: see rest_path; None: as
+        for a recording. on_change: called between frames when other tare, drift or curves apply.
+        """
+        self.config, self.tared = config, ""
+        self._log, self._on_change = log, on_change
+        self._simulated = url.startswith(SIMULATION)
+        self._store = RestStore(None if url.startswith(REPLAY) else path, log)
+        self._driver: Driver | None = None
+        self._kept: RestState | None = None  # as last read or written; in force while inactive
+        self._told_drift_v: NDArray[np.float32] | None = None
+        self._told_s = self._saved_s = 0.0
+        self._is_writable = True
+        self._read()
+
+    @property
+    def baseline(self) -> Baseline | None:
+        """Tare and drift in force; None while inactive."""
+        return None if self._driver is None else self._driver.pipeline.taxels.baseline
+
+    def activate(self, driver: Driver) -> None:
+        """Put into force what was found before; the driver does not run yet."""
+        self._driver, kept = driver, self._kept
+        if kept is not None:
+            taxels = driver.pipeline.taxels
+            taxels.restore(kept.rest_v, kept.drift_v)
+            if kept.rest_v is not None or kept.drift_v is not None:
+                self._log.info(
+                    f"tare and drift are those of {kept.written} in {self._store.path}: "
+                    + _taken_off(taxels.baseline.tare_pa)
+                )
+        self._tell()
+
+    def deactivate(self) -> None:
+        """Save what has changed; the driver has stopped."""
+        if self._driver is None:
+            return
+        self._save_changes()
+        if self._store.path is None:
+            self.tared = ""
+        else:
+            self._kept = self._present()  # even where it could not be written
+        self._driver = None
+
+    def adjust(self, config: SkinConfig) -> None:
+        """Put other parameters into force, perhaps another calibration."""
+        recalibrated = config.calibration is not self.config.calibration
+        self.config = config
+        if self._driver is None:
+            if recalibrated:
+                self._read()
+            return
+        with self._driver.between_frames() as pipeline:
+            stay = pipeline.adjust(config)
+            if not recalibrated:
+                return
+            if not stay:
+                self._store.disown()
+                self._kept, self.tared = None, ""
+            self._tell()
+        name = config.calibration.identity or "by default"
+        self._log.info(
+            f"calibration {name} is in force; tare and drift "
+            + ("stay" if stay else "went with the curves before: tare while nothing touches it")
+        )
+
+    def tick(self) -> None:
+        """Report and save drift if that is due; call it about once a second."""
+        if self._driver is None or self._told_drift_v is None:
+            return
+        now_s, lsb_v = time.monotonic(), self.config.adc.lsb_v
+        moved_v = np.abs(self._driver.pipeline.taxels.baseline.drift_v - self._told_drift_v).max()
+        if moved_v > _TOLD_LSB * lsb_v and now_s - self._told_s >= TELL_S:
+            with self._driver.between_frames():
+                self._tell()
+        if now_s - self._saved_s >= SAVE_S:
+            self._save_changes()
+
+    def tare(self, force: bool = False) -> TareResult:
+        """Make what the skin reads now its zero, and save that; see take_tare.
+
+        Raises RestError where no frames arrive, and where take_tare does.
+        """
+        with self._streaming().between_frames() as pipeline:
+            unheard = pipeline.taxels.tare(self.config.rest.contact_pa, force)
+            self.tared = _now()
+            self._tell()
+            result = TareResult(pipeline.taxels.baseline.tare_pa, unheard)
+        self._log.info(str(result))
+        self._save()
+        return result
+
+    def clear(self) -> None:
+        """Forget tare and drift, on file too; raises RestError where no frames arrive."""
+        with self._streaming().between_frames() as pipeline:
+            pipeline.taxels.restore()
+            self.tared = ""
+            self._tell()
+        self._log.info("tare and drift are forgotten")
+        self._save()
+
+    def save(self) -> tuple[Path, Path]:
+        """Write tare and drift to one file and the curves to another; returns their paths.
+
+        Raises TactileError.
+        """
+        config = self.config
+        path = self._write()
+        return path, self._store.write_calibration(
+            config.calibration, config.adc, config.curve, config.skin
+        )
+
+    def _streaming(self) -> Driver:
+        if self._driver is None:
+            raise RestError("not tared: the skin is not active; activate it first")
+        if self._driver.problem:
+            raise RestError(f"not tared: no frames arrive: {self._driver.problem}")
+        return self._driver
+
+    def _tell(self) -> None:
+        """Call on_change; between frames."""
+        assert self._driver is not None
+        self._told_drift_v = self._driver.pipeline.taxels.baseline.drift_v
+        self._told_s = time.monotonic()
+        self._on_change()
+
+    def _read(self) -> None:
+        config = self.config
+        self._kept = self._store.read(
+            config.skin,
+            self._simulated,
+            config.spec.nodes,
+            config.calibration.curves.checksum,
+        )
+        self.tared = self._kept.tared if self._kept else ""
+
+    def _save_changes(self) -> None:
+        """Save if what is on file differs from what is in force."""
+        if self._store.path is None:
+            return
+        self._saved_s = time.monotonic()
+        kept, present = self._kept, self._present()
+        kept_drift_v = 0.0 if kept is None or kept.drift_v is None else kept.drift_v
+        drift_v = 0.0 if present.drift_v is None else present.drift_v
+        moved_v = np.abs(drift_v - kept_drift_v).max()
+        retared = self.tared != ("" if kept is None else kept.tared)
+        if retared or moved_v > _SAVED_LSB * self.config.adc.lsb_v:
+            self._save()
+
+    def _save(self) -> None:
+        """Write what is in force; a failure is logged once."""
+        try:
+            self._write()
+        except RestError as error:
+            if self._is_writable:
+                self._log.warning(str(error))
+            self._is_writable = False
+
+    def _write(self) -> Path:
+        state = self._present()
+        path = self._store.write(state)
+        self._kept, self._is_writable, self._saved_s = state, True, time.monotonic()
+        return path
+
+    def _present(self) -> RestState:
+        """What is in force; while inactive, what was last."""
+        config, rest_v, drift_v = self.config, None, None
+        if self._driver is not None:
+            baseline = self._driver.pipeline.taxels.baseline
+            rest_v = baseline.rest_v
+            drift_v = baseline.drift_v if baseline.drift_v.any() else None
+        elif self._kept is not None:
+            rest_v, drift_v = self._kept.rest_v, self._kept.drift_v
+        return RestState(
+            skin=config.skin,
+            simulated=self._simulated,
+            nodes=config.spec.nodes,
+            calibration=config.calibration.identity,
+            curves=config.calibration.curves.checksum,
+            written=_now(),
+            tared=self.tared,
+            rest_v=rest_v,
+            drift_v=drift_v,
+        )
+
+
+def _taken_off(tare_pa: NDArray[np.float32]) -> str:
+    low, high = float(tare_pa.min()) / 1e3, float(tare_pa.max()) / 1e3
+    return f"{low:.2f} to {high:.2f} kPa are taken off"
+
+
+def _now() -> str:
+    return datetime.now().astimezone().isoformat(timespec="seconds")

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The digitized line: what the converter reads in every frame period."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import chain
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .channel import chip_means, first_sample, point_samples, waveforms
+from .disturbance import Disturbance
+from .loads import LOADS
+from .nodes import NodeFrame, RollCalls, frame_start_s, node_frames
+from .options import Setup, SimOptions
+from .scene import SCENES
+
+
+def truth(
+    options: SimOptions, setup: Setup, roll_calls: RollCalls | None = None
+) -> Iterator[NodeFrame]:
+    """What the nodes measure and send in every frame since START, endlessly."""
+    spec = setup.spec
+    return node_frames(
+        spec,
+        (SCENES | LOADS)[options.scene],
+        options.skin(spec.nodes, spec.first_row),
+        options.rules,
+        options.sensors,
+        start_phase=options.start_phase,
+        roll_calls=roll_calls,
+    )
+
+
+def line_counts(
+    options: SimOptions, setup: Setup, frame: NodeFrame, disturbance: Disturbance | None = None
+) -> NDArray[np.int16]:
+    """Readings of the converter in one frame period, (m,) int16 counts.
+
+    Raw: all samples from the start of the frame to the start of the next. Integrated: the mean of
+    every coded chip, m = spec.chips.
+    """
+    spec, channel = setup.spec, options.channel
+    rng = np.random.default_rng([options.seed, frame.number])
+    clocks = options.clocks.at(spec.nodes, frame.start_s)
+    edges_s = channel.edges(spec, rng)
+    if setup.integrated:
+        first, stop, averaged = 0, spec.chips, setup.samples_per_chip
+        nominal = clocks is None and not (channel.stretch or channel.jitter)
+
+        def seen(levels: NDArray[np.float32], own_s: NDArray[np.float64]) -> NDArray[np.float32]:
+            if nominal and own_s is edges_s:
+                return levels[spec.places]
+            return chip_means(levels, own_s, spec.chip_s)[spec.places]
+    else:
+        edges_s += frame.start_s
+        next_s = frame_start_s(spec, frame.number + 1, options.start_phase)
+        first, stop = np.maximum(first_sample([frame.start_s, next_s], setup.rate_hz), 0).tolist()
+        averaged = 1
+
+        def seen(levels: NDArray[np.float32], own_s: NDArray[np.float64]) -> NDArray[np.float32]:
+            return point_samples(levels, own_s, setup.rate_hz, first, stop)
+
+    line_v = np.zeros(stop - first, np.float32)
+    added = disturbance.added(frame, edges_s) if disturbance else ()
+    for levels, own_s in chain(waveforms(spec, frame.codes, frame.active, edges_s, clocks), added):
+        line_v += seen(levels, own_s)
+    if disturbance:
+        t_s = (np.arange(first, stop, dtype=np.float64) + 0.5) / setup.rate_hz
+        if setup.integrated:
+            t_s = np.asarray(frame.start_s + (spec.places + 0.5) * spec.chip_s, np.float64)
+        line_v = disturbance.disturbed(frame, line_v, t_s)
+    return channel.digitize(line_v, spec, rng, averaged)

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The digitizer's clock, and what is due by it: a report every second, and a stream's packets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+from .packets import Block
+
+REPORT_S = 1.0
+"""INFO and STATUS are repeated at this interval (docs/protocol.md)."""
+_PREPARE_S = 1e-3
+"""Pause after a packet before the samples of the next one are computed, which takes time, so that
+the transport hands on the first one meanwhile; chosen, well below a frame period."""
+
+
+class Schedule:
+    """One clock for all that a digitizer does.
+
+    now_s: s since power-up, at `speed` times the host's pace. At speed 0, while streaming, the
+    clock stands until something is asked for, and then steps to when that is due.
+    started_s: when the stream began, s; later by the duration of frames lost since.
+    report_s: when the next report is due. born_s: host time of power-up, s.
+    """
+
+    def __init__(self, clock: Callable[[], float], speed: float) -> None:
+        """clock: host time, s."""
+        self.host_clock, self._speed = clock, speed
+        self.born_s = self._host_s = clock()
+        self.now_s = self.started_s = self.report_s = 0.0
+        self._steps: Iterator[_Step] | None = None
+        self._next = _Step(0.0)
+
+    @property
+    def streaming(self) -> bool:
+        """Between start and stop."""
+        return self._steps is not None
+
+    @property
+    def hurried(self) -> bool:
+        """Whether packets are made as they are asked for."""
+        return self._speed == 0 and self.streaming
+
+    @property
+    def due_s(self) -> float:
+        """When something is due next."""
+        if self._steps is None:
+            return self.report_s
+        return min(self.report_s, self.started_s + self._next.due_s)
+
+    @property
+    def wait_s(self) -> float:
+        """Host time until something is due, s."""
+        return max(0.0, self.due_s - self.now_s) / (self._speed or 1.0)
+
+    def pass_time(self) -> float:
+        """Follow the host's clock; returns its time."""
+        host_s = self.host_clock()
+        if not self.hurried:
+            self.now_s += (host_s - self._host_s) * (self._speed or 1.0)
+        self._host_s = host_s
+        return host_s
+
+    def start(self, blocks: Iterator[Block]) -> None:
+        """Begin a stream now."""
+        self._steps = _steps(blocks, _PREPARE_S if self._speed else 0.0)
+        self._next = next(self._steps)
+        self.started_s = self.now_s
+
+    def stop(self) -> None:
+        """End the stream."""
+        self._steps = None
+
+    def skip(self, seconds: float) -> None:
+        """Let the stream stand still for so long; no more than one report of that time is due."""
+        self.started_s += seconds
+        self.report_s = max(self.report_s, self.now_s)
+
+    def take(self) -> Block | None:
+        """What is due next of the stream: a packet, or nothing but computing the next ones."""
+        assert self._steps is not None, "only a stream has something due besides reports"
+        step, self._next = self._next, next(self._steps)
+        return step.block
+
+
+class _Step(NamedTuple):
+    """due_s: s since START. block: to be sent; None: the samples after it are to be computed."""
+
+    due_s: float
+    block: Block | None = None
+
+
+def _steps(blocks: Iterator[Block], prepare_s: float) -> Iterator[_Step]:
+    """Computes the blocks that are sent next, with the one that a waiting block waits for."""
+    due_s = 0.0
+    while True:
+        yield _Step(due_s)
+        ready = [next(blocks)]
+        while ready[-1].waits:
+            ready.append(next(blocks))
+        for block in ready:
+            yield _Step(block.due_s, block)
+        due_s = ready[-1].due_s + prepare_s

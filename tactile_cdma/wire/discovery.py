@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Serial ports of this machine: their names, which one is usb://SERIAL, and who has one open."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from serial.tools import list_ports
+
+from ..base.errors import PortError
+from ..base.plain_text import plain
+
+USB = "usb://"
+"""Begins the URL of a port that is named by the serial number of its USB device."""
+LINK_FOLDERS = ("/dev/tactile", "/dev/serial/by-id", "/dev/serial/by-path")
+"""Where udev keeps names that survive replugging; the first is filled by our own rules."""
+
+
+@dataclass(frozen=True, slots=True)
+class SerialPort:
+    """A serial port of this machine.
+
+    usb_serial: serial number of its USB device, empty where there is none.
+    links: names of the port that survive replugging.
+    """
+
+    device: str
+    description: str
+    usb_serial: str = ""
+    links: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        number = f"USB serial number {self.usb_serial}" if self.usb_serial else ""
+        said = ", ".join(part for part in (self.description, number) if part)
+        return plain(f"{self.device} ({said})" if said else self.device)
+
+
+def serial_ports() -> list[SerialPort]:
+    """The serial ports of this machine, sorted by name."""
+    try:
+        found = sorted(list_ports.comports())
+    except (OSError, TypeError, ValueError):  # one was unplugged during the search: search again
+        found = sorted(list_ports.comports())
+    return [
+        SerialPort(
+            device=port.device,
+            description="" if port.description == "n/a" else port.description,
+            usb_serial=port.serial_number or "",
+            links=_links(port.device),
+        )
+        for port in found
+    ]
+
+
+def in_words(ports: Sequence[SerialPort]) -> str:
+    """The end of a message: which serial ports there are."""
+    return f"Serial ports on this machine: {'; '.join(map(str, ports)) or 'none'}"
+
+
+def device_of(url: str) -> str:
+    """The device that usb://SERIAL is now; any other URL unchanged. Raises PortError."""
+    return find_usb(url, serial_ports()) if url.startswith(USB) else url
+
+
+def find_usb(url: str, ports: Sequence[SerialPort]) -> str:
+    """The device that usb://SERIAL means; upper and lower case are the same.
+
+    Raises PortError, listing the ports there are, unless exactly one has this serial number.
+    """
+    wanted = url.removeprefix(USB)
+    if not wanted:
+        raise PortError(f"{url}: the serial number of a USB device is missing; {in_words(ports)}")
+    found = [port for port in ports if port.usb_serial.lower() == wanted.lower()]
+    if not found:
+        raise PortError(
+            f"{url}: no port has this USB serial number; is the digitizer plugged in? "
+            f"{in_words(ports)}"
+        )
+    if len(found) > 1:
+        raise PortError(
+            f"{url}: {len(found)} ports have this USB serial number, name one by its place "
+            f"instead (/dev/serial/by-path/…): {'; '.join(map(str, found))}"
+        )
+    return found[0].device
+
+
+def is_away(url: str) -> bool:
+    """Whether opening a device path is bound to fail: no such device, or no permission.
+
+    Takes microseconds. False for anything but a device path, of which nothing is known.
+    """
+    if "://" in url or "\0" in url:
+        return False
+    effective = os.access in os.supports_effective_ids
+    return not os.access(url, os.R_OK | os.W_OK, effective_ids=effective)
+
+
+def holders(device: str) -> list[str]:
+    """Programs that have a device open, as far as this user may see: 'minicom (pid 42)'.
+
+    Empty for a pseudo-terminal: the program that made it has it open, too.
+    """
+    real = os.path.realpath(device)
+    if real.startswith("/dev/pts/"):
+        return []
+    found: dict[str, None] = {}  # an ordered set: a program may have it open several times
+    for descriptor in Path("/proc").glob("[0-9]*/fd/*"):
+        with suppress(OSError):  # the process has ended, has closed it, or is another user's
+            if os.readlink(descriptor) == real:
+                process = descriptor.parents[1]
+                found[f"{(process / 'comm').read_text().strip()} (pid {process.name})"] = None
+    return list(found)
+
+
+def leave_alone_if_open(url: str) -> None:
+    """Raises PortError if another program has this port open, whether or not it has locked it."""
+    if others := holders(device_of(url)):
+        raise PortError(f"{url}: busy: another program has it open ({', '.join(others)})")
+
+
+def _links(device: str) -> tuple[str, ...]:
+    links = (link for folder in LINK_FOLDERS for link in sorted(Path(folder).glob("*")))
+    return tuple(str(link) for link in links if os.path.realpath(link) == device)

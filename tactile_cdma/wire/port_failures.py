@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Failures of a port in words: the likely cause, and what to do about it."""
+
+from __future__ import annotations
+
+import errno
+from urllib.parse import urlsplit
+
+from ..base.errors import CaptureError, PortError, RecordingEndError, SpecError
+from .discovery import holders, in_words, serial_ports
+
+try:
+    import termios
+
+    TerminalError = termios.error  # not an OSError, and pyserial lets it through
+except ImportError:  # not a POSIX system
+    TerminalError = OSError  # type: ignore[misc, assignment]
+
+NETWORK = ("socket://", "rfc2217://")
+"""Begin the URLs of ports on another machine."""
+_NOT_SERIAL = (errno.ENOTTY, errno.EISDIR, errno.ENXIO)
+
+
+def why_not_open(error: Exception, device: str) -> str:
+    """Why a port did not open, and what to do about it."""
+    if isinstance(error, SpecError | CaptureError):  # an option of sim://, the file of replay://
+        return str(error)
+    code = error.args[0] if isinstance(error, TerminalError) else getattr(error, "errno", None)
+    if not device:
+        return f"no port is named; {in_words(serial_ports())}"
+    if code == errno.ENOENT:
+        return f"no such port; is the digitizer plugged in? {in_words(serial_ports())}"
+    if code in (errno.EACCES, errno.EPERM):
+        return (
+            "no permission; add yourself to the port's group "
+            "(sudo usermod -aG dialout $USER, then log in again)"
+        )
+    if code in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in str(error):
+        who = ", ".join(holders(device)) or "another driver, a serial monitor?"
+        return f"busy: another program has it open ({who})"
+    if "could not configure port" in str(error).lower() or code in _NOT_SERIAL:
+        return "not a serial port"
+    if device.startswith(NETWORK) and not _names_host_and_port(device):
+        return f"host and port (1…65535) are not named, as in {NETWORK[0]}192.168.0.7:4000"
+    if isinstance(error, ValueError) and "protocol" in str(error):
+        return (
+            "unknown kind of port; use a device path, usb://SERIAL, sim://, replay://FILE, "
+            "socket://host:port or rfc2217://…"
+        )
+    return str(error)
+
+
+def lost(url: str, doing: str, error: Exception) -> PortError:
+    """The error to raise for one that reading or writing raised."""
+    if isinstance(error, RecordingEndError):
+        return error
+    if isinstance(error, CaptureError):  # the file of replay:// was taken away
+        return PortError(f"{url}: {error}")
+    return PortError(f"{url}: lost while {doing}; unplugged? ({error})")
+
+
+def _names_host_and_port(url: str) -> bool:
+    try:
+        parts = urlsplit(url)
+        return bool(parts.hostname and parts.port)
+    except ValueError:  # the port is no number, or too large
+        return False

@@ -1,0 +1,348 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tare, drift and calibration over the runs of one skin; the simulated digitizer needs no time."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from simulated_stream import configuration
+
+from tactile_cdma.base.errors import RestError
+from tactile_cdma.config.parameters import PARAMETERS
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver import rest_keeper
+from tactile_cdma.driver.driver import Driver
+from tactile_cdma.driver.pipeline import TactileFrame
+from tactile_cdma.driver.rest_keeper import RestKeeper
+from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
+from tactile_cdma.readings.calibration_file import write_calibration
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.sim.scene import SCENES, Skin
+from tactile_cdma.wire.messages import GetInfo, Start
+from tactile_cdma.wire.packets import PacketWriter
+
+IDLE = "sim://?scene=idle"
+NAME = "skin.rest.yaml"
+COUNT_V, COUNT_PA = 3.3 / 1024, 97.66
+PRELOAD_PA = 8 * COUNT_PA
+REST_V = 3.3 - 8 * COUNT_V
+TARE_S = 1.5
+"""Longer than a tare takes: the last second, from the first frame on."""
+OTHER_CURVE = PressureCurve.two_stage(knee_pa=40e3)
+
+
+class Log:
+    def __init__(self) -> None:
+        self.infos: list[str] = []
+        self.warnings: list[str] = []
+        self.info, self.warning = self.infos.append, self.warnings.append
+
+
+class Run:
+    """One skin from its configuration on; `stream` feeds what a digitizer sends meanwhile."""
+
+    def __init__(self, folder: Path, port: str = IDLE, **values: object) -> None:
+        self.values, self.port = values, port
+        self.config = SkinConfig.of(values)
+        self.log, self.changes = Log(), 0
+        self.keeper = RestKeeper(self.config, port, folder / NAME, self.log, self._changed)
+        self.frames: list[TactileFrame] = []
+
+    def _changed(self) -> None:
+        self.changes += 1
+
+    def activate(self) -> "Run":
+        config = self.keeper.config
+        self.driver = Driver(config, self.port, 2_000_000, lambda _: None, lambda _: None)
+        self.keeper.activate(self.driver)
+        self.digitizer = VirtualDigitizer(SimOptions.from_url(f"{IDLE}&speed=0"), clock=lambda: 0.0)
+        writer = PacketWriter()
+        for command in (configuration(config), GetInfo(), Start()):
+            self.digitizer.receive(writer.encode(command))
+        self._end_s = self._t_host = 0.0
+        return self
+
+    def stream(self, seconds: float) -> "Run":
+        self._end_s += seconds
+        self.frames = []
+        while not self.frames or self.frames[-1].t_middle < self._end_s:
+            self.digitizer.advance(4096)
+            self._t_host += 1e-3
+            self.frames += self.driver.pipeline.feed(self.digitizer.take(4096), self._t_host)
+        return self
+
+    def set(self, **values: object) -> None:
+        """Change parameters as the driver's node does it."""
+        self.values |= values
+        everything = {parameter.name: parameter.default for parameter in PARAMETERS} | self.values
+        config = self.keeper.config.adjusted(everything)
+        if "calibration_file" in values:
+            config = config.recalibrated(everything)
+        self.keeper.adjust(config)
+
+    @property
+    def pressure_pa(self) -> np.ndarray:
+        return self.frames[-1].readings.pressure_pa
+
+    @property
+    def drift_v(self) -> np.ndarray:
+        assert self.keeper.baseline is not None
+        return self.keeper.baseline.drift_v
+
+
+@pytest.fixture
+def preload(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
+    """Mounts the idle skin under a pressure, Pa; may be called again while it runs."""
+    load_pa = [0.0]
+
+    def scene(t_s: float, skin: Skin) -> np.ndarray:
+        return np.full(len(skin.positions_m), load_pa[0])
+
+    monkeypatch.setitem(SCENES, "idle", scene)
+    return lambda pressure_pa: load_pa.__setitem__(0, pressure_pa)
+
+
+def on_file(folder: Path) -> dict[str, object]:
+    content: dict[str, object] = yaml.safe_load((folder / NAME).read_text())
+    return content
+
+
+def test_a_tare_outlives_the_run(preload: Callable[[float], None], tmp_path: Path) -> None:
+    preload(PRELOAD_PA)
+    first = Run(tmp_path).activate().stream(TARE_S)
+    assert np.allclose(first.pressure_pa, PRELOAD_PA, atol=15)
+    result = first.keeper.tare()
+    assert str(result) == "tared: 0.78 to 0.78 kPa are taken off"
+    assert np.allclose(result.tare_pa, PRELOAD_PA, atol=15) and result.unheard == []
+    assert first.changes == 2
+    assert np.allclose(first.stream(0.1).pressure_pa, 0, atol=15)
+    assert np.allclose(on_file(tmp_path)["rest_v"], REST_V)
+    first.keeper.deactivate()
+    again = Run(tmp_path)
+    assert again.keeper.tared == first.keeper.tared == on_file(tmp_path)["tared"]
+    for run in (first, again, again):
+        run.activate().stream(0.3)
+        assert np.allclose(run.pressure_pa, 0, atol=15)
+        assert "tare and drift are those of" in run.log.infos[-1]
+        run.keeper.deactivate()
+    assert not again.log.warnings
+
+
+def test_a_tare_under_load_is_refused_unless_forced_and_can_be_cleared(
+    preload: Callable[[float], None], tmp_path: Path
+) -> None:
+    preload(20e3)
+    run = Run(tmp_path).activate().stream(TARE_S)
+    with pytest.raises(RestError, match=r"under load: node 1 \(row 0, column 0\)"):
+        run.keeper.tare()
+    assert list(tmp_path.iterdir()) == []
+    assert run.keeper.tared == "" and run.changes == 1
+    run.keeper.tare(force=True)
+    assert np.allclose(run.stream(0.1).pressure_pa, 0, atol=15)
+    assert run.keeper.tared == on_file(tmp_path)["tared"] != ""
+    run.keeper.clear()
+    assert np.allclose(run.stream(0.1).pressure_pa, 20e3, atol=100)
+    assert run.keeper.tared == on_file(tmp_path)["tared"] == ""
+    assert on_file(tmp_path)["rest_v"] is None
+    assert run.changes == 3
+
+
+def test_a_tare_names_the_nodes_that_keep_what_they_had(
+    preload: Callable[[float], None], tmp_path: Path
+) -> None:
+    preload(PRELOAD_PA)
+    run = Run(tmp_path, stale_after_s=0.5).activate().stream(TARE_S)
+    run.driver.pipeline.taxels.chain.baseline.look(
+        np.zeros(16, np.float32), np.zeros(16, np.float32), np.arange(16) != 6
+    )
+    assert str(run.keeper.tare(force=True)).endswith(
+        "; without a valid reading and as before: node 7"
+    )
+
+
+def test_without_frames_there_is_no_tare(tmp_path: Path) -> None:
+    run = Run(tmp_path)
+    for tare in (run.keeper.tare, run.keeper.clear):
+        with pytest.raises(RestError, match="not tared: the skin is not active"):
+            tare()
+    run.activate()
+    with pytest.raises(RestError, match=r"not tared: .* less than 1 s"):
+        run.keeper.tare()
+    run.stream(TARE_S)
+    run.driver.problem = "the port is gone"
+    for tare in (run.keeper.tare, run.keeper.clear):
+        with pytest.raises(RestError, match="not tared: no frames arrive: the port is gone"):
+            tare()
+    run.keeper.deactivate()
+    with pytest.raises(RestError, match="not tared: the skin is not active"):
+        run.keeper.tare()
+
+
+@pytest.mark.parametrize("content", ["nonsense: [", "other nodes"])
+def test_a_file_that_does_not_fit_is_left_and_set_aside_only_when_there_is_another(
+    tmp_path: Path, content: str, preload: Callable[[float], None]
+) -> None:
+    path = tmp_path / NAME
+    if content == "other nodes":
+        Run(tmp_path, nodes=9, rows=3, columns=3).keeper.save()
+        content = path.read_text()
+    path.write_text(content)
+    preload(PRELOAD_PA)
+    run = Run(tmp_path).activate().stream(TARE_S)
+    assert len(run.log.warnings) == 1
+    assert np.allclose(run.pressure_pa, PRELOAD_PA, atol=15)
+    run.keeper.deactivate()
+    assert path.read_text() == content
+    run.activate().stream(TARE_S).keeper.tare()
+    assert path.with_name(f"{NAME}.old").read_text() == content
+    assert on_file(tmp_path)["nodes"] == 16
+
+
+def test_a_calibration_that_was_put_there_is_not_overwritten(tmp_path: Path) -> None:
+    """The one in force stays as it is, with its comments; another one is set aside."""
+    kept, lab = tmp_path / "skin.calibration.yaml", "# the lab's, of May\n"
+    other = Calibration.default(OTHER_CURVE, 16)
+    for calibration in (Calibration.default(PressureCurve.two_stage(), 16), other):
+        write_calibration(kept, calibration, AdcScale())
+        kept.write_text(lab + kept.read_text())
+        assert Run(tmp_path).keeper.save() == (tmp_path / NAME, kept)
+        assert kept.read_text().startswith(lab) == (calibration is not other)
+    assert (tmp_path / "skin.calibration.yaml.old").read_text().startswith(lab)
+
+
+def test_a_calibration_tried_while_inactive_costs_no_tare(
+    preload: Callable[[float], None], tmp_path: Path
+) -> None:
+    preload(PRELOAD_PA)
+    other = tmp_path / "other.yaml"
+    write_calibration(other, Calibration.default(OTHER_CURVE, 16), AdcScale())
+    run = Run(tmp_path).activate().stream(TARE_S)
+    run.keeper.tare()
+    run.keeper.deactivate()
+    run.set(calibration_file=str(other))
+    assert "other curves" in run.log.warnings[-1] and run.keeper.tared == ""
+    run.set(calibration_file="")
+    assert np.allclose(run.activate().stream(0.3).pressure_pa, 0, atol=15)
+
+
+def test_a_calibration_with_the_same_curves_keeps_the_tare(
+    preload: Callable[[float], None], tmp_path: Path
+) -> None:
+    preload(PRELOAD_PA)
+    run = Run(tmp_path).activate().stream(TARE_S)
+    run.keeper.tare()
+    _, calibration = run.keeper.save()
+    run.set(calibration_file=str(calibration))
+    assert run.changes == 3 and run.log.infos[-1].endswith("tare and drift stay")
+    assert np.allclose(run.stream(0.1).pressure_pa, 0, atol=15)
+    run.set(threshold=0.6)
+    assert run.changes == 3
+
+
+def test_other_curves_forget_the_tare_and_keep_its_file(
+    preload: Callable[[float], None], tmp_path: Path
+) -> None:
+    preload(PRELOAD_PA)
+    steep = PressureCurve.two_stage(stage1_v_per_pa=0.066e-3, knee_pa=24e3)
+    write_calibration(tmp_path / "steep.yaml", Calibration.default(steep, 16), AdcScale())
+    run = Run(tmp_path).activate().stream(TARE_S)
+    run.keeper.tare()
+    run.set(calibration_file=str(tmp_path / "steep.yaml"))
+    assert "went with the curves before" in run.log.infos[-1]
+    assert run.keeper.tared == "" and run.changes == 3
+    assert np.allclose(run.stream(TARE_S).pressure_pa, PRELOAD_PA / 2, atol=15)
+    assert not (tmp_path / f"{NAME}.old").exists()
+    run.keeper.tare()
+    kept = yaml.safe_load((tmp_path / f"{NAME}.old").read_text())
+    assert np.allclose(kept["rest_v"], REST_V)  # for when the curves before come back
+
+
+def test_without_a_folder_to_write_to_the_skin_goes_on(
+    preload: Callable[[float], None], tmp_path: Path
+) -> None:
+    preload(PRELOAD_PA)
+    (tmp_path / "file").write_text("")
+    run = Run(tmp_path / "file").activate().stream(TARE_S)
+    run.keeper.tare()
+    run.keeper.tare()
+    assert len(run.log.warnings) == 1 and "not kept" in run.log.warnings[0]
+    with pytest.raises(RestError, match="not kept"):
+        run.keeper.save()
+    run.keeper.deactivate()
+    assert np.allclose(run.activate().stream(0.3).pressure_pa, 0, atol=15)
+
+
+def test_of_a_replayed_recording_nothing_is_read_or_kept(
+    preload: Callable[[float], None], tmp_path: Path
+) -> None:
+    preload(PRELOAD_PA)
+    Run(tmp_path).activate().stream(TARE_S).keeper.tare()
+    before = (tmp_path / NAME).read_text()
+    run = Run(tmp_path, "replay://skin.rec").activate().stream(TARE_S)
+    assert np.allclose(run.pressure_pa, PRELOAD_PA, atol=15)
+    run.keeper.tare()
+    assert np.allclose(run.stream(0.1).pressure_pa, 0, atol=15)
+    with pytest.raises(RestError, match="of a recording that is replayed are not kept"):
+        run.keeper.save()
+    run.keeper.deactivate()
+    assert run.keeper.tared == ""
+    assert np.allclose(run.activate().stream(0.3).pressure_pa, PRELOAD_PA, atol=15)
+    assert (tmp_path / NAME).read_text() == before
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_drift_is_reported_and_kept(
+    preload: Callable[[float], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The skin rests a count off where it was tared, then two."""
+    monkeypatch.setattr(rest_keeper, "TELL_S", 0.0)
+    monkeypatch.setattr(rest_keeper, "SAVE_S", 0.0)
+    monkeypatch.setattr("tactile_cdma.readings.drift.SETTLE_S", 1.0)
+    preload(PRELOAD_PA)
+    run = Run(tmp_path, drift_pa_per_min=0.0).activate().stream(TARE_S)
+    run.keeper.tare()
+    for counts in (1, 2):
+        run.set(drift_pa_per_min=0.0)
+        preload(PRELOAD_PA + 1.2 * counts * COUNT_PA)
+        assert np.allclose(run.stream(0.5).pressure_pa, COUNT_PA, atol=1)
+        changes = run.changes
+        run.keeper.tick()
+        assert run.changes == changes
+        run.set(drift_pa_per_min=1e4)
+        assert np.allclose(run.stream(4).pressure_pa, 0, atol=2)
+        run.keeper.tick()
+        assert run.changes == changes + 1
+        assert np.allclose(run.drift_v, counts * COUNT_V, rtol=0.02)
+        assert np.allclose(on_file(tmp_path)["drift_v"], counts * COUNT_V, rtol=0.02)
+    run.keeper.tick()
+    assert run.changes == changes + 1  # nothing has changed
+    again = Run(tmp_path, drift_pa_per_min=1e4).activate().stream(0.3)
+    assert np.allclose(again.pressure_pa, 0, atol=3)
+    assert np.allclose(again.drift_v, 2 * COUNT_V, rtol=0.02)
+
+
+def test_drift_is_reported_and_saved_seldom(
+    preload: Callable[[float], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = [1000.0]
+    monkeypatch.setattr(rest_keeper.time, "monotonic", lambda: now_s[0])
+    preload(PRELOAD_PA)
+    run = Run(tmp_path).activate().stream(TARE_S)
+    run.keeper.tare()
+    assert run.keeper.baseline is not None
+    for after_s, count in ((9.9, 2), (10.1, 3), (19.9, 3), (59.9, 4)):
+        now_s[0] = 1000.0 + after_s
+        run.keeper.baseline.drift_v = run.drift_v + np.float32(COUNT_V)
+        run.keeper.tick()
+        assert run.changes == count
+        assert on_file(tmp_path)["drift_v"] is None
+    now_s[0] += 0.2
+    run.keeper.tick()
+    assert np.allclose(on_file(tmp_path)["drift_v"], 4 * COUNT_V, rtol=0.02)
+    run.keeper.baseline.drift_v = run.drift_v + np.float32(COUNT_V)
+    run.keeper.deactivate()
+    assert np.allclose(on_file(tmp_path)["drift_v"], 5 * COUNT_V, rtol=0.02)
