@@ -17,6 +17,7 @@ DOMAINS = 101  # domain ids that leave room below Linux's ephemeral ports
 
 # How long an example takes says more about the machine than about the code.
 settings.register_profile("any machine", deadline=None)
+settings.register_profile("quick", deadline=None, max_examples=15)  # make check
 settings.load_profile("any machine")
 
 
