@@ -34,6 +34,7 @@ from tactile_cdma.readings.taxels import Readings
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES
 from tactile_cdma.views.cloud import Cloud
+from tactile_cdma.views.heatmap import heatmap, pressure_raster
 
 from .report import QUICK, Report, medians_s
 
@@ -105,7 +106,7 @@ def drawings(taxels: int) -> dict[str, Callable[[], Any]]:
     from tactile_cdma.ros.driver.markers import SkinMarkers
 
     layout, header = Layout.grid(taxels, 0, 0, 7e-3, 5.5e-3), Header(frame_id="skin")
-    cloud, frames = Cloud(layout), cycle(pressed(layout))
+    cloud, frames = Cloud(layout.positions_m, layout.normals), cycle(pressed(layout))
 
     def markers(most_squares: int) -> Callable[[], Any]:
         builder = SkinMarkers(layout, most_squares)
@@ -117,8 +118,10 @@ def drawings(taxels: int) -> dict[str, Callable[[], Any]]:
         return draw
 
     return {
-        HEATMAP: lambda: convert.heatmap_image(next(frames)[0], layout, header, MAX_PA, PIXELS),
-        IMAGE: lambda: convert.pressure_image(next(frames)[0], layout, header),
+        HEATMAP: lambda: convert.image(
+            heatmap(next(frames)[0], layout, MAX_PA, PIXELS), "rgb8", header
+        ),
+        IMAGE: lambda: convert.image(pressure_raster(next(frames)[0], layout), "32FC1", header),
         POINTS: lambda: convert.point_cloud(cloud.points(next(frames)[0], MAX_PA), header),
         CONTACTS: markers(most_squares=0),
         SQUARES: markers(most_squares=taxels),

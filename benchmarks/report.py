@@ -2,9 +2,9 @@
 
 """Shared by all benchmarks: timing of calls, and the report of what was measured.
 
-A report is tables on the terminal, a figure NAME.png, NAME.json with the numbers and the machine
-beside it, and a last line of key=value pairs. Full runs write docs/img, which is tracked and quoted
-by the documents; QUICK=1 writes build/benchmarks, which is ignored.
+A report is tables on the terminal, a figure NAME.png, an entry of results.json with tables and
+machine, and a last line of key=value pairs. Full runs write docs/, which is tracked and quoted by
+the documents; QUICK=1 writes build/benchmarks/, which is ignored.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Report:
         print(f"{title}{' (quick)' if quick else ''}")
 
     def table(self, headers: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-        """Print a table and keep it for the JSON file."""
+        """Print a table and keep it for results.json."""
         cells = [list(headers)] + [[_text(value) for value in row] for row in rows]
         widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
         for row in cells:
@@ -49,10 +49,12 @@ class Report:
 
     def finish(self, figure: Figure, **results: float | int | str) -> None:
         """Write figure and JSON; print the results as the last line."""
-        folder = ROOT / ("build/benchmarks" if self.quick else "docs/img")
-        folder.mkdir(parents=True, exist_ok=True)
-        figure.savefig(folder / f"{self.name}.png", dpi=110, bbox_inches="tight")
-        content = {
+        folder = ROOT / ("build/benchmarks" if self.quick else "docs")
+        picture, kept = folder / "img" / f"{self.name}.png", folder / "results.json"
+        picture.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(picture, dpi=110, bbox_inches="tight")
+        content = json.loads(kept.read_text(encoding="utf-8")) if kept.exists() else {}
+        content[self.name] = {
             "title": self.title,
             "quick": self.quick,
             "seconds": round(time.monotonic() - self._started, 1),
@@ -61,8 +63,8 @@ class Report:
             "results": results,
         }
         text = json.dumps(content, indent=1, default=_plain, ensure_ascii=False)
-        (folder / f"{self.name}.json").write_text(text + "\n", encoding="utf-8")
-        print(f"written: {folder / self.name}.png, .json")
+        kept.write_text(text + "\n", encoding="utf-8")
+        print(f"written: {picture}, {kept}")
         print(" ".join(f"{key}={_text(value)}" for key, value in results.items()))
 
 

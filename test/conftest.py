@@ -12,6 +12,9 @@ from tempfile import TemporaryDirectory
 import pytest
 from hypothesis import settings
 
+# Workers share the cores: more threads of matrix products would only wait for each other. Before
+# numpy is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 DOMAINS = 101  # domain ids that leave room below Linux's ephemeral ports
 
 

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include "commands.h"
+#include "reference.h"
 
-#include "framing.h"
 
 static size_t packet(struct input *input, uint8_t type, const void *payload, size_t size,
                      uint8_t *wire)

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include "framing.h"
+#include "reference.h"
 
 #include <string.h>
 

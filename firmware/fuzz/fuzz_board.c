@@ -4,11 +4,8 @@
  * any time, over a link of any speed. */
 #include "virtual_board.h"
 
-#include "commands.h"
+#include "reference.h"
 #include "digitizer.h"
-#include "host.h"
-#include "input.h"
-#include "must.h"
 
 #define MOST_NS 60000000 /* of an input */
 #define REST_V 1.65

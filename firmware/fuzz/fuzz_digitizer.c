@@ -6,11 +6,7 @@
 
 #include <stdlib.h>
 
-#include "commands.h"
-#include "host.h"
-#include "input.h"
-#include "line.h"
-#include "must.h"
+#include "reference.h"
 
 #define MOST_SAMPLES 12000 /* of an input */
 #define MOST_SESSIONS 16

@@ -2,10 +2,8 @@
 
 /* Bytes as they come, through the core's reader and through a plain one; and packets of any size from
  * the core's writer, wherever its ring ends. */
-#include "framing.h"
-#include "input.h"
-#include "must.h"
 #include "packet.h"
+#include "reference.h"
 
 #define MOST_ROOM 3000
 

@@ -4,9 +4,7 @@
  * has it. */
 #include "setup.h"
 
-#include "input.h"
-#include "must.h"
-#include "settings.h"
+#include "reference.h"
 
 /* A board that can do what every digitizer is set to at power-up, as board.h wants. */
 static struct dg_board board_of(struct input *input)

@@ -1,11 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include "host.h"
+#include "reference.h"
 
 #include <stdlib.h>
 #include <string.h>
 
-#include "must.h"
 #include "setup.h"
 
 #define COMMANDS 0x80

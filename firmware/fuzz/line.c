@@ -1,11 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include "line.h"
+#include "reference.h"
 
 #include <stdlib.h>
 #include <string.h>
 
-#include "must.h"
 
 #define LEAD_US (TP_SYNC_LEAD * TP_SYNC_UNIT_US)
 #define NOT_YET (-2) /* a word whose samples are not all taken */

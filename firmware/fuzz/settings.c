@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include "settings.h"
+#include "reference.h"
 
 #define LEAD_NS (1000 * TP_SYNC_LEAD * TP_SYNC_UNIT_US)
 #define FIRST_MARK_US 1000

@@ -12,12 +12,6 @@ from contextlib import contextmanager
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
-def raise_when_told_to_end() -> None:
-    """From now on a signal to end is a KeyboardInterrupt in the main thread."""
-    for number in SIGNALS:
-        signal.signal(number, signal.default_int_handler)
-
-
 @contextmanager
 def stop_event(seconds: float | None) -> Iterator[threading.Event]:
     """An event that Ctrl-C, SIGTERM or the end of a time span sets."""

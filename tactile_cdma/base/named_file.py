@@ -7,8 +7,12 @@ from __future__ import annotations
 import errno
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
+
+from .errors import TactileError
 
 
 def open_named(path: Path) -> BinaryIO:
@@ -45,3 +49,14 @@ def expanded(text: str) -> Path:
         return Path(text).expanduser()
     except RuntimeError:
         raise ValueError("no such user's home") from None
+
+
+@contextmanager
+def naming(path: Path, kind: type[TactileError]) -> Iterator[None]:
+    """Raises errors of the system as `kind`, with the file's name before the reason."""
+    try:
+        yield
+    except TactileError:  # a PortError is an OSError as well
+        raise
+    except OSError as error:
+        raise kind(f"{path}: {error.strerror}") from None

@@ -164,6 +164,11 @@ class FrameSpec:
         return np.where(inverted, np.int32((1 << self.line_bits) - 1), np.int32(0))
 
     @property
+    def node_slice(self) -> slice:
+        """The nodes' rows among all correlations."""
+        return slice(self.first_row, self.first_row + self.nodes)
+
+    @property
     def spare_rows(self) -> slice:
         """Rows that no node uses and that carry no DC level: they show the noise floor."""
         after = slice(self.first_row + self.nodes, self.order)

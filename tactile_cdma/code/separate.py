@@ -38,7 +38,7 @@ def separate(chips: NDArray[np.float32], spec: FrameSpec) -> NodeLevels:
 
 def node_levels(rows: NDArray[np.float32], spec: FrameSpec) -> NodeLevels:
     """The nodes' share of all correlations, (k, N) float32, V; the spare rows show the noise."""
-    values = rows[:, spec.first_row : spec.first_row + spec.nodes]
+    values = rows[:, spec.node_slice]
     spare = rows[:, spec.spare_rows]
     if spare.shape[1] >= 2:
         return NodeLevels(values, float(np.sqrt(np.einsum("kr,kr->", spare, spare) / spare.size)))

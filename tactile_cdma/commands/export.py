@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The command `tactile-cdma export`: a recording's frames for other programs."""
+"""The subcommand `tactile-cdma export`: a recording's frames for other programs."""
 
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 from collections.abc import Iterator
 from itertools import chain
@@ -14,23 +13,23 @@ from typing import Any
 
 from .. import __version__
 from ..base.errors import CaptureError
+from ..base.named_file import naming
 from ..config.arguments import add_skin_options, given
-from ..config.parameters import BY_NAME, Value
-from ..config.skin_config import SkinConfig
-from ..driver.pipeline import Pipeline, TactileFrame
-from ..recording.capture import capture_notes, is_text
+from ..config.parameters import BY_NAME
+from ..driver.pipeline import TactileFrame
+from ..recording.capture import is_text
 from ..recording.frame_table import taxels_path, write_csv, write_npz
-from ..recording.offline import offline_values, raw_frames
-from ..recording.recording_file import describe, is_recording
+from ..recording.offline import RawCapture
+from ..recording.recording_file import is_recording
 
 
 def add_to(commands: Any) -> None:
-    """Add the command to those of the program (what argparse's add_subparsers returns)."""
-    export = commands.add_parser(
+    """Add the subcommand to the command line."""
+    parser = commands.add_parser(
         "export", help="frames of a recording as NPZ, CSV or a rosbag2 folder"
     )
-    export.add_argument("file", type=Path, help="recording, or raw bytes of a port")
-    export.add_argument(
+    parser.add_argument("file", type=Path, help="recording, or raw bytes of a port")
+    parser.add_argument(
         "-o",
         "--output",
         type=Path,
@@ -38,49 +37,43 @@ def add_to(commands: Any) -> None:
         metavar="OUT",
         help="OUT.npz: numpy arrays; OUT.csv: a row per frame, and OUT.taxels.csv",
     )
-    export.add_argument(
+    parser.add_argument(
         "--bag", action="store_true", help="OUT is a new folder: a bag of tactile and info, MCAP"
     )
-    export.add_argument("--force", action="store_true", help="overwrite a file")
-    add_skin_options(export)
-    export.set_defaults(run=_export)
+    parser.add_argument("--force", action="store_true", help="overwrite a file")
+    add_skin_options(parser)
+    parser.set_defaults(run=run)
 
 
-def _export(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
+    """Decode and write; returns the exit code."""
     path, output = arguments.file, arguments.output
     _check(path, output, arguments.bag, arguments.force)
-    values = offline_values(path, given(arguments))
-    config = SkinConfig.of(values)
-    pipeline = Pipeline(config, background=False)
-    frames = _timed(path, pipeline)
+    capture = RawCapture(path, given(arguments))
+    frames = capture.timed_frames()
     first = next(frames, None)
     if first is None:
-        raise CaptureError(f"{path}: {pipeline.problem or 'no frame found'}")
-    try:
-        count = _write(arguments, chain([first], frames), config, values)
-    except OSError as error:
-        raise CaptureError(f"{output}: {error.strerror}") from None
-    for note in capture_notes(path):
+        raise CaptureError(f"{path}: {capture.pipeline.problem or 'no frame found'}")
+    with naming(output, CaptureError):
+        count = _write(capture, chain([first], frames), output, arguments.bag)
+    for note in capture.notes:
         print(f"tactile-cdma: {path}: {note}", file=sys.stderr)
-    counters = pipeline.counters
-    print(f"frames={count} lost_frames={counters.lost_frames} taxels={len(config.layout.nodes)}")
+    lost, taxels = capture.pipeline.counters.lost_frames, len(capture.config.layout.nodes)
+    print(f"frames={count} lost_frames={lost} taxels={taxels}")
     return 0
 
 
 def _write(
-    arguments: argparse.Namespace,
-    frames: Iterator[tuple[TactileFrame, float]],
-    config: SkinConfig,
-    values: dict[str, Value],
+    capture: RawCapture, frames: Iterator[tuple[TactileFrame, float]], output: Path, bag: bool
 ) -> int:
-    output: Path = arguments.output
-    if arguments.bag:
+    config, values = capture.config, capture.values
+    if bag:
         from ..recording.bag_export import write_bag  # slow to load, and needed here only
 
         frame_id = str(values.get("frame_id", BY_NAME["frame_id"].default))
         return write_bag(output, frames, config, frame_id)
     if output.suffix == ".npz":
-        about = {"file": arguments.file.name, "parameters": values, "package_version": __version__}
+        about = {"file": capture.path.name, "parameters": values, "package_version": __version__}
         return write_npz(output, frames, config.layout, about)
     return write_csv(output, frames, config.layout)
 
@@ -99,10 +92,3 @@ def _check(path: Path, output: Path, bag: bool, force: bool) -> None:
     for file in written:
         if file.exists() and not force:
             raise CaptureError(f"{file}: exists already; --force overwrites it")
-
-
-def _timed(path: Path, pipeline: Pipeline) -> Iterator[tuple[TactileFrame, float]]:
-    """Frames, and the Unix time of their middles, s; NaN for bytes alone."""
-    description = describe(path) if is_recording(path) else None
-    for frame in raw_frames(path, pipeline):
-        yield frame, description.wall_s(frame.t_host) if description else math.nan

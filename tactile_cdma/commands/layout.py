@@ -21,7 +21,7 @@ from .layout_picture import draw_layout
 
 
 def add_to(commands: Any) -> None:
-    """Add it to the command line's subcommands."""
+    """Add the subcommand to the command line."""
     parser = commands.add_parser("layout", help="check a layout file, draw it with its numbers")
     parser.add_argument("file", type=Path, help="layout file")
     parser.add_argument("--png", type=Path, metavar="OUT", help="also write a picture")
@@ -31,10 +31,11 @@ def add_to(commands: Any) -> None:
         metavar="FILE",
         help="ROS 2 parameter file of the skin that it is for; else it is taken by itself",
     )
-    parser.set_defaults(run=_layout)
+    parser.set_defaults(run=run)
 
 
-def _layout(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
+    """Check, describe and draw a layout file; returns the exit code."""
     if arguments.png and arguments.png.resolve() == arguments.file.resolve():
         raise LayoutError(f"{arguments.png}: the picture would overwrite the layout")
     values = read_file(arguments.params) if arguments.params else {}

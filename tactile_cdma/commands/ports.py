@@ -33,7 +33,7 @@ class Answer:
 
 
 def add_to(commands: Any) -> None:
-    """Add it to the command line's subcommands."""
+    """Add the subcommand to the command line."""
     parser = commands.add_parser(
         "ports",
         help="list serial ports and the digitizers on them",
@@ -45,10 +45,11 @@ def add_to(commands: Any) -> None:
     parser.add_argument("--list", action="store_true", help="open none of them")
     parser.add_argument("--baud", type=int, default=BY_NAME["baud"].default)
     parser.add_argument("--json", action="store_true", help="as a JSON array")
-    parser.set_defaults(run=_ports)
+    parser.set_defaults(run=run)
 
 
-def _ports(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
+    """List ports and the digitizers on them; returns the exit code."""
     answers = answers_of(
         chosen(arguments.port, serial_ports()), None if arguments.list else arguments.baud
     )

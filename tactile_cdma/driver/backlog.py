@@ -1,22 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Newest data wins: when a driver that was left behind is to skip what waits for it."""
+"""Decides when to discard buffered input, so that the newest frames are published."""
 
 from __future__ import annotations
 
 import math
 
 LATE_S, LATE_PERIODS = 0.25, 2.0
-"""A frame that is read later than their sum after its middle is late."""
+"""s, frame periods; a frame read later than their sum after its middle is late. Chosen: below
+clock.SLOW_S, from which on late packets could be taken for those of a slow device."""
 PATIENCE_S = 1.0
-"""A driver that was held up may try for so long to make up for it, and loses nothing if it can."""
+"""s for which a driver that was held up may catch up without losing anything; chosen."""
 
 
 class Backlog:
-    """Tells a driver that stays behind from one that was held up for a moment.
+    """Tells a driver that is too slow from one that was held up for a moment.
 
-    Where bytes wait at every look, and the frames that are made of them are late, for PATIENCE_S,
-    reading faster is what the driver cannot do: only leaving something out brings it back.
+    If bytes wait at every look for PATIENCE_S, and the frames in them are late, the driver does not
+    catch up by reading alone.
     """
 
     def __init__(self, period_s: float) -> None:
@@ -24,8 +25,11 @@ class Backlog:
         self._late_s = LATE_S + LATE_PERIODS * period_s
         self._since_s = math.inf
 
-    def is_hopeless(self, waiting_bytes: int, age_s: float, now_s: float) -> bool:
-        """Whether to skip what waits. age_s: of the newest frame when it was read."""
+    def observe(self, waiting_bytes: int, age_s: float, now_s: float) -> bool:
+        """Note a look at the port; returns whether to discard what waits there.
+
+        age_s: of the newest frame when it was read.
+        """
         if not waiting_bytes or age_s <= self._late_s:
             self._since_s = math.inf
             return False

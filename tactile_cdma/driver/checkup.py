@@ -13,217 +13,222 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..base.listing import listed
+from ..wire.messages import Status
 from ..words.decode import LOW_RHO
 from ..words.health import NodeState
 from .findings import Finding, Level
 from .pipeline import Pipeline, TactileFrame
-from .vitals import Window
+from .vitals import Counts, Window
 
 SLOW, VERY_SLOW, FAST = 0.9, 0.5, 1.1
-"""Shares of the expected frame rate below, or above, which something is wrong."""
+"""Shares of the expected frame rate beyond which something is wrong. Chosen: by default, a report
+spans 78 frames, so one more or less makes no difference."""
 LOST_SHARE = 0.01
-"""Of the frames: a loss that is more than an accident."""
+"""Share of the frames whose loss is more than an accident; chosen."""
 CLIPPED_SHARE = 0.01
-"""Of the samples; random row signs make less than that harmless (docs/results.md)."""
+"""Share of the samples; with random row signs, clipping less is harmless (docs/results.md)."""
 REJECTED_SHARE = 0.1
-"""Of the bursts on the line: more that are no frame are no accident."""
+"""Share of the bursts on the line that are no frame and yet may be accidents; chosen."""
 LATE_S, LATE_PERIODS = 0.05, 2.0
-"""A mean latency above their sum means that bytes wait somewhere."""
+"""s, frame periods; a mean latency above their sum means that bytes wait somewhere. Chosen: two
+frames and a scheduler's hiccup."""
 BUSY_SHARE = 0.8
-"""Of a core: above it the driver's thread has no reserve left."""
+"""Share of a core above which the driver's thread has no reserve left; chosen."""
 DRIFT_PPM = 300.0
-"""Two sound crystals differ by less."""
+"""Largest difference of two sound clocks. Chosen: 3 × that of two 50 ppm crystals."""
 BROKEN_SHARE = 0.1
-"""Of the packets: with more of them broken the link is of no use."""
-_PROBLEMS_OF_NODES = {
-    NodeState.DOUBLED: (
-        "two nodes speak on one code row: {}; check the numbers given to the nodes "
-        "(tactile-cdma node), and amplitude_mv"
-    ),
+"""Share of the packets; with more of them broken the link is of no use. Chosen."""
+
+UNSOUND = {
+    NodeState.DOUBLED: "two nodes speak on one code row: {}; check the numbers given to the nodes "
+    "(tactile-cdma node), and amplitude_mv",
     NodeState.FAULTY: "words contradict the code: {}; check supply, clock and soldering",
     NodeState.WEAK: "much weaker on the line than they should be: {}; check supply and resistor",
 }
-LOSSES = {
-    "digitizer_sync_faults": (
-        "sync edges came late or not at all: the digitizer cannot keep up; "
-        "lower samples_per_chip, or make chip_us longer"
-    ),
-    "digitizer_samples_lost": "the digitizer loses samples: ask for fewer samples_per_chip",
-    "digitizer_packets_dropped": (
-        "the link or this computer is too slow for the digitizer's packets"
-    ),
-    "digitizer_command_errors": "commands reach the digitizer broken: check cable and baud",
-    "skipped_bytes": (
-        "this computer does not keep up: what had waited too long was skipped; close other "
-        "programs, or ask for fewer samples_per_chip"
-    ),
-    "lost_packets": "packets are missing: the link, or this computer, drops bytes; check the cable",
-    "jumps": "the digitizer numbers its packets anew: is it reset by its supply, or read twice?",
-    "repeated_packets": (
-        "packets come twice, or after later ones: what is between here and the digitizer?"
-    ),
-    "restarts": "the digitizer began anew: check its supply",
-    "resyncs": "runs of bytes that are no packet: is baud right, and nobody else on the port?",
-    "malformed": "packets that no digitizer of this protocol sends: update whichever is older",
-    "implausible_packets": "packets with impossible contents: update the digitizer's firmware",
-}
-"""What it means that a count rises."""
+"""What is wrong with nodes of these states, and what to do about it."""
 
 
 def stream(pipeline: Pipeline, window: Window, latest: TactileFrame | None) -> Iterator[Finding]:
-    """Frames: their rate, losses, latency, and the line that they come from."""
+    """Frames: their rate, losses and latency, and the line that they come from."""
     period_s = pipeline.config.spec.frame_period_s
     share = window.frames / window.seconds * period_s
-    clocks = pipeline.clocks
-    calling = clocks is not None and clocks.busy
-    if share < SLOW and not calling:
-        cause = (
-            "is the digitizer, a replay or this computer too slow, or is the line disturbed (see "
-            "rejected bursts, lost packets and CPU)?"
-        )
-        key, level = ("slow", Level.WARN) if share >= VERY_SLOW else ("very slow", Level.ERROR)
-        yield Finding(key, level, f"frames come at {share:.0%} of their rate: {cause}")
+    frames, clocks = max(window.frames, 1), pipeline.clocks
+    if clocks is None or not clocks.busy:  # frames of a roll call carry no words
+        if share < SLOW:
+            key, level = ("slow", Level.WARN) if share >= VERY_SLOW else ("very slow", Level.ERROR)
+            text = (
+                f"frames come at {share:.0%} of their rate: is the digitizer, a replay or this "
+                "computer too slow, or is the line disturbed (see rejected bursts, lost packets "
+                "and CPU)?"
+            )
+            yield Finding(text, level, key=key)
+        lost = window.rises.stream.lost_frames
+        if lost > LOST_SHARE * (lost + frames):
+            text = (
+                f"{lost / (lost + frames):.0%} of the frames are lost: see the counts of the link"
+            )
+            yield Finding(text, event=True, key="lost frames")
+        rejected = window.rises.rejected_bursts
+        if rejected > REJECTED_SHARE * (rejected + frames):
+            text = (
+                f"{rejected / window.seconds:.1f} bursts a second are no frame: check chip_us, "
+                "order and bits, noise on the line, and whether nodes have clocks of their own"
+            )
+            yield Finding(text, key="rejected")
     if share > FAST:
-        yield Finding(
-            "fast",
-            Level.WARN,
+        text = (
             f"frames come at {share:.0%} of their rate: a replay or simulation that hurries, or "
-            "the digitizer's clock is fast",
+            "the digitizer's clock is fast"
         )
-    lost, frames = window.rises.get("lost_frames", 0), max(window.frames, 1)
-    if lost > LOST_SHARE * (lost + frames) and not calling:
-        yield Finding(
-            "lost frames",
-            Level.WARN,
-            f"{lost / (lost + frames):.0%} of the frames are lost: see the counts of the link",
-            event=True,
-        )
-    rejected = window.rises.get("rejected_bursts", 0)
-    if rejected > REJECTED_SHARE * (rejected + frames) and not calling:
-        yield Finding(
-            "rejected",
-            Level.WARN,
-            f"{window.per_s('rejected_bursts'):.1f} bursts a second are no frame: check chip_us, "
-            "order and bits, noise on the line, and whether nodes have clocks of their own",
-        )
+        yield Finding(text, key="fast")
     if window.latency_s > LATE_S + LATE_PERIODS * period_s:
-        yield Finding(
-            "late",
-            Level.WARN,
+        text = (
             f"frames come {window.latency_s * 1e3:.0f} ms late: this computer does not keep up; "
-            "close other programs, or ask for fewer samples_per_chip",
+            "close other programs, or ask for fewer samples_per_chip"
         )
+        yield Finding(text, key="late")
     if window.clipped > CLIPPED_SHARE:
-        yield Finding(
-            "clipped",
-            Level.WARN,
+        text = (
             f"{window.clipped:.0%} of the samples are at a rail: lower the amplifier's gain "
-            "(tactile-cdma amplifier), or centre its offset",
+            "(tactile-cdma amplifier), or centre its offset"
         )
-    if (text := _below_rest(pipeline, latest)) is not None:
-        yield Finding("below rest", Level.WARN, text)
+        yield Finding(text, key="clipped")
+    if latest is not None:
+        yield from _below_rest(pipeline, latest)
 
 
 def nodes(pipeline: Pipeline, stuck: list[int], window: Window) -> Iterator[Finding]:
     """The nodes, one by one. stuck: numbers of those that do not move."""
-    taxels, clocks = pipeline.taxels, pipeline.clocks
+    taxels, health, clocks = pipeline.taxels, pipeline.health, pipeline.clocks
     if clocks is not None and clocks.busy:
         return
     dead, stale = taxels.dead, taxels.stale
     if 0 < taxels.awaited == len(dead) + len(stale):
         text = "frames arrive, but no node was heard: is the skin powered, is threshold too high?"
-        yield Finding("nobody", Level.ERROR, text, event=True)
+        yield Finding(text, Level.ERROR, event=True)
         return
-    if dead:
-        yield Finding(
-            "dead",
-            Level.WARN,
-            f"never heard: {listed(dead, 'node')}; check supply and wiring, or mask them in the "
-            "layout",
-            event=True,
-        )
-    if stale:
-        yield Finding(
-            "stale",
-            Level.WARN,
-            f"fell silent: {listed(stale, 'node')}; check supply and wiring; stale_after_s must "
-            "be longer than the nodes' heartbeat",
-            event=True,
-        )
-    for state, problem in _PROBLEMS_OF_NODES.items():
-        if numbers := pipeline.health.nodes(state):
-            text = problem.format(listed(numbers, "node"))
-            yield Finding(state.name, Level.WARN, text, event=True)
-    if stuck:
-        yield Finding(
-            "stuck",
-            Level.WARN,
-            f"do not move while all around them do: {listed(stuck, 'node')}; check sensor and "
-            "converter",
-            event=True,
-        )
+    for numbers, text in (
+        (dead, "never heard: {}; check supply and wiring, or mask them in the layout"),
+        (
+            stale,
+            "fell silent: {}; check supply and wiring; stale_after_s must be longer than the "
+            "nodes' heartbeat",
+        ),
+        *((health.nodes(state), text) for state, text in UNSOUND.items()),
+        (stuck, "do not move while all around them do: {}; check sensor and converter"),
+    ):
+        if numbers:
+            yield Finding(text.format(listed(numbers, "node")), event=True, key=text)
     node, rho = weakest(pipeline, window)
     if rho < LOW_RHO:
-        yield Finding(
-            "snr",
-            Level.WARN,
+        text = (
             f"node {node} stands out of the noise by {decibels(rho):.0f} dB only, "
             f"{decibels(LOW_RHO):.0f} are needed: look for what disturbs the line, or raise the "
-            "amplitude",
+            "amplitude"
         )
+        yield Finding(text, key="snr")
     if clocks is not None and clocks.unresolved:
         text = f"clocks leave nodes not told apart: {listed(clocks.unresolved, 'node')}"
-        yield Finding("unresolved", Level.WARN, text)
+        yield Finding(text, key="unresolved")
     if clocks is not None and clocks.problem:
-        yield Finding("clocks", Level.WARN, clocks.problem)
+        yield Finding(clocks.problem, key="clocks")
 
 
 def link(pipeline: Pipeline, window: Window) -> Iterator[Finding]:
     """The way from the digitizer to here: bytes, packets, and its clock."""
-    for name, text in LOSSES.items():
-        if window.rises.get(name):
-            yield Finding(name, Level.WARN, text, event=True)
-    broken = window.rises.get("crc_errors", 0) + window.rises.get("framing_errors", 0)
-    if broken:
-        share = broken / (broken + window.rises.get("packets", 0))
+    for rise, text in _losses(window.rises):
+        if rise:
+            yield Finding(text, event=True)
+    packets = window.rises.packets
+    if broken := packets.crc_errors + packets.framing_errors:
+        share = broken / (broken + packets.packets)
         key, level = ("noisy", Level.WARN) if share < BROKEN_SHARE else ("useless", Level.ERROR)
-        yield Finding(
-            key,
-            level,
+        text = (
             f"{share:.1%} of the packets arrive broken: check cable, grounding and baud, and that "
-            "no other program reads the port",
-            event=True,
+            "no other program reads the port"
         )
-    if abs(drift_ppm := pipeline.clock_drift_ppm) > DRIFT_PPM:
-        yield Finding(
-            "drift",
-            Level.WARN,
-            f"the digitizer's clock is {drift_ppm:+.0f} ppm off this computer's: check its crystal",
+        yield Finding(text, level, event=True, key=key)
+    if abs(drift_ppm := pipeline.timeline.clock.drift_ppm) > DRIFT_PPM:
+        text = (
+            f"the digitizer's clock is {drift_ppm:+.0f} ppm off this computer's: check its crystal"
         )
+        yield Finding(text, key="drift")
+
+
+def _losses(rises: Counts) -> tuple[tuple[int, str], ...]:
+    """Every count that should not rise: its rise, and what that means."""
+    stream, packets, digitizer = rises.stream, rises.packets, rises.digitizer or Status(uptime_us=0)
+    return (
+        (
+            digitizer.sync_faults,
+            "sync edges came late or not at all: the digitizer cannot keep up; lower "
+            "samples_per_chip, or make chip_us longer",
+        ),
+        (
+            digitizer.samples_lost,
+            "the digitizer loses samples: ask for fewer samples_per_chip",
+        ),
+        (
+            digitizer.packets_dropped,
+            "the link or this computer is too slow for the digitizer's packets",
+        ),
+        (
+            digitizer.command_errors,
+            "commands reach the digitizer broken: check cable and baud",
+        ),
+        (
+            stream.skipped_bytes,
+            "this computer does not keep up: what had waited too long was skipped; close other "
+            "programs, or ask for fewer samples_per_chip",
+        ),
+        (
+            packets.lost_packets,
+            "packets are missing: the link, or this computer, drops bytes; check the cable",
+        ),
+        (
+            packets.jumps,
+            "the digitizer restarts packet numbering: is it reset by its supply, or read twice?",
+        ),
+        (
+            packets.repeated_packets,
+            "packets come twice, or after later ones: what is between here and the digitizer?",
+        ),
+        (stream.restarts, "the digitizer began anew: check its supply"),
+        (
+            packets.resyncs,
+            "runs of bytes that are no packet: is baud right, and nobody else on the port?",
+        ),
+        (
+            packets.malformed,
+            "packets that no digitizer of this protocol sends: update whichever is older",
+        ),
+        (
+            stream.implausible_packets,
+            "packets with impossible contents: update the digitizer's firmware",
+        ),
+    )
 
 
 def host(window: Window, drivers: int) -> Iterator[Finding]:
     """This computer. drivers: how many publish under this one's name."""
     if drivers > 1:
-        yield Finding(
-            "rivals",
-            Level.WARN,
+        text = (
             f"{drivers} drivers have this name, and their frames are mixed up: end one, or give it "
-            "another name or ROS_DOMAIN_ID",
+            "another name or ROS_DOMAIN_ID"
         )
+        yield Finding(text, key="rivals")
     if window.thread_share > BUSY_SHARE:
-        yield Finding(
-            "busy",
-            Level.WARN,
+        text = (
             f"decoding takes {window.thread_share:.0%} of a core: ask for fewer samples_per_chip, "
-            "or publish less",
+            "or publish less"
         )
+        yield Finding(text, key="busy")
 
 
 def weakest(pipeline: Pipeline, window: Window) -> tuple[int, float]:
-    """The node that stands out of the noise least, and its ρ = √N·a/σ; 0 and NaN if unknown.
+    """The node that stands out of the noise least, of those that are heard, and its ρ = √N·a/σ.
 
-    Of those that are heard.
+    0 and NaN if unknown.
     """
     amplitude_v = pipeline.health.amplitude_v
     amplitude_v[[number - 1 for number in pipeline.taxels.missing]] = np.nan
@@ -239,16 +244,14 @@ def decibels(ratio: float) -> float:
     return 20 * math.log10(ratio)
 
 
-def _below_rest(pipeline: Pipeline, latest: TactileFrame | None) -> str | None:
-    """What there is to say of taxels that read less than nothing, as after a tare under load."""
-    if latest is None:
-        return None
-    pressure_pa, layout = latest.readings.pressure_pa, pipeline.config.layout
-    below = np.flatnonzero(pressure_pa < -pipeline.config.rest.contact_pa)
-    if not len(below):
-        return None
-    numbers = listed(np.sort(layout.nodes[below]).tolist(), "node")
-    return (
-        f"up to {-pressure_pa[below].min() / 1e3:.1f} kPa less than nothing: {numbers}; "
-        "tare while nothing touches the skin"
-    )
+def _below_rest(pipeline: Pipeline, latest: TactileFrame) -> Iterator[Finding]:
+    """Taxels that read below zero, as after a tare under load."""
+    pressure_pa, config = latest.readings.pressure_pa, pipeline.config
+    below = np.flatnonzero(pressure_pa < -config.rest.contact_pa)
+    if below.size:
+        numbers = listed(np.sort(config.layout.nodes[below]).tolist(), "node")
+        text = (
+            f"up to {-pressure_pa[below].min() / 1e3:.1f} kPa below zero: {numbers}; "
+            "tare while nothing touches the skin"
+        )
+        yield Finding(text, key="below rest")

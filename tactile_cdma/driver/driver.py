@@ -171,15 +171,15 @@ class Driver:
                     t_decoded = time.monotonic()
                     for frame in frames:
                         self._on_frame(frame)
-                        self.vitals.handed_on(frame, t_host, t_decoded)
+                        self.vitals.note_frame(frame, t_host, t_decoded)
                         contact_pa = pipeline.config.rest.contact_pa
                         self.stuck.look(frame.readings, frame.t_middle, contact_pa)
                 age_s = t_host - frames[-1].t_host if frames else age_s
                 if t_host >= look_s:
                     waiting_bytes = port.waiting
-                    self.vitals.dealt_with(waiting_bytes)
+                    self.vitals.note_read(waiting_bytes)
                     look_s = t_host + LOOK_S
-                    if port.over_network and backlog.is_hopeless(waiting_bytes, age_s, t_host):
+                    if port.over_network and backlog.observe(waiting_bytes, age_s, t_host):
                         with self._busy:
                             pipeline.skipped(port.skip())
                 if frames and self.problem:

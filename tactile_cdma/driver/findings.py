@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is wrong, how bad it is, and for how long a finding stands so that levels do not flap."""
+"""What is wrong, how bad it is, and for how long that is reported, so that levels do not flap."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 RAISE_REPORTS = 2
-"""A state must be found in so many reports in a row: a single odd second is none."""
+"""Reports in a row that must find a state before it stands. Chosen: one odd second does not."""
 CLEAR_REPORTS = 5
-"""A finding stands until it was absent from so many reports in a row."""
+"""Reports in a row without a finding that end it. Chosen: long enough to be read."""
 
 
 class Level(IntEnum):
@@ -27,25 +27,26 @@ class Level(IntEnum):
 class Finding:
     """One thing that is wrong.
 
-    key: what, whatever its figures are just now. text: for people, with what to do about it.
-    event: something that happened, which stands at once, and no state that may pass.
+    text: for people, with what to do about it.
+    event: it has happened, so it stands at once; otherwise it is a state, which may pass.
+    key: identifies it whatever figures are in the text; by default the text itself.
     """
 
-    key: str
-    level: Level
     text: str
+    level: Level = Level.WARN
     event: bool = False
+    key: str = ""
 
 
 class Settling:
-    """Lets findings stand only after RAISE_REPORTS, and for CLEAR_REPORTS longer than they last."""
+    """Reports findings only after RAISE_REPORTS, and for CLEAR_REPORTS longer than they last."""
 
     def __init__(self) -> None:
         self._standing: dict[str, _Held] = {}
 
     def settle(self, found: Iterable[Finding]) -> list[Finding]:
-        """The findings that stand after another report found these, worst first."""
-        now = {finding.key: finding for finding in found}
+        """Add another report's findings; returns those that stand now, worst first."""
+        now = {finding.key or finding.text: finding for finding in found}
         for key, finding in now.items():
             held = self._standing.setdefault(key, _Held(finding))
             held.finding, held.absent = finding, 0
@@ -71,7 +72,7 @@ class _Held:
 
 
 def worst(findings: Iterable[Finding]) -> tuple[Level, str]:
-    """The highest level, and what all findings of that level say; OK and nothing without any."""
+    """The highest level and the texts of that level's findings; OK and "" without findings."""
     findings = list(findings)
     level = max((finding.level for finding in findings), default=Level.OK)
     return level, "; ".join(finding.text for finding in findings if finding.level == level)

@@ -64,7 +64,7 @@ class RestKeeper:
         url: str,
         path: Path | None,
         log: Log,
-        on_change: Callable[[], None] = lambda: None,
+        on_change: Callable[[], None],
     ) -> None:
         """Read the file of this skin, if there is one.
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from ..config.parameters import GAP
 from ..config.skin_config import SkinConfig
@@ -25,146 +26,154 @@ from ..wire.packets import PacketWriter, diagnose
 from .pipeline import Pipeline
 
 PATIENCE_S = 1.0
-"""A digitizer that says nothing useful for so long is asked again."""
+"""s without a frame, or 3 frame periods if that is longer, until the digitizer is asked again and
+the likely cause is told. Chosen: it sends STATUS and INFO once a second."""
 SOON_S, ANSWER_S = 0.1, 0.5
-"""One that says that it does not stream is asked again so long after the last time: where it obeyed
-that, and where it did not answer, for then its STATUS may have crossed START on the wire."""
+"""s since START until a STATUS that denies streaming is answered by another START: SOON_S where
+START was acknowledged, ANSWER_S where it was not, as the STATUS may have crossed it on the wire.
+Part of the protocol (docs/protocol.md)."""
 MOST_CALLS = 3
-"""Roll calls in a row that may come to nothing."""
+"""Roll calls in a row that may fail; chosen, since one that failed thrice has a lasting cause."""
+
+
+class _Progress(NamedTuple):
+    """How far decoding was when the digitizer was last asked, or sent a frame."""
+
+    frames: int = -1
+    implausible_packets: int = 0
+    bytes: int = 0
+    packets: int = 0
 
 
 class Session:
-    """The host's side of the start-up handshake: what to send, and what is wrong if nothing comes.
+    """Tells what to send to the digitizer, and what is wrong if no frames come.
 
-    Where a certain digitizer is asked for, no other one is configured or started. No I/O: bytes to
-    send are returned.
+    If the parameters ask for a certain digitizer, no other one is configured, started or stopped.
+
+    problem: the likely cause of having received no frame; None if none is known.
     """
 
     def __init__(self, config: SkinConfig | None = None) -> None:
         """config: how the digitizer is to be set; None leaves it as it is."""
         self.problem: str | None = None
-        self._writer = PacketWriter()
-        self._setting: tuple[Configure, ...] = ()
         self._config = config
+        self._writer = PacketWriter()
+        self._setting = () if config is None else (_setting(config),)
         self._ours = config is None or config.digitizer_id is None
-        self._calls_roll = config is not None and config.roll_call
         self._calls_left, self._next_call_s = MOST_CALLS, -math.inf
-        if config is not None:
-            layout = FrameLayout.of(config.spec, config.samples_per_chip)
-            integrated = config.samples_per_chip == 1
-            if config.timing == GAP:
-                self._setting = (Configure(layout, SyncMode.NONE, integrated),)
-            else:
-                quiet = quiet_uv(config.spec)
-                self._setting = (Configure(layout, SyncMode.DRIVE, integrated, quiet),)
-        self._frames = -1
-        self._impossible = self._bytes = self._packets = 0
-        self._deadline = self._asked_s = -math.inf
-        self._obeyed = False
-        self._was_idle = False  # no frame came since it was asked again for that
-        self._status: Status | None = None  # the last one when it was asked again
+        self._before = _Progress()
+        self._deadline_s = self._asked_s = -math.inf
+        self._obeyed = False  # it has streamed since it was asked
+        self._was_idle = False  # it denied streaming, and no frame has come since
+        self._answered: Status | None = None  # the last one when it was asked
 
     def open(self) -> bytes:
-        """Configure (where asked to) and start the digitizer; where it counts, ask who it is."""
+        """Requests that configure (where asked to) and start the digitizer, or ask who it is."""
         start = (*self._setting, GetInfo(), Start()) if self._ours else (GetInfo(),)
-        return self._requests(*start)
+        return self._encoded(*start)
 
     def close(self) -> bytes:
-        """Stop the digitizer, if it was started."""
-        return self._requests(Stop()) if self._ours else b""
+        """The request that stops the digitizer, if it was started."""
+        return self._encoded(Stop()) if self._ours else b""
 
     def introduced(self, info: Info) -> bytes:
-        """What to send now that the digitizer has said who it is."""
-        known = self._ours
-        wrong = self._config.refusal(info.digitizer_id) if self._config is not None else None
-        self._ours = wrong is None
-        return self.open() if self._ours and not known else b""
+        """Take in who the digitizer is; returns what to send if that was awaited."""
+        awaited = not self._ours
+        self._ours = self._config is None or self._config.refusal(info.digitizer_id) is None
+        return self.open() if self._ours and awaited else b""
 
     def watch(self, pipeline: Pipeline, now_s: float) -> bytes:
-        """Requests that are due: nothing came of the last ones, or it is now known who is there."""
-        if self._frames < 0:  # open() was just before
+        """Requests that are due, after a read: the last ones failed, or the digitizer is known."""
+        if self._before.frames < 0:  # open() was just before
             self._asked_s = now_s
-        if pipeline.info is not None and (start := self.introduced(pipeline.info)):
-            self._asked(pipeline, now_s)
+        digitizer = pipeline.digitizer
+        if digitizer.info is not None and (start := self.introduced(digitizer.info)):
+            self._note_request(pipeline, now_s)
             return start
-        if self._calls_roll and (request := self._roll_call(pipeline, now_s)):
-            return request
-        if pipeline.counters.frames != self._frames:
+        if roll_call := self._roll_call(pipeline, now_s):
+            return roll_call
+        if pipeline.counters.frames != self._before.frames:
             self._was_idle = False
-            self._note(pipeline, now_s)
-        if now_s >= self._deadline:
+            self._note_progress(pipeline, now_s)
+        if now_s >= self._deadline_s:
             self.problem = self._why(pipeline)
-        elif self._is_idle(pipeline, now_s):
+        else:
+            self._obeyed |= bool(digitizer.streaming)
+            if not self._is_idle(pipeline, now_s):
+                return b""
             self.problem = self._why(pipeline) if self._was_idle else None
             self._was_idle = True
-        else:
-            return b""
-        self._asked(pipeline, now_s)
+        self._note_request(pipeline, now_s)
         return self.open()
 
     def _is_idle(self, pipeline: Pipeline, now_s: float) -> bool:
-        """Whether a digitizer that was to stream says that it does not: it was reset.
+        """Whether the digitizer denies streaming, though it had the time to obey START.
 
-        Every STATUS counts once, so that one which cannot stream is not asked without end.
+        Every STATUS counts once, so that one that cannot stream is not asked without end.
         """
-        self._obeyed = self._obeyed or bool(pipeline.streaming)
+        digitizer = pipeline.digitizer
         due_s = self._asked_s + (SOON_S if self._obeyed else ANSWER_S)
-        news = pipeline.status is not self._status
-        return self._ours and news and pipeline.streaming is False and now_s >= due_s
+        unanswered = digitizer.status is not self._answered
+        return self._ours and unanswered and digitizer.streaming is False and now_s >= due_s
 
-    def _asked(self, pipeline: Pipeline, now_s: float) -> None:
-        """The digitizer is asked to stream."""
-        self._status, self._asked_s, self._obeyed = pipeline.status, now_s, False
-        self._note(pipeline, now_s)
+    def _note_request(self, pipeline: Pipeline, now_s: float) -> None:
+        """The digitizer is asked to stream now."""
+        self._answered, self._asked_s, self._obeyed = pipeline.digitizer.status, now_s, False
+        self._note_progress(pipeline, now_s)
 
-    def _note(self, pipeline: Pipeline, now_s: float) -> None:
-        """How far it is, for what comes of it."""
-        counters, seen = pipeline.counters, pipeline.parser.counters
-        self._frames, self._impossible = counters.frames, counters.implausible_packets
-        self._bytes, self._packets = seen.bytes, seen.packets
-        self._deadline = self._due_s(pipeline, now_s)
-
-    def _due_s(self, pipeline: Pipeline, now_s: float) -> float:
-        """When frames must have come of a request that is sent now."""
-        return now_s + max(PATIENCE_S, 3 * pipeline.config.spec.frame_period_s)
+    def _note_progress(self, pipeline: Pipeline, now_s: float) -> None:
+        """From now on the next frame is waited for."""
+        counters, packets = pipeline.counters, pipeline.parser.counters
+        self._before = _Progress(
+            counters.frames, counters.implausible_packets, packets.bytes, packets.packets
+        )
+        self._deadline_s = now_s + max(PATIENCE_S, 3 * pipeline.config.spec.frame_period_s)
 
     def _roll_call(self, pipeline: Pipeline, now_s: float) -> bytes:
-        """The request for a roll call, if there has been none in which all nodes were heard.
+        """The request for a roll call, where one is wanted and the last one missed nodes.
 
-        The digitizer may have been reset, or the clocks have changed: then it is time for another.
+        Also once the clocks of the last one no longer hold.
         """
-        clocks = pipeline.clocks
-        if clocks is None or clocks.busy:
+        clocks, spec = pipeline.clocks, pipeline.config.spec
+        if self._config is None or not self._config.roll_call or clocks is None or clocks.busy:
             return b""
-        if clocks.heard == pipeline.config.spec.nodes:
+        if clocks.heard == spec.nodes:
             self._calls_left = MOST_CALLS
         elif self._calls_left and now_s >= self._next_call_s and pipeline.can_call_roll:
-            spec = pipeline.config.spec
             self._calls_left -= 1
             self._next_call_s = now_s + PATIENCE_S + 2 * spec.nodes * spec.frame_period_s
             self.problem = None
-            return self._requests(RollCall())
+            return self._encoded(RollCall())
         return b""
 
     def _why(self, pipeline: Pipeline) -> str:
         """The likely cause of having received no frame for a while."""
         if pipeline.problem:
             return pipeline.problem
-        counters = pipeline.parser.counters
-        if counters.packets and counters.bytes == self._bytes:
+        packets, refusal = pipeline.parser.counters, pipeline.digitizer.refusal
+        if packets.packets and packets.bytes == self._before.bytes:
             return "the digitizer has fallen silent: is it still powered?"
-        if pipeline.refusal:
-            command, reason = pipeline.refusal.command, pipeline.refusal.result.name.lower()
-            return f"the digitizer refused command 0x{command:02x}: {reason.replace('_', ' ')}"
-        if pipeline.info is None:
-            return diagnose(counters)
-        if counters.packets == self._packets:
+        if refusal:
+            reason = refusal.result.name.lower().replace("_", " ")
+            return f"the digitizer refused command 0x{refusal.command:02x}: {reason}"
+        if pipeline.digitizer.info is None:
+            return diagnose(packets)
+        if packets.packets == self._before.packets:
             return "bytes arrive, but no packets any more: another device, or another baud rate?"
-        if pipeline.counters.implausible_packets > self._impossible + 1:
+        if pipeline.counters.implausible_packets > self._before.implausible_packets + 1:
             return "the digitizer's clock and its count of samples contradict each other"
         if pipeline.rejected:
             return "samples arrive, but no frame fits: check chip_us, order and bits"
         return "the digitizer answers but sends no frames; is the skin connected and powered?"
 
-    def _requests(self, *packets: Packet) -> bytes:
-        return b"".join(self._writer.encode(packet) for packet in packets)
+    def _encoded(self, *packets: Packet) -> bytes:
+        return b"".join(map(self._writer.encode, packets))
+
+
+def _setting(config: SkinConfig) -> Configure:
+    """The request that sets the digitizer by the parameters."""
+    layout = FrameLayout.of(config.spec, config.samples_per_chip)
+    integrated = config.samples_per_chip == 1
+    if config.timing == GAP:
+        return Configure(layout, SyncMode.NONE, integrated)
+    return Configure(layout, SyncMode.DRIVE, integrated, quiet_uv(config.spec))

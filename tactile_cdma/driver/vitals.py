@@ -1,35 +1,78 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""How a running driver does: what its thread notes with every frame, summed up for each report."""
+"""What a running driver measures of itself: summed up frame by frame, taken with every report."""
 
 from __future__ import annotations
 
 import math
 import time
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, fields, replace
+from typing import Any, TypeVar
 
 from ..wire.messages import Status
 from ..wire.packets import Counters
 from .pipeline import Pipeline, TactileFrame
+from .timeline import StreamCounters
 
-_NO_COUNTS = {"text_bytes", "sequence", "streaming"}
-"""Fields of Counters and Status that do not count what happens."""
+C = TypeVar("C", StreamCounters, Counters, Status)
+
+_NO_COUNTS = ("text_bytes", "sequence", "streaming")
+"""Fields that count nothing that happens."""
+
+
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """Everything that is counted, up to one moment or between two.
+
+    digitizer: by its own STATUS; None while that is unknown.
+    """
+
+    stream: StreamCounters
+    packets: Counters
+    digitizer: Status | None
+    rejected_bursts: int
+
+    @classmethod
+    def of(cls, pipeline: Pipeline) -> Counts:
+        """A snapshot of a pipeline's counts."""
+        return cls(
+            replace(pipeline.counters),
+            pipeline.packet_counts,
+            pipeline.digitizer.status,
+            pipeline.rejected,
+        )
+
+    def since(self, before: Counts) -> Counts:
+        """By how much the counts rose; one that fell began anew, from 0."""
+        now, then = self.digitizer, before.digitizer
+        return Counts(
+            _rise(before.stream, self.stream),
+            _rise(before.packets, self.packets),
+            _rise(then, now) if now and then else None,
+            _risen(before.rejected_bursts, self.rejected_bursts),
+        )
+
+    def named(self) -> dict[str, int]:
+        """By name, for people; those of the digitizer begin with "digitizer"."""
+        counts = _named(self.stream) | _named(self.packets)
+        if self.digitizer:
+            counts |= {f"digitizer {name}": n for name, n in _named(self.digitizer).items()}
+        return counts | {"rejected bursts": self.rejected_bursts}
 
 
 @dataclass(frozen=True, slots=True)
 class Window:
     """What happened between two reports.
 
-    seconds: how long that was. frames: decoded in it.
+    seconds: its duration. frames: decoded in it.
     line_s: from the middle of a code frame until its last byte was read, mean. decode_s: from there
         until its chunk of bytes was decoded, mean. publish_s: until it was handed on, mean.
     slowest_s: the longest of their sums. All four NaN without frames.
     noise_rms_v: noise of one chip sample, V; NaN if unknown.
     clipped: share of the samples at a rail of the digitizer, 0…1.
-    backlog_bytes: most that was seen to wait in the port after a read was dealt with.
+    backlog_bytes: most that was seen waiting in the port after a read.
     process_share, thread_share: CPU time of the process and of the driver's thread, in cores.
-    totals, rises: counts by name, and by how much they rose; those of the digitizer's STATUS begin
-        with `digitizer_`.
+    totals: counts up to its end. rises: by how much they rose in it.
     """
 
     seconds: float
@@ -43,21 +86,17 @@ class Window:
     backlog_bytes: int
     process_share: float
     thread_share: float
-    totals: dict[str, int]
-    rises: dict[str, int]
+    totals: Counts
+    rises: Counts
 
     @property
     def latency_s(self) -> float:
         """From the middle of a code frame until it was handed on, mean, s."""
         return self.line_s + self.decode_s + self.publish_s
 
-    def per_s(self, name: str) -> float:
-        """How fast a count rose, 1/s; 0 for one that is not there."""
-        return self.rises.get(name, 0) / self.seconds
-
 
 class Vitals:
-    """Noted by the driver's thread, taken by another one.
+    """Filled by the driver's thread, taken by another one.
 
     Taking waits for nobody: a frame that is noted at that very moment may be left out.
     """
@@ -65,9 +104,9 @@ class Vitals:
     def __init__(self) -> None:
         self._sums = _Sums()
         self._thread_s = 0.0  # CPU time of the driver's thread so far
-        self._taken = _Taken()
+        self._before = _Instant(time.monotonic(), time.process_time(), 0.0, None)
 
-    def handed_on(self, frame: TactileFrame, t_read: float, t_decoded: float) -> None:
+    def note_frame(self, frame: TactileFrame, t_read: float, t_decoded: float) -> None:
         """A frame, read and decoded at these times (host's monotonic, s), was just handed on."""
         sums, now = self._sums, time.monotonic()
         sums.frames += 1
@@ -77,20 +116,21 @@ class Vitals:
         sums.slowest_s = max(sums.slowest_s, now - frame.t_host)
         sums.clipped += frame.clipped
         noise_v = frame.words.noise_rms_v
-        if noise_v == noise_v:  # not NaN
+        if not math.isnan(noise_v):
             sums.noise_v2 += noise_v * noise_v
             sums.noisy += 1
 
-    def dealt_with(self, waiting_bytes: int) -> None:
-        """What was read is dealt with, and so much more waits in the port."""
+    def note_read(self, waiting_bytes: int) -> None:
+        """What was read has been handed on; this much more waits in the port."""
         self._sums.backlog_bytes = max(self._sums.backlog_bytes, waiting_bytes)
         self._thread_s = time.thread_time()
 
     def take(self, pipeline: Pipeline) -> Window:
         """What happened since the last call."""
         sums, self._sums = self._sums, _Sums()
-        before = self._taken
-        self._taken = now = _Taken(thread_s=self._thread_s, totals=totals(pipeline))
+        before, totals = self._before, Counts.of(pipeline)
+        now = _Instant(time.monotonic(), time.process_time(), self._thread_s, totals)
+        self._before = now
         seconds = max(now.t_host - before.t_host, 1e-3)
         frames = sums.frames or math.nan
         return Window(
@@ -105,33 +145,9 @@ class Vitals:
             backlog_bytes=sums.backlog_bytes,
             process_share=(now.process_s - before.process_s) / seconds,
             thread_share=(now.thread_s - before.thread_s) / seconds,
-            totals=now.totals,
-            rises=_rises(before.totals, now.totals),
+            totals=totals,
+            rises=totals.since(before.totals or totals),
         )
-
-
-def totals(pipeline: Pipeline) -> dict[str, int]:
-    """Every count of a pipeline by name; those of the digitizer as its last STATUS has them."""
-    packets, status = pipeline.packet_counts, pipeline.status
-    counts: dict[str, int] = asdict(pipeline.counters)
-    counts |= {item.name: packets[item.name] for item in fields(Counters)}
-    if status is not None:
-        counts |= {f"digitizer_{item.name}": getattr(status, item.name) for item in fields(Status)}
-    counts["rejected_bursts"] = pipeline.rejected
-    return {
-        name: count
-        for name, count in counts.items()
-        if name.removeprefix("digitizer_") not in _NO_COUNTS
-    }
-
-
-def _rises(before: dict[str, int], now: dict[str, int]) -> dict[str, int]:
-    """By how much counts rose; one that is lower than before began anew, from 0."""
-    return {
-        name: count - before[name] if count >= before[name] else count
-        for name, count in now.items()
-        if name in before
-    }
 
 
 @dataclass(slots=True)
@@ -148,10 +164,26 @@ class _Sums:
 
 
 @dataclass(frozen=True, slots=True)
-class _Taken:
+class _Instant:
     """How far clocks and counts were when a window ended."""
 
-    t_host: float = field(default_factory=time.monotonic)
-    process_s: float = field(default_factory=time.process_time)
-    thread_s: float = 0.0
-    totals: dict[str, int] = field(default_factory=dict)
+    t_host: float
+    process_s: float
+    thread_s: float
+    totals: Counts | None
+
+
+def _named(part: StreamCounters | Counters | Status) -> dict[str, int]:
+    names = [item.name for item in fields(part) if item.name not in _NO_COUNTS]
+    return {name.replace("_", " "): getattr(part, name) for name in names}
+
+
+def _rise(before: C, now: C) -> C:
+    """The rise of every field."""
+    names = [item.name for item in fields(now)]
+    rises: Any = {name: _risen(getattr(before, name), getattr(now, name)) for name in names}
+    return replace(now, **rises)
+
+
+def _risen(before: int, now: int) -> int:
+    return now - before if now >= before else now

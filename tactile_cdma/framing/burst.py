@@ -15,8 +15,9 @@ from functools import cached_property
 
 import numpy as np
 
+from ..base.arrays import Floats
 from ..code.frame import MAX_STRETCH, FrameSpec
-from .fit import Fit, Floats, least_power
+from .fit import Fit, least_power
 
 _CELLS = 320
 """Burst search divides a frame into at most about this many cells, whatever its order."""

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A frame as a hypothesis: what its start and chip duration make of the samples, and how well.
+"""Scores a candidate frame (start, chip duration) against the samples.
 
 Functions of samples only, no stream state. Times are in samples relative to the stretch, and
 sample i is the line's level at instant i: it stands for [i − ½, i + ½).
@@ -10,41 +10,54 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.arrays import Floats, Floats32, Indices
 from ..code.frame import UNIPOLAR, FrameSpec
+from ..code.separate import NodeLevels, node_levels
 from ..code.transform import correlate, spread
 
-Floats = NDArray[np.float64]
 F = TypeVar("F", np.float32, np.float64)
 
 MAX_SPREAD = 0.12
-"""Relative variance of |r| within a word beyond which a fit is not believed. White noise alone
-gives 1/ρ²; chips that have nothing to do with the code book give π/2 − 1 = 0.57."""
+"""Relative variance of |r| within a word (WordFit.spread) beyond which a fit is not believed. White
+noise alone gives 1/ρ², so ρ > 2.9; chips that have nothing to do with the code book give π/2 − 1 =
+0.57."""
 MAX_DISTORTION = 0.15
-"""Power left over by the words, relative to theirs, that edges and clipping may account for."""
-
-
+"""Power left over by the words, relative to theirs, that jitter of edges and clipping may account
+for. Chosen; edges that jitter by ±0.1 chip leave 0.007, so most of it is for clipping."""
+UNEVEN = 0.02
+"""Spread of the words beyond which the chips' middle is tried, too: ρ < 7 if it were noise."""
+MIDDLE = 0.78
+"""Share of a chip's duration taken as its middle. Chosen: clear of edges up to 0.1 chip off their
+ideal position, at a cost of 1.1 dB of noise."""
+MORE_EVEN = 0.6
+"""Spread of the middles over that of whole chips below which the middles are taken. Noise alone
+gives 1/MIDDLE = 1.3, so that chance hardly gets there. Chosen."""
 REACHES = (0.5, 0.25, 0.12)
-"""How far to either side of an edge, in chips, samples tell how late it comes: as little noise as
-the knowledge of its place and edges a tenth of a chip off ideal allow."""
-BLUR = 0.3
-"""Samples around an edge of which it is uncertain on which side of it they were taken."""
-WORD_SHARE = 0.5
-"""A node spoke where its word exceeds this share of the amplitude that nodes have …"""
-LOUD_SHARE = 0.25
-"""… and this share of the loudest word, which may be that of three nodes on one row."""
-ODD_SHARE = 0.25
-"""Of at least three words so many may be uneven and say nothing about the frame …"""
-STRICTER = 3.0
-"""… where the others are so much cleaner than they would have to be with them."""
-_TINY = np.float32(1e-30)
-"""Of divisors that may be zero."""
+"""Part of a chip on either side of an edge in which samples tell how late it comes: first as wide
+as an edge may be off, last as narrow as edges a tenth of a chip off ideal allow. Chosen."""
 SETTLED = 0.02
-"""Change of a frame's edges, in chips, that is not worth another look."""
+"""Change of a frame's edges, chips, below which refinement ends. Chosen: an error of that size
+leaves 1e-3 of the words' power over."""
+BLUR = 0.3
+"""Samples around an edge of which it is uncertain on which side of it they were taken. Chosen: a
+sample counts in full beyond 0.15 samples from an edge."""
+ACTIVE_FLOOR = 0.5
+"""A node spoke where its word exceeds this share of the amplitude that nodes have: halfway between
+silence and speech …"""
+LOUDEST_FLOOR = 0.25
+"""… and this share of the loudest word, which may be that of three nodes on one row: a lone node
+then still has a third of it."""
+ODD_SHARE = 0.25
+"""Share of at least three words that may be uneven and still say nothing about the frame. Chosen:
+broken nodes are few, while wrong timing makes all words uneven."""
+STRICTER = 3.0
+"""Factor by which the other words must then be cleaner than they would have to be with these.
+Chosen: frames of wrong timing do not get there."""
 
 
 class Line:
@@ -62,23 +75,18 @@ class Line:
 
     def integral(self, times: Floats) -> Floats:
         """∫ line dt up to each instant, V·samples."""
-        whole, share = _place(times, self.volts.size)
-        return self.sum_before(whole, share)
+        return self.sum_before(*_place(times, self.volts.size))
 
-    def means(self, edges: Floats) -> NDArray[np.float32]:
+    def means(self, edges: Floats) -> Floats32:
         """Mean level between consecutive edges, V: (…, e) samples to (…, e − 1) float32."""
-        total, number = self.before(edges)
+        whole, share = _split(edges, self.volts.size)
+        total, number = self.sum_before(whole, share), whole + share
         number = np.maximum(number[..., 1:] - number[..., :-1], 0.5)
         levels: Floats = (total[..., 1:] - total[..., :-1]) / number
         return levels.astype(np.float32)
 
-    def before(self, times: Floats) -> tuple[Floats, Floats]:
-        """Samples taken before each instant: their sum, V, and their number."""
-        whole, share = _split(times, self.volts.size)
-        return self.sum_before(whole, share), whole + share
-
-    def sum_before(self, whole: NDArray[np.intp], share: Floats) -> Floats:
-        """Sum of so many samples and a share of the next one, V."""
+    def sum_before(self, whole: Indices, share: Floats) -> Floats:
+        """Sum of so many whole samples and a share of the next one, V."""
         total: Floats = self._sums[whole] + share * self.volts[whole]
         return total
 
@@ -89,18 +97,18 @@ class ChipEdges:
     def __init__(self, fit: Fit, spec: FrameSpec, size: int) -> None:
         """size: samples of a line."""
         self.size = size
-        self._spec = spec
+        self._shape = spec.line_bits, spec.order
         edges: Floats = fit.start + fit.chip * np.arange(spec.chips + 1.0)
         self._whole, self._share = _split(edges, size)
         self._number = np.maximum(np.diff(self._whole + self._share), 0.5)
 
-    def chips(self, line: Line) -> NDArray[np.float32]:
+    def chips(self, line: Line) -> Floats32:
         """As integrate gives them: (k, N) float32, V."""
         levels = np.diff(line.sum_before(self._whole, self._share)) / self._number
-        return levels.astype(np.float32).reshape(self._spec.line_bits, self._spec.order)
+        return levels.astype(np.float32).reshape(self._shape)
 
 
-def _split(times: Floats, size: int) -> tuple[NDArray[np.intp], Floats]:
+def _split(times: Floats, size: int) -> tuple[Indices, Floats]:
     """Samples taken before each instant: how many whole ones, and the share of the next one.
 
     A sample tells the level at its own instant, so it counts on one side of an edge only: to
@@ -110,7 +118,7 @@ def _split(times: Floats, size: int) -> tuple[NDArray[np.intp], Floats]:
     return whole, np.minimum(np.maximum((share - 0.5) / BLUR + 0.5, 0.0), 1.0)
 
 
-def _place(times: Floats, size: int) -> tuple[NDArray[np.intp], Floats]:
+def _place(times: Floats, size: int) -> tuple[Indices, Floats]:
     """The sample that each instant lies in, 0…size − 1, and the share of it that has passed."""
     shifted = np.minimum(np.maximum(times + 0.5, 0.0), float(size))
     whole = np.minimum(shifted.astype(np.intp), size - 1)
@@ -119,8 +127,8 @@ def _place(times: Floats, size: int) -> tuple[NDArray[np.intp], Floats]:
 
 def integrate(
     line: Line, start: Floats, chip: Floats, spec: FrameSpec, share: float = 1.0
-) -> NDArray[np.float32]:
-    """Mean level of every chip for each hypothesis of start and chip duration.
+) -> Floats32:
+    """Mean level of every chip for each candidate of start and chip duration.
 
     start, chip: (c,) float64, samples. share: middle part of each chip that is integrated.
     Returns (c, k, N) float32, V.
@@ -130,60 +138,55 @@ def integrate(
         levels = line.means(start + chip * np.arange(spec.span_chips + 1))[:, spec.places]
     else:
         middle, reach = start + chip * (spec.places + 0.5), chip * (0.5 * share)
-        sides = np.stack((middle - reach, middle + reach), axis=-1)
-        levels = line.means(sides)
+        levels = line.means(np.stack((middle - reach, middle + reach), axis=-1))
     return levels.reshape(-1, spec.line_bits, spec.order)
 
 
 @dataclass(frozen=True, slots=True)
 class WordFit:
-    """What chips say when every node is held to one amplitude per word.
+    """What chips say when every node is held to one amplitude per word, for c candidates.
 
     rows: (c, k, N) float32, V: correlations of all rows.
-    signed: (c, k, n) float32, V: those of the nodes' rows.
-    amplitude: (c, n) float32, V: mean of |signed| over the bits; 0 where the node is silent.
+    amplitude: (c, n) float32, V: mean of |r| over the bits; 0 where the node is silent.
     pedestal: (c,) float32, V: the level that unipolar nodes add; 0 for bipolar drive.
-    uneven: (c, n) float32, V²: variance of |signed| within active words.
+    uneven: (c, n) float32, V²: variance of |r| within active words.
     power: (c,) float32, V²: mean power of the chips that these words account for.
     spread: (c,) float32: sum of `uneven` over the power of the words.
     misfit: (c,) float32: power of the chips that the words leave over, relative to `power`.
     """
 
-    rows: NDArray[np.float32]
-    signed: NDArray[np.float32]
-    amplitude: NDArray[np.float32]
-    pedestal: NDArray[np.float32]
-    uneven: NDArray[np.float32]
-    power: NDArray[np.float32]
-    spread: NDArray[np.float32]
-    misfit: NDArray[np.float32]
+    rows: Floats32
+    amplitude: Floats32
+    pedestal: Floats32
+    uneven: Floats32
+    power: Floats32
+    spread: Floats32
+    misfit: Floats32
 
-    def believable(self, limit: float, spec: FrameSpec, noise: float | None = None) -> bool:
-        """Whether the words are even within a spread, and what is left over is white noise.
+    def believable(self, limit: float, spec: FrameSpec, noise: float = 0.0) -> bool:
+        """Whether the words of a single candidate are even, and leave nothing over but noise.
 
-        Of a single hypothesis. limit: of one word's spread; beyond half of that it must be
-        explained by noise.
-        noise: variance of a chip's level in the gap, V². It makes words spread by 1/ρ², estimated
-        with active·(k − 1) degrees of freedom. Where it is not known, it follows from the words:
-        noise that makes them spread by s leaves s/active in each of the N rows. Beyond that (and
-        its scatter, s is an estimate from few bits) and some distortion there is a signal not
-        understood.
+        limit: of one word's spread; beyond half of that it must be explained by noise.
+        noise: variance of a chip's level in the gap, V²; 0 where unknown. It makes words spread by
+        1/ρ², estimated with active·(k − 1) degrees of freedom. Where it is not known, it follows
+        from the words: noise that makes them spread by s leaves s/active in each of the N rows.
+        Beyond that (and its scatter, s is an estimate from few bits) and some distortion there is a
+        signal not understood.
 
         A few words may be those of broken nodes, or of two on one row, while wrong timing makes
         all uneven: a frame that fails as a whole may pass without its most uneven words, but then
         what is left must be cleaner than distortion by slightly wrong timing.
         """
         odd = int(ODD_SHARE * (np.count_nonzero(self.amplitude) + 1))
-        return self._explained(0, limit, MAX_DISTORTION, spec, noise) or (
-            odd > 0
-            and self._explained(odd, limit / STRICTER, MAX_DISTORTION / STRICTER, spec, noise)
+        return self._explained(0, limit, 1.0, spec, noise) or (
+            odd > 0 and self._explained(odd, limit, STRICTER, spec, noise)
         )
 
     def _explained(
-        self, odd: int, limit: float, distortion: float, spec: FrameSpec, noise: float | None
+        self, odd: int, limit: float, stricter: float, spec: FrameSpec, noise: float
     ) -> bool:
-        """As believable, without so many of the most uneven words."""
-        power, misfit = max(self.power.item(), 1e-30), self.misfit.item()
+        """As believable, without the given number of most uneven words and with stricter limits."""
+        power, misfit, limit = max(self.power.item(), 1e-30), self.misfit.item(), limit / stricter
         uneven, word_power = self.uneven[0], np.square(self.amplitude[0])
         if odd:
             order = np.argsort(uneven)
@@ -193,49 +196,20 @@ class WordFit:
         if not even_power > 0:
             return False
         spread = float(uneven.sum()) / even_power
-        if noise is None:
-            left, most = 3 * spec.order / active * spread * even_power / power, limit
-        else:
+        if noise:
             left = 3 * noise / power
             expected = noise * active / spec.order / even_power
             scatter = math.sqrt(2 / (active * (spec.line_bits - 1)))
             most = min(limit * (1.7 - 0.7 / active), limit / 2 + expected * (1.3 + 4 * scatter))
-        return spread < most and misfit < left + distortion
+        else:
+            left, most = 3 * spec.order / active * spread * even_power / power, limit
+        return spread < most and misfit < left + MAX_DISTORTION / stricter
 
 
-def least_power(spec: FrameSpec) -> float:
-    """Power below which there is no node, V²; 0 where the amplitude is unknown."""
-    return lowest_power(spec.node_swing_v or 0.0)
-
-
-def lowest_power(swing_v: float) -> float:
-    """The same for nodes of this amplitude, V: half of it may be one, a quarter is none."""
-    return (swing_v / 4) ** 2
-
-
-def word_floor(mean: NDArray[np.float32], spec: FrameSpec) -> NDArray[np.float32]:
-    """Amplitude that the words of a frame exceed, V: (…, n) mean |r| of all nodes to (…, 1).
-
-    The loudest word may be that of two or three nodes on one row. So the nodes' amplitude is taken
-    where it is known, and else that of the second of at least three loud words.
-    """
-    loudest = mean.max(axis=-1, keepdims=True)
-    floor: NDArray[np.float32] = np.float32(LOUD_SHARE) * loudest
-    if spec.node_swing_v is not None:
-        usual = np.minimum(loudest, np.float32(spec.node_swing_v))
-    elif spec.nodes < 3:
-        usual = loudest
-    else:
-        third, second = np.split(np.partition(mean, (-3, -2), axis=-1)[..., -3:-1], 2, axis=-1)
-        usual = np.where(third > floor, second, loudest)
-    floor = np.maximum(floor, np.float32(WORD_SHARE) * usual)
-    return floor
-
-
-def read_words(chips: NDArray[np.float32], spec: FrameSpec) -> WordFit:
-    """Words of each hypothesis: chips (c, k, N) float32, V."""
+def read_words(chips: Floats32, spec: FrameSpec) -> WordFit:
+    """Words of each candidate: chips (c, k, N) float32, V."""
     rows, bits = correlate(chips, spec.book), np.float32(spec.line_bits)
-    signed = rows[..., spec.first_row : spec.first_row + spec.nodes]
+    signed = rows[..., spec.node_slice]
     mean = np.abs(signed).sum(axis=1) / bits
     active = mean > word_floor(mean, spec)
     amplitude = mean * active
@@ -249,16 +223,39 @@ def read_words(chips: NDArray[np.float32], spec: FrameSpec) -> WordFit:
         meant = rows[..., 1:]
     total = np.einsum("ckr,ckr->c", meant, meant)
     power = word_power + np.square(pedestal)
-    return WordFit(
-        rows,
-        signed,
-        amplitude,
-        pedestal,
-        uneven,
-        power,
-        uneven.sum(axis=1) / np.maximum(word_power, _TINY),
-        total / np.maximum(bits * power, _TINY) - 1,
-    )
+    tiny = np.float32(1e-30)  # for divisors that may be zero
+    relative = uneven.sum(axis=1) / np.maximum(word_power, tiny)
+    misfit = total / np.maximum(bits * power, tiny) - 1
+    return WordFit(rows, amplitude, pedestal, uneven, power, relative, misfit)
+
+
+def word_floor(mean: Floats32, spec: FrameSpec) -> Floats32:
+    """Amplitude that the words of a frame exceed, V: (…, n) mean |r| of all nodes to (…, 1).
+
+    The loudest word may be that of two or three nodes on one row. So the nodes' amplitude is taken
+    where it is known, and else that of the second of at least three loud words.
+    """
+    loudest = mean.max(axis=-1, keepdims=True)
+    floor: Floats32 = np.float32(LOUDEST_FLOOR) * loudest
+    if spec.node_swing_v is not None:
+        usual = np.minimum(loudest, np.float32(spec.node_swing_v))
+    elif spec.nodes < 3:
+        usual = loudest
+    else:
+        third, second = np.split(np.partition(mean, (-3, -2), axis=-1)[..., -3:-1], 2, axis=-1)
+        usual = np.where(third > floor, second, loudest)
+    floor = np.maximum(floor, np.float32(ACTIVE_FLOOR) * usual)
+    return floor
+
+
+def least_power(spec: FrameSpec) -> float:
+    """Power below which there is no node, V²; 0 where the amplitude is unknown."""
+    return lowest_power(spec.node_swing_v or 0.0)
+
+
+def lowest_power(swing_v: float) -> float:
+    """The same for nodes of this amplitude, V: half of it may be one, a quarter is none."""
+    return (swing_v / 4) ** 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -273,24 +270,52 @@ class Fit:
         return self.start + spec.span_chips * self.chip
 
 
+class Attempt(NamedTuple):
+    """A frame as one fit reads it.
+
+    levels: of the nodes. amplitude: (n,) float32, V, of every node's word, 0 where silent.
+    believable: whether the words account for the chips.
+    """
+
+    levels: NodeLevels
+    amplitude: Floats32
+    believable: bool
+
+
+def attempt(line: Line, fit: Fit, spec: FrameSpec, limit: float, noise: float) -> Attempt:
+    """Read the frame of a fit. limit, noise: see WordFit.believable.
+
+    Whole chips are the matched filter; their middle is blind to edges a tenth of a chip off. It is
+    taken where words are uneven and it makes them more even than noise would by chance.
+    """
+    start, chip = np.array([fit.start]), np.array([fit.chip])
+    words = read_words(integrate(line, start, chip, spec), spec)
+    if words.spread[0] > UNEVEN:
+        middle = read_words(integrate(line, start, chip, spec, MIDDLE), spec)
+        if middle.spread[0] < MORE_EVEN * words.spread[0]:
+            words = middle
+    believable = words.believable(limit, spec, noise)
+    return Attempt(node_levels(words.rows[0], spec), words.amplitude[0], believable)
+
+
 def refine(
     line: Line, fit: Fit, spec: FrameSpec, earliest: float = -np.inf, latest: float = np.inf
 ) -> Fit:
     """Move start and chip duration to where the level changes of the decided words are.
 
     Around edge j the area between line and model is (v[j−1] − v[j])·τ[j] for an edge that comes
-    τ[j] late; τ = δstart + j·δchip is fitted by least squares, in which big steps count most. It
-    is done anew in ever closer reach of the edges, until nothing moves.
+    τ[j] late; τ = δstart + j·δchip is fitted by least squares, in which big steps count most. This
+    is repeated ever closer to the edges, until nothing moves.
     earliest, latest: bounds of the start. Edges out of view are left out.
     """
     start, chip = fit.start, fit.chip
     steps = np.arange(spec.chips + 1.0)
     levels = np.zeros(spec.chips + 2)  # the gap on either side
+    symbols = np.zeros((spec.line_bits, spec.order), dtype=np.float32)
+    nodes = spec.node_slice
     for share in REACHES:
         words = read_words(integrate(line, np.array([start]), np.array([chip]), spec), spec)
-        nodes = slice(spec.first_row, spec.first_row + spec.nodes)
-        symbols = np.zeros((spec.line_bits, spec.order), dtype=np.float32)
-        symbols[:, nodes] = np.sign(words.signed[0]) * words.amplitude[0]
+        symbols[:, nodes] = np.sign(words.rows[0, :, nodes]) * words.amplitude[0]
         levels[1:-1] = spread(symbols, spec.book).ravel() + words.pedestal[0]
         before, after = levels[:-1], levels[1:]
         edges, reach = start + chip * steps, share * chip
@@ -301,11 +326,9 @@ def refine(
         weight, moment = np.square(step), step * area
         w0, w1, w2 = weight.sum(), dot(weight, steps), dot(weight, np.square(steps))
         m0, m1 = moment.sum(), dot(moment, steps)
-        determinant = w0 * w2 - w1 * w1
+        determinant, moved = w0 * w2 - w1 * w1, start
         if determinant > 1e-9 * w0 * w2:
-            moved = start + (w2 * m0 - w1 * m1) / determinant
-        else:
-            moved = start
+            moved += (w2 * m0 - w1 * m1) / determinant
         moved = min(max(moved, earliest), latest)
         longer = (m1 - w1 * (moved - start)) / w2 if w2 > 0 else 0.0
         change = abs(moved - start) + abs(longer) * spec.chips

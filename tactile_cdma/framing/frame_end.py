@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What follows a frame: silence, or chips, which tell that it is longer or another one."""
+"""Tells by what follows a frame whether it has the length that was fitted."""
 
 from __future__ import annotations
 
@@ -8,46 +8,48 @@ import math
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..base.arrays import Floats32
 from ..code.frame import BIPOLAR, UNIPOLAR, FrameSpec
 from ..wire._protocol import TAIL_CHIPS
 from .fit import ODD_SHARE, Fit, Line, dot
 
 PROVEN = 30
-"""After so many frames in a row that end in silence their length is known to be right."""
+"""Frames in a row that end in silence, after which their length is taken as right. Chosen: less
+than half a second at 78 Hz."""
 REST = 0.4
-"""Share of the weakest word's amplitude below which a line is at rest."""
+"""Share of the weakest word's amplitude below which a line is at rest. Chosen: below half, so that
+a lone node's chips exceed it even where their edges leave out part of them."""
 
 
 class End(IntEnum):
-    """What follows a frame: other chips, those of some late nodes, or silence.
+    """What follows a frame.
 
-    LATE: among those who speak. MISLED: late words may appear as those of silent nodes.
+    OTHER: chips, so it is another frame. MISLED: chips of a few nodes that are late, and whose
+    words may appear as those of silent nodes. SILENCE: rest, or chips of late nodes that spoke.
     """
 
     OTHER = 0
     MISLED = 1
-    LATE = 2
-    SILENCE = 3
+    SILENCE = 2
 
 
 class FrameEnds:
-    """Looks at the line after each frame of a stream."""
+    """Looks at the line after each frame of a stream, and counts those that end in silence."""
 
     def __init__(self, spec: FrameSpec) -> None:
         self._spec = spec
         self._silent = 0  # ends in a row, until proven
 
-    def after(
+    def classify(
         self,
         line: Line,
         fit: Fit,
-        amplitude: NDArray[np.float32],
+        amplitude: Floats32,
         noise: float,
         level_known: bool,
     ) -> End:
-        """Whether the line is at rest after the fitted end.
+        """What follows the fitted end; counts it.
 
         This tells a stretched frame from a shorter fit of its words, and words of more bits than
         specified. Once frames are proven to be of this length, some nodes among many may be late.
@@ -85,10 +87,10 @@ class FrameEnds:
         late = int(ODD_SHARE * (amplitude.size - quiet + 1))
         if left >= late * float(np.square(amplitude).max()) + most:
             return End.OTHER
-        return End.LATE if quiet <= late else End.MISLED
+        return End.SILENCE if quiet <= late else End.MISLED
 
     def _baseline(self, line: Line, fit: Fit, at: float) -> float:
-        """What is under the words, hum for example, as the last bits tell: their means are it."""
+        """The level under the words (hum, for example), extrapolated from the last bits' means."""
         end, bit = fit.end(self._spec), self._spec.order * fit.chip
         before, last = line.means(end + bit * np.arange(-2.0, 1.0))
         return float(last + (last - before) * ((at - end) / bit + 0.5))

@@ -30,9 +30,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.arrays import Floats, Floats32
 from ..code.frame import MAX_STRETCH
 from .burst import Burst, BurstSearch
-from .fit import Fit, Floats, Line, integrate, read_words, refine
+from .fit import Fit, Line, integrate, read_words, refine
 
 _CLEAR = 10.0
 """A frame is certain if its log-likelihood exceeds that of any other by so much."""
@@ -181,7 +182,7 @@ class GapSearch(BurstSearch):
 
     def _shifts(
         self, line: Line, burst: Burst, edge: Floats, chip: Floats
-    ) -> tuple[Floats, Floats, NDArray[np.float32]]:
+    ) -> tuple[Floats, Floats, Floats32]:
         """Every whole-chip start that lets a frame cover the burst.
 
         edge, chip: (q,) an instant of some chip edge and the duration, for each clock. Returns
@@ -205,7 +206,7 @@ class GapSearch(BurstSearch):
         power = np.concatenate(powers)[possible]
         return starts[possible], np.broadcast_to(chip[:, None], starts.shape)[possible], power
 
-    def _powers(self, line: Line, low: Floats, chip: Floats, count: int) -> NDArray[np.float32]:
+    def _powers(self, line: Line, low: Floats, chip: Floats, count: int) -> Floats32:
         """Power of the words for so many starts, a chip apart, of each clock, (q, count)."""
         spec, span = self.spec, self.spec.span_chips
         levels = line.means(low[:, None] + chip[:, None] * np.arange(span + count))

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Timing from nothing but the waveform: frames between gaps, stretched at random."""
+"""Finds frames in nothing but the waveform: between gaps, stretched at random."""
 
 from __future__ import annotations
 
@@ -9,41 +9,55 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..base.arrays import Floats
 from ..base.errors import SpecError
 from ..code.frame import FrameSpec
-from ..code.separate import NodeLevels
 from .burst import Burst, Quiet
-from .fit import MAX_SPREAD, Fit, Floats, Line, lowest_power
+from .fit import MAX_SPREAD, Attempt, Fit, Line, attempt, lowest_power
 from .gap import Expected, Found, GapSearch
-from .timing import MOST_CLIPPED, FrameLevels, SampleBlock, Timing
+from .timing import (
+    MOST_CLIPPED,
+    FrameLevels,
+    QuietBlock,
+    Rails,
+    SampleBlock,
+    Timing,
+    share_clipped,
+)
 
-LEAST_RHO = 2.5
-"""Words that stand less out of the noise are not found: whether there are any is not known then."""
+BLIND_RHO = 2.5
+"""ρ below which words are not found reliably: with the amplitude known and noise beyond this, a
+slot without a frame counts as rejected, not as silent. Chosen; at ρ = 3 one frame in 5,000 is
+missed at order 20 (make bench-error)."""
 SCATTER = 0.15
-"""What frames may be off their raster, in chips."""
+"""Standard deviation of frame starts about the raster, chips. Chosen for frames timed by
+crystals."""
 FORGET = 0.999
-"""What is left of a learnt amplitude's power after each silent slot."""
+"""Factor on the power of a learnt amplitude in each silent slot. Chosen: halves it in 690 slots, 9
+s at 78 Hz."""
 CLOCK_ERROR = 1e-4
-"""What the frame period may be off from the digitizer's clock."""
+"""Relative error of the nominal frame period in the digitizer's clock: two crystals of 50 ppm."""
 CLOCK_DRIFT = 1e-5
-"""What it may change from one frame to the next, once it is known from two."""
+"""Relative change of the frame period between frames, once learnt from two. Chosen."""
 
 
 class GapTiming(Timing):
     """Frames from nothing but the waveform: they stand between gaps, stretched by 0…11 %.
 
-    Samples from `_cursor` on are undecided. At `_due`, when they hold the frame expected next,
-    the search decides: nothing, a frame, or something else. Decisions depend on sample positions
-    only, so any cutting into blocks gives the same frames.
+    Samples from `_cursor` on are undecided. At `_due`, when they hold the frame expected next, the
+    search decides: nothing, a frame, or something else. Decisions depend on sample positions only,
+    so any cutting into blocks gives the same frames.
     """
 
-    def __init__(
-        self, spec: FrameSpec, rate_hz: float, rails_v: tuple[float, float] | None = None
-    ) -> None:
-        """See Timing. Raises SpecError where frames leave no gap to find, or at too low a rate."""
-        super().__init__(spec, rate_hz, rails_v)
+    def __init__(self, spec: FrameSpec, rate_hz: float, rails_v: Rails = None) -> None:
+        """Raises SpecError where frames leave no gap to find, or at too low a rate.
+
+        rate_hz: samples per second. rails_v: see share_clipped.
+        """
+        super().__init__()
+        self._spec, self._rails_v = spec, rails_v
         search = self._search = GapSearch(spec, rate_hz)
-        if search.chip < 2.5:
+        if not search.chip >= 2.5:
             raise SpecError(
                 f"{search.chip:.2g} samples per chip are too few to find frames by their gaps: "
                 f"sample at {3 / spec.chip_s:.3g} Hz or more, or use line timing"
@@ -59,8 +73,8 @@ class GapTiming(Timing):
         self._bit = math.ceil(1.11 * spec.order * search.chip)
         self._side_halves = math.ceil(min(self._bit, 0.4 * search.gap_size) / search.half)
         self._quiet: Quiet | None = None
-        self._last: Fit | None = None  # the last frame, in stream indices
-        self._anchor: Fit | None = None  # the last one whose place was certain
+        self._heard_one = False  # a frame, since the raster began
+        self._anchor: Fit | None = None  # the last frame whose place was certain, stream indices
         self._period, self._period_error = search.period, CLOCK_ERROR
         self._cursor = 0
         self._due = 0
@@ -69,7 +83,7 @@ class GapTiming(Timing):
 
     def feed(self, block: SampleBlock) -> list[FrameLevels]:
         """Take samples in; return the frames and silent slots that they complete."""
-        if not self._continue(block):
+        if not self._join(block):
             self._begin_at(block.first_index)
         frames: list[FrameLevels] = []
         volts, slice_size = np.asarray(block.volts), math.ceil(self._search.period)
@@ -79,8 +93,12 @@ class GapTiming(Timing):
                 frames += self._decide(self._due)
         return frames
 
+    def quiet(self, block: QuietBlock) -> list[FrameLevels]:
+        """Process a block in which no node transmitted."""
+        return self.feed(block.samples())
+
     def flush(self) -> list[FrameLevels]:
-        """The recording ends here: decode a last frame that is complete."""
+        """End of the recording: decode a last frame if it is complete."""
         frames: list[FrameLevels] = []
         cursor = -1
         while self._samples.end - self._cursor > self._search.shortest and cursor != self._cursor:
@@ -91,8 +109,8 @@ class GapTiming(Timing):
 
     def _begin_at(self, index: int) -> None:
         """Start looking at this sample; slots stay on their raster across a hole."""
-        if self._last is None or index < self._raster - self._search.period:
-            self._raster, self._last, self._anchor = float(index), None, None
+        if not self._heard_one or index < self._raster - self._search.period:
+            self._raster, self._heard_one, self._anchor = float(index), False, None
         self._skip_to(index)
 
     def _skip_to(self, index: int) -> None:
@@ -103,7 +121,7 @@ class GapTiming(Timing):
         self._schedule()
 
     def _schedule(self) -> None:
-        """Forget what is decided; set when the next decision is due."""
+        """Drop decided samples; set when the next decision is due."""
         if self._quiet is None:  # a whole gap must be in view
             self._due = self._cursor + math.ceil(self._search.period) + self._reach
         else:
@@ -145,30 +163,6 @@ class GapTiming(Timing):
         self._skip_to(self._cursor + max(self._bit, math.ceil(pause)))
         return []
 
-    def _take(self, volts: Floats, burst: Burst, quiet: Quiet) -> list[FrameLevels]:
-        """The frame that a burst is, if it is one. volts: gap level removed."""
-        line = Line(volts)
-        for found in self._search.fits(line, burst, self._expected(burst)):
-            fit = found.fit
-            if fit.end(self.spec) > volts.size + 0.5 * fit.chip:
-                continue
-            beside = self._search.beside(volts, fit)
-            variance = beside.variance(burst.variance)
-            noise = variance * self._search.half / fit.chip
-            attempt = self._attempt(line, fit, MAX_SPREAD, noise)
-            if self._share_clipped(volts, fit, quiet.level) > MOST_CLIPPED:
-                continue
-            if attempt.believable and beside.is_quiet(self._side_halves, variance, burst.power):
-                self._quiet = quiet
-                if self.spec.node_swing_v is None:
-                    self._search.least_power = lowest_power(float(attempt.amplitude.max()))
-                return self._emit(volts, found, attempt.levels, beside.level)
-        return []
-
-    def _share_clipped(self, volts: Floats, fit: Fit, level: float) -> float:
-        """Of a frame's samples, share at a rail. volts: gap level removed."""
-        return self._clipped(volts[max(0, round(fit.start)) : round(fit.end(self.spec))] + level)
-
     def _first_burst(self, volts: Floats, quiet: Quiet) -> Burst | None:
         """The earliest burst: the strongest one may have a weaker one before it."""
         found = None
@@ -188,71 +182,101 @@ class GapTiming(Timing):
     def _may_be_noise(self, burst: Burst) -> bool:
         return burst.snr < 2 * self._search.snr_floor
 
-    def _expected(self, burst: Burst) -> Expected | None:
-        """A frame near the burst that keeps to the raster of the last one."""
-        if self._anchor is None:
-            return None
-        slots = self._slots(self._cursor + burst.first)
-        passed, chip = slots * self._period, self._anchor.chip
-        scatter = SCATTER * chip + self._period_error * passed
-        return Expected(self._anchor.start + passed - self._cursor, scatter, chip)
-
-    def _slots(self, index: float) -> int:
-        """Frame periods from the last certain frame to an index."""
-        return round((index - self._anchor.start) / self._period) if self._anchor else 0
-
-    def _anchor_at(self, fit: Fit) -> None:
-        """The place of this frame is certain; with the last one it tells the period."""
-        if self._anchor and (slots := self._slots(fit.start)):
-            period = (fit.start - self._anchor.start) / slots
-            if abs(period - self._search.period) < CLOCK_ERROR * period:
-                self._period, self._period_error = period, CLOCK_DRIFT
-        self._anchor = fit
-
     def _incomplete(self, burst: Burst, size: int) -> bool:
         """Whether chips of this burst's frame may still come after the samples in view."""
         if size > self._search.period + 2 * self._reach:
             return False
         return size < min(burst.first + self._reach, burst.last + self._bit)
 
+    def _take(self, volts: Floats, burst: Burst, quiet: Quiet) -> list[FrameLevels]:
+        """The frame that a burst is, after silent slots before it; none if it is no frame.
+
+        volts: gap level removed.
+        """
+        line, spec = Line(volts), self._spec
+        for found in self._search.fits(line, burst, self._expected(burst)):
+            fit = found.fit
+            end = fit.end(spec)
+            if end > volts.size + 0.5 * fit.chip:
+                continue
+            inside = volts[max(0, round(fit.start)) : round(end)]
+            clipped = share_clipped(inside + quiet.level, self._rails_v)
+            if clipped > MOST_CLIPPED:
+                continue
+            beside = self._search.beside(volts, fit)
+            variance = beside.variance(burst.variance)
+            noise = variance * self._search.half / fit.chip
+            read = attempt(line, fit, spec, MAX_SPREAD, noise)
+            if read.believable and beside.is_quiet(self._side_halves, variance, burst.power):
+                self._quiet = quiet
+                if spec.node_swing_v is None:
+                    self._search.least_power = lowest_power(float(read.amplitude.max()))
+                return self._emit(found, read, beside.level, clipped)
+        return []
+
+    def _expected(self, burst: Burst) -> Expected | None:
+        """A frame near the burst that keeps to the raster of the last one."""
+        if self._anchor is None:
+            return None
+        passed = self._slots_since(self._anchor, self._cursor + burst.first) * self._period
+        scatter = SCATTER * self._anchor.chip + self._period_error * passed
+        return Expected(self._anchor.start + passed - self._cursor, scatter, self._anchor.chip)
+
+    def _slots_since(self, anchor: Fit, index: float) -> int:
+        """Frame periods from a frame to an index."""
+        return round((index - anchor.start) / self._period)
+
     def _emit(
-        self, volts: Floats, found: Found, levels: NodeLevels, left: float
+        self, found: Found, read: Attempt, left_v: float, clipped: float
     ) -> list[FrameLevels]:
-        """The frame, after the silent slots before it. left: of the gap's level around it, V."""
+        """The frame, after the silent slots before it. left_v: of the gap's level around it."""
         assert self._quiet is not None
-        fit, level = found.fit, self._quiet.level
-        clipped = self._share_clipped(volts, fit, level)
-        start = self._cursor + fit.start
+        levels = read.levels
+        fit = Fit(self._cursor + found.fit.start, found.fit.chip)
         # Without an earlier frame, what lies before this one may be the rest of another.
-        frames = list(self._idle_slots(start - self._search.period / 2)) if self._last else []
-        if self.spec.first_row == 0:  # the only row that an offset shows in
-            levels.values[:, 0] -= np.float32(left)
-        frames.append(self._heard(start, fit.chip, levels, level + left, clipped, found.tied))
-        self._last, self._failures = Fit(start, fit.chip), 0
+        frames: list[FrameLevels] = []
+        if self._heard_one:
+            frames += self._idle_slots(fit.start - self._search.period / 2)
+        if self._spec.first_row == 0:  # the only row that an offset shows in
+            levels.values[:, 0] -= np.float32(left_v)
+        noise_rms_v = levels.noise_v * math.sqrt(self._spec.order)
+        level_v = self._quiet.level + left_v
+        frames.append(
+            FrameLevels(fit.start, fit.chip, levels, noise_rms_v, level_v, clipped, found.tied)
+        )
+        self._heard_one, self._failures = True, 0
         if not found.tied:
-            self._anchor_at(self._last)
-        self._raster = start + self._search.period
-        self._cursor += math.ceil(fit.end(self.spec) + 0.5 * fit.chip)
+            self._anchor_at(fit)
+        self._raster = fit.start + self._search.period
+        self._cursor += math.ceil(found.fit.end(self._spec) + 0.5 * fit.chip)
         self._schedule()
         return frames
+
+    def _anchor_at(self, fit: Fit) -> None:
+        """Take a frame whose place is certain as the raster's origin, and learn the period."""
+        if self._anchor and (slots := self._slots_since(self._anchor, fit.start)):
+            period = (fit.start - self._anchor.start) / slots
+            if abs(period - self._search.period) < CLOCK_ERROR * period:
+                self._period, self._period_error = period, CLOCK_DRIFT
+        self._anchor = fit
 
     def _pass_idle(self, end: int) -> list[FrameLevels]:
         """Nothing up to `end`, but a frame may begin within the last frame's length before it."""
         frames = list(self._idle_slots(end - self._reach))
-        if self.spec.node_swing_v is None:
+        if self._spec.node_swing_v is None:
             self._search.least_power *= FORGET ** len(frames)
         self._cursor = max(self._cursor, end - self._reach)
         self._schedule()
         return frames
 
     def _idle_slots(self, until: float) -> Iterator[FrameLevels]:
-        """The silent slots that begin up to an index; but at a rail or in noise nobody can tell."""
+        """Silent slots that begin up to an index; rejected where a rail or noise hides words."""
         level, noise = 0.0, math.nan
         if self._quiet:  # whose variance is that of half chips
             level, noise = self._quiet.level, math.sqrt(self._quiet.variance / 2)
-        blind = self._quiet is not None and self._clipped(np.array([level])) > 0
-        if swing_v := self.spec.node_swing_v:
-            blind |= noise * LEAST_RHO > swing_v * math.sqrt(self.spec.order)
+        blind = self._quiet is not None and share_clipped(np.array([level]), self._rails_v) > 0
+        if swing_v := self._spec.node_swing_v:
+            blind |= noise * BLIND_RHO > swing_v * math.sqrt(self._spec.order)
         while self._raster <= until:
             if blind:
                 self.rejected += 1

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Silence: how alike samples must be for the digitizer to leave them out (packet Quiet)."""
+"""How alike samples must be for the digitizer to leave them out (packet QUIET)."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from ..code.frame import FrameSpec
 from .fit import least_power
 
 MARGIN = 0.9
-"""Of the limit: room for rounding."""
+"""Share of the limit that is used. Chosen: leaves a tenth for rounding of counts."""
 
 
 def quiet_uv(spec: FrameSpec) -> int:
-    """Largest difference of two samples of a frame in which nobody spoke for certain, µV.
+    """Largest difference of two samples of a frame that is certainly silent, µV.
 
-    0 where nothing is certain: with the amplitude unknown, or with row 0 assigned, whose node may
+    0 where no frame is: with the amplitude unknown, or with row 0 assigned, whose node may
     hold one level for a whole frame.
 
     Samples within Q of each other have chips within Q. These have a variance of at most (Q/2)²
     (Popoviciu), and a correlation with any row but 0 of at most Q/2, whatever the line's offset:
-    a row has as many chips of either sign. Both lie below the least power of a node, so that such
-    a frame is idle to the decoder, too, if it gets all samples. The stretch need not cover a frame
-    to its end: who speaks is heard in the first bit.
+    a row has as many chips of either sign. Both lie below the least power of a node, so that the
+    decoder finds such a frame silent, too, if it gets all samples. The samples need not reach to
+    the frame's end: a node that speaks is heard in the first bit.
     """
     if spec.node_swing_v is None or spec.first_row == 0:
         return 0

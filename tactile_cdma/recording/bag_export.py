@@ -52,8 +52,8 @@ def write_bag(
 ) -> int:
     """Every frame, and its Unix time in s, as messages of a driver called /skin; returns how many.
 
-    Raises CaptureError where the folder is there already or cannot be written, and for times that
-    no stamp holds.
+    Raises CaptureError where the folder exists already, and for times that no stamp holds; OSError
+    where it cannot be written.
     """
     types, count = message_types(), 0
     try:
@@ -78,8 +78,6 @@ def write_bag(
                 count += 1
     except WriterError as error:
         raise CaptureError(str(error)) from None
-    except OSError as error:
-        raise CaptureError(f"{folder}: {error.strerror}") from None
     return count
 
 

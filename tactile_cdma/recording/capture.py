@@ -12,15 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import CaptureError
-from ..base.named_file import open_named, read_named
-from ..config.parameters import Value
+from ..base.named_file import naming, open_named, read_named
 from .container import RecordingParser
-from .recording_file import describe, is_recording, read_chunks, survey
+from .recording_file import describe, is_recording, read_chunks, read_pieces, survey
 
 MOST_CSV_BYTES = 256 << 20
 """Of an oscilloscope's file, about ten million samples; it is held in memory as a whole. Recordings
 and raw bytes are read piece by piece and may be of any size."""
-_READ_BYTES = 1 << 16
 
 _HEADER_LINES = 64
 _LEAST_SAMPLES = 16
@@ -48,11 +46,9 @@ def is_text(path: Path) -> bool:
 
     Raises CaptureError where it cannot be read or is empty.
     """
-    try:
-        with open_named(path) as file:  # no pipe: a capture is read more than once
-            head = file.read(65_536)
-    except OSError as error:
-        raise CaptureError(f"{path}: {error.strerror}") from None
+    # open_named refuses pipes: a capture is read more than once
+    with naming(path, CaptureError), open_named(path) as file:
+        head = file.read(65_536)
     if not head:
         raise CaptureError(f"{path}: the file is empty")
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
@@ -66,22 +62,13 @@ def read_bytes(path: Path) -> Iterator[tuple[bytes, float]]:
     From a recording, or from a file of the bytes alone, which have no time: 0 then.
     Raises CaptureError where it cannot be read.
     """
-    try:
-        if is_recording(path):
-            description, parser = describe(path), RecordingParser()
-            for chunk in read_chunks(path, parser):
-                yield chunk.data, description.t_host(chunk.time_ns)
-            return
-        with open_named(path) as file:
-            while data := file.read(_READ_BYTES):
-                yield data, 0.0
-    except OSError as error:
-        raise CaptureError(f"{path}: {error.strerror}") from None
-
-
-def recorded_parameters(path: Path) -> dict[str, Value]:
-    """Parameters that a recording was made with; none for a file of the bytes alone."""
-    return dict(describe(path).parameters) if is_recording(path) else {}
+    if is_recording(path):
+        description = describe(path)
+        for chunk in read_chunks(path, RecordingParser()):
+            yield chunk.data, description.t_host(chunk.time_ns)
+        return
+    for data in read_pieces(path):
+        yield data, 0.0
 
 
 def capture_notes(path: Path) -> tuple[str, ...]:
@@ -97,9 +84,8 @@ def read_scope_csv(path: Path) -> ScopeCapture:
     Raises CaptureError, naming the line, where this is not such a file.
     """
     try:
-        lines = read_named(path, MOST_CSV_BYTES).decode(encoding="utf-8-sig").splitlines()
-    except OSError as error:
-        raise CaptureError(f"{path}: {error.strerror}") from None
+        with naming(path, CaptureError):
+            lines = read_named(path, MOST_CSV_BYTES).decode(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError:
         raise CaptureError(f"{path}: not a text file in UTF-8") from None
     header, delimiter = _header(path, lines)

@@ -33,7 +33,7 @@ def _folder() -> Path:
     """Where the .msg files are: in a checkout beside the package, else in ROS 2's share folders."""
     prefixes = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
     shares = [Path(prefix) / "share" / PACKAGE / "msg" for prefix in prefixes]
-    for folder in (Path(__file__).parents[1] / "msg", *shares):
+    for folder in (Path(__file__).parents[2] / "msg", *shares):
         if (folder / "TactileArray.msg").is_file():
             return folder
     raise CaptureError(

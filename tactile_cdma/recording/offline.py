@@ -1,18 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Decoding of captures without a digitizer: the same stages, fed from a file."""
+"""Decoding of files: the stages of a live skin, fed from a recording or a scope's capture."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from ..base.errors import CaptureError
-from ..code.encode import word_bits
 from ..config.parameters import GAP, LINE, NATURAL_SIGNS, Value
 from ..config.skin_config import SkinConfig
 from ..driver.pipeline import Pipeline, TactileFrame
@@ -22,9 +18,11 @@ from ..wire._protocol import SyncMode
 from ..wire.messages import Info
 from ..wire.packets import PacketParser, diagnose
 from ..words.decode import Words, decode
-from .capture import ScopeCapture, read_bytes, recorded_parameters
+from .capture import ScopeCapture, capture_notes, read_bytes
+from .recording_file import describe, is_recording
 
 _MIN_SAMPLES_PER_CHIP = 3
+"""Chosen: with fewer, one of them at an edge, a chip may have no clean sample."""
 
 
 def decode_scope(capture: ScopeCapture, config: SkinConfig) -> Iterator[tuple[float, Words]]:
@@ -87,18 +85,13 @@ def parameters_of(info: Info) -> dict[str, Value]:
 def offline_values(path: Path, asked: dict[str, Value]) -> dict[str, Value]:
     """The parameters to decode a raw capture with; what they leave open takes its default.
 
-    Of what is asked, what the digitizer described, and what the recording says was asked of it,
-    the first that says something counts. The amplitude is learnt unless it is given.
+    What is asked for overrides what the digitizer described, and that overrides what the recording
+    says was asked of it. The amplitude is learnt unless it is given.
     Raises CaptureError where the capture holds no description.
     """
     learnt: dict[str, Value] = {"amplitude_mv": 0.0}
-    return learnt | recorded_parameters(path) | described_parameters(path) | asked
-
-
-def decode_raw(path: Path, pipeline: Pipeline) -> Iterator[tuple[float, Words]]:
-    """Frames of a raw capture: start of the first chip in device time (s), words."""
-    for frame in raw_frames(path, pipeline):
-        yield frame.t_start, frame.words
+    recorded = describe(path).parameters if is_recording(path) else {}
+    return {**learnt, **recorded, **described_parameters(path), **asked}
 
 
 def raw_frames(path: Path, pipeline: Pipeline) -> Iterator[TactileFrame]:
@@ -108,25 +101,30 @@ def raw_frames(path: Path, pipeline: Pipeline) -> Iterator[TactileFrame]:
     yield from pipeline.flush()
 
 
-def describe_frame(t_start: float, words: Words, config: SkinConfig) -> dict[str, Any]:
-    """One frame for people and JSON: active nodes only, nodes counted from 1 as in the paper."""
-    voltage_v = config.adc.voltage(words.codes)
-    pressure_pa = config.calibration.curves.pressure(voltage_v.astype(np.float32))
-    bits = word_bits(words.codes, config.spec.bits)
-    confidence = words.confidence
-    return {
-        "t": round(t_start, 9),
-        "nodes": [
-            {
-                "node": int(i) + 1,
-                "bits": "".join(map(str, bits[i])),
-                "code": int(words.codes[i]),
-                "voltage": round(float(voltage_v[i]), 4),
-                "pressure_pa": round(float(pressure_pa[i]), 1),
-                "snr_db": round(20 * math.log10(float(words.rho[i])), 1),
-                "confidence": round(float(confidence[i]), 6),
-                "doubtful": bool(words.doubtful[i]),
-            }
-            for i in np.flatnonzero(words.active)
-        ],
-    }
+class RawCapture:
+    """A recording, or a port's raw bytes, opened to be decoded.
+
+    values: the parameters that it is decoded with, config made of them. Raises CaptureError where
+    it cannot be read or holds no description of the digitizer, SpecError for impossible values.
+    """
+
+    def __init__(self, path: Path, asked: dict[str, Value]) -> None:
+        """asked: parameters that override those of the file."""
+        self.path, self.values = path, offline_values(path, asked)
+        self.config = SkinConfig.of(self.values)
+        self.pipeline = Pipeline(self.config, background=False)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is wrong with the file, one sentence each."""
+        return capture_notes(self.path)
+
+    def frames(self) -> Iterator[TactileFrame]:
+        """All frames, once."""
+        return raw_frames(self.path, self.pipeline)
+
+    def timed_frames(self) -> Iterator[tuple[TactileFrame, float]]:
+        """All frames, once, each with the Unix time of its middle, s; NaN for raw bytes."""
+        description = describe(self.path) if is_recording(self.path) else None
+        for frame in self.frames():
+            yield frame, description.wall_s(frame.t_host) if description else math.nan

@@ -15,7 +15,7 @@ from types import TracebackType
 
 from .. import __version__
 from ..base.errors import CaptureError
-from ..base.named_file import open_named
+from ..base.named_file import naming, open_named
 from ..config.parameters import Value
 from .container import (
     MAGIC,
@@ -110,8 +110,8 @@ class Survey:
 
 
 def is_recording(path: Path) -> bool:
-    """Whether a file begins, or is named, as a recording; raises OSError."""
-    with open_named(path) as file:
+    """Whether a file begins, or is named, as a recording; raises CaptureError if unreadable."""
+    with naming(path, CaptureError), open_named(path) as file:
         return file.read(len(MAGIC)) == MAGIC or path.suffix == SUFFIX
 
 
@@ -128,6 +128,13 @@ def describe(path: Path) -> Description:
     if parser.description is None:
         raise CaptureError(f"{path}: no recording of tactile-cdma, or its beginning is damaged")
     return parser.description
+
+
+def read_pieces(path: Path) -> Iterator[bytes]:
+    """The bytes of a file, piece by piece; raises CaptureError."""
+    with naming(path, CaptureError), open_named(path) as file:
+        while data := file.read(_READ_BYTES):
+            yield data
 
 
 def read_chunks(path: Path, parser: RecordingParser, position: int = 0) -> Iterator[Chunk]:
@@ -149,22 +156,18 @@ def read_chunks(path: Path, parser: RecordingParser, position: int = 0) -> Itera
 
 def read_end(path: Path) -> End | None:
     """The last record, without reading the others; None where it is missing or damaged."""
-    try:
-        with open_named(path) as file:
-            size = file.seek(0, 2)
-            file.seek(max(0, size - POSITION.size))
-            tail = file.read()
-            if len(tail) < POSITION.size:
-                return None
-            (position,) = POSITION.unpack(tail)
-            if not size - 2 * MOST_BYTES < position < size:
-                return None
-            file.seek(position)
-            parser = RecordingParser(resumed=True)
-            parser.feed(file.read())
-            return parser.end
-    except OSError as error:
-        raise CaptureError(f"{path}: {error.strerror}") from None
+    with naming(path, CaptureError), open_named(path) as file:
+        size = file.seek(0, 2)
+        if size < POSITION.size:
+            return None
+        file.seek(-POSITION.size, 2)
+        (position,) = POSITION.unpack(file.read(POSITION.size))
+        if not size - 2 * MOST_BYTES < position < size:
+            return None
+        file.seek(position)
+        parser = RecordingParser(resumed=True)
+        parser.feed(file.read())
+        return parser.end
 
 
 def survey(path: Path) -> Survey:
@@ -188,8 +191,7 @@ def survey(path: Path) -> Survey:
 def _sha256(path: Path, size: int) -> str:
     """Of the first bytes of a file."""
     digest = hashlib.sha256()
-    with open_named(path) as file:
-        while size > 0 and (data := file.read(min(size, _READ_BYTES))):
-            digest.update(data)
-            size -= len(data)
+    for data in read_pieces(path):
+        digest.update(data[:size])
+        size -= min(size, len(data))
     return digest.hexdigest()

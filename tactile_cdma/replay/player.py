@@ -30,14 +30,11 @@ class Player:
         self._due = bytearray()
         self._origin_s = math.nan  # host's time of the chunk that begins a round
         path = options.path
-        try:
-            if not is_recording(path):
-                raise CaptureError(
-                    f"{path} is no recording; tactile-cdma record makes one (bytes alone have no "
-                    "times: tactile-cdma decode reads these)"
-                )
-        except OSError as error:
-            raise CaptureError(f"{path}: {error.strerror}") from None
+        if not is_recording(path):
+            raise CaptureError(
+                f"{path} is no recording; tactile-cdma record makes one (bytes alone have no "
+                "times: tactile-cdma decode reads these)"
+            )
         describe(path)
         self._round = self._chunks()
         first = next(self._round, None)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A bag of a skin's topics, for machines without `ros2 bag`: rosbag2, storage MCAP."""
+"""Records a skin's topics in a bag (rosbag2, MCAP), for machines without `ros2 bag`."""
 
 from __future__ import annotations
 
@@ -15,14 +15,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidTopicNameException
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 from rclpy.validate_full_topic_name import validate_full_topic_name
 from rosbags.interfaces import (
@@ -37,26 +34,28 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 
 from ..base.errors import ParameterError, TactileError
-from ..base.interrupt import stop_event
 from ..config.arguments import positive
 from ..recording.message_types import message_types
+from .common.process import viewing
 
 DATA = ("tactile", "info", "contacts", "wrench")
-"""Topics of a skin's node that are recorded unless others are asked for."""
+"""Topics of a skin's node that are recorded by default."""
 PICTURES = ("heatmap", "pressure_image", "points", "markers")
 SHARED = ("/diagnostics", "/tf_static")
 QUEUE = 1000
+"""Messages that may wait while the disk is busy; chosen: some 12 s of frames."""
 LOOK_S = 0.1
-"""How often topics that nobody published so far, and the room on the disk, are looked for."""
+"""Interval of looks for topics that nobody published so far, and at the room on the disk, s."""
 RESERVED_BYTES = 64 << 20
-"""A bag ends while so much room is left: its index comes last, and without it few can read it."""
+"""Room on the disk at which a bag ends. Its index is written last, and few programs read a bag
+without; chosen far above the size of an index."""
 
 
 class BagRecorder(Node):
-    """Writes every message of some topics, as it comes, into a bag.
+    """Writes every message of some topics into a bag.
 
-    A topic is subscribed to once somebody publishes it, as reliably as they offer. counts: messages
-    by topic.
+    Subscribes to a topic once somebody publishes it, with the best QoS that all its publishers
+    offer. counts: messages by topic.
     """
 
     def __init__(self, writer: Writer, topics: Iterable[str]) -> None:
@@ -69,7 +68,7 @@ class BagRecorder(Node):
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Topics that nobody published."""
+        """Topics that nobody has published so far."""
         return tuple(self._missing)
 
     def _look(self) -> None:
@@ -100,7 +99,7 @@ class BagRecorder(Node):
 
 
 def _matching(offered: Sequence[QoSProfile]) -> QoSProfile:
-    """The most that all publishers of a topic offer."""
+    """The best QoS that all publishers of a topic offer."""
     reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered)
     latched = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
     return QoSProfile(
@@ -111,7 +110,7 @@ def _matching(offered: Sequence[QoSProfile]) -> QoSProfile:
 
 
 def _noted(profile: QoSProfile) -> Qos:
-    """A publisher's profile for the bag; both number the policies as rmw does."""
+    """A publisher's profile as bags have it; rclpy and rosbags number policies alike, as rmw."""
     return Qos(
         history=QosHistory(int(profile.history)),
         depth=profile.depth,
@@ -138,7 +137,7 @@ def _topics(arguments: argparse.Namespace) -> list[str]:
 
 
 def _check(topics: Iterable[str]) -> None:
-    """Raises ParameterError for what no topic can be called."""
+    """Raises ParameterError for a name that no topic can have."""
     for topic in topics:
         try:
             validate_full_topic_name(topic)
@@ -162,26 +161,19 @@ def _arguments() -> argparse.Namespace:
 
 
 def main() -> int:
-    """Record until interrupted; exit code 1 if nothing came, or the bag cannot be written."""
+    """Record until interrupted; returns the exit code, 1 if nothing came or writing failed."""
     arguments = _arguments()
     topics = _topics(arguments)
-    rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+    full = False
     try:
         _check(topics)
         with (
             Writer(arguments.folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer,
-            stop_event(arguments.seconds) as stop,
+            viewing(lambda: BagRecorder(writer, topics), arguments.seconds) as program,
         ):
-            recorder = BagRecorder(writer, topics)
-            executor = SingleThreadedExecutor()
-            executor.add_node(recorder)
             print(f"recording into {arguments.folder}, Ctrl-C ends", flush=True)
-            full = False
-            while not (stop.is_set() or full):
-                executor.spin_once(timeout_sec=LOOK_S)
+            while not full and program.spin(LOOK_S):
                 full = _is_full(arguments.folder)
-            executor.shutdown()
-            recorder.destroy_node()
     except OSError as error:  # a quota, perhaps
         reason = f"{error.strerror}; `mcap recover` gives what it holds so far"
         print(f"skin_bag: {arguments.folder}: {reason}", file=sys.stderr)
@@ -189,8 +181,7 @@ def main() -> int:
     except (WriterError, TactileError) as error:
         print(f"skin_bag: {error}", file=sys.stderr)
         return 1
-    finally:
-        rclpy.try_shutdown()
+    recorder = program.node
     for topic, count in sorted(recorder.counts.items()):
         print(f"{topic}: {count}")
     if recorder.missing:
@@ -202,7 +193,7 @@ def main() -> int:
 
 
 def _is_full(folder: Path) -> bool:
-    """Whether hardly more than the end of a bag has room there."""
+    """Whether the disk has hardly more room than the end of the bag takes."""
     return shutil.disk_usage(folder).free < RESERVED_BYTES
 
 

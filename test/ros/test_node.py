@@ -189,7 +189,7 @@ def test_live_parameters_take_effect_at_once() -> None:
         assert client.set(stale_after_s=9.0) == (True, "")
         wait_for(lambda: len(client.arrays[-1].voltage) == 16)
         assert node._driver is not None
-        assert node._driver.pipeline.threshold == 0.6
+        assert node._driver.pipeline.config.threshold == 0.6
         assert node._driver.pipeline.taxels.stale_after_s == 9.0
     assert np.nanmax(client.arrays[-1].voltage) <= 3.3
 

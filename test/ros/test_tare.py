@@ -234,10 +234,10 @@ def test_a_tare_taken_under_load_is_told_of_when_the_load_is_gone(
     with running(port=IDLE, state_folder=str(tmp_path)) as (_, client):
         assert tare_at_last(client, force=True).success
         preload(0.0)
-        wait_for(lambda: "less than nothing" in client.diagnostics[-1].message)
+        wait_for(lambda: "kPa below zero" in client.diagnostics[-1].message)
     status = client.diagnostics[-1]
     assert status.level == DiagnosticStatus.WARN
-    assert "nodes 1, 2, 3, 4, 5" in status.message and "20.0 kPa less" in status.message
+    assert "nodes 1, 2, 3, 4, 5" in status.message and "20.0 kPa below" in status.message
 
 
 def test_thousands_of_curves_are_read_apart_from_the_stream(tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from skin_client import running, wait_for
 from tactile_cdma.msg import TactileArray
+from tactile_cdma.ros.common.process import Viewing
 from tactile_cdma.ros.viewers.complaints import MOST_ENTRIES, Complaints
 from tactile_cdma.ros.viewers.patches import full_name
 from tactile_cdma.ros.viewers.view import QUEUE, Viewer, look_for
@@ -55,18 +56,20 @@ def test_a_patch_is_called_by_its_namespace_or_its_whole_name(patch: str, name: 
 
 def test_two_drivers_of_one_name_are_told_of() -> None:
     node, viewer = rclpy.create_node("drivers"), Viewer("/twice/skin/tactile")
+    program = Viewing(viewer, lambda: False)
 
     def complaint() -> str:
-        viewer.spin_for(0.1)
+        program.spin(0.1)
         return viewer.complaint
 
     try:
         node.create_publisher(TactileArray, "/twice/skin/tactile", QUEUE)
-        viewer.spin_for(1.5)
+        program.spin(1.5)
         assert viewer.complaint == ""
         node.create_publisher(TactileArray, "/twice/skin/tactile", QUEUE)
         wait_for(lambda: complaint().startswith("2 drivers publish /twice/skin/tactile"))
     finally:
+        program.executor.shutdown()
         viewer.destroy_node()
         node.destroy_node()
 

@@ -21,7 +21,7 @@ class Figure:
 
 
 @pytest.mark.parametrize(
-    ("quick", "folder"), [(True, "build/benchmarks"), (False, "docs/img")], ids=["quick", "full"]
+    ("quick", "folder"), [(True, "build/benchmarks"), (False, "docs")], ids=["quick", "full"]
 )
 def test_quick_runs_write_nothing_that_is_tracked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick: bool, folder: str
@@ -31,14 +31,17 @@ def test_quick_runs_write_nothing_that_is_tracked(
     benchmark.table(["order", "us"], [[16, 1.5]])
     benchmark.finish(Figure(), us_16=1.5)  # type: ignore[arg-type]
     written = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*.*")}
-    assert written == {f"{folder}/speed.png", f"{folder}/speed.json"}
-    kept = json.loads((tmp_path / folder / "speed.json").read_text())
-    assert (kept["quick"], kept["results"]) == (quick, {"us_16": 1.5})
+    assert written == {f"{folder}/img/speed.png", f"{folder}/results.json"}
+    report.Report("skip", "Silence", quick).finish(Figure(), us_1024=2.5)  # type: ignore[arg-type]
+    kept = json.loads((tmp_path / folder / "results.json").read_text())
+    assert kept["speed"]["tables"] == [{"headers": ["order", "us"], "rows": [[16, 1.5]]}]
+    assert (kept["speed"]["quick"], kept["speed"]["results"]) == (quick, {"us_16": 1.5})
+    assert kept["skip"]["results"] == {"us_1024": 2.5}
 
 
 def test_what_quick_runs_write_is_ignored_by_git() -> None:
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():
         pytest.skip("not a git checkout")
-    ignored = ["git", "-C", str(root), "check-ignore", "build/benchmarks/speed.png"]
+    ignored = ["git", "-C", str(root), "check-ignore", "build/benchmarks/results.json"]
     assert subprocess.run(ignored, capture_output=True).returncode == 0

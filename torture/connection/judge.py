@@ -14,7 +14,7 @@ from tactile_cdma.driver.pipeline import TactileFrame
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 
-from ..oracle import Oracle, Stream, Verdict
+from ..oracle import Judge, Stream, Verdict
 
 MOST_MISSING = 1
 """Frames after a START that the driver may leave out: the second one has to come."""
@@ -27,7 +27,9 @@ LONG_AGO = Stream(SimOptions(), SimOptions().setup(), math.inf)
 class Digitizer(VirtualDigitizer):
     """A virtual digitizer, powered up now, that tells a judge of every START it obeys."""
 
-    def __init__(self, options: SimOptions, clock: Callable[[], float], judge: Judge) -> None:
+    def __init__(
+        self, options: SimOptions, clock: Callable[[], float], judge: ConnectionJudge
+    ) -> None:
         """clock: its time, which may stand at times, but is no faster than the host's."""
         self.powered_s, self._power_s = judge.clock(), clock()
         super().__init__(options, clock)
@@ -64,22 +66,20 @@ class _Published:
     late_s: float
 
 
-class Judge:
+class ConnectionJudge(Judge):
     """Takes what a driver publishes, and sums up what is wrong with it.
 
-    wrong_values: nodes with another word than they said, frames that never were, stamps from
-        before the frame or after its publication, as long as the digitizer's time did not stand.
-    uncounted_losses: frames missing that the sequence does not tell, or the other way round.
+    Wrong values are nodes with another word than they sent, frames that never were, and, as long as
+    the digitizer's time does not stand, stamps from before the frame or after its publication.
     missing: of every stream that was published, how many frames of its beginning were not.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         """clock: host time, s."""
+        super().__init__()
         self.clock = clock
-        self.wrong_values = self.uncounted_losses = self.frames = 0
         self.missing: list[int] = []
         self._queue: deque[tuple[TactileFrame, int, float]] = deque()
-        self._oracle = Oracle()
         self._powered_s: list[float] = []  # of each stream's digitizer, host s
         self._digitizer: Digitizer | None = None
         self._last: _Published | None = None
@@ -93,8 +93,8 @@ class Judge:
         """A digitizer obeyed a START: whatever was published until now is of those before."""
         self.settle()
         # No frame of those long before will come: they are not worth their memory.
-        self._oracle.streams[:-2] = [LONG_AGO] * len(self._oracle.streams[:-2])
-        self._oracle.began(digitizer.options, digitizer.setup, digitizer.started_s)
+        self.oracle.streams[:-2] = [LONG_AGO] * len(self.oracle.streams[:-2])
+        self.oracle.began(digitizer.options, digitizer.setup, digitizer.started_s)
         self._powered_s.append(digitizer.powered_s)
         self._digitizer = digitizer
 
@@ -145,23 +145,21 @@ class Judge:
         if self._last is None:
             return lost_frames
         passed = self._last.sequence - self._first_sequence + 1
-        return abs(passed - self.frames - lost_frames)
+        return abs(passed - self.tally.frames - lost_frames)
 
     def _judge(self, frame: TactileFrame, connection: int, published_s: float) -> None:
-        verdict = self._oracle.check(frame)
+        verdict = self.check(frame)
         if verdict.number is None:
-            self.wrong_values += max(1, int(verdict.wrong.sum()))
+            self.tally.wrong_values += not verdict.wrong.any()  # at least one for the frame
             return
-        self.wrong_values += int(verdict.wrong.sum() + verdict.missed.sum())
-        period_s = self._oracle.streams[verdict.stream].setup.spec.frame_period_s
+        period_s = self.oracle.streams[verdict.stream].setup.spec.frame_period_s
         true_s = self._powered_s[verdict.stream] + frame.t_middle
         if self._keeps_pace:
-            self.wrong_values += not true_s - CLOCK_S < frame.t_host < published_s + CLOCK_S
+            self.tally.wrong_values += not true_s - CLOCK_S < frame.t_host < published_s + CLOCK_S
         late_s = frame.t_host - true_s
         now = _Published(frame.sequence, verdict.stream, connection, frame.t_middle, true_s, late_s)
         self._follow(now, verdict, period_s)
         self._last = now
-        self.frames += 1
 
     def _follow(self, now: _Published, verdict: Verdict, period_s: float) -> None:
         """Hold a frame against the one before it."""
@@ -169,11 +167,13 @@ class Judge:
         if last is None:
             self._first_sequence = now.sequence
         elif (now.stream, now.connection) == (last.stream, last.connection):
-            self.uncounted_losses += verdict.uncounted
+            self.tally.uncounted_losses += verdict.uncounted
         else:  # only the host's clock knows how many periods passed, and stamps may be late
             passed = (now.true_s - last.true_s) / period_s
             slack = 1 + (abs(now.late_s) + abs(last.late_s)) / period_s
-            self.uncounted_losses += abs(now.sequence - last.sequence - max(1, passed)) > slack
+            self.tally.uncounted_losses += (
+                abs(now.sequence - last.sequence - max(1, passed)) > slack
+            )
         if last is None or now.stream != last.stream:
             assert verdict.number is not None
             self.missing.append(verdict.number)

@@ -7,7 +7,7 @@ from __future__ import annotations
 import statistics
 import threading
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from typing import TypeAlias
@@ -19,8 +19,8 @@ from tactile_cdma.driver.driver import Driver
 from tactile_cdma.driver.pipeline import TactileFrame
 from tactile_cdma.sim.options import SimOptions
 
-from ..outcome import Outcome, Plan
-from .judge import Digitizer, Judge
+from ..outcome import Outcome, Plan, Tally
+from .judge import ConnectionJudge, Digitizer
 from .plug import Plug
 
 BAUD = 2_000_000
@@ -35,7 +35,6 @@ ENOUGH = 20
 SCENES = ("moving", "press", "all")
 Rng: TypeAlias = np.random.Generator
 Turns: TypeAlias = Generator[None, None, None]
-Started: TypeAlias = "tuple[Trial, Turns]"
 
 
 class HangError(Exception):
@@ -45,53 +44,55 @@ class HangError(Exception):
 class Trial:
     """One driver, whose port is at a plug, and what came of the faults put in.
 
-    times: faults so far. said: for the table. hold_s: how long the next frame's consumer takes.
-    limit_s: after which what does not go on hangs.
+    tally: faults so far, and what was found. said: for the table. hold_s: how long the consumer of
+    the next frame takes. limit_s: after which what does not go on hangs.
     resumed_s: how long the driver took each time, from when port and digitizer were there until it
     published a frame.
     """
 
     def __init__(
-        self, fault: str, plan: Plan, plug: Plug, parameters: Mapping[str, object] | None = None
+        self,
+        fault: str,
+        plan: Plan,
+        plug: Plug,
+        faults: Callable[[Trial], Turns],
+        parameters: Mapping[str, object] | None = None,
     ) -> None:
-        self.fault, self.plug = fault, plug
-        self.times = self.hangs = self.crashes = 0
+        """fault: for the table. faults: put them in, in turns. parameters: of the driver."""
+        self.fault, self.plug, self._faults = fault, plug, faults
         self.said = ""
         self.hold_s = 0.0
         self.resumed_s: list[float] = []
-        self.judge = Judge()
+        self.judge = ConnectionJudge()
+        self.tally = self.judge.tally
         self.limit_s = 10.0 if plan.quick else 30.0
         config = SkinConfig.of(dict(parameters or {}))
         self.driver = Driver(config, plug.url, BAUD, self._consume, self._note)
 
-    def run(self, faults: Callable[[Trial], Turns]) -> Turns:
+    def run(self) -> Turns:
         """Start the driver, put the faults in, and stop it."""
         self.driver.start()
         try:
-            yield from faults(self)
+            yield from self._faults(self)
             self.judge.settle()
-            self.judge.uncounted_losses += self.judge.account(
-                self.driver.pipeline.counters.lost_frames
-            )
+            lost_frames = self.driver.pipeline.counters.lost_frames
+            self.tally.uncounted_losses += self.judge.account(lost_frames)
         except HangError:
-            self.hangs += 1
-            self.said = f"{self.plug.url} hangs at {self.times}: {self.driver.problem}"
+            self.tally.hangs += 1
+            self.said = f"{self.plug.url} hangs at {self.tally.times}: {self.driver.problem}"
         finally:
-            self.crashes += not self._lives
+            self.tally.crashes += not self._lives
             self.plug.unplug()
             self.driver.stop()
 
     def outcome(self) -> Outcome:
-        """What came of all that."""
-        return Outcome(
-            self.fault,
-            self.times,
-            wrong_values=self.judge.wrong_values,
-            uncounted_losses=self.judge.uncounted_losses,
-            crashes=self.crashes,
-            hangs=self.hangs + self.judge.late + self._is_late,
-            said=self.said,
-        )
+        """The row of this trial alone."""
+        return together([self])
+
+    @property
+    def late(self) -> int:
+        """How often frames came too late."""
+        return self.judge.late + self._is_late
 
     def digitizer(self, options: SimOptions) -> Digitizer:
         """One that is powered up now, and judged by."""
@@ -136,7 +137,7 @@ class Trial:
         try:
             yield from self.until(lambda: count() == true())
         except HangError:
-            self.judge.uncounted_losses += abs(count() - true())
+            self.tally.uncounted_losses += abs(count() - true())
 
     def caught_up(self) -> Turns:
         """Go on until a frame is published that is not on the line yet."""
@@ -173,7 +174,7 @@ class Trial:
             time.sleep(hold_s)
 
     def _note(self, problem: str | None) -> None:
-        self.crashes += problem is not None and problem.startswith("internal error")
+        self.tally.crashes += problem is not None and problem.startswith("internal error")
 
 
 def rng_of(plan: Plan, *place: int) -> Rng:
@@ -199,24 +200,19 @@ def side_by_side(trials: Iterable[Turns], at_once: int = 5) -> None:
 _OVER = object()
 
 
-def outcomes(started: list[Started]) -> Iterator[Outcome]:
-    """What comes of these trials, those of one fault together."""
-    side_by_side(turns for _, turns in started)
-    for fault in dict.fromkeys(trial.fault for trial, _ in started):
-        yield _together(trial.outcome() for trial, _ in started if trial.fault == fault)
+def outcomes(trials: Sequence[Trial]) -> Iterator[Outcome]:
+    """Run these trials; a row for every kind of fault."""
+    side_by_side(trial.run() for trial in trials)
+    for fault in dict.fromkeys(trial.fault for trial in trials):
+        yield together([trial for trial in trials if trial.fault == fault])
 
 
-def _together(outcomes: Iterable[Outcome]) -> Outcome:
-    """The sum of outcomes of one kind of fault."""
-    first, *others = outcomes
-    for other in others:
-        first = replace(
-            first,
-            times=first.times + other.times,
-            wrong_values=first.wrong_values + other.wrong_values,
-            uncounted_losses=first.uncounted_losses + other.uncounted_losses,
-            crashes=first.crashes + other.crashes,
-            hangs=first.hangs + other.hangs,
-            said=first.said if other.good else other.said,
-        )
-    return first
+def together(trials: Sequence[Trial]) -> Outcome:
+    """The row of trials of one kind of fault."""
+    total, said = Tally(), trials[0].said
+    for trial in trials:
+        found = replace(trial.tally, hangs=trial.tally.hangs + trial.late)
+        total += found
+        if not found.outcome("").good:
+            said = trial.said
+    return total.outcome(trials[0].fault, said)

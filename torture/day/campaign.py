@@ -16,6 +16,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -24,16 +25,16 @@ import numpy as np
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.driver import Driver
 from tactile_cdma.driver.pipeline import Pipeline
-from tactile_cdma.driver.vitals import totals
+from tactile_cdma.driver.vitals import Counts
 from tactile_cdma.recording.recording_file import Recorder
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire.messages import Status
 
-from ..laps import LapWriter, Stretch, record
 from ..outcome import Outcome, Plan
 from ..process_watch import Slope, Watch, slope
 from .host_clock import STALL_S, HostClock, UsbLine
 from .judge import DayJudge, Lap
+from .laps import LapWriter, Stretch, record
 
 LAP_FRAMES = 195
 SKIN = {"frame_period_ms": 102.4, "stale_after_s": 24.0}
@@ -223,13 +224,13 @@ def _wait(judge: DayJudge, frames: int) -> bool:
 def _miscounted(pipeline: Pipeline, writer: LapWriter, judge: DayJudge, frames: int) -> int:
     """Frames that did not come, and counts that are not what they should be."""
     counters, packets = pipeline.counters, pipeline.packet_counts
-    grows = counters.frames + counters.samples + packets["bytes"] + packets["packets"]
-    counts = totals(pipeline).items()
-    losses = sum(count for name, count in counts if not name.startswith("digitizer_")) - grows
+    grows = counters.frames + counters.samples + packets.bytes + packets.packets
+    counts = replace(Counts.of(pipeline), digitizer=None).named().values()
+    losses = sum(counts) - grows
     return (
         abs(frames - judge.frames)
         + abs(frames - counters.frames)
-        + abs(writer.packets - packets["packets"])
-        + abs(writer.bytes + 1 - packets["bytes"])
+        + abs(writer.packets - packets.packets)
+        + abs(writer.bytes + 1 - packets.bytes)
         + losses
     )

@@ -10,19 +10,17 @@ the driver counted what was lost exactly, and whether it went on at once.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from zlib import crc32
 
 import numpy as np
 
-from ..outcome import COUNTS, Outcome, Plan
+from ..outcome import Outcome, Plan, Tally
 from .damage import KINDS, LOST, OF_BYTES, Kind, flipped
-from .man_in_the_middle import Schedule
-from .renumbered import Counted
+from .man_in_the_middle import Counted, Schedule
 from .rig import Rig, Stream
 
 ALWAYS = {"threshold": 0}
@@ -77,7 +75,7 @@ def harmed(streams: Mapping[Stream, int], plan: Plan) -> Iterator[Outcome]:
                     wanted = QUICK if kind.weight == 1 else number % kind.weight == 0
                 harm(rig, tallies[kind], kind, wanted, [plan.seed, number])
     for kind, tally in tallies.items():
-        yield tally.outcome(kind.name)
+        yield told(kind.name, tally)
 
 
 def patience_s(plan: Plan) -> float:
@@ -85,28 +83,19 @@ def patience_s(plan: Plan) -> float:
     return 10.0 if plan.quick else 30.0
 
 
-@dataclass
-class Tally:
-    """What came of a kind of fault so far."""
-
-    times: int = 0
-    bytes: int = 0
-    found: Counter[str] = field(default_factory=Counter)
-
-    def outcome(self, name: str) -> Outcome:
-        """As a row of the table."""
-        found = self.found
-        said = (
-            f"{self.bytes / 1e3:,.0f} kB hit; {found['frames']:,} frames published, "
-            f"{found['lost_frames']:,} lost and counted, {found['late_frames']} whole but unmarked"
-        )
-        return Outcome(name, self.times, **{count: found[count] for count in COUNTS}, said=said)
+def told(name: str, tally: Tally) -> Outcome:
+    """The row of a kind of damage."""
+    said = (
+        f"{tally.bytes / 1e3:,.0f} kB hit; {tally.frames:,} frames published, "
+        f"{tally.lost:,} lost and counted, {tally.late} whole but unmarked"
+    )
+    return tally.outcome(name, said)
 
 
 def harm(rig: Rig, tally: Tally, kind: Kind, times: int, seed: Sequence[int]) -> None:
     """Put faults of a kind on a line."""
     schedule = Schedule(kind, times, np.random.default_rng([*seed, crc32(kind.name.encode())]))
-    tally.found += rig.run(schedule)
+    tally += rig.run(schedule)
     tally.times += schedule.done
     tally.bytes += schedule.bytes
 
@@ -117,19 +106,20 @@ def wrapped(name: str, begin: Counted, plan: Plan) -> Outcome:
     for number, stream in enumerate(list(STREAMS)[: 2 if plan.quick else None]):
         with Rig(replace(stream, begin=begin), plan.seed + number, patience_s(plan)) as rig:
             harm(rig, tally, LOST, WRAP_FAULTS, [plan.seed, number])
-    return tally.outcome(f"packets dropped near a wrap: {name}")
+    return told(f"packets dropped near a wrap: {name}", tally)
 
 
 def spoilt_commands(times: int, plan: Plan) -> Outcome:
     """The first commands of the host are damaged on their way to the digitizer."""
     with ThreadPoolExecutor(AT_ONCE) as pool:
         sessions = [pool.submit(_spoilt, number, plan) for number in range(times)]
-        found = sum((session.result() for session in sessions), Counter[str]())
-    counts = {count: found[count] for count in COUNTS}
-    return Outcome(COMMANDS, times, **counts, said=f"{found['frames']:,} frames published")
+        tally = Tally(times)
+        for session in sessions:
+            tally += session.result()
+    return tally.outcome(COMMANDS, f"{tally.frames:,} frames published")
 
 
-def _spoilt(number: int, plan: Plan) -> Counter[str]:
+def _spoilt(number: int, plan: Plan) -> Tally:
     """One driver whose first commands are damaged."""
     rng = np.random.default_rng([plan.seed, number])
     kind = OF_COMMANDS[number % len(OF_COMMANDS)]

@@ -15,9 +15,9 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.sim.options import Setup, SimOptions
 
-from ..oracle import Oracle, Verdict
-from ..readings import Held
-from .ledger import Counts, Ledger, Stretch
+from ..oracle import Held, Judge, Verdict
+from ..outcome import Tally
+from .ledger import Counts, Ledger, Unbroken
 
 MAY_MISS = 2
 """Frames that may be missing after a fault although they arrived whole, where they have no marks:
@@ -28,13 +28,13 @@ NEAR_PA = 0.5
 """By how much a pressure may be off what its word says: float32 holds 0.01 Pa."""
 
 
-class Judge:
+class LineJudge(Judge):
     """Follows one driver on one line."""
 
     def __init__(self, config: SkinConfig, ledger: Ledger, frame_samples: float) -> None:
         """frame_samples: samples from one frame's start to the next one's."""
+        super().__init__()
         self._config, self._ledger, self._frame_samples = config, ledger, frame_samples
-        self._oracle = Oracle()
         self._held = Held(config)
         self._heard_s = np.full(config.spec.nodes, -np.inf)
         self._may_be_forgotten = np.zeros(config.spec.nodes, bool)
@@ -49,34 +49,28 @@ class Judge:
 
     def began(self, options: SimOptions, setup: Setup, started_s: float, first_index: int) -> None:
         """A stream began at this time of the digitizer's clock, with this index."""
-        self._first_index[len(self._oracle.streams)] = first_index
-        self._oracle.began(options, setup, started_s)
+        self._first_index[len(self.oracle.streams)] = first_index
+        self.oracle.began(options, setup, started_s)
 
-    def look(self, frames: Sequence[TactileFrame], pipeline: Pipeline) -> Counter[str]:
-        """What is wrong with these frames and with the counts, now that all of it was decoded.
-
-        Beside the counts of an Outcome it tells of `frames` that were published, of `lost_frames`,
-        and of `late_frames`: whole ones of which nothing came, too soon after a hole or the start.
-        """
+    def look(self, frames: Sequence[TactileFrame], pipeline: Pipeline) -> Tally:
+        """What is wrong with these frames and with the counts, once all that arrived is decoded."""
         found = self.look_at_frames(frames)
-        self._lost += found["lost_frames"]
-        found["uncounted_losses"] += self._miscounted(pipeline)
-        late, missing = self._missing()
-        found["late_frames"] += late
-        found["hangs"] += missing
+        self._lost += found.lost
+        found.uncounted_losses += self._miscounted(pipeline)
+        self._count_missing(found)
         return found
 
-    def look_at_frames(self, frames: Sequence[TactileFrame]) -> Counter[str]:
+    def look_at_frames(self, frames: Sequence[TactileFrame]) -> Tally:
         """As `look`, of the frames alone."""
-        found: Counter[str] = Counter(frames=len(frames))
+        self.tally = Tally()
         for frame in frames:
-            verdict = self._oracle.check(frame)
-            found["wrong_values"] += self._wrong(frame, verdict)
-            found["uncounted_losses"] += verdict.uncounted
-            found["lost_frames"] += self._passed_over(frame, verdict)
+            verdict = self.check(frame)
+            self.tally.wrong_values += self._wrong(frame, verdict)
+            self.tally.uncounted_losses += verdict.uncounted
+            self.tally.lost += self._passed_over(frame, verdict)
             if verdict.number is not None:
                 self._published.add((verdict.stream, verdict.number))
-        return found
+        return self.tally
 
     def _passed_over(self, frame: TactileFrame, verdict: Verdict) -> int:
         """Frames lost before this one: after a START only the host's clock can tell how many."""
@@ -84,17 +78,16 @@ class Judge:
         return frame.sequence - before - 1 if verdict.lost is None else verdict.lost
 
     def _wrong(self, frame: TactileFrame, verdict: Verdict) -> int:
-        """Words, times and pressures of a frame that are not what they should be."""
-        wrong = int(verdict.wrong.sum() + verdict.missed.sum())
+        """How many times and pressures of a frame are wrong."""
         if verdict.stream != self._stream:
             self._stream = verdict.stream
             # What was heard before is held, or forgotten if the clock may be another.
             self._may_be_forgotten[:] = True
-        wrong += self._misread(frame)
+        wrong = self._misread(frame)
         newest, self._newest = self._newest, frame
         if newest is not None:
             wrong += frame.t_host <= newest.t_host or frame.sequence <= newest.sequence
-        stream = self._oracle.streams[verdict.stream]
+        stream = self.oracle.streams[verdict.stream]
         if verdict.number is None or not frame.words.active.any():
             return wrong
         true_s = stream.started_s + verdict.number * self._config.spec.frame_period_s
@@ -122,41 +115,40 @@ class Judge:
         self._differences = differences
         return new
 
-    def _missing(self) -> tuple[int, int]:
-        """Whole frames of which nothing came, and those of them that are too long after a fault."""
-        late = missing = 0
+    def _count_missing(self, found: Tally) -> None:
+        """Whole frames that were not published: late, and a hang if long after the last fault."""
         may_miss = MAY_MISS if self._config.timing == GAP else 0
-        for stretch in self._ledger.stretches:
-            for number, since in self._whole(stretch):
-                if (stretch.start, number) <= self._looked_at:
+        for samples in self._ledger.unbroken:
+            for number, since in self._frames_within(samples):
+                if (samples.start, number) <= self._looked_at:
                     continue
-                self._looked_at = (stretch.start, number)
-                if (stretch.start, number) not in self._published:
-                    late, missing = late + 1, missing + (since >= may_miss)
-        del self._ledger.stretches[:-1]
+                self._looked_at = (samples.start, number)
+                if (samples.start, number) not in self._published:
+                    found.late += 1
+                    found.hangs += since >= may_miss
+        del self._ledger.unbroken[:-1]
         self._published = {frame for frame in self._published if frame > self._looked_at}
-        return late, missing
 
-    def _whole(self, stretch: Stretch) -> Iterable[tuple[int, int]]:
-        """Numbers of the frames that are whole within a stretch, and how many were so before."""
-        origin = self._first_index[stretch.start]
+    def _frames_within(self, samples: Unbroken) -> Iterable[tuple[int, int]]:
+        """Numbers of the whole frames among these samples, and how many there were before each."""
+        origin = self._first_index[samples.start]
         size = self._frame_samples
-        first = int(np.ceil((stretch.begin - origin) / size))
+        first = int(np.ceil((samples.begin - origin) / size))
         # Without marks a frame is known when the next one would be over.
-        last = int((stretch.end - origin) // size) - (2 if self._config.timing == GAP else 0)
+        last = int((samples.end - origin) // size) - (2 if self._config.timing == GAP else 0)
         return ((number, number - first) for number in range(first, last))
 
 
 def counted(pipeline: Pipeline) -> dict[str, int]:
     """What a driver has counted, by the names of Counts; what must not come is added to broken."""
     packets, counters = pipeline.packet_counts, pipeline.counters
-    broken = ("crc_errors", "framing_errors", "resyncs", "jumps", "malformed", "unknown")
+    unintelligible = packets.crc_errors + packets.framing_errors + packets.resyncs
     counts = Counts(
-        bytes=packets["bytes"],
-        packets=packets["packets"],
-        broken=sum(packets[name] for name in broken),
-        lost_packets=packets["lost_packets"],
-        repeated=packets["repeated_packets"],
+        bytes=packets.bytes,
+        packets=packets.packets,
+        broken=unintelligible + packets.jumps + packets.malformed + packets.unknown,
+        lost_packets=packets.lost_packets,
+        repeated=packets.repeated_packets,
         samples=counters.samples,
         lost_samples=counters.lost_samples,
         unannounced=counters.unannounced_samples,

@@ -31,7 +31,7 @@ class Sent:
 
 
 @dataclass(slots=True)
-class Stretch:
+class Unbroken:
     """Samples that arrived without a hole."""
 
     start: int
@@ -60,7 +60,7 @@ class Ledger:
 
     def __init__(self) -> None:
         self.counts = Counts()
-        self.stretches: list[Stretch] = []
+        self.unbroken: list[Unbroken] = []
         self.sent_until = 0  # index of the sample that is to be sent next
         self._past: deque[bytes] = deque(maxlen=KEPT)
         self._sent: dict[bytes, tuple[int, Sent]] = {}
@@ -124,11 +124,11 @@ class Ledger:
 
     def _samples(self, sent: Sent) -> None:
         self.counts.samples += sent.end - sent.begin
-        last = self.stretches[-1] if self.stretches else None
+        last = self.unbroken[-1] if self.unbroken else None
         if last is not None and (last.start, last.end) == (sent.start, sent.begin):
             last.end = sent.end
             return
         if last is not None and last.start == sent.start:
             self.counts.lost_samples += sent.begin - last.end
         self.counts.restarts += last is not None and last.start != sent.start
-        self.stretches.append(Stretch(sent.start, sent.begin, sent.end))
+        self.unbroken.append(Unbroken(sent.start, sent.begin, sent.end))

@@ -6,11 +6,9 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
@@ -22,10 +20,10 @@ from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import serve
 
+from ..outcome import Tally
 from .damage import LOST
-from .judge import Judge
-from .man_in_the_middle import ManInTheMiddle, Schedule
-from .renumbered import Counted
+from .judge import LineJudge
+from .man_in_the_middle import Counted, ManInTheMiddle, Schedule
 
 BAUD = 115_200
 """A tty has to be given one; a pseudo-terminal takes all at once."""
@@ -62,7 +60,7 @@ class Rig:
         self.frames: list[TactileFrame] = []
         self.problems: list[str] = []
         self._first_index = stream.begin.first_index if stream.begin else 0
-        self._judge: Judge | None = None
+        self._judge: LineJudge | None = None
         self._started = 0
         self._stop, self._ready = threading.Event(), threading.Event()
         self._path = Path()
@@ -77,28 +75,24 @@ class Rig:
         self.driver.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.driver.stop()
         self._stop.set()
         self._line.join()
 
-    def run(self, schedule: Schedule) -> Counter[str]:
-        """Put a schedule through; what was wrong then, with its `crashes` and `hangs`."""
+    def run(self, schedule: Schedule) -> Tally:
+        """Put a schedule through; what was wrong then."""
         self.man.begin(schedule)
-        found = Counter(hangs=int(not self._wait(self._consumed)))
+        hangs = not self._wait(self._consumed)
         with self.driver.between_frames() as pipeline:
-            found += self._judged().look(self._taken(), pipeline)
-        # A driver tells of a defect after others may see what it left behind: before it reads on.
+            found = self._judged().look(self._taken(), pipeline)
+        # A driver reports a defect later than others can see its effect, but before it reads on.
         self.man.begin(Schedule(LOST, 0, schedule.rng))
-        found["hangs"] += not self._wait(self._consumed)
-        return found + self._crashes()
+        found.hangs += hangs + (not self._wait(self._consumed))
+        found.crashes += self._crashes()
+        return found
 
-    def receive(self, frames: int, rng: np.random.Generator) -> Counter[str]:
+    def receive(self, frames: int, rng: np.random.Generator) -> Tally:
         """Let bytes pass until so many frames have come; what was wrong with these."""
 
         def come() -> bool:
@@ -106,10 +100,12 @@ class Rig:
                 self.man.begin(Schedule(LOST, 0, rng))
             return len(self.frames) >= frames
 
-        found = Counter(hangs=int(not self._wait(come)))
+        hangs = not self._wait(come)
         with self.driver.between_frames():
-            found += self._judged().look_at_frames(self._taken())
-        return found + self._crashes()
+            found = self._judged().look_at_frames(self._taken())
+        found.hangs += hangs
+        found.crashes += self._crashes()
+        return found
 
     def _wait(self, happened: Callable[[], bool]) -> bool:
         """Whether it happened, before the line stood still for too long."""
@@ -127,27 +123,27 @@ class Rig:
         if not self.man.over():
             return False
         with self.driver.between_frames() as pipeline:
-            return pipeline.packet_counts["bytes"] >= self.man.ledger.counts.bytes
+            return pipeline.packet_counts.bytes >= self.man.ledger.counts.bytes
 
     def _taken(self) -> list[TactileFrame]:
         """The frames that were published since the last time."""
         frames, self.frames[:] = list(self.frames), []
         return frames
 
-    def _judged(self) -> Judge:
+    def _judged(self) -> LineJudge:
         """The judge, who knows of all streams that began."""
         if self._judge is None:
-            self._judge = Judge(self.config, self.man.ledger, self.man.frame_samples)
+            self._judge = LineJudge(self.config, self.man.ledger, self.man.frame_samples)
         for started_s, setup in self.man.starts[self._started :]:
             self._judge.began(self._digitizer.options, setup, started_s, self._first_index)
         self._started = len(self.man.starts)
         return self._judge
 
-    def _crashes(self) -> Counter[str]:
+    def _crashes(self) -> int:
         """Defects that ended a thread or would have."""
         crashes = sum("internal error" in problem for problem in self.problems)
         self.problems.clear()
-        return Counter(crashes=crashes + (not self._line.is_alive()))
+        return crashes + (not self._line.is_alive())
 
     def _carry(self) -> None:
         serve(lambda: self.man, None, self._stop, self._on_ready)

@@ -4,11 +4,11 @@
 
 from __future__ import annotations
 
-import socket
 import threading
 import time
+from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,12 +20,13 @@ from tactile_cdma.sim.nodes import NodeFrame
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import serve
 
+from ..connection.plug import Host
 from ..oracle import Stream
 
 READY_S = 30.0
-MEMORY_S = 35.0
-"""Longer than the window of the driver's clock estimate, 30 s."""
-_CHUNK = 65_536
+SPAN_S, WINDOW, KEPT = 5.0, 6, 14
+"""The lag is kept by spans of this length: 6 are the 30 s of the driver's clock window, 14 outlast
+whatever a late packet did to it."""
 _TURN_S = 1e-3
 
 
@@ -43,27 +44,35 @@ class Known(NamedTuple):
 class KnownDigitizer(VirtualDigitizer):
     """Remembers the truth of every frame it sent, also where it could not keep up.
 
-    born_s: host's monotonic time, s, at which its own clock read 0. lag_s: by how much it was late
-    itself for lack of processor time, at most, in the last MEMORY_S to 2 · MEMORY_S.
+    born_s: host's monotonic time, s, at which its own clock read 0.
     """
 
     def __init__(self, options: SimOptions) -> None:
         super().__init__(options)
         # Streams, and how late each is: while a digitizer falls behind, its skin stands still.
         self._epochs: list[tuple[Stream, float]] = []
-        self._lags_s, self._next_s, self._forget_s = [0.0, 0.0], self.born_s, self.born_s
+        self._lags_s = deque([(0.0, 0.0)], maxlen=KEPT)  # least and most, a SPAN_S each
+        self._next_s = self._span_ends_s = self.born_s
 
     @property
     def lag_s(self) -> float:
-        """See the class."""
-        return max(self._lags_s)
+        """By how much it was late itself for lack of processor time, at most, lately."""
+        return max(most_s for _, most_s in self._lags_s)
+
+    @property
+    def least_lag_s(self) -> float:
+        """By how much all it sent within the driver's clock window was late, at least."""
+        return min(least_s for least_s, _ in list(self._lags_s)[-WINDOW:])
 
     def advance(self, wanted: int = 1) -> float:
         """See VirtualDigitizer."""
         begin_s = time.monotonic()
-        if begin_s > self._forget_s:
-            self._lags_s, self._forget_s = [0.0, self._lags_s[0]], begin_s + MEMORY_S
-        self._lags_s[0] = max(self._lags_s[0], begin_s - self._next_s)
+        lag_s = max(0.0, begin_s - self._next_s)
+        if begin_s > self._span_ends_s:
+            self._lags_s.append((lag_s, lag_s))
+            self._span_ends_s = begin_s + SPAN_S
+        least_s, most_s = self._lags_s[-1]
+        self._lags_s[-1] = min(least_s, lag_s), max(most_s, lag_s)
         wait_s = super().advance(wanted)
         if wait_s:  # 0: it is behind
             self._next_s = time.monotonic() + wait_s
@@ -110,23 +119,16 @@ def on_a_tty(digitizer: KnownDigitizer, path: Path) -> Iterator[str]:
 @contextmanager
 def on_a_socket(digitizer: KnownDigitizer) -> Iterator[str]:
     """Behind a socket, whose kernel keeps many seconds; yields the port's URL."""
-    stop, server = threading.Event(), socket.create_server(("127.0.0.1", 0))
+    stop, host = threading.Event(), Host()
+    host.plug(digitizer)
 
     def run() -> None:
-        connection, _ = server.accept()
-        outgoing = b""
-        with connection, suppress(ConnectionError):
-            connection.settimeout(_TURN_S)
-            while not stop.is_set():
-                digitizer.advance()
-                outgoing = outgoing or digitizer.take(_CHUNK)
-                with suppress(TimeoutError):
-                    digitizer.receive(connection.recv(_CHUNK))
-                with suppress(TimeoutError):
-                    outgoing = outgoing[connection.send(outgoing) :]
+        while not stop.wait(_TURN_S):
+            host.step()
 
-    with server, _running(threading.Thread(target=run, daemon=True), stop):
-        yield f"socket://127.0.0.1:{server.getsockname()[1]}"
+    with _running(threading.Thread(target=run, daemon=True), stop):
+        yield host.url
+    host.unplug()
 
 
 @contextmanager

@@ -15,8 +15,8 @@ from tactile_cdma.msg import TactileArray
 from tactile_cdma.readings.taxels import Status
 from tactile_cdma.ros.common.convert import nanoseconds
 
+from ..oracle import Held
 from ..outcome import Tally
-from ..readings import Held
 from .known_digitizer import Known, KnownDigitizer
 
 NEAR_S = 50e-6
@@ -60,7 +60,7 @@ class MessageJudge:
         self.newest_ahead_s = nanoseconds(message.header.stamp) * 1e-9 - middle_s
         ahead_s = self.ahead_s or [real_time_ahead_s()]
         off_s = min((self.newest_ahead_s - ahead for ahead in ahead_s), key=abs)
-        tally.stamp_errors_s.append(off_s)
+        tally.stamp_errors_s.append(off_s - self._digitizer.least_lag_s)
         known, wrong = self._best(message, t_middle - self._middle_s)
         self._count(known, message.sequence)
         if known is not None:

@@ -17,7 +17,7 @@ from tactile_cdma.config.parameters import Value
 from ..outcome import Outcome, Plan
 from . import faulty_line as line
 from . import faulty_nodes as nodes
-from .trial import CHIPS, GAP, LINE, Kind, Skin, Tally, Trial
+from .trial import CHIPS, GAP, LINE, Kind, Skin, Trial, WordTally
 
 ALWAYS: dict[str, Value] = {"threshold": 0}
 NODES_256: dict[str, Value] = {"nodes": 256, "chip_us": 4.0, "frame_period_ms": 16.0}
@@ -133,35 +133,28 @@ def run(plan: Plan) -> Iterator[Outcome]:
 
 def trials(kind: Kind, skins: list[Skin], frames: int, seed: int) -> Outcome:
     """What comes of about so many frames with the fault on each of these skins."""
-    total, unfound, crashes = Tally(), 0, 0
-    of_timing: defaultdict[str, Tally] = defaultdict(Tally)
+    total = WordTally()
+    of_timing: defaultdict[str, WordTally] = defaultdict(WordTally)
     for skin in skins:
         try:
             tally = Trial(kind, skin, seed).run(max(1, frames // kind.length))
-        except Exception:  # whatever it is: that there is one is what is looked for
+        except Exception:  # any at all is a defect
             traceback.print_exc()
-            crashes += 1
+            total.crashes += 1
             continue
-        total += tally
         if kind.flagged or (kind.parity_tells and skin.config.spec.parity):
-            unfound += tally.unnoticed
+            tally.wrong_values += tally.unnoticed
+        total += tally
         of_timing[skin.timing] += tally
-    counted = {name: getattr(total, name) for name in ("wrong", "phantoms", "missed")}
-    for name in kind.told:
-        counted[name] = 0
-    return Outcome(
-        kind.name,
-        total.episodes,
-        counted["wrong"] + counted["phantoms"] + unfound,
-        counted["missed"] + total.uncounted,
-        crashes,
-        total.late,
-        "; ".join(_said(kind, total, of_timing)),
+    total.wrong_values += sum(
+        getattr(total, name) for name in ("wrong", "phantoms") if name not in kind.told
     )
+    total.uncounted_losses += total.missed if "missed" not in kind.told else 0
+    return total.outcome(kind.name, "; ".join(_said(kind, total, of_timing)))
 
 
-def _said(kind: Kind, total: Tally, of_timing: dict[str, Tally]) -> Iterator[str]:
-    shares = [f"{timing} {t.published / t.frames:.0%}" for timing, t in of_timing.items()]
+def _said(kind: Kind, total: WordTally, of_timing: dict[str, WordTally]) -> Iterator[str]:
+    shares = [f"{timing} {t.published / t.faulty:.0%}" for timing, t in of_timing.items()]
     yield f"published: {', '.join(shares)}"
     broken = len(total.noticed) + total.unnoticed
     if broken:
@@ -181,5 +174,5 @@ def _said(kind: Kind, total: Tally, of_timing: dict[str, Tally]) -> Iterator[str
         yield f"{total.cautious:,} right and flagged"
     if total.victims:
         yield f"{total.victims:,} wrong words for nodes on the same row"
-    if total.cost > 2:
-        yield f"time × {total.cost:.0f}"
+    if (cost := max(total.cost, default=0.0)) > 2:
+        yield f"time × {cost:.0f}"

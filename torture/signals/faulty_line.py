@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Stretch:
+class Span:
     """Samples of one frame period, and what chance has for them.
 
     volts: (m,) V. t_s: (m,) s since the disturbance began. frame_s: what of them is the frame.
@@ -36,14 +36,14 @@ class Stretch:
         return float(self.t_s[0] + rng.uniform(0, self.frame_s))
 
 
-Broken = Callable[[Stretch], Level]
+Broken = Callable[[Span], Level]
 """What becomes of the line's volts."""
 
 
 def hum(frequency_hz: float, nodes: float) -> Broken:
     """Mains of an amplitude of so many nodes, with odd harmonics."""
 
-    def added(line: Stretch) -> Level:
+    def added(line: Span) -> Level:
         phase = 2 * np.pi * (frequency_hz * line.t_s + line.life.random())
         wave = sum(np.sin(order * phase) / order**2 for order in (1, 3, 5, 7))
         return _with(line, nodes * line.unit_v * np.asarray(wave))
@@ -54,7 +54,7 @@ def hum(frequency_hz: float, nodes: float) -> Broken:
 def motor(nodes: float) -> Broken:
     """A burst of a PWM drive's switching, 16 kHz and its ringing, a few ms long."""
 
-    def added(line: Stretch) -> Level:
+    def added(line: Span) -> Level:
         begin_s, length_s = line.moment(line.chance), line.chance.uniform(0.5e-3, 4e-3)
         on = (line.t_s >= begin_s) & (line.t_s < begin_s + length_s)
         since_s = np.mod(line.t_s + line.life.uniform(0, 1 / 16e3), 1 / 16e3)
@@ -65,7 +65,7 @@ def motor(nodes: float) -> Broken:
     return added
 
 
-def discharge(line: Stretch) -> Level:
+def discharge(line: Span) -> Level:
     """An ESD spike of 5 to 500 nodes that fades within 1 to 300 µs."""
     at_s, fade_s = line.moment(line.chance), 10 ** line.chance.uniform(-6, -3.5)
     height = line.chance.choice([-1, 1]) * 10 ** line.chance.uniform(0.7, 2.7) * line.unit_v
@@ -73,7 +73,7 @@ def discharge(line: Stretch) -> Level:
     return _with(line, np.where(since_s >= 0, height * np.exp(-np.maximum(since_s, 0) / fade_s), 0))
 
 
-def wander(line: Stretch) -> Level:
+def wander(line: Span) -> Level:
     """A baseline that goes up and down by ten nodes within two seconds."""
     return _with(line, 10 * line.unit_v * np.sin(2 * np.pi * (line.t_s / 2 + line.life.random())))
 
@@ -81,7 +81,7 @@ def wander(line: Stretch) -> Level:
 def jump(nodes: float) -> Broken:
     """A baseline that jumps by up to so many nodes within a frame and creeps back within 30 ms."""
 
-    def added(line: Stretch) -> Level:
+    def added(line: Span) -> Level:
         at_s = line.life.uniform(0, line.frame_s)
         height, since_s = nodes * line.unit_v * line.life.uniform(-1, 1), line.t_s - at_s
         fading = np.exp(-np.maximum(since_s, 0) / 0.03)
@@ -98,57 +98,57 @@ def hard_clipping(share: float) -> Broken:
 def soft_clipping(share: float) -> Broken:
     """An amplifier that tires from this share of the largest likely sum on."""
 
-    def tired(line: Stretch) -> Level:
+    def tired(line: Span) -> Level:
         limit_v = np.float32(share * line.peak_v)
         return np.asarray(limit_v * np.tanh(line.volts / limit_v), dtype=np.float32)
 
     return tired
 
 
-def gain_step(line: Stretch) -> Level:
+def gain_step(line: Span) -> Level:
     """A gain that changes to 0.7 … 1.5 within the first frame and stays for a while."""
     at_s, gain = line.life.uniform(0, line.frame_s), line.life.uniform(0.7, 1.5)
     return np.where(line.t_s < at_s, line.volts, np.float32(gain) * line.volts)
 
 
-def dip(line: Stretch) -> Level:
+def dip(line: Span) -> Level:
     """A supply that sags to between nothing and 0.9 for 1 to 6 ms."""
     begin_s, length_s = line.moment(line.chance), line.chance.uniform(1e-3, 6e-3)
     on = (line.t_s >= begin_s) & (line.t_s < begin_s + length_s)
     return np.where(on, np.float32(line.chance.uniform(0, 0.9)) * line.volts, line.volts)
 
 
-def at_rail(line: Stretch) -> Level:
+def at_rail(line: Span) -> Level:
     """A wire that touches the supply."""
     return np.full_like(line.volts, 1e3)
 
 
-def torn_off(line: Stretch) -> Level:
+def torn_off(line: Span) -> Level:
     """A wire that touches nothing but mains and chance."""
     phase = 2 * np.pi * (50 * line.t_s + line.life.random())
     noise = line.chance.standard_normal(line.t_s.size)
     return (line.unit_v * (0.05 * np.sin(phase) + 0.02 * noise)).astype(np.float32)
 
 
-def shorted(line: Stretch) -> Level:
+def shorted(line: Span) -> Level:
     """A wire that touches ground."""
     return np.zeros_like(line.volts)
 
 
-def loose(line: Stretch) -> Level:
+def loose(line: Span) -> Level:
     """A wire that makes contact now and then within a frame."""
     contact = line.chance.random(1 + line.t_s.size // 50) < 0.5
     return line.volts * np.repeat(contact, 50)[: line.t_s.size].astype(np.float32)
 
 
-def oscillating(line: Stretch) -> Level:
+def oscillating(line: Span) -> Level:
     """An amplifier that swings by itself, at a frequency of its own."""
     frequency_hz = 10 ** line.life.uniform(2, 5)
     phase = 2 * np.pi * (frequency_hz * line.t_s + line.life.random())
     return _with(line, 8 * line.unit_v * np.sin(phase))
 
 
-def warming(line: Stretch) -> Level:
+def warming(line: Span) -> Level:
     """A gain and an offset that drift by 20 % and ten nodes within seconds."""
     course = np.sin(2 * np.pi * (line.t_s / 8 + line.life.random()))
     return (line.volts * (1 + 0.2 * course) + 10 * line.unit_v * course).astype(np.float32)
@@ -157,7 +157,7 @@ def warming(line: Stretch) -> Level:
 def in_turn(*faults: Broken) -> Broken:
     """One after the other, on the same line."""
 
-    def all_of_them(line: Stretch) -> Level:
+    def all_of_them(line: Span) -> Level:
         for fault in faults:
             line = replace(line, volts=fault(line))
         return line.volts
@@ -165,5 +165,5 @@ def in_turn(*faults: Broken) -> Broken:
     return all_of_them
 
 
-def _with(line: Stretch, more: Floats) -> Level:
+def _with(line: Span, more: Floats) -> Level:
     return line.volts + more.astype(np.float32)

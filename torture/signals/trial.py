@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from time import thread_time
 
@@ -23,10 +23,10 @@ from tactile_cdma.sim.disturbance import Waveform
 from tactile_cdma.sim.nodes import NodeFrame
 from tactile_cdma.sim.options import SimOptions
 
-from ..oracle import Oracle
-from ..readings import pressures
+from ..oracle import Oracle, pressures
+from ..outcome import Tally
 from . import faulty_line, faulty_nodes
-from .faulty_line import Stretch
+from .faulty_line import Span
 from .faulty_nodes import Turn, spoken
 
 LINE, CHIPS, GAP = "line", "chips", "gap"
@@ -54,7 +54,7 @@ class Kind:
     that follow in order. flagged: the nodes must be found out within `length` frames; parity_tells:
     so they must where words have parity. range_v: of
     the amplifier, 0: its default. timings: of the skins that it is tried on. told: names of what
-    nobody can avoid then, which is told and not counted (see Tally).
+    nobody can avoid then, which is told and not counted (see WordTally).
     """
 
     name: str
@@ -138,7 +138,7 @@ class Faults:
         unit_v = spec.node_swing_v or 0.3
         peak_v = 4 * np.sqrt(spec.nodes) * unit_v
         since_s = t_s - self.kind.begin(episode) * spec.frame_period_s
-        line = Stretch(volts, since_s, spec.frame_s, unit_v, peak_v, life, chance)
+        line = Span(volts, since_s, spec.frame_s, unit_v, peak_v, life, chance)
         return self.kind.line(line)
 
     def chosen(self, episode: int) -> list[tuple[int, int]]:
@@ -162,22 +162,20 @@ class Faults:
 
 
 @dataclass
-class Tally:
-    """What came of the faults of one kind.
+class WordTally(Tally):
+    """A Tally of words, by what they can be wrong in.
 
-    episodes: of the fault. frames, published: those with the fault.
+    times: episodes of the fault. faulty, published: frames with the fault; those of them published.
     words: of sound nodes, published. wrong: of these without a flag, not what was said.
     phantoms: words of sound nodes that were silent, without a flag. doubted: wrong ones with one.
     cautious: right ones with a flag. missed: words of sound nodes that a published frame lacks.
     victims: wrong words without a flag on the rows of broken nodes' victims.
-    uncounted: frames lost that the sequence does not tell.
-    late: episodes after which frames did not come again in time.
+    hangs: episodes after which frames did not come again in time.
     unnoticed: broken nodes that were not found out. noticed: frames that it took, of the others.
-    cost: mean time of decoding a frame with the fault, over that of a sound one.
+    cost: of every skin, mean time of decoding a frame with the fault over that of a sound one.
     """
 
-    episodes: int = 0
-    frames: int = 0
+    faulty: int = 0
     published: int = 0
     words: int = 0
     wrong: int = 0
@@ -186,17 +184,9 @@ class Tally:
     cautious: int = 0
     missed: int = 0
     victims: int = 0
-    uncounted: int = 0
-    late: int = 0
     unnoticed: int = 0
     noticed: list[int] = field(default_factory=list)
-    cost: float = 0.0
-
-    def __add__(self, other: Tally) -> Tally:
-        """Both together."""
-        names = [item.name for item in fields(self) if item.type != "float"]
-        sums = {name: getattr(self, name) + getattr(other, name) for name in names}
-        return replace(self, **sums, cost=max(self.cost, other.cost))
+    cost: list[float] = field(default_factory=list)
 
 
 class Trial:
@@ -205,7 +195,7 @@ class Trial:
     def __init__(self, kind: Kind, skin: Skin, seed: int) -> None:
         self.kind, self.skin = kind, skin
         self.faults = Faults(kind, skin, seed)
-        self.tally = Tally()
+        self.tally = WordTally()
         self._pipeline = Pipeline(skin.config, background=False)
         self._oracle = Oracle()
         options = skin.simulator(seed, kind.range_v)
@@ -218,7 +208,7 @@ class Trial:
         self._codes = np.full(skin.config.spec.nodes, UNKNOWN)  # last published
         self._spent: tuple[list[float], list[float]] = ([], [])  # s for a frame: sound, with fault
 
-    def run(self, episodes: int) -> Tally:
+    def run(self, episodes: int) -> WordTally:
         """Let the fault come so often."""
         spec, digitizer = self.skin.config.spec, self._digitizer
         digitizer.receive(Session(self.skin.config).open())
@@ -239,7 +229,7 @@ class Trial:
 
     def _judge(self, frame: TactileFrame, until: int) -> None:
         verdict, tally = self._oracle.check(frame), self.tally
-        tally.uncounted += verdict.uncounted
+        tally.uncounted_losses += verdict.uncounted
         number = verdict.number
         if number is None:
             doubt = (frame.readings.status & DOUBT) != 0
@@ -293,15 +283,15 @@ class Trial:
 
     def _sum_up(self, episodes: int) -> None:
         kind, tally = self.kind, self.tally
-        tally.episodes, tally.frames = episodes, episodes * kind.length
+        tally.times, tally.faulty = episodes, episodes * kind.length
         for episode in range(episodes):
             over = kind.begin(episode) + kind.length
             due = range(over + RECOVERY, over + kind.pause - kind.pause // 4)
-            tally.late += not all(self._complete.get(number, False) for number in due)
+            tally.hangs += not all(self._complete.get(number, False) for number in due)
             found = [self._found.get((episode, n)) for n, _ in self.faults.chosen(episode)]
             tally.noticed += [frames for frames in found if frames is not None]
             if self._last.get(episode, -1) + 1 > SEEN * kind.length:
                 tally.unnoticed += found.count(None)
         sound_s, faulty_s = self._spent
         if faulty_s:
-            tally.cost = float(np.mean(faulty_s) / np.mean(sound_s))
+            tally.cost.append(float(np.mean(faulty_s) / np.mean(sound_s)))

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Frames and configuration to ROS messages."""
+"""Converts frames, configuration and arrays to ROS messages, and messages to arrays."""
 
 from __future__ import annotations
 
@@ -21,25 +21,24 @@ from ...config.skin_config import SkinConfig
 from ...driver.pipeline import TactileFrame
 from ...places.layout import Layout
 from ...readings.baseline import Baseline
-from ...views.heatmap import heatmap, pressure_raster
 
 
 def ros_array(values: NDArray[np.generic]) -> array[float] | array[int]:
-    """An ndarray as the array.array that rosidl takes without looking at every element."""
+    """An ndarray as array.array, which message fields take without a look at every element."""
     result: array[float] = array(_TYPE_CODES[values.dtype.str[1:]])
     result.frombytes(np.ascontiguousarray(values).tobytes())
     return result
 
 
 def _bytes(values: NDArray[np.generic]) -> array[int]:
-    """An ndarray of anything as the array.array of its bytes, which rosidl takes as it is."""
+    """The bytes of an ndarray as array.array, which message fields take as it is."""
     result = array("B")
     result.frombytes(np.ascontiguousarray(values).view(np.uint8).data)
     return result
 
 
 def by_taxel(layout: Layout, of_node: NDArray[np.float32]) -> array[float] | array[int]:
-    """Values of the nodes (n,) in the order of the taxels; 0 for a taxel without a node."""
+    """Values of the nodes, (n,), in the order of the taxels; 0 for a taxel without a node."""
     if layout.source is None:
         return ros_array(of_node)
     return ros_array(np.where(layout.source < 0, np.float32(0), of_node[layout.source]))
@@ -49,31 +48,28 @@ _TYPE_CODES = {"f4": "f", "u1": "B", "u2": "H", "u4": "I"}
 
 
 def tactile_array(
-    frame: TactileFrame,
-    config: SkinConfig,
-    header: Header,
-    info_id: int,
-    with_voltage: bool,
+    frame: TactileFrame, layout: Layout, header: Header, info_id: int, with_voltage: bool
 ) -> TactileArray:
     """One frame as the message that a manipulation stack subscribes to."""
-    message = TactileArray()
-    message.header = header
-    message.sequence = frame.sequence
-    message.device_time_us = max(0, round(frame.t_middle * 1e6))
-    message.info_id = info_id
-    message.height, message.width = config.layout.rows, config.layout.columns
-    message.pressure = ros_array(frame.readings.pressure_pa)
-    if with_voltage:
-        message.voltage = ros_array(frame.readings.voltage_v)
-    message.status = ros_array(frame.readings.status)
-    message.noise_rms = frame.words.noise_rms_v
-    return message
+    readings = frame.readings
+    return TactileArray(
+        header=header,
+        sequence=frame.sequence,
+        device_time_us=max(0, round(frame.t_middle * 1e6)),
+        info_id=info_id,
+        height=layout.rows,
+        width=layout.columns,
+        pressure=ros_array(readings.pressure_pa),
+        voltage=ros_array(readings.voltage_v if with_voltage else readings.voltage_v[:0]),
+        status=ros_array(readings.status),
+        noise_rms=frame.words.noise_rms_v,
+    )
 
 
 def skin_info(
     config: SkinConfig, baseline: Baseline, header: Header, info_id: int
 ) -> TactileSkinInfo:
-    """What does not change from frame to frame."""
+    """What frames are read with: the layout, its nodes, calibration, tare and drift."""
     spec, layout = config.spec, config.layout
     message = TactileSkinInfo()
     message.header = header
@@ -99,20 +95,8 @@ def skin_info(
     return message
 
 
-def heatmap_image(
-    pressure_pa: NDArray[np.float32], layout: Layout, header: Header, max_pa: float, pixels: int
-) -> Image:
-    """The skin as an rgb8 picture on a fixed scale of 0…max_pa."""
-    return _image(heatmap(pressure_pa, layout, max_pa, pixels), "rgb8", header)
-
-
-def pressure_image(pressure_pa: NDArray[np.float32], layout: Layout, header: Header) -> Image:
-    """The skin as a 32FC1 picture in Pa, a pixel per cell of the layout's raster."""
-    return _image(pressure_raster(pressure_pa, layout), "32FC1", header)
-
-
-def _image(picture: NDArray[np.generic], encoding: str, header: Header) -> Image:
-    """picture: (h, w) or (h, w, channels)."""
+def image(picture: NDArray[np.generic], encoding: str, header: Header) -> Image:
+    """A picture, (h, w) or (h, w, channels), as a message."""
     message = Image(header=header, encoding=encoding, step=picture.nbytes // len(picture))
     message.height, message.width = picture.shape[:2]
     message.data = _bytes(picture)  # the constructor would copy it
@@ -120,21 +104,16 @@ def _image(picture: NDArray[np.generic], encoding: str, header: Header) -> Image
 
 
 def point_cloud(points: NDArray[np.void], header: Header) -> PointCloud2:
-    """Records as the message with a field for each of theirs, in one row."""
+    """Records of little-endian numbers, (m,), as a message with a field for each of theirs."""
     message = PointCloud2(header=header, height=1, width=len(points), is_dense=True)
-    message.fields = _fields(points.dtype)
+    assert points.dtype.fields is not None
+    message.fields = [
+        PointField(name=name, offset=offset, datatype=_POINT_TYPES[kind.str], count=1)
+        for name, (kind, offset, *_) in points.dtype.fields.items()
+    ]
     message.point_step, message.row_step = points.itemsize, points.nbytes
     message.data = _bytes(points)  # the constructor would copy it
     return message
-
-
-def _fields(record: np.dtype[np.void]) -> list[PointField]:
-    """What a record of little-endian numbers holds, and where."""
-    assert record.fields is not None
-    return [
-        PointField(name=name, offset=offset, datatype=_POINT_TYPES[kind.str], count=1)
-        for name, (kind, offset, *_) in record.fields.items()
-    ]
 
 
 _POINT_TYPES = {"<f4": PointField.FLOAT32, "<u4": PointField.UINT32}
@@ -160,19 +139,19 @@ def nanoseconds(stamp: Time) -> int:
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
-def rows(points: Sequence[Point32]) -> NDArray[np.float32]:
-    """Places or vectors as an array, (t, 3)."""
-    return np.array([(p.x, p.y, p.z) for p in points], dtype=np.float32).reshape(-1, 3)
+def rows(points: Sequence[Point | Point32 | Vector3]) -> NDArray[np.float64]:
+    """Points or vectors as an array, (m, 3)."""
+    return np.array([(p.x, p.y, p.z) for p in points], dtype=np.float64).reshape(-1, 3)
 
 
 def point(place: NDArray[np.floating]) -> Point:
-    """A place, (3,)."""
+    """A point from an array, (3,)."""
     x, y, z = place.tolist()
     return Point(x=x, y=y, z=z)
 
 
 def vector(values: NDArray[np.floating]) -> Vector3:
-    """A vector, (3,)."""
+    """A vector from an array, (3,)."""
     x, y, z = values.tolist()
     return Vector3(x=x, y=y, z=z)
 

@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Runs one node as a process: until a signal comes, and then to its end in order."""
+"""Runs a node as a process until a signal comes, and then ends everything in order."""
 
 from __future__ import annotations
 
+import math
 import signal
 import sys
 import threading
-from collections.abc import Callable
-from contextlib import suppress
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from queue import Empty, SimpleQueue
+from typing import Generic, TypeVar
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
@@ -18,15 +21,21 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from ...base.errors import TactileError
+from ...base.interrupt import stop_event
+
+WAKE_S = 0.1
+"""Longest time, s, after which a program without messages notices that it is told to end."""
+N = TypeVar("N", bound=Node)
 
 
 def run_node(make: Callable[[], Node], program: str) -> int:
-    """Run the node that is made until SIGINT or SIGTERM; returns the exit code.
+    """Run a driver's or a body's node until SIGINT or SIGTERM; returns the exit code.
 
-    Arguments of ROS, or parameters, with which there can be no node are one line of text.
+    make: creates it. Arguments of ROS, or parameters, that make this impossible are reported in
+    one line.
     """
     # Signals only wake the main thread, so that everything ends in order: the executor, the
-    # node with all it has, and the ROS context last. Not by an Event: the handler may come while
+    # node with all it has, and the ROS context last. Not by an Event: the handler may run while
     # this thread holds the Event's lock, and would wait for it for ever.
     signals: SimpleQueue[int] = SimpleQueue()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -60,3 +69,38 @@ def run_node(make: Callable[[], Node], program: str) -> int:
     node.destroy_node()
     rclpy.try_shutdown()
     return 0 if asked_to_end else 1
+
+
+class Viewing(Generic[N]):
+    """A node that its program spins itself, between other work."""
+
+    def __init__(self, node: N, told_to_end: Callable[[], bool]) -> None:
+        self.node = node
+        self.executor = SingleThreadedExecutor()
+        self.executor.add_node(node)
+        self._told_to_end = told_to_end
+
+    def spin(self, seconds: float = math.inf) -> bool:
+        """Receive for some time, s; returns whether to go on, False once told to end."""
+        end_s = time.monotonic() + seconds
+        while not self._told_to_end() and (left_s := end_s - time.monotonic()) > 0:
+            self.executor.spin_once(min(left_s, WAKE_S))
+        return not self._told_to_end()
+
+
+@contextmanager
+def viewing(make: Callable[[], N], seconds: float | None = None) -> Iterator[Viewing[N]]:
+    """A node for as long as the context lasts.
+
+    SIGINT, SIGTERM and the end of the time, s, tell it to end; they raise nothing, as that could
+    come amid the conversion of a message.
+    """
+    with stop_event(seconds) as stop:
+        rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+        try:
+            running = Viewing(make(), stop.is_set)
+            yield running
+            running.executor.shutdown()
+            running.node.destroy_node()
+        finally:
+            rclpy.try_shutdown()

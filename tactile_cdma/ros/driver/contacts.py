@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Publishes what touches the skin, resultant and single contacts, while anybody subscribes."""
+"""Publishes what touches the skin, as a resultant and contact by contact, while subscribed to."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ..common.qos import RELIABLE
 
 
 class ContactPublishers:
-    """`~/wrench` and `~/contacts` of a node, which uses no contact's id twice while it lives."""
+    """`~/wrench` and `~/contacts` of a node; no id of a contact is used twice in its life."""
 
     def __init__(self, node: LifecycleNode) -> None:
         self._wrench = node.create_lifecycle_publisher(WrenchStamped, "~/wrench", RELIABLE)
@@ -35,12 +35,12 @@ class ContactPublishers:
         )
 
     def start(self, layout: Layout, thresholds: ContactThresholds) -> None:
-        """Before the first frame of a stream."""
+        """Prepare for the frames of a stream."""
         first_id = self._tracker.next_id if self._tracker else 1
         self._tracker = ContactTracker(layout, thresholds, first_id)
 
     def change(self, thresholds: ContactThresholds) -> None:
-        """From the next frame on."""
+        """Use other thresholds from the next frame on."""
         if self._tracker:
             self._tracker.thresholds = thresholds
 

@@ -23,9 +23,8 @@ from ..common.convert import diagnostic
 STREAM, NODES, LINK, HOST = "stream", "nodes", "link", "host"
 ENTRIES = (STREAM, NODES, LINK, HOST)
 NO_FRAMES = "no frames come, see stream"
-_OF_LINK = ("crc_errors", "framing_errors", "lost_packets", "lost_samples")
-"""Counts that are told per second, too."""
-_OF_STREAM = ("frames", "lost_frames", "rejected_bursts")
+_OF_STREAM = ("frames", "lost frames", "rejected bursts")
+"""Counts shown in the entry of the stream; all others are in that of the link."""
 
 Values = Mapping[str, object]
 
@@ -56,8 +55,8 @@ class SkinReport:
         """
         pipeline = driver.pipeline
         window = driver.vitals.take(pipeline)
-        if pipeline.info is not None:
-            self._hardware_id = shown_id(pipeline.info.digitizer_id)
+        if pipeline.digitizer.info is not None:
+            self._hardware_id = shown_id(pipeline.digitizer.info.digitizer_id)
         values: dict[str, Values] = {
             STREAM: _stream_values(pipeline, window),
             NODES: {**_node_values(driver, window), "tared": tared or "not"},
@@ -106,8 +105,8 @@ def _stream_values(pipeline: Pipeline, window: Window) -> Values:
         "latency: line and link (ms)": _number(window.line_s * 1e3, 2),
         "latency: decoding (ms)": _number(window.decode_s * 1e3, 3),
         "latency: publishing (ms)": _number(window.publish_s * 1e3, 3),
-        **_counts(window, _OF_STREAM),
-        "lost frames (per s)": f"{window.per_s('lost_frames'):.2f}",
+        **{name: count for name, count in window.totals.named().items() if name in _OF_STREAM},
+        "lost frames (per s)": f"{window.rises.stream.lost_frames / window.seconds:.2f}",
         "noise floor (V rms)": _number(window.noise_rms_v, 6),
         "clipped samples (%)": f"{100 * window.clipped:.2f}",
     }
@@ -149,15 +148,20 @@ def _clock_values(pipeline: Pipeline) -> Values:
 
 
 def _link_values(driver: Driver, window: Window) -> Values:
-    rates = {f"{_words(name)} (per s)": f"{window.per_s(name):.2f}" for name in _OF_LINK}
-    others = [name for name in window.totals if name not in _OF_STREAM]
+    packets, stream = window.rises.packets, window.rises.stream
+    rises = {
+        "crc errors": packets.crc_errors,
+        "framing errors": packets.framing_errors,
+        "lost packets": packets.lost_packets,
+        "lost samples": stream.lost_samples,
+    }
     return {
         "connections": driver.connections,
-        "bytes (per s)": f"{window.per_s('bytes'):.0f}",
-        **rates,
+        "bytes (per s)": f"{packets.bytes / window.seconds:.0f}",
+        **{f"{name} (per s)": f"{rise / window.seconds:.2f}" for name, rise in rises.items()},
         "backlog (bytes)": window.backlog_bytes,
-        "digitizer clock drift (ppm)": _number(driver.pipeline.clock_drift_ppm, 1),
-        **_counts(window, others),
+        "digitizer clock drift (ppm)": _number(driver.pipeline.timeline.clock.drift_ppm, 1),
+        **{name: count for name, count in window.totals.named().items() if name not in _OF_STREAM},
     }
 
 
@@ -166,14 +170,6 @@ def _host_values(window: Window) -> Values:
         "CPU of the process (%)": f"{100 * window.process_share:.1f}",
         "CPU of the driver's thread (%)": f"{100 * window.thread_share:.1f}",
     }
-
-
-def _counts(window: Window, names: Iterable[str]) -> Values:
-    return {_words(name): window.totals[name] for name in names}
-
-
-def _words(name: str) -> str:
-    return name.replace("_", " ")
 
 
 def _number(value: float, digits: int) -> str:

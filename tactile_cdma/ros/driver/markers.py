@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A skin and what touches it as markers: coloured squares, arrows and their forces in words."""
+"""A skin and its contacts as markers: coloured squares, arrows, and forces as text."""
 
 from __future__ import annotations
 
@@ -20,21 +20,22 @@ from ...views.heatmap import SCALE_RGB, scale_steps
 from ..common.convert import point
 
 SURFACE, ARROWS, TEXTS = "skin", "contacts", "forces"
-"""Namespaces, which rviz shows and hides one by one."""
+"""Namespaces of markers; rviz can hide each."""
 MOST_SQUARES = 256
-"""Larger skins are left to ~/points: rclpy converts messages number by number, which takes 20 µs
-for a square, and the decoder waits meanwhile (`make bench-pictures`)."""
+"""Taxels up to which squares are drawn. rclpy converts messages number by number, 20 µs for a
+square, while the decoder waits (`make bench-pictures`): larger skins have ~/points."""
 ARROW_M_PER_N = 0.005
-"""An arrow's length; it ends at the centre of pressure."""
+"""Length of an arrow per force, m/N; it ends at the centre of pressure. Chosen:
+1 N is a little shorter than the default pitch."""
 ARROW_PITCHES = 0.25, 0.5
-"""Diameters of shaft and head in pitches; the head's length is left to the viewer."""
+"""Diameters of shaft and head in pitches, chosen; the head's length is left to the viewer."""
 CONTACT_COLOUR = ColorRGBA(r=0.3, g=0.85, b=1.0, a=1.0)
-"""Not on the pressure scale."""
+"""Chosen off the pressure scale, so that arrows stand out."""
 _COLOURS = [ColorRGBA(r=r, g=g, b=b, a=1.0) for r, g, b in (SCALE_RGB / 255).tolist()]
 
 
 class SkinMarkers:
-    """Builds the markers of one skin; messages share what never changes."""
+    """Builds the markers of one skin; the messages share what never changes."""
 
     def __init__(self, layout: Layout, most_squares: int = MOST_SQUARES) -> None:
         self._shown: set[int] = set()
@@ -55,10 +56,10 @@ class SkinMarkers:
         header: Header,
         lifetime_s: float,
     ) -> MarkerArray:
-        """One frame: its surface and contacts; contacts of the frame before that are gone.
+        """The markers of a frame; those of contacts that ended since the last one are deleted.
 
-        pressure_pa: (t,) float32, Pa; colours are on the scale 0…max_pa. lifetime_s: of markers
-        that no message renews, as when a skin is no longer read.
+        pressure_pa: (t,) float32, Pa; colours are on the scale 0…max_pa. lifetime_s: time after
+        which markers vanish that no message renews, as when the skin is no longer read.
         """
         seconds, part = divmod(lifetime_s, 1)
         common = {

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tells tf where the skin is mounted, if the parameters say it."""
+"""Publishes to tf where the skin is mounted, if the parameters say it."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ TF_STATIC = "/tf_static"
 
 
 class Mount:
-    """A node's share of /tf_static: there from configure to cleanup."""
+    """A node's transform on /tf_static, offered from configure to cleanup."""
 
     def __init__(self, node: Node, profile: QoSProfile) -> None:
         self._node, self._profile = node, profile
         self._publisher: Publisher | None = None
 
     def configure(self, transform: TransformStamped | None) -> None:
-        """Publish where the skin is; None: nobody asked for that."""
+        """Publish where the skin is; None: it is not mounted on another frame."""
         if transform is not None:
             self._publisher = self._node.create_publisher(TFMessage, TF_STATIC, self._profile)
             self._publish(transform)
 
     def change(self, transform: TransformStamped | None) -> None:
-        """The skin is elsewhere on the same parent."""
+        """Publish another place of the skin on its parent."""
         if transform is not None and self._publisher is not None:
             self._publish(transform)
 
     def release(self) -> None:
-        """Whoever comes from now on is not told; those who were keep it, as tf has it."""
+        """Offer the transform no longer; those who received it keep it, as usual in tf."""
         if self._publisher is not None:
             self._node.destroy_publisher(self._publisher)
             self._publisher = None
@@ -49,7 +49,7 @@ class Mount:
 
 
 def transform_of(values: Values) -> TransformStamped | None:
-    """Where all parameters' values have the skin, without a stamp; None without a parent_frame.
+    """The skin's place by all parameters' values, without a stamp; None without a parent_frame.
 
     Raises SpecError for names that tf does not take.
     """

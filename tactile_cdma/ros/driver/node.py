@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The driver node: lifecycle and publishing. Decoding runs in the Driver's thread."""
+"""The driver node: lifecycle, parameters and diagnostics of one skin patch."""
 
 from __future__ import annotations
 
@@ -15,9 +15,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecyclePublisher, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter as RosParameter
-from rclpy.qos import QoSProfile, qos_profile_sensor_data
-
-from tactile_cdma.msg import TactileArray, TactileSkinInfo
+from rclpy.qos import QoSProfile
 
 from ...base.errors import ParameterError, TactileError
 from ...config.body_file import NODE_NAME
@@ -29,12 +27,11 @@ from ...driver.rest_keeper import RestKeeper
 from ...driver.session import Session
 from ...readings.rest_file import rest_path
 from ...wire.port import Port
-from ..common import convert
 from ..common.lifecycle import ManagedNode, reported
 from ..common.process import run_node
 from ..common.qos import LATCHED
-from .contacts import ContactPublishers
 from .diagnostics import SkinReport
+from .frames import FramePublishers
 from .mount import TF_STATIC, Mount, transform_of
 from .parameters import NodeParameters
 from .pictures import Pictures
@@ -42,9 +39,12 @@ from .services import RestServices
 from .stamps import Stamps
 
 APART_NODES = 256
+"""Nodes from which on a calibration file is read in another process; see recalibrated. Chosen:
+fewer curves are read in less time than it takes to start a process."""
 CALIBRATING = {"calibration_file", "compensation"}
 """Setting one of these makes the calibration be read again."""
 RETRY_S = 2.0
+"""Time between attempts to start, s. Chosen: short for whoever has just plugged in a cable."""
 
 
 class SkinNode(ManagedNode):
@@ -52,32 +52,24 @@ class SkinNode(ManagedNode):
 
     configure checks the parameters and opens the port, activate streams, deactivate stops and
     closes the port. With `autostart` the node does both by itself, and tries again for as long
-    as the reason for a failure lasts.
+    as the reason for a failure lasts. Decoding runs in the Driver's thread.
     """
 
     def __init__(self, **node_options: Any) -> None:
         super().__init__(
             NODE_NAME, automatically_declare_parameters_from_overrides=True, **node_options
         )
-        self._config: SkinConfig | None = None
-        self._port: Port | None = None
-        self._driver: Driver | None = None
-        self._declared = NodeParameters(self, self._change)
-        self._live = self._declared.values
-        self._stamps = Stamps(self, self._live)
-        self._info_id = 0
+        self._rest: RestKeeper | None = None  # while configured; it has the configuration
+        self._port: Port | None = None  # from configure on, until the driver takes it
+        self._driver: Driver | None = None  # while active
         self._latest: TactileFrame | None = None
         self._last_failure = ""
+        self._declared = NodeParameters(self, self._change)
+        self._live = self._declared.values
         self._report = SkinReport(self.get_fully_qualified_name())
-        self._silence_due_s = 0.0  # device time from which a frame without words is published again
-        self._rest: RestKeeper | None = None
-        RestServices(self, lambda: self._rest)
-        self._array_publisher = self.create_lifecycle_publisher(
-            TactileArray, "~/tactile", qos_profile_sensor_data
-        )
-        self._info_publisher = self.create_lifecycle_publisher(TactileSkinInfo, "~/info", LATCHED)
-        self._contacts = ContactPublishers(self)
-        self._pictures = Pictures(self, self._live, self._stamps.at)
+        stamps = Stamps(self, self._live)
+        self._frames = FramePublishers(self, self._live, stamps)
+        self._pictures = Pictures(self, self._live, stamps.at)
         self._mount = Mount(self, self._declared.offered(LATCHED, TF_STATIC))
         self._diagnostics_publisher = self.create_publisher(
             DiagnosticArray,
@@ -85,6 +77,7 @@ class SkinNode(ManagedNode):
             self._declared.offered(QoSProfile(depth=10), "/diagnostics"),
         )
         self._declared.check_all_taken()
+        RestServices(self, lambda: self._rest)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on where simulated time stands
         self._diagnostics_timer = self.create_timer(1.0, self._publish_diagnostics, clock=steady)
         self._start_timer = self.create_timer(RETRY_S, self._start, clock=steady)
@@ -96,7 +89,7 @@ class SkinNode(ManagedNode):
     def create_lifecycle_publisher(
         self, kind: type, topic: str, profile: QoSProfile
     ) -> LifecyclePublisher:
-        """A publisher whose QoS parameters can override."""
+        """Create a publisher whose QoS parameters can override."""
         return super().create_lifecycle_publisher(
             kind, topic, self._declared.offered(profile, topic)
         )
@@ -110,17 +103,16 @@ class SkinNode(ManagedNode):
 
     def _change(self, values: Values, new: set[str]) -> None:
         """Let new values of parameters take effect; raises TactileError to refuse them."""
-        if self._config is not None and self._rest is not None:
-            config = self._config.adjusted(values)
+        if self._rest is not None:
+            config = self._rest.config.adjusted(values)
             if CALIBRATING & new:
                 config = recalibrated(config, values)
-            self._config = config
             self._rest.adjust(config)
-            self._contacts.change(config.contact)
+            self._frames.change(config.contact)
             self._mount.change(transform_of(values))
         elif not self._declared.faults:
-            # Several parameters may have to change one by one: what they make together is
-            # refused by configure, and only announced here.
+            # Several parameters may have to change one by one: a combination that is impossible
+            # is refused by configure, and only announced here.
             try:
                 SkinConfig.of(values)
                 transform_of(values)
@@ -133,6 +125,7 @@ class SkinNode(ManagedNode):
     @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Check the parameters and open the port."""
+        url = str(self._live["port"])
         try:
             if self._declared.faults:
                 raise ParameterError("; ".join(self._declared.faults.values()))
@@ -140,40 +133,32 @@ class SkinNode(ManagedNode):
             Session(config)  # refuses what a digitizer cannot be told
             transform = transform_of(self._live)
             path = rest_path(str(self._live["state_folder"]), self.get_fully_qualified_name())
-            self._port = Port(str(self._live["port"]), int(self._live["baud"]))
+            self._port = Port(url, int(self._live["baud"]))
         except TactileError as error:
             if str(error) != self._last_failure:
                 self._last_failure = str(error)
                 self.get_logger().error(f"cannot configure: {error}")
             return TransitionCallbackReturn.FAILURE
-        self._last_failure = ""
-        self._config, self._declared.fixed = config, True
-        self._rest = RestKeeper(
-            config, str(self._live["port"]), path, self.get_logger(), self._publish_info
-        )
+        self._last_failure, self._declared.fixed = "", True
+        self._rest = RestKeeper(config, url, path, self.get_logger(), self._publish_info)
         self._mount.configure(transform)
         return super().on_configure(state)
 
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stream."""
-        assert self._config is not None and self._rest is not None
+        assert self._rest is not None
         result = super().on_activate(state)
-        self._driver = Driver(
-            self._config,
-            str(self._live["port"]),
-            int(self._live["baud"]),
-            self._publish_frame,
-            self._log_problem,
-        )
-        spec = self._config.spec
+        config, spec = self._rest.config, self._rest.config.spec
+        url, baud = str(self._live["port"]), int(self._live["baud"])
+        self._driver = Driver(config, url, baud, self._publish_frame, self._log_problem)
         self.get_logger().info(
-            f"opened {self._live['port']} for {spec.nodes} nodes: order {spec.order}, "
+            f"opened {url} for {spec.nodes} nodes: order {spec.order}, "
             f"{spec.bits} bits, a frame every {spec.frame_period_s * 1e3:g} ms"
         )
         self._rest.activate(self._driver)
-        self._contacts.start(self._config.layout, self._config.contact)
-        self._pictures.start(self._config)
+        self._frames.start(config)
+        self._pictures.start(config)
         self._driver.start(self._port)
         self._port = None  # the driver's now
         self._report = SkinReport(self.get_fully_qualified_name())
@@ -204,15 +189,15 @@ class SkinNode(ManagedNode):
         return TransitionCallbackReturn.SUCCESS
 
     def destroy_node(self) -> None:
-        """Join the reader before its publishers go."""
+        """Join the driver's thread before its publishers go."""
         self._release()
         super().destroy_node()
 
     def _start(self) -> None:
         """Configure and activate, unless somebody has taken the lifecycle into their own hands."""
-        if self._config is None and self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
+        if self._rest is None and self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
             self.trigger_activate()
-        if self._config is not None:
+        if self._rest is not None:
             self._start_timer.cancel()
 
     def _stop_driver(self) -> None:
@@ -229,59 +214,25 @@ class SkinNode(ManagedNode):
         if self._port is not None:
             self._port.close()
             self._port = None
-        self._config = self._rest = None
-        self._declared.fixed = False
+        self._rest, self._declared.fixed = None, False
         self._mount.release()
 
     # Publishing
 
     def _publish_info(self) -> None:
-        """What frames from now on are to be read with; there are none on their way."""
-        assert self._config is not None and self._driver is not None
-        self._info_id += 1
-        baseline = self._driver.pipeline.taxels.baseline
-        self._info_publisher.publish(
-            convert.skin_info(self._config, baseline, self._stamps.now(), self._info_id)
-        )
+        assert self._rest is not None and self._rest.baseline is not None
+        self._frames.publish_info(self._rest.config, self._rest.baseline)
 
     def _publish_frame(self, frame: TactileFrame) -> None:
-        """In the driver's thread: the way from a decoded frame to the wire is one publish long.
-
-        Several messages share one header: nobody changes a message that was published.
-        """
-        assert self._config is not None
+        """In the driver's thread."""
         self._latest = frame
-        info_id = self._info_id
-        array_asked = self._array_publisher.get_subscription_count() > 0
-        header = None
-        if self._is_news(frame) and (array_asked or self._contacts.asked):
-            header = self._stamps.rising(frame.t_host)
-        if header and array_asked:
-            self._array_publisher.publish(
-                convert.tactile_array(
-                    frame, self._config, header, info_id, bool(self._live["publish_voltage"])
-                )
-            )
-        self._contacts.take(frame, header, info_id)
-        self._pictures.take(frame, header)
-
-    def _is_news(self, frame: TactileFrame) -> bool:
-        """Whether a node spoke, or the last frame without words is long enough ago."""
-        rate_hz = float(self._live["idle_rate_hz"])
-        if not rate_hz or frame.words.active.any():
-            self._silence_due_s = 0.0  # the first silent frame tells who fell silent
-            return True
-        # Device time may start again, from nearly zero.
-        if 0.0 <= self._silence_due_s - frame.t_middle <= 1 / rate_hz:
-            return False
-        self._silence_due_s = frame.t_middle + 1 / rate_hz
-        return True
+        self._pictures.take(frame, self._frames.publish(frame))
 
     def _publish_diagnostics(self) -> None:
         if self._driver is None or self._rest is None:
             entries = self._report.inactive(self._last_failure)
         else:
-            drivers = self.count_publishers(self._array_publisher.topic_name)
+            drivers = self.count_publishers(self._frames.topic)
             entries = self._report.of(self._driver, self._latest, self._rest.tared, drivers)
             self._rest.tick()
         message = DiagnosticArray(status=entries)
@@ -289,10 +240,8 @@ class SkinNode(ManagedNode):
         self._diagnostics_publisher.publish(message)
 
     def _log_problem(self, problem: str | None) -> None:
-        if problem is None:
-            self.get_logger().info("receiving frames")
-        elif problem == WAITING:
-            self.get_logger().info(problem)
+        if problem is None or problem == WAITING:
+            self.get_logger().info(problem or "receiving frames")
         else:
             self.get_logger().error(problem)
 

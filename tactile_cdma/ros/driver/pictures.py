@@ -18,7 +18,8 @@ from ...config.skin_config import SkinConfig, contact_thresholds
 from ...driver.pipeline import TactileFrame
 from ...readings.contact import ContactThresholds, ContactTracker
 from ...views.cloud import Cloud
-from ..common import convert
+from ...views.heatmap import heatmap, pressure_raster
+from ..common.convert import image, point_cloud
 from ..common.qos import PICTURE
 from .markers import SkinMarkers
 
@@ -29,24 +30,23 @@ TOPICS = {
     "markers": MarkerArray,
 }
 LOOK_S = 0.25
-"""How often it is looked whether anybody subscribes: each turn of rclpy's executor takes a ms."""
+"""Interval of checks for subscribers, s, while there are none: a turn of rclpy's executor takes
+about 1 ms."""
 FADE_PERIODS, LEAST_FADE_S = 3, 1.0
-"""Markers that so many periods of pictures, and so many s, do not renew are no longer shown."""
+"""Markers vanish that were not renewed for this many periods of pictures, and this many s. Chosen:
+two late pictures do not make them flicker."""
 
 
 class Pictures:
-    """Pictures of a node, each drawn only while somebody subscribes.
+    """Pictures of a skin, each drawn only while somebody subscribes.
 
-    A timer draws the latest frame, at most visual_rate_hz times a second and no frame twice; while
-    nobody subscribes it comes less often. Its clock is steady, so that it goes on where simulated
+    A timer draws the latest frame, at most visual_rate_hz times a second and no frame twice; it
+    comes less often without subscribers. Its clock is steady, so that it goes on where simulated
     time stands.
     """
 
     def __init__(
-        self,
-        node: LifecycleNode,
-        live: Values,
-        header_at: Callable[[float], Header],
+        self, node: LifecycleNode, live: Values, header_at: Callable[[float], Header]
     ) -> None:
         """live: the parameters' present values, kept by the node. header_at: host time, s."""
         self._live, self._header_at = live, header_at
@@ -62,62 +62,56 @@ class Pictures:
         self._timer.cancel()
 
     def start(self, config: SkinConfig) -> None:
-        """Before the first frame of a stream."""
+        """Prepare for the frames of a stream."""
         self._drawings = Drawings(config, self._live)
-        self._run(self._live)
+        self._turn_every(_period_s(self._live))
 
     def stop(self) -> None:
-        """After the last one."""
+        """Draw nothing more of the stream."""
         self._timer.cancel()
         self._drawings = self._latest = self._drawn = None
 
     def take(self, frame: TactileFrame, header: Header | None) -> None:
-        """The newest frame, in the driver's thread, which this must not hold up.
+        """Keep the newest frame; in the driver's thread, which this must not hold up.
 
-        header: that of its other messages, if there are any: all are to have the same stamp.
+        header: that of the frame's other messages, so that all have the same stamp; None: none yet.
         """
         self._latest = frame, header
 
     def change(self, values: Values) -> None:
-        """All parameters' values as they are going to be; they fit each other."""
+        """Use other values of parameters; all of them, and they fit each other."""
         if self._drawings is not None:
             self._drawings.change(contact_thresholds(values))
-            if _period_s(values) != _period_s(self._live):  # a timer that starts anew is late
-                self._run(values)
+            if _period_s(values) != _period_s(self._live):  # a timer that is reset comes late
+                self._turn_every(_period_s(values))
 
-    def _run(self, values: Values) -> None:
-        self._timer.timer_period_ns = round(_period_s(values) * 1e9)
+    def _turn_every(self, period_s: float) -> None:
+        self._timer.timer_period_ns = round(period_s * 1e9)
         self._timer.reset()
 
-    def _draw(self) -> None:
-        if self._latest is None or self._drawings is None:
-            return
-        frame, header = self._latest
-        if frame is self._drawn:
-            return
-        asked = [name for name, p in self._publishers.items() if p.get_subscription_count()]
-        if not asked:
-            return
-        self._drawn = frame
-        header = header or self._header_at(frame.t_host)
-        for name in asked:
-            self._publishers[name].publish(self._drawings.of[name](frame, header))
-
     def _turn(self) -> None:
-        """Draw, and come again sooner or later."""
-        self._draw()
-        asked = any(publisher.get_subscription_count() for publisher in self._publishers.values())
+        asked = [name for name, p in self._publishers.items() if p.get_subscription_count()]
+        if asked:
+            self._draw(asked)
         period_s = _period_s(self._live) if asked else max(_period_s(self._live), LOOK_S)
         if round(period_s * 1e9) != self._timer.timer_period_ns:
-            self._timer.timer_period_ns = round(period_s * 1e9)
-            self._timer.reset()
+            self._turn_every(period_s)
+
+    def _draw(self, topics: list[str]) -> None:
+        if self._latest is None or self._drawings is None or self._latest[0] is self._drawn:
+            return
+        frame, header = self._latest
+        self._drawn = frame
+        header = header or self._header_at(frame.t_host)
+        for topic in topics:
+            self._publishers[topic].publish(self._drawings.of[topic](frame, header))
 
 
 class Drawings:
     """Draws the frames of one skin; `of` has a function of frame and header for every topic.
 
-    The markers' contacts are followed here, from picture to picture: those of ~/contacts are
-    only there while somebody asks for them, in the driver's thread, which this spares.
+    Markers follow contacts here, from picture to picture: those of ~/contacts exist only while
+    somebody subscribes to them, in the driver's thread, which this spares.
     """
 
     def __init__(self, config: SkinConfig, live: Values) -> None:
@@ -129,43 +123,34 @@ class Drawings:
         }
         self._live, self._layout = live, config.layout
         self._frame_period_s = config.spec.frame_period_s
-        self._cloud = Cloud(config.layout)
+        self._cloud = Cloud(config.layout.positions_m, config.layout.normals)
         self._skin = SkinMarkers(config.layout)
         self._tracker = ContactTracker(config.layout, config.contact)
 
     def change(self, thresholds: ContactThresholds) -> None:
-        """From the next picture on."""
+        """Find contacts by other thresholds from the next picture on."""
         self._tracker.thresholds = thresholds
 
     @property
     def _max_pa(self) -> float:
         return float(self._live["colour_max_kpa"]) * 1e3
 
-    @property
-    def _fade_s(self) -> float:
-        period_s = max(_period_s(self._live), self._frame_period_s)
-        return max(LEAST_FADE_S, FADE_PERIODS * period_s)
-
     def _heatmap(self, frame: TactileFrame, header: Header) -> Image:
-        return convert.heatmap_image(
-            frame.readings.pressure_pa,
-            self._layout,
-            header,
-            self._max_pa,
-            int(self._live["heatmap_pixels"]),
-        )
+        pressure_pa, pixels = frame.readings.pressure_pa, int(self._live["heatmap_pixels"])
+        return image(heatmap(pressure_pa, self._layout, self._max_pa, pixels), "rgb8", header)
 
     def _pressure_image(self, frame: TactileFrame, header: Header) -> Image:
-        return convert.pressure_image(frame.readings.pressure_pa, self._layout, header)
+        return image(pressure_raster(frame.readings.pressure_pa, self._layout), "32FC1", header)
 
     def _points(self, frame: TactileFrame, header: Header) -> PointCloud2:
-        points = self._cloud.points(frame.readings.pressure_pa, self._max_pa)
-        return convert.point_cloud(points, header)
+        return point_cloud(self._cloud.points(frame.readings.pressure_pa, self._max_pa), header)
 
     def _markers(self, frame: TactileFrame, header: Header) -> MarkerArray:
         contacts = self._tracker.update(frame.readings, frame.t_middle)
+        period_s = max(_period_s(self._live), self._frame_period_s)
+        fade_s = max(LEAST_FADE_S, FADE_PERIODS * period_s)
         return self._skin.markers(
-            frame.readings.pressure_pa, self._max_pa, contacts, header, self._fade_s
+            frame.readings.pressure_pa, self._max_pa, contacts, header, fade_s
         )
 
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Stamps messages with moments of the host's monotonic clock, in ROS time."""
+"""Headers of messages: moments of the host's monotonic clock as ROS time."""
 
 from __future__ import annotations
 
@@ -13,9 +13,13 @@ from ...config.parameters import Values
 from ..common import convert
 
 STAMP_JITTER_NS = 1_000_000
+"""A stamp that is earlier than the last by less is moved behind it; by more, ROS time stepped back.
+Chosen: far above the µs between readings of two clocks, far below a frame period."""
 SURE_NS = 50_000
-"""Two clocks that were read within so long were read at once."""
+"""Two clocks count as read at the same moment if both readings took less, ns. Chosen: several times
+what two readings take."""
 TRIES = 5
+"""Attempts at that; then the quickest counts."""
 
 
 class Stamps:
@@ -28,7 +32,6 @@ class Stamps:
     def rising(self, t_host: float) -> Header:
         """A header for a moment, s, of the host's monotonic clock; each is later than the last."""
         stamp_ns = self._ros_ns(t_host)
-        # Two clocks are read for that, some µs apart: stamps rise all the same.
         if 0 <= self._last_ns - stamp_ns < STAMP_JITTER_NS:
             stamp_ns = self._last_ns + 1
         self._last_ns = stamp_ns
@@ -43,21 +46,22 @@ class Stamps:
         return self.at(time.monotonic())
 
     def _ros_ns(self, t_host: float) -> int:
-        # Simulated time is 0 until somebody tells it, and ROS takes no time before that.
+        # Simulated time is 0 until its first message, and ROS has no times below 0.
         return max(0, round(t_host * 1e9) + self._ahead_ns())
 
     def _ahead_ns(self) -> int:
-        """ROS time minus the host's monotonic clock, now: it follows every step of ROS time.
+        """ROS time minus the host's monotonic clock, read now, so that it follows every step.
 
-        On a busy computer this thread may have to wait between the readings of the two; then they
-        are read again.
+        Where this thread had to wait between the two readings, they are repeated.
         """
         found: list[tuple[int, int]] = []
-        while len(found) < TRIES and (not found or found[-1][0] > SURE_NS):
+        for _ in range(TRIES):
             before_ns = time.monotonic_ns()
             ros_ns = int(self._clock.now().nanoseconds)
             took_ns = time.monotonic_ns() - before_ns
             found.append((took_ns, ros_ns - before_ns - took_ns // 2))
+            if took_ns <= SURE_NS:
+                break
         return min(found)[1]
 
     def _header(self, stamp_ns: int) -> Header:

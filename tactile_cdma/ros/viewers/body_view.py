@@ -1,32 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What touches a body, as lines of text: one per second, and a summary of `key=value` pairs."""
+"""Prints what touches a body: a line per second, and a summary of `key=value` pairs."""
 
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 
-import numpy as np
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import Point, Vector3
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from tactile_cdma.msg import TactileContact, TactileContacts
 
-from ...base.interrupt import raise_when_told_to_end
 from ...base.listing import listed
+from ..common.process import Viewing, viewing
 from ..common.qos import RELIABLE
 from .patches import NODE_NAME
 
 LINE_S = 1.0
-MOST_NAMED = 2  # a line is about as wide as a terminal
-SECONDS = 10.0
+MOST_NAMED = 2
+"""Contacts that a line names: more would not fit into the width of a terminal."""
 
 
 class BodyViewer(Node):
@@ -54,7 +52,7 @@ class BodyViewer(Node):
 
 
 def line(message: TactileContacts | None, rate_hz: float, complaint: str) -> str:
-    """What to print of a second: rate, resultant, strongest contacts, who is absent."""
+    """The line of a second: rate, resultant, strongest contacts, absent patches."""
     if message is None:
         return f"nothing yet{': ' + complaint if complaint else ''}"
     force_n = _length(message.wrench.force)
@@ -76,43 +74,37 @@ def _contacts(contacts: Sequence[TactileContact]) -> str:
 
 
 def _patch(node: str) -> str:
-    """The patch, as the body file has it: left_palm of /left_palm/skin."""
+    """The patch's name in the body file: left_palm of /left_palm/skin."""
     return node.strip("/").removesuffix(f"/{NODE_NAME}")
 
 
-def _millimetres(place: object) -> str:
-    return " ".join(str(round(1e3 * getattr(place, axis))) for axis in "xyz")
+def _millimetres(place: Point) -> str:
+    return " ".join(str(round(1e3 * metres)) for metres in (place.x, place.y, place.z))
 
 
-def _length(vector: object) -> float:
-    return float(np.linalg.norm([getattr(vector, axis) for axis in "xyz"]))
+def _length(vector: Vector3) -> float:
+    return math.hypot(vector.x, vector.y, vector.z)
 
 
-def _report(viewer: BodyViewer, seconds: float) -> None:
-    begin_s = time.monotonic()
-    lines = 0
-    before = 0
-    while (now_s := time.monotonic()) < begin_s + seconds:
-        rclpy.spin_once(viewer, timeout_sec=0.1)
-        if now_s >= begin_s + (lines + 1) * LINE_S:
-            lines += 1
-            rate_hz, before = (viewer.received - before) / LINE_S, viewer.received
-            print(line(viewer.latest, rate_hz, viewer.complaint), flush=True)
+def _report(program: Viewing[BodyViewer], seconds: float) -> None:
+    viewer, before = program.node, 0
+    end_s = time.monotonic() + seconds
+    while (left_s := end_s - time.monotonic()) > 0 and program.spin(min(LINE_S, left_s)):
+        if left_s < LINE_S:
+            return
+        rate_hz, before = (viewer.received - before) / LINE_S, viewer.received
+        print(line(viewer.latest, rate_hz, viewer.complaint), flush=True)
 
 
 def main() -> int:
-    """Print until interrupted or for --seconds; returns the exit code, 1: nothing came."""
+    """Print until interrupted or for --seconds; returns the exit code, 1 if nothing arrived."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--body", default="/body", help="the body's node")
-    parser.add_argument("--seconds", type=float, default=float("inf"), help="default: until Ctrl-C")
+    parser.add_argument("--seconds", type=float, default=math.inf, help="default: until Ctrl-C")
     arguments = parser.parse_args(remove_ros_args(sys.argv)[1:])
-    rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
-    viewer = BodyViewer(arguments.body)
-    raise_when_told_to_end()
-    with suppress(KeyboardInterrupt):
-        _report(viewer, arguments.seconds)
-    viewer.destroy_node()
-    rclpy.try_shutdown()
+    with viewing(lambda: BodyViewer(arguments.body)) as program:
+        _report(program, arguments.seconds)
+    viewer = program.node
     latest = viewer.latest
     if latest is None:
         reason = viewer.complaint or "does the node body run?"

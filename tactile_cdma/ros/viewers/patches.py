@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a viewer has to know of a patch: its topics, and its layout from what it publishes."""
+"""What viewers know about a patch: the names of its topics, and its layout from ~/info."""
 
 from __future__ import annotations
 
@@ -26,9 +26,10 @@ def full_name(patch: str) -> str:
 def layout_of(info: TactileSkinInfo) -> Layout:
     """The layout that a driver has published.
 
-    Places on the unrolled skin are not among it: an irregular skin's are seen from outside.
+    It has no positions on the unrolled skin: an irregular skin is drawn as seen from outside.
     """
-    positions_m, normals = rows(info.positions), rows(info.normals)
+    positions_m = rows(info.positions).astype(np.float32)
+    normals = rows(info.normals).astype(np.float32)
     areas_m2 = np.array(info.area, dtype=np.float32)
     irregular = info.height == 1 and info.width > 1
     pitch_m = usual_distance_m(positions_m, normals) if irregular else None

@@ -14,17 +14,15 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 
 from ...base.errors import TransformError
-from ...base.interrupt import raise_when_told_to_end
-from ..common.convert import nanoseconds
+from ..common.convert import nanoseconds, rows
+from ..common.process import viewing
 from ..common.qos import LATCHED
 from ..common.transforms import COMPLAINT_S, TransformListener
 from .complaints import Complaints
@@ -39,10 +37,14 @@ except ImportError:
 from .rerun_scene import PatchScene, blueprint
 
 RATE_HZ = 30.0
+"""Updates of the viewer per second; chosen: what a screen shows smoothly."""
 DISCOVERY_S = 1.0
+"""Interval of looks for new patches; chosen."""
 BLUEPRINT_S = 2.0
-"""A new one undoes what the user has moved, so patches that start together make one."""
+"""Least time between two blueprints; chosen long, because each undoes what the user has moved: the
+patches that start together make one."""
 WEB_PORT = 9090
+"""The port that Rerun's web viewer has by default."""
 _TEXT_LEVELS = {
     DiagnosticStatus.OK: "INFO",
     DiagnosticStatus.WARN: "WARN",
@@ -52,7 +54,7 @@ _TEXT_LEVELS = {
 
 
 class RerunView(Node):
-    """Subscribes to patches and logs them. patches: their full names; none: all that there are."""
+    """Subscribes to patches and logs them. patches: their full names; empty: all that appear."""
 
     def __init__(self, recording: rr.RecordingStream, patches: list[str], max_pa: float) -> None:
         super().__init__("skin_rerun")
@@ -99,7 +101,7 @@ class RerunView(Node):
         self._frames[scene] = info.header.frame_id
 
     def flush(self) -> None:
-        """Log what has come since the last time, every patch where its frame is now."""
+        """Log what came since the last call, every patch where its frame is now."""
         for scene, frame in self._frames.items():
             try:
                 self._roots[scene], scene.pose = self._transforms.tree.root(frame)
@@ -109,7 +111,7 @@ class RerunView(Node):
             scene.flush()
 
     def show(self) -> None:
-        """Lay the viewer out anew if patches, or the frames they hang from, are others."""
+        """Send a new blueprint if patches, or the frames they hang from, have changed."""
         if self._roots != self._shown:
             self._shown = dict(self._roots)
             self._recording.send_blueprint(blueprint(self._shown))
@@ -121,13 +123,11 @@ def _take_frame(scene: PatchScene, message: TactileArray) -> None:
 
 
 def _take_contacts(scene: PatchScene, message: TactileContacts) -> None:
-    places = [(c.position.x, c.position.y, c.position.z) for c in message.contacts]
-    forces = [(c.force.x, c.force.y, c.force.z) for c in message.contacts]
     scene.take_contacts(
         nanoseconds(message.header.stamp),
-        [c.id for c in message.contacts],
-        np.array(places).reshape(-1, 3),
-        np.array(forces).reshape(-1, 3),
+        [contact.id for contact in message.contacts],
+        rows([contact.position for contact in message.contacts]),
+        rows([contact.force for contact in message.contacts]),
     )
 
 
@@ -159,19 +159,11 @@ def main() -> int:
     except (OSError, RuntimeError, ValueError) as error:
         print(f"the viewer cannot be started: {error}", file=sys.stderr)
         return 1
-    rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
-    node = RerunView(recording, patches, arguments.max_kpa * 1e3)
-    raise_when_told_to_end()
-    try:
-        rclpy.spin(node)
-    except KeyboardInterrupt:
-        pass
-    finally:
-        node.flush()
-        node.destroy_node()
-        rclpy.try_shutdown()
-        recording.flush(timeout_sec=5.0)
-        recording.disconnect()
+    with viewing(lambda: RerunView(recording, patches, arguments.max_kpa * 1e3)) as program:
+        program.spin()
+        program.node.flush()
+    recording.flush(timeout_sec=5.0)
+    recording.disconnect()
     return 0
 
 

@@ -17,21 +17,19 @@ import time
 from dataclasses import replace
 
 import numpy as np
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
-from ...base.interrupt import raise_when_told_to_end
 from ...places.layout import Layout
 from ...views.history import History
 from ...views.terminal import Look, Numbers, Reading, scale, screen, sparkline, status_lines
 from ..common.convert import nanoseconds
+from ..common.process import Viewing, viewing
 from ..common.qos import LATCHED
 from .complaints import LEVELS, Complaints
 from .keys import Keys
@@ -39,11 +37,15 @@ from .patches import full_name, layout_of
 from .tally import Tally, summary
 
 DRAW_PERIOD_S = 0.1
+"""Chosen: 10 pictures a second look alive, and a terminal over a network keeps up."""
 HISTORY_S = 20.0
+"""Time that the curve shows; chosen."""
 PATIENCE_S = 10.0
+"""Longest wait for a first frame; chosen: discovery on a busy computer takes seconds."""
 RIVALS_S = 0.5
+"""Interval of checks for a second driver; chosen."""
 COMPLAINTS = 3
-"""So many of the driver's complaints are shown, the worst first."""
+"""Complaints of the driver that are shown, the worst first: few, to leave room for the skin."""
 QUEUE = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=256, reliability=ReliabilityPolicy.BEST_EFFORT
 )
@@ -54,7 +56,11 @@ _ENTER, _LEAVE = "\x1b[?1049h\x1b[?25l", "\x1b[?25h\x1b[?1049l"
 
 
 class Viewer(Node):
-    """Keeps the latest frame, what came of late, and what the driver last said of itself."""
+    """Keeps the latest frame, a history of force and peak, and the driver's diagnostics.
+
+    patch: fully qualified name of the driver. rivals: that several drivers publish the topic, and
+    what to do; empty: there is one.
+    """
 
     def __init__(self, topic: str) -> None:
         super().__init__("skin_view")
@@ -68,12 +74,12 @@ class Viewer(Node):
         self.create_subscription(TactileArray, topic, self._receive, QUEUE)
         self.create_subscription(TactileSkinInfo, f"{driver}/info", self._inform, LATCHED)
         self.create_subscription(DiagnosticArray, "/diagnostics", self.complaints.take, 10)
-        self.rivals = ""  # that frames of several drivers are mixed up here, and what to do
+        self.rivals = ""
         self.create_timer(RIVALS_S, self._count_drivers)
 
     @property
     def complaint(self) -> str:
-        """The worst that is known of the driver now: that there are two, or what it says itself."""
+        """The worst known of the driver: that there are two, or what its diagnostics say."""
         worst = self.complaints.worst_first()
         return self.rivals or (worst[0].message if worst else "")
 
@@ -97,7 +103,7 @@ class Viewer(Node):
             self.force_n.add(now_s, float(np.nansum(pressure_pa * self.layout.areas_m2)))
 
     def reading(self, message: TactileArray) -> Reading:
-        """A frame, to be drawn; before the layout has come by rows and columns."""
+        """A frame to draw: by its layout, or by rows and columns until that has come."""
         pressure_pa = np.array(message.pressure, dtype=np.float32)
         taxels = np.arange(len(pressure_pa), dtype=np.int32)
         raster, nodes = taxels.reshape(message.height, message.width), taxels + 1
@@ -105,17 +111,11 @@ class Viewer(Node):
             raster, nodes = self.layout.raster, self.layout.nodes
         return Reading(pressure_pa, np.array(message.status, dtype=np.uint8), raster, nodes)
 
-    def spin_for(self, seconds: float) -> None:
-        """Receive for a while."""
-        end = time.monotonic() + seconds
-        while (left := end - time.monotonic()) > 0:
-            rclpy.spin_once(self, timeout_sec=left)
-
 
 def draw(
     viewer: Viewer, message: TactileArray, look: Look, of_force: bool, size: os.terminal_size
 ) -> str:
-    """One screen. of_force: the history is that of the total force, not of the peak."""
+    """Text of a screen. of_force: show the history of the total force, not of the peak."""
     reading, now_s, columns = viewer.reading(message), time.monotonic(), size.columns
     title = (
         f"tactile_cdma  {viewer.patch}  {message.header.frame_id}  "
@@ -147,7 +147,7 @@ def _state(tally: Tally, noise_v: float, now_s: float) -> str:
 
 
 def _history(viewer: Viewer, of_force: bool, now_s: float, columns: int, unicode: bool) -> str:
-    """Name, value now, the curve of the last seconds."""
+    """The line of the history: name, value now, curve, highest value."""
     history = viewer.force_n if of_force else viewer.peak_pa
     name, per_unit, unit = ("force", 1.0, "N") if of_force else ("peak", 1e-3, "kPa")
     values = history.bins(now_s, max(1, min(60, columns - 30))) * per_unit
@@ -157,26 +157,20 @@ def _history(viewer: Viewer, of_force: bool, now_s: float, columns: int, unicode
     return f"{name} {now} {unit}  {sparkline(values, unicode)}  of {top}"
 
 
-def live(viewer: Viewer, look: Look) -> None:
-    """Draw until interrupted, or asked to end by a key."""
+def live(program: Viewing[Viewer], look: Look) -> None:
+    """Draw until interrupted, or ended by a key."""
+    viewer, of_force = program.node, True
     sys.stdout.write(_ENTER)
-    of_force = True
     try:
         with Keys() as keys:
-            while True:
-                viewer.spin_for(DRAW_PERIOD_S)
-                pressed = keys.read()
-                if "q" in pressed:
-                    break
+            while program.spin(DRAW_PERIOD_S) and "q" not in (pressed := keys.read()):
                 for key in pressed:
                     look, of_force = _obey(key, look, of_force)
-                if viewer.latest is None:
-                    picture = f"{_HOME}waiting for the first frame ...{_CLEAR_LINE}\n"
-                    picture += f"{viewer.complaint}{_CLEAR_BELOW}"
-                else:
-                    picture = draw(
-                        viewer, viewer.latest, look, of_force, shutil.get_terminal_size()
-                    )
+                picture = f"{_HOME}waiting for the first frame ...{_CLEAR_LINE}\n"
+                picture += f"{viewer.complaint}{_CLEAR_BELOW}"
+                if viewer.latest is not None:
+                    size = shutil.get_terminal_size()
+                    picture = draw(viewer, viewer.latest, look, of_force, size)
                 sys.stdout.write(picture)
                 sys.stdout.flush()
     finally:
@@ -185,7 +179,7 @@ def live(viewer: Viewer, look: Look) -> None:
 
 
 def _obey(key: str, look: Look, of_force: bool) -> tuple[Look, bool]:
-    """What a key changes."""
+    """What is shown, and whether the force's history, after a key."""
     if key == "n":
         after = {None: Numbers.TAXELS, Numbers.TAXELS: Numbers.NODES, Numbers.NODES: None}
         return replace(look, numbers=after[look.numbers]), of_force
@@ -195,19 +189,20 @@ def _obey(key: str, look: Look, of_force: bool) -> tuple[Look, bool]:
     return look, of_force != (key == "h")
 
 
-def report(viewer: Viewer, seconds: float) -> None:
-    """A line per second for so many seconds, counted from the first frame.
+def report(program: Viewing[Viewer], seconds: float) -> None:
+    """Print a line per second for some seconds, counted from the first frame.
 
-    What the driver complains of for more than a line goes to stderr, once.
+    A complaint of the driver that lasts longer than a line goes to stderr, once.
     """
-    patience = time.monotonic() + PATIENCE_S
-    while viewer.latest is None and time.monotonic() < patience:
-        viewer.spin_for(0.05)
+    viewer, patience = program.node, time.monotonic() + PATIENCE_S
+    while viewer.latest is None and time.monotonic() < patience and program.spin(0.05):
+        pass
     start = time.monotonic()
     complaint = said = ""
     while viewer.latest is not None and (left := start + seconds - time.monotonic()) > 0:
         before = viewer.tally.received
-        viewer.spin_for(min(1.0, left))
+        if not program.spin(min(1.0, left)):
+            return
         new = viewer.tally.received - before
         pressure = in_use(viewer.latest)
         known = pressure[~np.isnan(pressure)]
@@ -234,7 +229,7 @@ def in_use(message: TactileArray) -> NDArray[np.float32]:
 
 
 def main() -> int:
-    """View until interrupted or for the time asked; exit code 1 if nothing arrived."""
+    """View until interrupted or for --seconds; returns the exit code, 1 if nothing arrived."""
     parser = argparse.ArgumentParser(prog="skin_view", description=__doc__)
     parser.add_argument("patch", nargs="?", default="skin", help="left_palm, or /left_palm/skin")
     parser.add_argument("--topic", help="TactileArray topic, instead of a patch")
@@ -244,22 +239,15 @@ def main() -> int:
     if not arguments.max_kpa > 0:
         parser.error(f"--max-kpa is {arguments.max_kpa:g}; it must be above 0")
     topic = arguments.topic or f"{full_name(arguments.patch)}/tactile"
-    rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
-    viewer = Viewer(topic)
     terminal = sys.stdin.isatty() and sys.stdout.isatty()
     drawable = terminal and os.environ.get("TERM", "dumb") != "dumb"
-    raise_when_told_to_end()
-    try:
+    with viewing(lambda: Viewer(topic)) as program:
+        viewer = program.node
         if drawable and arguments.seconds is None:
-            live(viewer, look_for(sys.stdout.encoding, arguments.max_kpa * 1e3))
+            live(program, look_for(sys.stdout.encoding, arguments.max_kpa * 1e3))
         else:
-            report(viewer, arguments.seconds or (math.inf if terminal else 10.0))
-    except KeyboardInterrupt:
-        pass
-    finally:
+            report(program, arguments.seconds or (math.inf if terminal else 10.0))
         viewer.tally.end(time.monotonic())
-        viewer.destroy_node()
-        rclpy.try_shutdown()
     if not viewer.tally.received:
         reason = viewer.complaint or "is the driver running and active, and as this user?"
         print(f"no frame on {topic}: {reason}", file=sys.stderr)
@@ -268,7 +256,7 @@ def main() -> int:
 
 
 def look_for(encoding: str, max_pa: float) -> Look:
-    """What the terminal can show; NO_COLOR is a wish, see no-color.org."""
+    """What the terminal can show, and its user wants: NO_COLOR, see no-color.org."""
     unicode = encoding.lower().replace("-", "").startswith("utf")
     return Look(max_pa, coloured=not os.environ.get("NO_COLOR"), unicode=unicode)
 

@@ -18,7 +18,7 @@ def looks(waiting: list[int], ages_s: list[float]) -> list[bool]:
     """What is said at looks every STEP_S."""
     backlog = Backlog(PERIOD_S)
     pairs = enumerate(zip(waiting, ages_s, strict=True))
-    return [backlog.is_hopeless(count, age_s, i * STEP_S) for i, (count, age_s) in pairs]
+    return [backlog.observe(count, age_s, i * STEP_S) for i, (count, age_s) in pairs]
 
 
 def test_who_stays_behind_skips_again_and_again() -> None:

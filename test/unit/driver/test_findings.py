@@ -16,8 +16,8 @@ from tactile_cdma.driver.findings import (
     worst,
 )
 
-STATE = Finding("slow", Level.WARN, "slow")
-EVENT = Finding("broken", Level.ERROR, "broken", event=True)
+STATE = Finding("slow", key="slow")
+EVENT = Finding("broken", Level.ERROR, event=True)
 
 
 def test_a_state_stands_when_it_was_found_in_a_row() -> None:
@@ -40,7 +40,7 @@ def test_an_event_stands_at_once_and_for_some_reports() -> None:
 def test_the_newest_text_is_told_and_the_worst_finding_first() -> None:
     settling = Settling()
     settling.settle([STATE])
-    newer = Finding("slow", Level.WARN, "slower")
+    newer = Finding("slower", key="slow")
     assert settling.settle([newer, EVENT]) == [EVENT, newer]
 
 
@@ -60,6 +60,6 @@ def test_a_level_changes_no_faster_than_it_may(course: list[bool]) -> None:
 
 def test_texts_of_the_worst_level_are_told_together() -> None:
     assert worst([]) == (Level.OK, "")
-    other = Finding("other", Level.WARN, "other")
+    other = Finding("other")
     assert worst([STATE, other]) == (Level.WARN, "slow; other")
     assert worst([STATE, EVENT, other]) == (Level.ERROR, "broken")

@@ -15,7 +15,10 @@ from tactile_cdma.driver import checkup
 from tactile_cdma.driver.driver import Driver
 from tactile_cdma.driver.findings import Finding, Level
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
-from tactile_cdma.driver.vitals import Vitals, Window
+from tactile_cdma.driver.timeline import StreamCounters
+from tactile_cdma.driver.vitals import Counts, Vitals, Window
+from tactile_cdma.wire.messages import Status
+from tactile_cdma.wire.packets import Counters, PacketWriter
 
 CONFIG = SkinConfig.of({})
 
@@ -45,7 +48,7 @@ def driven(slow: Slow, url: str, frames: int) -> Window:
 def test_frames_are_counted_and_their_way_is_timed() -> None:
     slow = Slow(0.004)
     window = driven(slow, "sim://?scene=all&threshold=0&rail=1.0", 60)
-    assert window.frames == window.totals["frames"] == len(slow.frames)
+    assert window.frames == window.totals.stream.frames == len(slow.frames)
     assert window.publish_s >= 0.004
     assert window.line_s >= CONFIG.spec.frame_s / 2 - 1e-3
     assert window.slowest_s >= window.latency_s > 0
@@ -62,20 +65,47 @@ def test_a_driver_that_is_never_idle_takes_cpu_time() -> None:
     assert window.process_share >= 0.9 * window.thread_share
 
 
+def test_cpu_shares_are_cpu_time_by_time_that_passed(monkeypatch: pytest.MonkeyPatch) -> None:
+    passed_s = {"monotonic": 100.0, "process_time": 7.0, "thread_time": 3.0}
+    for name in passed_s:
+        monkeypatch.setattr(time, name, lambda name=name: passed_s[name])
+    vitals, pipeline = Vitals(), Pipeline(CONFIG)
+    vitals.note_read(0)
+    vitals.take(pipeline)
+    passed_s |= {"monotonic": 102.0, "process_time": 7.5, "thread_time": 3.1}
+    vitals.note_read(0)
+    window = vitals.take(pipeline)
+    assert window.seconds == pytest.approx(2.0)
+    assert window.process_share == pytest.approx(0.25)
+    assert window.thread_share == pytest.approx(0.05)
+
+
 def test_rises_are_since_the_last_report_and_nothing_is_made_up() -> None:
     pipeline, vitals = Pipeline(CONFIG), Vitals()
     pipeline.counters.lost_frames = 5
     first = vitals.take(pipeline)
-    assert first.rises == {} and first.totals["lost_frames"] == 5
+    assert set(first.rises.named().values()) == {0} and first.totals.stream.lost_frames == 5
     pipeline.counters.lost_frames = 12
     second = vitals.take(pipeline)
-    assert second.rises["lost_frames"] == 7
-    assert second.per_s("lost_frames") == pytest.approx(7 / second.seconds)
+    assert second.rises.stream.lost_frames == 7
+    assert first.totals.stream.lost_frames == 5, "a snapshot, whatever comes later"
     pipeline.counters.lost_frames = 2  # began anew
-    assert vitals.take(pipeline).rises["lost_frames"] == 2
-    assert second.per_s("nobody counts this") == 0
+    assert vitals.take(pipeline).rises.stream.lost_frames == 2
     assert second.frames == 0 and math.isnan(second.latency_s) and math.isnan(second.noise_rms_v)
     assert second.thread_share == 0
+
+
+def test_the_digitizers_counts_rise_once_two_statuses_came() -> None:
+    pipeline, vitals, writer = Pipeline(CONFIG), Vitals(), PacketWriter()
+    windows = [vitals.take(pipeline)]
+    for lost in (4, 9):
+        pipeline.feed(writer.encode(Status(uptime_us=lost, samples_lost=lost)), 0.0)
+        windows.append(vitals.take(pipeline))
+    assert windows[0].totals.digitizer is None
+    assert "digitizer samples lost" not in windows[0].totals.named()
+    assert windows[1].rises.digitizer is None
+    assert windows[2].totals.named()["digitizer samples lost"] == 9
+    assert windows[2].rises.digitizer == Status(uptime_us=5, samples_lost=5)
 
 
 def window_with(**values: object) -> Window:
@@ -101,17 +131,54 @@ def test_the_rate_has_limits(frames: int, expected: dict[str, Level]) -> None:
     assert levels(list(checkup.stream(Pipeline(CONFIG), window, None))) == expected
 
 
-@pytest.mark.parametrize("name", sorted(checkup.LOSSES))
-def test_every_loss_is_told_while_it_rises(name: str) -> None:
-    pipeline = Pipeline(CONFIG)
-    [finding] = checkup.link(pipeline, window_with(rises={name: 1, "packets": 100}))
-    assert finding == Finding(name, Level.WARN, checkup.LOSSES[name], event=True)
-    assert list(checkup.link(pipeline, window_with(rises={name: 0, "packets": 100}))) == []
+NO_RISE = Counts(StreamCounters(), Counters(), None, 0)
 
 
-def test_every_loss_is_one_of_the_counts() -> None:
-    names = set(Vitals().take(Pipeline(CONFIG)).totals)
-    assert {name for name in checkup.LOSSES if not name.startswith("digitizer_")} <= names
+@pytest.mark.parametrize(
+    ("risen", "text"),
+    [
+        (StreamCounters(skipped_bytes=1), "does not keep up"),
+        (StreamCounters(restarts=1), "the digitizer began anew"),
+        (StreamCounters(implausible_packets=1), "impossible contents"),
+        (Counters(lost_packets=1), "packets are missing"),
+        (Counters(jumps=1), "restarts packet numbering"),
+        (Counters(repeated_packets=1), "packets come twice"),
+        (Counters(resyncs=1), "runs of bytes that are no packet"),
+        (Counters(malformed=1), "no digitizer of this protocol sends"),
+        (Status(0, sync_faults=1), "sync edges came late"),
+        (Status(0, samples_lost=1), "the digitizer loses samples"),
+        (Status(0, packets_dropped=1), "too slow for the digitizer's packets"),
+        (Status(0, command_errors=1), "commands reach the digitizer broken"),
+    ],
+    ids=str,
+)
+def test_every_loss_is_told_while_it_rises(
+    risen: StreamCounters | Counters | Status, text: str
+) -> None:
+    part = {StreamCounters: "stream", Counters: "packets", Status: "digitizer"}[type(risen)]
+    rises = replace(NO_RISE, **{part: risen})  # type: ignore[arg-type]
+    [finding] = checkup.link(Pipeline(CONFIG), window_with(rises=rises))
+    assert text in finding.text and (finding.level, finding.event) == (Level.WARN, True)
+
+
+def test_counts_that_may_rise_are_no_losses() -> None:
+    rises = Counts(
+        StreamCounters(frames=78, samples=10**5, lost_samples=1, unannounced_samples=1),
+        Counters(bytes=10**5, packets=500, unknown=1, text_bytes=1),
+        Status(10**6, commands_refused=1, streaming=True),
+        0,
+    )
+    for quiet in (rises, NO_RISE):
+        assert list(checkup.link(Pipeline(CONFIG), window_with(rises=quiet))) == []
+
+
+@pytest.mark.parametrize(("errors", "level"), [(1, Level.WARN), (12, Level.ERROR)])
+def test_broken_packets_are_told_by_their_share(errors: int, level: Level) -> None:
+    rises = replace(NO_RISE, packets=Counters(packets=98, crc_errors=errors, framing_errors=1))
+    [finding] = checkup.link(Pipeline(CONFIG), window_with(rises=rises))
+    share = (errors + 1) / (errors + 99)
+    assert (finding.level, finding.event) == (level, True)
+    assert f"{share:.1%} of the packets arrive broken" in finding.text
 
 
 def test_a_thread_without_reserve_is_told() -> None:

@@ -19,6 +19,7 @@ from tactile_cdma.framing.line_timing import (
     CARRIED_FRAMES,
     LARGEST_SEARCH,
     SEARCH_PER_S,
+    LineRecogniser,
     LineTiming,
 )
 from tactile_cdma.framing.timing import FrameLevels, SampleBlock
@@ -51,19 +52,17 @@ def run(timing: LineTiming, given: list[SampleBlock]) -> list[FrameLevels]:
     return [frame for block in given for frame in timing.feed(block)] + timing.flush()
 
 
-class Ungated(LineTiming):
+def ungated(rate_hz: float) -> LineTiming:
     """Takes every frame for a loud one until its chips were looked at."""
+    timing = LineTiming(SPEC, rate_hz)
+    sample_power = timing.line.sample_power
 
-    def _sample_power(self, volts: np.ndarray) -> float:
-        power = super()._sample_power(volts)
+    def loud(volts: np.ndarray) -> float:
+        power = sample_power(volts)
         return power if np.isnan(power) else max(power, 1.0)
 
-
-class Refining(LineTiming):
-    """Carries no timing over."""
-
-    def _explained(self, rows: np.ndarray) -> None:
-        return None
+    timing.line.sample_power = loud
+    return timing
 
 
 @settings(max_examples=25, deadline=None)
@@ -78,7 +77,7 @@ def test_the_energy_gate_changes_nothing(scene: str, rate: int, noise: float, se
     setup = Setup(SPEC, rate, SyncMode.DRIVE, integrated=rate == 1)
     given = blocks(options, setup, 8)
     gated = run(LineTiming(SPEC, setup.rate_hz), given)
-    full = run(Ungated(SPEC, setup.rate_hz), given)
+    full = run(ungated(setup.rate_hz), given)
     assert len(gated) == len(full) == 8
     for one, other in zip(gated, full, strict=True):
         assert (one.start, one.chip_samples, one.offset_v) == (
@@ -108,7 +107,8 @@ def test_timing_carried_over_is_as_good_as_timing_refined(
     sent = blocks(options, setup, 60)
     carried = run(LineTiming(SPEC, setup.rate_hz), sent)
     assert len(calls) <= 2 * (1 + 60 // CARRIED_FRAMES)
-    refined = run(Refining(SPEC, setup.rate_hz), sent)
+    monkeypatch.setattr(LineRecogniser, "_by_carried", lambda *_: None)
+    refined = run(LineTiming(SPEC, setup.rate_hz), sent)
     errors = []
     for frames in (carried, refined):
         assert len(frames) == 60
@@ -416,14 +416,14 @@ def test_words_after_a_frame_at_the_rails_are_no_noise() -> None:
 
 def test_a_disturbed_line_costs_a_bounded_search(monkeypatch: pytest.MonkeyPatch) -> None:
     looked_at = []
-    strongest = LineTiming._strongest
+    strongest = LineRecogniser._strongest
+    spec = FrameSpec(nodes=256, chip_s=4e-6, frame_period_s=16e-3)
 
-    def counted(self: LineTiming, line: Line, chip: np.ndarray) -> float:
-        looked_at.append(chip.size * self.spec.chips)
+    def counted(self: LineRecogniser, line: Line, chip: np.ndarray) -> float:
+        looked_at.append(chip.size * spec.chips)
         return strongest(self, line, chip)
 
-    monkeypatch.setattr(LineTiming, "_strongest", counted)
-    spec = FrameSpec(nodes=256, chip_s=4e-6, frame_period_s=16e-3)
+    monkeypatch.setattr(LineRecogniser, "_strongest", counted)
     setup = Setup(spec, 2)
     rng, size = np.random.default_rng(3), round(spec.frame_period_s * setup.rate_hz)
     timing = LineTiming(spec, setup.rate_hz)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.transform import correlate
-from tactile_cdma.commands.amplifier_report import describe, gaussian_clipping, loads, resolution
+from tactile_cdma.commands.amplifier import describe, gaussian_clipping, loads, resolution
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.hardware.amplifier import (

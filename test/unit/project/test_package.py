@@ -31,7 +31,7 @@ LOAD_SERIAL = {
     "calibrating.load_session",
     "commands.cli",
     "commands.ports",
-    "commands.recording",
+    "commands.record",
     "doctor.port",
     "driver.driver",
     "replay.protocol_replay",

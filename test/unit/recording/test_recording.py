@@ -297,7 +297,7 @@ def test_other_files_are_no_recordings(tmp_path: Path) -> None:
 def test_a_pipe_is_refused_without_waiting_for_its_other_end(tmp_path: Path) -> None:
     pipe = tmp_path / f"pipe{SUFFIX}"
     os.mkfifo(pipe)
-    with pytest.raises(OSError, match="not a file"):
+    with pytest.raises(CaptureError, match="not a file"):
         is_recording(pipe)
     with pytest.raises(CaptureError, match="not a file"):
         is_text(pipe)

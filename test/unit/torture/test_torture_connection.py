@@ -17,11 +17,11 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
 from tactile_cdma.sim.options import SimOptions
-from torture.connection import network, stalling, unplugging, wrong_port
-from torture.connection.judge import Digitizer, Judge
+from torture.connection import interruptions, wrong_port
+from torture.connection.judge import ConnectionJudge, Digitizer
 from torture.connection.plug import Host, Plug, Tty
-from torture.connection.strangers import misread
 from torture.connection.trial import Trial, Turns, outcomes, side_by_side
+from torture.connection.wrong_port import misread
 from torture.outcome import Plan
 
 PLAN = Plan(quick=True, seed=1)
@@ -31,18 +31,21 @@ PERIOD_S = CONFIG.spec.frame_period_s
 
 def test_a_slice_of_the_campaign(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
+    reset = interruptions.again_and_again(interruptions.reset_once, rng, 3, 0.25)
+    vanish = interruptions.again_and_again(interruptions.vanish, rng, 1, 0.05)
+    line = interruptions.stalls(interruptions.line_stalls, rng, 0.9, 1)
+    consumer = interruptions.stalls(interruptions.consumer_stalls, rng, 0.9, 1)
     kinds: list[tuple[Plug, Callable[[Trial], Turns]]] = [
-        (Tty(tmp_path / "reset"), lambda trial: unplugging.resets(trial, rng, 3)),
-        (Tty(tmp_path / "line"), stalling.stalls(stalling.line_stalls, rng, 0.9, 1)),
-        (Tty(tmp_path / "consumer"), stalling.stalls(stalling.consumer_stalls, rng, 0.9, 1)),
+        (Tty(tmp_path / "reset"), reset),
+        (Tty(tmp_path / "line"), line),
+        (Tty(tmp_path / "consumer"), consumer),
         (Tty(tmp_path / "text"), wrong_port.visits("text", rng, 1)),
-        (Host(), network.hosted(network.vanish, rng, 1)),
+        (Host(), vanish),
     ]
-    trials = [(Trial(plug.url, PLAN, plug), faults) for plug, faults in kinds]
-    found = list(outcomes([(trial, trial.run(faults)) for trial, faults in trials]))
-    alone = Trial("replugs", PLAN, Tty(tmp_path / "replugged"))  # it counts what the process holds
-    side_by_side([alone.run(lambda trial: unplugging.replugs(trial, rng, 8))])
-    found.append(alone.outcome())
+    found = list(outcomes([Trial(plug.url, PLAN, plug, faults) for plug, faults in kinds]))
+    plug = Tty(tmp_path / "replugged")  # alone, because it counts what the process holds
+    replugs = Trial("replugs", PLAN, plug, lambda trial: interruptions.replugs(trial, rng, 8))
+    found += outcomes([replugs])
     assert [outcome for outcome in found if not outcome.good] == []
     assert sum(outcome.times for outcome in found) == 15
     assert not found[1].said.startswith("0 packets")
@@ -53,11 +56,11 @@ class Line:
 
     def __init__(self) -> None:
         self.now_s, self._powered_up = 0.0, 0
-        self.judge, self._pipeline = Judge(lambda: self.now_s), Pipeline(CONFIG)
+        self.judge, self._pipeline = ConnectionJudge(lambda: self.now_s), Pipeline(CONFIG)
 
     def publish(
         self, count: int, damage: Callable[[list[TactileFrame]], list[TactileFrame]]
-    ) -> Judge:
+    ) -> ConnectionJudge:
         """Frames of a digitizer that was powered up just now, with something wrong."""
         self._powered_up += 1
         options = SimOptions(scene="all", seed=self._powered_up)  # or their noise would be the same
@@ -120,17 +123,25 @@ def test_wrong_values_are_found(
     damage: Callable[[list[TactileFrame]], list[TactileFrame]], wrong: int
 ) -> None:
     judge = Line().publish(10, damage)
-    assert (judge.wrong_values, judge.uncounted_losses, judge.late) == (wrong, 0, 0)
+    assert (judge.tally.wrong_values, judge.tally.uncounted_losses, judge.late) == (wrong, 0, 0)
 
 
 def renumbered(frames: list[TactileFrame], by: int) -> list[TactileFrame]:
     return [replace(frame, sequence=frame.sequence + by) for frame in frames]
 
 
-def test_losses_that_nothing_tells_of_are_found() -> None:
-    assert Line().publish(10, lambda f: f[:3] + f[5:]).uncounted_losses == 0  # the sequence tells
-    assert Line().publish(10, lambda f: f[:3] + renumbered(f[5:], -2)).uncounted_losses == 2
-    assert Line().publish(10, lambda f: f[:3] + renumbered(f[3:], 1)).uncounted_losses == 1
+@pytest.mark.parametrize(
+    ("damage", "uncounted"),
+    [
+        (lambda frames: frames[:3] + frames[5:], 0),  # the sequence tells
+        (lambda frames: frames[:3] + renumbered(frames[5:], -2), 2),
+        (lambda frames: frames[:3] + renumbered(frames[3:], 1), 1),
+    ],
+)
+def test_losses_that_nothing_tells_of_are_found(
+    damage: Callable[[list[TactileFrame]], list[TactileFrame]], uncounted: int
+) -> None:
+    assert Line().publish(10, damage).tally.uncounted_losses == uncounted
 
 
 @pytest.mark.parametrize(("by", "uncounted"), [(0, 0), (-5, 1), (5, 1)])
@@ -139,7 +150,7 @@ def test_over_a_reset_the_sequence_goes_by_the_time_that_passed(by: int, uncount
     line.publish(10, nothing)
     line.now_s += 20 * PERIOD_S
     judge = line.publish(10, lambda frames: renumbered(frames, by))
-    assert judge.uncounted_losses == uncounted
+    assert judge.tally.uncounted_losses == uncounted
     assert judge.missing == [0, 0]
     lost = line.judge.account(0)
     assert 20 + by <= lost <= 26 + by
@@ -152,9 +163,9 @@ def test_a_driver_that_leaves_out_two_frames_after_a_start_is_found() -> None:
 
 
 def one_trial(tmp_path: Path, faults: Callable[[Trial], Turns]) -> Trial:
-    trial = Trial("planted", PLAN, Tty(tmp_path / "port"))
+    trial = Trial("planted", PLAN, Tty(tmp_path / "port"), faults)
     trial.limit_s = 0.5
-    side_by_side([trial.run(faults)])
+    side_by_side([trial.run()])
     return trial
 
 
@@ -187,7 +198,7 @@ def test_packets_lost_and_not_counted_are_found(tmp_path: Path) -> None:
 
 
 def test_a_driver_that_mostly_resumes_late_is_found(tmp_path: Path) -> None:
-    trial = Trial("planted", PLAN, Tty(tmp_path / "port"))
+    trial = Trial("planted", PLAN, Tty(tmp_path / "port"), lambda trial: trial.after(0))
     trial.resumed_s = 20 * [0.1, 0.1, 5.0]
     assert trial.outcome().good
     trial.resumed_s = [0.1, 1.2, 1.3]

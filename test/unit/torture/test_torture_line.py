@@ -31,10 +31,9 @@ from torture.line.campaign import COMMANDS, harmed, spoilt_commands
 from torture.line.damage import FLIPS, HELD, KINDS, LOST, Kind
 from torture.line.judge import counted
 from torture.line.ledger import Ledger
-from torture.line.man_in_the_middle import ManInTheMiddle, Schedule
-from torture.line.renumbered import Counted
+from torture.line.man_in_the_middle import Counted, ManInTheMiddle, Schedule
 from torture.line.rig import Rig, Stream
-from torture.outcome import Plan
+from torture.outcome import COUNTS, Plan, Tally
 
 CHIPS = Stream("chips", {"samples_per_chip": 1}, {"threshold": 0})
 SILENCE = Stream("silence", {}, {"scene": "press"})
@@ -122,17 +121,14 @@ def test_counters_are_set_on(begin: Counted) -> None:
         assert (b.sequence - a.sequence - begin.sequence) % 2**16 == 0
 
 
-def tortured(kind: Kind = LOST, times: int = 4, stream: Stream = CHIPS) -> Counter[str]:
+def tortured(kind: Kind = LOST, times: int = 4, stream: Stream = CHIPS) -> Tally:
     """What is found while faults of a kind are put on a line."""
     with Rig(stream, 1, 5.0) as rig:
         return rig.run(Schedule(kind, times, np.random.default_rng(1)))
 
 
-BAD = ("wrong_values", "uncounted_losses", "crashes", "hangs")
-
-
-def bad(found: Counter[str]) -> list[str]:
-    return [name for name in BAD if found[name]]
+def bad(found: Tally) -> list[str]:
+    return [name for name in COUNTS if getattr(found, name)]
 
 
 def test_a_sound_driver_bears_it() -> None:
@@ -199,8 +195,13 @@ def too_much(frame: TactileFrame) -> TactileFrame:
 def test_a_false_time_or_pressure_is_found(
     monkeypatch: pytest.MonkeyPatch, change: Callable[[TactileFrame], TactileFrame]
 ) -> None:
-    publish, maybe = Pipeline._frame, on_call(7, change)
-    monkeypatch.setattr(Pipeline, "_frame", lambda self, heard: maybe(publish(self, heard)))
+    maybe = on_call(7, change)
+
+    class Falsifying(Pipeline):
+        def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
+            return [maybe(frame) for frame in super().feed(data, t_host, backlog)]
+
+    monkeypatch.setattr(driver_module, "Pipeline", Falsifying)
     assert bad(tortured()) == ["wrong_values"]
 
 
@@ -276,7 +277,7 @@ def test_a_driver_that_fails_in_the_end_is_found(monkeypatch: pytest.MonkeyPatch
         def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
             frames = super().feed(data, t_host, backlog)
             arrived = rig.man.ledger.counts.bytes
-            if frames and rig.man.over() and self.packet_counts["bytes"] >= arrived:
+            if frames and rig.man.over() and self.packet_counts.bytes >= arrived:
                 raise ZeroDivisionError
             return frames
 

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What an analog front end does with a skin's line: range, clipping, resolution; and its report."""
+"""The subcommand `tactile-cdma amplifier`: parts of the analog front end, and what they do."""
 
 from __future__ import annotations
 
+import argparse
+import json
 import math
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
@@ -15,7 +17,9 @@ from numpy.typing import NDArray
 
 from ..code.encode import line_chips
 from ..code.frame import FrameSpec
-from ..hardware.amplifier import EXACT, FrontEnd
+from ..config.arguments import add_skin_options, given
+from ..config.skin_config import SkinConfig
+from ..hardware.amplifier import EXACT, FrontEnd, design
 from ..sim.nodes import NodeRules, node_frames
 from ..sim.options import SimOptions
 from ..sim.scene import SCENES
@@ -29,6 +33,39 @@ DRAWS = 200
 FRAMES = 12
 """Frames of every scene in it, SCENE_STEP_S apart."""
 SCENE_STEP_S = 0.37
+
+
+def add_to(commands: Any) -> None:
+    """Add the subcommand to the command line."""
+    parser = commands.add_parser("amplifier", help="the parts between nodes and digitizer")
+    parser.add_argument("--json", action="store_true", help="as one JSON object")
+    for name, kind, default, text in (
+        ("--supply", float, 3.3, "of nodes and amplifier [V] (3.3)"),
+        ("--adc-volts", float, 3.3, "range of the digitizer's converter [V] (3.3)"),
+        ("--adc-bits", int, 12, "its resolution [bit] (12)"),
+        ("--active", float, 1.0, "largest share of nodes that talk at once (1)"),
+    ):
+        parser.add_argument(name, type=kind, default=default, help=text)
+    add_skin_options(parser, "the driver's; the frame period plays no part")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Design the front end and print it; returns the exit code."""
+    longest_ms = 1e5  # or the default period would refuse larger skins
+    config = SkinConfig.of({**given(arguments), "frame_period_ms": longest_ms})
+    front = design(
+        config.spec,
+        config.samples_per_chip,
+        supply_v=arguments.supply,
+        adc_volts=arguments.adc_volts,
+        adc_bits=arguments.adc_bits,
+        active=arguments.active,
+    )
+    print(
+        json.dumps(report(config.spec, front)) if arguments.json else describe(config.spec, front)
+    )
+    return 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,18 +1,49 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Whether a digitizer, as its INFO describes it, and the parameters of a skin agree."""
+"""What the digitizer says about itself, and whether that agrees with a skin's parameters."""
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import dataclass, fields
 
 from ..config.parameters import GAP
 from ..config.skin_config import SkinConfig
 from ..framing.silence import quiet_uv
-from ..wire._protocol import SyncMode
-from ..wire.messages import FrameLayout, Info
+from ..wire._protocol import PacketType, Result, SyncMode
+from ..wire.messages import Ack, FrameLayout, Info, Status
 
 MAX_SAMPLES_PER_CHIP = 1000
+"""Chosen: 8 suffice for any timing, and buffers of a frame stay small at this many."""
+
+
+@dataclass(slots=True)
+class DigitizerState:
+    """What the digitizer has said on the present connection.
+
+    info: its last description of itself, None before the first.
+    status: its last STATUS.
+    streaming: whether it streams, by its last STATUS or by obeying a START since; None: not known.
+    refusal: the last command that it refused and has not obeyed since.
+    """
+
+    info: Info | None = None
+    status: Status | None = None
+    streaming: bool | None = None
+    refusal: Ack | None = None
+
+    def hear_status(self, status: Status) -> None:
+        """Take in a STATUS."""
+        self.status, self.streaming = status, status.streaming
+
+    def hear_ack(self, ack: Ack) -> None:
+        """Take in the answer to a command."""
+        if ack.result != Result.OK:
+            self.refusal = ack
+            return
+        if ack.command == PacketType.START:
+            self.streaming = True
+        if self.refusal and self.refusal.command == ack.command:
+            self.refusal = None
 
 
 def contradiction(info: Info, config: SkinConfig) -> str | None:

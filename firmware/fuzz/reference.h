@@ -1,0 +1,181 @@
+// SPDX-License-Identifier: Apache-2.0
+
+/* A second implementation of docs/protocol.md, written for plainness, that the core is compared
+ * with: packets, settings, samples, and the host of a digitizer. */
+#ifndef FUZZ_REFERENCE_H
+#define FUZZ_REFERENCE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "board.h"
+#include "fuzz.h"
+#include "pulses.h"
+#include "tactile_protocol.h"
+
+/* ---- framing.c ------------------------------------------------------------------------------- */
+
+/* Packets ↔ bytes a second time, from docs/protocol.md and as plainly as can be: what the core's
+ * framing is held against. */
+
+#define FRAMING_MAX_RUN (TP_MAX_PACKET - 1)
+
+uint32_t framing_crc(const uint8_t *bytes, size_t size);
+
+/* The packet in a run of bytes between two zeros. body: room for FRAMING_MAX_RUN bytes; gets header
+ * and payload. Returns their size, or 0 where the run is no packet. */
+size_t framing_unwrap(const uint8_t *run, size_t size, uint8_t *body);
+
+/* A body with its CRC, COBS and delimiter. wire: room for TP_MAX_PACKET bytes; body: for 4 more than
+ * its size. Returns the size. */
+size_t framing_wrap(uint8_t *body, size_t size, uint8_t *wire);
+
+/* ---- commands.c ------------------------------------------------------------------------------ */
+
+/* Commands made of an input: whole packets, whatever they say. */
+
+#define COMMANDS_MAX 1024 /* bytes on the wire, of two */
+
+/* Bytes that they take in wire are returned. Of the type, without payload; */
+size_t commands_plain(struct input *input, uint8_t type, uint8_t *wire);
+/* of any type, with any payload; */
+size_t commands_any(struct input *input, uint8_t *wire);
+/* CONFIGURE that asks for what a board can mostly do. */
+size_t commands_configure(struct input *input, const struct dg_board *board, uint8_t *wire);
+
+/* ---- settings.c ------------------------------------------------------------------------------ */
+
+/* What a CONFIGURE means by docs/protocol.md, in exact numbers of 128 bits. */
+
+__extension__ typedef __int128 wide;
+
+struct settings {
+    struct tp_configure asked; /* as it holds: HEAR is DRIVE */
+    bool marked;
+    uint32_t ticks_per_us, ticks_per_sample;
+    uint32_t chips;      /* coded ones in a frame */
+    wide first_mark;     /* thousandths of a tick, as all that follows */
+    wide period, chip;
+    uint32_t quiet_counts;
+};
+
+/* What the digitizer has to answer. settings: what holds then, if that is OK. */
+enum tp_result settings_of(struct settings *settings, const struct dg_board *board,
+                           const struct tp_configure *asked);
+
+/* When a chip of a frame begins, after its mark. */
+wide settings_chip(const struct settings *settings, uint32_t chip);
+
+/* Number of the first sample that is taken at or after a time. */
+uint64_t settings_sample(const struct settings *settings, wide time);
+
+/* First sample of frame number `frame`. */
+uint64_t settings_mark(const struct settings *settings, uint64_t frame);
+
+/* A time in µs, to the nearest. */
+uint64_t settings_us(const struct settings *settings, wide time);
+
+/* ---- line.c ---------------------------------------------------------------------------------- */
+
+/* What a stream's samples were, and what therefore the packets must say that tell of them. */
+
+struct line {
+    struct settings settings;
+    uint64_t start_us;
+    uint16_t *counts; /* LINE_LOST: could not be kept */
+    size_t size, capacity;
+    uint64_t frame; /* that the next pulse belongs to … */
+    uint32_t chip;  /* … and announces */
+    uint32_t turns; /* frames of a roll call to come */
+    bool *called;   /* by frame */
+    size_t frames;  /* room for so many there */
+    uint64_t next;  /* index of the word after the last one that was told of */
+};
+
+#define LINE_LOST UINT16_MAX
+
+/* SAMPLES, or QUIET. */
+struct line_packet {
+    uint64_t device_time_us, first;
+    uint8_t flags;
+    uint32_t count;
+    const uint8_t *words; /* as on the wire; NULL: QUIET, with these sums: */
+    int64_t sum;
+    uint64_t sum_of_squares;
+};
+
+void line_init(struct line *line, const struct settings *settings, uint64_t start_us);
+void line_free(struct line *line);
+
+/* Samples of the converter; counts NULL: lost ones. */
+void line_add(struct line *line, const uint16_t *counts, size_t size);
+
+/* The next pulse. call: whether a roll call was asked for since the last frame's. */
+void line_pulse(struct line *line, const struct dg_pulse *pulse, bool call);
+/* So many samples come before what the next pulse announces. */
+uint64_t line_covered(const struct line *line);
+/* Frames by which pulses are ahead of the samples. */
+uint64_t line_ahead(const struct line *line);
+
+/* The next packet. dropped: whether packets before it were dropped. */
+void line_check(struct line *line, const struct line_packet *packet, bool dropped);
+/* The stream was sent to its end, and nothing was dropped. */
+void line_check_end(const struct line *line);
+/* Words that could not be made for want of samples, so far. */
+uint32_t line_lost(const struct line *line);
+
+/* ---- host.c ---------------------------------------------------------------------------------- */
+
+/* The host of a digitizer that is fuzzed: knows what must be answered to the bytes that it sends, and
+ * holds against it what comes back. */
+
+/* An ACK that must come. */
+struct host_answer {
+    struct tp_ack ack;
+    bool info;                /* and INFO after it … */
+    struct settings settings; /* … which says this */
+};
+
+/* Bytes up to a zero. */
+struct host_run {
+    uint8_t bytes[FRAMING_MAX_RUN];
+    size_t size; /* also beyond what is kept */
+};
+
+struct host {
+    const struct dg_board *board;
+    struct settings settings; /* that must hold now */
+    bool running;             /* … */
+    bool restarted;           /* since the harness has looked */
+    bool call_asked;          /* … and not yet begun */
+    uint32_t refused, errors;
+    struct host_run sent;
+
+    struct host_answer *answers; /* that must come, in their order */
+    size_t answers_size, answered;
+    struct host_run heard;
+    uint64_t heard_size;    /* bytes, zeros too */
+    uint64_t packet_begin;  /* of the packet in progress: its place among them */
+    uint16_t sequence;      /* of the next packet */
+    uint32_t missing;       /* packets, by their sequence */
+    uint32_t unanswered;    /* commands whose ACK is among them */
+    bool info_due;
+    struct tp_status status; /* the latest */
+
+    /* Is told of all samples. place: of the packet among the bytes heard. */
+    void (*samples)(void *context, const struct line_packet *packet, uint64_t place);
+    void *context;
+};
+
+void host_init(struct host *host, const struct dg_board *board);
+void host_free(struct host *host);
+
+/* Bytes that the digitizer gets. */
+void host_sends(struct host *host, const uint8_t *bytes, size_t size);
+/* Bytes that it has sent. */
+void host_hears(struct host *host, const uint8_t *bytes, size_t size);
+/* All that it has sent was heard, and after all else a STATUS. */
+void host_check_end(const struct host *host);
+
+#endif

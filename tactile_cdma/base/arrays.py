@@ -1,0 +1,11 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Short names of array types."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Bools = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+Indices = NDArray[np.intp]

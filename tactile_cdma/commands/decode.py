@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The subcommand `tactile-cdma decode`: the words in a recording or an oscilloscope capture."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..base.errors import CaptureError, SpecError
+from ..code.encode import word_bits
+from ..config.arguments import add_skin_options, given
+from ..config.parameters import BY_NAME, GAP, Value
+from ..config.skin_config import SkinConfig
+from ..recording.capture import is_text, read_scope_csv
+from ..recording.offline import RawCapture, decode_scope
+from ..words.decode import Words
+
+
+def add_to(commands: Any) -> None:
+    """Add the subcommand to the command line."""
+    parser = commands.add_parser("decode", help="decode a recording or an oscilloscope capture")
+    text = "recording, raw bytes of a port, or CSV of time in s and voltage in V"
+    parser.add_argument("file", type=Path, help=text)
+    parser.add_argument("--json", action="store_true", help="one JSON object per frame")
+    add_skin_options(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print every frame, then on stderr what the file held; returns the exit code."""
+    path, asked = arguments.file, given(arguments)
+    raw = None if is_text(path) else RawCapture(path, asked)
+    if raw is None:
+        config = _scope_config(asked)
+        scope = read_scope_csv(path)
+        notes, frames = scope.notes, decode_scope(scope, config)
+    else:
+        config, notes = raw.config, raw.notes
+        frames = ((frame.t_start, frame.words) for frame in raw.frames())
+    for note in notes:
+        print(f"tactile-cdma: {path}: {note}", file=sys.stderr)
+    count = 0
+    for t_start, words in frames:
+        count += 1
+        frame = describe_frame(t_start, words, config)
+        print(json.dumps(frame) if arguments.json else _line(frame), flush=arguments.json)
+    reason = "no frame found: check chip duration, order, bits and the frame period"
+    if raw is not None:
+        counters, packets = raw.pipeline.counters, raw.pipeline.parser.counters
+        print(
+            f"frames={count} lost_frames={counters.lost_frames} packets={packets.packets} "
+            f"lost_packets={packets.lost_packets} crc_errors={packets.crc_errors} "
+            f"rejected={raw.pipeline.rejected}",
+            file=sys.stderr,
+        )
+        reason = raw.pipeline.problem or reason
+    if not count:
+        raise CaptureError(f"{path}: {reason}")
+    return 0
+
+
+def describe_frame(t_start: float, words: Words, config: SkinConfig) -> dict[str, Any]:
+    """One frame for people and JSON: active nodes only, nodes counted from 1 as in the paper."""
+    voltage_v = config.adc.voltage(words.codes)
+    pressure_pa = config.calibration.curves.pressure(voltage_v.astype(np.float32))
+    bits = word_bits(words.codes, config.spec.bits)
+    confidence = words.confidence
+    return {
+        "t": round(t_start, 9),
+        "nodes": [
+            {
+                "node": int(i) + 1,
+                "bits": "".join(map(str, bits[i])),
+                "code": int(words.codes[i]),
+                "voltage": round(float(voltage_v[i]), 4),
+                "pressure_pa": round(float(pressure_pa[i]), 1),
+                "snr_db": round(20 * math.log10(float(words.rho[i])), 1),
+                "confidence": round(float(confidence[i]), 6),
+                "doubtful": bool(words.doubtful[i]),
+            }
+            for i in np.flatnonzero(words.active)
+        ],
+    }
+
+
+def _scope_config(asked: dict[str, Value]) -> SkinConfig:
+    if asked.get("timing", GAP) != GAP:
+        raise SpecError("an oscilloscope capture holds nothing but the waveform: use --timing gap")
+    # Only a digitizer integrates chips; the capture's own rate is what counts here.
+    of_scope = {"timing": GAP, "samples_per_chip": BY_NAME["samples_per_chip"].default}
+    return SkinConfig.of({"amplitude_mv": 0.0} | asked | of_scope)
+
+
+def _line(frame: dict[str, Any]) -> str:
+    return f"{frame['t']:.6f} s  {'  '.join(map(_word, frame['nodes'])) or 'all silent'}"
+
+
+def _word(node: dict[str, Any]) -> str:
+    doubt = ", doubtful" if node["doubtful"] else ""
+    return (
+        f"{node['node']}: {node['bits']} {node['voltage']:.2f} V "
+        f"{node['pressure_pa'] / 1e3:.1f} kPa ({node['snr_db']:.0f} dB{doubt})"
+    )

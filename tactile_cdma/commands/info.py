@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The subcommand `tactile-cdma info`: what a recording holds, and whether it is intact."""
+
+from __future__ import annotations
+
+import argparse
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from ..base.errors import CaptureError, TactileError
+from ..base.plain_text import plain
+from ..config.arguments import add_skin_options, given
+from ..config.parameters import Value
+from ..recording.container import Description
+from ..recording.offline import RawCapture
+from ..recording.recording_file import describe, is_recording, survey
+
+
+def add_to(commands: Any) -> None:
+    """Add the subcommand to the command line."""
+    parser = commands.add_parser("info", help="what a recording holds, and whether it is intact")
+    parser.add_argument("file", type=Path, help="recording")
+    add_skin_options(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print all that can be said of a recording; returns 1 where it is damaged."""
+    path: Path = arguments.file
+    if not is_recording(path):
+        raise CaptureError(f"{path}: no recording; decode reads files of bytes alone")
+    description, found = describe(path), survey(path)
+    for name, value in _about(description).items():
+        print(f"{name}: {plain(value)}")
+    print(f"length: {found.length_s:.3f} s, {found.bytes} bytes in {found.chunks} pieces")
+    _say_frames(path, given(arguments))
+    print("checksum: " + ("; ".join(found.notes) or "right"))
+    return 1 if found.notes else 0
+
+
+def _about(description: Description) -> dict[str, str]:
+    begun = datetime.fromtimestamp(description.wall_ns * 1e-9, UTC)
+    parameters = ", ".join(f"{name}: {value}" for name, value in description.parameters.items())
+    return {
+        "begun": begun.isoformat(timespec="milliseconds"),
+        "port": f"{description.port} at {description.baud} baud",
+        "recorded by": f"tactile_cdma {description.package_version}",
+        "asked for": parameters or "nothing, the digitizer was taken as it was",
+    }
+
+
+def _say_frames(path: Path, asked: dict[str, Value]) -> None:
+    """What decoding finds, or why it finds nothing."""
+    try:
+        capture = RawCapture(path, asked)
+    except TactileError as error:
+        print(f"frames: none, {error}")
+        return
+    for _ in capture.frames():
+        pass
+    pipeline = capture.pipeline
+    counters, packets, spec = pipeline.counters, pipeline.parser.counters, pipeline.config.spec
+    print(
+        f"skin: {spec.nodes} nodes, {spec.bits} bits, order {spec.order}, "
+        f"a frame every {spec.frame_period_s * 1e3:g} ms"
+    )
+    print(f"frames: {counters.frames}, lost {counters.lost_frames}")
+    print(
+        f"packets: {packets.packets}, lost {packets.lost_packets}, CRC errors {packets.crc_errors}"
+    )
+    print(f"samples: {counters.samples}, lost {counters.lost_samples}")
+    if pipeline.problem:
+        print(f"problem: {pipeline.problem}")

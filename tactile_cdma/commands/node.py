@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The subcommand `tactile-cdma node`: EEPROMs of sensing nodes, as files and into the node."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+from typing import Any
+
+from ..base.errors import SpecError
+from ..config.arguments import add_skin_options, given
+from ..config.skin_config import SkinConfig
+from ..hardware.node_memory import MCUS, check_timing, describe_memory, node_memory, usual_heartbeat
+from ..hardware.programmer import avrdude, burn, node_files, read_memory, write_memory
+
+ALL = "all"
+"""Instead of a node's number."""
+
+
+def add_to(commands: Any) -> None:
+    """Add the subcommand to the command line."""
+    parser = commands.add_parser("node", help="what a sensing node's EEPROM has to hold")
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("--node", type=_node_number, metavar="NUMBER", help="1, 2, … or all")
+    what.add_argument("--read", type=Path, metavar="FILE", help="print what such a file says")
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="FILE",
+        help="Intel HEX (.hex, .eep) or bytes (.bin); with all: a directory, made if missing",
+    )
+    parser.add_argument("--mcu", choices=MCUS, default="atmega328p")
+    parser.add_argument(
+        "--threshold",
+        type=int,
+        default=1,
+        help="the node talks while its code is farther than this from rest or from what it sent "
+        "last; 0: always [LSB] (1)",
+    )
+    parser.add_argument(
+        "--heartbeat", type=int, help="and once in so many frames; 0: never (as many as take 1 s)"
+    )
+    parser.add_argument("--rest", type=int, help="code at rest (learnt after power-up)")
+    parser.add_argument(
+        "--no-discipline",
+        action="store_false",
+        dest="discipline",
+        help="the node's own clock times its chips; they do not follow the sync edges",
+    )
+    parser.add_argument(
+        "--programmer", metavar="NAME", help="also write it to the node, by avrdude: usbasp, …"
+    )
+    add_skin_options(parser, "the driver's")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write or print memories; returns the exit code."""
+    if arguments.read:
+        print(describe_memory(*read_memory(arguments.read)))
+        return 0
+    output, mcu, programmer = arguments.output, arguments.mcu, arguments.programmer
+    if output is None:
+        raise SpecError("-o is missing: the file to write, or with --node all the directory")
+    if programmer and arguments.node == ALL:
+        raise SpecError("--programmer writes one node, the one that is connected: --node is all")
+    config = SkinConfig.of(given(arguments))
+    check_timing(config.timing)
+    heartbeat = arguments.heartbeat
+    if heartbeat is None:
+        heartbeat = usual_heartbeat(config.spec.frame_period_s)
+    nodes = range(1, config.spec.nodes + 1) if arguments.node == ALL else [arguments.node]
+    memories = [
+        node_memory(
+            config.spec,
+            node,
+            threshold=arguments.threshold,
+            heartbeat=heartbeat,
+            rest=arguments.rest,
+            discipline=arguments.discipline,
+            mcu=mcu,
+        )
+        for node in nodes
+    ]
+    paths = [output] if arguments.node != ALL else node_files(output, len(memories))
+    for path, memory in zip(paths, memories, strict=True):
+        write_memory(path, memory)
+    if arguments.threshold:
+        _warn_of_silence(heartbeat, config)
+    print(f"written: {paths[0]}" + (f" … {paths[-1]}" if len(paths) > 1 else ""))
+    if programmer:
+        burn(output, mcu, programmer)
+    else:
+        print("to the node:", shlex.join(avrdude(paths[0], mcu, "usbasp")))
+    return 0
+
+
+def _node_number(text: str) -> int | str:
+    if text != ALL and not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r} is neither a number nor {ALL!r}")
+    return text if text == ALL else int(text)
+
+
+def _warn_of_silence(heartbeat: int, config: SkinConfig) -> None:
+    """A driver with these parameters takes nodes for stale that are silent for too long."""
+    silent_s = heartbeat * config.spec.frame_period_s
+    if not 0 < silent_s < config.stale_after_s:
+        often = f"only every {silent_s:g} s" if silent_s else "never"
+        print(
+            f"tactile-cdma: with heartbeat {heartbeat} a node at rest talks {often}, but "
+            f"is stale to the driver after {config.stale_after_s:g} s (stale_after_s)",
+            file=sys.stderr,
+        )

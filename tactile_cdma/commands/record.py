@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The subcommand `tactile-cdma record`: the bytes of a port, with their times, in a file."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from ..base.errors import CaptureError, PortError
+from ..base.interrupt import stop_event
+from ..base.named_file import naming
+from ..config.arguments import add_skin_options, given, positive
+from ..config.parameters import BY_NAME, REPLAY
+from ..config.skin_config import SkinConfig
+from ..driver.session import Session
+from ..recording.recording_file import Recorder
+from ..replay.options import ReplayOptions
+from ..wire.messages import Info
+from ..wire.packets import PacketParser, diagnose
+from ..wire.port import Port
+
+
+def add_to(commands: Any) -> None:
+    """Add the subcommand to the command line."""
+    parser = commands.add_parser("record", help="write the bytes of a port to a file")
+    parser.add_argument("port", help="pyserial URL: /dev/ttyACM0, sim://?scene=press, …")
+    parser.add_argument("file", type=Path, help="recording, usually named *.skin")
+    parser.add_argument("--seconds", type=positive, help="end after so long; else on Ctrl-C")
+    parser.add_argument("--baud", type=int, default=BY_NAME["baud"].default)
+    parser.add_argument("--force", action="store_true", help="overwrite the file")
+    add_skin_options(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Record until the time is up, Ctrl-C or a lost port; returns the exit code."""
+    asked, path = given(arguments), arguments.file
+    if path.exists() and not arguments.force:
+        raise CaptureError(f"{path}: exists already; --force overwrites it")
+    if _is_read_by(arguments.port, path):
+        raise CaptureError(f"{path}: is what {arguments.port} reads; give another file")
+    config = SkinConfig.of(asked) if asked else None
+    session = Session(config)
+    parser, start = PacketParser(), time.monotonic()
+    described = False
+    with (
+        Port(arguments.port, arguments.baud) as port,
+        stop_event(arguments.seconds) as stop,
+        naming(path, CaptureError),
+        Recorder(path, arguments.port, arguments.baud, asked, arguments.force) as recorder,
+    ):
+        try:
+            port.write(session.open())
+            while not stop.is_set():
+                data, t_host = port.read()
+                recorder.write(data, t_host)
+                for packet in parser.feed(data):
+                    if isinstance(packet, Info):
+                        described = True
+                        port.write(session.introduced(packet))
+                        if config and (wrong := config.refusal(packet.digitizer_id)):
+                            raise PortError(f"{arguments.port}: {wrong}")
+            port.write(session.close())
+        except PortError as error:
+            print(f"tactile-cdma: {error}; keeping what was recorded", file=sys.stderr)
+    counters = parser.counters
+    print(
+        f"seconds={time.monotonic() - start:.1f} bytes={counters.bytes} "
+        f"packets={counters.packets} lost_packets={counters.lost_packets} "
+        f"crc_errors={counters.crc_errors}"
+    )
+    if not described:
+        raise CaptureError(f"{path}: this capture cannot be decoded: {diagnose(counters)}")
+    return 0
+
+
+def _is_read_by(port: str, path: Path) -> bool:
+    """Whether a file, under whatever name, is a port's recording or device."""
+    source = ReplayOptions.from_url(port).path if port.startswith(REPLAY) else Path(port)
+    with suppress(OSError, ValueError):  # not there, or no name of a file
+        return path.samefile(source)
+    return False

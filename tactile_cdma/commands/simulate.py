@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The subcommand `tactile-cdma simulate`: a virtual digitizer behind a real tty."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from ..base.interrupt import stop_event
+from ..config.arguments import positive
+from ..config.parameters import SIMULATION
+from ..sim.digitizer import VirtualDigitizer
+from ..sim.options import SimOptions
+from ..sim.pty import serve
+
+
+def add_to(commands: Any) -> None:
+    """Add the subcommand to the command line."""
+    parser = commands.add_parser("simulate", help="a virtual digitizer behind a real tty")
+    parser.add_argument("--pty", action="store_true", required=True, help="serve on a pty")
+    parser.add_argument("--link", type=Path, help="also make a symbolic link to the tty")
+    parser.add_argument("--seconds", type=positive, help="end after so long; else on Ctrl-C")
+    text = "options as in a port: 'sim://?scene=press&seed=1'"
+    parser.add_argument("url", nargs="?", default=SIMULATION, help=text)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Serve until the time is up or Ctrl-C."""
+    options = SimOptions.from_url(arguments.url)
+    with stop_event(arguments.seconds) as stop:
+        serve(
+            lambda: VirtualDigitizer(options),
+            arguments.link,
+            stop,
+            lambda path: print(f"serving on {path}", flush=True),
+        )
+    return 0

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Packets of samples → levels of the nodes, for a digitizer that is set as its INFO says."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..clocks.clock_keeper import ClockKeeper
+from ..clocks.node_timing import NodeTiming
+from ..config.parameters import GAP
+from ..config.skin_config import SkinConfig
+from ..framing.gap_timing import GapTiming
+from ..framing.line_timing import LineTiming
+from ..framing.timing import FrameLevels, QuietBlock, SampleBlock
+from ..wire.messages import Info, Samples
+from .timeline import Pace, Place, Step
+
+
+class LevelDecoder:
+    """Converts counts to volts and finds the frames in them.
+
+    timing: finds the frames. pace: what the digitizer's packets may claim.
+    """
+
+    def __init__(self, info: Info, config: SkinConfig, background: bool) -> None:
+        """background: see ClockKeeper. Raises SpecError for a sampling that cannot be decoded."""
+        self._info = info
+        spec, rate_hz = config.spec, info.sample_rate_hz
+        low_v, high_v = info.volts(np.array([info.min_count, info.max_count], dtype=np.int16))
+        rails_v = float(low_v), float(high_v)
+        self.pace = Pace(info, spec)
+        self.timing: LineTiming | NodeTiming | GapTiming
+        if config.timing == GAP:
+            self.timing = GapTiming(spec, rate_hz, rails_v)
+        elif info.integrated or spec.resync_chips:
+            self.timing = LineTiming(spec, rate_hz, rails_v)
+        else:
+            self.timing = NodeTiming(spec, rate_hz, rails_v, background)
+
+    @property
+    def clocks(self) -> ClockKeeper | None:
+        """Clocks of the nodes, where these may have their own."""
+        return self.timing.clocks if isinstance(self.timing, NodeTiming) else None
+
+    @property
+    def can_call_roll(self) -> bool:
+        """Whether a roll call can be evaluated: frames are marked and raw, the rest is known."""
+        return isinstance(self.timing, NodeTiming) and self.timing.rest_known
+
+    def feed(self, place: Place) -> list[FrameLevels]:
+        """The frames that a packet completes."""
+        if place.step is not Step.CONTINUES:
+            self.timing.reset()
+        info, packet = self._info, place.packet
+        if isinstance(packet, Samples):
+            volts = info.volts(packet.counts)
+            return self.timing.feed(SampleBlock(place.index, volts, packet.sync, packet.called))
+        block = QuietBlock(
+            place.index,
+            packet.count,
+            (packet.mean - info.zero_count) * info.volts_per_count,
+            packet.variance * info.volts_per_count**2,
+            packet.sync,
+            packet.called,
+        )
+        return self.timing.quiet(block)

@@ -1,0 +1,272 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Places samples and frames in index, device time and host time; tells losses and restarts."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import Enum, auto
+from typing import NamedTuple, TypeAlias
+
+from ..code.frame import FrameSpec
+from ..framing.timing import FrameLevels
+from ..wire._protocol import MAX_GAP
+from ..wire.messages import Info, Quiet, Samples, Status
+from ..wire.packets import SEQUENCES
+from .clock import DeviceClock
+
+AnySamples: TypeAlias = Samples | Quiet
+
+CLOCK_SLACK_S = 0.05
+"""s; device time and sample count that differ by more are not those of one stream. Chosen: far
+above what clocks drift from packet to packet; a restart or reset moves them by more."""
+CLOCK_TOLERANCE = 0.01
+"""Share by which time may run ahead of the sample count. Chosen: 10 × clock.MAX_RATE_ERROR."""
+MAX_DEVICE_TIME_US = 1 << 53
+"""µs; 285 years, and the largest range in which a float holds every microsecond."""
+MAX_LEAP_S = 10.0
+"""s; a longer loss counts only if a second packet confirms it. Chosen: a cable that is out for as
+long usually closes the port, and impossible indices are mostly farther off."""
+MAX_LATE_S = 2.0
+"""s; a packet that seems to be read later than this counts as one of another clock. Chosen: a busy
+host is seldom held up for longer."""
+MAX_ANCHORS = 4096
+"""Packets whose device times are kept, for frames that began in them. Chosen: a frame spans fewer,
+as a packet holds hundreds of samples."""
+TICK_S = 1e-6
+"""s; stamps rise by at least one unit of device time."""
+
+
+class Step(Enum):
+    """How a packet of samples relates to the one before."""
+
+    CONTINUES = auto()
+    """Nothing is missing in between."""
+    LOSS = auto()
+    """Samples are missing in between."""
+    RESTART = auto()
+    """The digitizer counts samples anew, as after another START; its clock goes on."""
+    RESET = auto()
+    """The digitizer was reset: its clock began anew, too."""
+
+
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """A packet and when it was read, s, by the host's monotonic clock.
+
+    backlog: it had been waiting to be read.
+    """
+
+    packet: AnySamples
+    t_host: float
+    backlog: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A packet that was accepted, and where it belongs.
+
+    index: of its first sample, counted from the last restart on: the digitizer's own indices come
+        near 2⁶⁴ and are no exact floats.
+    """
+
+    packet: AnySamples
+    index: int
+    step: Step
+
+
+class Stamp(NamedTuple):
+    """Number and times of one frame; see TactileFrame."""
+
+    sequence: int
+    t_start: float
+    t_middle: float
+    t_host: float
+    chip_s: float
+
+
+@dataclass(slots=True)
+class StreamCounters:
+    """What happened to the stream so far; every number only grows."""
+
+    frames: int = 0
+    lost_frames: int = 0
+    samples: int = 0
+    lost_samples: int = 0
+    unannounced_samples: int = 0
+    restarts: int = 0
+    implausible_packets: int = 0
+    skipped_bytes: int = 0
+
+
+class Pace:
+    """What packets of samples may claim, by the digitizer's description of itself."""
+
+    def __init__(self, info: Info, spec: FrameSpec) -> None:
+        self.spec, self.rate_hz = spec, info.sample_rate_hz
+        # Gaps between integrated frames have no samples: there, time runs ahead of their count.
+        gaps = spec.frame_period_s / spec.frame_s - 1 if info.integrated else 0.0
+        self._ahead, self._ahead_s = gaps + CLOCK_TOLERANCE, CLOCK_SLACK_S
+        if info.integrated:
+            self._ahead_s += spec.frame_period_s
+        range_v = (info.max_count - info.min_count) * info.volts_per_count
+        deviation_v = 0.5 * (info.quiet_uv * 1e-6 or range_v) + info.volts_per_count
+        self._most_quiet_v2, self._v2_per_count = deviation_v**2, info.volts_per_count**2
+        self._longest_quiet = 2 * self.rate_hz * spec.frame_period_s
+
+    def is_plausible(self, packet: AnySamples) -> bool:
+        """Whether a clock can show this time, and silence last so long and vary so much."""
+        if packet.device_time_us > MAX_DEVICE_TIME_US:
+            return False
+        return isinstance(packet, Samples) or (
+            packet.count <= self._longest_quiet
+            and packet.variance * self._v2_per_count <= self._most_quiet_v2
+        )
+
+    def fits(self, before: AnySamples, packet: AnySamples) -> bool:
+        """Whether device time has advanced between two packets as the count of samples says."""
+        counted_s = (packet.first_index - before.first_index) / self.rate_hz
+        ahead_s = (packet.device_time_us - before.device_time_us) * 1e-6 - counted_s
+        return -CLOCK_SLACK_S <= ahead_s <= self._ahead_s + self._ahead * counted_s
+
+    def follows(self, before: AnySamples, packet: AnySamples) -> bool:
+        """Whether a packet continues the stream after another one, with at most a short loss."""
+        missing = packet.first_index - end_index(before)
+        return 0 <= missing <= MAX_LEAP_S * self.rate_hz and self.fits(before, packet)
+
+
+class Timeline:
+    """Follows the digitizer's count of samples and its clock, and gives frames number and time.
+
+    Whether samples were lost, and whether the digitizer was restarted or reset, is decided here and
+    nowhere else; each Place tells the stages that follow.
+
+    A packet that does not continue the stream is held back. If the next one continues it, the
+    digitizer was restarted or much was lost; otherwise its contents were impossible.
+
+    clock: maps device time to host time.
+    """
+
+    def __init__(self, counters: StreamCounters) -> None:
+        """counters: where packets, samples and frames are counted."""
+        self.clock = DeviceClock()
+        self._counters = counters
+        self._last: AnySamples | None = None  # accepted
+        self._held: Arrival | None = None
+        self._told_reset = False  # by a STATUS since: its clock is younger than the last samples
+        self._anchors: deque[tuple[int, float]] = deque(maxlen=MAX_ANCHORS)  # index, device time
+        self._origin = 0  # the digitizer's index of index 0
+        self._sequence = -1
+        self._last_start_s: float | None = None  # of the last frame, if on the present clock
+        self._last_t_host = -math.inf
+
+    def reconnected(self) -> None:
+        """Start anew on another connection; the frames' sequence goes on."""
+        self._last = self._held = None
+        self._begin_clock()
+
+    def hear_status(self, status: Status) -> None:
+        """Compare a STATUS with the samples before: a digitizer that was reset is younger."""
+        if self._last is not None and status.uptime_us < self._last.device_time_us:
+            self._told_reset = True
+
+    def accept(self, arrival: Arrival, pace: Pace) -> Iterator[Place]:
+        """Yield what this packet lets through: itself, the one held back and itself, or nothing.
+
+        Each enters the timeline as it is yielded, so that the frames of one are stamped before the
+        next is known.
+        """
+        packet, held, last = arrival.packet, self._held, self._last
+        if not pace.is_plausible(packet):
+            self._counters.implausible_packets += 1
+            return
+        self._held = None
+        if last is None or self._told_reset or pace.follows(last, packet):
+            self._counters.implausible_packets += held is not None
+        elif held is not None and pace.follows(held.packet, packet):
+            yield self._enter(held, pace)
+        else:
+            self._counters.implausible_packets += held is not None
+            self._held = arrival
+            return
+        yield self._enter(arrival, pace)
+
+    def stamp(self, heard: FrameLevels, pace: Pace) -> Stamp:
+        """Number and times of the next frame."""
+        spec, counters = pace.spec, self._counters
+        chip_s = heard.chip_samples / pace.rate_hz
+        t_start = self._device_time(heard.start, pace)
+        t_middle = t_start + chip_s * spec.span_chips / 2
+        t_host = self.clock.to_host(t_middle)
+        passed_s = 0.0
+        if self._last_start_s is not None:
+            passed_s = t_start - self._last_start_s
+        elif self._sequence >= 0:  # after a reset only the host knows how long that took
+            passed_s = t_host - self._last_t_host
+        periods = max(1, round(passed_s / spec.frame_period_s))
+        self._sequence += periods
+        self._last_start_s = t_start
+        # A better estimate of the clock may move time back: stamps still rise.
+        self._last_t_host = max(t_host, self._last_t_host + TICK_S)
+        counters.frames += 1
+        counters.lost_frames += periods - 1
+        return Stamp(self._sequence, t_start, t_middle, self._last_t_host, chip_s)
+
+    def _enter(self, arrival: Arrival, pace: Pace) -> Place:
+        """Let a packet take its place."""
+        packet, t_device = arrival.packet, arrival.packet.device_time_us * 1e-6
+        step = self._step(arrival, t_device, pace)
+        if step is Step.RESET:
+            self._begin_clock()
+        elif step is Step.RESTART:
+            self._anchors.clear()
+        if not self._anchors:
+            self._origin = packet.first_index
+        index, count = packet.first_index - self._origin, sample_count(packet)
+        self._last, self._told_reset = packet, False
+        self._anchors.append((index, t_device))
+        self._counters.samples += count
+        self.clock.observe(t_device + count / pace.rate_hz, arrival.t_host, arrival.backlog)
+        return Place(packet, index, step)
+
+    def _step(self, arrival: Arrival, t_device: float, pace: Pace) -> Step:
+        """How an accepted packet relates to the one before; counts what was lost."""
+        packet, last = arrival.packet, self._last
+        if last is None:
+            return Step.CONTINUES
+        missing = packet.first_index - end_index(last)
+        if missing >= 0 and pace.fits(last, packet):
+            self._counters.lost_samples += missing
+            return Step.LOSS if missing else Step.CONTINUES
+        self._counters.restarts += 1
+        # A digitizer that was reset restarts packet numbering, though all that says so may be lost.
+        renumbered = (packet.sequence - last.sequence) % SEQUENCES > MAX_GAP
+        if self._told_reset or renumbered or packet.device_time_us <= last.device_time_us:
+            return Step.RESET
+        late_s = arrival.t_host - self.clock.to_host(t_device)
+        return Step.RESTART if -CLOCK_SLACK_S < late_s < MAX_LATE_S else Step.RESET
+
+    def _begin_clock(self) -> None:
+        """Forget the device's clock: the next packet is of another one."""
+        self.clock = DeviceClock()
+        self._anchors.clear()
+        self._last_start_s = None
+
+    def _device_time(self, index: float, pace: Pace) -> float:
+        """Device time, s, of a place in the stream of samples, by the last packet before it."""
+        at_or_before = (anchor for anchor in reversed(self._anchors) if anchor[0] <= index)
+        first_index, t_device = next(at_or_before, self._anchors[0])
+        return t_device + (index - first_index) / pace.rate_hz
+
+
+def sample_count(packet: AnySamples) -> int:
+    """Number of samples that a packet stands for."""
+    return packet.count if isinstance(packet, Quiet) else len(packet.counts)
+
+
+def end_index(packet: AnySamples) -> int:
+    """Index of the sample that follows a packet."""
+    return packet.first_index + sample_count(packet)

@@ -1,0 +1,293 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Cuts the stream at the digitizer's marks, and learns the line at rest from the gaps.
+
+What a marked frame says is left to a Recogniser: `line_timing` has the one for nodes on one clock,
+`clocks.node_timing` the one for nodes with clocks of their own.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from ..base.arrays import Floats, Floats32
+from ..base.errors import SpecError
+from ..code.frame import BIPOLAR, FrameSpec
+from ..code.separate import NodeLevels
+from .fit import Fit, dot, least_power, lowest_power
+from .timing import MOST_CLIPPED, FrameLevels, QuietBlock, Rails, SampleBlock, Timing, share_clipped
+
+LEAST_REST = 16
+"""Gap samples that an estimate of level and noise takes, collected over several short gaps. Chosen:
+the variance of 16 samples is right to a third (√(2/15))."""
+MOST_RISE = 4.0
+"""Largest ratio of a gap's variance to the estimate that is believed: a burst within one gap must
+not excuse the next frame. Chosen; with GAP_WEIGHT the estimate then grows by 1.75 per gap at
+most."""
+GAP_WEIGHT = 0.25
+"""Weight of the newest gap in the running noise estimate. Chosen: averages about seven gaps."""
+
+
+class MarkedFrame(NamedTuple):
+    """The samples of a marked frame.
+
+    start: stream index of the mark. volts: (m,) float64, V, from the mark on, as received.
+    final: no more samples will follow.
+    """
+
+    start: int
+    volts: Floats
+    final: bool
+
+
+class Verdict(NamedTuple):
+    """A recogniser's decision.
+
+    frame: the decoded frame; None where it is rejected or not decided yet.
+    over: stream index from which on the line is at rest again; None if unknown.
+    due: stream index up to which samples are needed to decide; None once decided.
+    """
+
+    frame: FrameLevels | None = None
+    over: int | None = None
+    due: int | None = None
+
+
+REJECTED = Verdict()
+
+
+class Recogniser(Protocol):
+    """Decodes marked frames, one after the other."""
+
+    def open(self, start: int, called: bool, since: int | None) -> int:
+        """Prepare for the frame marked at a stream index; returns the samples needed to decide.
+
+        called: the frame belongs to a roll call. since: samples from the mark before to this one,
+        None after a hole in the stream.
+        """
+
+    def recognise(self, frame: MarkedFrame) -> Verdict:
+        """Decode a frame, reject it, or ask for more samples."""
+
+    def forget(self) -> None:
+        """Drop timing carried over from earlier frames, since a frame was rejected."""
+
+
+class MarkedLine:
+    """How the line is sampled, and its level and noise at rest: shared by stream and recogniser.
+
+    chip: nominal chip duration, samples. integrated: one sample is the mean of one chip, and gaps
+    and guards have no samples. nominal: timing of an unstretched frame, relative to its mark.
+    size: samples of an unstretched frame.
+    level_v: of the line at rest, V; the last frame's mean until a gap has shown it (level_known).
+    noise: variance of a chip's level in the gap, V²; 0 where unknown.
+    """
+
+    def __init__(self, spec: FrameSpec, rate_hz: float, rails_v: Rails) -> None:
+        """Raises SpecError at a rate that line timing cannot use. rails_v: see share_clipped."""
+        self.spec, self._rails_v = spec, rails_v
+        self.chip = rate_hz * spec.chip_s
+        self.integrated = abs(self.chip - 1) < 0.01
+        if not (self.integrated or self.chip >= 1.9):
+            raise SpecError(
+                f"{self.chip:.2g} samples per chip: line timing takes one integrated value per "
+                f"chip ({1 / spec.chip_s:.6g} Hz) or at least two samples"
+            )
+        self.nominal = Fit(-0.5, self.chip)  # sample i stands for i − ½ … i + ½
+        length = spec.chips if self.integrated else spec.span_chips
+        self.size = math.ceil(length * self.chip - 0.5)
+        self.least_power = least_power(spec)
+        # All rows but the first have as many +1 as −1: without it a frame's mean is the offset.
+        self._mean_is_offset = spec.first_row > 0 and spec.drive == BIPOLAR
+        self.level_v = self.noise = 0.0
+        self.level_known = False
+        self._gap = np.zeros(3)  # samples not evaluated yet: count, sum, sum of squares
+
+    @property
+    def sample_noise_v(self) -> float:
+        """Noise of one sample, V RMS; 0 where unknown."""
+        return math.sqrt(self.noise * self.chip)
+
+    def add_gap(self, volts: Floats) -> None:
+        """Learn level and noise from samples of a gap, which may be none."""
+        if not volts.size or math.isnan(total := float(volts.sum())):
+            return
+        self._gap += (volts.size, total, dot(volts, volts))
+        count, total, squares = self._gap.tolist()
+        if count >= LEAST_REST:
+            mean = total / count
+            self.at_rest(mean, max(0.0, squares - count * mean**2) / (count - 1))
+            self._gap[:] = 0
+
+    def at_rest(self, mean_v: float, variance_v2: float) -> None:
+        """Learn level and noise from mean and variance of the samples of a gap."""
+        newest = variance_v2 / self.chip
+        if self.level_known:
+            newest = min(newest, MOST_RISE * self.noise + lowest_power(1e-3))
+        self.noise += (GAP_WEIGHT if self.level_known else 1.0) * (newest - self.noise)
+        self.level_v, self.level_known = mean_v, True
+
+    def clipped(self, volts: Floats) -> float:
+        """Share of samples at a rail."""
+        return share_clipped(volts, self._rails_v)
+
+    def gate(self, frame: MarkedFrame) -> Verdict | None:
+        """Decide a frame that has too little power for any node, or absurd samples; else None."""
+        volts = frame.volts[: self.size]
+        if self._mean_is_offset and not self.level_known:
+            self.level_v = float(volts.mean())
+        power = self.sample_power(volts)
+        if math.isnan(power):
+            return REJECTED
+        # Chips are means of samples, so they have no more power than the samples.
+        if power > self.least_power:
+            return None
+        return REJECTED if self.clipped(volts[:1]) else self.silent(frame.start, power)
+
+    def sample_power(self, volts: Floats) -> float:
+        """Mean power of samples, V², without an unknown offset; NaN where one is absurd."""
+        mean = float(volts.sum()) / volts.size
+        power = dot(volts, volts) / volts.size
+        if self.spec.first_row > 0:
+            return max(power - mean**2, 0.0)  # NaN stays NaN
+        return max(power - 2 * mean * self.level_v + self.level_v**2, 0.0)
+
+    def is_silent(self, amplitude: Floats32) -> bool:
+        """Whether no word rises above the gap's noise, or above what any node would send.
+
+        amplitude: (n,) V, mean |r| of every node. Noise alone gives 0.8 ± 0.6/√k deviations of a
+        correlation.
+        """
+        strongest = float(amplitude.max())
+        return strongest**2 <= max(self.least_power, 4 * self.noise / self.spec.order)
+
+    def silent(self, start: int, power: float, fit: Fit | None = None) -> Verdict:
+        """A frame in which no node spoke. power: mean power of its samples, V², all of it noise."""
+        return self._decided(start, fit or self.nominal, None, math.sqrt(power / self.chip))
+
+    def heard(
+        self, frame: MarkedFrame, fit: Fit, levels: NodeLevels, tied: bool = False
+    ) -> Verdict:
+        """A frame in which nodes spoke; rejected where most of its samples are at a rail."""
+        clipped = self.clipped(frame.volts[: round(fit.end(self.spec) + 0.5)])
+        if clipped > MOST_CLIPPED:
+            return Verdict(over=frame.start + frame.volts.size)
+        noise_rms_v = levels.noise_v * math.sqrt(self.spec.order)
+        return self._decided(frame.start, fit, levels, noise_rms_v, clipped, tied)
+
+    def _decided(
+        self,
+        start: int,
+        fit: Fit,
+        levels: NodeLevels | None,
+        noise_rms_v: float,
+        clipped: float = 0.0,
+        tied: bool = False,
+    ) -> Verdict:
+        # An integrated value's index is the begin of its chip, a raw sample's its instant.
+        begin = float(start) if self.integrated else start + fit.start
+        found = FrameLevels(begin, fit.chip, levels, noise_rms_v, self.level_v, clipped, tied)
+        return Verdict(found, start + math.ceil(fit.end(self.spec) + 0.5 * fit.chip))
+
+
+class MarkedTiming(Timing):
+    """Frames that the digitizer marks: each starts at the first sample of a block with sync."""
+
+    def __init__(self, line: MarkedLine, recogniser: Recogniser) -> None:
+        """line: shared with the recogniser."""
+        super().__init__()
+        self.line = line
+        self._recogniser = recogniser
+        self._gap_size = math.ceil(line.spec.order * line.chip)
+        self._start: int | None = None  # the mark of the frame in progress
+        self._due = 0
+        self._mark: int | None = None  # the last mark, if no hole followed
+        self._gap_begin: int | None = None  # end of the last frame, if no hole followed
+
+    def feed(self, block: SampleBlock) -> list[FrameLevels]:
+        """Take samples in; return the frames that they complete."""
+        frames = self._begin(block)
+        volts, slice_size = np.asarray(block.volts), self.line.size
+        for begin in range(0, volts.size, slice_size):  # keeps the buffer bounded
+            self._samples.append(volts[begin : begin + slice_size])
+            while self._start is not None and self._samples.end >= self._due:
+                frames += self._decide(self._start, self._due, final=False)
+            if self._start is None:
+                self._samples.drop(self._samples.end - self._gap_size)
+        return frames
+
+    def quiet(self, block: QuietBlock) -> list[FrameLevels]:
+        """Process a block in which no node transmitted: a frame with its tail, or part of a gap.
+
+        Gives what `feed` gives for such samples, at next to no cost.
+        """
+        line = self.line
+        if block.count < line.size if block.sync else self._start is not None:
+            return self.feed(block.samples())  # the frame goes on
+        frames = self._begin(block)
+        if block.sync:
+            at_rail = line.clipped(np.array([block.mean_v])) > 0
+            silent = line.silent(block.first_index, block.variance_v2)
+            frames += self._settle(REJECTED if at_rail else silent)
+        elif self._gap_begin is not None:
+            line.at_rest(block.mean_v, block.variance_v2)
+        end = block.first_index + block.count
+        self._samples.restart(end)
+        self._gap_begin = None if self._gap_begin is None else end
+        return frames
+
+    def flush(self) -> list[FrameLevels]:
+        """End of the recording: decode the frame in progress if it is complete."""
+        frames = self._close()
+        self.reset()
+        return frames
+
+    def reset(self) -> None:
+        """Forget the frame in progress, since the stream has a hole."""
+        super().reset()
+        self.rejected += self._start is not None
+        self._start = self._mark = self._gap_begin = None
+
+    def _begin(self, block: SampleBlock | QuietBlock) -> list[FrameLevels]:
+        """Join a block to the stream; a mark ends the frame in progress, which is returned."""
+        self._join(block)
+        if not block.sync:
+            return []
+        frames, index = self._close(), block.first_index
+        if self._gap_begin is not None:
+            gap_begin = max(self._gap_begin, index - self._gap_size)
+            self.line.add_gap(self._samples.take(gap_begin, index))
+        self._samples.drop(index)
+        since = None if self._mark is None else index - self._mark
+        self._start = self._mark = index
+        self._due = index + self._recogniser.open(index, block.called, since)
+        return frames
+
+    def _close(self) -> list[FrameLevels]:
+        """Decide the frame in progress, for which no more samples will come."""
+        if self._start is None:
+            return []
+        if self._samples.end - self._start < self.line.size:
+            return self._settle(REJECTED)
+        return self._decide(self._start, self._samples.end, final=True)
+
+    def _decide(self, start: int, end: int, final: bool) -> list[FrameLevels]:
+        frame = MarkedFrame(start, self._samples.take(start, end), final)
+        return self._settle(self._recogniser.recognise(frame))
+
+    def _settle(self, verdict: Verdict) -> list[FrameLevels]:
+        """Act on a verdict."""
+        if verdict.due is not None:
+            self._due = verdict.due
+            return []
+        self._start = None
+        # Where chips are integrated no gap is sent: what follows is words, and no noise.
+        self._gap_begin = None if self.line.integrated else verdict.over
+        if verdict.frame is not None:
+            return [verdict.frame]
+        self.rejected += 1
+        self._recogniser.forget()
+        return []

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Publishes every frame for machines: array, contacts and wrench, and the info they go with."""
+
+from __future__ import annotations
+
+from rclpy.lifecycle import LifecycleNode
+from rclpy.qos import qos_profile_sensor_data
+from std_msgs.msg import Header
+
+from tactile_cdma.msg import TactileArray, TactileSkinInfo
+
+from ...config.parameters import Values
+from ...config.skin_config import SkinConfig
+from ...driver.pipeline import TactileFrame
+from ...readings.baseline import Baseline
+from ...readings.contact import ContactThresholds
+from ..common.convert import skin_info, tactile_array
+from ..common.qos import LATCHED
+from .contacts import ContactPublishers
+from .stamps import Stamps
+
+
+class FramePublishers:
+    """`~/tactile`, `~/contacts`, `~/wrench` and `~/info` of one skin."""
+
+    def __init__(self, node: LifecycleNode, live: Values, stamps: Stamps) -> None:
+        """live: the parameters' present values, kept by the node."""
+        self._live, self._stamps = live, stamps
+        self._array = node.create_lifecycle_publisher(
+            TactileArray, "~/tactile", qos_profile_sensor_data
+        )
+        self._info = node.create_lifecycle_publisher(TactileSkinInfo, "~/info", LATCHED)
+        self._contacts = ContactPublishers(node)
+        self._info_id = 0
+        self._silence_due_s = 0.0  # device time from which a frame without words is published again
+        self.topic = self._array.topic_name
+
+    def start(self, config: SkinConfig) -> None:
+        """Prepare for the frames of a stream."""
+        self._layout = config.layout
+        self._contacts.start(config.layout, config.contact)
+
+    def change(self, thresholds: ContactThresholds) -> None:
+        """Find contacts by other thresholds from the next frame on."""
+        self._contacts.change(thresholds)
+
+    def publish_info(self, config: SkinConfig, baseline: Baseline) -> None:
+        """Publish what frames from now on are read with; call it between frames."""
+        self._info_id += 1
+        self._info.publish(skin_info(config, baseline, self._stamps.now(), self._info_id))
+
+    def publish(self, frame: TactileFrame) -> Header | None:
+        """Publish a frame; returns its header, or None if nothing was due or asked for.
+
+        Runs in the driver's thread: from a decoded frame to the wire it is one publish. Several
+        messages share the header, which nobody changes once it is published.
+        """
+        array_asked = self._array.get_subscription_count() > 0
+        header = None
+        if self._is_news(frame) and (array_asked or self._contacts.asked):
+            header = self._stamps.rising(frame.t_host)
+        if header and array_asked:
+            with_voltage = bool(self._live["publish_voltage"])
+            self._array.publish(
+                tactile_array(frame, self._layout, header, self._info_id, with_voltage)
+            )
+        self._contacts.take(frame, header, self._info_id)
+        return header
+
+    def _is_news(self, frame: TactileFrame) -> bool:
+        """Whether a node spoke, or the last frame without words is long enough ago."""
+        rate_hz = float(self._live["idle_rate_hz"])
+        if not rate_hz or frame.words.active.any():
+            self._silence_due_s = 0.0  # the first silent frame tells who fell silent
+            return True
+        # Device time may start again, from nearly zero.
+        if 0.0 <= self._silence_due_s - frame.t_middle <= 1 / rate_hz:
+            return False
+        self._silence_due_s = frame.t_middle + 1 / rate_hz
+        return True
