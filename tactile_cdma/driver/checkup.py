@@ -39,6 +39,14 @@ DRIFT_PPM = 300.0
 BROKEN_SHARE = 0.1
 """Share of the packets; with more of them broken the link is of no use. Chosen."""
 
+UNSOUND = {
+    NodeState.DOUBLED: "two nodes speak on one code row: {}; check the numbers given to the nodes "
+    "(tactile-cdma node), and amplitude_mv",
+    NodeState.FAULTY: "words contradict the code: {}; check supply, clock and soldering",
+    NodeState.WEAK: "much weaker on the line than they should be: {}; check supply and resistor",
+}
+"""What is wrong with nodes of these states, and what to do about it."""
+
 
 def stream(pipeline: Pipeline, window: Window, latest: TactileFrame | None) -> Iterator[Finding]:
     """Frames: their rate, losses and latency, and the line that they come from."""
@@ -106,19 +114,7 @@ def nodes(pipeline: Pipeline, stuck: list[int], window: Window) -> Iterator[Find
             "fell silent: {}; check supply and wiring; stale_after_s must be longer than the "
             "nodes' heartbeat",
         ),
-        (
-            health.nodes(NodeState.DOUBLED),
-            "two nodes speak on one code row: {}; check the numbers given to the nodes "
-            "(tactile-cdma node), and amplitude_mv",
-        ),
-        (
-            health.nodes(NodeState.FAULTY),
-            "words contradict the code: {}; check supply, clock and soldering",
-        ),
-        (
-            health.nodes(NodeState.WEAK),
-            "much weaker on the line than they should be: {}; check supply and resistor",
-        ),
+        *((health.nodes(state), text) for state, text in UNSOUND.items()),
         (stuck, "stuck while all nodes around them move: {}; check sensor and converter"),
     ):
         if numbers:

@@ -74,7 +74,7 @@ class NodeHealth:
             self._odd += words.odd & clear & ~weak
         self._frames += 1
         if self._frames % JUDGE_FRAMES == 0:
-            self._judge()
+            self.judge()
 
     def nodes(self, state: NodeState) -> list[int]:
         """Numbers, from 1 on, of the nodes in a state."""
@@ -98,8 +98,9 @@ class NodeHealth:
         )
         return faint
 
-    def _judge(self) -> None:
-        heard, due = self._words > 0, self._words >= LEAST_WORDS
+    def judge(self, least_words: int = LEAST_WORDS) -> None:
+        """Update the verdict on every node of which so many words are known."""
+        heard, due = self._words > 0, self._words >= least_words
         amplitude_v = self._amplitude_v / np.maximum(self._words, 1e-6)
         expected_v = self._nominal_v or (float(np.median(amplitude_v[heard])) if heard.any() else 0)
         verdict = np.full(due.shape, NodeState.OK, dtype=np.uint8)
