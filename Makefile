@@ -95,7 +95,7 @@ torture: fuzz-setup
 	@"$(BIN)/python" -m torture $(ONLY) --seed $(SEED)
 
 soak: setup
-	@"$(BIN)/python" -m torture.soak --seconds $(or $(SECONDS),3600)
+	@"$(BIN)/python" -m torture.load.soak --seconds $(or $(SECONDS),3600)
 
 fuzz: fuzz-setup
 	@"$(BIN)/python" -m torture.fuzz --count $(COUNT) --seed $(SEED)

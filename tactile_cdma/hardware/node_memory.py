@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import zlib
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from ..base.errors import NodeMemoryError, SpecError
 from ..code.frame import FrameSpec
 from ..config.parameters import LINE
 from ..wire._protocol import FIELDS, NODE_LEARN_REST, NODE_MAGIC, NODE_VERSION, Polarity
-from ..wire.messages import WIRE, FrameLayout, Message, build
+from ..wire.messages import WIRE, FrameLayout, Message
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,10 +156,7 @@ def node_memory(
         turn=(node - 1) * heartbeat // spec.nodes,
     )
     (chips,) = spec.book.rows([record.row])
-    body = (
-        WIRE["NodeRecord"].pack(*astuple(record))
-        + np.packbits(chips > 0, bitorder="little").tobytes()
-    )
+    body = record.pack() + np.packbits(chips > 0, bitorder="little").tobytes()
     return body + zlib.crc32(body).to_bytes(CRC_BYTES, "little")
 
 
@@ -204,7 +201,7 @@ def read_node_memory(data: bytes) -> tuple[NodeRecord, NDArray[np.int8]]:
             f"the memory is damaged: CRC-32 is 0x{zlib.crc32(body):08X}, it says 0x{crc:08X}"
         )
     try:
-        record = build(NodeRecord, iter(values))
+        record = NodeRecord.unpack(body[: wire.size])
     except SpecError as error:
         raise NodeMemoryError(f"the memory is intact, but not for this firmware: {error}") from None
     packed = np.frombuffer(body, np.uint8, offset=wire.size)

@@ -17,13 +17,7 @@ import zlib
 from array import array
 from dataclasses import astuple, dataclass, replace
 
-import numpy as np
-
-from ..base.errors import SpecError
 from ._protocol import (
-    FLAG_CALLED,
-    FLAG_OVERRUN,
-    FLAG_SYNC,
     MAX_GAP,
     MAX_SAMPLES,
     VERSION,
@@ -31,19 +25,7 @@ from ._protocol import (
     Result,
 )
 from .cobs import cobs_decode, cobs_encode
-from .messages import (
-    PACKETS,
-    SAMPLE_MASK,
-    WIRE,
-    Info,
-    OtherVersion,
-    Packet,
-    Quiet,
-    Received,
-    Rejected,
-    Samples,
-    build,
-)
+from .messages import PACKETS, WIRE, Info, OtherVersion, Packet, Received, Rejected
 
 SEQUENCES = 2**16
 """Packets are counted modulo this."""
@@ -176,8 +158,6 @@ class PacketParser:
             self._expected = (sequence + 1) % SEQUENCES
         elif type_byte in (PacketType.SAMPLES, PacketType.QUIET):
             return None
-        if type_byte == PacketType.SAMPLES:
-            return self._samples(sequence, raw)
         return self._interpret(type_byte, sequence, raw[_HEADER.size : -_CRC.size])
 
     def _no_packet(self, run: bytes | bytearray) -> None:
@@ -202,24 +182,6 @@ class PacketParser:
         self._seen.jumps += 1
         return True
 
-    def _samples(self, sequence: int, raw: bytes) -> Samples | None:
-        """Samples, which are nearly all of the traffic: taken from the bytes without copying."""
-        size = len(raw) - _SAMPLES_END
-        if size <= 0 or size % 2:
-            self._seen.malformed += 1
-            return None
-        device_time_us, first_index, flags = WIRE["Samples"].unpack_from(raw, _HEADER.size)
-        words = np.frombuffer(raw, "<i2", size // 2, _SAMPLES_END - _CRC.size)
-        return Samples(
-            device_time_us,
-            first_index,
-            words ^ SAMPLE_MASK,
-            bool(flags & FLAG_SYNC),
-            bool(flags & FLAG_OVERRUN),
-            bool(flags & FLAG_CALLED),
-            sequence=sequence,
-        )
-
     def _interpret(self, type_byte: int, sequence: int, payload: bytes) -> Received | None:
         """The packet of an intact body; of the unusable ones only commands need an answer."""
         kind = PACKETS.get(type_byte)
@@ -228,17 +190,14 @@ class PacketParser:
         if kind is None:
             self._seen.unknown += 1
             reason = Result.UNKNOWN_COMMAND
-        elif len(payload) != (wire := WIRE[kind.__name__]).size:
-            self._seen.malformed += 1
-            reason = Result.BAD_LENGTH
         else:
             try:
-                if kind is Quiet:
-                    return _quiet(sequence, payload)
-                return build(kind, iter(wire.unpack(payload)), sequence=sequence)
-            except SpecError:
-                self._seen.malformed += 1
+                return kind.unpack(payload, sequence)
+            except struct.error:
+                reason = Result.BAD_LENGTH
+            except ValueError:  # SpecError, or half a sample
                 reason = Result.OUT_OF_RANGE
+            self._seen.malformed += 1
         return Rejected(type_byte, reason, sequence) if type_byte & _COMMAND_BIT else None
 
 
@@ -256,7 +215,7 @@ class PacketWriter:
         """The bytes of the next packet, delimiter included."""
         header = _HEADER.pack(packet.TYPE, self.sequence % SEQUENCES)
         self.sequence = (self.sequence + 1) % SEQUENCES
-        return wrap(header + packet.payload())
+        return wrap(header + packet.pack())
 
 
 def diagnose(counters: Counters) -> str:
@@ -275,21 +234,6 @@ def wrap(body: bytes) -> bytes:
     return cobs_encode(body + _CRC.pack(zlib.crc32(body))) + b"\0"
 
 
-def _quiet(sequence: int, payload: bytes) -> Quiet:
-    device_time_us, first_index, flags, count, total, squares = WIRE["Quiet"].unpack(payload)
-    return Quiet(
-        device_time_us,
-        first_index,
-        count,
-        total,
-        squares,
-        bool(flags & FLAG_SYNC),
-        bool(flags & FLAG_OVERRUN),
-        bool(flags & FLAG_CALLED),
-        sequence=sequence,
-    )
-
-
 def _text(run: bytes | bytearray) -> int:
     """Number of printable ASCII bytes."""
     return len(run) - len(run.translate(None, _TEXT))
@@ -299,8 +243,6 @@ _HEADER = WIRE["Header"]
 _CRC = struct.Struct("<I")
 _RESIDUE = 0x2144DF1C
 """The CRC-32 of any bytes that are followed by their own CRC-32."""
-_SAMPLES_END = _HEADER.size + WIRE["Samples"].size + _CRC.size
-"""Bytes in a packet of samples beside these."""
 _COMMAND_BIT = 0x80
 _NEVER, _MISSING = -1, -2
 """In place of a CRC: no such packet came up to now; it was counted as lost."""

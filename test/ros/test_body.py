@@ -39,7 +39,7 @@ from tactile_cdma.config.body_file import read_body  # noqa: E402
 from tactile_cdma.msg import TactileContact, TactileContacts  # noqa: E402
 from tactile_cdma.ros.body.node import BodyNode  # noqa: E402
 from tactile_cdma.ros.driver.node import SkinNode  # noqa: E402
-from tactile_cdma.views.body_cloud import BODY_POINT  # noqa: E402
+from tactile_cdma.views.cloud import BODY_POINT  # noqa: E402
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 ROOT = Path(__file__).resolve().parents[2]

@@ -22,14 +22,13 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.msg import TactileArray
 from tactile_cdma.ros.common.convert import ros_array, stamp
 from tactile_cdma.sim.options import SimOptions
+from torture.load import soak
 from torture.load.known_digitizer import KnownDigitizer
 from torture.load.loaded_skin import SOAKED, LoadedSkin
 from torture.load.message_judge import MessageJudge
-from torture.oracle import Stream
+from torture.oracle import Held, Stream
 from torture.outcome import Tally
 from torture.process_watch import Watch
-from torture.readings import Held
-from torture.soak import campaign as soak
 
 pytestmark = [pytest.mark.ros, pytest.mark.xdist_group("soak")]  # many: so they begin early
 CONFIG = SkinConfig.of({})

@@ -26,7 +26,7 @@ from tactile_cdma.msg import TactileContacts
 
 from ...base.errors import TransformError
 from ...places.poses import Pose
-from ...views.body_cloud import together
+from ...views.cloud import joined
 from ...views.rounds import Rounds
 from ..common.convert import nanoseconds, point_cloud
 from ..common.gate import Gate
@@ -172,7 +172,7 @@ class BodyNode(Node):
             if feed.array and cloud is not None:
                 stamps.append(feed.array.header.stamp)
                 clouds.append(cloud)
-        self._points.publish(point_cloud(together(clouds), self._header(stamps)))
+        self._points.publish(point_cloud(joined(clouds), self._header(stamps)))
 
     # Diagnostics
 

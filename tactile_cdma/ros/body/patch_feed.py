@@ -21,7 +21,7 @@ from std_msgs.msg import Header
 from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 
 from ...places.poses import Pose
-from ...views.body_cloud import PatchCloud
+from ...views.cloud import Cloud
 from ..common.convert import nanoseconds, rows
 from ..common.gate import Gate
 from ..common.qos import LATCHED
@@ -53,7 +53,7 @@ class PatchFeed:
         self._counted, self._reported_s = 0, -math.inf
         self._node, self._index, self._on_contacts = node, index, on_contacts
         self._gate = gate
-        self._cloud: tuple[int, PatchCloud] | None = None
+        self._cloud: tuple[int, Cloud] | None = None
         self._for_contacts: list[Subscription] = []
         self._for_points: list[Subscription] = []
 
@@ -110,7 +110,7 @@ class PatchFeed:
     def points(self, max_pa: float, pose: Pose) -> NDArray[np.void] | None:
         """(m,) BODY_POINT of the latest array; None while what it is to be read with is not there.
 
-        max_pa, pose: see PatchCloud.points.
+        max_pa, pose: see Cloud.points.
         """
         if self.array is None or self._cloud is None:
             return None
@@ -158,5 +158,5 @@ class PatchFeed:
             return
         positions_m = rows(message.positions).astype(np.float32)
         normals = rows(message.normals).astype(np.float32)
-        cloud = PatchCloud(positions_m, normals, self._index)
+        cloud = Cloud(positions_m, normals, self._index)
         self._cloud = message.info_id, cloud

@@ -17,9 +17,8 @@ from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.wire.packets import PacketParser
 from torture.commands.c_fuzzing import FIRMWARE
 from torture.fuzz import corpus, streams
-from torture.fuzz.mutation import inputs
 from torture.fuzz.search import search
-from torture.fuzz.target import CRASH, SLOW, UNCOUNTED, WRONG, Target, trying
+from torture.fuzz.target import CRASH, SLOW, UNCOUNTED, WRONG, Target, inputs, trying
 from torture.fuzz.targets import TARGETS
 from torture.hostile import bombs, garbage
 from torture.hostile import campaign as hostile
