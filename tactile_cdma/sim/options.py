@@ -10,7 +10,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from ..base.errors import SpecError
-from ..clocks.roll_call import LARGEST_RATE_ERROR, LATEST
+from ..clocks.roll_call import LARGEST_DELAY, LARGEST_RATE_ERROR
 from ..code.codes import default_order
 from ..code.frame import DEFAULT_AMPLITUDE_V, MAX_STRETCH, FrameSpec
 from ..config.parameters import BY_NAME, GAP, NATURAL_SIGNS, Parameter, Value
@@ -110,7 +110,7 @@ class SimOptions:
         0.0, "largest error of a node's own clock", "", (0.0, LARGEST_RATE_ERROR)
     )
     delay_spread: float = _option(
-        0.0, "largest delay of a node after the sync edge", "chips", (0.0, LATEST)
+        0.0, "largest delay of a node after the sync edge", "chips", (0.0, LARGEST_DELAY)
     )
     drift: float = _option(0.0, "fastest change of a node's clock error", "1/s", (0.0, 5e-5))
     sensor: str = _option(
