@@ -41,8 +41,10 @@ class Unbroken:
 
 @dataclass(slots=True)
 class Counts:
-    """What the driver must have counted. broken: packets of any kind of damage. impossible: packets
-    with a right CRC and contradictory contents."""
+    """What the driver must have counted.
+
+    broken: damaged packets. impossible: packets with a right CRC and contradictory contents.
+    """
 
     bytes: int = 0
     packets: int = 0
