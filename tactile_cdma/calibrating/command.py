@@ -7,7 +7,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,9 +22,9 @@ from ..config.skin_config import SkinConfig
 from ..driver.pipeline import Pipeline
 from ..readings.calibration import Calibration
 from ..readings.calibration_file import (
+    CalibrationContent,
     read_content,
     seal_calibration,
-    write_calibration,
     write_content,
 )
 from ..recording.capture import capture_notes
@@ -33,12 +33,12 @@ from . import dynamics_fit, report
 from .load_points import LoadPoints, read_points
 from .load_session import LiveSkin, LoadSession
 from .plateaus import Recording, Reference, find_offset, plateau_points, read_reference
-from .skin_fit import SkinFit, fit_skin
+from .skin_fit import fit_skin
 
 NODE_ORDER: dict[str, Value] = {"calibration_file": "", "layout_file": "", "rows": 0, "columns": 0}
 """Parameters under which taxel i is node i + 1, and no earlier calibration takes part."""
 LONGEST_MS = 1e5
-"""Points have no frames: a large skin need not fit into the default period."""
+"""Frame period for tables of points, which have no frames, ms: long enough for any skin."""
 OF_CURVES: dict[str, Any] = {
     "pieces": 2,
     "rising": False,
@@ -50,11 +50,12 @@ OF_CURVES: dict[str, Any] = {
     "seconds": 1.0,
     "append": False,
 }
-"""Options of the fit of curves, and their defaults. The paper's sensor takes 0.74 s to settle."""
+"""Options of the fit of curves, and their defaults. settle, s: the paper's sensor takes 0.74 s."""
 OPTIONS_OF = {"port": ("steps", "node", "seconds", "append"), "capture": ("offset", "settle")}
 """Options that go with a source of loads only."""
 MISLED_S = 0.3
-"""By so much a sensor's lag may shift the offset of the clocks that is found."""
+"""By how much a sensor's lag may shift the clock offset that is found, s; chosen: over three times
+the time constant of the paper's sensor."""
 
 
 def add_to(commands: Any) -> None:
@@ -62,6 +63,7 @@ def add_to(commands: Any) -> None:
     parser = commands.add_parser(
         "calibrate", help="fit the nodes' curves to known loads", description=__doc__
     )
+    file: dict[str, Any] = {"type": Path, "metavar": "FILE"}
     parser.add_argument(
         "loads",
         type=Path,
@@ -71,27 +73,26 @@ def add_to(commands: Any) -> None:
         "(time_s,pressure_kpa and, if not all nodes are loaded alike, node); with --port the "
         "file that the points are kept in",
     )
-    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="calibration file")
-    parser.add_argument("--png", type=Path, metavar="FILE", help="picture (beside the output)")
+    parser.add_argument("-o", "--output", **file, help="calibration file to write")
+    parser.add_argument("--png", **file, help="picture (beside the output)")
     parser.add_argument("--force", action="store_true", help="overwrite the output")
     parser.add_argument("--skin", help="name of this very skin (the parameter skin)")
-    parser.add_argument("--pieces", type=_pieces, help=f"of every curve ({OF_CURVES['pieces']})")
     parser.add_argument(
-        "--rising",
-        action="store_true",
-        help="only loads above the one before count: for a skin that will be compensated",
+        "--pieces",
+        type=int,
+        choices=range(1, 9),
+        help="pieces of every curve (%(default)s)",
+    )
+    parser.add_argument(
+        "--rising", action="store_true", help="use rising loads only: for a skin to be compensated"
     )
     parser.add_argument(
         "--allow-missing",
         action="store_true",
-        help="nodes without a sound curve become uncalibrated; else nothing is written",
+        help="accept nodes without a sound curve",
     )
-    parser.add_argument(
-        "--area-mm2", type=positive, metavar="MM2", help="that a force_n of the loads acts on"
-    )
-    parser.add_argument(
-        "--seal", type=Path, metavar="FILE", help="accept a calibration file edited by hand"
-    )
+    parser.add_argument("--area-mm2", type=positive, metavar="MM2", help="area under a force_n")
+    parser.add_argument("--seal", **file, help="accept a calibration file edited by hand")
     capture = parser.add_argument_group("loads beside a capture")
     capture.add_argument("--capture", type=Path, metavar="RAW", help="from tactile-cdma record")
     capture.add_argument(
@@ -100,13 +101,10 @@ def add_to(commands: Any) -> None:
     capture.add_argument(
         "--settle",
         type=positive,
-        help=f"left out after a load came to rest [s] ({OF_CURVES['settle']:g})",
+        help="left out after a load came to rest [s] (%(default)s)",
     )
     capture.add_argument(
-        "--dynamics",
-        type=Path,
-        metavar="FILE",
-        help="a calibration file that lag and hysteresis, seen in loading cycles, are added to",
+        "--dynamics", **file, help="calibration file to add lag and hysteresis, seen in cycles, to"
     )
     live = parser.add_argument_group("loads taken step by step")
     live.add_argument("--port", help="pyserial URL of the digitizer")
@@ -114,9 +112,7 @@ def add_to(commands: Any) -> None:
     live.add_argument("--steps", type=_steps, metavar="0,10,…", help="loads [kPa]")
     live.add_argument("--node", type=int, help="the one that is loaded (all, alike)")
     live.add_argument(
-        "--seconds",
-        type=positive,
-        help=f"that a load is measured ({OF_CURVES['seconds']:g})",
+        "--seconds", type=positive, help="how long a load is measured [s] (%(default)s)"
     )
     live.add_argument("--append", action="store_true", help="go on with a file of points")
     add_skin_options(parser, "what a capture says, else the driver's")
@@ -128,7 +124,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.seal:
         print(f"identity={seal_calibration(arguments.seal)}")
         return 0
-    output, loads = _files(arguments)
+    loads = _checked_files(arguments)
     values = given(arguments) | NODE_ORDER
     if arguments.skin is not None:
         values["skin"] = arguments.skin
@@ -137,7 +133,7 @@ def run(arguments: argparse.Namespace) -> int:
         config = SkinConfig.of(_described(arguments.capture) | values)
         reference = read_reference(loads, config.spec.nodes, area_m2)
         if arguments.dynamics:
-            return _add_dynamics(arguments, output, config, reference)
+            return _add_dynamics(arguments, config, reference)
         recording, offset_s = _beside_capture(arguments, reference, config)
         points = plateau_points(reference, recording, offset_s, arguments.settle, config.adc)
     else:
@@ -147,12 +143,10 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.port and not _take_loads(arguments, loads, config):
             return 1
         points = read_points(loads, config.spec.nodes, config.adc.vref_v, area_m2)
-    return _fit(arguments, output, config, points)
+    return _fit(arguments, config, points)
 
 
-def _fit(
-    arguments: argparse.Namespace, output: Path, config: SkinConfig, points: LoadPoints
-) -> int:
+def _fit(arguments: argparse.Namespace, config: SkinConfig, points: LoadPoints) -> int:
     nodes = config.spec.nodes
     if arguments.rising:
         taken, points = len(points), points.rising(nodes)
@@ -161,66 +155,71 @@ def _fit(
     print(report.describe(fit))
     for warning in report.warnings(fit, config.curve):
         print(f"warning: {warning}")
-    _check_missing(fit, arguments.allow_missing)
+    if not fit.curves:
+        raise CalibrationError(f"{points.source}: no node has a sound curve; nothing is written")
+    if fit.refused and not arguments.allow_missing:
+        raise CalibrationError(
+            f"{points.source}: no sound curve for {listed(list(fit.refused), 'node')} (see above); "
+            "nothing is written: mend the loads, or --allow-missing takes the default curve for "
+            "them"
+        )
     calibration = Calibration.of_nodes(fit.curves, config.curve, nodes)
-    identity = write_calibration(output, calibration, config.adc, config.skin, points.source)
-    picture = _picture(arguments, output)
-    report.draw(fit, picture)
-    _conclude(output, picture, report.results(fit) | {"identity": identity})
-    return 0
+    content = CalibrationContent.of(calibration, config.adc, config.skin, points.source)
+    return _write(arguments, content, report.results(fit), lambda path: report.draw(fit, path))
 
 
-def _add_dynamics(
-    arguments: argparse.Namespace, output: Path, config: SkinConfig, reference: Reference
-) -> int:
+def _add_dynamics(arguments: argparse.Namespace, config: SkinConfig, reference: Reference) -> int:
     content = read_content(arguments.dynamics, config.spec.nodes, config.adc, config.skin)
     recording, offset_s = _beside_capture(arguments, reference, config)
-    found = dynamics_fit.find_dynamics(
-        content.calibration(config.curve),
-        reference,
-        recording,
-        offset_s,
-        uncertain_s=MISLED_S if arguments.offset is None else 0.0,
-    )
+    uncertain_s = MISLED_S if arguments.offset is None else 0.0
+    calibration = content.calibration(config.curve)
+    found = dynamics_fit.find_dynamics(calibration, reference, recording, offset_s, uncertain_s)
     print(dynamics_fit.describe(found))
     source = ", ".join(filter(None, (content.source, f"dynamics: {reference.path.name}")))
-    identity = write_content(output, replace(content, dynamics=found.dynamics, source=source))
-    picture = _picture(arguments, output)
-    dynamics_fit.draw(found, picture)
-    _conclude(output, picture, dynamics_fit.results(found) | {"identity": identity})
+    content = replace(content, dynamics=found.dynamics, source=source)
+    results = dynamics_fit.results(found)
+    return _write(arguments, content, results, lambda path: dynamics_fit.draw(found, path))
+
+
+def _write(
+    arguments: argparse.Namespace,
+    content: CalibrationContent,
+    results: dict[str, str],
+    draw: Callable[[Path], None],
+) -> int:
+    output, picture = arguments.output, _picture(arguments)
+    results["identity"] = write_content(output, content)
+    draw(picture)
+    print(f"written: {output}, {picture}")
+    print(" ".join(f"{key}={value}" for key, value in results.items()))
     return 0
 
 
-def _picture(arguments: argparse.Namespace, output: Path) -> Path:
-    return arguments.png or output.with_suffix(".png")
+def _picture(arguments: argparse.Namespace) -> Path:
+    path: Path = arguments.png or arguments.output.with_suffix(".png")
+    return path
 
 
-def _conclude(output: Path, picture: Path, results: dict[str, str]) -> None:
-    print(f"written: {output}, {picture}")
-    print(" ".join(f"{key}={value}" for key, value in results.items()))
-
-
-def _files(arguments: argparse.Namespace) -> tuple[Path, Path]:
-    """Output and loads; what cannot be meant is refused before anything is done."""
-    output: Path | None = arguments.output
+def _checked_files(arguments: argparse.Namespace) -> Path:
+    """The file of loads. Options and files that cannot be meant are refused before anything."""
+    output, loads = arguments.output, arguments.loads
     if output is None:
         raise CalibrationError("-o is missing: the calibration file to write")
     _check_options(arguments)
-    loads: Path | None = arguments.loads
     if loads is None:
         if not arguments.port:
             raise CalibrationError("which loads? Give a CSV file, or --port to take them now")
         loads = output.with_suffix(".points.csv")
     if arguments.port:
-        _check_writable(loads, True, ())
-    _check_writable(output, arguments.force, (loads, arguments.capture))
+        _check_writable(loads, True)
+    _check_writable(output, arguments.force, loads, arguments.capture)
     inputs = (loads, arguments.capture, arguments.dynamics)
-    _check_writable(_picture(arguments, output), True, (*inputs, output))
-    return output, loads
+    _check_writable(_picture(arguments), True, *inputs, output)
+    return Path(loads)
 
 
-def _check_writable(path: Path, force: bool, others: Iterable[Path | None]) -> None:
-    """Raises CalibrationError where a file cannot be, or would overwrite what is still needed."""
+def _check_writable(path: Path, force: bool, *others: Path | None) -> None:
+    """Raise CalibrationError where a file cannot be, or would overwrite what is still needed."""
     if any(other is not None and path.resolve() == other.resolve() for other in others):
         raise CalibrationError(f"{path}: would overwrite another file of this very command")
     if path.exists() and not path.is_file():
@@ -232,27 +231,26 @@ def _check_writable(path: Path, force: bool, others: Iterable[Path | None]) -> N
 
 
 def _check_options(arguments: argparse.Namespace) -> None:
-    """Raises CalibrationError for options that do not go with each other."""
-    if arguments.dynamics:
-        _check_dynamics(arguments)
+    """Raise CalibrationError for options that do not go with each other."""
+    changed = [name for name, default in OF_CURVES.items() if getattr(arguments, name) != default]
+    if arguments.dynamics and changed:
+        raise CalibrationError(
+            f"--{changed[0].replace('_', '-')} is for curves; --dynamics adds to those of "
+            f"{arguments.dynamics}"
+        )
+    if arguments.dynamics and not arguments.capture:
+        raise CalibrationError("--dynamics takes loading cycles: give --capture, too")
     if arguments.port and arguments.capture:
         raise CalibrationError("--port and --capture: loads come from one of the two")
     for source, names in OPTIONS_OF.items():
         for name in () if getattr(arguments, source) else names:
             if getattr(arguments, name) != OF_CURVES.get(name):
                 raise CalibrationError(f"--{name} goes with --{source} only")
+    if arguments.dynamics:
+        _check_scipy()
 
 
-def _check_dynamics(arguments: argparse.Namespace) -> None:
-    """Raises CalibrationError for what does not go with --dynamics."""
-    for name, default in OF_CURVES.items():
-        if getattr(arguments, name) != default:
-            raise CalibrationError(
-                f"--{name.replace('_', '-')} is for curves; --dynamics adds to those of "
-                f"{arguments.dynamics}"
-            )
-    if not arguments.capture:
-        raise CalibrationError("--dynamics takes loading cycles: give --capture, too")
+def _check_scipy() -> None:
     try:
         import scipy.optimize  # noqa: F401
     except ImportError as error:
@@ -287,7 +285,7 @@ def _beside_capture(
 
 
 def read_recording(path: Path, config: SkinConfig) -> Recording:
-    """What the nodes measured in a raw capture; config: with taxels in the order of the nodes.
+    """Read what the nodes measured from a capture; config: with taxels in the order of the nodes.
 
     Raises CaptureError where there is no frame in it.
     """
@@ -302,47 +300,24 @@ def read_recording(path: Path, config: SkinConfig) -> Recording:
 
 
 def _take_loads(arguments: argparse.Namespace, path: Path, config: SkinConfig) -> bool:
-    """Whether loads were taken until their end."""
+    """Take loads from a live skin; returns whether they were not interrupted."""
     nodes = config.spec.nodes
     if arguments.node is not None and not 1 <= arguments.node <= nodes:
         raise CalibrationError(f"--node is {arguments.node}; the skin has nodes 1…{nodes}")
     loaded = range(1, nodes + 1) if arguments.node is None else [arguments.node]
     with LiveSkin(config, arguments.port, arguments.baud) as skin:
-        session = LoadSession(
-            skin, input, lambda text: print(text, flush=True), loaded, arguments.seconds
-        )
+        session = LoadSession(skin, loaded, arguments.seconds)
         try:
             taken = session.run(path, arguments.steps, arguments.append)
         except KeyboardInterrupt:
-            kept = (
-                f"{path} has the loads taken so far: --append goes on with it, without --port it "
-                "is fitted"
-            )
-            print(
-                f"\ntactile-cdma: interrupted; {kept if path.exists() else 'no load was taken'}",
-                file=sys.stderr,
-            )
+            kept = "no load was taken"
+            if path.exists():
+                kept = f"{path} has the loads taken so far: --append goes on with it, without "
+                kept += "--port it is fitted"
+            print(f"\ntactile-cdma: interrupted; {kept}", file=sys.stderr)
             return False
     print(f"{taken} loads taken, kept in {path}")
     return True
-
-
-def _check_missing(fit: SkinFit, allow_missing: bool) -> None:
-    source = fit.points.source
-    if not fit.curves:
-        raise CalibrationError(f"{source}: no node has a sound curve; nothing is written")
-    if fit.refused and not allow_missing:
-        raise CalibrationError(
-            f"{source}: no sound curve for {listed(list(fit.refused), 'node')} (see above); "
-            "nothing is written: mend the loads, or take the default curve for them with "
-            "--allow-missing"
-        )
-
-
-def _pieces(text: str) -> int:
-    if not (text.isdecimal() and 1 <= int(text) <= 8):
-        raise argparse.ArgumentTypeError(f"{text!r}: a curve has 1 to 8 pieces")
-    return int(text)
 
 
 def _steps(text: str) -> tuple[float, ...]:

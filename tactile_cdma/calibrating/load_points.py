@@ -4,7 +4,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +16,13 @@ from .load_table import Table, read_table
 
 HEADING = "node,pressure_kpa,voltage_v"
 PLAUSIBLE_PA = (200.0, 1e8)
-"""A largest load outside of this is taken for one in a wrong unit."""
+"""Limits of the largest load, Pa; chosen: outside of them its unit is taken to be wrong."""
 NOISE = 0.01
-"""By so much of the largest load a reference that is not loaded may read less than 0."""
+"""How far below 0 an unloaded reference may read, as a share of the largest load; chosen."""
 _CHANGE = 0.005
+"""Change of a load, as a share of the largest, that is none; chosen: a reference's noise."""
+_SHOWN = 8
+"""Lines that are named."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,21 +46,15 @@ class LoadPoints:
         """The rows of each of the nodes 1…nodes, in the order in which they were taken."""
         order = np.argsort(self.node, kind="stable")
         ends = np.searchsorted(self.node[order], np.arange(1, nodes + 2))
-        return {node: order[ends[node - 1] : ends[node]] for node in range(1, nodes + 1)}
+        return {node + 1: order[begin:end] for node, (begin, end) in enumerate(pairwise(ends))}
 
     def rising(self, nodes: int) -> LoadPoints:
-        """Those of loads that were above the one before on their node."""
+        """Those whose load was above the one before on their node."""
         kept = np.zeros(len(self), dtype=bool)
         for own in self.by_node(nodes).values():
-            if len(own):
-                kept[own] = directions(self.pressure_pa[own]) >= 0
-        return LoadPoints(
-            self.node[kept],
-            self.pressure_pa[kept],
-            self.voltage_v[kept],
-            self.line[kept],
-            self.source,
-        )
+            kept[own] = directions(self.pressure_pa[own]) >= 0
+        columns = ("node", "pressure_pa", "voltage_v", "line")
+        return replace(self, **{name: getattr(self, name)[kept] for name in columns})
 
     def lines(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> str:
         """Where points come from, in words: "lines 3, 5, 9"."""
@@ -70,69 +68,56 @@ def read_points(path: Path, nodes: int, vref_v: float, area_m2: float | None = N
     pressures, voltages outside the converter's range, swapped columns and wrong units.
     """
     table = read_table(path, area_m2)
-    for kind, example in (
-        ("node", "node"),
-        ("pressure", "pressure_kpa"),
-        ("voltage", "voltage_v"),
-    ):
-        if kind not in table.columns:
-            hint = " (with times instead, give --capture)" if "time" in table.columns else ""
-            raise table.refusal(f"there is no column {example}{hint}")
-    pressure_pa, voltage_v = table.columns["pressure"], table.columns["voltage"]
-    check_swapped(table, pressure_pa, voltage_v, vref_v)
+    hint = " (with times instead, give --capture)" if "time" in table.columns else ""
+    table.require(hint, *HEADING.split(","))
+    voltage_v, unit = table.columns["voltage"], table.headings["voltage"]
+    _check_swapped(table, vref_v)
     pressure_pa = pressures(table)
     outside = (voltage_v < 0) | (voltage_v > vref_v)
     if outside.any():
         row = int(np.argmax(outside))
-        millivolts = table.headings["voltage"] == "voltage_v" and voltage_v[row] > 10 * vref_v
+        millivolts = unit == "voltage_v" and voltage_v[row] > 10 * vref_v
         raise table.refusal(
             f"{voltage_v[row]:g} V; a node measures 0…{vref_v:g} V"
             + (": are these mV? Name the column voltage_mv" if millivolts else ""),
             row,
         )
-    if table.headings["voltage"] == "voltage_mv" and voltage_v.max() * 1e3 <= vref_v:
+    if unit == "voltage_mv" and voltage_v.max() * 1e3 <= vref_v:
         raise table.refusal(
             f"the largest voltage is {voltage_v.max() * 1e3:g} mV: are these V? "
             "Name the column voltage_v"
         )
-    return LoadPoints(
-        node_numbers(table, nodes), pressure_pa, voltage_v, table.line, source=path.name
-    )
+    return LoadPoints(node_numbers(table, nodes), pressure_pa, voltage_v, table.line, path.name)
 
 
 def directions(pressure_pa: NDArray[np.float64]) -> NDArray[np.float64]:
     """How loads (m,) of one node were reached, in their order: 1 from below, −1 from above.
 
-    A load that is held goes on as it came; 0 for the first. What is less than half a per cent of
-    the largest is no change.
+    A load that is held keeps the direction that it came from; 0 for the first.
     """
-    least_pa = _CHANGE * pressure_pa.max()
-    change_pa = np.diff(pressure_pa, prepend=pressure_pa[0])
+    least_pa = _CHANGE * pressure_pa.max(initial=0.0)
+    change_pa = np.diff(pressure_pa, prepend=pressure_pa[:1])
     direction = np.sign(np.where(np.abs(change_pa) > least_pa, change_pa, 0.0))
     moved = np.maximum.accumulate(np.where(direction != 0, np.arange(len(direction)), 0))
     return np.asarray(direction[moved])
 
 
-def check_swapped(
-    table: Table,
-    pressure_pa: NDArray[np.float64],
-    voltage_v: NDArray[np.float64],
-    vref_v: float,
-) -> None:
-    """Raises CalibrationError where pressures stand under voltage and voltages under pressure."""
-    pressure, voltage = pressure_pa / table.factors["pressure"], voltage_v
+def _check_swapped(table: Table, vref_v: float) -> None:
+    """Raise CalibrationError where pressures stand under voltage and voltages under pressure."""
+    voltage_v = table.columns["voltage"]
+    pressure = table.columns["pressure"] / table.factors["pressure"]
     within = (pressure >= 0) & (pressure <= vref_v)
-    if within.all() and voltage.max() > vref_v and voltage.min() >= 0:
+    if within.all() and voltage_v.max() > vref_v and voltage_v.min() >= 0:
         raise table.refusal(
             f"all of {table.headings['pressure']} lies within 0…{vref_v:g}, "
-            f"{table.headings['voltage']} reaches {voltage.max():g}: are the columns swapped?"
+            f"{table.headings['voltage']} reaches {voltage_v.max():g}: are the columns swapped?"
         )
 
 
 def pressures(table: Table) -> NDArray[np.float64]:
-    """The column pressure, Pa; what a reference's noise takes below 0 is 0.
+    """The column pressure, Pa; noise of an unloaded reference below 0 becomes 0.
 
-    Raises CalibrationError for pressures that are negative or in another unit than is said.
+    Raises CalibrationError for pressures that are negative or in another unit than the heading's.
     """
     pressure_pa, heading = table.columns["pressure"], table.headings["pressure"]
     largest_pa = float(pressure_pa.max())
@@ -152,7 +137,7 @@ def pressures(table: Table) -> NDArray[np.float64]:
 
 
 def node_numbers(table: Table, nodes: int) -> NDArray[np.int64]:
-    """The column node as integers; raises CalibrationError for nodes that there are not."""
+    """The column node as integers; raises CalibrationError for nodes that the skin has not."""
     column = table.columns["node"]
     wrong = (column != np.floor(column)) | (column < 1) | (column > nodes)
     if wrong.any():
@@ -162,10 +147,7 @@ def node_numbers(table: Table, nodes: int) -> NDArray[np.int64]:
 
 
 def point_lines(nodes: list[int], pressure_pa: float, voltage_v: NDArray[np.float64]) -> str:
-    """The voltages (n,) of nodes under one load, as lines of a CSV below HEADING.
-
-    A node without a voltage (NaN) is left out.
-    """
+    """Lines of a CSV below HEADING: the voltages (n,) of nodes under one load, without NaN."""
     return "".join(
         f"{node},{pressure_pa / 1e3:.9g},{volts:.6f}\n"
         for node, volts in zip(nodes, voltage_v.tolist(), strict=True)

@@ -6,11 +6,10 @@ from __future__ import annotations
 
 import queue
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import TextIO
 
 import numpy as np
@@ -25,9 +24,9 @@ from .load_points import HEADING, point_lines
 from .plateaus import LEAST_FRAMES, Floats, steady_voltage
 
 PATIENCE_S = 5.0
-"""Without a frame for so long, a step is given up."""
+"""Wait for a frame before a step is given up, s; chosen: ports open in one or two."""
 MOVED = 2.0
-"""LSB by which a node must change to have moved: more than a code that flickers."""
+"""Change by which a node has moved, LSB: a code that flickers between two changes by one."""
 
 
 class LiveSkin:
@@ -42,16 +41,11 @@ class LiveSkin:
         self._driver.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._driver.stop()
 
     def collect(self, seconds: float) -> NDArray[np.float32]:
-        """Voltages of the frames of so many seconds from now on, (f, n) V, NaN where not heard.
+        """Voltages of the frames of the next seconds, (f, n) V, NaN where a node is not heard.
 
         Raises PortError, with the driver's reason, where too few frames come.
         """
@@ -69,15 +63,12 @@ class LiveSkin:
 
 @dataclass(frozen=True)
 class LoadSession:
-    """The dialogue: every load that is accepted is in the file at once.
+    """The dialogue on the terminal: every load that is accepted is in the file at once.
 
-    ask: shows a question and returns the answer; raises EOFError where there are no more.
-    say: shows a line. nodes: numbers of those that are loaded.
+    nodes: numbers of those that are loaded. seconds: for which each load is measured.
     """
 
     skin: LiveSkin
-    ask: Callable[[str], str]
-    say: Callable[[str], None]
     nodes: Sequence[int]
     seconds: float
 
@@ -109,7 +100,7 @@ class LoadSession:
         return taken
 
     def _take(self, file: TextIO, steps_kpa: Sequence[float]) -> int:
-        self.skin.collect(0.0)  # a skin that is not heard is told of before anybody loads it
+        self.skin.collect(0.0)  # raises before anybody loads a skin that is not heard
         before_v: Floats | None = None
         taken = 0
         while (load_kpa := self._next(taken, steps_kpa)) is not None:
@@ -121,80 +112,73 @@ class LoadSession:
             file.write(point_lines(list(self.nodes), load_kpa * 1e3, voltage_v))
             file.flush()
             taken += 1
-            self.say(f"{load_kpa:g} kPa: {self._summary(voltage_v, before_v)}")
+            print(f"{load_kpa:g} kPa: {self._summary(voltage_v, before_v)}", flush=True)
             before_v = voltage_v
         return taken
 
     def _next(self, taken: int, steps_kpa: Sequence[float]) -> float | None:
         """The load that is on the skin now, kPa; None: no more."""
         who = f"node {self.nodes[0]}" if len(self.nodes) == 1 else "all nodes"
+        question = f"load {taken + 1}, in kPa, applied to {who} (Enter: end) "
+        answers: dict[str, float | None] = {"": None}
         if steps_kpa:
             if taken == len(steps_kpa):
                 return None
             load_kpa = steps_kpa[taken]
-            question = (
-                f"load {taken + 1} of {len(steps_kpa)}: apply {load_kpa:g} kPa to {who}, then "
-                "Enter (e: end) "
-            )
-        else:
-            load_kpa, question = None, f"load {taken + 1}, in kPa, applied to {who} (Enter: end) "
+            question = f"load {taken + 1} of {len(steps_kpa)}: apply {load_kpa:g} kPa to {who}, "
+            question += "then Enter (e: end) "
+            answers = {"": load_kpa, "e": None}
         while True:
             try:
-                answer = self.ask(question).strip().lower()
+                answer = input(question).strip().lower()
             except EOFError:
                 return None
-            if steps_kpa and answer in ("", "e"):
-                return None if answer else load_kpa
-            if not answer:
-                return None
-            try:
-                value = float(answer.replace(",", "."))
-            except ValueError:
-                value = np.nan
-            if 0 <= value < np.inf:
-                return value
-            self.say(f"{answer!r} is no pressure in kPa")
+            if answer in answers:
+                return answers[answer]
+            with suppress(ValueError):
+                if 0 <= (value := float(answer.replace(",", "."))) < np.inf:
+                    return value
+            print(f"{answer!r} is no pressure in kPa", flush=True)
 
     def _settled(self) -> Floats | None:
         """Voltages of the nodes, (k,) V, NaN where not heard; None where they still move."""
         lsb_v = self.skin.config.adc.lsb_v
         frames = self.skin.collect(self.seconds)[:, np.array(self.nodes) - 1]
-        half = len(frames) // 2
-        change_v = steady_voltage(frames[half:], lsb_v) - steady_voltage(frames[:half], lsb_v)
-        moving = np.abs(change_v) > MOVED * lsb_v  # False for a node that was not heard
+        begin_v, end_v = (steady_voltage(half, lsb_v) for half in np.array_split(frames, 2))
+        change_v = np.abs(end_v - begin_v)
+        moving = change_v > MOVED * lsb_v  # False for a node that was not heard
+        voltage_v = steady_voltage(frames, lsb_v)
         if moving.any():
-            worst = int(np.nanargmax(np.abs(change_v)))
-            self.say(
-                f"not taken: {np.count_nonzero(moving)} of {len(self.nodes)} nodes still move, "
-                f"node {self.nodes[worst]} by {abs(change_v[worst]) * 1e3:.0f} mV within "
+            worst = int(np.nanargmax(change_v))
+            problem = (
+                f"{np.count_nonzero(moving)} of {len(self.nodes)} nodes still move, node "
+                f"{self.nodes[worst]} by {change_v[worst] * 1e3:.0f} mV within "
                 f"{self.seconds / 2:g} s; wait, then answer again"
             )
-            return None
-        voltage_v = steady_voltage(frames, lsb_v)
-        if not np.isfinite(voltage_v).any():
-            self.say("not taken: no node is heard")
-            return None
-        return voltage_v
+        elif not np.isfinite(voltage_v).any():
+            problem = "no node is heard"
+        else:
+            return voltage_v
+        print(f"not taken: {problem}", flush=True)
+        return None
 
     def _summary(self, voltage_v: Floats, before_v: Floats | None) -> str:
         low_v, high_v = np.nanmin(voltage_v), np.nanmax(voltage_v)
         parts = [f"{low_v:.3f} V" if len(self.nodes) == 1 else f"{low_v:.3f} to {high_v:.3f} V"]
+        silent = np.isnan(voltage_v)
+        groups = {"not heard": silent}
         if before_v is not None:
             moved = np.abs(voltage_v - before_v) > MOVED * self.skin.config.adc.lsb_v
-            heard = np.isfinite(voltage_v)
             parts.append(f"{np.count_nonzero(moved)} of {len(self.nodes)} nodes moved")
-            parts += self._list("not moved", heard & ~moved)
-        parts += self._list("not heard", ~np.isfinite(voltage_v))
+            groups = {"not moved": ~moved & ~silent, "not heard": silent}
+        for what, where in groups.items():
+            if found := [self.nodes[i] for i in np.flatnonzero(where).tolist()]:
+                parts.append(f"{what}: {listed(found, 'node')}")
         return ", ".join(parts)
-
-    def _list(self, what: str, where: NDArray[np.bool_]) -> list[str]:
-        """At most one entry: which nodes."""
-        found = [self.nodes[i] for i in np.flatnonzero(where).tolist()]
-        return [f"{what}: {listed(found, 'node')}"] if found else []
 
 
 def _go_on(file: TextIO) -> None:
-    """To the end of a file of points, or an empty one, on a line of its own."""
+    """Go to the end of a file of points, or of an empty one, on a line of its own."""
     file.seek(0)
     text = file.read()
     if text and text.splitlines()[0].strip() != HEADING:

@@ -11,35 +11,37 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.errors import CalibrationError
 from ..readings.calibration import AdcScale, PressureCurve
 from .load_points import LoadPoints, node_numbers, pressures
-from .load_table import read_table
+from .load_table import LoadFile, read_table
 
 Floats = NDArray[np.float64]
 STEADY = 0.005
-"""A load that changes by less than this share of the largest stands still."""
+"""A load stands still within ± this share of the largest; chosen: a controller's ripple."""
 LEAST_FRAMES = 5
-"""Of a plateau."""
+"""Frames of a plateau; chosen: a median of fewer does not leave outliers out."""
 LEAST_PLATEAUS = 3
+"""Loads; fewer are no curve (LEAST_LEVELS of curve_fit)."""
 MATCH = 0.85
-"""Correlation of reference and skin below which their clocks are not taken to be found."""
+"""Correlation of reference and skin below which their clocks are not taken to be found; chosen."""
 RIVAL = 0.02
-"""A match that another offset reaches to within this leaves open which of them is right."""
+"""Difference in score below which two offsets are equally likely; chosen."""
 APART_S = 1.0
-"""Offsets that differ by more are different ones."""
+"""Offsets that differ by more are different ones, s; chosen: longer than a sensor's lag."""
 WHOLE = 0.7
-"""Share of all changes of load, in reference and capture, that makes it no part only."""
+"""Share of all changes of load, in reference and capture, that makes it no part only; chosen."""
 _RASTER_S = 0.01
+"""Step of the offsets that are tried, s: about a frame."""
 _MOST_RASTER = 1 << 21
+"""Steps of the longer recording: bounds memory; six hours have steps of _RASTER_S."""
 _LEAST_SHARE = 1e-3
-"""Of all that changes: where less overlaps there is nothing to compare."""
+"""Of all that changes: where less overlaps there is nothing to compare; chosen."""
 _OVERLAP = 0.5
-"""Share of the shorter recording that must lie within the other."""
+"""Share of the shorter recording that must lie within the other; chosen."""
 
 
 @dataclass(frozen=True, eq=False)
-class Reference:
+class Reference(LoadFile):
     """What a reference sensor said: m readings at rising times.
 
     t_s, pressure_pa: (m,) float64. node: (m,) int64, the node that was loaded; None: all alike.
@@ -51,11 +53,6 @@ class Reference:
     pressure_pa: Floats
     node: NDArray[np.int64] | None
     line: NDArray[np.int64]
-
-    def refusal(self, cause: str, row: int | None = None) -> CalibrationError:
-        """The error to raise for this file, or one reading of it."""
-        where = "" if row is None else f"line {self.line[row]}: "
-        return CalibrationError(f"{self.path}: {where}{cause}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,11 +86,8 @@ def read_reference(path: Path, nodes: int, area_m2: float | None = None) -> Refe
     Raises CalibrationError, naming file, line and cause.
     """
     table = read_table(path, area_m2)
-    for kind, example in (("time", "time_s"), ("pressure", "pressure_kpa")):
-        if kind not in table.columns:
-            raise table.refusal(f"there is no column {example}, which goes with a capture")
-    pressure_pa = pressures(table)
-    t_s = table.columns["time"]
+    table.require(", which goes with a capture", "time_s", "pressure_kpa")
+    pressure_pa, t_s = pressures(table), table.columns["time"]
     if (np.diff(t_s) < 0).any():
         raise table.refusal("time runs backwards", int(np.argmax(np.diff(t_s) < 0)) + 1)
     node = node_numbers(table, nodes) if "node" in table.columns else None
@@ -109,8 +103,8 @@ def plateau_points(
     out, for the sensor creeps; the load has to rest for longer than that.
     Raises CalibrationError where there are too few plateaus.
     """
-    nodes = recording.voltage_v.shape[1]
-    found: list[tuple[NDArray[np.int64], float, Floats, int]] = []
+    everyone = np.arange(1, recording.voltage_v.shape[1] + 1)
+    found = []
     for first, last in _plateaus(reference):
         begin_s = reference.t_s[first] + offset_s + settle_s
         end_s = reference.t_s[last] + offset_s
@@ -118,30 +112,25 @@ def plateau_points(
         if stop - start < LEAST_FRAMES:
             continue
         voltage_v = steady_voltage(recording.voltage_v[start:stop], adc.lsb_v)
-        pressure_pa = float(np.median(reference.pressure_pa[first : last + 1]))
-        loaded = np.arange(1, nodes + 1) if reference.node is None else reference.node[[first]]
+        pressure_pa = np.median(reference.pressure_pa[first : last + 1])
+        loaded = everyone if reference.node is None else reference.node[[first]]
         heard = loaded[np.isfinite(voltage_v[loaded - 1])]
-        found.append((heard, pressure_pa, voltage_v[heard - 1], int(reference.line[first])))
+        row = (heard, pressure_pa, voltage_v[heard - 1], reference.line[first])
+        found.append(np.broadcast_arrays(*row))
     if len(found) < LEAST_PLATEAUS:
         raise reference.refusal(
             f"{len(found)} loads rest for longer than the {settle_s:g} s left out for settling, "
             f"and lie within the capture; {LEAST_PLATEAUS} or more are needed: hold loads for "
             "longer, or lower --settle"
         )
-    counts = [len(node) for node, *_ in found]
-    return LoadPoints(
-        node=np.concatenate([node for node, *_ in found]),
-        pressure_pa=np.repeat([pressure_pa for _, pressure_pa, *_ in found], counts),
-        voltage_v=np.concatenate([voltage_v for _, _, voltage_v, _ in found]),
-        line=np.repeat([line for *_, line in found], counts),
-        source=reference.path.name,
-    )
+    node, pressures_pa, volts, line = map(np.concatenate, zip(*found, strict=True))
+    return LoadPoints(node, pressures_pa, volts, line, reference.path.name)
 
 
 def steady_voltage(voltage_v: NDArray[np.float32], lsb_v: float) -> Floats:
-    """What nodes read while nothing changes: (f, n) frames → (n,) V, NaN for a node not heard.
+    """Voltages of nodes while nothing changes: (f, n) frames → (n,) V, NaN for a node not heard.
 
-    The mean of what lies near the median: outliers do not count, and where noise lets the code
+    The mean of what lies near the median: outliers do not count, and where noise makes the code
     flicker the mean is finer than one count.
     """
     heard = np.isfinite(voltage_v)
@@ -193,19 +182,16 @@ def find_offset(reference: Reference, recording: Recording, curve: PressureCurve
 
 def _plateaus(reference: Reference) -> list[tuple[int, int]]:
     """First and last reading of every stretch over which the load stands still on one node."""
-    pressure_pa, node = reference.pressure_pa, reference.node
-    slack_pa = STEADY * float(pressure_pa.max())
+    t_s, most_pa = reference.t_s, 2 * STEADY * float(reference.pressure_pa.max())
+    node = np.zeros_like(reference.line) if reference.node is None else reference.node
     found, first = [], 0
-    low = high = pressure_pa[0]
-    for i in range(1, len(pressure_pa) + 1):
-        if i < len(pressure_pa):
-            low, high = min(low, pressure_pa[i]), max(high, pressure_pa[i])
-            if high - low <= 2 * slack_pa and (node is None or node[i] == node[first]):
-                continue
-        if reference.t_s[i - 1] > reference.t_s[first]:
-            found.append((first, i - 1))
-        if i < len(pressure_pa):
-            first, low, high = i, pressure_pa[i], pressure_pa[i]
+    low = high = reference.pressure_pa[0]
+    for i, pressure_pa in enumerate(np.append(reference.pressure_pa, np.inf).tolist()):
+        low, high = min(low, pressure_pa), max(high, pressure_pa)
+        if high - low > most_pa or node[i] != node[first]:
+            if t_s[i - 1] > t_s[first]:
+                found.append((first, i - 1))
+            first, low, high = i, pressure_pa, pressure_pa
     return found
 
 
@@ -231,11 +217,10 @@ def _on_raster(t_s: Floats, values: Floats, raster_s: float) -> Floats:
 
 
 def _match(load: Floats, felt: Floats) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
-    """How well load[i] and felt[i + lag] match, for every lag.
+    """How well load[i] and felt[i + lag], both in Pa, match for every lag.
 
-    Returns the lags, the correlations where the two overlap, these reduced by the share of what
-    happens that is left out there, for the more of both is explained, the better; and the share
-    that is not left out of either.
+    Returns the lags; the correlation of what overlaps; this as a score, reduced where much of what
+    changes lies outside the overlap; and the share of both that lies within.
     """
     size = 1 << (len(load) + len(felt) - 1).bit_length()
     load, felt = load - load.mean(), felt - felt.mean()
@@ -248,13 +233,10 @@ def _match(load: Floats, felt: Floats) -> tuple[NDArray[np.int64], Floats, Float
     count = np.maximum(slide(ones_load, ones_felt).round(), 1)
     sum_load, sum_felt = slide(load, ones_felt), slide(ones_load, felt)
     covariance = slide(load, felt) - sum_load * sum_felt / count
-    energies = []
-    for energy, total in (
-        (slide(load**2, ones_felt) - sum_load**2 / count, np.square(load).sum()),
-        (slide(ones_load, felt**2) - sum_felt**2 / count, np.square(felt).sum()),
-    ):
-        energies.append((energy, energy / total if total > 0 else np.zeros(len(count))))
-    (of_load, share_load), (of_felt, share_felt) = energies
+    of_load = slide(load**2, ones_felt) - sum_load**2 / count
+    of_felt = slide(ones_load, felt**2) - sum_felt**2 / count
+    share_load = of_load / max(np.square(load).sum(), 1.0)  # of 0 Pa² where nothing changes
+    share_felt = of_felt / max(np.square(felt).sum(), 1.0)
     enough = (share_load > _LEAST_SHARE) & (share_felt > _LEAST_SHARE)
     enough &= count >= _OVERLAP * min(len(load), len(felt))
     match = np.zeros(len(count))

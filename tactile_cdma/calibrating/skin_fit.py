@@ -18,24 +18,26 @@ from .curve_fit import LEAST_LEVELS, Fit, Floats, Mask, fit_curves, levels_of
 from .load_points import LoadPoints, directions
 
 FIRST_LOAD = 0.25
-"""The smallest load must lie below this share of the largest: the curve begins at 0."""
+"""Bound of the smallest load, as a share of the largest; chosen: the curve has to reach 0."""
 WIDEST_GAP = 0.5
-"""Of the largest load, between neighbouring loads."""
+"""Between neighbouring loads, as a share of the largest; chosen: a knee could hide in more."""
 LEAST_FALL = 8.0
-"""LSB that a voltage must fall by."""
+"""That a voltage must fall by, LSB; chosen: well above quantisation and a flickering code."""
 MOST_OUTLIERS = 0.2
-"""Share of a node's points; if more contradict the others, it is not clear which are right."""
+"""Share of a node's points; chosen: with more it is not clear which of them are right."""
 MOST_NOISE = 0.1
-"""Share of a curve's fall. Noise is what differs from point to point: hysteresis is none."""
+"""Noise from point to point as a share of a curve's fall; chosen. Hysteresis is no noise."""
 
 
 @dataclass(frozen=True, eq=False)
 class SkinFit:
-    """What m points say of a skin's nodes.
+    """Curves of a skin's nodes, and how they fit m points.
 
     curves: by node. refused: why a node has none, by node. pieces: of every curve.
-    residual_v: (m,) voltage minus curve, V, NaN where a node was refused or the converter at its
-        end. outlier: (m,) bool.
+    residual_v, residual_pa: (m,) voltage minus curve, V, and pressure read minus pressure applied,
+        Pa; NaN where a node was refused or the converter at an end of its range.
+    outlier: (m,) bool. piece: (m,) int64, number of the piece that a point was fitted with, from
+        0 on; −1 where it was not.
     sigma_v, loop: by node: standard deviation of its points, V; widest difference of unloading
         and loading as a share of the fall, NaN where loads only rose.
     """
@@ -46,7 +48,9 @@ class SkinFit:
     curves: dict[int, PressureCurve]
     refused: dict[int, str]
     residual_v: Floats
+    residual_pa: Floats
     outlier: Mask
+    piece: NDArray[np.int64]
     sigma_v: dict[int, float]
     loop: dict[int, float]
 
@@ -57,84 +61,74 @@ def fit_skin(points: LoadPoints, nodes: int, adc: AdcScale, pieces: int = 2) -> 
     Raises CalibrationError where the voltages of most nodes rise with the pressure. All else that
     is wrong is wrong with single nodes, and in `refused`.
     """
-    # The converter says "this or more" there, which is no value to fit.
+    # At an end of its range the converter says "this or more", which is no value to fit.
     usable = points.voltage_v < adc.vref_v - 1.5 * adc.lsb_v
     usable &= points.voltage_v > 0.5 * adc.lsb_v
     rows = points.by_node(nodes)
     _check_direction(points, rows, adc)
-    refused: dict[int, str] = {}
-    good: dict[int, NDArray[np.intp]] = {}
+    good, refused = dict[int, NDArray[np.intp]](), dict[int, str]()
     for node, own in rows.items():
         if reason := _unfit(points, own, usable, adc, pieces):
             refused[node] = reason
         else:
             good[node] = own[usable[own]]
+    residual_v, residual_pa = np.full((2, len(points)), np.nan)
+    piece = np.full(len(points), -1)
     result = SkinFit(
-        points,
-        adc,
-        pieces,
-        curves={},
-        refused=refused,
-        residual_v=np.full(len(points), np.nan),
-        outlier=np.zeros(len(points), dtype=bool),
-        sigma_v={},
-        loop={},
+        points, adc, pieces, {}, refused, residual_v, residual_pa, piece > 0, piece, {}, {}
     )
     if good:
-        fit = _fit(points, good, adc, pieces)
-        for index, (node, own) in enumerate(good.items()):
-            if reason := _unsound(points, own, fit, index, adc):
-                refused[node] = reason
-            else:
-                _accept(result, node, own, fit, index)
+        _fit_nodes(result, good)
     return replace(result, refused=dict(sorted(refused.items())))
 
 
-def _accept(result: SkinFit, node: int, own: NDArray[np.intp], fit: Fit, index: int) -> None:
-    """Enter what was found for one node."""
-    corner_pa, corner_v = fit.corner_pa[index], fit.corner_v[index]
-    result.curves[node] = PressureCurve(tuple(corner_pa.tolist()), tuple(corner_v.tolist()))
-    result.residual_v[own] = fit.residual_v[index, : len(own)]
-    result.outlier[own] = ~fit.used[index, : len(own)]
-    result.sigma_v[node] = float(fit.sigma_v[index])
-    inliers = own[~result.outlier[own]]
-    loop_v = _loop_v(result.points.pressure_pa[inliers], result.residual_v[inliers])
-    result.loop[node] = loop_v / float(corner_v[0] - corner_v[-1])
-
-
-def _fit(points: LoadPoints, rows: dict[int, NDArray[np.intp]], adc: AdcScale, pieces: int) -> Fit:
-    """The nodes' points side by side, shorter rows filled up with NaN, and fitted."""
-    longest = max(map(len, rows.values()))
-    pressure_pa = np.full((len(rows), longest), np.nan)
+def _fit_nodes(result: SkinFit, rows: dict[int, NDArray[np.intp]]) -> None:
+    """Enter curves of the nodes that have these rows, or why they have none."""
+    points, adc = result.points, result.adc
+    pressure_pa = np.full((len(rows), max(map(len, rows.values()))), np.nan)
     voltage_v = pressure_pa.copy()
     for index, own in enumerate(rows.values()):
         pressure_pa[index, : len(own)] = points.pressure_pa[own]
         voltage_v[index, : len(own)] = points.voltage_v[own]
-    return fit_curves(pressure_pa, voltage_v, pieces, adc.lsb_v / math.sqrt(12))
+    whole = fit_curves(pressure_pa, voltage_v, result.pieces, adc.lsb_v / math.sqrt(12))
+    for index, (node, own) in enumerate(rows.items()):
+        fit = whole.sensor(index, len(own))
+        if reason := _unsound(points, own, fit, adc):
+            result.refused[node] = reason
+            continue
+        corner_pa, corner_v = fit.corner_pa, fit.corner_v
+        load_pa, used = points.pressure_pa[own], fit.used
+        piece = np.searchsorted(corner_pa[1:-1], load_pa)
+        result.curves[node] = PressureCurve(tuple(corner_pa.tolist()), tuple(corner_v.tolist()))
+        result.piece[own], result.outlier[own] = np.where(used, piece, -1), ~used
+        result.residual_v[own] = fit.residual_v
+        result.residual_pa[own] = fit.residual_v * (np.diff(corner_pa) / np.diff(corner_v))[piece]
+        result.sigma_v[node] = float(fit.sigma_v)
+        loop_v = _loop_v(load_pa[used], fit.residual_v[used])
+        result.loop[node] = loop_v / float(corner_v[0] - corner_v[-1])
 
 
 def _check_direction(points: LoadPoints, rows: dict[int, NDArray[np.intp]], adc: AdcScale) -> None:
-    rises = [
-        rise_v > LEAST_FALL * adc.lsb_v
-        for own in rows.values()
-        if len(own) and np.isfinite(rise_v := _rise_v(points, own))
-    ]
-    if rises and np.mean(rises) > 0.5:
+    falls_v = [fall_v for own in rows.values() if np.isfinite(fall_v := _fall_v(points, own))]
+    rises = np.count_nonzero(np.array(falls_v) < -LEAST_FALL * adc.lsb_v)
+    if rises > 0.5 * len(falls_v):
         raise CalibrationError(
-            f"{points.source}: voltages rise with the pressure on {sum(rises)} of {len(rises)} "
+            f"{points.source}: voltages rise with the pressure on {rises} of {len(falls_v)} "
             "nodes, they should fall: are the columns swapped, or is the sensor on the other side "
             "of its divider?"
         )
 
 
-def _rise_v(points: LoadPoints, own: NDArray[np.intp]) -> float:
-    """From the lighter to the heavier half of a node's loads, V: outliers do not turn it round."""
+def _fall_v(points: LoadPoints, own: NDArray[np.intp]) -> float:
+    """From the lighter to the heavier half of a node's loads, V; NaN where all are the same.
+
+    By medians: single outliers do not turn its sign.
+    """
     pressure_pa, voltage_v = points.pressure_pa[own], points.voltage_v[own]
-    middle_pa = 0.5 * (pressure_pa.min() + pressure_pa.max())
-    heavy = pressure_pa > middle_pa
+    heavy = pressure_pa > 0.5 * (pressure_pa.min(initial=np.inf) + pressure_pa.max(initial=0.0))
     if not heavy.any():
         return math.nan
-    return float(np.median(voltage_v[heavy]) - np.median(voltage_v[~heavy]))
+    return float(np.median(voltage_v[~heavy]) - np.median(voltage_v[heavy]))
 
 
 def _unfit(
@@ -168,8 +162,7 @@ def _unfit(
             f"no load between {levels_pa[gap] / 1e3:g} and {levels_pa[gap + 1] / 1e3:g} kPa: "
             "add some there"
         )
-    fall_v = 0.0 - _rise_v(points, own)
-    if fall_v < LEAST_FALL * adc.lsb_v:
+    if (fall_v := _fall_v(points, own)) < LEAST_FALL * adc.lsb_v:
         return (
             f"the voltage falls by {fall_v * 1e3:.0f} mV only, between loads below and above "
             f"{largest_pa / 2e3:g} kPa: was the load on this node?"
@@ -177,39 +170,35 @@ def _unfit(
     return None
 
 
-def _unsound(
-    points: LoadPoints, own: NDArray[np.intp], fit: Fit, index: int, adc: AdcScale
-) -> str | None:
-    """Why the curve that fits a node's points best is none to rely on, or None."""
-    corner_pa, corner_v = fit.corner_pa[index], fit.corner_v[index]
-    used = fit.used[index, : len(own)]
+def _unsound(points: LoadPoints, own: NDArray[np.intp], fit: Fit, adc: AdcScale) -> str | None:
+    """Why the best fit to a node's rows is none to rely on, or None."""
+    corner_pa, corner_v, used = fit.corner_pa, fit.corner_v, fit.used
     if np.count_nonzero(~used) > MOST_OUTLIERS * len(own):
         return (
             f"{np.count_nonzero(~used)} of {len(own)} points contradict the others "
             f"({points.lines(own[~used])})"
         )
     fall_v = corner_v[0] - corner_v[-1]
-    residual_v = fit.residual_v[index, : len(own)][used]
-    noise_v = math.sqrt(np.mean(np.square(np.diff(residual_v))) / 2)
+    noise_v = math.sqrt(np.mean(np.square(np.diff(fit.residual_v[used]))) / 2)
     if noise_v > MOST_NOISE * abs(fall_v):
         return (
             f"too noisy: {noise_v:.3f} V rms from point to point on a curve that falls by "
             f"{fall_v:.3f} V; do pressures and voltages belong together?"
         )
-    used_rows = own[used]
-    load_pa = points.pressure_pa[used_rows]
+    own = own[used]
+    load_pa = points.pressure_pa[own]
     slack_pa = 1e-6 * corner_pa[-1]
-    for piece, (begin_pa, end_pa) in enumerate(pairwise(corner_pa)):
+    for (begin_pa, begin_v), (end_pa, end_v) in pairwise(zip(corner_pa, corner_v, strict=True)):
         within = (load_pa >= begin_pa - slack_pa) & (load_pa <= end_pa + slack_pa)
         where = f"from {begin_pa / 1e3:.1f} to {end_pa / 1e3:.1f} kPa"
-        if corner_v[piece] - corner_v[piece + 1] < 2 * adc.lsb_v:
+        if begin_v - end_v < 2 * adc.lsb_v:
             return (
-                f"the voltage does not fall {where} ({points.lines(used_rows[within])}): "
+                f"the voltage does not fall {where} ({points.lines(own[within])}): "
                 "saturated, or loads mixed up?"
             )
         if not within.any() or len(levels_of(load_pa[within])) < LEAST_LEVELS:
             return f"fewer than {LEAST_LEVELS} loads on the piece {where}: add some there"
-    if not fit.knee_found[index]:
+    if not fit.knee_found:
         return (
             f"no knee up to {corner_pa[-1] / 1e3:g} kPa: the loads do not reach it; go higher, or "
             f"fit a curve of {len(corner_pa) - 2} pieces"

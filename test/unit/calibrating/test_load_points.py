@@ -86,7 +86,7 @@ GOOD = "1,0,3.2\n1,50,1.6\n"
         (f"node,pressure_kpa,pressure_pa\n{GOOD}", "two columns of pressure"),
         ("node,pressure_kpa\n1,0\n", "no column voltage_v$"),
         ("time_s,pressure_kpa\n1,9\n", r"no column node \(with times instead, give --capture\)"),
-        (f"{HEADING}\n{GOOD}1,60\n", "line 4 has 2 columns, the heading has 3"),
+        (f"{HEADING}\n{GOOD}1,60\n", "line 4: 2 columns, the heading has 3"),
         (f"{HEADING}\n{GOOD}1,60,x\n", "line 4: 'x' is no number for voltage_v"),
         (f"{HEADING}\n{GOOD}1,nan,1\n", "line 4: 'nan' is no number for pressure_kpa"),
         (f"{HEADING}\n{GOOD}1,1e308,1\n", "line 4: '1e308' is no number for pressure_kpa"),

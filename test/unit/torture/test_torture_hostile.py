@@ -149,7 +149,7 @@ def test_wrong_frames_and_miscounted_losses_are_found(monkeypatch: pytest.Monkey
     monkeypatch.setattr(Pipeline, "feed", wrong)
     assert kinds_of(TARGETS["line"], 1) == {WRONG}
     monkeypatch.setattr(Pipeline, "feed", feed)
-    monkeypatch.setattr(PacketParser, "_follows", lambda self, *packet: True)
+    monkeypatch.setattr(PacketParser, "_count_step", lambda self, *packet: True)
     assert kinds_of(TARGETS["line"], 20) == {UNCOUNTED}
 
 
