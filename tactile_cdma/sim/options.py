@@ -28,9 +28,10 @@ from .sensor import IDEAL, MOST_HYSTERESIS, MOST_MISMATCH, PAPER, SensorModel
 
 SCHEME = "sim"
 MOST_SAMPLES = 1 << 23
+"""Samples of a frame period. Chosen, as the next one, so that computing a frame, which nothing can
+interrupt, takes a few seconds at most."""
 MOST_NODE_CHIPS = 1 << 24
-"""Of a frame period, and of nodes with clocks of their own: a frame is made in one go, within
-which nobody can end the program, and so must not take more than a few seconds."""
+"""Nodes × chips of a frame, for nodes with clocks of their own."""
 
 
 @dataclass(frozen=True, slots=True)
