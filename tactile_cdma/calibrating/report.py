@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -104,9 +105,9 @@ def describe(fit: SkinFit) -> str:
 
 def _refusals(refused: Mapping[int, str]) -> list[str]:
     """A line for each reason, with the nodes that share it."""
-    nodes_of: dict[str, list[int]] = {}
+    nodes_of = defaultdict[str, list[int]](list)
     for node, reason in refused.items():
-        nodes_of.setdefault(reason, []).append(node)
+        nodes_of[reason].append(node)
     lines = [f"  {listed(nodes, 'node')}: no curve: {reason}" for reason, nodes in nodes_of.items()]
     if (more := len(lines) - _MOST_REFUSALS) > 0:
         lines[_MOST_REFUSALS:] = [f"  and {more} reasons more"]
