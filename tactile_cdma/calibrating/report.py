@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a fit of a skin's curves is worth: in words, as key=value, and as a picture."""
+"""Reports the quality of a skin's fit: in words, as key=value, and as a picture."""
 
 from __future__ import annotations
 
@@ -203,9 +203,8 @@ def _draw_curves(fit: SkinFit, axes: Any) -> None:
         (shown & ~fit.outlier, "k.", "points"),
         (shown & fit.outlier, "rx", "outliers"),
     ):
-        if mask.any():
-            pressure_kpa, volts = fit.points.pressure_pa[mask] / 1e3, fit.points.voltage_v[mask]
-            axes.plot(pressure_kpa, volts, style, ms=3, label=label)
+        pressure_kpa, volts = fit.points.pressure_pa[mask] / 1e3, fit.points.voltage_v[mask]
+        axes.plot(pressure_kpa, volts, style, ms=3, label=label)
     of = f" of {len(fit.curves)}" if len(drawn) < len(fit.curves) else ""
     title = f"curves of {len(drawn)}{of} nodes"
     axes.set(xlabel="pressure / kPa", ylabel="voltage / V", title=title)
