@@ -36,23 +36,29 @@ from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES
 from tactile_cdma.sim.sensor import SensorModel
 
-from .contact_skin import (
+from .contact_slip import (
     AREA,
+    CENTRE,
     CONFIG,
+    ENERGY,
+    FORCES_N,
     LAYOUT,
     NODES,
     PITCH_M,
     POINT,
     SHARE,
+    SLIDE_S,
+    SPEEDS_MM_S,
     TAXEL_M,
     Feeling,
     Floats,
     Profile,
+    Slips,
     felt,
     hertz,
+    slips,
     soft,
 )
-from .contact_slip import CENTRE, ENERGY, FORCES_N, SLIDE_S, SPEEDS_MM_S, Slips, slips
 from .report import QUICK, Report, medians_s
 
 RADII = (1.5, 2.0, 2.5, 4.0)

@@ -84,7 +84,7 @@ class Job:
     seed: int
 
 
-class Tally(NamedTuple):
+class BitErrors(NamedTuple):
     """Frames sent and lost; bits and words in those found, and how many of them were wrong."""
 
     frames: int
@@ -115,7 +115,7 @@ def q(rho: float) -> float:
     return 0.5 * math.erfc(rho / math.sqrt(2))
 
 
-def run(job: Job) -> Tally:
+def run(job: Job) -> BitErrors:
     """Send frames, each on a line of its own, and count."""
     spec, condition = SPECS[job.spec], job.condition
     rng = np.random.default_rng([job.seed, round(1000 * job.rho_db)])
@@ -135,7 +135,7 @@ def run(job: Job) -> Tally:
         bit_errors += int(wrong.sum())
         word_errors += int(np.count_nonzero(wrong))
     found = (job.frames - lost) * spec.nodes
-    return Tally(job.frames, lost, found * spec.bits, bit_errors, found, word_errors)
+    return BitErrors(job.frames, lost, found * spec.bits, bit_errors, found, word_errors)
 
 
 def lone_frame(
@@ -268,11 +268,11 @@ def main() -> None:
         paper = pool.imap_unordered(paper_stream, range(streams), chunksize=4)
         tallies = pool.map(run, todo, chunksize=1)
         paper_frames, paper_wrong, paper_lost = map(sum, zip(*paper, strict=True))
-    sums: dict[tuple[str, Condition, float], Tally] = {}
+    sums: dict[tuple[str, Condition, float], BitErrors] = {}
     for job, tally in zip(todo, tallies, strict=True):
         key = (job.spec, job.condition, job.rho_db)
-        sums[key] = Tally(
-            *map(sum, zip(sums.get(key, Tally(0, 0, 0, 0, 0, 0)), tally, strict=True))
+        sums[key] = BitErrors(
+            *map(sum, zip(sums.get(key, BitErrors(0, 0, 0, 0, 0, 0)), tally, strict=True))
         )
     report.table(
         ["nodes", "condition", "ρ dB", "frames", "lost", "bit errors", "rate", "± 95 %", "Q(ρ)",
@@ -299,7 +299,7 @@ def main() -> None:
     )
 
 
-def row(name: str, condition: Condition, rho_db: float, tally: Tally) -> list[object]:
+def row(name: str, condition: Condition, rho_db: float, tally: BitErrors) -> list[object]:
     """A line of the table: measured rates beside what theory says."""
     bound = q(10 ** (rho_db / 20))
     scatter = 1.96 * math.sqrt(max(tally.bit_errors, 1)) / max(tally.bits, 1)
@@ -309,7 +309,7 @@ def row(name: str, condition: Condition, rho_db: float, tally: Tally) -> list[ob
     return [name, condition.name, rho_db, *counts, tally.rate, scatter, bound, words, word_bound]
 
 
-def picture(sums: dict[tuple[str, Condition, float], Tally]) -> Figure:
+def picture(sums: dict[tuple[str, Condition, float], BitErrors]) -> Figure:
     """Bit error rate over ρ beside the bound, one panel for each specification."""
     figure = Figure(figsize=(11, 8))
     panels = figure.subplots(2, 2, sharex=True, sharey=True)

@@ -106,7 +106,7 @@ def drawings(taxels: int) -> dict[str, Callable[[], Any]]:
     from tactile_cdma.ros.driver.markers import SkinMarkers
 
     layout, header = Layout.grid(taxels, 0, 0, 7e-3, 5.5e-3), Header(frame_id="skin")
-    cloud, frames = Cloud(layout), cycle(pressed(layout))
+    cloud, frames = Cloud(layout.positions_m, layout.normals), cycle(pressed(layout))
 
     def markers(most_squares: int) -> Callable[[], Any]:
         builder = SkinMarkers(layout, most_squares)

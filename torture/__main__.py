@@ -19,8 +19,7 @@ from pathlib import Path
 from subprocess import DEVNULL, PIPE
 from tempfile import TemporaryDirectory
 
-from .outcome import Outcome, Plan, from_json, summary, to_json
-from .page import keep
+from .outcome import Outcome, Plan, from_json, keep, summary, to_json
 
 CAMPAIGNS = {  # name: seconds after which it hangs, quick and full; the longest first
     "day": (45, 1500),
@@ -60,7 +59,8 @@ def main() -> int:
 
 
 def _run(name: str, plan: Plan) -> Iterator[Outcome]:
-    outcomes: Iterator[Outcome] = importlib.import_module(f"torture.{name}.campaign").run(plan)
+    module = "torture.load.soak" if name == "soak" else f"torture.{name}.campaign"
+    outcomes: Iterator[Outcome] = importlib.import_module(module).run(plan)
     yield from outcomes
 
 

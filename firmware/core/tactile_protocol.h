@@ -49,7 +49,7 @@
 /* flags of struct tp_samples and struct tp_quiet */
 #define TP_FLAG_SYNC 0x01 /* the first sample is the first of a frame */
 #define TP_FLAG_OVERRUN 0x02 /* samples were lost just before this packet */
-#define TP_FLAG_CALLED 0x04 /* the frame belongs to a roll call; one node speaks in it */
+#define TP_FLAG_CALLED 0x04 /* the frame belongs to a roll call; a single node transmits in it */
 
 /* Where the mark of a frame's first sample comes from. */
 enum tp_sync_mode {
@@ -70,11 +70,11 @@ enum tp_polarity {
     TP_POLARITY_INVERTED = -1, /* the line falls */
 };
 
-/* What became of a command. */
+/* Result of a command. */
 enum tp_result {
     TP_RESULT_OK = 0, /* done */
     TP_RESULT_UNKNOWN_COMMAND = 1, /* no such type */
-    TP_RESULT_BAD_LENGTH = 2, /* the payload has another length */
+    TP_RESULT_BAD_LENGTH = 2, /* the payload has the wrong length */
     TP_RESULT_OUT_OF_RANGE = 3, /* a field is outside its range */
     TP_RESULT_UNSUPPORTED = 4, /* a valid request that this digitizer cannot fulfil */
     TP_RESULT_BUSY = 5, /* try again later */
@@ -103,7 +103,7 @@ struct __attribute__((packed)) tp_frame_layout {
     int8_t polarity; /* sense of the amplifier */
     uint16_t samples_per_chip; /* samples per chip; if integrated, the least number averaged into one word */
     uint8_t parity; /* 1: every word is followed by a bit that makes its ones even */
-    uint16_t resync_chips; /* nodes start anew, at a sync edge, every so many chips; 0: at the frame's first chip only */
+    uint16_t resync_chips; /* chips between restarts of the nodes at a sync edge; 0: restart at the frame's first chip only */
     uint8_t guard_chips; /* pause before each such restart, in chips */
 };
 TP_ASSERT_AT(tp_frame_layout, nodes, 0);
@@ -124,23 +124,23 @@ _Static_assert(sizeof(struct tp_frame_layout) == 30, "size of tp_frame_layout");
 
 /* Begins a node's EEPROM. Chips follow: order bits, least significant first, 1 for +1; then CRC-32. */
 struct __attribute__((packed)) tp_node_record {
-    uint32_t magic; /* what says that this is such a record */
+    uint32_t magic; /* marks such a record */
     uint8_t version; /* of the record */
     uint16_t node; /* number of this node; its turn in a roll call */
     uint16_t nodes; /* number of nodes */
-    uint16_t row; /* code row; only for whoever reads the memory */
+    uint16_t row; /* code row; informative */
     int8_t sign; /* sign of the row */
     uint8_t bits; /* word length */
     uint8_t parity; /* 1: every word is followed by a bit that makes its ones even */
     uint16_t order; /* chips per bit */
     uint32_t chip_ns; /* ns: nominal chip duration */
     uint32_t frame_period_us; /* µs: from one frame's first chip to the next one's */
-    uint16_t resync_chips; /* start anew, at a sync edge, every so many chips; 0: never */
+    uint16_t resync_chips; /* chips between restarts at a sync edge; 0: never */
     uint8_t guard_chips; /* pause before each such restart, in chips */
     uint8_t discipline; /* 1: chip times follow the period of the sync edges */
     uint16_t rest; /* code at rest; 65535: learnt after power-up */
-    uint16_t threshold; /* LSB: the node talks while its code is farther than this from rest or from what it sent last; 0: always */
-    uint16_t heartbeat; /* frames: the node talks at least once in so many frames; 0: never */
+    uint16_t threshold; /* LSB: the node transmits while its code differs by more than this from its rest or from the last one sent; 0: always */
+    uint16_t heartbeat; /* frames: longest time between transmissions; 0: no limit */
     uint16_t turn; /* frames: frames from power-up to its first heartbeat */
 };
 TP_ASSERT_AT(tp_node_record, magic, 0);
@@ -162,7 +162,7 @@ TP_ASSERT_AT(tp_node_record, threshold, 30);
 TP_ASSERT_AT(tp_node_record, heartbeat, 32);
 TP_ASSERT_AT(tp_node_record, turn, 34);
 _Static_assert(sizeof(struct tp_node_record) == 36, "size of tp_node_record");
-/* whether every field is within its range */
+/* Whether every field is within its range. */
 static inline bool tp_node_record_in_range(const struct tp_node_record *m)
 {
     return m->magic >= 1314145108u &&
@@ -186,7 +186,7 @@ static inline bool tp_node_record_in_range(const struct tp_node_record *m)
 
 /* What the digitizer is and how it is set. */
 struct __attribute__((packed)) tp_info {
-    uint8_t version; /* protocol version; stays the first byte for ever */
+    uint8_t version; /* protocol version; the first byte in every version */
     uint8_t firmware_major; /* firmware version */
     uint8_t firmware_minor; /* firmware version */
     uint8_t digitizer_id[8]; /* unique per board */
@@ -227,7 +227,7 @@ TP_ASSERT_AT(tp_samples, first_index, 8);
 TP_ASSERT_AT(tp_samples, flags, 16);
 _Static_assert(sizeof(struct tp_samples) == 17, "size of tp_samples");
 
-/* Consecutive samples that nobody spoke in, not sent one by one. */
+/* Consecutive samples in which no node transmitted, as sums. */
 struct __attribute__((packed)) tp_quiet {
     uint64_t device_time_us; /* µs: as in SAMPLES */
     uint64_t first_index; /* as in SAMPLES */
@@ -247,11 +247,11 @@ _Static_assert(sizeof(struct tp_quiet) == 37, "size of tp_quiet");
 /* The digitizer's health. */
 struct __attribute__((packed)) tp_status {
     uint64_t uptime_us; /* µs: now, on the clock of SAMPLES.device_time_us */
-    uint32_t samples_lost; /* samples that overruns cost since power-up */
+    uint32_t samples_lost; /* samples lost to overruns since power-up */
     uint32_t packets_dropped; /* packets numbered but never sent since power-up */
-    uint32_t commands_refused; /* acknowledged with another result than OK */
-    uint32_t command_errors; /* packets from the host that were broken (no COBS, wrong CRC, too long), or no commands, as from a line that echoes */
-    uint32_t sync_faults; /* sync edges that came late or not at all */
+    uint32_t commands_refused; /* commands acknowledged with a result other than OK */
+    uint32_t command_errors; /* packets received that were broken (no COBS, wrong CRC, too long) or no commands (an echo) */
+    uint32_t sync_faults; /* sync edges late or missing */
     uint8_t streaming; /* between START and STOP */
 };
 TP_ASSERT_AT(tp_status, uptime_us, 0);
@@ -267,7 +267,7 @@ _Static_assert(sizeof(struct tp_status) == 29, "size of tp_status");
 struct __attribute__((packed)) tp_ack {
     uint8_t command; /* type of the command */
     uint16_t command_sequence; /* sequence of the command */
-    uint8_t result; /* what became of it */
+    uint8_t result; /* result of the command */
 };
 TP_ASSERT_AT(tp_ack, command, 0);
 TP_ASSERT_AT(tp_ack, command_sequence, 1);
@@ -286,7 +286,7 @@ TP_ASSERT_AT(tp_configure, sync_mode, 30);
 TP_ASSERT_AT(tp_configure, integrated, 31);
 TP_ASSERT_AT(tp_configure, quiet_uv, 32);
 _Static_assert(sizeof(struct tp_configure) == 36, "size of tp_configure");
-/* whether every field is within its range */
+/* Whether every field is within its range. */
 static inline bool tp_configure_in_range(const struct tp_configure *m)
 {
     return m->frame.nodes >= 1u &&

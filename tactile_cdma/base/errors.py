@@ -7,14 +7,14 @@ TactileError
 │   ├── LayoutError   a layout file that is not one, or that cannot be this skin's
 │   └── BodyError     a body file that is not one, or that contradicts itself
 ├── ParameterError    an unknown parameter name, a wrong type or a value out of range
-├── PortError         the port cannot be opened, was lost, or carries something else
-│   └── RecordingEndError  all of a recording was replayed; there is nothing to retry
+├── PortError         the port cannot be opened, was lost, or carries no packets
+│   └── RecordingEndError  the end of a recording that is replayed; there is nothing to retry
 ├── ProtocolError     the digitizer speaks another protocol version or refuses a command
-├── CaptureError      a capture file that is empty, truncated or not what it should be
+├── CaptureError      a capture or recording that is empty, truncated or of another format
 ├── CalibrationError  a calibration file, or loads to calibrate from, that cannot be used
 ├── NodeMemoryError   a node's memory that is blank, damaged or not for this firmware
-├── RestError         a tare that cannot be taken now; a file of tare and drift that is of no use
-└── TransformError    tf frames that nothing connects, or that go round in a circle
+├── RestError         a tare that cannot be taken now; an unusable file of tare and drift
+└── TransformError    tf frames that are not connected, or that form a cycle
 """
 
 from .plain_text import plain
@@ -23,7 +23,7 @@ from .plain_text import plain
 class TactileError(Exception):
     """Base of all errors of this package; its text is meant for the person at the bench.
 
-    It may quote files and devices of strangers: what a terminal would obey is shown escaped.
+    The text may quote untrusted files and devices: control characters are shown escaped.
     """
 
     def __str__(self) -> str:
@@ -51,7 +51,7 @@ class PortError(TactileError, OSError):
 
 
 class RecordingEndError(PortError):
-    """All of a recording was replayed: this port has nothing more to say."""
+    """The end of a recording that is replayed: opening the port again would not help."""
 
 
 class ProtocolError(TactileError):
@@ -59,7 +59,7 @@ class ProtocolError(TactileError):
 
 
 class CaptureError(TactileError):
-    """A capture file that is empty, truncated or not what it should be."""
+    """A capture or recording that is empty, truncated or of another format."""
 
 
 class CalibrationError(TactileError, ValueError):
@@ -71,8 +71,8 @@ class NodeMemoryError(TactileError, ValueError):
 
 
 class RestError(TactileError):
-    """A tare that cannot be taken now, or a file of tare and drift that is of no use."""
+    """A tare that cannot be taken now, or a file of tare and drift that cannot be used."""
 
 
 class TransformError(TactileError, LookupError):
-    """Coordinate frames that nothing connects, or that go round in a circle."""
+    """Coordinate frames that are not connected, or that form a cycle."""

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What Ctrl-C and SIGTERM do to a command that runs until it is told to stop."""
+"""Ctrl-C and SIGTERM, for commands that run until they are told to stop."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 @contextmanager
 def stop_event(seconds: float | None) -> Iterator[threading.Event]:
-    """An event that Ctrl-C, SIGTERM or the end of a time span sets."""
+    """An event that Ctrl-C, SIGTERM or, after `seconds`, a timer sets."""
     stop = threading.Event()
     timer = threading.Timer(seconds or 0.0, stop.set)
     if seconds is not None:

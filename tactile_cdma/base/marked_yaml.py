@@ -148,7 +148,7 @@ class Mapping:
         if (found := self.text("schema")) != schema:
             raise self["schema"].refuse(f"schema is {found[:40]!r}; it must be {schema!r}")
         if (number := self.whole("version", 0, 10**6)) != version:
-            remedy = "update this program" if number > version else "write the file anew"
+            remedy = "update this program" if number > version else "write the file again"
             raise self["version"].refuse(
                 f"version is {number}; this program reads version {version}: {remedy}"
             )

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Files that somebody names: only regular ones, and of those read whole none beyond a size."""
+"""Files named by a user: only regular ones are opened, and none is read beyond a size."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from .errors import TactileError
 
 
 def open_named(path: Path) -> BinaryIO:
-    """A file to read. Raises OSError, too, for what would keep its reader waiting, or never end."""
+    """Open a file for reading. Raises OSError for pipes and devices, too: reading may never end."""
     try:
         mode = os.stat(path).st_mode
-    except ValueError:  # NUL, or half a character
+    except ValueError:  # NUL or a lone surrogate
         raise OSError(errno.EINVAL, "no file can have this name") from None
     if stat.S_ISDIR(mode):
         raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
@@ -29,19 +29,19 @@ def open_named(path: Path) -> BinaryIO:
 
 
 def read_named(path: Path, most_bytes: int) -> bytes:
-    """All of a file. Raises OSError as open_named does, and for more than most_bytes of it."""
+    """All bytes of a file. Raises OSError as open_named, and for a file of more than most_bytes."""
     with open_named(path) as file:
         if os.fstat(file.fileno()).st_size > most_bytes:
             raise OSError(
                 errno.EFBIG, f"is larger than {most_bytes >> 20} MB; is it the right file?"
             )
-        return file.read(most_bytes)  # no more, should it grow meanwhile
+        return file.read(most_bytes)  # even if it grows meanwhile
 
 
 def expanded(text: str) -> Path:
-    """A path as users write it, from the working folder or the home folder (~) on.
+    """A path as users write it, relative to the working folder or the home folder (~).
 
-    Raises ValueError, saying why there cannot be such a path.
+    Raises ValueError with the reason if there can be no such path.
     """
     if "\0" in text:
         raise ValueError("no file can have this name")
@@ -53,7 +53,7 @@ def expanded(text: str) -> Path:
 
 @contextmanager
 def naming(path: Path, kind: type[TactileError]) -> Iterator[None]:
-    """Raises errors of the system as `kind`, with the file's name before the reason."""
+    """Turn an OSError into `kind`, with the file's name before the reason."""
     try:
         yield
     except TactileError:  # a PortError is an OSError as well

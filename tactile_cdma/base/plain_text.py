@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Text of strangers as terminals and logs may show it."""
+"""Untrusted text made safe for terminals and logs."""
 
 from __future__ import annotations
 
 MOST_SHOWN = 4000
-"""Characters; somebody may name a parameter with a megabyte."""
+"""Characters; chosen to bound logs: a parameter's name may have a megabyte."""
 
 
 def plain(text: str) -> str:
-    """What cannot be printed is escaped, line feeds and turns of direction too; the rest is cut."""
+    """Escape what is not printable (line feeds, changes of direction, too); cut at MOST_SHOWN."""
     shown = text if len(text) <= MOST_SHOWN else text[: MOST_SHOWN - 1] + "…"
     if shown.isprintable():
         return shown

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Files that are replaced as a whole: readers find the old content or the new one."""
+"""Atomic replacement of files: readers find either the old content or the new one."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from typing import BinaryIO
 
 
 def replace_file(path: Path, text: str) -> None:
-    """Write a text file in UTF-8; see replacing."""
+    """Replace a file by text in UTF-8; see replacing."""
     with replacing(path) as file:
         file.write(text.encode())
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """A file to write, in a folder that is there; in place once it is whole.
+    """A file to write, in an existing folder; it takes its place when the context ends.
 
-    A new file is for whom the umask says, one that was there stays for whom it was. Raises OSError.
-    If anything is raised within, too, whatever was at the path, or at where a link there points,
-    stays untouched.
+    A new file has the permissions of the umask, a replaced one keeps its own; a link keeps
+    pointing to the file that is replaced. Raises OSError. After that, or any exception in the
+    context, the old file is untouched.
     """
     path = Path(os.path.realpath(path))
-    if path.exists() and not path.is_file():  # root could put a file where /dev/null was
+    if path.exists() and not path.is_file():  # root could replace /dev/null
         raise OSError(errno.EINVAL, "not a file")
-    # "x", and a name that nobody guesses: in a shared folder a link could wait there.
+    # "x" and a random name: in a shared folder somebody could have left a link there.
     unfinished = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     file = unfinished.open("x+b")
     try:
@@ -40,7 +40,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
                 os.fchmod(file.fileno(), stat.S_IMODE(path.stat().st_mode))
             yield file
             file.flush()
-            os.fsync(file.fileno())  # else a power cut may leave the new name on nothing
+            os.fsync(file.fileno())  # or the new name may be an empty file after a power cut
         os.replace(unfinished, path)
     except BaseException:
         with suppress(OSError):

@@ -214,6 +214,7 @@ PARAMETERS: tuple[Parameter, ...] = (
 )
 # fmt: on
 BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
+DEFAULTS: Values = {parameter.name: parameter.default for parameter in PARAMETERS}
 
 
 def _shown(value: object) -> str:
@@ -248,7 +249,7 @@ def read_file(path: Path) -> dict[str, Value]:
     for section in sections:
         for name, value in section.items():
             if not name.startswith(STANDARD_PARAMETERS):
-                values[name] = _checked(name, value)
+                values[name] = check_marked(name, value)
     return values
 
 
@@ -261,7 +262,8 @@ def _sections(file: Marked) -> Iterator[Mapping[str, Marked]]:
                 yield from _sections(below)
 
 
-def _checked(name: str, value: Marked) -> Value:
+def check_marked(name: str, value: Marked) -> Value:
+    """A parameter's value from a file; a wrong name or value raises the file's error."""
     try:
         return check_values({name: _typed(value)})[name]
     except ParameterError as error:

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The parameters of one skin in the form that the decoding chain takes, files read."""
+"""The configuration of one skin: its parameters as the decoding chain's types, with files read."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from ..base.errors import SpecError
 from ..base.named_file import expanded
@@ -20,12 +21,12 @@ from ..readings.calibration_file import read_calibration
 from ..readings.contact import ContactThresholds
 from ..readings.dynamics import Compensator
 from ..wire.identity import parse_id, shown_id
-from .parameters import BY_NAME, GAP, NATURAL_SIGNS, PARAMETERS, Values, check_values
+from .parameters import DEFAULTS, GAP, NATURAL_SIGNS, Values, check_values
 
 
 @dataclass(frozen=True, slots=True)
 class SkinConfig:
-    """The parameters of the decoding chain in the form that the stages take."""
+    """The configuration of the decoding chain, in the types that its stages take."""
 
     spec: FrameSpec
     digitizer_id: bytes | None
@@ -47,11 +48,10 @@ class SkinConfig:
     def of(cls, values: Values) -> SkinConfig:
         """From parameter values; missing ones take their defaults.
 
-        Raises ParameterError for a single bad value, SpecError for an impossible combination,
-        CalibrationError for a calibration file that cannot be used.
+        Raises ParameterError for a single wrong value, SpecError for an impossible combination,
+        LayoutError and CalibrationError for files that cannot be used.
         """
-        checked = check_values(values)
-        get: Values = {p.name: checked.get(p.name, p.default) for p in PARAMETERS}
+        get: Values = {**DEFAULTS, **check_values(values)}
         spec = FrameSpec(
             nodes=get["nodes"],
             bits=get["bits"],
@@ -91,33 +91,30 @@ class SkinConfig:
             compensation=get["compensation"],
             layout=_layout(get),
             skin=get["skin"],
-            rest=rest_rules(get),
-            threshold=get["threshold"],
-            stale_after_s=get["stale_after_s"],
-            contact=contact_thresholds(get),
+            **_live(get),
         )
 
     def refusal(self, digitizer_id: bytes) -> str | None:
-        """Why the digitizer of this id is not taken; None if it is the one asked for."""
+        """Why a digitizer with this id is refused; None if it is accepted."""
         if self.digitizer_id is None or digitizer_id == self.digitizer_id:
             return None
         return (
             f"wrong digitizer: {shown_id(digitizer_id)} is on this port, digitizer_id is "
-            f"{shown_id(self.digitizer_id)}; tactile-cdma ports tells which is where"
+            f"{shown_id(self.digitizer_id)}; tactile-cdma ports lists which board is on which port"
         )
 
     def compensator(self) -> Compensator | None:
-        """What undoes the sensors' dynamics; None where that is not asked."""
+        """A compensator of the sensors' dynamics; None if compensation is off."""
         dynamics = self.calibration.dynamics
         if not self.compensation or dynamics is None:
             return None
         return Compensator(dynamics, self.calibration.curves.range_pa)
 
     def recalibrated(self, values: Values) -> SkinConfig:
-        """With calibration_file, of all parameters' values, read anew, and compensation as there.
+        """With calibration_file read again and compensation set, from the values of all parameters.
 
-        Raises CalibrationError for a file that cannot be used, SpecError where it does not hold
-        what compensation takes.
+        Raises CalibrationError for a file that cannot be used, SpecError if it lacks the dynamics
+        that compensation needs.
         """
         return replace(
             self,
@@ -126,68 +123,64 @@ class SkinConfig:
         )
 
     def adjusted(self, values: Values) -> SkinConfig:
-        """With the live ones of these values, all of them; files are not read again."""
-        return replace(
-            self,
-            rest=rest_rules(values),
-            contact=contact_thresholds(values),
-            threshold=values["threshold"],
-            stale_after_s=values["stale_after_s"],
-        )
+        """With the live parameters among the values of all parameters; no file is read again."""
+        return replace(self, **_live(values))
 
 
 def contact_thresholds(values: Values) -> ContactThresholds:
-    """From all parameters' values; raises SpecError where they contradict each other."""
+    """From the values of all parameters; raises SpecError where they contradict each other."""
     return ContactThresholds(values["contact_kpa"] * 1e3, values["release_kpa"] * 1e3)
 
 
-def rest_rules(values: Values) -> RestRules:
-    """From all parameters' values."""
-    return RestRules(
-        drift_pa_per_min=values["drift_pa_per_min"],
-        contact_pa=values["contact_kpa"] * 1e3,
-        release_pa=values["release_kpa"] * 1e3,
-    )
+def _live(values: Values) -> dict[str, Any]:
+    """The fields that depend on live parameters only; raises SpecError as contact_thresholds."""
+    contact = contact_thresholds(values)
+    return {
+        "rest": RestRules(values["drift_pa_per_min"], contact.contact_pa, contact.release_pa),
+        "contact": contact,
+        "threshold": values["threshold"],
+        "stale_after_s": values["stale_after_s"],
+    }
 
 
 def _layout(get: Values) -> Layout:
-    """The layout file's; without one a flat grid."""
+    """The layout in layout_file; without one a flat grid."""
     pitch_m = get["pitch_mm"] * 1e-3
     if not get["layout_file"]:
         taxel_m = get["taxel_mm"] * 1e-3
         return Layout.grid(get["nodes"], get["rows"], get["columns"], pitch_m, taxel_m)
     path = user_path("layout_file", get["layout_file"])
     layout = read_layout(path, Wiring(get["nodes"], get["first_row"], get["skin"]))
-    # Defaults say nothing: ROS gives every parameter a value.
+    # ROS gives every parameter a value, so only one that differs from its default was set.
     for name, theirs in (
         ("rows", layout.rows),
         ("columns", layout.columns),
         ("pitch_mm", layout.pitch_m * 1e3),
     ):
-        if get[name] != BY_NAME[name].default and not math.isclose(get[name], theirs, rel_tol=1e-3):
+        if get[name] != DEFAULTS[name] and not math.isclose(get[name], theirs, rel_tol=1e-3):
             raise SpecError(
-                f"{name} is {get[name]:g}, but {theirs:g} in layout_file {path}: leave "
-                f"{name} at {BY_NAME[name].default:g}, the file says it"
+                f"{name} is {get[name]:g}, but {theirs:g} in layout_file {path}: leave {name} at "
+                f"its default, {DEFAULTS[name]:g}, and the file decides"
             )
     return layout
 
 
 def _calibration(get: Values, spec: FrameSpec, adc: AdcScale, curve: PressureCurve) -> Calibration:
-    """From a file; without one the default."""
+    """The calibration in calibration_file; without one the default curve for all nodes."""
     calibration, file = Calibration.default(curve, spec.nodes), get["calibration_file"]
     if file:
         path = user_path("calibration_file", file)
         calibration = read_calibration(path, spec.nodes, adc, curve, get["skin"])
     if get["compensation"] and calibration.dynamics is None:
         raise SpecError(
-            f"no dynamics in {file or 'the default curve'}, which compensation undoes: run "
+            f"no dynamics in {file or 'the default curve'}, and compensation needs them: run "
             "tactile-cdma calibrate --dynamics, or set compensation to false"
         )
     return calibration
 
 
 def user_path(name: str, text: str) -> Path:
-    """A parameter's path, from the working folder or the home folder (~) on."""
+    """A parameter's path, relative to the working folder or, with ~, the home folder."""
     try:
         return expanded(text)
     except ValueError as error:
@@ -195,27 +188,27 @@ def user_path(name: str, text: str) -> Path:
 
 
 def _check_roll_call(spec: FrameSpec, timing: str, samples_per_chip: int) -> None:
-    for fault, remedy in (
-        (timing == GAP, "timing is 'gap', it must be 'line'"),
-        (samples_per_chip < 2, f"samples_per_chip is {samples_per_chip}, it must be 2 or more"),
-        (
-            spec.resync_chips > 0,
-            f"resync_chips is {spec.resync_chips}, it must be 0 (restarts make up for the clocks)",
-        ),
-    ):
-        if fault:
-            raise SpecError(f"roll_call measures clocks by raw samples of marked frames: {remedy}")
+    reason = "roll_call measures clocks from raw samples of marked frames"
+    if timing == GAP:
+        raise SpecError(f"{reason}: timing is 'gap', it must be 'line'")
+    if samples_per_chip < 2:
+        raise SpecError(f"{reason}: samples_per_chip is {samples_per_chip}, it must be 2 or more")
+    if spec.resync_chips:
+        raise SpecError(
+            f"{reason}: resync_chips is {spec.resync_chips}, it must be 0 (restarts already "
+            "correct the clocks)"
+        )
 
 
 def _check_gap(spec: FrameSpec, samples_per_chip: int) -> None:
     if spec.resync_chips:
         raise SpecError(
-            f"resync_chips is {spec.resync_chips}: nodes that start anew within a frame take a "
-            "sync line, use timing 'line'"
+            f"resync_chips is {spec.resync_chips}: nodes that restart within a frame need a sync "
+            "line, use timing 'line'"
         )
     if samples_per_chip < 3:
         raise SpecError(
-            f"timing 'gap' needs raw samples to find the chips in: samples_per_chip is "
+            "timing 'gap' finds the chips in raw samples: samples_per_chip is "
             f"{samples_per_chip}, it must be 3 or more"
         )
     longest_s = (1 + MAX_STRETCH) * spec.frame_s

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the doctor finds, and how it is told. Standard library only."""
+"""The doctor's checks and their wording. Standard library only."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from enum import StrEnum
 
 
 class Verdict(StrEnum):
-    """How bad it is: nothing to do, may cause trouble, will not work."""
+    """Nothing to do; may cause trouble; will not work."""
 
     OK = "ok"
     WARNING = "warning"
@@ -19,7 +19,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One thing that was looked at. text: what was found, and unless all is well what to do."""
+    """One thing that was checked. text: what was found and, unless all is well, what to do."""
 
     verdict: Verdict
     subject: str
@@ -42,7 +42,7 @@ def problem(subject: str, text: str) -> Check:
 
 
 def line(check: Check) -> str:
-    """A check for people."""
+    """A check as a line of text."""
     return f"{check.verdict:<8} {check.subject}: {check.text}"
 
 

@@ -18,7 +18,7 @@ from ..words.decode import LOW_RHO
 from ..words.health import NodeState
 from .findings import Finding, Level
 from .pipeline import Pipeline, TactileFrame
-from .vitals import Counts, Window
+from .vitals import Window
 
 SLOW, VERY_SLOW, FAST = 0.9, 0.5, 1.1
 """Shares of the expected frame rate beyond which something is wrong. Chosen: by default, a report
@@ -38,6 +38,14 @@ DRIFT_PPM = 300.0
 """Largest difference of two sound clocks. Chosen: 3 × that of two 50 ppm crystals."""
 BROKEN_SHARE = 0.1
 """Share of the packets; with more of them broken the link is of no use. Chosen."""
+
+UNSOUND = {
+    NodeState.DOUBLED: "two nodes speak on one code row: {}; check the numbers given to the nodes "
+    "(tactile-cdma node), and amplitude_mv",
+    NodeState.FAULTY: "words contradict the code: {}; check supply, clock and soldering",
+    NodeState.WEAK: "much weaker on the line than they should be: {}; check supply and resistor",
+}
+"""What is wrong with nodes of these states, and what to do about it."""
 
 
 def stream(pipeline: Pipeline, window: Window, latest: TactileFrame | None) -> Iterator[Finding]:
@@ -106,20 +114,8 @@ def nodes(pipeline: Pipeline, stuck: list[int], window: Window) -> Iterator[Find
             "fell silent: {}; check supply and wiring; stale_after_s must be longer than the "
             "nodes' heartbeat",
         ),
-        (
-            health.nodes(NodeState.DOUBLED),
-            "two nodes speak on one code row: {}; check the numbers given to the nodes "
-            "(tactile-cdma node), and amplitude_mv",
-        ),
-        (
-            health.nodes(NodeState.FAULTY),
-            "words contradict the code: {}; check supply, clock and soldering",
-        ),
-        (
-            health.nodes(NodeState.WEAK),
-            "much weaker on the line than they should be: {}; check supply and resistor",
-        ),
-        (stuck, "do not move while all around them do: {}; check sensor and converter"),
+        *((health.nodes(state), text) for state, text in UNSOUND.items()),
+        (stuck, "stuck while all nodes around them move: {}; check sensor and converter"),
     ):
         if numbers:
             yield Finding(text.format(listed(numbers, "node")), event=True, key=text)
@@ -132,7 +128,7 @@ def nodes(pipeline: Pipeline, stuck: list[int], window: Window) -> Iterator[Find
         )
         yield Finding(text, key="snr")
     if clocks is not None and clocks.unresolved:
-        text = f"clocks leave nodes not told apart: {listed(clocks.unresolved, 'node')}"
+        text = f"not told from others by their clocks: {listed(clocks.unresolved, 'node')}"
         yield Finding(text, key="unresolved")
     if clocks is not None and clocks.problem:
         yield Finding(clocks.problem, key="clocks")
@@ -140,10 +136,54 @@ def nodes(pipeline: Pipeline, stuck: list[int], window: Window) -> Iterator[Find
 
 def link(pipeline: Pipeline, window: Window) -> Iterator[Finding]:
     """The way from the digitizer to here: bytes, packets, and its clock."""
-    for rise, text in _losses(window.rises):
+    rises = window.rises
+    stream, packets, digitizer = rises.stream, rises.packets, rises.digitizer or Status(uptime_us=0)
+    for rise, text in (
+        (
+            digitizer.sync_faults,
+            "sync edges came late or not at all: the digitizer cannot keep up; lower "
+            "samples_per_chip, or make chip_us longer",
+        ),
+        (digitizer.samples_lost, "the digitizer loses samples: ask for fewer samples_per_chip"),
+        (
+            digitizer.packets_dropped,
+            "the link or this computer is too slow for the digitizer's packets",
+        ),
+        (digitizer.command_errors, "commands reach the digitizer broken: check cable and baud"),
+        (
+            stream.skipped_bytes,
+            "this computer does not keep up: bytes that waited too long were skipped; close other "
+            "programs, or ask for fewer samples_per_chip",
+        ),
+        (
+            packets.lost_packets,
+            "packets are missing: the link, or this computer, drops bytes; check the cable",
+        ),
+        (
+            packets.jumps,
+            "the digitizer restarts packet numbering: does its supply reset it, or do two programs "
+            "read it?",
+        ),
+        (
+            packets.repeated_packets,
+            "packets come twice or out of order: what lies between here and the digitizer?",
+        ),
+        (stream.restarts, "the digitizer restarted: check its supply"),
+        (
+            packets.resyncs,
+            "bytes arrive that are no packets: is baud right, is another program on the port?",
+        ),
+        (
+            packets.malformed,
+            "packets do not fit the protocol: update the digitizer's firmware or this driver",
+        ),
+        (
+            stream.implausible_packets,
+            "packets have impossible contents: update the digitizer's firmware",
+        ),
+    ):
         if rise:
             yield Finding(text, event=True)
-    packets = window.rises.packets
     if broken := packets.crc_errors + packets.framing_errors:
         share = broken / (broken + packets.packets)
         key, level = ("noisy", Level.WARN) if share < BROKEN_SHARE else ("useless", Level.ERROR)
@@ -159,65 +199,11 @@ def link(pipeline: Pipeline, window: Window) -> Iterator[Finding]:
         yield Finding(text, key="drift")
 
 
-def _losses(rises: Counts) -> tuple[tuple[int, str], ...]:
-    """Every count that should not rise: its rise, and what that means."""
-    stream, packets, digitizer = rises.stream, rises.packets, rises.digitizer or Status(uptime_us=0)
-    return (
-        (
-            digitizer.sync_faults,
-            "sync edges came late or not at all: the digitizer cannot keep up; lower "
-            "samples_per_chip, or make chip_us longer",
-        ),
-        (
-            digitizer.samples_lost,
-            "the digitizer loses samples: ask for fewer samples_per_chip",
-        ),
-        (
-            digitizer.packets_dropped,
-            "the link or this computer is too slow for the digitizer's packets",
-        ),
-        (
-            digitizer.command_errors,
-            "commands reach the digitizer broken: check cable and baud",
-        ),
-        (
-            stream.skipped_bytes,
-            "this computer does not keep up: what had waited too long was skipped; close other "
-            "programs, or ask for fewer samples_per_chip",
-        ),
-        (
-            packets.lost_packets,
-            "packets are missing: the link, or this computer, drops bytes; check the cable",
-        ),
-        (
-            packets.jumps,
-            "the digitizer restarts packet numbering: is it reset by its supply, or read twice?",
-        ),
-        (
-            packets.repeated_packets,
-            "packets come twice, or after later ones: what is between here and the digitizer?",
-        ),
-        (stream.restarts, "the digitizer began anew: check its supply"),
-        (
-            packets.resyncs,
-            "runs of bytes that are no packet: is baud right, and nobody else on the port?",
-        ),
-        (
-            packets.malformed,
-            "packets that no digitizer of this protocol sends: update whichever is older",
-        ),
-        (
-            stream.implausible_packets,
-            "packets with impossible contents: update the digitizer's firmware",
-        ),
-    )
-
-
 def host(window: Window, drivers: int) -> Iterator[Finding]:
     """This computer. drivers: how many publish under this one's name."""
     if drivers > 1:
         text = (
-            f"{drivers} drivers have this name, and their frames are mixed up: end one, or give it "
+            f"{drivers} drivers have this name, and their frames are mixed: end one, or give it "
             "another name or ROS_DOMAIN_ID"
         )
         yield Finding(text, key="rivals")

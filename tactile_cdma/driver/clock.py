@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The digitizer's clock seen from the host."""
+"""Maps the digitizer's clock to the host's."""
 
 from __future__ import annotations
 
@@ -8,36 +8,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_RATE_ERROR = 1e-3
-"""Largest believable rate difference of two crystal clocks; a steeper fit is jitter of the bus."""
+"""Largest rate difference of two clocks; a steeper fit is jitter of the bus. Chosen: ten times what
+two crystals of 50 ppm can differ by."""
 SURE_INTERVALS = 40
-"""Kept observations from which a rate is told to people: 1 ms of jitter is 55 ppm then."""
+"""Kept observations from which the rate is shown to people: 1 ms of jitter is 55 ppm then."""
 RECENT = 8
+"""Newest observations that tell a slow device; also the fewest from which a rate is fitted. Chosen:
+2 s of them."""
 SLOW_S, FALLS_BEHIND_S = 0.5, 0.005
-"""A device is no clock but a slow replay or emulation if the last RECENT observations are later by
-SLOW_S than earlier ones, though nothing had waited to be read (crystals come to 0.03 s in 30 s),
-and ever later: every two of them by FALLS_BEHIND_S. What a stalled bus or a busy host held back is
-later, too, but comes ever less late, or about as late as buffers last."""
+"""s; a device is not a clock but a slow replay or emulation if the RECENT newest observations are
+later than earlier ones by SLOW_S, though nothing had been waiting to be read (crystals come to
+0.03 s in 30 s), and each pair of them is later than the one before by FALLS_BEHIND_S. What a
+stalled bus or a busy host held back is late, too, but ever less so, or by what buffers hold."""
 _TOUCH_S = 1e-9
-"""Rounding: what is so little below a line is on it."""
+"""s; a point that is less below a line is on it, but for rounding."""
 
 
 class DeviceClock:
     """Maps device time to host time, both in s, from the arrival times of packets.
 
-    A packet arrives late, never early, and by a varying amount: so of the lines that no arrival
-    lies below, the one that is nearest to the earliest arrivals of all intervals is taken (Moon,
-    Skelly and Towsley 1999, "Estimation and removal of clock skew from network delay
-    measurements"). What is later than clocks can explain has no say in it.
+    A packet arrives late by a varying amount, and never early. So the map is a line that no arrival
+    lies below, the one closest to the earliest arrivals of all intervals (Moon, Skelly and Towsley
+    1999, "Estimation and removal of clock skew from network delay measurements"). Arrivals later
+    than clocks can explain are left out.
 
-    A device slower than real time, as a replay at half the speed, is followed at its own pace: else
-    its frames would be stamped ever farther in the past.
+    A device slower than real time, such as a replay at half speed, is followed at its own pace.
+    Otherwise its frames would be stamped ever farther in the past.
     """
 
     def __init__(self, interval_s: float = 0.25, intervals: int = 120) -> None:
-        """interval_s: device time covered by one kept observation; `intervals` of them are kept."""
+        """interval_s: device time per kept observation, s. intervals: observations kept."""
         self._interval_s = interval_s
         self._interval = -1
-        # Kept observations, in any order: the newest takes the place of the oldest.
+        # A ring: the newest observation takes the place of the oldest.
         self._device, self._host = np.zeros(intervals), np.zeros(intervals)
         self._is_backlog = np.zeros(intervals, dtype=bool)
         self._count = 0
@@ -47,9 +50,9 @@ class DeviceClock:
         self._fitted = True
 
     def observe(self, t_device: float, t_host: float, backlog: bool = False) -> None:
-        """A packet that left the device at t_device was read at t_host.
+        """Note that a packet left the device at t_device and was read at t_host, s.
 
-        backlog: it had been waiting to be read, so that it may have come long before.
+        backlog: it had been waiting to be read, so it may have come long before.
         """
         interval = int(t_device // self._interval_s)
         if not self._count or interval != self._interval:
@@ -65,11 +68,11 @@ class DeviceClock:
 
     @property
     def drift_ppm(self) -> float:
-        """By how much the device's clock is faster than the host's; NaN until that is known."""
+        """Rate of the device's clock less that of the host's, ppm; NaN until it is known."""
         return (1 / self._rate - 1) * 1e6 if self._count >= SURE_INTERVALS else np.nan
 
     def to_host(self, t_device: float) -> float:
-        """Host time of a moment of device time."""
+        """Host time of a device time, s."""
         if not self._fitted:
             self._fit()
         return self._origin[1] + (t_device - self._origin[0]) * self._rate
@@ -94,7 +97,7 @@ class DeviceClock:
 
 
 def _is_slow(late_s: NDArray[np.float64], newest: NDArray[np.intp]) -> bool:
-    """Whether a device falls behind. late_s: of all observations; newest: the last ones of them."""
+    """Whether a device falls behind. late_s: of all observations. newest: places of the newest."""
     recent_s = late_s[newest]
     if len(recent_s) < RECENT or recent_s.min() <= late_s.min() + SLOW_S:
         return False
@@ -103,10 +106,10 @@ def _is_slow(late_s: NDArray[np.float64], newest: NDArray[np.intp]) -> bool:
 
 
 def _rate_below(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
-    """Slope of the line below all points that has the least sum of distances to them.
+    """Slope of the line below all points with the least sum of distances to them.
 
-    It is that edge of their lower convex hull which passes the middle of all x: two points of the
-    hull, one to either side, are moved until no point lies below the line through them.
+    It is the edge of their lower convex hull that spans the mean x: starting with one point on
+    either side, replace one by the lowest point until no point lies below the line through both.
     """
     beyond = x > x.mean()
     left, right = (

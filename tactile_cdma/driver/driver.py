@@ -10,7 +10,6 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from types import TracebackType
 
 from ..base.errors import PortError, RecordingEndError
 from ..config.parameters import REPLAY
@@ -25,15 +24,16 @@ from .session import Session
 from .vitals import Vitals
 
 CONNECT_S = 0.5
-"""Longer than a port in order takes to open."""
+"""s that stopping waits for a port that is just being opened. Chosen: a sound port takes less."""
 RETRY_S = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
-"""Pauses between attempts to get frames from a port; the last one repeats."""
+"""s between attempts to get frames from a port; the last pause repeats. Chosen: a plug that bounces
+is back at once, and a port that stays away costs next to nothing."""
 AWAY_S = 0.02
-"""A device that is not there is looked for so often, which takes microseconds."""
+"""s between looks for a device that is missing. Chosen: a look takes microseconds."""
 LOOK_S = 0.05
-"""How much waits in the port is looked at so often, for that takes 10 µs."""
+"""s between looks at how much waits in the port. Chosen: a look takes 10 µs."""
 WAITING = "waiting for the first frame"
-"""What keeps frames from coming right after a port was opened."""
+"""The problem right after a port was opened."""
 
 
 class Driver:
@@ -42,8 +42,9 @@ class Driver:
     on_frame is called in that thread for every frame; on_problem with one sentence whenever the
     reason for not receiving frames changes, and with None when frames flow again.
 
-    url: of the port. vitals: how the thread does. stuck: which nodes do not move. ended: all of a
-        recording was replayed, and no more frames will come.
+    url: of the port. connections: how often it was opened. problem: as told by on_problem.
+    vitals: what the thread measures of itself. stuck: finds nodes that do not move.
+    ended: a recording was replayed to its end, and no more frames will come.
     """
 
     def __init__(
@@ -71,15 +72,15 @@ class Driver:
         self._thread = threading.Thread(target=self._run, name=f"skin {url}", daemon=True)
 
     def start(self, port: Port | None = None) -> None:
-        """Begin to stream, on an already open port if one is given (the driver closes it)."""
+        """Begin to stream; port: already open, if there is one (the driver closes it)."""
         self._first_port = port
         self._thread.start()
 
     def stop(self) -> None:
         """Stop the digitizer, close the port, join the thread; nothing is called from now on.
 
-        A thread that is just connecting to a host that does not answer is not waited for: it ends
-        by itself when that fails.
+        A thread that is connecting to a host that does not answer is not joined: it ends by itself
+        when that fails.
         """
         self._stop.set()
         while self._thread.is_alive():
@@ -89,9 +90,9 @@ class Driver:
 
     @contextmanager
     def between_frames(self) -> Iterator[Pipeline]:
-        """The pipeline while no frame is decoded or handed on, for calls from other threads.
+        """The pipeline, while no frame is decoded or handed on; for calls from other threads.
 
-        Bytes wait in the port meanwhile, so nothing is lost if this is short.
+        Bytes wait in the port meanwhile, so keep it short.
         """
         with self._busy:
             yield self.pipeline
@@ -100,12 +101,7 @@ class Driver:
         self.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
 
     def _run(self) -> None:
@@ -124,7 +120,7 @@ class Driver:
                 return
             except PortError as error:
                 self._report(str(error))
-            except Exception:  # a defect of ours must neither go unseen nor end the skin for good
+            except Exception:  # a defect must neither go unseen nor end the skin for good
                 self._report(f"internal error, starting again: {traceback.format_exc()}")
             if self.pipeline.counters.frames > frames:
                 attempt = 0
@@ -132,7 +128,7 @@ class Driver:
             attempt = 0 if came_back else attempt + 1
 
     def _pause(self, pause_s: float) -> bool:
-        """Wait before the port is opened again; no longer, and True, if it just came back."""
+        """Wait before the port is opened again; returns True at once when a missing one is back."""
         end_s, away = time.monotonic() + pause_s, is_away(self.url)
         while (left_s := end_s - time.monotonic()) > 0:
             if self._stop.wait(min(left_s, AWAY_S)):
@@ -142,7 +138,7 @@ class Driver:
         return False
 
     def _open(self) -> Port:
-        """The port given at the start, or the port anew; raises PortError."""
+        """The port given at the start, once, then a newly opened one; raises PortError."""
         first, self._first_port = self._first_port, None
         if first is not None:
             return first
@@ -153,7 +149,7 @@ class Driver:
             self._opening = False
 
     def _stream(self, port: Port) -> None:
-        """Handshake, then decode until stopped; raises PortError when the port is lost."""
+        """Start the digitizer and decode until stopped; raises PortError when the port is lost."""
         pipeline = self.pipeline
         session = Session(pipeline.config)
         with self._busy:

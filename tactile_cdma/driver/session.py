@@ -11,18 +11,9 @@ from ..config.parameters import GAP
 from ..config.skin_config import SkinConfig
 from ..framing.silence import quiet_uv
 from ..wire._protocol import SyncMode
-from ..wire.messages import (
-    Configure,
-    FrameLayout,
-    GetInfo,
-    Info,
-    Packet,
-    RollCall,
-    Start,
-    Status,
-    Stop,
-)
+from ..wire.messages import Configure, FrameLayout, GetInfo, Info, Packet, RollCall, Start, Stop
 from ..wire.packets import PacketWriter, diagnose
+from .digitizer import DigitizerState
 from .pipeline import Pipeline
 
 PATIENCE_S = 1.0
@@ -65,7 +56,7 @@ class Session:
         self._deadline_s = self._asked_s = -math.inf
         self._obeyed = False  # it has streamed since it was asked
         self._was_idle = False  # it denied streaming, and no frame has come since
-        self._answered: Status | None = None  # the last one when it was asked
+        self._answered = DigitizerState().status  # the last STATUS when it was asked
 
     def open(self) -> bytes:
         """Requests that configure (where asked to) and start the digitizer, or ask who it is."""

@@ -7,14 +7,14 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, fields, replace
-from typing import Any, TypeVar
+from typing import Any
+
+import numpy as np
 
 from ..wire.messages import Status
 from ..wire.packets import Counters
 from .pipeline import Pipeline, TactileFrame
 from .timeline import StreamCounters
-
-C = TypeVar("C", StreamCounters, Counters, Status)
 
 _NO_COUNTS = ("text_bytes", "sequence", "streaming")
 """Fields that count nothing that happens."""
@@ -44,13 +44,8 @@ class Counts:
 
     def since(self, before: Counts) -> Counts:
         """By how much the counts rose; one that fell began anew, from 0."""
-        now, then = self.digitizer, before.digitizer
-        return Counts(
-            _rise(before.stream, self.stream),
-            _rise(before.packets, self.packets),
-            _rise(then, now) if now and then else None,
-            _risen(before.rejected_bursts, self.rejected_bursts),
-        )
+        rises: Counts = _rise(before, self)
+        return rises
 
     def named(self) -> dict[str, int]:
         """By name, for people; those of the digitizer begin with "digitizer"."""
@@ -104,7 +99,8 @@ class Vitals:
     def __init__(self) -> None:
         self._sums = _Sums()
         self._thread_s = 0.0  # CPU time of the driver's thread so far
-        self._before = _Instant(time.monotonic(), time.process_time(), 0.0, None)
+        self._clocks = self._read_clocks()
+        self._totals: Counts | None = None  # at the end of the last window
 
     def note_frame(self, frame: TactileFrame, t_read: float, t_decoded: float) -> None:
         """A frame, read and decoded at these times (host's monotonic, s), was just handed on."""
@@ -128,10 +124,10 @@ class Vitals:
     def take(self, pipeline: Pipeline) -> Window:
         """What happened since the last call."""
         sums, self._sums = self._sums, _Sums()
-        before, totals = self._before, Counts.of(pipeline)
-        now = _Instant(time.monotonic(), time.process_time(), self._thread_s, totals)
-        self._before = now
-        seconds = max(now.t_host - before.t_host, 1e-3)
+        before, self._clocks = self._clocks, self._read_clocks()
+        passed_s, process_s, thread_s = np.subtract(self._clocks, before).tolist()
+        totals, seconds = Counts.of(pipeline), max(passed_s, 1e-3)
+        rises, self._totals = totals.since(self._totals or totals), totals
         frames = sums.frames or math.nan
         return Window(
             seconds=seconds,
@@ -143,11 +139,15 @@ class Vitals:
             noise_rms_v=math.sqrt(sums.noise_v2 / (sums.noisy or math.nan)),
             clipped=sums.clipped / frames if sums.frames else 0.0,
             backlog_bytes=sums.backlog_bytes,
-            process_share=(now.process_s - before.process_s) / seconds,
-            thread_share=(now.thread_s - before.thread_s) / seconds,
+            process_share=process_s / seconds,
+            thread_share=thread_s / seconds,
             totals=totals,
-            rises=totals.since(before.totals or totals),
+            rises=rises,
         )
+
+    def _read_clocks(self) -> tuple[float, float, float]:
+        """Host's time, CPU time of the process and of the driver's thread, s."""
+        return time.monotonic(), time.process_time(), self._thread_s
 
 
 @dataclass(slots=True)
@@ -163,27 +163,18 @@ class _Sums:
     backlog_bytes: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class _Instant:
-    """How far clocks and counts were when a window ended."""
-
-    t_host: float
-    process_s: float
-    thread_s: float
-    totals: Counts | None
-
-
 def _named(part: StreamCounters | Counters | Status) -> dict[str, int]:
     names = [item.name for item in fields(part) if item.name not in _NO_COUNTS]
     return {name.replace("_", " "): getattr(part, name) for name in names}
 
 
-def _rise(before: C, now: C) -> C:
-    """The rise of every field."""
+def _rise(before: Any, now: Any) -> Any:
+    """The rise of a count, or of every count in a dataclass; None where one of both is unknown."""
+    if before is None or now is None:
+        return None
+    if isinstance(now, int):
+        return now - before if now >= before else now
     names = [item.name for item in fields(now)]
-    rises: Any = {name: _risen(getattr(before, name), getattr(now, name)) for name in names}
-    return replace(now, **rises)
-
-
-def _risen(before: int, now: int) -> int:
-    return now - before if now >= before else now
+    return replace(
+        now, **{name: _rise(getattr(before, name), getattr(now, name)) for name in names}
+    )

@@ -42,12 +42,7 @@ class FrameEnds:
         self._silent = 0  # ends in a row, until proven
 
     def classify(
-        self,
-        line: Line,
-        fit: Fit,
-        amplitude: Floats32,
-        noise: float,
-        level_known: bool,
+        self, line: Line, fit: Fit, amplitude: Floats32, noise: float, level_known: bool
     ) -> End:
         """What follows the fitted end; counts it.
 

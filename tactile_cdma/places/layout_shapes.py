@@ -128,13 +128,10 @@ def _sphere_areas_m2(
 ) -> NDArray[np.float64]:
     """Areas on the sphere of the square cells around flat positions: the integral of sin(c)/c."""
     at, weight = np.polynomial.legendre.leggauss(_QUADRATURE)
-    areas_m2 = np.zeros(len(flat_m))
-    for y, weight_y in zip(at, weight, strict=True):
-        for x, weight_x in zip(at, weight, strict=True):
-            place_m = flat_m + np.array([x, y]) * (pitch_m / 2)
-            angle = np.hypot(place_m[:, 0], place_m[:, 1]) / radius_m
-            areas_m2 += weight_x * weight_y * (pitch_m / 2) ** 2 * _sinc(angle)
-    return areas_m2
+    x, y = flat_m.T[:, :, None] + at * pitch_m / 2  # (t, _QUADRATURE) each
+    angle = np.hypot(x[:, :, None], y[:, None, :]) / radius_m
+    areas = np.einsum("txy,x,y->t", _sinc(angle), weight, weight)
+    return np.asarray(areas * (pitch_m / 2) ** 2)
 
 
 def _sinc(angle: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""ADC code → voltage → pressure: one sensor's curve, and the curves of a whole skin."""
+"""ADC code → voltage → pressure: the curve of one sensor and the curves of a whole skin."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from .dynamics import Dynamics
 
 @dataclass(frozen=True, slots=True)
 class AdcScale:
-    """The sensing node's converter: V = code · vref / 2ᵏ.
+    """The sensing node's ADC of k bits: V = code · vref / 2ᵏ.
 
-    The paper's decoded examples (1.18, 1.80 and 2.14 V) fit 2¹⁰ exactly and 2¹⁰ − 1 not.
+    The paper's decoded examples (1.18, 1.80 and 2.14 V) fit 2¹⁰ exactly, and 2¹⁰ − 1 not.
     """
 
     bits: int = 10
@@ -32,7 +32,7 @@ class AdcScale:
 
     @property
     def lsb_v(self) -> float:
-        """One count, V."""
+        """One count (LSB), V."""
         return self.vref_v / (1 << self.bits)
 
     def voltage(self, code: ArrayLike) -> NDArray[np.float64]:
@@ -40,10 +40,10 @@ class AdcScale:
         return np.asarray(code, dtype=np.float64) * self.lsb_v
 
     def code(self, voltage_v: ArrayLike) -> NDArray[np.int64]:
-        """The code that the converter gives for a voltage: the nearest, clamped to its range.
+        """The nearest code to a voltage (V), clamped to the converter's range.
 
         An ideal ATmega328P changes from code 0 to 1 at half a count (data sheet, "ADC accuracy
-        definitions"), so that `voltage` is in the middle of what a code stands for.
+        definitions"), so `voltage` returns the centre of a code's interval.
         """
         counts = np.floor(np.asarray(voltage_v, dtype=np.float64) / self.lsb_v + 0.5)
         return np.clip(counts, 0, (1 << self.bits) - 1).astype(np.int64)
@@ -56,7 +56,7 @@ class PressureCurve:
     pressure_pa: rising corner pressures, Pa, the first one 0.
     voltage_v: falling voltages at those corners, V.
 
-    Raises SpecError where the curve is not strictly monotone.
+    Raises SpecError unless both are strictly monotone.
     """
 
     pressure_pa: tuple[float, ...]
@@ -105,33 +105,22 @@ class PressureCurve:
             )
         return cls((0.0, knee_pa, range_pa), (v0_v, knee_v, end_v))
 
-    @property
-    def range_pa(self) -> float:
-        """The highest pressure that the curve covers, Pa."""
-        return self.pressure_pa[-1]
-
     def voltage(self, pressure_pa: ArrayLike) -> NDArray[np.float64]:
         """Pa to V, clamped to the curve's ends."""
-        return np.interp(
-            np.asarray(pressure_pa, dtype=np.float64), self.pressure_pa, self.voltage_v
-        )
+        return np.interp(np.asarray(pressure_pa, np.float64), self.pressure_pa, self.voltage_v)
 
     def pressure(self, voltage_v: ArrayLike) -> NDArray[np.float64]:
-        """V to Pa, clamped to 0…range: above V0 there is no pressure, below the end full range."""
-        volts = np.asarray(voltage_v, dtype=np.float64)
+        """V to Pa, clamped to the curve's ends."""
+        volts = np.asarray(voltage_v, np.float64)
         return np.interp(volts, self.voltage_v[::-1], self.pressure_pa[::-1])
-
-    def saturated(self, voltage_v: ArrayLike) -> NDArray[np.bool_]:
-        """Where the voltage lies beyond the end of the range, so that the pressure is clamped."""
-        return np.asarray(voltage_v) < self.voltage_v[-1]
 
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """The curves of n sensors, evaluated all at once.
+    """The curves of n sensors, evaluated together.
 
     pressure_pa, voltage_v: (c, n) float64, Pa and V, corner by corner as in PressureCurve; a curve
-        of fewer corners repeats its last one.
+        with fewer corners repeats its last one.
     """
 
     pressure_pa: NDArray[np.float64]
@@ -152,7 +141,7 @@ class Curves:
 
     @classmethod
     def uniform(cls, curve: PressureCurve, count: int) -> Curves:
-        """The same curve for all."""
+        """The same curve for all sensors."""
         return cls.of([curve] * count)
 
     def __len__(self) -> int:
@@ -160,26 +149,26 @@ class Curves:
 
     @cached_property
     def checksum(self) -> str:
-        """Eight digits that other curves hardly share; of corners in whole mPa and µV."""
+        """CRC-32 of the corners in whole mPa and µV, as eight hexadecimal digits."""
         corners = np.rint(np.stack([self.pressure_pa * 1e3, self.voltage_v * 1e6]))
         return f"{zlib.crc32(corners.astype('<i8').tobytes()):08x}"
 
     def __getitem__(self, index: int) -> PressureCurve:
-        """One sensor's curve, without repeated corners."""
+        """The curve of one sensor, without repeated corners."""
         pressure_pa, voltage_v = self.pressure_pa[:, index], self.voltage_v[:, index]
         new = np.append(True, np.diff(pressure_pa) > 0)
         return PressureCurve(tuple(pressure_pa[new].tolist()), tuple(voltage_v[new].tolist()))
 
     @property
     def range_pa(self) -> NDArray[np.float64]:
-        """(n,) the highest pressure that each curve covers, Pa."""
+        """(n,) highest pressure of each curve, Pa."""
         return np.asarray(self.pressure_pa[-1])
 
     def pressure(self, voltage_v: NDArray[np.float32]) -> NDArray[np.float32]:
         """V to Pa, (n,) float32 both, clamped to each curve's ends.
 
-        Every piece adds its gain times the part of the voltage's fall that lies in it, so no piece
-        has to be looked up.
+        Every piece adds its gain times the part of the voltage drop that lies within it, so no
+        piece has to be looked up.
         """
         result = np.zeros(len(self), dtype=np.float32)
         for begin_v, width_v, gain in self._pieces:
@@ -201,7 +190,7 @@ class Curves:
         return result
 
     def saturated(self, voltage_v: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """(n,) where the voltage lies beyond the end of the range: the pressure is clamped."""
+        """(n,) bool, voltages beyond the end of the range, whose pressure is clamped."""
         return np.asarray(voltage_v < self._end_v)
 
     @cached_property
@@ -210,7 +199,7 @@ class Curves:
 
     @cached_property
     def _pieces(self) -> list[tuple[NDArray[np.float32], ...]]:
-        """Per piece: where it begins (V), how wide it is (V) and its gain (Pa/V), (n,) each."""
+        """Per piece: its start (V), its width (V) and its gain (Pa/V), (n,) each."""
         width_v = -np.diff(self.voltage_v, axis=0)
         gain = np.diff(self.pressure_pa, axis=0) / np.where(width_v > 0, width_v, 1.0)
         pieces = zip(self.voltage_v, width_v, gain, strict=False)
@@ -219,13 +208,13 @@ class Curves:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What turns the voltages of a skin's n nodes into pressures.
+    """The calibration of a skin's n nodes.
 
     curves: of nodes 1…n, in this order.
-    uncalibrated: (n,) bool, nodes that have no curve of their own and take the default one, though
-        others have.
-    identity: short hash of what was measured; empty where all nodes take the default curve.
-    dynamics: lag and hysteresis of the sensors; None where they were not measured.
+    uncalibrated: (n,) bool, nodes with the default curve although others have curves of their own.
+    identity: short hash of the calibration file's content; empty if all nodes have the default
+        curve.
+    dynamics: lag and hysteresis of the sensors; None if not measured.
     """
 
     curves: Curves
@@ -242,7 +231,7 @@ class Calibration:
     def of_nodes(
         cls, curves: Mapping[int, PressureCurve], default: PressureCurve, nodes: int
     ) -> Calibration:
-        """Curves by the nodes' numbers 1…nodes; those without one are uncalibrated."""
+        """Curves by node number, 1…nodes; nodes without one are uncalibrated."""
         numbers = range(1, nodes + 1)
         return cls(
             Curves.of([curves.get(number, default) for number in numbers]),

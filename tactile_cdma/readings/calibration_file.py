@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Calibration ↔ YAML file: curves of single nodes, whose they are, and a seal against damage."""
+"""Calibration files (YAML): the curves of single nodes, the skin they belong to, and a checksum."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import json
 import re
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -22,42 +21,35 @@ from ..base.listing import listed
 from ..base.marked_yaml import Mapping, Marked, read_marked
 from ..base.whole_file import replace_file
 from .calibration import AdcScale, Calibration, PressureCurve
-from .dynamics import LIMITS, Dynamics
+from .dynamics import LIMITS, MOST_WIDTH, Dynamics
 
 SCHEMA = "tactile_cdma/calibration"
 VERSION = 1
 UNITS = {"pressure": "Pa", "voltage": "V"}
+# Limits of a file, chosen: far above what calibration writes and what sensors reach.
 MOST_CORNERS = 65
 MOST_PLAYS = 64
 MOST_PA = 1e9
 HEADROOM = 1.25
-"""A curve may begin above vref by this factor: its first corner is extrapolated to no load."""
+"""Highest voltage of a curve's first corner in multiples of vref; chosen: that corner is
+extrapolated to no load."""
 _PRESSURE_DIGITS, _VOLTAGE_DIGITS = 3, 7
-"""Decimals of Pa and V that are kept: far below any converter's resolution."""
-_REQUIRED = (
-    "schema",
-    "version",
-    "identity",
-    "skin",
-    "nodes",
-    "bits",
-    "vref_v",
-    "units",
-    "uncalibrated",
-    "curves",
+"""Decimals of Pa and V that are written: 1 mPa and 0.1 µV are far below any ADC's resolution."""
+_KEYS = (
+    *("schema", "version", "identity", "skin", "nodes", "bits", "vref_v", "units"),
+    *("made", "uncalibrated", "dynamics", "curves"),
 )
-_OPTIONAL = ("made", "dynamics")
 _PLAYS = ("widths", "weights")
 _IDENTITY = re.compile(r"^identity: *('[^'\n]*'|\"[^\"\n]*\"|[^#\n]*[^#\s])", re.MULTILINE)
 
 
 @dataclass(frozen=True, slots=True)
 class CalibrationContent:
-    """What a calibration file holds.
+    """The content of a calibration file.
 
     skin: name of the skin; empty: any. curves: by node, 1…nodes; a node without one is
-    uncalibrated. adc: of the nodes that were calibrated. dynamics: of all sensors; None: not known.
-    source: what it was made from, for people.
+    uncalibrated. adc: of the calibrated nodes. dynamics: of all sensors; None: unknown.
+    source: what the calibration was made from, for people.
     """
 
     skin: str
@@ -71,7 +63,7 @@ class CalibrationContent:
     def of(
         cls, calibration: Calibration, adc: AdcScale, skin: str = "", source: str = ""
     ) -> CalibrationContent:
-        """What is to be kept of a calibration; numbers as they will be written."""
+        """The content that describes a calibration, with numbers rounded as they are written."""
         curves = {
             index + 1: _rounded(calibration.curves[index])
             for index in range(len(calibration.curves))
@@ -81,12 +73,12 @@ class CalibrationContent:
 
     @property
     def uncalibrated(self) -> list[int]:
-        """Nodes without a curve of their own."""
+        """Numbers of the nodes without a curve of their own."""
         return [node for node in range(1, self.nodes + 1) if node not in self.curves]
 
     @property
     def identity(self) -> str:
-        """Twelve digits of the SHA-256 of all that decides what a voltage is taken for."""
+        """Twelve digits of the SHA-256 of everything that determines readings."""
         canonical = json.dumps(
             {
                 "skin": self.skin,
@@ -104,7 +96,7 @@ class CalibrationContent:
         return hashlib.sha256(canonical.encode()).hexdigest()[:12]
 
     def calibration(self, default: PressureCurve) -> Calibration:
-        """For the decoding chain; nodes without a curve take the default one."""
+        """The calibration for the decoding chain; nodes without a curve take the default one."""
         calibration = Calibration.of_nodes(self.curves, default, self.nodes)
         return replace(calibration, identity=self.identity, dynamics=self.dynamics)
 
@@ -112,17 +104,17 @@ class CalibrationContent:
 def read_calibration(
     path: Path, nodes: int, adc: AdcScale, default: PressureCurve, skin: str = ""
 ) -> Calibration:
-    """The calibration in a file, for a skin of so many nodes with this converter.
+    """Read the calibration of a skin with this number of nodes and this ADC.
 
-    default: curve of nodes that the file says are uncalibrated. skin: its name; empty: any.
-    Raises CalibrationError, naming file, line, node and cause, for a file that is not what it
-    should be, was changed since it was written, or was made for another skin.
+    default: curve of the uncalibrated nodes. skin: the skin's name; empty: any.
+    Raises CalibrationError, naming file, line, node and cause, for a file that is invalid, was
+    changed since it was written, or was made for another skin.
     """
     return read_content(path, nodes, adc, skin).calibration(default)
 
 
 def read_content(path: Path, nodes: int, adc: AdcScale, skin: str = "") -> CalibrationContent:
-    """All that is in a file; see read_calibration."""
+    """Read all that is in a file; see read_calibration."""
     file = read_marked(path, CalibrationError)
     content, identity = _parse(file)
     root = file.mapping("the file")
@@ -135,13 +127,13 @@ def read_content(path: Path, nodes: int, adc: AdcScale, skin: str = "") -> Calib
         if theirs != ours:
             raise root[name].refuse(
                 f"made for {name} {theirs or 'without a name'}, this skin has {name} {ours}: "
-                "is this the file of another one?"
+                "is this the file of another skin?"
             )
     if identity != content.identity:
         raise root["identity"].refuse(
             f"the identity is {identity[:40]}, the content's is {content.identity}: the file was "
-            "damaged, or edited; if that was meant, tactile-cdma calibrate --seal writes the "
-            "identity anew"
+            "damaged, or edited; if it was edited on purpose, tactile-cdma calibrate --seal "
+            "updates the identity"
         )
     return content
 
@@ -149,23 +141,23 @@ def read_content(path: Path, nodes: int, adc: AdcScale, skin: str = "") -> Calib
 def write_calibration(
     path: Path, calibration: Calibration, adc: AdcScale, skin: str = "", source: str = ""
 ) -> str:
-    """Write a calibration, replacing a file at once or not at all; returns its identity.
+    """Write a calibration atomically; returns its identity.
 
-    source: what it was made from, for people. Raises CalibrationError where it cannot be written.
+    source: what it was made from, for people. Raises CalibrationError if it cannot be written.
     """
     return write_content(path, CalibrationContent.of(calibration, adc, skin, source))
 
 
 def write_content(path: Path, content: CalibrationContent) -> str:
-    """As write_calibration does."""
+    """Write content atomically; returns its identity. Raises as write_calibration."""
     _replace(path, _text(content))
     return content.identity
 
 
 def seal_calibration(path: Path) -> str:
-    """Write the identity of its content into a file that was edited; returns the identity.
+    """Update the identity in a file that was edited, and nothing else; returns the identity.
 
-    All else stays as it is. Raises CalibrationError where the content is not valid.
+    Raises CalibrationError if the content is not valid.
     """
     file = read_marked(path, CalibrationError)
     content, _ = _parse(file)
@@ -178,133 +170,82 @@ def seal_calibration(path: Path) -> str:
 
 
 def _parse(file: Marked) -> tuple[CalibrationContent, str]:
-    """Content and identity of a file that is right by itself."""
+    """Content and stated identity of a file that is valid in itself."""
     root = file.mapping("the file")
-    schema = root.get("schema")
-    if schema is None:
-        raise file.refuse(f"not a calibration file: it names no schema, not {SCHEMA!r}")
-    if (found := schema.text("schema")) != SCHEMA:
-        raise schema.refuse(f"not a calibration file: its schema is {found!r}, not {SCHEMA!r}")
-    _check_version(file, root)
-    root.check_keys(_REQUIRED + _OPTIONAL)
-    if missing := [name for name in _REQUIRED if root.get(name) is None]:
-        raise file.refuse(f"{', '.join(missing)} is missing: is the file cut short?")
-    _check_units(root["units"].mapping("units"))
-    nodes = root["nodes"].whole("nodes", 1, 65_535)
-    vref_v = root["vref_v"].number("vref_v", 0.1, 100.0, "V")
-    made, dynamics = root.get("made"), root.get("dynamics")
+    root.check_schema(SCHEMA, VERSION)
+    root.check_keys(_KEYS)
+    units = root["units"].mapping("units")
+    units.check_keys(UNITS)
+    for name, unit in UNITS.items():
+        if (theirs := units.text(name)) != unit:
+            raise units[name].refuse(f"the unit of {name} is {theirs[:40]}; it must be {unit}")
+    nodes, bits = root.whole("nodes", 1, 65_535), root.whole("bits", 8, 16)
+    vref_v = root.number("vref_v", 0.1, 100.0, "V")
+    dynamics, made = root.get("dynamics"), root.get("made")
     content = CalibrationContent(
-        skin=root["skin"].text("skin"),
+        skin=root.text("skin"),
         nodes=nodes,
-        adc=AdcScale(root["bits"].whole("bits", 8, 16), vref_v),
+        adc=AdcScale(bits, vref_v),
         curves={
-            _node(name, curve, nodes): _curve(name, curve, vref_v)
+            _node(name, curve, nodes): _curve(f"node {name}", curve, vref_v)
             for name, curve in root["curves"].mapping("curves").entries.items()
         },
         dynamics=_dynamics(dynamics) if dynamics else None,
-        source=_source(made) if made else "",
+        source=made.mapping("made").text("from", "") if made else "",
     )
     _check_complete(root, content)
-    return content, root["identity"].text("identity")
-
-
-def _check_units(units: Mapping) -> None:
-    units.check_keys(UNITS)
-    for name, unit in UNITS.items():
-        if (theirs := units[name].text(f"the unit of {name}")) != unit:
-            raise units[name].refuse(f"the unit of {name} is {theirs[:40]}; it must be {unit}")
-
-
-def _check_version(file: Marked, root: Mapping) -> None:
-    if root.get("version") is None:
-        raise file.refuse(f"version is missing; this is version {VERSION}")
-    version = root["version"].whole("version", 0, 10**6)
-    if version > VERSION:
-        raise root["version"].refuse(
-            f"version {version} was written by a newer program than this one, which reads "
-            f"version {VERSION}: update it, or calibrate again with this one"
-        )
-    if version < VERSION:
-        raise root["version"].refuse(
-            f"version {version} is older than {VERSION}, the one that is read: fit the recorded "
-            "loads again with tactile-cdma calibrate"
-        )
+    return content, root.text("identity")
 
 
 def _node(name: str, value: Marked, nodes: int) -> int:
-    """The number of the node that an entry is of."""
+    """The node number that is an entry's key."""
     return replace(value, content=name, quoted=False).whole("a node's number", 1, nodes)
 
 
-def _curve(node: str, value: Marked, vref_v: float) -> PressureCurve:
-    """One node's curve; the complaint names node, corner, line and cause."""
-    what = f"node {node}"
+def _curve(what: str, value: Marked, vref_v: float) -> PressureCurve:
+    """One node's curve; errors name node, corner, line and cause."""
     columns = value.mapping(what)
     columns.check_keys(UNITS)
-    pressures = columns["pressure"].items(f"{what}: pressure")
-    voltages = columns["voltage"].items(f"{what}: voltage")
+    pressures, voltages = (columns[name].items(f"{what}: {name}") for name in UNITS)
     if len(pressures) != len(voltages) or not 2 <= len(pressures) <= MOST_CORNERS:
         raise value.refuse(
-            f"{what}: {len(pressures)} pressures and {len(voltages)} voltages; a curve needs two "
-            f"or more corners ({MOST_CORNERS} at most), each with both"
+            f"{what}: {len(pressures)} pressures and {len(voltages)} voltages; a curve needs 2…"
+            f"{MOST_CORNERS} corners, each with both"
         )
-    pressure_pa = [
-        item.number(f"{what}, corner {corner}: pressure", 0.0, MOST_PA, "Pa")
-        for corner, item in enumerate(pressures, 1)
-    ]
-    if pressure_pa[0]:
-        raise pressures[0].refuse(f"{what} begins at {pressure_pa[0]:g} Pa, not at 0")
-    voltage_v = [
-        item.number(f"{what}, corner {corner}: voltage", 0.0, most_v, "V")
-        for corner, (item, most_v) in enumerate(
-            zip(voltages, [HEADROOM * vref_v] + [vref_v] * len(voltages), strict=False), 1
-        )
-    ]
-    _check_order(what, pressures, pressure_pa, "Pa")
-    _check_order(what, voltages, [-volts for volts in voltage_v], "V")
+    pressure_pa, voltage_v = list[float](), list[float]()
+    for corner, (pressure, voltage) in enumerate(zip(pressures, voltages, strict=True), 1):
+        here, most_v = f"{what}, corner {corner}", vref_v if corner > 1 else HEADROOM * vref_v
+        pressure_pa.append(pressure.number(f"{here}: pressure", 0.0, MOST_PA, "Pa"))
+        voltage_v.append(voltage.number(f"{here}: voltage", 0.0, most_v, "V"))
+        if corner == 1 and pressure_pa[0]:
+            raise pressure.refuse(f"{what} begins at {pressure_pa[0]:g} Pa, not at 0")
+        for item, (*before, now), sign, unit in (
+            (pressure, pressure_pa, 1, "Pa"),
+            (voltage, voltage_v, -1, "V"),
+        ):
+            if before and sign * (now - before[-1]) <= 0:
+                raise item.refuse(
+                    f"{here}: {now:g} {unit} after {before[-1]:g} {unit}; pressures must rise and "
+                    "voltages fall from corner to corner"
+                )
     return PressureCurve(tuple(pressure_pa), tuple(voltage_v))
-
-
-def _check_order(what: str, items: list[Marked], rising: list[float], unit: str) -> None:
-    """Corners follow one another: rising, or negative and rising, that is falling."""
-    for corner, (before, now) in enumerate(pairwise(rising), 2):
-        if now <= before:
-            raise items[corner - 1].refuse(
-                f"{what}, corner {corner}: {abs(now):g} {unit} after {abs(before):g} {unit}; "
-                "pressures must rise and voltages fall from corner to corner"
-            )
 
 
 def _dynamics(value: Marked) -> Dynamics:
     """Lag and hysteresis of all nodes."""
     entries = value.mapping("dynamics")
     entries.check_keys((*LIMITS, *_PLAYS))
-    values: dict[str, Any] = {
-        name: entries[name].number(name, *limits) for name, limits in LIMITS.items()
-    }
-    values |= {name: _shares(entries[name], name) for name in _PLAYS}
+    values: dict[str, Any] = {name: entries.number(name, *LIMITS[name]) for name in LIMITS}
+    for name in _PLAYS:
+        values[name] = tuple(entries[name].numbers(name, 0.0, MOST_WIDTH, most=MOST_PLAYS))
     try:
         return Dynamics(**values)
     except SpecError as error:
         raise entries[_PLAYS[0]].refuse(str(error)) from None
 
 
-def _shares(value: Marked, name: str) -> tuple[float, ...]:
-    """One number per play."""
-    items = value.items(name)
-    if len(items) > MOST_PLAYS:
-        raise value.refuse(f"{name} has {len(items)} numbers; {MOST_PLAYS} plays are possible")
-    return tuple(item.number(f"each of {name}", 0.0, 20.0) for item in items)
-
-
-def _source(made: Marked) -> str:
-    """What a file was made from; whoever edits that may write what he likes."""
-    source = made.mapping("made").get("from")
-    return source.text("from") if source else ""
-
-
 def _check_complete(root: Mapping, content: CalibrationContent) -> None:
-    """Every node has a curve or is said to have none."""
+    """Refuse nodes that neither have a curve nor are listed as uncalibrated, or both."""
     without: set[int] = set()
     for item in root["uncalibrated"].items("uncalibrated"):
         node = item.whole("a node's number", 1, content.nodes)
@@ -342,7 +283,7 @@ def _text(content: CalibrationContent) -> str:
         "uncalibrated": content.uncalibrated,
     }
     lines = [
-        f"  {node}: {{pressure: {_plain(curve.pressure_pa)}, voltage: {_plain(curve.voltage_v)}}}\n"
+        f"  {node}: {{pressure: {[*curve.pressure_pa]}, voltage: {[*curve.voltage_v]}}}\n"
         for node, curve in content.curves.items()
     ]
     curves = "curves:\n" + "".join(lines) if lines else "curves: {}\n"
@@ -353,12 +294,8 @@ def _text(content: CalibrationContent) -> str:
 
 
 def _entries(dynamics: Dynamics) -> dict[str, float | list[float]]:
-    """As YAML and JSON know them."""
+    """The fields in types that YAML and JSON can write."""
     return {name: np.array(value, float).tolist() for name, value in asdict(dynamics).items()}
-
-
-def _plain(values: tuple[float, ...]) -> str:
-    return "[" + ", ".join(repr(value) for value in values) + "]"
 
 
 def _replace(path: Path, text: str) -> None:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What touches the skin: contacts, their forces and places, followed from frame to frame."""
+"""Contacts on the skin: their forces and positions, tracked from frame to frame."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from ..places.layout import Layout
 from .taxels import Readings, Status
 
 SMOOTHING_S = 0.05
-"""Time constant of velocities and force rates, s."""
+"""Time constant of velocities and force rates, s; chosen: 4 frames of the paper's skin."""
 RIM = 0.3
-"""Share of the release threshold above which taxels beside a contact count for its force.
+"""Fraction of the release threshold above which taxels adjacent to a contact add to its force.
 
-Without them a soft contact of 6 kPa loses 3 % of its force. With all that are beside it, a skin
-whose rest is off by a count would add 8 % instead of 5 % (`make bench-contact`).
+Without them a soft contact of 6 kPa loses 3 % of its force. With all adjacent taxels, a skin whose
+zero is off by one count would add 8 % instead of 5 % (`make bench-contact`).
 """
 
 
 @dataclass(frozen=True, slots=True)
 class ContactThresholds:
-    """A contact begins where a taxel exceeds contact_pa, Pa.
+    """Thresholds in Pa: a contact begins where a taxel exceeds contact_pa.
 
-    It takes in the taxels that hang together with that one and exceed release_pa, Pa, and lasts
-    until none of its taxels does.
+    It includes the taxels above release_pa that are connected to that one, and lasts until none of
+    its taxels is above release_pa.
 
-    Raises SpecError where the release is above the contact.
+    Raises SpecError if release_pa is above contact_pa.
     """
 
     contact_pa: float
@@ -52,12 +52,12 @@ class Contacts:
 
     ids: (c,) int64, from 1 on. age_s: (c,) float64, s since each began.
     load_n: (c,) float64, Σ p·A, N. position_m: (c, 3) float64, centre of pressure Σ r·p·A / Σ p·A.
-    force_n: (c, 3) float64, what the touching thing does to the skin, Σ −normal·p·A, N.
+    force_n: (c, 3) float64, force on the skin, Σ −normal·p·A, N.
     torque_nm: (c, 3) float64, of these forces about the frame's origin, N·m.
     area_m2: (c,) float64, of the taxels in contact. pressure_max_pa: (c,) float32.
-    saturated: (c,) bool, a taxel is beyond its range: force and pressure are at least these.
+    saturated: (c,) bool, a taxel is beyond its range: force and pressure are lower bounds.
     velocity_m_s: (c, 3) float64, of the position along the skin, smoothed.
-    force_rate_n_s: (c,) float64, rise of the force, smoothed.
+    force_rate_n_s: (c,) float64, rate of change of the force, smoothed.
     taxels: per contact the indices of its taxels, rising.
     """
 
@@ -79,26 +79,34 @@ class Contacts:
 
     @property
     def normals(self) -> NDArray[np.float64]:
-        """(c, 3) unit vectors out of the skin, those of the taxels weighted by their forces."""
+        """(c, 3) unit vectors out of the skin, the taxels' normals weighted by their forces."""
         return -self.force_n / _length(self.force_n)[:, None]
 
     @property
     def centre_m(self) -> NDArray[np.float64]:
-        """(3,) centre of pressure of all contacts, m; NaN without any."""
+        """(3,) centre of pressure of all contacts, m; NaN if there are none."""
         if not len(self):
             return np.full(3, np.nan)
         return np.asarray(self.load_n @ self.position_m / self.load_n.sum())
 
 
+_NONE, _NOWHERE = np.zeros(0), np.zeros((0, 3))
+_NO_IDS, _NO_PEAKS, _NO_FLAGS = _NONE.astype(np.int64), _NONE.astype(np.float32), _NONE.astype(bool)
+NO_CONTACTS = Contacts(
+    *(_NO_IDS, _NONE, _NONE, _NOWHERE, _NOWHERE, _NOWHERE, _NONE),
+    *(_NO_PEAKS, _NO_FLAGS, _NOWHERE, _NONE, []),
+)
+
+
 class ContactTracker:
-    """Finds contacts in every frame's pressures, and recognises those of the frame before.
+    """Finds the contacts of every frame and matches them with those of the frame before.
 
-    A contact keeps its id where it shares taxels with itself of the frame before. Where contacts
-    merge or split, the id goes along the largest number of shared taxels, and the others end, or
-    begin with ids of their own; no id is given twice. Such a change makes centres jump: it does
-    not count as motion.
+    A contact keeps its id as long as it shares taxels with itself in the frame before. Where
+    contacts merge or split, the id follows the largest number of shared taxels; the others end, or
+    begin with new ids, and no id is used twice. The jumps of position that this causes do not count
+    as motion.
 
-    thresholds may be changed at any time, from other threads too.
+    thresholds may be replaced at any time, from other threads too.
     """
 
     def __init__(self, layout: Layout, thresholds: ContactThresholds, first_id: int = 1) -> None:
@@ -106,22 +114,22 @@ class ContactTracker:
         self.next_id = first_id
         self._beside = np.ascontiguousarray(layout.neighbours.T, dtype=np.intp)
         self._moments = _moments(layout)
-        self._contacts = self._nothing = _nothing()
-        self._place = np.full(len(layout), -1)  # of each taxel's contact in _contacts; -1: none
-        nobody = np.zeros(0, dtype=np.intp)
-        self._linked = nobody, nobody  # taxels above the release threshold, and their labels
+        self._contacts = NO_CONTACTS
+        self._place = np.full(len(layout), -1)  # index of each taxel's contact; -1: none
+        none = np.zeros(0, dtype=np.intp)
+        self._linked = none, none  # taxels above the release threshold, and their labels
         self._readings: Readings | None = None
         self._used = thresholds
         self._t_s = math.nan
 
     def forget(self) -> None:
-        """Whatever is touched in the next frame is a new contact."""
-        self._contacts, self._readings, self._t_s = self._nothing, None, math.nan
+        """Start over: all contacts of the next frame are new."""
+        self._contacts, self._readings, self._t_s = NO_CONTACTS, None, math.nan
         self._place[:] = -1
 
     def update(self, readings: Readings, t_s: float) -> Contacts:
         """The contacts of the frame at device time t_s, s."""
-        if t_s < self._t_s:  # the device's clock starts anew
+        if t_s < self._t_s:  # the device's clock was reset
             self.forget()
         passed_s, self._t_s = t_s - self._t_s, t_s
         if readings is self._readings and self.thresholds is self._used:
@@ -141,7 +149,7 @@ class ContactTracker:
         self._place[:] = -1
         self._place[taxels] = labels
         if not len(taxels):
-            return self._nothing
+            return NO_CONTACTS
         felt_pa, moments = pressure_pa[taxels], self._moments[taxels]
         rim, labels_of_rim = self._rim(pressure_pa)
         sums = np.add.reduceat(moments * felt_pa[:, None], starts)
@@ -167,10 +175,10 @@ class ContactTracker:
         )
 
     def _touched(self, pressure_pa: NDArray[np.float32]) -> tuple[NDArray[np.intp], ...]:
-        """Who is in contact, contact by contact, the strongest first.
+        """The taxels in contact, contact by contact, the strongest contact first.
 
-        Returns the taxels, (k,), rising within each contact; the place of each one's contact,
-        (k,), 0…c − 1; and where in these each contact begins, (c,).
+        Returns the taxels, (k,), rising within each contact; the index of each taxel's contact,
+        (k,), 0…c − 1; and the start of each contact in these arrays, (c,).
         """
         taxels = (pressure_pa > self._used.release_pa).nonzero()[0]
         if not np.array_equal(taxels, self._linked[0]):
@@ -186,11 +194,11 @@ class ContactTracker:
         order = places.argsort(kind="stable")
         places = places[order]
         starts = places.searchsorted(np.arange(np.count_nonzero(load) + 1))
-        kept = starts[-1]  # what has not begun is last
+        kept = starts[-1]  # what is not a contact yet comes last
         return taxels[order[:kept]], places[:kept], starts[:-1]
 
     def _rim(self, pressure_pa: NDArray[np.float32]) -> tuple[NDArray[np.intp], ...]:
-        """Taxels beside contacts that feel them, and these contacts' places."""
+        """Pressed taxels adjacent to contacts, and the indices of these contacts."""
         weak = ((pressure_pa > RIM * self._used.release_pa) & (self._place < 0)).nonzero()[0]
         place = self._place[self._beside[:, weak]].max(axis=0)
         beside = place >= 0
@@ -199,7 +207,7 @@ class ContactTracker:
     def _identities(
         self, origin: NDArray[np.intp], passed_s: float
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Ids and ages. origin: (c,) places among the last contacts; −1: new."""
+        """Ids and ages (s), (c,) each. origin: (c,) indices of the last contacts; −1: new."""
         new = (origin < 0).nonzero()[0]
         ids = np.concatenate([self._contacts.ids, [0]])[origin]
         age_s = np.concatenate([self._contacts.age_s, [0.0]])[origin] + passed_s
@@ -209,9 +217,9 @@ class ContactTracker:
 
 
 def _moments(layout: Layout) -> NDArray[np.float64]:
-    """(t, 10) float64: what one pascal on each taxel adds to load, load·place, force and torque.
+    """(t, 10) float64: load, load·position, force and torque per pascal on each taxel.
 
-    Force and torque with the sign of the normal, so that of what the skin does.
+    Force and torque along the normal, thus of the skin on the touching object.
     """
     area = layout.areas_m2.astype(np.float64)[:, None]
     places, normals = layout.positions_m.astype(np.float64), layout.normals.astype(np.float64)
@@ -221,12 +229,11 @@ def _moments(layout: Layout) -> NDArray[np.float64]:
 def _origins(
     places: NDArray[np.intp], labels: NDArray[np.intp], before: int, count: int
 ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Which contacts of the frame before those of now are.
+    """Match the present contacts with those of the frame before.
 
-    places: (k,) place of every touched taxel among the contacts of the frame before, of which
-    there were `before`; −1: none. labels: (k,) place among those of now, of which there are
-    `count`. Returns (count,) places, −1 for new contacts, and (count,) bool, where contacts merged
-    or split.
+    places: (k,) index of every touched taxel's contact in the frame before, which had `before` of
+    them; −1: none. labels: (k,) index of its contact now, of `count`. Returns (count,) indices of
+    earlier contacts, −1 for new ones, and (count,) bool, where contacts merged or split.
     """
     torn = np.zeros(count, dtype=bool)
     held = places >= 0
@@ -253,16 +260,16 @@ def _motion(
     torn: NDArray[np.bool_],
     passed_s: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Velocities (c, 3) and force rates (c,): differences to the last frame through a low-pass.
+    """Velocities (c, 3), m/s, and force rates (c,), N/s: low-pass filtered differences of frames.
 
-    Torn contacts keep what they had. A contact that begins rises from no force.
+    Contacts that merged or split keep their rates. The force of a new contact rises from zero.
     """
-    before = np.zeros((len(last) + 1, 8))  # place and force, then their changes; none of new ones
+    before = np.zeros((len(last) + 1, 8))  # position, force and their rates; 0 for new contacts
     before[:-1, :3], before[:-1, 3] = last.position_m, _length(last.force_n)
     before[:-1, 4:7], before[:-1, 7] = last.velocity_m_s, last.force_rate_n_s
     before = before[origin]
     then, change = before[:, :4], before[:, 4:]
-    if passed_s > 0:  # not in the first frame of all
+    if passed_s > 0:  # NaN in the very first frame
         force = _length(force_n)[:, None]
         new = origin < 0
         then[new, :3] = position_m[new]
@@ -275,7 +282,7 @@ def _motion(
 
 
 def _at_rest(contacts: Contacts, passed_s: float) -> Contacts:
-    """The same contacts after a while in which no reading changed."""
+    """The same contacts after passed_s in which no reading changed."""
     if not len(contacts):
         return contacts
     decay = _decay(passed_s)
@@ -287,32 +294,13 @@ def _at_rest(contacts: Contacts, passed_s: float) -> Contacts:
     )
 
 
-def _nothing() -> Contacts:
-    """No contacts."""
-    none, nowhere = np.zeros(0), np.zeros((0, 3))
-    return Contacts(
-        ids=np.zeros(0, dtype=np.int64),
-        age_s=none,
-        load_n=none,
-        position_m=nowhere,
-        force_n=nowhere,
-        torque_nm=nowhere,
-        area_m2=none,
-        pressure_max_pa=np.zeros(0, dtype=np.float32),
-        saturated=np.zeros(0, dtype=bool),
-        velocity_m_s=nowhere,
-        force_rate_n_s=none,
-        taxels=[],
-    )
-
-
 def _decay(passed_s: float) -> float:
-    """What is left of a smoothed value after a while."""
+    """Remaining fraction of a smoothed value after passed_s."""
     return math.exp(-passed_s / SMOOTHING_S)
 
 
 def _length(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Of vectors (c, 3), (c,); never 0, so that one can divide by it."""
+    """Lengths (c,) of vectors (c, 3), at least the smallest float, to be divided by."""
     return np.asarray(np.maximum(np.sqrt(np.square(vectors).sum(axis=1)), _TINY))
 
 

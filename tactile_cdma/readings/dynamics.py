@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Lag and hysteresis of a sensor: what they do to a pressure, and how they are undone.
+"""Lag and hysteresis of the sensors: a model of both, and their compensation.
 
-A pressure P first meets a lag of first order, slow while it rises and quick while it falls, then
+A pressure P first passes a first-order lag, slow while it rises and quick while it falls, then
 hysteresis, a Prandtl–Ishlinskii operator on the logarithmic axis l = ln(1 + P/scale):
 
     v = (1 − Σ wⱼ)·l + Σ wⱼ·pⱼ,   pⱼ ← max(l, min(l + widthⱼ, pⱼ)),   apparent P = scale·(eᵛ − 1)
 
-A play pⱼ goes along while the pressure rises, and rests after a turn until the pressure has come
-back by widthⱼ. So rising loads read what the static curve says, falling ones more, loops grow with
-the load, and next to nothing remains at zero. The operator has an exact inverse of its own kind.
+A play pⱼ follows while the pressure rises; after a turn it rests until the pressure has fallen by
+widthⱼ. So rising loads read as the static curve says, falling ones read more, loops grow with the
+load, and almost nothing remains at zero. The inverse is exact and an operator of the same kind.
 """
 
 from __future__ import annotations
@@ -25,30 +25,34 @@ from numpy.typing import DTypeLike, NDArray
 from ..base.errors import SpecError
 
 LEAST_SHARE = 0.1
-"""Share of the pressure, on the logarithmic axis, that follows every turn at once."""
+"""Smallest share of the pressure, on the logarithmic axis, that may follow every turn at once;
+chosen: the inverse amplifies noise by up to 1/share."""
 LIMITS = {
     "rise_s": (1e-6, 60.0),
     "fall_s": (1e-6, 60.0),
     "scale_pa": (1.0, 1e6),
     "most_gain": (1.0, 20.0),
 }
-"""Least and most of the single values of Dynamics."""
+"""Limits of the scalar fields of Dynamics."""
+MOST_WIDTH = 20.0
+"""Limit of a play's width on the logarithmic axis: a load of e²⁰ times the scale."""
 _OPEN_PA, _OPEN_SHARE = 150.0, 0.01
-"""A rise is undone once it exceeds this, 1.5 LSB of the paper's sensor in both of its stages."""
+"""The lead starts once a rise exceeds _OPEN_PA + _OPEN_SHARE · pressure, Pa: with the paper's
+sensor 1.5 LSB of 98 Pa near zero, and 1.2…2.8 LSB of 546 Pa in the second stage."""
 _CLOSED_PA = 5.0
-"""And until this is left of it, a small part of an LSB."""
+"""It ends when less than this is left of the rise, Pa; chosen: 1/20 LSB of the first stage."""
 
 
 @dataclass(frozen=True, slots=True)
 class Dynamics:
-    """Lag and hysteresis that the sensors of a skin have in common.
+    """Lag and hysteresis common to all sensors of a skin.
 
     rise_s, fall_s: time constants of the lag, s.
-    scale_pa: pressure above which loops are in proportion to the load, Pa.
-    widths: rising; how far plays stay behind, on the logarithmic axis. weights: their shares.
-    most_gain: bound of what undoing the lag makes of noise, 1…20.
+    scale_pa: pressure above which loops are proportional to the load, Pa.
+    widths: rising; widths of the plays on the logarithmic axis. weights: their shares.
+    most_gain: upper bound of the noise gain of undoing the lag, 1…20.
 
-    Raises SpecError for values that no sensor has, or that cannot be undone.
+    Raises SpecError for values outside LIMITS, or that cannot be undone.
     """
 
     rise_s: float
@@ -70,10 +74,11 @@ class Dynamics:
                 f"dynamics: {len(self.widths)} widths but {len(self.weights)} weights; every play "
                 "has one of each"
             )
-        edges = (0.0, *self.widths, 20.0)
+        edges = (0.0, *self.widths, MOST_WIDTH)
         if not all(low < high for low, high in pairwise(edges)):
             raise SpecError(
-                f"dynamics: widths must rise from above 0 to below 20, got {self.widths}"
+                f"dynamics: widths must rise from above 0 to below {MOST_WIDTH:g}, got "
+                f"{self.widths}"
             )
         if not all(weight >= 0 for weight in self.weights):
             raise SpecError(f"dynamics: weights must not be negative, got {self.weights}")
@@ -85,16 +90,16 @@ class Dynamics:
 
     @property
     def share(self) -> float:
-        """What the plays leave: the part of a pressure that follows every turn at once."""
+        """The share without play: the part of a pressure that follows every turn at once."""
         return 1.0 - sum(self.weights)
 
     @property
     def noise_gain(self) -> float:
-        """Bound of what compensation makes of white noise on a pressure, rms to rms.
+        """Upper bound of compensation's gain of white noise on a pressure, rms to rms.
 
-        It holds while the lead is on; without it noise grows by 1/share. Peaks of a small
-        disturbance of any course grow by (2·most_gain − 1)·(2/share − 1) at most: plays, and what
-        the lead follows, never move by more than what moves them.
+        It holds while the lead is on; otherwise the gain is at most 1/share. The peak of a small
+        disturbance of any shape grows by (2·most_gain − 1)·(2/share − 1) at most, as plays and the
+        lead's filter never move by more than their input.
         """
         return self.most_gain / self.share
 
@@ -102,7 +107,7 @@ class Dynamics:
 class Plays:
     """The plays of n sensors.
 
-    positions: (j, n), where they are, on the logarithmic axis.
+    positions: (j, n), on the logarithmic axis.
     """
 
     def __init__(self, widths: NDArray[Any], sensors: int, dtype: DTypeLike) -> None:
@@ -112,7 +117,7 @@ class Plays:
         self._upper = np.empty_like(self.positions)
 
     def follow(self, level: NDArray[Any]) -> NDArray[Any]:
-        """Where plays are after the level (n,); a level may also come twice, or in two steps."""
+        """Positions after the levels (n,); repeating or subdividing a step changes nothing."""
         np.add(level, self._widths, out=self._upper)
         np.minimum(self._upper, self.positions, out=self.positions)
         np.maximum(level, self.positions, out=self.positions)
@@ -120,7 +125,7 @@ class Plays:
 
 
 class Hysteresis:
-    """A Prandtl–Ishlinskii operator for n sensors, from pressures that only rose so far."""
+    """A Prandtl–Ishlinskii operator for n sensors; it starts as if pressures had only risen."""
 
     def __init__(
         self,
@@ -130,7 +135,7 @@ class Hysteresis:
         sensors: int,
         dtype: DTypeLike = np.float64,
     ) -> None:
-        """widths, weights: (j,), of the plays."""
+        """widths, weights: (j,), those of the plays."""
         self._plays = Plays(widths, sensors, dtype)
         self._weights = np.asarray(weights, dtype=dtype)
         kind = self._weights.dtype.type
@@ -138,42 +143,36 @@ class Hysteresis:
 
     @classmethod
     def of(cls, dynamics: Dynamics, sensors: int, dtype: DTypeLike = np.float64) -> Hysteresis:
-        """What the sensors do."""
+        """The operator of the sensors."""
         widths, weights = np.array(dynamics.widths), np.array(dynamics.weights)
         return cls(widths, weights, dynamics.scale_pa, sensors, dtype)
 
     @classmethod
     def undoing(cls, dynamics: Dynamics, sensors: int, dtype: DTypeLike = np.float64) -> Hysteresis:
-        """The inverse of what they do; weights are negative.
+        """The inverse operator; its weights are negative.
 
         K. Kuhnen, "Modeling, identification and compensation of complex hysteretic
         nonlinearities: a modified Prandtl–Ishlinskii approach", Eur. J. Control 9 (2003), 407–418.
         """
         widths, weights = np.array(dynamics.widths), np.array(dynamics.weights)
         slopes = dynamics.share + np.append(0.0, np.cumsum(weights))  # along a loop, turn by turn
-        steps = np.diff(widths, prepend=0.0)
-        return cls(
-            np.cumsum(slopes[:-1] * steps),
-            np.diff(1.0 / slopes),
-            dynamics.scale_pa,
-            sensors,
-            dtype,
-        )
+        own_widths = np.cumsum(slopes[:-1] * np.diff(widths, prepend=0.0))
+        return cls(own_widths, np.diff(1.0 / slopes), dynamics.scale_pa, sensors, dtype)
 
     def update(self, pressure_pa: NDArray[Any]) -> NDArray[Any]:
-        """(n,) Pa to (n,) Pa, both 0 or more; how much time has passed does not matter."""
+        """Output pressures (n,), Pa, ≥ 0, for input pressures (n,), Pa, ≥ 0; whatever the time."""
         level = np.log(1 + pressure_pa / self._scale_pa)
         value = self._share * level + self._weights @ self._plays.follow(level)
-        np.maximum(value, 0, out=value)  # an inverse may not know of an earlier load
+        np.maximum(value, 0, out=value)  # an inverse that missed an earlier load could go below
         return np.asarray(self._scale_pa * (np.exp(value) - 1))
 
     def forget(self, sensors: NDArray[np.bool_]) -> None:
-        """Some sensors (n,) begin anew: their pressures only rose so far."""
+        """Restart the sensors of a mask (n,) as if their pressures had only risen."""
         self._plays.positions[:, sensors] = 0
 
 
 class Lag:
-    """A lag of first order of n sensors, not the same for rising and falling pressures."""
+    """A first-order lag of n sensors, with separate time constants for rise and fall."""
 
     def __init__(self, rise_s: NDArray[Any], fall_s: NDArray[Any]) -> None:
         """rise_s, fall_s: (n,) time constants, s, above 0."""
@@ -182,13 +181,13 @@ class Lag:
 
     @classmethod
     def of(cls, dynamics: Dynamics) -> Lag:
-        """The same for all sensors."""
+        """The same lag for all sensors."""
         return cls(np.array([dynamics.rise_s]), np.array([dynamics.fall_s]))
 
     def update(self, pressure_pa: NDArray[np.float64], passed_s: float) -> NDArray[np.float64]:
-        """Delayed pressures (n,), Pa, of sensors that had these (n,) for the last passed_s.
+        """Lagged pressures (n,), Pa, after these pressures (n,), Pa, were applied for passed_s.
 
-        The first pressures have been there for ever.
+        The first pressures count as applied since ever.
         """
         if self._delayed_pa is None:
             self._delayed_pa = np.array(pressure_pa, dtype=np.float64)
@@ -199,20 +198,20 @@ class Lag:
 
 
 class Compensator:
-    """Undoes lag and hysteresis of n sensors, as far as their noise allows.
+    """Compensates lag and hysteresis of n sensors, as far as their noise allows.
 
-    Hysteresis by its exact inverse. The lag of a falling pressure is left alone, it is short; that
-    of a rising one is undone by a lead, which would make noise of everything were it not filtered
-    with rise_s/most_gain. For frames at an even pace the result is then the true pressure through
-    this filter alone. The lead sets in once a pressure has risen by more than the last digit and
-    ends when it falls, so a resting sensor does not flicker.
+    Hysteresis is undone by its exact inverse. The lag of a falling pressure is short and remains;
+    that of a rising one is undone by a lead, low-pass filtered with rise_s/most_gain to limit the
+    noise. For frames at an even rate the result is the true pressure through this filter alone.
+    The lead starts once a pressure has risen by more than quantisation explains and ends when it
+    falls, so a resting sensor does not flicker.
 
-    The result lies within 0…range whatever comes in, and white noise grows at most by
-    dynamics.noise_gain. Where the lead sets in or ends the result jumps.
+    The result lies within 0…range for any input, and white noise grows at most by
+    dynamics.noise_gain. Where the lead starts or ends the result jumps.
     """
 
     def __init__(self, dynamics: Dynamics, range_pa: NDArray[Any]) -> None:
-        """range_pa: (n,), highest pressures."""
+        """range_pa: (n,), highest pressures, Pa."""
         sensors = len(range_pa)
         self._range_pa = range_pa.astype(np.float32)
         self._hysteresis = Hysteresis.undoing(dynamics, sensors, np.float32)
@@ -227,8 +226,8 @@ class Compensator:
     ) -> NDArray[np.float32]:
         """True pressures (n,) float32, Pa, from static ones (n,) float32, Pa, at t_s (s).
 
-        valid: (n,) bool. Sensors without a finite reading give NaN and begin anew afterwards; all
-        do when time goes back.
+        valid: (n,) bool. Sensors without a finite reading give NaN and start over afterwards; all
+        sensors start over when time goes back.
         """
         passed_s, self._last_s = t_s - self._last_s, t_s
         if not passed_s >= 0:
@@ -245,10 +244,10 @@ class Compensator:
             result[~valid] = np.nan
         return result
 
-    def steady(self, t_s: float) -> bool:
-        """Whether the same pressures at t_s (s) give the result of the last update.
+    def try_hold(self, t_s: float) -> bool:
+        """Keep the last result for the same pressures at t_s (s), if an update would give it.
 
-        If so, that counts as an update.
+        Returns whether it stands; if so, this counts as an update.
         """
         if self._settled and t_s >= self._last_s:
             self._last_s = t_s
@@ -256,7 +255,7 @@ class Compensator:
         return False
 
     def _lead(self, delayed_pa: NDArray[np.float32], passed_s: float) -> NDArray[np.float32]:
-        """What the lag had before it. Masks are factors here: choosing takes longer."""
+        """Pressures before the lag. Masks are used as factors, which is quicker than selecting."""
         followed_pa, rising = self._followed_pa, self._rising
         np.minimum(followed_pa, delayed_pa, out=followed_pa)
         ahead_pa = delayed_pa - followed_pa
@@ -264,22 +263,19 @@ class Compensator:
         rising |= ahead_pa > _OPEN_SHARE * delayed_pa + _OPEN_PA
         rising &= ~near
         self._settled = bool(near.all())
-        if self._settled:  # nothing moves any more, so that frames may be skipped
+        if self._settled:  # nothing moves, so frames may be skipped
             return np.minimum(delayed_pa, self._range_pa)
-        share, gain = self._filter(passed_s)
-        result: NDArray[np.float32] = (gain - 1) * ahead_pa
+        # Shares of a step that the filter and the lead follow within passed_s.
+        share = _approached(self._rise_s / self._most_gain, passed_s)
+        answer = _approached(self._rise_s, passed_s)
+        gain = share / answer if answer > 0 else self._most_gain
+        result: NDArray[np.float32] = (np.float32(gain) - 1) * ahead_pa
         result *= rising
         result += delayed_pa
-        ahead_pa *= share
+        ahead_pa *= np.float32(share)
         followed_pa += ahead_pa
         np.minimum(result, self._range_pa, out=result)
         return result
-
-    def _filter(self, passed_s: float) -> tuple[np.float32, np.float32]:
-        """Shares of a step that the filter, and the lead, make of it at once."""
-        share = _approached(self._rise_s / self._most_gain, passed_s)
-        answer = _approached(self._rise_s, passed_s)
-        return np.float32(share), np.float32(share / answer if answer > 0 else self._most_gain)
 
     def _forget(self, sensors: NDArray[np.bool_]) -> None:
         self._hysteresis.forget(sensors)
@@ -288,5 +284,5 @@ class Compensator:
 
 
 def _approached(time_constant_s: float, passed_s: float) -> float:
-    """Share of a step that a lag of first order has made after some time."""
+    """Share of a step that a first-order lag has followed after passed_s."""
     return -math.expm1(-passed_s / time_constant_s)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Voltages → pressures of a whole skin: curve, dynamics undone, then tare."""
+"""Voltages → pressures of all nodes: drift correction, curve, compensation, tare."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from .dynamics import Compensator
 
 
 class PressureChain:
-    """Turns the nodes' voltages into pressures, frame by frame.
+    """Converts the nodes' voltages to pressures, frame by frame.
 
-    voltage + drift → curve → lag and hysteresis undone → pressure − tare. A few times a second it
-    looks whether drift is to be followed; what that changes shows in the next update.
+    voltage + drift → curve → compensation of lag and hysteresis → pressure − tare. Every LOOK_S the
+    readings are passed on to the baseline and to the drift tracker; a drift that changes by this
+    takes effect in the next update.
     """
 
     def __init__(
@@ -27,7 +28,7 @@ class PressureChain:
         tracker: DriftTracker | None = None,
         compensator: Compensator | None = None,
     ) -> None:
-        """A tracker follows the drift, a compensator undoes lag and hysteresis; None: nothing."""
+        """Without a tracker drift is not followed; without a compensator dynamics remain."""
         self.calibration = calibration
         self.baseline = baseline
         self.tracker = tracker
@@ -38,57 +39,47 @@ class PressureChain:
     def update(
         self, voltage_v: NDArray[np.float32], valid: NDArray[np.bool_], t_s: float
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """Pressures (n,) float32, Pa, and where the sensor's range ends (n,) bool.
+        """Pressures (n,) float32, Pa, and which are beyond the sensor's range, (n,) bool.
 
         voltage_v: (n,) float32, V. valid: (n,) bool, nodes whose voltage is a reading. t_s: device
         time, s.
         """
-        curves, baseline = self.calibration.curves, self.baseline
+        curves, baseline, tracker = self.calibration.curves, self.baseline, self.tracker
         corrected_v = voltage_v + baseline.drift_v
         pressure_pa = curves.pressure(corrected_v)
         if self.compensator is not None:
             pressure_pa = self.compensator.update(pressure_pa, valid, t_s)
         reading_pa = pressure_pa - baseline.tare_pa
-        saturated = curves.saturated(corrected_v)
         self._moved = False
         if self._due(t_s):
-            self._look(voltage_v, pressure_pa, reading_pa, valid, t_s)
-        return reading_pa, saturated
+            self._looked_s = t_s
+            baseline.look(voltage_v, pressure_pa, valid)
+            if tracker is not None and tracker.rules.drift_pa_per_min:
+                before_v = baseline.drift_v
+                tracker.follow(baseline, curves, voltage_v, reading_pa, valid, t_s)
+                self._moved = baseline.drift_v is not before_v
+        return reading_pa, curves.saturated(corrected_v)
 
-    def steady(self, t_s: float) -> bool:
-        """Whether the same voltages at t_s (s) give the pressures of the last update."""
+    def try_hold(self, t_s: float) -> bool:
+        """Keep the last pressures for the same voltages at t_s (s), if an update would give them.
+
+        Returns whether they stand; if so, this counts as an update.
+        """
         if self._moved or self._due(t_s):
             return False
-        # Last, for it takes a yes as an update.
-        return self.compensator is None or self.compensator.steady(t_s)
+        return self.compensator is None or self.compensator.try_hold(t_s)
 
     def forget(self) -> None:
-        """The device's clock starts anew."""
+        """Start over: the device's clock was reset."""
         self.baseline.forget()
         if self.tracker is not None:
             self.tracker.forget()
         self.unsettle()
 
     def unsettle(self) -> None:
-        """Something else than the voltages has changed."""
+        """Have the next frame updated: something other than the voltages has changed."""
         self._looked_s = None
 
     def _due(self, t_s: float) -> bool:
-        """Whether it is time for another look."""
+        """Whether LOOK_S have passed since the last look."""
         return self._looked_s is None or not 0 <= t_s - self._looked_s < LOOK_S
-
-    def _look(
-        self,
-        voltage_v: NDArray[np.float32],
-        pressure_pa: NDArray[np.float32],
-        reading_pa: NDArray[np.float32],
-        valid: NDArray[np.bool_],
-        t_s: float,
-    ) -> None:
-        self._looked_s = t_s
-        self.baseline.look(voltage_v, pressure_pa, valid)
-        if self.tracker is None or not self.tracker.rules.drift_pa_per_min:
-            return
-        before_v, curves = self.baseline.drift_v, self.calibration.curves
-        self.tracker.follow(self.baseline, curves, voltage_v, reading_pa, valid, t_s)
-        self._moved = self.baseline.drift_v is not before_v

@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Nodes that say the same whatever happens around them: stuck.
+"""Detects stuck nodes: those whose value does not change whatever happens around them.
 
-One count is about 0.1 kPa, so a sound node under a changing load moves. Whether its load changes
-its neighbours tell: where all of them are in contact it is expected to be pressed like the least
-pressed of them, for contacts have no holes; where all are at rest, it is expected to be at rest.
-Anything else says nothing, nor does a contact of neighbours that did not move either, for they may
-be stuck themselves. A node is stuck while this expectation goes up and down, and it does not move
-by a single count.
+One count is about 0.1 kPa, so a working node under a changing load changes its value. The
+neighbours tell whether its load changes: if all of them are in contact, the node is expected to be
+pressed like the least pressed of them, as contacts have no holes; if all are at rest, it is
+expected to be at rest. Anything else gives no expectation, nor does a contact of neighbours that
+did not change either, which may be stuck themselves. A node is stuck if this expectation goes up
+and down while its value does not change by a single count.
 
-A node at the skin's border may lie beside a contact that has all its neighbours. So its expectation
-is less: the plane through the neighbours' pressures, minus twice their spread. Where the pressure
-is that of Hertz, p² = p₀²·(1 − r²/R²), a corner outside the contact has neighbours with
-p₁² + p₂² ≤ p₃², and p₁ + p₂ − p₃ − 2·(p₃ − p₁) is below 0 then; softer edges leave even less.
+A contact may cover all neighbours of a node at the skin's border without covering the node. There
+the expectation is lower: the plane through the neighbours' pressures, minus twice their spread. For
+Hertz's pressure, p² = p₀²·(1 − r²/R²), a corner outside the contact has neighbours with
+p₁² + p₂² ≤ p₃², so p₁ + p₂ − p₃ − 2·(p₃ − p₁) < 0; softer edges give even less.
 """
 
 from __future__ import annotations
@@ -21,38 +21,43 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..places.layout import Layout
+from ..places.mesh import tangents
 from .taxels import Readings, Status
 
 LOOK_S = 0.1
-"""Readings are looked at so often, s."""
+"""Interval between the readings that are compared, s; chosen: touches last longer."""
 LEAST_NEIGHBOURS = 3
+"""Fewest neighbours that give an expectation: as many as a corner of a grid has."""
 MANY_NEIGHBOURS, UNMOVED = 6, 2
-"""Of so many all around, some may not have moved: among the others are two that face each other."""
+"""With so many neighbours all around, so many of them may be unmoved: two of the others still lie
+opposite each other."""
 BORDER_SPREADS = 2.0
-"""At the border so many times the spread of the neighbours' pressures are taken off."""
+"""Spreads of the neighbours' pressures that are subtracted at the border; derived above."""
 SWING_CONTACTS = 5.0
-"""A swing of the expectation is at least so many times the pressure at which a contact begins."""
+"""Smallest swing of the expectation that counts, in multiples of the pressure at which a contact
+begins; chosen: 5 kPa by default, 50 counts of the paper's sensor."""
 SWINGS = 3
-"""So many make a node that did not move a stuck one: up, down, and up again."""
+"""Swings (up, down, up) without a change of value that make a node stuck; chosen, see make
+bench-stuck for false alarms and delays."""
 _RIDGE = 1e-3
-"""Steadies a plane through neighbours that lie on one line; distances are in pitches."""
+"""Regularisation of the plane for neighbours on one line, in squared pitches."""
 
 Floats = NDArray[np.float32]
 Bools = NDArray[np.bool_]
 
 
 class StuckNodes:
-    """Compares every taxel with its neighbours, a few times a second."""
+    """Compares every taxel with its neighbours, every LOOK_S."""
 
     def __init__(self, layout: Layout) -> None:
         taxels = len(layout)
         self._nodes = layout.nodes
-        # Arrays of neighbours are (m, t): numpy works along rows.
+        # Arrays of neighbours are (m, t), as numpy is quicker along rows.
         self._beside = np.ascontiguousarray(layout.neighbours.T)
-        self._real = self._beside != np.arange(taxels)  # the others are padding
+        self._real = self._beside != np.arange(taxels)  # False: padding
         self._offsets = _offsets(layout)
         self._sound = np.zeros(taxels, dtype=bool)
-        # Of those around each taxel, as long as nobody can be relied on; see _know.
+        # About the neighbours of each taxel, with none of them sound yet; see _update_sound.
         self._heard = np.zeros_like(self._real)
         self._but_others = np.full(self._beside.shape, np.inf, dtype=np.float32)
         self._weights = np.zeros(self._beside.shape, dtype=np.float32)
@@ -61,9 +66,9 @@ class StuckNodes:
         self._looked_s = -np.inf
         self._seen: Readings | None = None
         self._voltage_v = np.full(taxels, np.nan, dtype=np.float32)
-        self._since_s = np.full(taxels, -np.inf)  # it has said the same word, device time
-        self._changed_s = np.full(taxels, -np.inf)  # it last went from one word to another
-        # Since it last moved, of each taxel: extremes of the expectation after its last turn.
+        self._since_s = np.full(taxels, -np.inf)  # when the present word came, device time
+        self._changed_s = np.full(taxels, -np.inf)  # when one word last replaced another
+        # Since the taxel last moved: extremes of the expectation after its last turn.
         self._low_pa = np.full(taxels, np.inf, dtype=np.float32)
         self._high_pa = np.full(taxels, -np.inf, dtype=np.float32)
         self._rising = np.zeros(taxels, dtype=bool)
@@ -71,12 +76,12 @@ class StuckNodes:
 
     @property
     def nodes(self) -> list[int]:
-        """Numbers, from 1 on, of the nodes that are stuck."""
+        """Numbers of the stuck nodes."""
         numbers: list[int] = np.sort(self._nodes[self._swings >= SWINGS]).tolist()
         return numbers
 
     def look(self, readings: Readings, t_s: float, contact_pa: float) -> None:
-        """Take a frame's readings at t_s (device time, s), unless others were seen just before.
+        """Compare a frame's readings at t_s (device time, s), once every LOOK_S.
 
         contact_pa: pressure at which a contact begins, Pa.
         """
@@ -88,9 +93,9 @@ class StuckNodes:
         self._count(expected_pa, np.float32(SWING_CONTACTS * contact_pa))
 
     def _move(self, readings: Readings, t_s: float) -> None:
-        """Begin anew with those who say another word than before; an uncertain one is not told."""
+        """Start over with taxels whose word has changed; uncertain words are ignored."""
         certain = (readings.status & Status.LOW_SNR) == 0
-        moved = certain & (readings.voltage_v != self._voltage_v)  # NaN: always
+        moved = certain & (readings.voltage_v != self._voltage_v)  # NaN differs always
         np.copyto(self._changed_s, t_s, where=moved & np.isfinite(self._voltage_v))
         np.copyto(self._voltage_v, readings.voltage_v, where=moved)
         self._since_s[moved] = t_s
@@ -99,17 +104,17 @@ class StuckNodes:
         self._low_pa[moved], self._high_pa[moved] = np.inf, -np.inf
 
     def _expected(self, readings: Readings, contact_pa: float) -> Floats:
-        """(t,) what the neighbours tell of a taxel's pressure, Pa; NaN: nothing."""
+        """(t,) pressure expected from the neighbours, Pa; NaN: no expectation."""
         pressure_pa = readings.pressure_pa
         sound = np.isfinite(pressure_pa) & (self._swings < SWINGS)
-        self._know(sound)
+        self._update_sound(sound)
         around_pa = np.where(sound, pressure_pa, np.float32(0))[self._beside]
         least_pa = (around_pa + self._but_others).min(axis=0)
         most_pa = (around_pa - self._but_others).max(axis=0)
         plane_pa = np.einsum("mt,mt->t", self._weights, around_pa)
         border_pa = np.minimum(plane_pa - BORDER_SPREADS * (most_pa - least_pa), least_pa)
         pressed_pa = np.maximum(np.where(self._inner, least_pa, border_pa), 0)
-        # Beyond its range a sound node does not move either: of it is only expected to be there.
+        # Beyond its range a sound node does not change either: expect no more than it reads.
         np.copyto(pressed_pa, pressure_pa, where=(readings.status & Status.SATURATED) != 0)
         expected_pa = np.full(len(pressure_pa), np.nan, dtype=np.float32)
         pressed = self._enough & (least_pa > contact_pa)
@@ -120,8 +125,8 @@ class StuckNodes:
         np.copyto(expected_pa, np.float32(0), where=self._enough & (most_pa < contact_pa))
         return expected_pa
 
-    def _know(self, sound: Bools) -> None:
-        """Have ready what depends on who can be relied on, anew where one beside has changed."""
+    def _update_sound(self, sound: Bools) -> None:
+        """Update what depends on which neighbours are sound, where this has changed."""
         changed = sound != self._sound
         if not changed.any():
             return
@@ -136,7 +141,7 @@ class StuckNodes:
         self._may_rest[at] = np.where(inner, UNMOVED, 0)
 
     def _count(self, expected_pa: Floats, swing_pa: np.float32) -> None:
-        """Follow the expectation and count its swings."""
+        """Track the expectation and count its swings."""
         np.fmin(self._low_pa, expected_pa, out=self._low_pa)
         np.fmax(self._high_pa, expected_pa, out=self._high_pa)
         up = ~self._rising & (expected_pa - self._low_pa >= swing_pa)
@@ -148,7 +153,7 @@ class StuckNodes:
         np.copyto(self._low_pa, expected_pa, where=down)
 
     def _plane_weights(self, heard: Bools, at: NDArray[np.intp]) -> Floats:
-        """(m, k): weights that make of the neighbours' pressures the plane's value at k taxels."""
+        """(m, k) weights of the neighbours' pressures that give the plane's value at k taxels."""
         offsets = self._offsets[:, :, at] * heard
         rows = np.concatenate((heard[None].astype(np.float32), offsets))
         normal = np.einsum("imt,jmt->tij", rows, rows)
@@ -160,13 +165,7 @@ class StuckNodes:
 
 
 def _offsets(layout: Layout) -> Floats:
-    """(2, m, t) float32: where the neighbours are in each taxel's tangent plane, in pitches."""
-    normals = layout.normals
-    # The axis that is farthest from the normal gives a tangent that is never short.
-    axis = np.eye(3, dtype=np.float32)[np.abs(normals).argmin(axis=1)]
-    first = np.cross(normals, axis)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    tangents = np.stack((first, np.cross(normals, first)))
+    """(2, m, t) float32, the neighbours' positions in each taxel's tangent plane, in pitches."""
     apart = (layout.positions_m[layout.neighbours] - layout.positions_m[:, None]) / layout.pitch_m
-    offsets: Floats = np.einsum("tmx,dtx->dmt", apart, tangents).astype(np.float32)
-    return offsets
+    offsets = np.einsum("tmx,dtx->dmt", apart, np.stack(tangents(layout.normals)))
+    return np.asarray(offsets, dtype=np.float32)

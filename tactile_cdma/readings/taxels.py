@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What each taxel reads now: words become pressures, silent taxels hold, unheard ones go stale."""
+"""The current reading of every taxel: silent nodes hold their last value, unheard ones go stale."""
 
 from __future__ import annotations
 
@@ -36,10 +36,11 @@ class Status(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """The skin at one frame, taxel by taxel in the order of the layout.
+    """The readings of one frame, taxel by taxel in the order of the layout.
 
-    pressure_pa, voltage_v: (t,) float32, NaN where there is no valid reading. status: (t,) uint8,
-    bits of Status. Treat them as read-only: frames without news share them.
+    pressure_pa (Pa), voltage_v (V): (t,) float32, NaN where there is no valid reading.
+    status: (t,) uint8, bits of Status.
+    Treat the arrays as read-only: frames without new words share them.
     """
 
     pressure_pa: NDArray[np.float32]
@@ -48,13 +49,12 @@ class Readings:
 
 
 class Taxels:
-    """Holds the last word of every node.
+    """Keeps the last word of every node.
 
-    A node that says nothing has not changed by more than its own threshold, so its last value
-    stands (flag SILENT). Nodes also speak at a slow heartbeat; one unheard for stale_after_s gives
-    NaN (flag STALE), as does one that was never heard, and one whose words contradict the code
-    (flag FAULTY). Nodes that the layout masks, and places without a node, have no reading (flag
-    MASKED).
+    A silent node has not changed by more than its own threshold, so its last value stands (flag
+    SILENT). Nodes also transmit at a slow heartbeat; one that was not heard for stale_after_s, or
+    never, reads NaN (flag STALE), as does one whose words contradict the code (flag FAULTY).
+    Masked nodes and taxels without a node have no reading (flag MASKED).
     """
 
     def __init__(
@@ -70,20 +70,20 @@ class Taxels:
         self._masked = np.zeros(nodes, dtype=bool)
         self._masked[[node - 1 for node in layout.masked + layout.unplaced]] = True
         self._stale_after_s = stale_after_s
-        # A word has few values: every one is converted once, here.
+        # A table of all codes is quicker than converting each word.
         self._voltage_of = adc.voltage(np.arange(1 << adc.bits)).astype(np.float32)
         self._lsb_v = adc.lsb_v
         self._codes = np.zeros(nodes, dtype=np.int32)
         self._flags = np.zeros(nodes, dtype=np.uint8)
         self._heard_s = np.full(nodes, -np.inf)
-        self._silence: Readings | None = None  # what silent frames read, until somebody speaks
-        self._stale_from_s = -np.inf  # when the next node goes stale
+        self._silence: Readings | None = None  # readings of silent frames, until a node transmits
+        self._stale_from_s = -np.inf  # when the next node goes stale, device time
         self._now_s = 0.0
         self._began_s = np.inf  # the first frame's time
 
     @property
     def stale_after_s(self) -> float:
-        """A node silent for longer is stale, s."""
+        """Silence after which a node is stale, s."""
         return self._stale_after_s
 
     @stale_after_s.setter
@@ -92,8 +92,8 @@ class Taxels:
 
     @property
     def awaited(self) -> int:
-        """How many nodes are in service."""
-        return len(self._masked) - int(np.count_nonzero(self._masked))
+        """Number of nodes in service."""
+        return int(np.count_nonzero(~self._masked))
 
     @property
     def now_s(self) -> float:
@@ -102,19 +102,16 @@ class Taxels:
 
     @property
     def missing(self) -> list[int]:
-        """Numbers, from 1 on, of the nodes not heard for stale_after_s, as of the last frame.
-
-        Nodes that the layout masks, or has no place for, are not missed.
-        """
+        """Numbers of the nodes in service that were not heard for stale_after_s, as of now_s."""
         unheard = (self._now_s - self._heard_s > self._stale_after_s) & ~self._masked
         numbers: list[int] = (np.flatnonzero(unheard) + 1).tolist()
         return numbers
 
     @property
     def dead(self) -> list[int]:
-        """Those of the missing nodes that were not heard at all, since the stream or clock began.
+        """The missing nodes that were never heard since the stream or its clock began.
 
-        None before stale_after_s have passed: their turn may still come.
+        Empty until stale_after_s have passed.
         """
         if self._now_s - self._began_s <= self._stale_after_s:
             return []
@@ -122,11 +119,11 @@ class Taxels:
 
     @property
     def stale(self) -> list[int]:
-        """Those of the missing nodes that were heard before."""
+        """The missing nodes that were heard before."""
         return [number for number in self.missing if np.isfinite(self._heard_s[number - 1])]
 
     def forget(self) -> None:
-        """The device's clock starts anew: nobody was heard on it."""
+        """Start over: the device's clock was reset, and no node was heard on the new one."""
         self._heard_s[:], self._began_s = -np.inf, np.inf
         self._silence, self._stale_from_s = None, -np.inf
         self.chain.forget()
@@ -137,17 +134,12 @@ class Taxels:
         return self.chain.baseline
 
     def tare(self, contact_pa: float, force: bool = False) -> list[int]:
-        """Take what the skin reads now for zero; see take_tare."""
+        """Make the present readings the zero; see take_tare."""
         curves = self.chain.calibration.curves
         begun = self._now_s - self._began_s <= self._stale_after_s
+        awaited = begun & ~self._masked
         unheard = take_tare(
-            self.baseline,
-            curves,
-            self._layout,
-            self._lsb_v,
-            contact_pa,
-            begun & ~self._masked,
-            force,
+            self.baseline, curves, self._layout, self._lsb_v, contact_pa, awaited, force
         )
         self.refresh()
         return [number for number in unheard if not self._masked[number - 1]]
@@ -157,9 +149,9 @@ class Taxels:
         rest_v: NDArray[np.float32] | None = None,
         drift_v: NDArray[np.float32] | None = None,
     ) -> None:
-        """Take over what a Baseline had, (n,) float32 each; None: no tare, no drift.
+        """Restore tare and drift, (n,) float32, V, each as in Baseline; None: no tare, no drift.
 
-        The tare is what the curves make of rest_v: so does a compensation that knows of no load.
+        The tare is the curves' pressure at rest_v; a compensator that has seen no load agrees.
         """
         self.baseline.clear()
         if rest_v is not None:
@@ -170,10 +162,10 @@ class Taxels:
         self.refresh()
 
     def calibrate(self, calibration: Calibration, compensator: Compensator | None = None) -> bool:
-        """Read voltages by another calibration from now on; see PressureChain.
+        """Use another calibration and compensator from now on; see PressureChain.
 
-        Tare and drift were found with the curves before: where these change both are forgotten.
-        Returns whether they stay.
+        Tare and drift belong to the curves they were found with: if these change, both are
+        dropped. Returns whether they were kept.
         """
         baseline, chain = self.baseline, self.chain
         stay = calibration.curves.checksum == chain.calibration.curves.checksum
@@ -182,12 +174,12 @@ class Taxels:
         return stay
 
     def refresh(self) -> None:
-        """Something else than the words has changed what they mean."""
+        """Have the next frame read anew: something other than the words has changed."""
         self._silence = None
         self.chain.unsettle()
 
     def update(self, words: Words, t_device: float, health: NodeHealth) -> Readings:
-        """Take one frame's words, spoken at t_device (s)."""
+        """Update with one frame's words; t_device: its device time, s."""
         self._now_s, self._began_s = t_device, min(self._began_s, t_device)
         spoke = words.active
         anybody = bool(spoke.any())
@@ -195,15 +187,15 @@ class Taxels:
             np.copyto(self._codes, words.codes, where=spoke)
             np.copyto(self._heard_s, t_device, where=spoke)
             np.copyto(self._flags, words.doubtful * _LOW_SNR, where=spoke)
-        elif self._silence is not None and self._holds(t_device):
+        elif self._silence is not None and self._try_hold(t_device):
             return self._silence
         readings = self._read(spoke, t_device, health)
         self._silence = None if anybody else readings
         return readings
 
-    def _holds(self, t_device: float) -> bool:
-        """Whether another silent frame reads as the last one did."""
-        return t_device <= self._stale_from_s and self.chain.steady(t_device)
+    def _try_hold(self, t_device: float) -> bool:
+        """Let a silent frame read as the last one did, if it does; see PressureChain.try_hold."""
+        return t_device <= self._stale_from_s and self.chain.try_hold(t_device)
 
     def _read(self, spoke: NDArray[np.bool_], t_device: float, health: NodeHealth) -> Readings:
         voltage_v = self._voltage_of[self._codes]
@@ -225,7 +217,10 @@ class Taxels:
         return self._placed(Readings(pressure_pa, voltage_v, status))
 
     def _at_least(self, voltage_v: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The highest code says "so much or more": a node that rests above it is at rest, then."""
+        """Voltages with those at the highest code raised to the curve's start, if that is higher.
+
+        The highest code means this voltage or more: such a node is at rest.
+        """
         full = self._codes == len(self._voltage_of) - 1
         if not full.any():
             return voltage_v
@@ -233,7 +228,7 @@ class Taxels:
         return np.where(full, np.maximum(voltage_v, rest_v), voltage_v)
 
     def _placed(self, readings: Readings) -> Readings:
-        """From the order of the nodes to that of the taxels."""
+        """Reorder from nodes to taxels."""
         source = self._layout.source
         if source is None:
             return readings

@@ -32,12 +32,12 @@ _COPY_BYTES = 1 << 20
 def write_npz(path: Path, frames: Frames, layout: Layout, about: Mapping[str, Any]) -> int:
     """All frames as numpy arrays, by columns; returns how many. Raises OSError.
 
-    about: what else is to be known, as JSON. Columns wait in temporary files beside it, so that
-    memory does not grow with the recording.
+    about: metadata, stored as JSON. Columns are kept in temporary files beside it, so that memory
+    does not grow with the recording.
     """
     count, taxels = 0, len(layout.positions_m)
     with ExitStack() as stack:
-        file = stack.enter_context(replacing(path))  # first: no work for a file that cannot be
+        file = stack.enter_context(replacing(path))  # first, since it may fail
         spools = {
             name: stack.enter_context(tempfile.TemporaryFile(dir=path.parent))
             for name in (*_PER_FRAME, *_PER_TAXEL)
@@ -81,7 +81,7 @@ def write_csv(path: Path, frames: Frames, layout: Layout) -> int:
 
 
 def taxels_path(path: Path) -> Path:
-    """Where the places of the taxels are that a CSV file has."""
+    """The file of the taxels' places that goes with a CSV file."""
     return path.with_name(f"{path.stem}.taxels{path.suffix}")
 
 
@@ -119,7 +119,7 @@ def _copy_column(
 
 
 def _places(layout: Layout) -> dict[str, NDArray[Any]]:
-    """What is the same in all frames."""
+    """Arrays that are the same in all frames."""
     return {
         "shape": np.array([layout.rows, layout.columns], dtype=np.uint16),
         "node": layout.nodes.astype(np.uint16),

@@ -217,7 +217,7 @@ class VirtualDigitizer:
             round((self.started_s + block.begin_s) * 1e6),
             block.first_index + self._index_lost,
             block.counts,
-            block.sync,
+            sync=block.sync,
             overrun=self._overrun,
             called=block.called,
         )

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The skin as a cloud of points: places, normals, pressures and colours in one array of records."""
+"""The skin as a cloud of points: position, normal, pressure and colour in an array of records."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..places.layout import Layout
+from ..places.poses import Pose
 from .heatmap import SCALE_RGB, scale_steps
 
 POINT = np.dtype(
@@ -23,37 +25,63 @@ POINT = np.dtype(
         ("taxel", "<u4"),
     ]
 )
-"""One point: place in m, unit vector out of the skin, Pa, colour 0x00RRGGBB, index of its taxel."""
+"""One point: position (m), unit normal out of the skin, pressure (Pa), colour 0x00RRGGBB, index of
+the taxel."""
+BODY_POINT = np.dtype([*POINT.descr, ("patch", "<u4")])
+"""A point of a body: that of a skin and the index of its patch."""
 _PACKED_RGB = SCALE_RGB.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], dtype=np.uint32)
 
 
 class Cloud:
-    """The points of one skin; what does not change is filled in once."""
+    """The points of one skin, alone or as a patch of a body; constant fields are filled in once."""
 
-    def __init__(self, layout: Layout) -> None:
-        self._points = np.zeros(len(layout), dtype=POINT)
-        for axis, letter in enumerate("xyz"):
-            self._points[letter] = layout.positions_m[:, axis]
-            self._points[f"normal_{letter}"] = layout.normals[:, axis]
-        self._points["taxel"] = np.arange(len(layout))
+    def __init__(
+        self,
+        positions_m: NDArray[np.float32],
+        normals: NDArray[np.float32],
+        patch: int | None = None,
+    ) -> None:
+        """positions_m, normals: (t, 3), m and unit vectors. patch: its index in a body."""
+        self._places = positions_m.astype(np.float64), normals.astype(np.float64)
+        self._points = np.zeros(len(positions_m), dtype=POINT if patch is None else BODY_POINT)
+        self._points["taxel"] = np.arange(len(positions_m))
+        if patch is not None:
+            self._points["patch"] = patch
+        self._pose: Pose | None = None
+        self._fill(positions_m, normals)
 
-    def points(self, pressure_pa: NDArray[np.float32], max_pa: float) -> NDArray[np.void]:
-        """(m,) POINT, the taxels with a reading; colours are the heatmap's on a scale 0…max_pa.
+    def __len__(self) -> int:
+        return len(self._points)
 
-        pressure_pa: (t,) float32, Pa, NaN without a reading.
+    def points(
+        self, pressure_pa: NDArray[np.float32], max_pa: float, pose: Pose | None = None
+    ) -> NDArray[np.void]:
+        """(m,) POINT or, of a patch, BODY_POINT: the taxels with a reading.
+
+        pressure_pa: (t,) float32, Pa, NaN without a reading. max_pa: end of the colour scale, Pa.
+        pose: of the skin's frame in that of the points; None: unchanged.
         """
+        if pose and not (self._pose and pose.same_as(self._pose)):
+            self._pose = pose
+            self._fill(pose.apply(self._places[0]), pose.rotate(self._places[1]))
         self._points["pressure"] = pressure_pa
         self._points["rgb"] = packed_colours(pressure_pa, max_pa)
-        return selected(self._points, np.isfinite(pressure_pa))
+        # Records without fields are copied 15 times as fast.
+        return _plain(self._points)[np.isfinite(pressure_pa)].view(self._points.dtype)
+
+    def _fill(self, positions_m: NDArray[np.floating], normals: NDArray[np.floating]) -> None:
+        for axis, letter in enumerate("xyz"):
+            self._points[letter] = positions_m[:, axis]
+            self._points[f"normal_{letter}"] = normals[:, axis]
 
 
-def selected(points: NDArray[np.void], mask: NDArray[np.bool_]) -> NDArray[np.void]:
-    """A copy of those records (t,) whose mask (t,) is true."""
-    # In one piece each, which numpy copies 15 times as fast as field by field.
-    return in_one_piece(points)[mask].view(points.dtype)
+def joined(clouds: Sequence[NDArray[np.void]]) -> NDArray[np.void]:
+    """(m,) BODY_POINT, the points of several patches one after the other."""
+    nothing = np.zeros(0, dtype=BODY_POINT)
+    return np.concatenate([_plain(cloud) for cloud in (nothing, *clouds)]).view(BODY_POINT)
 
 
-def in_one_piece(points: NDArray[np.void]) -> NDArray[np.void]:
+def _plain(points: NDArray[np.void]) -> NDArray[np.void]:
     """The same records (t,) without their fields."""
     return points.view(np.dtype((np.void, points.itemsize)))
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Pressure as a picture: colours and rasters, shared by the Image topic and the terminal."""
+"""Pressure as a picture: colours and rasters, for the Image topics and the terminal."""
 
 from __future__ import annotations
 
@@ -19,34 +19,29 @@ _STOPS = (
     (0.80, (250, 155, 30)),
     (1.00, (252, 250, 180)),
 )
-"""A dark-to-light scale whose brightness rises evenly, so it also reads in grey."""
+"""A scale from dark to light, (share, RGB), whose brightness rises evenly: readable in grey too."""
 NO_READING_RGB = (70, 78, 86)
 NO_TAXEL_RGB = (24, 26, 30)
 MAX_PIXELS = 1 << 20
+"""Limit of a heatmap's size, chosen: 3 MB per picture at up to 30 Hz."""
 
 
-def _scale() -> NDArray[np.uint8]:
-    at = np.linspace(0, 1, 256)
-    places = [place for place, _ in _STOPS]
-    channels = [np.interp(at, places, [rgb[c] for _, rgb in _STOPS]) for c in range(3)]
-    table = np.stack(channels, axis=1).round().astype(np.uint8)
-    return np.vstack([table, np.array([NO_READING_RGB], dtype=np.uint8)])
-
-
-SCALE_RGB = _scale()
-"""(257, 3) uint8: 256 steps of pressure, and what has no reading."""
+_AT, _RGB = zip(*_STOPS, strict=True)
+_CHANNELS = [np.interp(np.linspace(0, 1, 256), _AT, channel) for channel in zip(*_RGB, strict=True)]
+SCALE_RGB = np.vstack([np.stack(_CHANNELS, axis=1).round(), [NO_READING_RGB]]).astype(np.uint8)
+"""(257, 3) uint8: 256 steps of pressure, then the colour of taxels without a reading."""
 _NO_TAXEL = np.array([NO_TAXEL_RGB], dtype=np.uint8)
 
 
 def scale_steps(pressure_pa: NDArray[np.float32], max_pa: float) -> NDArray[np.int16]:
-    """(n,) int16, each taxel's row of SCALE_RGB on a fixed scale 0…max_pa; the last where NaN."""
+    """(n,) int16, each taxel's row in SCALE_RGB on a fixed scale 0…max_pa; the last for NaN."""
     with np.errstate(invalid="ignore"):
         step = np.clip(pressure_pa * (255 / max_pa), 0, 255).astype(np.int16)
     return np.where(np.isnan(pressure_pa), np.int16(256), step)
 
 
 def colours(pressure_pa: NDArray[np.float32], max_pa: float) -> NDArray[np.uint8]:
-    """One colour per taxel, (n, 3) uint8 RGB, on a fixed scale 0…max_pa; grey where NaN."""
+    """One colour per taxel, (n, 3) uint8 RGB, on a fixed scale 0…max_pa; grey for NaN."""
     return SCALE_RGB[scale_steps(pressure_pa, max_pa)]
 
 
@@ -55,14 +50,14 @@ def heatmap(
 ) -> NDArray[np.uint8]:
     """The unrolled skin as a picture, (height, width, 3) uint8 RGB, row 0 on top.
 
-    pressure_pa: (t,) float32, Pa. pixels: edge length of a square of one pitch; less is drawn
-    where the picture would pass MAX_PIXELS.
+    pressure_pa: (t,) float32, Pa. pixels: edge length of a square of one pitch, reduced if the
+    picture would exceed MAX_PIXELS.
     """
     raster = layout.raster
     pixels_per_cell = round(pixels * layout.cell_m / layout.pitch_m)
     edge = max(1, min(pixels_per_cell, math.isqrt(MAX_PIXELS // raster.size)))
     paint = np.vstack([colours(pressure_pa, max_pa), _NO_TAXEL])
-    # Rows last: these are copied whole, six times as fast as pixels.
+    # Rows last: they are copied whole, six times as fast as pixels.
     return paint[raster].repeat(edge, axis=1).repeat(edge, axis=0)
 
 

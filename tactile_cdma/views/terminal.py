@@ -2,8 +2,8 @@
 
 """A skin drawn in characters: picture, colour scale, history, lists. Text from arrays, no I/O.
 
-No line is longer than it may be, whatever the terminal's size; only the picture and the scale hold
-escape sequences, and each of their lines ends with a reset.
+No line exceeds the given width, whatever the terminal's size. Only the picture and the scale
+contain escape sequences, and each of their lines ends with a reset.
 """
 
 from __future__ import annotations
@@ -24,11 +24,12 @@ from .heatmap import NO_TAXEL_RGB, colours
 
 _RESET = "\x1b[0m"
 _SHADES = " .:-=+*#%@"
-"""Light to heavy, where there are no colours."""
+"""Light to heavy, for terminals without colours."""
 _BARS = "▁▂▃▄▅▆▇█"
 _LABEL = 7
-"""Width of a taxel with its value and two marks, in characters."""
+"""Characters of a taxel's value with two marks, as 140.0?w."""
 _STATUS_LINES = 3
+"""Most lines for the lists of nodes by status; chosen: the picture needs the room."""
 _MARKS = (
     (Status.SATURATED, "!", "saturated"),
     (Status.LOW_SNR, "?", "low SNR"),
@@ -39,7 +40,7 @@ _MARKS = (
 
 
 class Numbers(Enum):
-    """What a taxel is called: its index in all arrays, or its node's number."""
+    """How taxels are numbered: by index in all arrays, or by node."""
 
     TAXELS = "taxels"
     NODES = "nodes"
@@ -47,10 +48,10 @@ class Numbers(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """How it is drawn.
+    """Drawing options.
 
-    max_pa: top of the scale, Pa. numbers: shown in the picture; None: none. coloured: else by
-    shades. unicode: else only ASCII.
+    max_pa: top of the scale, Pa. numbers: shown in the picture; None: none. coloured: False: by
+    shades. unicode: False: ASCII only.
     """
 
     max_pa: float
@@ -64,7 +65,7 @@ class Reading:
     """One frame of a skin of t taxels.
 
     pressure_pa: (t,) float32, Pa, NaN: no valid reading. status: (t,) uint8, bits of Status.
-    raster: (h, w) int32, as Layout.raster. nodes: (t,) int32, 1-based, 0: none.
+    raster: (h, w) int32, as Layout.raster. nodes: (t,) int32, 1-based; 0: none.
     """
 
     pressure_pa: NDArray[np.float32]
@@ -81,9 +82,9 @@ class Reading:
 def screen(
     reading: Reading, look: Look, title: str, notes: Sequence[str], columns: int, lines: int
 ) -> list[str]:
-    """Title, picture and notes in at most so many columns and lines.
+    """Title, picture and notes within the given columns and lines.
 
-    notes: the most important first; where there is little room the others are left out.
+    notes: the most important first; the last ones are dropped if there is little room.
     """
     kept = [_cut(note, columns) for note in notes[: max(0, (lines - 1) // 2)]]
     drawn = picture(reading, look, max(1, columns), max(1, lines - len(kept) - 2))
@@ -92,7 +93,7 @@ def screen(
 
 
 def _cut(line: str, columns: int) -> str:
-    """Cut to a width; what holds escape sequences was made to fit."""
+    """Cut a line to a width; lines with escape sequences fit already."""
     return line if "\x1b" in line else line[: max(0, columns)]
 
 
@@ -100,9 +101,9 @@ def _cut(line: str, columns: int) -> str:
 
 
 def picture(reading: Reading, look: Look, columns: int, lines: int) -> list[str]:
-    """The unrolled skin in at most so many columns and lines, taxels with labels if they fit.
+    """The unrolled skin within the given columns and lines, with labels of taxels where they fit.
 
-    Of a skin with more cells than there is room each character is the greatest around.
+    If there are more cells than characters, each character shows the highest pressure around.
     """
     raster = pooled(reading, columns, lines)
     tall, wide = _cell_size(reading, raster, columns, lines)
@@ -115,22 +116,30 @@ def picture(reading: Reading, look: Look, columns: int, lines: int) -> list[str]
     for taxel, places in parts.items():
         if taxel >= 0:
             labels |= _labels(reading, look, taxel, places)
-    brush = _Brush(reading, look)
+    paint = np.vstack([colours(reading.pressure_pa, look.max_pa), [NO_TAXEL_RGB]]).tolist()
+    shades = [*_shades(reading.pressure_pa / look.max_pa), " "]
+
+    def stretch(taxel: int, label: str, width: int) -> str:
+        if look.coloured:
+            return _ink(*paint[taxel]) + label.center(width)
+        return label.center(width, shades[taxel])
+
     return [
-        brush.line([(t, labels.get((line, begin), ""), end - begin) for t, begin, end in runs])
+        "".join(stretch(t, labels.get((line, begin), ""), end - begin) for t, begin, end in runs)
+        + (_RESET if look.coloured else "")
         for line, runs in enumerate(drawn)
     ]
 
 
 def pooled(reading: Reading, columns: int, lines: int) -> NDArray[np.int32]:
-    """(≤ lines, ≤ columns) the raster, or of each block of its cells the taxel pressed most."""
+    """(≤ lines, ≤ columns) the raster, or the most pressed taxel of each block of its cells."""
     height, width = reading.raster.shape
     down, right = -(-height // max(1, lines)), -(-width // max(1, columns))
     rows, cells = -(-height // down), -(-width // right)
     padding = ((0, rows * down - height), (0, cells * right - width))
     raster = np.pad(reading.raster, padding, constant_values=-1)
     blocks = raster.reshape(rows, down, cells, right).swapaxes(1, 2).reshape(rows, cells, -1)
-    # A taxel without a reading covers less than any reading, and more than no taxel.
+    # A taxel without a reading ranks below any reading and above no taxel.
     rank = np.append(np.nan_to_num(reading.pressure_pa, nan=-1e30), -np.inf)
     most = rank[blocks].argmax(axis=2)[..., None]
     return np.asarray(np.take_along_axis(blocks, most, axis=2)[..., 0])
@@ -139,7 +148,7 @@ def pooled(reading: Reading, columns: int, lines: int) -> NDArray[np.int32]:
 def _cell_size(
     reading: Reading, raster: NDArray[np.int32], columns: int, lines: int
 ) -> tuple[int, int]:
-    """Lines and columns of a cell: as large as fits, twice as wide as tall, wide enough to read."""
+    """Lines and columns of a cell: as large as fits, twice as wide as high, room for labels."""
     rows, cells = raster.shape
     covered = raster[raster >= 0]
     per_taxel = math.sqrt(len(covered) / max(1, len(np.unique(covered)))) or 1.0
@@ -149,7 +158,7 @@ def _cell_size(
 
 
 def _runs(line: NDArray[np.int32]) -> list[tuple[int, int, int]]:
-    """Taxel, begin and end of each stretch of a line."""
+    """Taxel, begin and end of each run of equal cells in a line."""
     edges = [0, *(np.flatnonzero(np.diff(line)) + 1).tolist(), len(line)]
     return [(int(line[begin]), begin, end) for begin, end in pairwise(edges)]
 
@@ -157,7 +166,7 @@ def _runs(line: NDArray[np.int32]) -> list[tuple[int, int, int]]:
 def _labels(
     reading: Reading, look: Look, taxel: int, places: list[tuple[int, int, int]]
 ) -> dict[tuple[int, int], str]:
-    """What stands where in a taxel's stretches: its number in the first, its value amid them."""
+    """Labels by line and column: a taxel's number in its first run, its value in the middle one."""
     values = _value_labels(float(reading.pressure_pa[taxel]), int(reading.status[taxel]))
     wanted = [(places[len(places) // 2], values)]
     if look.numbers:
@@ -170,7 +179,7 @@ def _labels(
 
 
 def _value_labels(pressure_pa: float, status: int) -> list[str]:
-    """A taxel's value in kPa with its marks, long to short."""
+    """A taxel's value in kPa with its marks, from long to short."""
     if status & Status.MASKED:
         return [""]
     marks = "".join(mark for flag, mark, _ in _MARKS if status & flag)
@@ -179,39 +188,23 @@ def _value_labels(pressure_pa: float, status: int) -> list[str]:
     return [f"{pressure_pa / 1e3:.1f}{marks}", f"{pressure_pa / 1e3:.0f}{marks}", marks[:1], ""]
 
 
-class _Brush:
-    """Paints stretches of a line in the colour, or the shade, of a taxel."""
-
-    def __init__(self, reading: Reading, look: Look) -> None:
-        self._coloured = look.coloured
-        paint = np.vstack([colours(reading.pressure_pa, look.max_pa), [NO_TAXEL_RGB]])
-        self._paint = paint.tolist()
-        self._shade = [*_shades(reading.pressure_pa / look.max_pa), " "]
-
-    def line(self, stretches: list[tuple[int, str, int]]) -> str:
-        """Taxel (−1: none), label and width of each stretch; labels stand amid them."""
-        if not self._coloured:
-            return "".join(label.center(wide, self._shade[t]) for t, label, wide in stretches)
-        painted = (_ink(*self._paint[t]) + label.center(wide) for t, label, wide in stretches)
-        return "".join(painted) + _RESET
-
-
 def _ink(red: int, green: int, blue: int) -> str:
-    """The sequence for text on a colour."""
+    """The escape sequence for readable text on a colour."""
     ink = "30" if red * 0.3 + green * 0.6 + blue * 0.1 > 110 else "97"
     return f"\x1b[{ink};48;2;{red};{green};{blue}m"
 
 
-def _shades(share: NDArray[np.floating]) -> list[str]:
-    level = np.clip(np.nan_to_num(share) * len(_SHADES), 0, len(_SHADES) - 1).astype(int)
-    return [_SHADES[i] for i in level]
+def _shades(share: NDArray[np.floating], shades: str = _SHADES) -> list[str]:
+    """One character per share of the scale (0…1), light to heavy; the lightest for NaN."""
+    level = np.clip(np.nan_to_num(share) * len(shades), 0, len(shades) - 1).astype(int)
+    return [shades[i] for i in level]
 
 
-# ---- lines about it -----------------------------------------------------------------------------
+# ---- lines around it ----------------------------------------------------------------------------
 
 
 def scale(look: Look, columns: int) -> str:
-    """The colours from 0 to the top, with numbers; nothing where it does not fit."""
+    """The colour scale from 0 to the top, with numbers; empty if it does not fit."""
     before, after = "0 ", f" {look.max_pa / 1e3:g} kPa"
     width = min(32, columns - len(before) - len(after))
     if width < 4:
@@ -224,17 +217,15 @@ def scale(look: Look, columns: int) -> str:
 
 
 def sparkline(values: NDArray[np.floating], unicode: bool) -> str:
-    """A character per value, from 0 to the greatest; a space where it is NaN."""
+    """One character per value, scaled from 0 to the maximum; a space for NaN."""
     bars = _BARS if unicode else _SHADES[1:]
     top = float(np.fmax.reduce(values, initial=0.0)) or 1.0
-    level = np.clip(np.nan_to_num(values) / top * len(bars), 0, len(bars) - 1).astype(int)
-    return "".join(
-        " " if math.isnan(v) else bars[i] for v, i in zip(values.tolist(), level, strict=True)
-    )
+    drawn = zip(values.tolist(), _shades(values / top, bars), strict=True)
+    return "".join(" " if math.isnan(value) else bar for value, bar in drawn)
 
 
 def status_lines(reading: Reading, look: Look, columns: int) -> list[str]:
-    """What the statuses are, with the numbers of the taxels, or nodes, behind each."""
+    """The statuses that occur, each with the numbers of its taxels or nodes."""
     numbers = reading.nodes if look.numbers is Numbers.NODES else np.arange(len(reading.nodes))
     in_service = reading.in_service
     silent = in_service & (reading.status & Status.SILENT > 0)
@@ -253,11 +244,7 @@ def status_lines(reading: Reading, look: Look, columns: int) -> list[str]:
 
 
 def ranges(numbers: NDArray[np.integer]) -> str:
-    """Whole numbers for people: 1-3, 7."""
+    """Whole numbers as ranges: 1-3, 7."""
     values = np.unique(numbers)
-    breaks = np.flatnonzero(np.diff(values) > 1)
-    first = values[np.concatenate([[0], breaks + 1])]
-    last = values[np.concatenate([breaks, [len(values) - 1]])]
-    return ", ".join(
-        f"{a}" if a == b else f"{a}-{b}" for a, b in zip(first.tolist(), last.tolist(), strict=True)
-    )
+    runs = np.split(values, np.flatnonzero(np.diff(values) > 1) + 1)
+    return ", ".join(f"{r[0]}" if len(r) == 1 else f"{r[0]}-{r[-1]}" for r in runs if len(r))

@@ -64,7 +64,7 @@ class Polarity(IntEnum):
 
 
 class Result(IntEnum):
-    """What became of a command."""
+    """Result of a command."""
 
     OK = 0
     UNKNOWN_COMMAND = 1

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A digitizer's id: the 8 bytes of its INFO, and how people write them."""
+"""A digitizer's id: 8 bytes in its INFO, hexadecimal digits for people."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from ..base.errors import ParameterError
 
 ID_BYTES = 8
 NO_ID = bytes(ID_BYTES)
-"""What a board without a number of its own reports."""
+"""Reported by a board that has no number of its own."""
 _SEPARATORS = re.compile(r"[\s:._-]")
 
 
 def parse_id(text: str) -> bytes:
-    """The 8 bytes of an id in hexadecimal digits, with or without 0x and separators between them.
+    """The 8 bytes of an id in hexadecimal digits; 0x and separators are allowed.
 
-    Raises ParameterError for anything else, and for zeros, which stand for no id.
+    Raises ParameterError for anything else, and for all zeros, which mean that there is no id.
     """
     digits = _SEPARATORS.sub("", text).lower().removeprefix("0x")
     if not re.fullmatch(f"[0-9a-f]{{{2 * ID_BYTES}}}", digits):
@@ -34,5 +34,5 @@ def parse_id(text: str) -> bytes:
 
 
 def shown_id(digitizer_id: bytes) -> str:
-    """An id as people read it, and as the RP2040's firmware names itself on USB."""
+    """An id for people, as in the USB serial number of the RP2040's firmware."""
     return "no id" if digitizer_id == NO_ID else digitizer_id.hex().upper()

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Who is at the other end of a port; nothing is sent to what does not speak our protocol."""
+"""Which digitizer is on a port. Nothing is sent to a device that does not speak our protocol."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from .packets import PacketParser, PacketWriter, diagnose
 from .port import Port
 
 LISTEN_S = 1.5
-"""A digitizer reports once a second without being asked, by docs/protocol.md."""
+"""s: one and a half times the second in which a digitizer sends INFO unasked (docs/protocol.md)."""
 
 
 def introduction(port: Port, patience_s: float = LISTEN_S) -> Info:
-    """The digitizer's description of itself, waited for, and asked for once packets have come.
+    """Wait for the digitizer's INFO, and ask for it as soon as an intact packet has come.
 
-    Raises PortError, with the likely cause, where none comes, and ProtocolError for a digitizer of
-    another protocol version.
+    Raises PortError, with the likely cause, if none comes, and ProtocolError if the digitizer
+    speaks another protocol version.
     """
     parser, asked = PacketParser(), False
     end_s = time.monotonic() + patience_s
@@ -38,7 +38,7 @@ def introduction(port: Port, patience_s: float = LISTEN_S) -> Info:
 
 
 def described_info(info: Info) -> str:
-    """A digitizer and its set-up in one line."""
+    """A digitizer and its settings in one line."""
     frame = info.frame
     return (
         f"{shown_id(info.digitizer_id)}, firmware {info.firmware_major}."

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a packet says: the messages of either direction, and their payloads as bytes.
+"""The messages of either direction, and how each is packed into bytes and unpacked.
 
 Fields are those of firmware/protocol.yaml, from which `_protocol.py` is generated.
 """
@@ -12,7 +12,7 @@ import operator
 import struct
 from collections.abc import Iterator
 from dataclasses import KW_ONLY, dataclass, field
-from typing import Any, ClassVar, TypeAlias, TypeVar
+from typing import Any, ClassVar, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,12 +35,10 @@ from ._protocol import (
     SyncMode,
 )
 
-M = TypeVar("M", bound="Message")
-
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """Fields that travel together, in the order of FIELDS[class name].
+    """Fields that travel together; FIELDS[class name] has their order and limits on the wire.
 
     Raises SpecError for a value that its field on the wire cannot hold.
     """
@@ -48,6 +46,33 @@ class Message:
     def __post_init__(self) -> None:
         for wire in FIELDS[type(self).__name__]:
             object.__setattr__(self, wire.name, _checked(wire, getattr(self, wire.name)))
+
+    def pack(self) -> bytes:
+        """The message as bytes."""
+        return WIRE[type(self).__name__].pack(*self._values())
+
+    @classmethod
+    def unpack(cls, data: bytes) -> Self:
+        """The inverse of pack. Raises struct.error for a wrong length, SpecError for a value."""
+        return cls._of(iter(WIRE[cls.__name__].unpack(data)))
+
+    def _values(self) -> Iterator[Any]:
+        """Field values in wire order, those of nested messages among them."""
+        for wire in FIELDS[type(self).__name__]:
+            value = getattr(self, wire.name)
+            if isinstance(value, Message):
+                yield from value._values()
+            else:
+                yield value
+
+    @classmethod
+    def _of(cls, values: Iterator[Any], **extra: Any) -> Self:
+        """The inverse of _values."""
+        fields = {
+            wire.name: FrameLayout._of(values) if wire.code == "FrameLayout" else next(values)
+            for wire in FIELDS[cls.__name__]
+        }
+        return cls(**fields, **extra)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,9 +149,10 @@ class Packet(Message):
     _: KW_ONLY
     sequence: int = field(default=0, compare=False)
 
-    def payload(self) -> bytes:
-        """The bytes after type and sequence."""
-        return WIRE[type(self).__name__].pack(*_values(self))
+    @classmethod
+    def unpack(cls, data: bytes, sequence: int = 0) -> Self:
+        """The packet of a payload, which follows type and sequence. Raises as Message.unpack."""
+        return cls._of(iter(WIRE[cls.__name__].unpack(data)), sequence=sequence)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -171,75 +197,94 @@ class Info(Packet):
 
 
 @dataclass(frozen=True, slots=True)
-class Samples(Packet):
-    """Consecutive samples of the line.
+class Stretch(Packet):
+    """Consecutive samples of the line: each of them (Samples), or their sums (Quiet).
 
-    device_time_us: when the first sample began, on the digitizer's clock.
+    device_time_us: when the first sample was taken, on the digitizer's clock.
     first_index: index of the first sample among all samples sent or lost since START.
-    counts: (m,) int16, m = 1…MAX_SAMPLES.
     sync: the first sample is the first of a frame.
     overrun: samples were lost just before these.
     called: the frame that begins with the first sample belongs to a roll call.
     """
 
-    TYPE = PacketType.SAMPLES
-
     device_time_us: int
     first_index: int
-    counts: NDArray[np.int16]
-    sync: bool = False
-    overrun: bool = False
-    called: bool = False
+    sync: bool = field(default=False, kw_only=True)
+    overrun: bool = field(default=False, kw_only=True)
+    called: bool = field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
+        if not (0 <= self.device_time_us < 2**64 and 0 <= self.first_index < 2**64):
+            raise SpecError(
+                f"device_time_us {self.device_time_us} and first_index {self.first_index} "
+                "must lie within 0…2⁶⁴−1"
+            )
+
+    def _head(self) -> tuple[int, int, int]:
+        """The fields that begin either packet: device_time_us, first_index, flags."""
+        flags = FLAG_SYNC * self.sync | FLAG_OVERRUN * self.overrun | FLAG_CALLED * self.called
+        return self.device_time_us, self.first_index, flags
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples(Stretch):
+    """Consecutive samples one by one.
+
+    counts: (m,) int16, m = 1…MAX_SAMPLES.
+    """
+
+    TYPE = PacketType.SAMPLES
+
+    counts: NDArray[np.int16]
+
+    def __post_init__(self) -> None:
+        Stretch.__post_init__(self)
         counts = self.counts
         if counts.ndim != 1 or counts.dtype != _INT16 or not 1 <= counts.size <= MAX_SAMPLES:
             raise SpecError(
                 f"counts are {counts.dtype} of shape {counts.shape}; "
                 f"a packet takes int16 of shape (1…{MAX_SAMPLES},)"
             )
-        _check_place(self)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Samples):
             return NotImplemented
-        return (
-            self.device_time_us == other.device_time_us
-            and self.first_index == other.first_index
-            and self.sync == other.sync
-            and self.overrun == other.overrun
-            and self.called == other.called
-            and np.array_equal(self.counts, other.counts)
+        return self._head() == other._head() and np.array_equal(self.counts, other.counts)
+
+    def pack(self) -> bytes:
+        words = (self.counts ^ _SAMPLE_MASK).astype("<i2", copy=False)
+        return WIRE["Samples"].pack(*self._head()) + words.tobytes()
+
+    @classmethod
+    def unpack(cls, data: bytes, sequence: int = 0) -> Self:
+        head = WIRE["Samples"]
+        device_time_us, first_index, flags = head.unpack_from(data)
+        words = np.frombuffer(data[head.size :], "<i2")  # a copy: at the odd address XOR is slow
+        return cls(
+            device_time_us,
+            first_index,
+            words ^ _SAMPLE_MASK,
+            sequence=sequence,
+            **_MARKS[flags % len(_MARKS)],
         )
-
-    __hash__ = None  # type: ignore[assignment]
-
-    def payload(self) -> bytes:
-        head = WIRE["Samples"].pack(self.device_time_us, self.first_index, _flags(self))
-        return head + (self.counts ^ SAMPLE_MASK).astype("<i2", copy=False).tobytes()
 
 
 @dataclass(frozen=True, slots=True)
-class Quiet(Packet):
+class Quiet(Stretch):
     """Consecutive samples, all within quiet_uv of each other: a whole frame's, or some of a gap.
 
-    Other fields as in Samples. count: number of samples, at least 1.
-    sum, sum_of_squares: of the counts, exact. Raises SpecError where no samples have such sums.
+    count: number of samples, at least 1. sum, sum_of_squares: of their counts, exact.
+    Raises SpecError where no samples have such sums.
     """
 
     TYPE = PacketType.QUIET
 
-    device_time_us: int
-    first_index: int
     count: int
     sum: int
     sum_of_squares: int
-    sync: bool = False
-    overrun: bool = False
-    called: bool = False
 
     def __post_init__(self) -> None:
-        _check_place(self)
+        Stretch.__post_init__(self)
         if not (
             1 <= self.count < 2**32
             and self.sum_of_squares < 2**64
@@ -252,18 +297,12 @@ class Quiet(Packet):
 
     @classmethod
     def of(
-        cls,
-        device_time_us: int,
-        first_index: int,
-        counts: NDArray[np.int16],
-        sync: bool = False,
-        overrun: bool = False,
-        called: bool = False,
+        cls, device_time_us: int, first_index: int, counts: NDArray[np.int16], **marks: bool
     ) -> Quiet:
-        """What stands for these samples, (m,) int16."""
+        """The packet that replaces these samples, (m,) int16. marks: sync, overrun, called."""
         wide = counts.astype(np.int64)  # sums stay below 2⁶³ for 2³² samples of 16 bits
         total, squares = int(wide.sum()), int(np.einsum("i,i->", wide, wide))
-        return cls(device_time_us, first_index, counts.size, total, squares, sync, overrun, called)
+        return cls(device_time_us, first_index, counts.size, total, squares, **marks)
 
     @property
     def mean(self) -> float:
@@ -275,14 +314,14 @@ class Quiet(Packet):
         """Variance of the counts."""
         return (self.count * self.sum_of_squares - self.sum**2) / self.count**2
 
-    def payload(self) -> bytes:
-        return WIRE["Quiet"].pack(
-            self.device_time_us,
-            self.first_index,
-            _flags(self),
-            self.count,
-            self.sum,
-            self.sum_of_squares,
+    def pack(self) -> bytes:
+        return WIRE["Quiet"].pack(*self._head(), self.count, self.sum, self.sum_of_squares)
+
+    @classmethod
+    def unpack(cls, data: bytes, sequence: int = 0) -> Self:
+        device_time_us, first_index, flags, *sums = WIRE["Quiet"].unpack(data)
+        return cls(
+            device_time_us, first_index, *sums, sequence=sequence, **_MARKS[flags % len(_MARKS)]
         )
 
 
@@ -399,40 +438,9 @@ class Rejected:
 Received: TypeAlias = Packet | OtherVersion | Rejected
 
 
-def _check_place(packet: Samples | Quiet) -> None:
-    if not (0 <= packet.device_time_us < 2**64 and 0 <= packet.first_index < 2**64):
-        raise SpecError(
-            f"device_time_us {packet.device_time_us} and first_index {packet.first_index} "
-            "must lie within 0…2⁶⁴−1"
-        )
-
-
-def _flags(packet: Samples | Quiet) -> int:
-    return FLAG_SYNC * packet.sync | FLAG_OVERRUN * packet.overrun | FLAG_CALLED * packet.called
-
-
 def _codes(name: str) -> str:
     """The struct codes of a message, nested ones written out."""
     return "".join(_codes(wire.code) if wire.code in FIELDS else wire.code for wire in FIELDS[name])
-
-
-def _values(message: Message) -> Iterator[Any]:
-    """Field values in wire order."""
-    for wire in FIELDS[type(message).__name__]:
-        value = getattr(message, wire.name)
-        if isinstance(value, Message):
-            yield from _values(value)
-        else:
-            yield value
-
-
-def build(kind: type[M], values: Iterator[Any], **extra: Any) -> M:
-    """A message from its field values in wire order: the inverse of _values."""
-    fields = {
-        wire.name: build(FrameLayout, values) if wire.code == "FrameLayout" else next(values)
-        for wire in FIELDS[kind.__name__]
-    }
-    return kind(**fields, **extra)
 
 
 def _checked(wire: Field, value: Any) -> Any:
@@ -468,23 +476,20 @@ def _whole(name: str, seconds: float, per_second: int, unit: str) -> int:
 
 
 WIRE = {name: struct.Struct("<" + _codes(name)) for name in FIELDS}
-"""Layout of every message's bytes."""
-SAMPLE_MASK = np.int16(SAMPLE_XOR)
-"""Sample words travel XORed with this."""
+"""Layout of every message's bytes; of Samples, of what comes before the samples."""
 PACKETS: dict[int, type[Packet]] = {
     kind.TYPE: kind
-    for kind in (
-        Info,
-        Samples,
-        Quiet,
-        Status,
-        Ack,
-        GetInfo,
-        Start,
-        Stop,
-        Configure,
-        RollCall,
-    )
+    for kind in (Info, Samples, Quiet, Status, Ack, GetInfo, Start, Stop, Configure, RollCall)
 }
 """Packets by the first byte of their body."""
+_MARKS = [
+    {
+        "sync": bool(flags & FLAG_SYNC),
+        "overrun": bool(flags & FLAG_OVERRUN),
+        "called": bool(flags & FLAG_CALLED),
+    }
+    for flags in range(2 * max(FLAG_SYNC, FLAG_OVERRUN, FLAG_CALLED))
+]
+"""Fields of Stretch by the wire's flags; bits that this version does not know are ignored."""
+_SAMPLE_MASK = np.int16(SAMPLE_XOR)
 _INT16 = np.dtype(np.int16)

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Packets ↔ bytes: the wire protocol between digitizer and host. No I/O; see docs/protocol.md.
+"""Packets ↔ bytes: framing, checksums and numbering. No I/O; see docs/protocol.md.
 
 A packet travels as COBS(body + CRC-32 of body) + 0x00, with body = type, sequence, payload:
 
     PacketWriter.encode(packet) → bytes → PacketParser.feed(bytes) → [packet, …]
 
-Both sides of the line use the same two classes: the parser knows the packets of either direction.
+Host and digitizer use the same two classes: the parser knows the packets of either direction.
 """
 
 from __future__ import annotations
@@ -17,62 +17,38 @@ import zlib
 from array import array
 from dataclasses import astuple, dataclass, replace
 
-import numpy as np
-
-from ..base.errors import SpecError
-from ._protocol import (
-    FLAG_CALLED,
-    FLAG_OVERRUN,
-    FLAG_SYNC,
-    MAX_GAP,
-    MAX_SAMPLES,
-    VERSION,
-    PacketType,
-    Result,
-)
+from ._protocol import MAX_GAP, MAX_SAMPLES, VERSION, PacketType, Result
 from .cobs import cobs_decode, cobs_encode
-from .messages import (
-    PACKETS,
-    SAMPLE_MASK,
-    WIRE,
-    Info,
-    OtherVersion,
-    Packet,
-    Quiet,
-    Received,
-    Rejected,
-    Samples,
-    build,
-)
+from .messages import PACKETS, WIRE, Info, OtherVersion, Packet, Received, Rejected
 
 SEQUENCES = 2**16
-"""Packets are counted modulo this."""
+"""Sequence numbers are counted modulo this."""
 MAX_REPEATED = 64
-"""Packets in a row that are taken for repeated ones; with another one the sender has restarted."""
+"""Packets in a row that are taken for repetitions; one more is a restart of the sender. Chosen."""
 
 
 @dataclass(slots=True)
 class Counters:
-    """What a parser has seen since it was made."""
+    """What a parser has seen so far."""
 
     bytes: int = 0
     packets: int = 0
-    """With a good CRC, the unknown and the malformed among them."""
+    """With a correct CRC, including unknown and malformed ones."""
     crc_errors: int = 0
     framing_errors: int = 0
-    """Bytes between two delimiters that are no COBS."""
+    """Runs of bytes between two delimiters that are not COBS."""
     malformed: int = 0
-    """Good CRC, but a length or a value that the type cannot have."""
+    """Correct CRC, but a length or a value that the type cannot have."""
     unknown: int = 0
-    """Good CRC, but a type of a newer firmware."""
+    """Correct CRC, but an unknown type, as of a newer firmware."""
     lost_packets: int = 0
-    """Missing from the sequence, for whatever reason."""
+    """Missing from the sequence."""
     jumps: int = 0
     """The sequence went back or far ahead: the sender restarted."""
     repeated_packets: int = 0
-    """Of the digitizer: came before, or later than its successors. Samples are dropped then."""
+    """Received again, or after their successors; commands are not counted. Samples are dropped."""
     resyncs: int = 0
-    """Runs longer than any packet without a delimiter."""
+    """Runs without a delimiter that are longer than any packet."""
     text_bytes: int = 0
     """Printable ASCII before the first packet."""
 
@@ -81,39 +57,38 @@ class Counters:
 
 
 class PacketParser:
-    """Finds the packets in a stream of bytes that may be cut, corrupted or something else.
+    """Finds the packets in a stream of bytes, which may be cut, corrupted or no packets at all.
 
-    However the stream is divided over calls of `feed`, packets and counters come out the same.
+    Packets and counters do not depend on how the stream is divided over calls of `feed`.
     At most one packet's bytes are held back. Bytes before the first delimiter may be the rest of a
-    packet, or line noise, and so may count as one framing or CRC error.
+    packet or line noise, and may count as one framing or CRC error.
 
-    The sequence tells what was lost: a gap of up to MAX_GAP packets is a loss of that many.
-    Anything else, that is a step back (0xFFFF → 0 is none) or a step further ahead, counts as one
-    jump and no loss, and counting goes on from there: that is what a sender that restarts looks
-    like.
+    Losses follow from the sequence: a gap of up to MAX_GAP packets is a loss of that many. Any
+    other step, backwards (0xFFFF → 0 is forwards) or further ahead, is what a restarted sender
+    looks like: it counts as one jump and no loss, and the sequence is followed from there.
 
-    Samples that come again, by their packet's sequence and CRC, are dropped and counted, as are
-    such that come after later ones: their loss was counted before. What else a digitizer says is
-    counted, but passed on: after a reset it says the same as before. A restart is hardly taken for
-    repetition, as other samples at other times have other CRCs; where they are the same,
-    most_repeated packets in a row are dropped and no more. Commands do not count as repeated: each
-    host counts from 0, and nothing else is in the shortest of them.
+    Samples that were received before (same sequence, same CRC), or that come after their
+    successors (and were counted as lost), are dropped and counted as repeated. Other packets of
+    the digitizer are counted, but passed on: after a reset it sends the same ones as before. A
+    restart is hardly ever taken for repetition, since other samples at other times have other
+    CRCs; if they are the same, most_repeated packets in a row are dropped and no more. Commands
+    never count as repeated: every host numbers from 0, and many commands have no payload.
     """
 
     def __init__(self, most_repeated: int = MAX_REPEATED) -> None:
-        """most_repeated: 0 where packets come again by intention, as in a loop."""
+        """most_repeated: 0 where packets are repeated on purpose, as by a recording in a loop."""
         self._most_repeated = most_repeated
-        self._partial = bytearray()  # begins after the last delimiter
-        self._skipping = False  # within a run that is no packet: too long for one, or cut
+        self._partial = bytearray()  # bytes after the last delimiter
+        self._skipping = False  # until the next delimiter: the run is too long for a packet, or cut
         self._expected: int | None = None
-        # CRC of the last packet of each sequence, or what is known of it else.
+        # For each sequence number the CRC of its last packet, or _NEVER or _MISSING.
         self._past = array("q", [_NEVER]) * SEQUENCES
-        self._repeated = 0  # in a row, up to now
+        self._repeated = 0  # in a row
         self._seen = Counters()
 
     @property
     def counters(self) -> Counters:
-        """A snapshot of what was seen so far."""
+        """A snapshot."""
         seen = replace(self._seen)
         if not seen.packets:
             seen.text_bytes += _text(self._partial)
@@ -145,12 +120,12 @@ class PacketParser:
         return packets
 
     def skip(self) -> None:
-        """Bytes were left out here: a packet that this cut is lost, and not broken."""
+        """Bytes were left out here: the packet that they belonged to is lost, not broken."""
         self._partial.clear()
         self._skipping = True
 
     def _parse(self, run: bytes) -> Received | None:
-        """The packet between two delimiters, if it is one."""
+        """The packet between two delimiters, if there is one."""
         if len(run) > _MAX_RUN:
             self._seen.resyncs += 1
             self._no_packet(run)
@@ -171,21 +146,19 @@ class PacketParser:
             return None
         type_byte, sequence = _HEADER.unpack_from(raw)
         (crc,) = _CRC.unpack_from(raw, len(raw) - _CRC.size)
-        if sequence == self._expected or self._follows(type_byte, sequence, crc):
+        if sequence == self._expected or self._count_step(type_byte, sequence, crc):
             self._past[sequence], self._repeated = crc, 0
             self._expected = (sequence + 1) % SEQUENCES
         elif type_byte in (PacketType.SAMPLES, PacketType.QUIET):
             return None
-        if type_byte == PacketType.SAMPLES:
-            return self._samples(sequence, raw)
         return self._interpret(type_byte, sequence, raw[_HEADER.size : -_CRC.size])
 
     def _no_packet(self, run: bytes | bytearray) -> None:
         if not self._seen.packets:
             self._seen.text_bytes += _text(run)
 
-    def _follows(self, type_byte: int, sequence: int, crc: int) -> bool:
-        """Whether a packet out of sequence is news; keeps account by the rules of the class."""
+    def _count_step(self, type_byte: int, sequence: int, crc: int) -> bool:
+        """Count a packet out of sequence by the rules of the class; False for a repetition."""
         if self._expected is None:
             return True
         gap = (sequence - self._expected) % SEQUENCES
@@ -202,51 +175,30 @@ class PacketParser:
         self._seen.jumps += 1
         return True
 
-    def _samples(self, sequence: int, raw: bytes) -> Samples | None:
-        """Samples, which are nearly all of the traffic: taken from the bytes without copying."""
-        size = len(raw) - _SAMPLES_END
-        if size <= 0 or size % 2:
-            self._seen.malformed += 1
-            return None
-        device_time_us, first_index, flags = WIRE["Samples"].unpack_from(raw, _HEADER.size)
-        words = np.frombuffer(raw, "<i2", size // 2, _SAMPLES_END - _CRC.size)
-        return Samples(
-            device_time_us,
-            first_index,
-            words ^ SAMPLE_MASK,
-            bool(flags & FLAG_SYNC),
-            bool(flags & FLAG_OVERRUN),
-            bool(flags & FLAG_CALLED),
-            sequence=sequence,
-        )
-
     def _interpret(self, type_byte: int, sequence: int, payload: bytes) -> Received | None:
-        """The packet of an intact body; of the unusable ones only commands need an answer."""
+        """The packet of an intact body; Rejected for a command that cannot be used."""
         kind = PACKETS.get(type_byte)
         if kind is Info and payload and payload[0] != VERSION:
             return OtherVersion(payload[0], sequence)
         if kind is None:
             self._seen.unknown += 1
             reason = Result.UNKNOWN_COMMAND
-        elif len(payload) != (wire := WIRE[kind.__name__]).size:
-            self._seen.malformed += 1
-            reason = Result.BAD_LENGTH
         else:
             try:
-                if kind is Quiet:
-                    return _quiet(sequence, payload)
-                return build(kind, iter(wire.unpack(payload)), sequence=sequence)
-            except SpecError:
-                self._seen.malformed += 1
+                return kind.unpack(payload, sequence)
+            except struct.error:
+                reason = Result.BAD_LENGTH
+            except ValueError:  # SpecError, or half a sample
                 reason = Result.OUT_OF_RANGE
+            self._seen.malformed += 1
         return Rejected(type_byte, reason, sequence) if type_byte & _COMMAND_BIT else None
 
 
 class PacketWriter:
     """Numbers packets and turns them into bytes; a sender has one.
 
-    sequence: of the next packet. A sender that has to drop a packet adds 1, so that the receiver
-        learns of it.
+    sequence: of the next packet. A sender that drops a packet adds 1, so that the receiver counts
+        it as lost.
     """
 
     def __init__(self, sequence: int = 0) -> None:
@@ -256,16 +208,16 @@ class PacketWriter:
         """The bytes of the next packet, delimiter included."""
         header = _HEADER.pack(packet.TYPE, self.sequence % SEQUENCES)
         self.sequence = (self.sequence + 1) % SEQUENCES
-        return wrap(header + packet.payload())
+        return wrap(header + packet.pack())
 
 
 def diagnose(counters: Counters) -> str:
-    """What the person at the bench should look at where no INFO came."""
+    """The likely cause, for the person at the bench, when no INFO has come."""
     if counters.packets:
         return "packets arrive, but no description of the digitizer (INFO)"
     if not counters.bytes:
         return "no bytes: is the digitizer powered and started?"
-    if counters.text_bytes > 0.9 * counters.bytes:  # random bytes: 0.38
+    if counters.text_bytes > 0.9 * counters.bytes:  # of random bytes 38 % are printable
         return "text received instead of packets; is another program's firmware on this board?"
     return "bytes arrive but no valid packet: wrong baud rate?"
 
@@ -273,21 +225,6 @@ def diagnose(counters: Counters) -> str:
 def wrap(body: bytes) -> bytes:
     """A body as it travels: with its CRC, COBS-encoded, delimited."""
     return cobs_encode(body + _CRC.pack(zlib.crc32(body))) + b"\0"
-
-
-def _quiet(sequence: int, payload: bytes) -> Quiet:
-    device_time_us, first_index, flags, count, total, squares = WIRE["Quiet"].unpack(payload)
-    return Quiet(
-        device_time_us,
-        first_index,
-        count,
-        total,
-        squares,
-        bool(flags & FLAG_SYNC),
-        bool(flags & FLAG_OVERRUN),
-        bool(flags & FLAG_CALLED),
-        sequence=sequence,
-    )
 
 
 def _text(run: bytes | bytearray) -> int:
@@ -299,11 +236,9 @@ _HEADER = WIRE["Header"]
 _CRC = struct.Struct("<I")
 _RESIDUE = 0x2144DF1C
 """The CRC-32 of any bytes that are followed by their own CRC-32."""
-_SAMPLES_END = _HEADER.size + WIRE["Samples"].size + _CRC.size
-"""Bytes in a packet of samples beside these."""
 _COMMAND_BIT = 0x80
 _NEVER, _MISSING = -1, -2
-"""In place of a CRC: no such packet came up to now; it was counted as lost."""
+"""In place of a CRC: never received; counted as lost."""
 _MAX_RAW = (
     _HEADER.size
     + max(2 * MAX_SAMPLES + WIRE["Samples"].size, *(wire.size for wire in WIRE.values()))

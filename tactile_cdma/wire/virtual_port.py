@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A port that pyserial opens without hardware: what sim:// and replay:// have in common."""
+"""A pyserial port without hardware: the base of sim:// and replay://."""
 
 from __future__ import annotations
 
@@ -18,33 +18,33 @@ class Device(Protocol):
 
     @property
     def pending(self) -> int:
-        """Bytes that can be taken."""
+        """Bytes that take() can return now."""
 
     def advance(self, wanted: int) -> float:
-        """Have pending what is due by now; without a pace of its own, at least so many bytes.
+        """Make pending what is due by now; a device without a pace of its own, `wanted` bytes.
 
-        Returns the seconds until more is due.
+        Returns the time until more is due, s.
         """
 
     def take(self, size: int) -> bytes:
-        """At most so many of the pending bytes."""
+        """Remove and return up to `size` pending bytes."""
 
 
 AnyDevice = TypeVar("AnyDevice", bound=Device)
 
 
 class VirtualPort(SerialBase, Generic[AnyDevice]):
-    """A device that open() makes and close() throws away.
+    """A device that open() makes and close() discards.
 
-    The baud rate, as all that concerns lines, is accepted and ignored.
+    Baud rate and other settings of a serial line are accepted and ignored.
     """
 
     READ_AHEAD = 65_536
-    """Bytes that in_waiting has pending where the pace is as fast as they are read."""
+    """Bytes that in_waiting makes pending where a device has no pace of its own. Chosen."""
 
     def __init__(self, *args: object, **kwargs: object) -> None:
         self._device: AnyDevice | None = None
-        # Guards the device; notified when bytes may have become due or a read is to end.
+        # Guards the device; notified when bytes may be due or a read has to end.
         self._changed = threading.Condition()
         self._cancelled = False
         self.is_open = False
@@ -55,14 +55,14 @@ class VirtualPort(SerialBase, Generic[AnyDevice]):
         """The device that a URL describes."""
 
     def _receive(self, device: AnyDevice, data: bytes) -> None:
-        """What is written goes nowhere."""
+        """Handle what was written; by default it is ignored."""
 
     def _has_ended(self, device: AnyDevice, data: bytes) -> bool:
-        """Whether a read() is to return these bytes without waiting for more; it may raise, too."""
+        """Whether read() has to return these bytes without waiting for more. May raise."""
         return False
 
     def open(self) -> None:
-        """Make the device. Raises SerialException where already open, else what _made does."""
+        """Make the device. Raises SerialException if it is open already, or what _made raises."""
         if self._port is None:
             raise SerialException("Port must be configured before it can be used.")
         if self.is_open:
@@ -71,7 +71,7 @@ class VirtualPort(SerialBase, Generic[AnyDevice]):
         self.is_open = True
 
     def close(self) -> None:
-        """Throw the device away, and end a read() in another thread."""
+        """Discard the device, and end a read() in another thread."""
         with self._changed:
             self.is_open = False
             self._device = None
@@ -86,7 +86,7 @@ class VirtualPort(SerialBase, Generic[AnyDevice]):
             return device.pending
 
     def read(self, size: int = 1) -> bytes:
-        """Wait for `size` bytes, at most as long as the timeout; returns what there is."""
+        """Wait for `size` bytes, at most for the timeout; returns what has come."""
         deadline = math.inf if self._timeout is None else time.monotonic() + self._timeout
         data = b""
         with self._changed:
@@ -115,35 +115,24 @@ class VirtualPort(SerialBase, Generic[AnyDevice]):
             self._cancelled = True
             self._changed.notify_all()
 
-    def reset_output_buffer(self) -> None:
-        """Nothing to discard: what is written is received at once."""
-        self._opened()
-
     @property
     def out_waiting(self) -> int:
-        """Bytes written and not yet received: none."""
+        """Bytes written and not yet received: always 0."""
         self._opened()
         return 0
 
     def flush(self) -> None:
-        """Nothing to wait for: what is written is received at once."""
+        """Nothing waits: what is written is received at once."""
         self._opened()
+
+    reset_output_buffer = flush
 
     def _opened(self) -> AnyDevice:
         if self._device is None:
             raise PortNotOpenError()
         return self._device
 
-    # SerialBase calls these when a setting changes; a virtual port has no lines to set.
-
     def _reconfigure_port(self) -> None:
-        pass
+        """SerialBase calls this, and the following, when a setting changes."""
 
-    def _update_rts_state(self) -> None:
-        pass
-
-    def _update_dtr_state(self) -> None:
-        pass
-
-    def _update_break_state(self) -> None:
-        pass
+    _update_rts_state = _update_dtr_state = _update_break_state = _reconfigure_port

@@ -231,7 +231,7 @@ def test_commands_among_garbage_are_found_and_every_other_run_is_one_error(
         stream += garbage + b"\0"
         for command in commands:
             stream += writer.encode(command)
-            sent.append((command.TYPE, command.payload()))
+            sent.append((command.TYPE, command.pack()))
     packets, errors = read_all(lib, stream, piece)
     assert [(p.type, p.payload) for p in packets if p.type in set(PacketType)] == sent
     host = PacketParser()

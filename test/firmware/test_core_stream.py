@@ -124,7 +124,9 @@ def test_packets_are_those_of_the_virtual_digitizer(
         counts = block.counts + np.int16(MIDDLE)
         kind = Quiet.of if block.quiet else Samples
         time_us = math.floor(block.begin_s * 1e6 + 0.5 + 1e-6)
-        expected.append(kind(time_us, block.first_index, counts, block.sync, called=block.called))
+        expected.append(
+            kind(time_us, block.first_index, counts, sync=block.sync, called=block.called)
+        )
         for part in (
             [counts] if chunk is None else np.split(counts, range(chunk, len(counts), chunk))
         ):
@@ -267,7 +269,9 @@ class Rules:
             if number in starts or after_loss or number - begin == longest:
                 time_us = START_US + math.floor((number + Fraction(1, 2)) * self.sample_us + HALF)
                 few = counts[number : number + 1].astype(np.int16)
-                packets.append(Samples(time_us, number, few, number in marks, after_loss))
+                packets.append(
+                    Samples(time_us, number, few, sync=number in marks, overrun=after_loss)
+                )
                 begin = number
             else:
                 few = counts[begin : number + 1].astype(np.int16)
@@ -298,7 +302,7 @@ class Rules:
                 if not words or len(words) == self.capacity:
                     time_us = START_US + math.floor(begin_us + HALF)
                     one = np.zeros(1, np.int16)
-                    begun.append(Samples(time_us, index - 1, one, chip == 0, overrun))
+                    begun.append(Samples(time_us, index - 1, one, sync=chip == 0, overrun=overrun))
                     overrun, words = False, []
                 words.append(math.floor(Fraction(8 * total, len(samples)) + HALF))
                 begun[-1] = replace(begun[-1], counts=np.array(words, np.int16))
@@ -306,7 +310,13 @@ class Rules:
             if whole and 0 < quiet_counts >= int(np.ptp(begun[0].counts)):
                 one = begun[0]
                 packets.append(
-                    Quiet.of(one.device_time_us, one.first_index, one.counts, True, one.overrun)
+                    Quiet.of(
+                        one.device_time_us,
+                        one.first_index,
+                        one.counts,
+                        sync=True,
+                        overrun=one.overrun,
+                    )
                 )
             else:
                 packets += begun

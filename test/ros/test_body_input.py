@@ -34,7 +34,7 @@ from tactile_cdma.msg import (  # noqa: E402
 )
 from tactile_cdma.ros.body.node import BodyNode  # noqa: E402
 from tactile_cdma.ros.common.qos import LATCHED  # noqa: E402
-from tactile_cdma.views.body_cloud import BODY_POINT  # noqa: E402
+from tactile_cdma.views.cloud import BODY_POINT  # noqa: E402
 
 pytestmark = pytest.mark.ros
 STALE_AFTER_S = 1.0

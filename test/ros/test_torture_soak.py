@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Two minutes of the soak, in real time; and what the soak looks for is found."""
+"""Some cycles of the soak, in real time; and what the soak looks for is found."""
 
 from __future__ import annotations
 
@@ -22,24 +22,23 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.msg import TactileArray
 from tactile_cdma.ros.common.convert import ros_array, stamp
 from tactile_cdma.sim.options import SimOptions
+from torture.load import soak
 from torture.load.known_digitizer import KnownDigitizer
 from torture.load.loaded_skin import SOAKED, LoadedSkin
 from torture.load.message_judge import MessageJudge
-from torture.oracle import Stream
+from torture.oracle import Held, Stream
 from torture.outcome import Tally
 from torture.process_watch import Watch
-from torture.readings import Held
-from torture.soak import campaign as soak
 
 pytestmark = [pytest.mark.ros, pytest.mark.xdist_group("soak")]  # many: so they begin early
 CONFIG = SkinConfig.of({})
-SOAK_S = 120.0
+SOAK_S = 40.0  # four cycles of guests that come and go; slopes of memory take longer anyway
 FIRST, FRAMES = 100, 300
 POWERED_S = 1000.0
 OPTIONS = SimOptions(scene="presses")
 
 
-def test_two_minutes_of_the_real_driver() -> None:
+def test_some_cycles_of_the_real_driver() -> None:
     outcome = soak.soak(SOAK_S)
     assert outcome.good, outcome
     assert "kB/h" in outcome.said

@@ -59,7 +59,7 @@ def hostile_packet(rng: np.random.Generator) -> bytes:
     kind, sequence = int(rng.choice(TYPES)), int(rng.integers(2**16))
     payload = b"" if rng.random() < 0.5 else rng.bytes(int(rng.integers(60)))
     if kind == PacketType.CONFIGURE and rng.random() < 0.9:
-        content = bytearray(CONFIGURED.payload())
+        content = bytearray(CONFIGURED.pack())
         for place in rng.integers(len(content), size=rng.integers(4)):
             content[place] = rng.integers(256)
         payload = bytes(content)

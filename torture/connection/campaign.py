@@ -9,11 +9,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from ..outcome import Outcome, Plan
-from .network import networked
+from .interruptions import networked, reset, stalled, unplugged
 from .plug import as_ordinary_user
-from .stalling import stalled
 from .trial import outcomes
-from .unplugging import reset, unplugged
 from .wrong_port import forbidden, strange, unusable
 
 KINDS = (stalled, reset, networked, unusable, strange)

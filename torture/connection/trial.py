@@ -35,7 +35,6 @@ ENOUGH = 20
 SCENES = ("moving", "press", "all")
 Rng: TypeAlias = np.random.Generator
 Turns: TypeAlias = Generator[None, None, None]
-Started: TypeAlias = "tuple[Trial, Turns]"
 
 
 class HangError(Exception):
@@ -52,9 +51,15 @@ class Trial:
     """
 
     def __init__(
-        self, fault: str, plan: Plan, plug: Plug, parameters: Mapping[str, object] | None = None
+        self,
+        fault: str,
+        plan: Plan,
+        plug: Plug,
+        faults: Callable[[Trial], Turns],
+        parameters: Mapping[str, object] | None = None,
     ) -> None:
-        self.fault, self.plug = fault, plug
+        """fault: for the table. faults: put them in, in turns. parameters: of the driver."""
+        self.fault, self.plug, self._faults = fault, plug, faults
         self.said = ""
         self.hold_s = 0.0
         self.resumed_s: list[float] = []
@@ -64,11 +69,11 @@ class Trial:
         config = SkinConfig.of(dict(parameters or {}))
         self.driver = Driver(config, plug.url, BAUD, self._consume, self._note)
 
-    def run(self, faults: Callable[[Trial], Turns]) -> Turns:
+    def run(self) -> Turns:
         """Start the driver, put the faults in, and stop it."""
         self.driver.start()
         try:
-            yield from faults(self)
+            yield from self._faults(self)
             self.judge.settle()
             lost_frames = self.driver.pipeline.counters.lost_frames
             self.tally.uncounted_losses += self.judge.account(lost_frames)
@@ -195,11 +200,11 @@ def side_by_side(trials: Iterable[Turns], at_once: int = 5) -> None:
 _OVER = object()
 
 
-def outcomes(started: list[Started]) -> Iterator[Outcome]:
+def outcomes(trials: Sequence[Trial]) -> Iterator[Outcome]:
     """Run these trials; a row for every kind of fault."""
-    side_by_side(turns for _, turns in started)
-    for fault in dict.fromkeys(trial.fault for trial, _ in started):
-        yield together([trial for trial, _ in started if trial.fault == fault])
+    side_by_side(trial.run() for trial in trials)
+    for fault in dict.fromkeys(trial.fault for trial in trials):
+        yield together([trial for trial in trials if trial.fault == fault])
 
 
 def together(trials: Sequence[Trial]) -> Outcome:

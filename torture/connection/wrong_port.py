@@ -5,30 +5,179 @@
 from __future__ import annotations
 
 import fcntl
+import math
+import time
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.wire._protocol import VERSION, PacketType
+from tactile_cdma.wire.messages import WIRE
+from tactile_cdma.wire.packets import wrap
 
 from ..outcome import Plan
+from .interruptions import GONE, Fault
 from .plug import Tty
-from .strangers import STRANGERS
-from .trial import Rng, Started, Trial, Turns, rng_of, some_skin
-from .unplugging import GONE
+from .trial import Rng, Trial, Turns, rng_of, some_skin
+
+PACE_S = 10e-3
+"""A device says something so often."""
+CHUNK = 500
+"""Bytes that it says each time: 50 kB/s."""
+SAMPLE = 10_000
+"""Bytes made up for a device, which then begins again."""
+TEXT = "text received"
+NOISE = "no valid packet"
+UNKNOWN = "no description"
+
+_LOG = (
+    b"\x00\xf8\x9e\x1c\x00rst:0x1 (POWERON_RESET),boot:0x13 (SPI_FAST_FLASH_BOOT)\r\n"
+    b"configsip: 0, SPIWP:0xee\r\nmode:DIO, clock div:2\r\nload:0x3fff0030,len:1344\r\n"
+    b"entry 0x400805f0\r\nI (29) boot: compile time 10:21:04\r\nE (312) main: no sensor\r\n"
+)
+_NMEA = b"GPGGA,%02d3519.00,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,"
 
 
-def strange(plan: Plan, folder: Path) -> list[Started]:
+class Stranger:
+    """Says the same bytes again and again; echoes: and sends back whatever it hears."""
+
+    def __init__(self, content: bytes, echoes: bool = False) -> None:
+        self._content, self._echoes = content, echoes
+        self._at, self._due_s = 0, time.monotonic()
+        self._output = b""
+
+    def receive(self, data: bytes) -> None:
+        """Take bytes of the host."""
+        if self._echoes:
+            self._output += data
+
+    def advance(self, wanted: int) -> float:
+        """Say what is due; what nobody reads is lost."""
+        now_s = time.monotonic()
+        if not self._content:
+            return math.inf
+        if now_s >= self._due_s:
+            self._due_s = now_s + PACE_S
+            self._output = (self._output + self._content[self._at : self._at + CHUNK])[-4 * CHUNK :]
+            self._at = (self._at + CHUNK) % len(self._content)
+        return self._due_s - now_s
+
+    def take(self, size: int) -> bytes:
+        """Give away at most `size` bytes for the host."""
+        data, self._output = self._output[:size], self._output[size:]
+        return data
+
+
+def misread(data: bytes, ratio: float) -> bytes:
+    """What a UART receives of bytes sent back to back at another rate: 8 bits, no parity.
+
+    ratio: its rate, relative to the sender's. It begins with a falling edge and looks at the middle
+    of each of its own bits; a stop bit that is none changes nothing, as on a Linux tty.
+    """
+    bits = np.unpackbits(np.frombuffer(data, np.uint8), bitorder="little").reshape(-1, 8)
+    framed = np.pad(bits, ((0, 0), (1, 1)))
+    framed[:, -1] = 1
+    line = np.concatenate((framed.ravel(), np.ones(1 + math.ceil(10 / ratio), np.uint8)))
+    edges = np.flatnonzero((line[1:] == 0) & (line[:-1] == 1)) + 1
+    edges = np.concatenate(([0], edges)) if data else edges
+    middles = (np.arange(1, 9) + 0.5) / ratio
+    received, free = bytearray(), 0.0
+    while (at := int(np.searchsorted(edges, free))) < len(edges):
+        samples = line[(edges[at] + middles).astype(int)]
+        received.append(int(np.packbits(samples, bitorder="little")[0]))
+        free = edges[at] + 9.5 / ratio
+    return bytes(received)
+
+
+def digitizer_bytes(seed: int, size: int) -> bytes:
+    """What a digitizer that streams says."""
+    digitizer = VirtualDigitizer(SimOptions(seed=seed, scene="all", speed=0))
+    digitizer.receive(Session(SkinConfig.of({})).open())
+    digitizer.advance(size)
+    return digitizer.take(size)
+
+
+def _nmea(rng: Rng) -> bytes:
+    lines = []
+    for second in range(60):
+        body = _NMEA % second
+        checksum = int(np.bitwise_xor.reduce(np.frombuffer(body, np.uint8)))
+        lines.append(b"$%s*%02X\r\n" % (body, checksum))
+    return b"".join(lines)
+
+
+def _modbus(rng: Rng) -> bytes:
+    """Answers of a slave: address, function 3, values, CRC-16."""
+    frames = []
+    for _ in range(500):
+        body = bytes([1, 3, 8]) + rng.integers(0, 300, 4).astype(">u2").tobytes()
+        frames.append(body + _crc16(body).to_bytes(2, "little"))
+    return b"".join(frames)
+
+
+def _crc16(body: bytes) -> int:
+    crc = 0xFFFF
+    for byte in body:
+        crc ^= byte
+        for _ in range(8):
+            crc = (crc >> 1) ^ (0xA001 if crc & 1 else 0)
+    return crc
+
+
+def _other_version(rng: Rng) -> bytes:
+    """INFO of a later protocol, twice as long, and packets that are not known."""
+    packets = []
+    for sequence in range(0, 200, 2):
+        header = WIRE["Header"].pack(PacketType.INFO, sequence)
+        packets.append(wrap(header + bytes([VERSION + 1]) + rng.bytes(130)))
+        packets.append(wrap(WIRE["Header"].pack(0x20, sequence + 1) + rng.bytes(300)))
+    return b"".join(packets)
+
+
+def _at_rate(ratio: float) -> Callable[[Rng], Stranger]:
+    def make(rng: Rng) -> Stranger:
+        sent = digitizer_bytes(int(rng.integers(100)), SAMPLE)
+        return Stranger(misread(sent, ratio))
+
+    return make
+
+
+STRANGERS: dict[str, tuple[Callable[[Rng], Stranger], tuple[str, ...]]] = {
+    "nothing": (lambda rng: Stranger(b""), ("no bytes",)),
+    "text": (lambda rng: Stranger(b"hello, this is a 3D printer\r\nok T:21.3\r\n" * 50), (TEXT,)),
+    "a GPS receiver (NMEA)": (lambda rng: Stranger(_nmea(rng)), (TEXT,)),
+    "a Modbus slave": (lambda rng: Stranger(_modbus(rng)), (NOISE,)),
+    "a microcontroller's boot log": (lambda rng: Stranger(_LOG), (TEXT,)),
+    "endless 0x00": (lambda rng: Stranger(bytes(SAMPLE)), (NOISE,)),
+    "endless 0xFF": (lambda rng: Stranger(b"\xff" * SAMPLE), (NOISE,)),
+    "random bytes": (lambda rng: Stranger(rng.bytes(SAMPLE)), (NOISE,)),
+    "an echo": (lambda rng: Stranger(b"", echoes=True), (UNKNOWN,)),
+    "another protocol version": (lambda rng: Stranger(_other_version(rng)), ("version",)),
+    "half the baud rate": (_at_rate(2.0), (NOISE,)),
+    "twice the baud rate": (_at_rate(0.5), (NOISE,)),
+    # Bytes whose two top bits are alike are read right: a short packet may come through.
+    "a baud rate 7 % off": (_at_rate(1.07), (NOISE, UNKNOWN, "sends no frames")),
+    "a twelfth of the baud rate": (_at_rate(12.0), (NOISE,)),
+}
+"""Who, and what of it the driver's explanation must say: one of these."""
+
+
+def strange(plan: Plan, folder: Path) -> list[Trial]:
     """Every stranger, and the digitizer after it."""
-    started = []
-    for number, name in enumerate(STRANGERS):
-        fault = "wrong baud rate" if "baud" in name else "another device on the port"
-        trial = Trial(fault, plan, Tty(folder / f"stranger{number}"))
-        rng = rng_of(plan, 4, number)
-        faults = visits(name, rng, 1 if plan.quick else 10)
-        trial.said = "named, and none of it published; then the digitizer"
-        started.append((trial, trial.run(faults)))
-    return started
+    return [
+        Trial(
+            "wrong baud rate" if "baud" in name else "another device on the port",
+            plan,
+            Tty(folder / f"stranger{number}"),
+            visits(name, rng_of(plan, 4, number), 1 if plan.quick else 10),
+        )
+        for number, name in enumerate(STRANGERS)
+    ]
 
 
 def visits(name: str, rng: Rng, times: int) -> Callable[[Trial], Turns]:
@@ -48,38 +197,39 @@ def visits(name: str, rng: Rng, times: int) -> Callable[[Trial], Turns]:
             yield from trial.resumes()
             trial.plug.unplug()
             yield from trial.told(*GONE)
+        trial.said = "named, and none of it published; then the digitizer"
 
     return faults
 
 
-def unusable(plan: Plan, folder: Path) -> list[Started]:
+def unusable(plan: Plan, folder: Path) -> list[Trial]:
     """Ports and digitizers that will not do for now."""
     times = 1 if plan.quick else 10
-    kinds: tuple[tuple[str, Callable[[Trial, Rng], Turns], dict[str, object]], ...] = (
+    kinds: tuple[tuple[str, Fault, dict[str, object]], ...] = (
         ("port busy", busy, {}),
         ("port takes no bytes", unwritable, {}),
         ("another skin's digitizer", others, {"digitizer_id": _OURS.hex()}),
         ("digitizer set otherwise", otherwise, {}),
     )
-    started = []
-    for number, (fault, faults, parameters) in enumerate(kinds):
-        trial = Trial(fault, plan, Tty(folder / f"port{number}"), parameters)
-        rng = rng_of(plan, 5, number)
-        started.append((trial, trial.run(_several(faults, rng, times))))
-    return started
-
-
-def forbidden(plan: Plan, folder: Path) -> list[Started]:
-    """Ports that nobody may open; to be run as an ordinary user."""
-    trial = Trial("permission taken away", plan, Tty(folder / "port"))
     return [
-        (trial, trial.run(_several(without_permission, rng_of(plan, 6), 2 if plan.quick else 20)))
+        Trial(
+            name,
+            plan,
+            Tty(folder / f"port{number}"),
+            _several(fault, rng_of(plan, 5, number), times),
+            parameters,
+        )
+        for number, (name, fault, parameters) in enumerate(kinds)
     ]
 
 
-def _several(
-    fault: Callable[[Trial, Rng], Turns], rng: Rng, times: int
-) -> Callable[[Trial], Turns]:
+def forbidden(plan: Plan, folder: Path) -> list[Trial]:
+    """Ports that nobody may open; to be run as an ordinary user."""
+    faults = _several(without_permission, rng_of(plan, 6), 2 if plan.quick else 20)
+    return [Trial("permission taken away", plan, Tty(folder / "port"), faults)]
+
+
+def _several(fault: Fault, rng: Rng, times: int) -> Callable[[Trial], Turns]:
     def faults(trial: Trial) -> Turns:
         for _ in range(times):
             trial.tally.times += 1

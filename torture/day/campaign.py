@@ -30,11 +30,11 @@ from tactile_cdma.recording.recording_file import Recorder
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire.messages import Status
 
-from ..laps import LapWriter, Stretch, record
 from ..outcome import Outcome, Plan
 from ..process_watch import Slope, Watch, slope
 from .host_clock import STALL_S, HostClock, UsbLine
 from .judge import DayJudge, Lap
+from .laps import LapWriter, Stretch, record
 
 LAP_FRAMES = 195
 SKIN = {"frame_period_ms": 102.4, "stale_after_s": 24.0}

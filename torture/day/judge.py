@@ -14,8 +14,8 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import TactileFrame
 from tactile_cdma.readings.taxels import Status
 
-from ..laps import Stretch
-from ..readings import Held
+from ..oracle import Held
+from .laps import Stretch
 
 NEAR_S = 2e-6
 NEAR_PA = 1.0

@@ -211,7 +211,7 @@ def _templates() -> Mapping[int, bytes]:
         RollCall(),
         Configure(layout),
     ]
-    return {packet.TYPE: packet.payload() for packet in packets}
+    return {packet.TYPE: packet.pack() for packet in packets}
 
 
 def _changed(data: bytes, kinds: tuple[int, ...]) -> Iterator[tuple[int, bytes]]:

@@ -91,7 +91,7 @@ def _prepare(name: str, folder: Path) -> tuple[Callable[[bytes], None], Target]:
 
 
 def _by_chance(name: str, folder: Path, runs: int, seconds: int, seed: int) -> None:
-    from .mutation import inputs
+    from .target import inputs
 
     one_input, target = _prepare(name, folder)
     begun_s, done = time.monotonic(), 0

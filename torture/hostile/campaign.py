@@ -15,18 +15,12 @@ from tempfile import TemporaryDirectory
 
 from tactile_cdma.base.errors import TactileError
 
-from ..fuzz import files, streams, texts
-from ..fuzz.mutation import inputs
 from ..fuzz.search import search
-from ..fuzz.target import CRASH, SLOW, UNCOUNTED, WRONG, Target, trying
+from ..fuzz.target import CRASH, SLOW, UNCOUNTED, WRONG, Target, inputs, trying
+from ..fuzz.targets import GROUPS
 from ..outcome import Outcome, Plan
 from . import bombs, garbage
 
-GROUPS = {
-    "mutated bytes and packets of a port": streams.TARGETS,
-    "mutated files": files.TARGETS,
-    "mutated URLs and ids": texts.TARGETS,
-}
 SLICE_S = {True: 0.12, False: 18.0}
 """Processor time, or in a process of its own wall-clock time, for a target: quick and full."""
 JOBS = 2

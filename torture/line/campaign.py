@@ -20,8 +20,7 @@ import numpy as np
 
 from ..outcome import Outcome, Plan, Tally
 from .damage import KINDS, LOST, OF_BYTES, Kind, flipped
-from .man_in_the_middle import Schedule
-from .renumbered import Counted
+from .man_in_the_middle import Counted, Schedule
 from .rig import Rig, Stream
 
 ALWAYS = {"threshold": 0}

@@ -139,7 +139,7 @@ def forged(packets: Packets, _: Packets, rng: np.random.Generator) -> list[bytes
     ]
     claim = replace(said, **places[int(rng.integers(len(places)))])  # type: ignore[arg-type]
     if rng.random() < 0.2:
-        claim = Quiet(said.device_time_us, said.first_index, 2**32 - 1, 0, 0, said.sync)
+        claim = Quiet(said.device_time_us, said.first_index, 2**32 - 1, 0, 0, sync=said.sync)
     return [PacketWriter(said.sequence).encode(claim)]
 
 

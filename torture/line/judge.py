@@ -15,9 +15,8 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.sim.options import Setup, SimOptions
 
-from ..oracle import Judge, Verdict
+from ..oracle import Held, Judge, Verdict
 from ..outcome import Tally
-from ..readings import Held
 from .ledger import Counts, Ledger, Unbroken
 
 MAY_MISS = 2

@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
@@ -24,8 +23,7 @@ from tactile_cdma.sim.pty import serve
 from ..outcome import Tally
 from .damage import LOST
 from .judge import LineJudge
-from .man_in_the_middle import ManInTheMiddle, Schedule
-from .renumbered import Counted
+from .man_in_the_middle import Counted, ManInTheMiddle, Schedule
 
 BAUD = 115_200
 """A tty has to be given one; a pseudo-terminal takes all at once."""
@@ -77,12 +75,7 @@ class Rig:
         self.driver.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.driver.stop()
         self._stop.set()
         self._line.join()

@@ -11,19 +11,24 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import resource
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
+from itertools import cycle, repeat
 from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory
+from typing import Any
 
+from lifecycle_msgs.srv import GetState
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
+from rclpy.parameter import Parameter
+from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from ..outcome import Outcome, Plan
@@ -37,6 +42,8 @@ HOG = "import time; end_s = time.monotonic() + {}\nwhile time.monotonic() < end_
 STARVED_NICE = 19
 PATIENCE_S = (10.0, 30.0)
 """Quick, and else: without progress for so long, something hangs."""
+AT_ONCE = 8
+"""Calls of each service on their way at the same time."""
 FULL_BYTES = 100_000
 FRAMES = 500
 """Of the other subscribers, while some are slow or many."""
@@ -136,20 +143,37 @@ def _come_and_go(skin: LoadedSkin) -> Outcome:
 
 def _calls(skin: LoadedSkin, plan: Plan) -> Outcome:
     """Services are called as fast as they answer, a third of the settings to be refused."""
-    command = [sys.executable, "-m", "torture.load.caller", skin.name]
-    command += ["--seconds", "1" if plan.quick else "20"]
-    done = subprocess.run(command, env=skin.environment, capture_output=True, text=True)
-    said = {k: int(n) for k, n in re.findall(r"(\w+)=(\d+)", done.stdout)}
+    settings = cycle(
+        SetParameters.Request(parameters=[Parameter("visual_rate_hz", value=hz).to_parameter_msg()])
+        for hz in (-1.0, 10.0, 30.0)
+    )
+    kinds = (
+        (SetParameters, "set_parameters", settings),
+        (GetParameters, "get_parameters", repeat(GetParameters.Request(names=["port", "bits"]))),
+        (ListParameters, "list_parameters", repeat(ListParameters.Request())),
+        (GetState, "get_state", repeat(GetState.Request())),
+    )
+    clients = [(skin.node.create_client(kind, f"{skin.name}/{n}"), q) for kind, n, q in kinds]
+    asked = refused = 0
+    skin.waits_for(lambda: all(client.service_is_ready() for client, _ in clients))
+    end_s, answered = time.monotonic() + (1.0 if plan.quick else 20.0), True
+    while answered and time.monotonic() < end_s:
+        calls = [client.call_async(next(requests)) for client, requests in clients * AT_ONCE]
+        asked += len(calls)
+        answered = skin.waits_for(partial(_all_done, calls))
+        for answer in (call.result() for call in calls[:: len(clients)] if call.done()):
+            refused += not answer.results[0].successful
     skin.streams_on()
-    unanswered = said.get("asked", 1) - said.get("answered", 0)
-    skin.hangs += unanswered
-    refused = said.get("refused", 0)
     return skin.outcome(
         "calls of services and parameters, as fast as they are answered",
-        said.get("asked", 0),
+        asked,
         f"{refused} refused as they should be",
-        wrong=not refused,
+        wrong=abs(refused - asked // len(clients) // 3) > 1,
     )
+
+
+def _all_done(calls: Sequence[Future[Any]]) -> bool:
+    return all(call.done() for call in calls)
 
 
 def _stops(skin: LoadedSkin, plan: Plan, rng: Random) -> Outcome:

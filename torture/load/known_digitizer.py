@@ -4,12 +4,11 @@
 
 from __future__ import annotations
 
-import socket
 import threading
 import time
 from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,13 +20,13 @@ from tactile_cdma.sim.nodes import NodeFrame
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import serve
 
+from ..connection.plug import Host
 from ..oracle import Stream
 
 READY_S = 30.0
 SPAN_S, WINDOW, KEPT = 5.0, 6, 14
 """The lag is kept by spans of this length: 6 are the 30 s of the driver's clock window, 14 outlast
 whatever a late packet did to it."""
-_CHUNK = 65_536
 _TURN_S = 1e-3
 
 
@@ -120,23 +119,16 @@ def on_a_tty(digitizer: KnownDigitizer, path: Path) -> Iterator[str]:
 @contextmanager
 def on_a_socket(digitizer: KnownDigitizer) -> Iterator[str]:
     """Behind a socket, whose kernel keeps many seconds; yields the port's URL."""
-    stop, server = threading.Event(), socket.create_server(("127.0.0.1", 0))
+    stop, host = threading.Event(), Host()
+    host.plug(digitizer)
 
     def run() -> None:
-        connection, _ = server.accept()
-        outgoing = b""
-        with connection, suppress(ConnectionError):
-            connection.settimeout(_TURN_S)
-            while not stop.is_set():
-                digitizer.advance()
-                outgoing = outgoing or digitizer.take(_CHUNK)
-                with suppress(TimeoutError):
-                    digitizer.receive(connection.recv(_CHUNK))
-                with suppress(TimeoutError):
-                    outgoing = outgoing[connection.send(outgoing) :]
+        while not stop.wait(_TURN_S):
+            host.step()
 
-    with server, _running(threading.Thread(target=run, daemon=True), stop):
-        yield f"socket://127.0.0.1:{server.getsockname()[1]}"
+    with _running(threading.Thread(target=run, daemon=True), stop):
+        yield host.url
+    host.unplug()
 
 
 @contextmanager

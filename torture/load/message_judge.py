@@ -15,8 +15,8 @@ from tactile_cdma.msg import TactileArray
 from tactile_cdma.readings.taxels import Status
 from tactile_cdma.ros.common.convert import nanoseconds
 
+from ..oracle import Held
 from ..outcome import Tally
-from ..readings import Held
 from .known_digitizer import Known, KnownDigitizer
 
 NEAR_S = 50e-6

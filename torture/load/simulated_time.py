@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import threading
 import time
-from types import TracebackType
 
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -54,12 +53,7 @@ class SimulatedTime:
         self._use(True, self._ahead_s)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._use(False, real_time_ahead_s())
         self._skin.judge.ahead_s = []
         self._stop.set()

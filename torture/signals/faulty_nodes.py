@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +19,10 @@ Floats = NDArray[np.float64]
 Level = NDArray[np.float32]
 
 LONG_S = 1e3
-"""Period of frames that may be longer than they should be: what follows the true one is cut off."""
+"""Frame period for specifications whose frames may be longer than the true period."""
+
+
+Waveforms = list[Waveform]
 
 
 @dataclass(frozen=True)
@@ -53,15 +56,15 @@ class Turn:
         """A word drawn at random."""
         return int(rng.integers(1 << self.spec.bits))
 
-    def said(self, code: int | None, row: int | None = None, gain: float = 1.0) -> Iterator[Level]:
-        """The word's levels on the line, (span_chips,) V; nothing for None."""
-        if code is not None:
-            yield spoken(self.spec, code, self.row if row is None else row, gain)
+    def levels(self) -> Level:
+        """Levels of its word, or of any, on the line: (span_chips,) V."""
+        return spoken(self.spec, self.heard, self.row)
 
-    def on_time(self, levels: Iterator[Level]) -> Iterator[Waveform]:
-        """The levels on the clock of the nodes."""
-        for one in levels:
-            yield one, self.edges_s
+    def says(self, code: int | None, row: int | None = None, gain: float = 1.0) -> Waveforms:
+        """A word on a row, its own if None, on the nodes' clock; nothing for no word."""
+        if code is None:
+            return []
+        return [(spoken(self.spec, code, self.row if row is None else row, gain), self.edges_s)]
 
 
 def spoken(spec: FrameSpec, code: int, row: int, gain: float = 1.0) -> Level:
@@ -75,109 +78,107 @@ def spoken(spec: FrameSpec, code: int, row: int, gain: float = 1.0) -> Level:
     return frame_levels((volts * chips).astype(np.float32), spec)
 
 
-Broken = Callable[[Turn], Iterator[Waveform]]
+Broken = Callable[[Turn], Waveforms]
 """What a broken node adds to the line in its turn."""
 
 
-def dead(_turn: Turn) -> Iterator[Waveform]:
+def dead(_turn: Turn) -> Waveforms:
     """Nothing."""
-    return iter(())
+    return []
 
 
-def stuck(turn: Turn) -> Iterator[Waveform]:
-    """Always the same, and always something."""
-    return turn.on_time(turn.said(turn.any_word(turn.life)))
+def stuck(turn: Turn) -> Waveforms:
+    """The same word in every frame, also when it should be silent."""
+    return turn.says(turn.any_word(turn.life))
 
 
 def doubled(others: int) -> Broken:
-    """Its word, and so many others of nodes that were given the same number, and so its turn."""
+    """Its word, and those of so many other nodes with the same number, in the same turn."""
 
-    def both(turn: Turn) -> Iterator[Waveform]:
+    def both(turn: Turn) -> Waveforms:
+        if turn.code is None:
+            return []
         words = [turn.code, *(turn.any_word(turn.chance) for _ in range(others))]
-        for word in words if turn.code is not None else ():
-            yield from turn.on_time(turn.said(word))
+        return [waveform for word in words for waveform in turn.says(word)]
 
     return both
 
 
-def chattering(turn: Turn) -> Iterator[Waveform]:
-    """Every chip is as it comes, in half of the frames; else its word."""
+def chattering(turn: Turn) -> Waveforms:
+    """Random chips in half of the frames, otherwise its word."""
     if turn.chance.random() < 0.5:
-        return turn.on_time(turn.said(turn.code))
-    (levels,) = turn.said(turn.heard)
-    return turn.on_time(iter([levels * turn.chance.choice([-1, 1], levels.size).astype("f4")]))
+        return turn.says(turn.code)
+    levels = turn.levels()
+    return [(levels * turn.chance.choice([-1, 1], levels.size).astype("f4"), turn.edges_s)]
 
 
-def switching_on(turn: Turn) -> Iterator[Waveform]:
+def switching_on(turn: Turn) -> Waveforms:
     """Only the end of its word."""
-    (levels,) = turn.said(turn.heard)
+    levels = turn.levels()
     levels[: turn.chance.integers(1, levels.size)] = 0
-    return turn.on_time(iter([levels]))
+    return [(levels, turn.edges_s)]
 
 
-def cut_off(turn: Turn) -> Iterator[Waveform]:
-    """Only the begin of its word."""
-    (levels,) = turn.said(turn.heard)
+def cut_off(turn: Turn) -> Waveforms:
+    """Only the beginning of its word."""
+    levels = turn.levels()
     levels[turn.chance.integers(1, levels.size) :] = 0
-    return turn.on_time(iter([levels]))
+    return [(levels, turn.edges_s)]
 
 
 def late(most: float) -> Broken:
-    """Its word, late by up to such a share of the frame, another one in every frame."""
+    """Its word, late by up to this share of the frame, another one in every frame."""
 
-    def delayed(turn: Turn) -> Iterator[Waveform]:
+    def delayed(turn: Turn) -> Waveforms:
         delay_s = turn.chance.uniform(0, most) * (turn.edges_s[-1] - turn.edges_s[0])
-        for levels in turn.said(turn.heard):
-            yield levels, turn.edges_s + delay_s
+        return [(turn.levels(), turn.edges_s + delay_s)]
 
     return delayed
 
 
-def chips_late(turn: Turn) -> Iterator[Waveform]:
+def chips_late(turn: Turn) -> Waveforms:
     """Its word, late by whole chips: with some orders that is another row."""
     chips = turn.chance.integers(1, turn.spec.order)
     delay_s = chips * (turn.edges_s[-1] - turn.edges_s[0]) / turn.spec.span_chips
-    for levels in turn.said(turn.heard):
-        yield levels, turn.edges_s + delay_s
+    return [(turn.levels(), turn.edges_s + delay_s)]
 
 
-def half_twice(turn: Turn) -> Iterator[Waveform]:
+def half_twice(turn: Turn) -> Waveforms:
     """The first half of its word, twice."""
-    (levels,) = turn.said(turn.heard)
+    levels = turn.levels()
     half = levels.size // 2
     levels[half : 2 * half] = levels[:half]
-    return turn.on_time(iter([levels]))
+    return [(levels, turn.edges_s)]
 
 
-def unused_row(turn: Turn) -> Iterator[Waveform]:
+def unused_row(turn: Turn) -> Waveforms:
     """Its word on a row that no node has."""
     spare = turn.spec.spare_rows
-    row = int(turn.life.integers(spare.start, spare.stop))
-    return turn.on_time(turn.said(turn.code, row))
+    return turn.says(turn.code, int(turn.life.integers(spare.start, spare.stop)))
 
 
-def other_row(turn: Turn) -> Iterator[Waveform]:
+def other_row(turn: Turn) -> Waveforms:
     """Its word on the row of a sound node."""
-    return turn.on_time(turn.said(turn.code, turn.spec.first_row + turn.other))
+    return turn.says(turn.code, turn.spec.first_row + turn.other)
 
 
-def inverted(turn: Turn) -> Iterator[Waveform]:
+def inverted(turn: Turn) -> Waveforms:
     """Every chip of its word with the wrong sign."""
-    return turn.on_time(turn.said(turn.code, gain=-1.0))
+    return turn.says(turn.code, gain=-1.0)
 
 
 def louder(gain: float) -> Broken:
     """Its word, so many times as loud."""
-    return lambda turn: turn.on_time(turn.said(turn.code, gain=gain))
+    return lambda turn: turn.says(turn.code, gain=gain)
 
 
-def other_order(turn: Turn) -> Iterator[Waveform]:
+def other_order(turn: Turn) -> Waveforms:
     """Its word in the code book of the next order."""
     order = smallest_order(turn.spec.order + 1)
     return _of_another(turn, replace(turn.spec, order=order, frame_period_s=LONG_S))
 
 
-def other_bits(turn: Turn) -> Iterator[Waveform]:
+def other_bits(turn: Turn) -> Waveforms:
     """Its word with two bits more."""
     bits = turn.spec.bits + 2
     return _of_another(turn, replace(turn.spec, bits=bits, frame_period_s=LONG_S))
@@ -188,9 +189,9 @@ def one_of(*faults: Broken) -> Broken:
     return lambda turn: faults[turn.life.integers(len(faults))](turn)
 
 
-def _of_another(turn: Turn, theirs: FrameSpec) -> Iterator[Waveform]:
+def _of_another(turn: Turn, theirs: FrameSpec) -> Waveforms:
     levels = spoken(theirs, turn.heard, turn.row)
     ours = turn.spec.span_chips
     levels = np.concatenate((levels, np.zeros(max(0, ours - levels.size), "f4")))
     chip_s = (turn.edges_s[-1] - turn.edges_s[0]) / ours
-    yield levels, turn.edges_s[0] + chip_s * np.arange(levels.size + 1)
+    return [(levels, turn.edges_s[0] + chip_s * np.arange(levels.size + 1))]

@@ -23,9 +23,8 @@ from tactile_cdma.sim.disturbance import Waveform
 from tactile_cdma.sim.nodes import NodeFrame
 from tactile_cdma.sim.options import SimOptions
 
-from ..oracle import Oracle
+from ..oracle import Oracle, pressures
 from ..outcome import Tally
-from ..readings import pressures
 from . import faulty_line, faulty_nodes
 from .faulty_line import Span
 from .faulty_nodes import Turn, spoken

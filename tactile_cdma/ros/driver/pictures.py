@@ -123,7 +123,7 @@ class Drawings:
         }
         self._live, self._layout = live, config.layout
         self._frame_period_s = config.spec.frame_period_s
-        self._cloud = Cloud(config.layout)
+        self._cloud = Cloud(config.layout.positions_m, config.layout.normals)
         self._skin = SkinMarkers(config.layout)
         self._tracker = ContactTracker(config.layout, config.contact)
 

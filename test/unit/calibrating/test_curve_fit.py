@@ -62,10 +62,10 @@ def curves_of(draw: st.DrawFn, pieces: int) -> PressureCurve:
 @settings(deadline=None, max_examples=60)
 @given(st.integers(1, 2).flatmap(curves_of))
 def test_without_noise_the_curve_is_found_exactly(curve: PressureCurve) -> None:
-    loads_pa = np.linspace(0, curve.range_pa, 40)
+    loads_pa = np.linspace(0, curve.pressure_pa[-1], 40)
     found = fit(curve.voltage(loads_pa)[None, :], len(curve.pressure_pa) - 1, loads_pa)
     assert found.corner_v[0] == pytest.approx(curve.voltage_v, abs=1e-6)
-    assert found.corner_pa[0] == pytest.approx(curve.pressure_pa, abs=1e-6 * curve.range_pa)
+    assert found.corner_pa[0] == pytest.approx(curve.pressure_pa, abs=1e-6 * curve.pressure_pa[-1])
     assert found.used.all()
     assert np.abs(found.residual_v).max() < 1e-6
 

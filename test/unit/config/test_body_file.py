@@ -35,7 +35,8 @@ def test_a_patch_takes_what_its_file_and_its_parameters_say(tmp_path: Path) -> N
               nodes: 20
               frame_period_ms: 20
               roll_call: true
-              skin: "7"
+              skin: 7
+              parity: yes
               mount_xyz_m: [1, 2.5, -3]
           back: {}
         """,
@@ -50,6 +51,7 @@ def test_a_patch_takes_what_its_file_and_its_parameters_say(tmp_path: Path) -> N
         "frame_period_ms": 20.0,
         "roll_call": True,
         "skin": "7",
+        "parity": True,
         "mount_xyz_m": (1.0, 2.5, -3.0),
         "parent_frame": "torso",  # it is mounted, and no other frame was named
     }
@@ -90,12 +92,17 @@ def test_some_of_the_patches(tmp_path: Path) -> None:
         ("frame_id: /body\npatches: {a: {}}", "line 1: frame_id is '/body'"),
         ("patches:\n  a: {parameters: {nods: 3}}", "line 2: unknown parameter 'nods'; did you"),
         ("patches:\n  a: {parameters: {nodes: 0}}", "line 2: nodes is 0; it must lie within"),
-        ("patches:\n  a: {parameters: {nodes: 1.5}}", "nodes is '1.5'; it must be a whole number"),
-        ("patches:\n  a: {parameters: {chip_us: .nan}}", "chip_us is .nan; it must be finite"),
-        ("patches:\n  a: {parameters: {parity: yes}}", "parity is 'yes'; it must be true or false"),
-        ("patches:\n  a: {parameters: {port: [1]}}", "port is a list; it must be text"),
-        ("patches:\n  a: {parameters: {mount_xyz_m: [1, 2]}}", "line 2: mount_xyz_m is [1.0, 2.0]"),
-        ("patches:\n  a: {parameters: {mount_rpy_rad: 1}}", "'1'; it must be a list"),
+        ("patches:\n  a: {parameters: {nodes: 1.5}}", "nodes must be an integer, got 1.5 (float)"),
+        ("patches:\n  a: {parameters: {chip_us: .nan}}", "chip_us must be a number, got '.nan'"),
+        ("patches:\n  a: {parameters: {parity: 2}}", "line 2: parity must be true or false, got 2"),
+        ("patches:\n  a: {parameters: {parity: 'on'}}", "parity must be true or false, got 'on'"),
+        ("patches:\n  a: {parameters: {skin: }}", "line 2: skin must be a text, got None"),
+        ("patches:\n  a: {parameters: {port: [1]}}", "port must be a text, got [1]"),
+        ("patches:\n  a: {parameters: {mount_xyz_m: [1, 2]}}", "line 2: mount_xyz_m is [1, 2]"),
+        (
+            "patches:\n  a: {parameters: {mount_rpy_rad: 1}}",
+            "must be a list of numbers, got 1",
+        ),
         ("patches:\n  a: {params_file: none.yaml}", "none.yaml: No such file"),
         (
             "patches:\n  a: {parameters: {port: /dev/x}}\n  b: {parameters: {port: /dev/x}}",

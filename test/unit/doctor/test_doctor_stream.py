@@ -110,7 +110,7 @@ def test_a_weak_node_is_named(without_5: list[Packet], node_5: list[Packet]) -> 
     heard, weak = checks(with_node(without_5, node_5, 0.4))["nodes"]
     assert heard.text == "16 of 16 spoke"
     assert weak.verdict is Verdict.WARNING
-    assert "weaker than the others: node 5:" in weak.text
+    assert "weaker on the line than they should be: node 5;" in weak.text
 
 
 @pytest.mark.parametrize("share", [0.9, 1.0])
@@ -119,7 +119,15 @@ def test_two_nodes_of_one_number_are_named(
 ) -> None:
     _, doubled = checks(with_node(sound, node_5, share))["nodes"]
     assert doubled.verdict is Verdict.PROBLEM
-    assert "two speak on one code row: node 5:" in doubled.text
+    assert "two nodes speak on one code row: node 5;" in doubled.text
+
+
+def test_two_nodes_of_one_number_are_named_though_they_seldom_speak() -> None:
+    at_rest, others = "sim://?scene=idle&heartbeat=20", set(range(1, 17)) - {5}
+    alone = packets_of(f"{at_rest}&seed=2&dead={','.join(map(str, others))}")
+    _, doubled = checks(with_node(packets_of(f"{at_rest}&seed=1"), alone, 1.0))["nodes"]
+    assert doubled.verdict is Verdict.PROBLEM
+    assert "two nodes speak on one code row: node 5;" in doubled.text
 
 
 @pytest.mark.parametrize(

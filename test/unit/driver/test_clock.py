@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The device clock regression."""
+"""Device time to host time, through jitter, stalls, backlogs and slow devices."""
 
 import numpy as np
 import pytest

@@ -147,7 +147,7 @@ def events(config: SkinConfig) -> st.SearchStrategy[Event]:
         st.sampled_from([0, 10**6, 2**52, 2**63]),
         st.sampled_from([0, 10_000, 2**53, 2**64 - 1]),
         st.just(counts),
-        st.booleans(),
+        sync=st.booleans(),
     )
     statuses = st.builds(Status, st.sampled_from([0, 10**6, 2**63]), streaming=st.booleans())
     kinds = st.sampled_from([PacketType.START, PacketType.CONFIGURE, PacketType.ROLL_CALL])

@@ -59,7 +59,8 @@ def test_quantisation_alone_has_the_derived_error() -> None:
 def test_outside_the_range_is_clamped_and_flagged() -> None:
     beyond = CURVE.voltage_v[-1] - 0.01
     assert CURVE.pressure(beyond) == 140e3
-    assert CURVE.saturated([beyond, CURVE.voltage_v[-1], 3.0]).tolist() == [True, False, False]
+    volts = np.array([beyond, CURVE.voltage_v[-1], 3.0], dtype=np.float32)
+    assert Curves.uniform(CURVE, 3).saturated(volts).tolist() == [True, False, False]
     assert CURVE.pressure(3.4) == 0
 
 
@@ -103,7 +104,7 @@ def test_the_curves_of_a_skin_are_those_of_its_sensors(
     range_pa = skin.range_pa
     np.testing.assert_allclose(
         skin.voltage(share * range_pa),
-        [c.voltage(share * c.range_pa) for c in curves],
+        [c.voltage(share * c.pressure_pa[-1]) for c in curves],
         atol=1e-12,
     )
     for voltage_v in (*skin.voltage_v, skin.voltage(share * range_pa)):

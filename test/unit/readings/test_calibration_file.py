@@ -95,8 +95,12 @@ def test_whole_numbers_are_numbers(path: Path) -> None:
         ("rise_s: 0.085", "rise_s: 0", "rise_s is 0; it must lie within 1e-06…60"),
         ("rise_s: 0.085", "rise_s: soon", "rise_s is 'soon'; it must be a number"),
         ("rise_s: 0.085", "ris_s: 0.085", "unknown key 'ris_s' in dynamics; did you mean 'rise_s'"),
-        ("weights: [0.1, 0.2]", "weights: [0.1, -0.2]", "each of weights is -0.2"),
-        ("weights: [0.1, 0.2]", f"weights: {[0.01] * 65}", "weights has 65 numbers; 64 plays"),
+        ("weights: [0.1, 0.2]", "weights: [0.1, -0.2]", "a number in weights is -0.2"),
+        (
+            "weights: [0.1, 0.2]",
+            f"weights: {[0.01] * 65}",
+            "weights has 65 entries; it must have 0…64",
+        ),
         ("weights: [0.1, 0.2]", "weights: 0.3", "weights is '0.3'; it must be a list"),
         ("widths: [0.05, 0.3]", "widths: [0.3, 0.05]", "widths must rise"),
         ("widths: [0.05, 0.3]", "widths: [0.05]", "1 widths but 2 weights"),
@@ -184,9 +188,21 @@ def test_a_file_for_another_skin_is_refused(path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "cause"),
     [
-        ("tactile_cdma/calibration", "other/file", "its schema is 'other/file'"),
-        ("version: 1", "version: 2", "newer program"),
-        ("version: 1", "version: 0", "older than 1"),
+        (
+            "tactile_cdma/calibration",
+            "other/file",
+            "schema is 'other/file'; it must be 'tactile_cdma/calibration'",
+        ),
+        (
+            "version: 1",
+            "version: 2",
+            "version is 2; this program reads version 1: update this program",
+        ),
+        (
+            "version: 1",
+            "version: 0",
+            "version is 0; this program reads version 1: write the file again",
+        ),
         ("version: 1", "version: one", "version is 'one'; it must be a whole number"),
         ("pressure: Pa", "pressure: kPa", "the unit of pressure is kPa; it must be Pa"),
         ("voltage: V}", "volt: V}", "unknown key 'volt' in units; did you mean 'voltage'"),
@@ -235,10 +251,10 @@ def test_what_is_no_calibration_file_is_refused(path: Path) -> None:
         ("[1, 2", "not a YAML file"),
         ("[" * 50_000, "nested deeper than"),
         ("just words", "it must be keys with values"),
-        ("a: 1", "names no schema"),
-        (text[: text.index("curves")], "curves is missing: is the file cut short"),
+        ("a: 1", "the file has no 'schema'"),
+        (text[: text.index("curves")], "the file has no 'curves'"),
         ("a: &a [x, x]\nb: [*a, *a]\n", "line 2: anchors and aliases (& and *) are not taken"),
-        (text.replace("schema", "# schema"), "names no schema"),
+        (text.replace("schema", "# schema"), "the file has no 'schema'"),
     ):
         path.write_text(content)
         assert cause in refusal(path)

@@ -308,10 +308,10 @@ def test_frames_that_are_skipped_while_steady_change_nothing() -> None:
     for frame, row in enumerate(heights):
         expected = every.update(row, ALL, 0.0128 * frame)
         same = frame > 0 and np.array_equal(row, heights[frame - 1])
-        if same and some.steady(0.0128 * frame):
+        if same and some.try_hold(0.0128 * frame):
             skipped += 1
         else:
             held = some.update(row, ALL, 0.0128 * frame)
         assert np.array_equal(held, expected)
     assert skipped > len(heights) / 3
-    assert not some.steady(0.0), "time that goes back is news"
+    assert not some.try_hold(0.0), "time that goes back is news"

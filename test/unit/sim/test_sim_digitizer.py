@@ -202,7 +202,7 @@ def test_silence_has_the_sums_of_the_samples_left_out() -> None:
     assert len(quiet) > 30
     for packet in quiet:
         part = line[packet.first_index : packet.first_index + packet.count]
-        assert packet == Quiet.of(packet.device_time_us, packet.first_index, part, packet.sync)
+        assert packet == Quiet.of(packet.device_time_us, packet.first_index, part, sync=packet.sync)
         assert int(part.max()) - int(part.min()) <= 0.1 / audible.digitizer.info().volts_per_count
 
 

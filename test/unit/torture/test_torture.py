@@ -17,8 +17,7 @@ from tactile_cdma.driver.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from torture.oracle import Oracle
-from torture.outcome import Outcome, from_json, summary, to_json
-from torture.page import PAGE, updated
+from torture.outcome import PAGE, Outcome, from_json, summary, to_json, updated
 
 CONFIG = SkinConfig.of({})
 

@@ -17,11 +17,11 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
 from tactile_cdma.sim.options import SimOptions
-from torture.connection import network, stalling, unplugging, wrong_port
+from torture.connection import interruptions, wrong_port
 from torture.connection.judge import ConnectionJudge, Digitizer
 from torture.connection.plug import Host, Plug, Tty
-from torture.connection.strangers import misread
 from torture.connection.trial import Trial, Turns, outcomes, side_by_side
+from torture.connection.wrong_port import misread
 from torture.outcome import Plan
 
 PLAN = Plan(quick=True, seed=1)
@@ -31,18 +31,21 @@ PERIOD_S = CONFIG.spec.frame_period_s
 
 def test_a_slice_of_the_campaign(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
+    reset = interruptions.again_and_again(interruptions.reset_once, rng, 3, 0.25)
+    vanish = interruptions.again_and_again(interruptions.vanish, rng, 1, 0.05)
+    line = interruptions.stalls(interruptions.line_stalls, rng, 0.9, 1)
+    consumer = interruptions.stalls(interruptions.consumer_stalls, rng, 0.9, 1)
     kinds: list[tuple[Plug, Callable[[Trial], Turns]]] = [
-        (Tty(tmp_path / "reset"), lambda trial: unplugging.resets(trial, rng, 3)),
-        (Tty(tmp_path / "line"), stalling.stalls(stalling.line_stalls, rng, 0.9, 1)),
-        (Tty(tmp_path / "consumer"), stalling.stalls(stalling.consumer_stalls, rng, 0.9, 1)),
+        (Tty(tmp_path / "reset"), reset),
+        (Tty(tmp_path / "line"), line),
+        (Tty(tmp_path / "consumer"), consumer),
         (Tty(tmp_path / "text"), wrong_port.visits("text", rng, 1)),
-        (Host(), network.hosted(network.vanish, rng, 1)),
+        (Host(), vanish),
     ]
-    trials = [(Trial(plug.url, PLAN, plug), faults) for plug, faults in kinds]
-    found = list(outcomes([(trial, trial.run(faults)) for trial, faults in trials]))
-    alone = Trial("replugs", PLAN, Tty(tmp_path / "replugged"))  # it counts what the process holds
-    side_by_side([alone.run(lambda trial: unplugging.replugs(trial, rng, 8))])
-    found.append(alone.outcome())
+    found = list(outcomes([Trial(plug.url, PLAN, plug, faults) for plug, faults in kinds]))
+    plug = Tty(tmp_path / "replugged")  # alone, because it counts what the process holds
+    replugs = Trial("replugs", PLAN, plug, lambda trial: interruptions.replugs(trial, rng, 8))
+    found += outcomes([replugs])
     assert [outcome for outcome in found if not outcome.good] == []
     assert sum(outcome.times for outcome in found) == 15
     assert not found[1].said.startswith("0 packets")
@@ -160,9 +163,9 @@ def test_a_driver_that_leaves_out_two_frames_after_a_start_is_found() -> None:
 
 
 def one_trial(tmp_path: Path, faults: Callable[[Trial], Turns]) -> Trial:
-    trial = Trial("planted", PLAN, Tty(tmp_path / "port"))
+    trial = Trial("planted", PLAN, Tty(tmp_path / "port"), faults)
     trial.limit_s = 0.5
-    side_by_side([trial.run(faults)])
+    side_by_side([trial.run()])
     return trial
 
 
@@ -195,7 +198,7 @@ def test_packets_lost_and_not_counted_are_found(tmp_path: Path) -> None:
 
 
 def test_a_driver_that_mostly_resumes_late_is_found(tmp_path: Path) -> None:
-    trial = Trial("planted", PLAN, Tty(tmp_path / "port"))
+    trial = Trial("planted", PLAN, Tty(tmp_path / "port"), lambda trial: trial.after(0))
     trial.resumed_s = 20 * [0.1, 0.1, 5.0]
     assert trial.outcome().good
     trial.resumed_s = [0.1, 1.2, 1.3]

@@ -22,7 +22,7 @@ from torture.day import campaign as day
 from torture.day import host_clock
 from torture.day.host_clock import HostClock, UsbLine
 from torture.day.judge import DayJudge, Lap
-from torture.laps import LapWriter, Stretch, record
+from torture.day.laps import LapWriter, Stretch, record
 from torture.process_watch import SECTIONS, Watch, slope
 
 CONFIG = SkinConfig.of(day.SKIN)

@@ -17,9 +17,8 @@ from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.wire.packets import PacketParser
 from torture.commands.c_fuzzing import FIRMWARE
 from torture.fuzz import corpus, streams
-from torture.fuzz.mutation import inputs
 from torture.fuzz.search import search
-from torture.fuzz.target import CRASH, SLOW, UNCOUNTED, WRONG, Target, trying
+from torture.fuzz.target import CRASH, SLOW, UNCOUNTED, WRONG, Target, inputs, trying
 from torture.fuzz.targets import TARGETS
 from torture.hostile import bombs, garbage
 from torture.hostile import campaign as hostile
@@ -150,7 +149,7 @@ def test_wrong_frames_and_miscounted_losses_are_found(monkeypatch: pytest.Monkey
     monkeypatch.setattr(Pipeline, "feed", wrong)
     assert kinds_of(TARGETS["line"], 1) == {WRONG}
     monkeypatch.setattr(Pipeline, "feed", feed)
-    monkeypatch.setattr(PacketParser, "_follows", lambda self, *packet: True)
+    monkeypatch.setattr(PacketParser, "_count_step", lambda self, *packet: True)
     assert kinds_of(TARGETS["line"], 20) == {UNCOUNTED}
 
 

@@ -31,8 +31,7 @@ from torture.line.campaign import COMMANDS, harmed, spoilt_commands
 from torture.line.damage import FLIPS, HELD, KINDS, LOST, Kind
 from torture.line.judge import counted
 from torture.line.ledger import Ledger
-from torture.line.man_in_the_middle import ManInTheMiddle, Schedule
-from torture.line.renumbered import Counted
+from torture.line.man_in_the_middle import Counted, ManInTheMiddle, Schedule
 from torture.line.rig import Rig, Stream
 from torture.outcome import COUNTS, Plan, Tally
 

@@ -12,16 +12,15 @@ from hypothesis import strategies as st
 
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.places.poses import Pose
-from tactile_cdma.views.body_cloud import BODY_POINT, PatchCloud, together
-from tactile_cdma.views.cloud import POINT, Cloud
+from tactile_cdma.views.cloud import BODY_POINT, POINT, Cloud, joined
 
 triples = st.tuples(*[st.floats(-4, 4)] * 3)
 LAYOUT = Layout.grid(12, 3, 4, 7e-3, 5e-3)
 HERE = Pose.of_rpy((0, 0, 0), (0, 0, 0))
 
 
-def cloud(patch: int = 0) -> PatchCloud:
-    return PatchCloud(LAYOUT.positions_m, LAYOUT.normals, patch)
+def cloud(patch: int = 0) -> Cloud:
+    return Cloud(LAYOUT.positions_m, LAYOUT.normals, patch)
 
 
 def columns(points: np.ndarray, *names: str) -> np.ndarray:
@@ -32,7 +31,7 @@ def test_points_are_those_of_the_patch_and_say_whose_they_are() -> None:
     pressure_pa = np.linspace(-1e3, 2e5, 12, dtype=np.float32)
     pressure_pa[[3, 7]] = np.nan
     points = cloud(patch=5).points(pressure_pa, 140e3, HERE)
-    alone = Cloud(LAYOUT).points(pressure_pa, 140e3)
+    alone = Cloud(LAYOUT.positions_m, LAYOUT.normals).points(pressure_pa, 140e3)
     assert points.dtype == BODY_POINT
     assert POINT.names is not None
     for name in POINT.names:
@@ -67,9 +66,9 @@ def test_a_quarter_turn_by_hand() -> None:
 def test_patches_are_put_one_after_the_other() -> None:
     one, other = np.full(12, 1e3, dtype=np.float32), np.full(12, 2e3, dtype=np.float32)
     other[0] = np.nan
-    points = together([cloud(0).points(one, 140e3, HERE), cloud(1).points(other, 140e3, HERE)])
+    points = joined([cloud(0).points(one, 140e3, HERE), cloud(1).points(other, 140e3, HERE)])
     assert points.dtype == BODY_POINT
     assert points["patch"].tolist() == [0] * 12 + [1] * 11
     assert points["pressure"].tolist() == [1e3] * 12 + [2e3] * 11
-    assert together([]).dtype == BODY_POINT
-    assert len(together([])) == 0
+    assert joined([]).dtype == BODY_POINT
+    assert len(joined([])) == 0

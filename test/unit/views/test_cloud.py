@@ -32,7 +32,7 @@ pressures = arrays(
 def test_points_are_the_taxels_with_a_reading_and_have_the_colours_of_the_heatmap(
     pressure_pa: np.ndarray,
 ) -> None:
-    points = Cloud(BALL).points(pressure_pa, MAX_PA)
+    points = Cloud(BALL.positions_m, BALL.normals).points(pressure_pa, MAX_PA)
     taxels = points["taxel"]
     assert taxels.tolist() == np.flatnonzero(~np.isnan(pressure_pa)).tolist()
     assert np.array_equal(points["pressure"], pressure_pa[taxels])
@@ -48,7 +48,7 @@ def test_points_are_the_taxels_with_a_reading_and_have_the_colours_of_the_heatma
 
 
 def test_clouds_stay_as_they_are_when_the_next_is_made() -> None:
-    cloud = Cloud(BALL)
+    cloud = Cloud(BALL.positions_m, BALL.normals)
     first = cloud.points(np.full(COUNT, 1e3, dtype=np.float32), MAX_PA)
     kept = first.copy()
     cloud.points(np.full(COUNT, 9e4, dtype=np.float32), MAX_PA)

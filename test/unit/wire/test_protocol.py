@@ -92,16 +92,18 @@ SAMPLES = st.builds(
     st.integers(0, 2**64 - 1),
     st.integers(0, 2**64 - 1),
     COUNTS.map(lambda counts: np.array(counts, dtype=np.int16)),
-    st.booleans(),
-    st.booleans(),
+    sync=st.booleans(),
+    overrun=st.booleans(),
+    called=st.booleans(),
 )
 QUIET = st.builds(
     Quiet.of,
     st.integers(0, 2**64 - 1),
     st.integers(0, 2**64 - 1),
     COUNTS.map(lambda counts: np.array(counts, dtype=np.int16)),
-    st.booleans(),
-    st.booleans(),
+    sync=st.booleans(),
+    overrun=st.booleans(),
+    called=st.booleans(),
 )
 FIXED = (Info, Status, Ack, GetInfo, Start, Stop, Configure)
 PACKETS = st.one_of(SAMPLES, QUIET, *(messages(kind) for kind in FIXED))
@@ -398,7 +400,7 @@ def test_the_longest_packet_passes_and_nothing_longer(step: int) -> None:
         return [packet for part in parts for packet in parser.feed(part)], parser.counters
 
     full = 0x0101010101010101  # no zero byte, so that no block is short
-    longest = Samples(full, full, np.full(MAX_SAMPLES, 1, dtype=np.int16), True)
+    longest = Samples(full, full, np.full(MAX_SAMPLES, 1, dtype=np.int16), sync=True)
     wire = PacketWriter(0x0101).encode(longest)
     assert len(wire) == MAX_PACKET
     assert feed(wire)[0] == [longest]
@@ -427,7 +429,7 @@ def test_unknown_types_are_counted_and_passed_over() -> None:
 
 
 def test_commands_that_cannot_be_obeyed_can_be_answered() -> None:
-    configure = Configure(LAYOUT).payload()
+    configure = Configure(LAYOUT).pack()
     received, counters = parse(
         body(0xC0, b"", 7)
         + body(PacketType.STOP, b"\0", 8)
@@ -455,7 +457,7 @@ def test_an_ack_names_the_command_that_arrived() -> None:
 @pytest.mark.parametrize(
     ("type_byte", "payload"),
     [
-        (PacketType.INFO, INFO.payload() + b"\0"),
+        (PacketType.INFO, INFO.pack() + b"\0"),
         (PacketType.INFO, b""),
         (PacketType.STATUS, b""),
         (PacketType.ACK, b"\x81\0\0\x06"),
@@ -488,7 +490,7 @@ def test_an_info_of_another_version_tells_its_version(version: int, rest: bytes)
 
 
 def test_unknown_flags_are_ignored() -> None:
-    payload = samples().payload()
+    payload = samples().pack()
     received, _ = parse(body(PacketType.SAMPLES, payload[:16] + b"\xfe" + payload[17:]))
     assert isinstance(received[0], Samples)
     assert (received[0].sync, received[0].overrun) == (False, True)
@@ -545,9 +547,7 @@ def test_commands_that_come_again_are_passed_on_again() -> None:
 def numbered(*sequences: int, uptime_us: int = 0) -> bytes:
     """Samples of these sequences, which tell one digitizer from another by their times."""
     counts = np.zeros(1, np.int16)
-    return b"".join(
-        PacketWriter(s).encode(Samples(uptime_us + s, 0, counts, False)) for s in sequences
-    )
+    return b"".join(PacketWriter(s).encode(Samples(uptime_us + s, 0, counts)) for s in sequences)
 
 
 @given(

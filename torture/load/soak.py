@@ -6,11 +6,12 @@
 
 Meanwhile a subscriber of pictures and a recorder of topics come and go.
 
-    python -m torture.soak --seconds 3600
+    python -m torture.load.soak --seconds 3600
 """
 
 from __future__ import annotations
 
+import argparse
 import math
 import shutil
 import signal
@@ -26,9 +27,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..load.loaded_skin import SKIN_DRIVER, SOAKED, LoadedSkin
-from ..outcome import Outcome, Plan, Tally
+from ..outcome import Outcome, Plan, Tally, summary
 from ..process_watch import Watch
+from .loaded_skin import SKIN_DRIVER, SOAKED, LoadedSkin
 
 QUICK_S, FULL_S = 6.0, 240.0
 SHORTEST_CYCLE_S, LONGEST_CYCLE_S = 6.0, 120.0
@@ -156,3 +157,17 @@ def drift(errors_s: ArrayLike) -> float:
     """By how much stamps moved from the first to the last part of the run, s; 0 where few came."""
     first, *_, last = np.array_split(np.asarray(errors_s, float), PARTS)
     return float(np.median(last) - np.median(first)) if first.size and last.size else 0.0
+
+
+def main() -> int:
+    """A soak of any length, `make soak`; 1 if anything happened that must not happen."""
+    parser = argparse.ArgumentParser(prog="python -m torture.load.soak", description=__doc__)
+    parser.add_argument("--seconds", type=float, default=3600.0)
+    outcome = soak(parser.parse_args().seconds)
+    print(outcome.said)
+    print(summary([outcome]))
+    return int(not outcome.good)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

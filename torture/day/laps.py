@@ -129,7 +129,7 @@ def _told(
             # A gap after a silent frame waits for the next one.
             due_us = period_us + begin.device_time_us - begin_us + frame_us
         place = packet.first_index - begin.first_index
-        yield Told(packet.TYPE, time_us, place, due_us, packet.payload()[_WHERE_BYTES:])
+        yield Told(packet.TYPE, time_us, place, due_us, packet.pack()[_WHERE_BYTES:])
 
 
 def _length_us(packet: Samples | Quiet, info: Info) -> int:

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""What the timeline makes of packets of samples: continuation, loss, restart, reset, nonsense."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.driver.timeline import (
+    MAX_LEAP_S,
+    TICK_S,
+    AnySamples,
+    Arrival,
+    Pace,
+    Place,
+    Step,
+    StreamCounters,
+    Timeline,
+)
+from tactile_cdma.framing.timing import FrameLevels
+from tactile_cdma.wire._protocol import MAX_GAP
+from tactile_cdma.wire.messages import FrameLayout, Info, Quiet, Samples, Status
+
+SPEC = FrameSpec()
+RATE_HZ = 80_000
+COUNT, COUNT_US = 100, 1250
+"""Samples of a packet, and how long they take, µs."""
+FIRST, BEGAN_US, HOST_S = 2**63, 5_000_000, 40.0
+"""The digitizer has been up for 5 s when the first packet comes; its index is no exact float."""
+INFO = Info(
+    frame=FrameLayout.of(SPEC, 4),
+    sample_rate_uhz=RATE_HZ * 10**6,
+    volts_per_count=1e-3,
+    quiet_uv=2000,
+)
+PACE = Pace(INFO, SPEC)
+
+
+def samples(number: int, late_us: int = 0, index: int | None = None, gap: int = 0) -> Samples:
+    """Packet `number` of a stream; its device time, index and sequence number may be off."""
+    first = FIRST + number * COUNT if index is None else index
+    time_us = BEGAN_US + number * COUNT_US + late_us
+    return Samples(time_us, first, np.zeros(COUNT, np.int16), sequence=(number + gap) % 2**16)
+
+
+class Line:
+    """A timeline that is fed at the device's pace."""
+
+    def __init__(self) -> None:
+        self.counters = StreamCounters()
+        self.timeline = Timeline(self.counters)
+        self.hears(*map(samples, range(10)))
+
+    def hears(self, *packets: AnySamples) -> list[Place]:
+        places: list[Place] = []
+        for packet in packets:
+            t_host = HOST_S + (packet.device_time_us - BEGAN_US) * 1e-6
+            places += self.timeline.accept(Arrival(packet, t_host), PACE)
+        return places
+
+
+def heard_at(index: float) -> FrameLevels:
+    return FrameLevels(index, 4.0, None, math.nan, 0.0, 0.0)
+
+
+def test_packets_in_a_row_continue_from_index_zero() -> None:
+    line = Line()
+    [place] = line.hears(samples(10))
+    assert (place.index, place.step) == (10 * COUNT, Step.CONTINUES)
+    assert line.counters == StreamCounters(samples=11 * COUNT)
+    stamp = line.timeline.stamp(heard_at(10 * COUNT + 8.0), PACE)
+    assert stamp.t_start == pytest.approx(5.0 + 10 * COUNT_US * 1e-6 + 8 / RATE_HZ)
+    assert stamp.chip_s == pytest.approx(SPEC.chip_s)
+    assert stamp.t_middle - stamp.t_start == pytest.approx(SPEC.frame_s / 2)
+    assert stamp.t_host == pytest.approx(stamp.t_middle - 5.0 + HOST_S - COUNT / RATE_HZ)
+
+
+def test_a_short_loss_is_counted_at_once() -> None:
+    line = Line()
+    [place] = line.hears(samples(13))
+    assert (place.index, place.step) == (13 * COUNT, Step.LOSS)
+    assert line.counters.lost_samples == 3 * COUNT
+
+
+@pytest.mark.parametrize("beyond", [-1, 1])
+def test_a_long_loss_waits_for_a_second_packet(beyond: int) -> None:
+    line, after = Line(), 10 + round(MAX_LEAP_S * 1e6 / COUNT_US) + beyond
+    first = line.hears(samples(after))
+    second = line.hears(samples(after + 1))
+    assert len(first) == (beyond < 0)
+    assert [place.step for place in first + second] == [Step.LOSS, Step.CONTINUES]
+    assert line.counters.lost_samples == (after - 10) * COUNT
+
+
+@pytest.mark.parametrize(
+    ("change", "step"),
+    [
+        ({"index": 0}, Step.RESTART),
+        ({"index": 0, "gap": MAX_GAP - 1}, Step.RESTART),
+        ({"index": 0, "gap": MAX_GAP}, Step.RESET),
+        ({"index": 0, "gap": -100}, Step.RESET),
+        ({"index": 0, "late_us": -1_000_000}, Step.RESET),
+        ({"late_us": 60_000}, Step.RESTART),
+        ({"late_us": -60_000}, Step.RESET),
+    ],
+    ids=str,
+)
+def test_what_does_not_continue_the_stream_begins_another_once_it_is_confirmed(
+    change: dict[str, int], step: Step
+) -> None:
+    line = Line()
+    first, second = samples(10, **change), samples(11, **change)
+    if "index" in change:
+        second = samples(11, **{**change, "index": COUNT})
+    assert line.hears(first) == []
+    places = line.hears(second)
+    assert [(place.index, place.step) for place in places] == [(0, step), (COUNT, Step.CONTINUES)]
+    assert (line.counters.restarts, line.counters.implausible_packets) == (1, 0)
+
+
+@pytest.mark.parametrize("late_s", [1.9, 2.1])
+def test_a_packet_that_is_read_too_late_is_one_of_another_clock(late_s: float) -> None:
+    line, places = Line(), []
+    for number in (10, 11):
+        packet = samples(number, index=(number - 10) * COUNT)
+        t_host = HOST_S + (packet.device_time_us - BEGAN_US) * 1e-6 + late_s
+        places += line.timeline.accept(Arrival(packet, t_host), PACE)
+    assert places[0].step is (Step.RESTART if late_s < 2 else Step.RESET)
+
+
+def test_a_status_younger_than_the_samples_tells_a_reset_at_once() -> None:
+    line = Line()
+    line.timeline.hear_status(Status(uptime_us=BEGAN_US + 9 * COUNT_US))  # as old as the last ones
+    assert line.hears(samples(10, index=0)) == []
+    line.timeline.hear_status(Status(uptime_us=100))
+    [place] = line.hears(samples(10, index=0))
+    assert (place.index, place.step) == (0, Step.RESET)
+    assert line.counters.implausible_packets == 1  # the one held back
+
+
+def test_one_odd_packet_is_implausible_and_costs_itself() -> None:
+    line = Line()
+    assert line.hears(samples(10, index=7)) == []
+    [place] = line.hears(samples(11))
+    assert place.step is Step.LOSS
+    assert (line.counters.lost_samples, line.counters.implausible_packets) == (COUNT, 1)
+
+
+@pytest.mark.parametrize(
+    ("count", "variance", "plausible"),
+    [
+        (2048, 3, True),
+        (2049, 3, False),  # two frame periods are 2048 samples
+        (2048, 5, False),  # half of quiet_uv and one count are 2 counts
+    ],
+)
+def test_silence_lasts_and_varies_no_more_than_the_digitizer_says(
+    count: int, variance: int, plausible: bool
+) -> None:
+    line, time_us = Line(), BEGAN_US + 10 * COUNT_US
+    quiet = Quiet(time_us, FIRST + 10 * COUNT, count, 0, count * variance, sequence=10)
+    assert len(line.hears(quiet)) == plausible
+    assert line.counters.implausible_packets == 1 - plausible
+
+
+def test_stamps_rise_and_the_sequence_goes_on_over_a_reset() -> None:
+    line = Line()
+    before = line.timeline.stamp(heard_at(0.0), PACE)
+    again = line.timeline.stamp(heard_at(0.0), PACE)
+    assert (again.sequence, again.t_host) == (1, pytest.approx(before.t_host + TICK_S, abs=1e-9))
+    line.timeline.hear_status(Status(uptime_us=100))
+    reset = Samples(1000, 0, np.zeros(COUNT, np.int16))
+    periods = 100
+    t_host = again.t_host + periods * SPEC.frame_period_s
+    list(line.timeline.accept(Arrival(reset, t_host), PACE))
+    after = line.timeline.stamp(heard_at(0.0), PACE)
+    assert after.sequence - again.sequence == pytest.approx(periods, abs=1)
+    assert line.counters.lost_frames == after.sequence - 2
+    assert line.counters.frames == 3
