@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 
 
 class Verdict(StrEnum):
@@ -26,19 +27,9 @@ class Check:
     text: str
 
 
-def ok(subject: str, text: str) -> Check:
-    """All is well."""
-    return Check(Verdict.OK, subject, text)
-
-
-def warning(subject: str, text: str) -> Check:
-    """It may cause trouble."""
-    return Check(Verdict.WARNING, subject, text)
-
-
-def problem(subject: str, text: str) -> Check:
-    """It does not work like this."""
-    return Check(Verdict.PROBLEM, subject, text)
+ok = partial(Check, Verdict.OK)
+warning = partial(Check, Verdict.WARNING)
+problem = partial(Check, Verdict.PROBLEM)
 
 
 def line(check: Check) -> str:
