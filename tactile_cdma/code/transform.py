@@ -139,17 +139,12 @@ def _multiply(vectors: Floats32, transform: _Transform, out: Floats32 | None) ->
     parts = -(-count // transform.most)
     for part in range(parts):  # of about equal size
         chosen = slice(part * count // parts, (part + 1) * count // parts)
-        _pass(source[chosen], result[chosen], transform.stages)
+        values, to_scratch = source[chosen], len(transform.stages) % 2 == 0
+        for stage in transform.stages:  # by turns, so that the last one writes the result
+            goal = _scratch.values[: values.size] if to_scratch else result[chosen]
+            stage.apply(values, goal)
+            values, to_scratch = goal, not to_scratch
     return out
-
-
-def _pass(values: Floats32, result: Floats32, stages: tuple[_Dense | _Fourier, ...]) -> None:
-    """All stages on vectors (c, N), few enough for the scratch buffer."""
-    to_scratch = len(stages) % 2 == 0  # by turns, so that the last stage writes the result
-    for stage in stages:
-        goal = _scratch.values[: values.size] if to_scratch else result
-        stage.apply(values, goal)
-        values, to_scratch = goal, not to_scratch
 
 
 @lru_cache(maxsize=64)

@@ -254,7 +254,7 @@ class LineRecogniser:
         levels = node_levels(rows, self._spec)
         known = self._line.level_known  # a level that is not known yet has no noise either
         noise = self._line.noise if known else levels.noise_v**2 * self._spec.order
-        end = self._ends.classify(line, fit, amplitude, noise, known)
+        end = self._ends.observe(line, fit, amplitude, noise, known)
         if end == End.OTHER:
             return None
         self._chip = fit.chip

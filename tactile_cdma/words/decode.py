@@ -125,7 +125,7 @@ def decode(
         swing_v = spec.node_swing_v
     if swing_v is None:
         swing_v = max(float(amplitude.max()), AUTO_FLOOR * noise / threshold)
-    expected = np.broadcast_to(np.asarray(swing_v, dtype=np.float32), spec.nodes)
+    expected = np.full(spec.nodes, swing_v, dtype=np.float32)
     active = amplitude > np.float32(threshold) * expected
     rho = amplitude * np.float32(1 / max(noise, 1e-12))
     weakest = level.min(axis=0)
