@@ -4,6 +4,7 @@
 # make view    the same in the Rerun viewer, which it installs; WEB=1: in a browser
 # make check   lint and the core's tests, under a minute: the loop to work in
 # make test    lint and all tests
+# make mutants the unit tests against wrong operators in the modules changed SINCE=HEAD~1; COUNT=24
 # make firmware         the images of nodes and digitizer, in firmware/build
 # make firmware-test    runs them in emulators, 16 nodes on one wire; the last line counts
 # make firmware-figures what they take: share of time awake, load of the digitizer
@@ -31,6 +32,7 @@ FIRMWARE ?=
 ONLY ?=
 SEED ?= 1
 COUNT ?= 1000000
+SINCE ?= HEAD~1
 PYTEST ?= -n 4 --dist loadgroup
 # What `make check` tests: bytes to frames, and what they are read with.
 CORE = base code places wire words framing clocks readings config views driver door
@@ -38,7 +40,7 @@ export LC_ALL ?= C.UTF-8
 
 BIN = $(VENV)/bin
 .DEFAULT_GOAL := help
-.PHONY: help run check test lint setup bench-setup view view-setup torture soak fuzz fuzz-setup fuzz-packages audit audit-packages clean firmware firmware-test firmware-figures firmware-tools
+.PHONY: help run check test mutants lint setup bench-setup view view-setup torture soak fuzz fuzz-setup fuzz-packages audit audit-packages clean firmware firmware-test firmware-figures firmware-tools
 
 help:
 	@sed -n 's/^# //p' Makefile
@@ -70,6 +72,9 @@ lint: setup
 	@"$(BIN)/mypy"
 	@"$(BIN)/mypy" firmware/sim/*.py
 	@"$(BIN)/lint-imports" --no-logo --no-cache
+
+mutants: setup
+	@"$(BIN)/python" tools/mutants.py --since "$(SINCE)" --count $(if $(filter command%,$(origin COUNT)),$(COUNT),24) --core $(CORE)
 
 firmware-tools: setup
 	@"$(BIN)/python" tools/firmware_tools.py --require

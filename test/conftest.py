@@ -12,11 +12,15 @@ from tempfile import TemporaryDirectory
 import pytest
 from hypothesis import settings
 
+# Workers share the cores: more threads of matrix products would only wait for each other. Before
+# numpy is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 DOMAINS = 101  # domain ids that leave room below Linux's ephemeral ports
 
 
 # How long an example takes says more about the machine than about the code.
 settings.register_profile("any machine", deadline=None)
+settings.register_profile("quick", deadline=None, max_examples=15)  # make check
 settings.load_profile("any machine")
 
 

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the driver is put through before it is left running on a robot: `make torture`.
+"""Fault campaigns against the driver, the simulator and the firmware: `make torture`.
 
-Each campaign is a package whose campaign.py has `run(plan)`, which yields one Outcome per kind of
-fault; a slice of each is among the tests. docs/reliability.md says what was tried, and what came of
-it.
+The campaign of a package is `run(plan)` in its campaign.py, which yields one Outcome per kind of
+fault; a slice of each runs among the tests. docs/reliability.md has what was tried and the results.
 """

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""`make torture`: runs the campaigns, tells what came of them, and sums up in the last line."""
+"""`make torture`: runs the campaigns, prints a row per kind of fault, and sums in the last line."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tempfile import TemporaryDirectory
 
 from .outcome import Outcome, Plan, from_json, keep, summary, to_json
 
-CAMPAIGNS = {  # name: seconds after which it hangs, quick and full; the longest first
+CAMPAIGNS = {  # name: time limit, s, quick and full; the longest campaign first
     "day": (45, 1500),
     "soak": (45, 1200),
     "load": (45, 900),
@@ -35,12 +35,16 @@ WIDTH = 58
 
 
 def main() -> int:
-    """Run what was asked for; 1 if anything happened that must not happen."""
+    """Run the campaigns asked for; exit code 1 if any count that must be 0 is not."""
     parser = argparse.ArgumentParser(prog="python -m torture", description=__doc__)
     parser.add_argument("campaign", nargs="*", choices=[*CAMPAIGNS, []], help="default: all")
     parser.add_argument("--quick", action="store_true", default=os.environ.get("QUICK", "0") != "0")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--json", type=Path, help="where a single campaign leaves its outcomes")
+    parser.add_argument(
+        "--json",
+        type=Path,
+        help="write the outcomes of the campaigns here, and run them in this process",
+    )
     arguments = parser.parse_args()
     plan = Plan(arguments.quick, arguments.seed)
     names: Sequence[str] = arguments.campaign or list(CAMPAIGNS)
@@ -65,7 +69,7 @@ def _run(name: str, plan: Plan) -> Iterator[Outcome]:
 
 
 def _in_processes(names: Sequence[str], plan: Plan) -> dict[str, list[Outcome]]:
-    """Every campaign in a process of its own, as many at once as there are cores."""
+    """Run every campaign in its own process, one per core at a time."""
     with TemporaryDirectory() as folder, ThreadPoolExecutor(os.cpu_count()) as pool:
         futures = {name: pool.submit(_in_process, name, plan, Path(folder)) for name in names}
         return {name: futures[name].result() for name in names}
@@ -76,7 +80,7 @@ def _in_process(name: str, plan: Plan, folder: Path) -> list[Outcome]:
     limit_s = CAMPAIGNS[name][0 if plan.quick else 1]
     command = [sys.executable, "-m", "torture", name, "--seed", str(plan.seed), "--json", str(file)]
     command += ["--quick"] if plan.quick else []
-    # A session of its own, so that nothing of a campaign outlives it.
+    # Its own session, so that all its processes can be killed with it.
     process = subprocess.Popen(
         command, stdout=DEVNULL, stderr=PIPE, text=True, start_new_session=True
     )

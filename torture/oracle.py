@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Knows what the nodes of simulated skins really said, and holds published frames against it."""
+"""The truth: what the nodes of simulated skins really sent. Compares published frames with it."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from tactile_cdma.sim.options import Setup, SimOptions
 from .outcome import Tally
 
 KEPT = 4096
-"""True frames kept for published ones that come late."""
+"""True frames that are kept, for published frames that come late."""
 NEAR = 0.25
-"""Share of a frame period by which a published frame may be off its true start."""
+"""Tolerance of a frame's start for telling which frame it is, in frame periods; < 0.5."""
 
 
 @dataclass
 class Stream:
-    """The true frames from a START on. started_s: device time of the START."""
+    """The true frames since a START. started_s: device time of that START."""
 
     options: SimOptions
     setup: Setup
@@ -40,7 +40,7 @@ class Stream:
         self._coming = truth(self.options, self.setup)
 
     def frame_at(self, t_start: float) -> NodeFrame | None:
-        """The frame whose first chip begins about then, device s; None if there is none."""
+        """The frame whose first chip begins near this device time, s; None if there is none."""
         period_s = self.setup.spec.frame_period_s
         since_s = t_start - self.started_s
         while not self._past or self._past[-1].start_s < since_s - period_s / 2:
@@ -63,14 +63,14 @@ class Stream:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What is to be said of one published frame.
+    """The comparison of one published frame with the truth.
 
-    number: of the true frame since START; None: there was no such frame, all its words are wrong.
-    stream: which START it belongs to, counted from 0.
-    wrong: (n,) bool, nodes that are published with another word than they sent, or that were
-        silent. missed: (n,) bool, nodes that spoke and were not published.
+    number: of the true frame since START; None if there is no such frame: all its words are wrong.
+    stream: index of the START it belongs to.
+    wrong: (n,) bool, nodes published with a word they did not send. missed: (n,) bool, nodes that
+        sent a word that was not published.
     lost: true frames since the last published one of the same stream; None for a stream's first.
-    uncounted: by how much the published sequence differs from that.
+    uncounted: difference between that and what the published sequence says.
     """
 
     number: int | None
@@ -82,18 +82,18 @@ class Verdict:
 
 
 class Oracle:
-    """Tells of every published frame, in their order, what is wrong with it."""
+    """Compares every published frame, in order, with the streams that began so far."""
 
     def __init__(self) -> None:
         self.streams: list[Stream] = []
         self._last: tuple[int, int, int] | None = None  # stream, number, sequence
 
     def began(self, options: SimOptions, setup: Setup, started_s: float) -> None:
-        """A digitizer obeyed START, at this time of its clock."""
+        """Note that a digitizer obeyed START, at this time of its clock, s."""
         self.streams.append(Stream(options, setup, started_s))
 
     def check(self, frame: TactileFrame) -> Verdict:
-        """What is to be said of a published frame."""
+        """Compare the next published frame."""
         index, true = self._find(frame)
         words = frame.words
         if true is None:
@@ -107,10 +107,10 @@ class Oracle:
         return Verdict(true.number, index, wrong, true.active & ~words.active, lost, uncounted)
 
     def _find(self, frame: TactileFrame) -> tuple[int, NodeFrame | None]:
-        """The newest stream that has such a frame, and that frame.
+        """The newest stream with a frame at this time, and that frame.
 
-        After a restart frames of the old stream may still come; clocks that start anew can make
-        both plausible, and then the words decide.
+        After a restart, frames of the old stream may still come. If both streams have a frame at
+        that time of their clocks, the words decide.
         """
         found: tuple[int, NodeFrame | None] = (len(self.streams) - 1, None)
         oldest = self._last[0] if self._last else 0
@@ -127,10 +127,10 @@ class Oracle:
 
 
 class Judge:
-    """Judges the frames that one driver publishes by what the nodes really said.
+    """Compares the frames that one driver publishes with what the nodes really sent.
 
-    What campaigns look at besides, times, pressures, counts, is added by their own judges.
-    tally: what was found so far.
+    Campaigns extend it by what else they can tell: times, pressures, counts.
+    tally: the result so far.
     """
 
     def __init__(self) -> None:
@@ -138,7 +138,7 @@ class Judge:
         self.oracle = Oracle()
 
     def check(self, frame: TactileFrame) -> Verdict:
-        """What is to be said of the next published frame; its wrong words are counted."""
+        """Compare the next published frame, and count its wrong words."""
         verdict = self.oracle.check(frame)
         self.tally.frames += 1
         self.tally.wrong_values += int(verdict.wrong.sum() + verdict.missed.sum())
@@ -146,9 +146,9 @@ class Judge:
 
 
 def pressures(config: SkinConfig) -> NDArray[np.float64]:
-    """What every code of every node means by its curve, (n, codes) Pa.
+    """The pressure of every code of every node, (n, codes) Pa, from the calibration's curves.
 
-    The highest code says "so much or more": no pressure, where the sensor rests above it.
+    The highest code means "this voltage or more": rest, if the sensor rests above it.
     """
     volts = config.adc.voltage(np.arange(1 << config.adc.bits))
     curves = [config.calibration.curves[node] for node in range(config.spec.nodes)]
@@ -157,9 +157,9 @@ def pressures(config: SkinConfig) -> NDArray[np.float64]:
 
 
 class Held:
-    """What a driver reads that has heard these words: the last one of every node.
+    """The readings that a driver must hold: those of every node's last word.
 
-    pressure_pa: (n,) float64, Pa; NaN where it is not known.
+    pressure_pa: (n,) float64, Pa; NaN if unknown.
     """
 
     def __init__(self, config: SkinConfig) -> None:
@@ -170,7 +170,7 @@ class Held:
     def after(
         self, active: NDArray[np.bool_], codes: NDArray[np.integer[Any]]
     ) -> NDArray[np.float64]:
-        """What pressure_pa would be after these words, (n,) each."""
+        """pressure_pa after these words, (n,) each."""
         return np.where(active, self._pressure_of[self._nodes, codes], self.pressure_pa)
 
     def hear(self, active: NDArray[np.bool_], codes: NDArray[np.integer[Any]]) -> None:
@@ -178,5 +178,5 @@ class Held:
         self.pressure_pa = self.after(active, codes)
 
     def miss(self, nodes: NDArray[np.bool_]) -> None:
-        """Words of these nodes, (n,) bool, may have been lost."""
+        """Forget these nodes, (n,) bool, whose words may have been lost."""
         self.pressure_pa[nodes] = np.nan

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What came of a kind of fault, and of all of them."""
+"""Results: running sums, one row per kind of fault, their summary and the published table."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import Self
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """How much to try. quick: seconds instead of minutes. seed: of everything random."""
+    """How much to try. quick: seconds instead of minutes. seed: of all random numbers."""
 
     quick: bool
     seed: int
@@ -22,15 +22,15 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What came of one kind of fault.
+    """The result for one kind of fault.
 
     fault: what was done, in a few words. times: how often.
-    wrong_values: published numbers, times or flags that are not what really was.
-    uncounted_losses: frames, samples, packets or messages lost that no counter told of, and losses
-        counted that were none.
-    crashes: ends, tracebacks and refusals that should not have been.
-    hangs: times that something did not go on in time.
-    said: what else is worth telling, for the table.
+    wrong_values: published numbers, times or flags that differ from the truth.
+    uncounted_losses: frames, samples, packets or messages that were lost without a counter saying
+        so, and counted losses that did not happen.
+    crashes: unexpected exits, tracebacks and refusals.
+    hangs: how often something did not happen in time.
+    said: other figures for the table.
     rss_slope_kb_per_h: growth of memory; NaN where it was not measured.
     """
 
@@ -45,7 +45,7 @@ class Outcome:
 
     @property
     def good(self) -> bool:
-        """Nothing happened that must not happen."""
+        """Whether all counts that must be 0 are."""
         return not (self.wrong_values or self.uncounted_losses or self.crashes or self.hangs)
 
 
@@ -54,12 +54,12 @@ COUNTS = ("wrong_values", "uncounted_losses", "crashes", "hangs")
 
 @dataclass
 class Tally:
-    """Running sums of what the judges find under one kind of fault; an Outcome is made of it.
+    """Running sums of what the judges find under one kind of fault, to make an Outcome of.
 
-    times: faults put in. frames: frames or messages that were published. lost: those that were not.
-    late: whole frames, right after a fault or a start, that were not published either.
-    wrong_values … hangs: see Outcome. example: a wrong value. bytes: that were exposed to faults.
-    stamp_errors_s: of every message, stamp minus true time, as far as the driver could know that.
+    times: faults injected. frames: published frames or messages. lost: frames not published.
+    late: of these, frames that arrived whole, but right after a fault or a start.
+    wrong_values … hangs: see Outcome. example: a wrong value. bytes: exposed to faults.
+    stamp_errors_s: stamp minus true time of every message, less what no driver could have known.
     """
 
     times: int = 0
@@ -80,13 +80,13 @@ class Tally:
         return self
 
     def outcome(self, fault: str, said: str = "") -> Outcome:
-        """The row of the table. said: unless there is an example of what is wrong."""
+        """The row of the table. said: replaced by the example of a wrong value, if there is one."""
         counts = {name: int(getattr(self, name)) for name in COUNTS}
         return Outcome(fault, self.times, **counts, said=self.example or said)
 
 
 def summary(outcomes: Iterable[Outcome]) -> str:
-    """The last line of `make torture`: sums, and the steepest growth of memory."""
+    """The last line of `make torture`: the sums, and the fastest growth of memory."""
     outcomes = list(outcomes)
     sums = " ".join(f"{name}={sum(getattr(o, name) for o in outcomes)}" for name in COUNTS)
     slopes = [slope for o in outcomes if not math.isnan(slope := o.rss_slope_kb_per_h)]
@@ -95,7 +95,7 @@ def summary(outcomes: Iterable[Outcome]) -> str:
 
 
 def to_json(outcome: Outcome) -> dict[str, object]:
-    """An outcome as json.dumps takes it; NaN is None."""
+    """An outcome for json.dumps, with None for NaN."""
     content = asdict(outcome)
     if math.isnan(outcome.rss_slope_kb_per_h):
         content["rss_slope_kb_per_h"] = None
@@ -103,7 +103,7 @@ def to_json(outcome: Outcome) -> dict[str, object]:
 
 
 def from_json(content: dict[str, object]) -> Outcome:
-    """The outcome that to_json was given."""
+    """The inverse of to_json."""
     values = {name: math.nan if value is None else value for name, value in content.items()}
     return Outcome(**values)  # type: ignore[arg-type]
 
@@ -117,7 +117,7 @@ BEGIN, END = "<!-- begin torture -->\n", "<!-- end -->"
 
 
 def keep(found: dict[str, list[Outcome]], seed: int) -> None:
-    """Write the outcomes of these campaigns beside those of the others, and the page's table."""
+    """Replace the outcomes of these campaigns in docs/reliability.json, and renew the table."""
     content = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
     for name, outcomes in found.items():
         content[name] = {"seed": seed, "outcomes": [to_json(outcome) for outcome in outcomes]}
@@ -127,7 +127,7 @@ def keep(found: dict[str, list[Outcome]], seed: int) -> None:
 
 
 def updated(page: str) -> str:
-    """The page with the table of the outcomes that were kept."""
+    """The page with a table of all outcomes in docs/reliability.json."""
     before, rest = page.split(BEGIN)
     after = rest.split(END, 1)[1]
     content = json.loads(RESULTS.read_text(encoding="utf-8"))

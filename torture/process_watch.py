@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a process holds while it runs: memory, threads, descriptors; and whether that grows."""
+"""Memory, threads and descriptors of a running process, and whether they grow."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 SECTIONS = 12
-"""A slope is that of so many medians: what comes and goes within a section does not bend it."""
+"""Medians that a slope is fitted to: what comes and goes within a section does not bend it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Slope:
-    """Growth by time: kB per h, and half the middle range of what single pairs of sections say."""
+    """Growth of memory, kB/h, and half the interquartile range of slopes between sections."""
 
     kb_per_h: float
     spread_kb_per_h: float
@@ -32,9 +32,9 @@ class Slope:
 
 @dataclass
 class Watch:
-    """Looks at a process from time to time.
+    """Samples of a process.
 
-    t_s, rss_kb: of every look. alone: threads and descriptors of those without guests.
+    t_s, rss_kb: of every sample. alone: threads and descriptors, of samples without guests.
     """
 
     pid: int
@@ -43,7 +43,7 @@ class Watch:
     alone: list[tuple[int, int]] = field(default_factory=list)
 
     def look(self, alone: bool = True) -> None:
-        """Note what it holds now; nothing if it has ended."""
+        """Take a sample, unless the process has ended. alone: no guests use it at the moment."""
         folder = Path("/proc") / str(self.pid)
         with suppress(OSError):
             held_kb = memory_kb(self.pid)
@@ -56,12 +56,12 @@ class Watch:
 
     @property
     def rss_mb(self) -> float:
-        """At the last look."""
+        """Of the last sample."""
         return self.rss_kb[-1] / 1024 if self.rss_kb else np.nan
 
     @property
     def more_is_held(self) -> bool:
-        """Whether threads or descriptors are never again as few as they were, without guests."""
+        """Whether even the fewest threads or descriptors lately exceed the most at first."""
         quarter = len(self.alone) // 4
         if not quarter:
             return False
@@ -69,19 +69,21 @@ class Watch:
         return bool((np.min(self.alone[-quarter:], axis=0) > most).any())
 
     def slope(self, from_s: float) -> Slope:
-        """Of the memory, from this time on."""
+        """Growth of memory since this time."""
         since = np.array(self.t_s) >= from_s
         return slope(np.array(self.t_s)[since], np.array(self.rss_kb, float)[since])
 
 
 def memory_kb(pid: int) -> int:
-    """Memory of a process. Raises OSError if it has ended."""
+    """Resident memory of a process, kB. Raises OSError if it has ended."""
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") // 1024
 
 
 def slope(t_s: NDArray[np.float64], kb: NDArray[np.float64]) -> Slope:
-    """Theil and Sen's slope of medians of sections: half of them may be off, it holds. NaN if few.
+    """The Theil–Sen slope of section medians, which tolerates outliers in up to 29 % of them.
+
+    NaN if there are fewer than two samples per section.
 
     t_s, kb: (m,) times and memory.
     """

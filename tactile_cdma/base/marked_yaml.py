@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""YAML files whose values know their line, so that whoever wrote them is told where to look.
+"""YAML files whose values know their line, so that an error names the place in the file.
 
-Read from the parser's events, one after the other: files of strangers can neither nest deeply nor
-multiply by aliases.
+Built from the parser's events, so that untrusted files can neither nest deeply nor multiply their
+contents by aliases.
 """
 
 from __future__ import annotations
@@ -22,32 +22,33 @@ from .errors import TactileError
 from .named_file import read_named
 
 MOST_BYTES = 1 << 24
+"""Bytes of a file; chosen."""
 MOST_DEPTH = 16
+"""Levels of nesting; chosen well above the 4 or so that our files have."""
 MOST_EVENTS = 1 << 21
-"""Values, keys, and beginnings and ends of lists: as many as 65,535 taxels with all that they may
-have, twice."""
+"""Values, keys, and beginnings and ends of lists: twice what 65,535 taxels need with all keys."""
 MOST_TEXT = 1 << 16
-"""Characters of one value."""
+"""Characters of one value; chosen."""
 _WHOLE = re.compile("0|-?[1-9][0-9]{0,17}")
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """The file that values come from, and the error that it is refused with."""
+    """The file that values come from, and the type of error to refuse it with."""
 
     path: Path
     error: type[TactileError]
 
     def refuse(self, text: str, line: int | None = None) -> TactileError:
-        """The error to raise; line: from 1 on."""
+        """The error to raise. line: counted from 1."""
         where = f"{self.path}, line {line}" if line else f"{self.path}"
         return self.error(f"{where}: {text}")
 
 
 @dataclass(frozen=True, slots=True)
 class Marked:
-    """A value of the file: a scalar's text, a list or a mapping, and where it begins."""
+    """A value of the file: a scalar's text, a list or a mapping, and the line where it begins."""
 
     content: str | list[Marked] | dict[str, Marked]
     line: int
@@ -86,7 +87,7 @@ class Marked:
         return [entry.number(f"a number in {what}", low, high, unit) for entry in entries]
 
     def text(self, what: str) -> str:
-        """A scalar as it stands."""
+        """A scalar's text."""
         if not isinstance(self.content, str) or self.is_null:
             raise self.refuse(f"{what} is {self._kind}; it must be text")
         return self.content
@@ -103,7 +104,7 @@ class Marked:
 
     def whole(self, what: str, low: int, high: int) -> int:
         """A whole number within limits, both inclusive."""
-        # Not every way to write one: 010 is eight elsewhere, and 07 would be another key than 7.
+        # Leading zeros are refused: 010 is 8 in YAML 1.1, and 07 would be another key than 7.
         if not _WHOLE.fullmatch(self._plain):
             raise self.refuse(f"{what} is {self._kind}; it must be a whole number")
         return int(self._within(what, int(self._plain), low, high, ""))
@@ -181,14 +182,14 @@ class Mapping:
 def read_marked(path: Path, error: type[TactileError]) -> Marked:
     """The only document of a YAML file.
 
-    Raises error, naming file and line, for what cannot be read or is no plain YAML: aliases, keys
-    given twice and lists in lists in lists … are not taken.
+    Raises error, naming file and line, for a file that cannot be read, is not YAML, or has aliases,
+    duplicate keys or too many levels of nesting.
     """
     origin = Origin(path, error)
     try:
         raw = read_named(path, MOST_BYTES)
     except OSError as problem:
-        # Where a relative path begins is what may be wrong with it.
+        # The absolute path: the working folder may be the mistake.
         raise Origin(path.absolute(), error).refuse(problem.strerror or str(problem)) from None
     try:
         events = yaml.parse(raw.decode(encoding="utf-8"), Loader=_LOADER)
@@ -202,7 +203,7 @@ def read_marked(path: Path, error: type[TactileError]) -> Marked:
 
 
 def _bounded(events: Iterator[yaml.Event], origin: Origin) -> Iterator[yaml.Event]:
-    """Refuses files that would fill the memory: a value takes some hundred bytes."""
+    """Refuse files that would fill the memory: a value takes some hundred bytes."""
     for number, event in enumerate(events):
         if number > MOST_EVENTS:
             raise origin.refuse(f"holds more than {MOST_EVENTS} values", _line(event))
@@ -237,7 +238,7 @@ def _value(event: yaml.Event, events: Iterator[yaml.Event], origin: Origin, dept
         return Marked(values, line, False, origin)
     if isinstance(event, yaml.MappingStartEvent):
         return Marked(_mapping(events, origin, depth + 1), line, False, origin)
-    raise origin.refuse("anchors and aliases (& and *) are not taken here; write it out", line)
+    raise origin.refuse("anchors and aliases (& and *) are not supported here; write it out", line)
 
 
 def _line(event: yaml.Event) -> int:

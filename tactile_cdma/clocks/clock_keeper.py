@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Keeps the nodes' clocks, and what takes frames apart by them, in a thread beside the stream."""
+"""Keeps the nodes' clocks and the decorrelator built from them, in a thread beside the stream."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..base.arrays import Floats32
 from ..base.errors import TactileError
 from ..base.listing import listed
 from ..code.frame import FrameSpec
@@ -21,7 +21,6 @@ from .node_clocks import NodeClocks, needs_decorrelation
 from .roll_call import RollCallListener
 from .sampling import Sampling
 
-Floats32 = NDArray[np.float32]
 T = TypeVar("T")
 
 
@@ -29,10 +28,10 @@ T = TypeVar("T")
 class ClockReport:
     """What is known of the nodes' clocks.
 
-    heard: nodes that a roll call has measured. spread_chips: largest difference of two nodes within
-    a frame, chips. decorrelated: whether frames are taken apart by least squares.
+    heard: number of nodes that a roll call has measured. spread_chips: largest difference of two
+    nodes within a frame, chips. decorrelated: whether frames are taken apart by least squares.
     unresolved: nodes, from 1 on, that cannot be told from others. busy: a roll call is under way or
-    being evaluated. problem: why the clocks are not made use of, or not of all, or None.
+    being evaluated. problem: why clocks are not used, or not all of them; None if they are.
     """
 
     heard: int = 0
@@ -46,13 +45,13 @@ class ClockReport:
 class ClockKeeper:
     """From roll calls to clocks to a decorrelator, which follows the clocks while they drift.
 
-    report: what is known just now. decorrelator: what takes frames apart; None for correlation.
+    report: what is known now. decorrelator: takes frames apart; None where correlation does.
     """
 
     def __init__(self, spec: FrameSpec, sampling: Sampling, background: bool) -> None:
-        """background: work is done beside the stream.
+        """background: work in a thread beside the stream.
 
-        Else it is done at once, so that the same samples always give the same frames.
+        Else at once, so that the same samples always give the same frames.
         """
         self.report = ClockReport()
         self.decorrelator: Decorrelator | None = None
@@ -63,27 +62,27 @@ class ClockKeeper:
         self._coming: Future[Decorrelator | None] | None = None
 
     def begin(self) -> None:
-        """A roll call begins."""
+        """Begin a roll call."""
         self.listener = RollCallListener(self._spec, self._sampling)
         self.report = replace(self.report, busy=True, problem=None)
 
     def hear(self, node: int, line: Floats32, noise_rms_v: float) -> None:
-        """A node's frame in a roll call; see RollCallListener.hear."""
+        """Take in a node's frame of a roll call; see RollCallListener.hear."""
         self._submit(self.listener.hear, node, line, noise_rms_v)
 
     def conclude(self) -> None:
-        """The roll call is over: evaluate it."""
+        """Evaluate the roll call, which is over."""
         self._coming = self._submit(self._judge, self.listener)
 
     def follow(
         self, decorrelator: Decorrelator, line: Floats32, words: Floats32, noise_rms_v: float
     ) -> None:
-        """Learn from a decoded frame, unless there is other work; see ClockTracker.update."""
+        """Learn from a decoded frame, unless other work is under way; see ClockTracker.update."""
         if self._coming is None:
             self._coming = self._submit(self._track, decorrelator, line, words, noise_rms_v)
 
     def adopt(self) -> None:
-        """Use a decorrelator that has got ready."""
+        """Switch to a decorrelator that has become ready."""
         if self._coming is None or not self._coming.done():
             return
         try:
@@ -95,17 +94,17 @@ class ClockKeeper:
         self._coming = None
 
     def give_up(self, problem: str) -> None:
-        """Nothing is known of the clocks any more."""
+        """Forget the clocks, for this reason."""
         self.decorrelator = self._tracker = None
         self.report = ClockReport(problem=problem)
 
     def close(self) -> None:
-        """Leave undone what is still to do."""
+        """Cancel pending work."""
         if self._worker is not None:
             self._worker.shutdown(wait=False, cancel_futures=True)
 
     def _judge(self, listener: RollCallListener) -> Decorrelator | None:
-        """What a roll call has shown: a decorrelator, if it takes one."""
+        """Evaluate a roll call; returns a decorrelator if the clocks need one."""
         clocks = listener.clocks()
         if not clocks.known.any():
             nobody = "no node was heard alone in the roll call"
@@ -115,38 +114,32 @@ class ClockKeeper:
         if missing := (np.flatnonzero(~clocks.known) + 1).tolist():
             problem = f"not heard alone in the roll call: {listed(missing, 'node')}"
         self._tracker = ClockTracker(clocks)
-        if needs_decorrelation(self._spec, clocks):
-            return self._build(clocks, problem)
-        self.report = ClockReport(
-            int(clocks.known.sum()), clocks.spread_chips(self._spec), problem=problem
-        )
-        return None
+        return self._use(clocks, problem, needs_decorrelation(self._spec, clocks))
 
     def _track(
         self, decorrelator: Decorrelator, line: Floats32, words: Floats32, noise_rms_v: float
-    ) -> Decorrelator:
-        """The decorrelator to go on with."""
+    ) -> Decorrelator | None:
+        """Follow the clocks; returns the decorrelator to use from now on."""
         if self._tracker is None:
             return decorrelator
         self._tracker.update(decorrelator, line, words, noise_rms_v)
         clocks = self._tracker.clocks
         if clocks.moved_chips(decorrelator.clocks, self._spec) > REBUILD:
-            return self._build(clocks, self.report.problem)
+            return self._use(clocks, self.report.problem)
         return decorrelator
 
-    def _build(self, clocks: NodeClocks, problem: str | None) -> Decorrelator:
-        decorrelator = Decorrelator(self._spec, clocks, self._sampling)
-        self.report = ClockReport(
-            int(clocks.known.sum()),
-            clocks.spread_chips(self._spec),
-            True,
-            tuple((decorrelator.unresolved + 1).tolist()),
-            problem=problem,
-        )
-        return decorrelator
+    def _use(
+        self, clocks: NodeClocks, problem: str | None, decorrelated: bool = True
+    ) -> Decorrelator | None:
+        """Build a decorrelator for these clocks, if wanted, and report."""
+        built = Decorrelator(self._spec, clocks, self._sampling) if decorrelated else None
+        unresolved = tuple((built.unresolved + 1).tolist()) if built else ()
+        heard, spread = int(clocks.known.sum()), clocks.spread_chips(self._spec)
+        self.report = ClockReport(heard, spread, decorrelated, unresolved, problem=problem)
+        return built
 
     def _submit(self, work: Callable[..., T], *arguments: object) -> Future[T]:
-        """Have work done, one piece after the other, beside the stream or at once."""
+        """Do work, one piece after the other, beside the stream or at once."""
         if self._worker is not None:
             return self._worker.submit(work, *arguments)
         done: Future[T] = Future()

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Keeping the nodes' clocks while they drift: from ordinary frames whose words are decided.
+"""Follows the nodes' clocks while they drift, from ordinary frames whose words are decided.
 
-A node is all but alone in a frame from which the words of all others have been subtracted. What
-their clocks' errors leave over is noise, whose power tells how large errors are just now. So a
-few clocks around the present one are tried, as in a roll call, and their mean, weighted by
-likelihood and by how likely such an error is, is where the clock moves.
+A node is all but alone in a frame from which the words of all others have been subtracted. The
+errors of their clocks leave noise, whose power tells how large these errors are. A few clocks
+around the present one are tried, as in a roll call; the clock moves to their mean, weighted by
+likelihood and by the prior probability of such an error.
 """
 
 from __future__ import annotations
@@ -13,19 +13,20 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..base.arrays import Floats32
 from .decorrelate import Decorrelator
 from .node_clocks import NodeClocks
 from .roll_call import RowSearch, raster
 
 MAX_ERROR, MIN_ERROR = 0.15, 0.01
-"""Mean error of all clocks at which a frame no longer counts as clean, and the least that is ever
-expected, chips."""
+"""Mean error of all clocks, chips: the largest of a frame to learn from, and the least that is ever
+assumed. Chosen: with larger errors the noise is no longer small beside the words."""
 REBUILD = 0.05
-"""A decorrelator whose clocks have moved farther than this, chips, should be built anew."""
-BATCH = 8
-"""Nodes that are looked at in one frame; the next ones in the next."""
+"""Movement of a clock, chips, at which the decorrelator is rebuilt. Chosen: above the 0.03 chip to
+which delays have to be known (design), since rebuilding 256 nodes takes a tenth of a second."""
+NODES_PER_FRAME = 8
+"""Nodes that are followed per frame, in turns. Chosen: bounds the time of an update."""
 
 
 class ClockTracker:
@@ -39,17 +40,13 @@ class ClockTracker:
         self._turn = 0
 
     def update(
-        self,
-        decorrelator: Decorrelator,
-        samples: NDArray[np.float32],
-        words: NDArray[np.float32],
-        noise_rms_v: float,
+        self, decorrelator: Decorrelator, samples: Floats32, words: Floats32, noise_rms_v: float
     ) -> bool:
-        """Learn from a frame; False where it isn't clean, which changes nothing.
+        """Learn from a frame; returns False and changes nothing where the frame isn't clean.
 
-        decorrelator: which took the frame apart. samples: (m,) V, as it got them. words: (k, n) V,
-        its estimates as they were decided: each node's bits ± one amplitude, 0 for a silent node.
-        noise_rms_v: of one sample.
+        decorrelator: took the frame apart. samples: (m,) V, its input. words: (k, n) V, its
+        decided estimates: each node's bits ± one amplitude, 0 for a silent node. noise_rms_v: of
+        one sample.
         """
         model = decorrelator.line(words)
         left = samples[: model.size].astype(np.float64) - model
@@ -60,7 +57,7 @@ class ClockTracker:
             return False
         error = max(error, MIN_ERROR)
         speaking = np.flatnonzero(np.abs(words).max(axis=0))
-        nodes = np.roll(speaking, -int(np.searchsorted(speaking, self._turn)))[:BATCH]
+        nodes = np.roll(speaking, -int(np.searchsorted(speaking, self._turn)))[:NODES_PER_FRAME]
         self._turn = int(nodes[-1]) + 1
         spec = decorrelator.spec
         late = self.clocks.displacement([0, spec.chips])

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Separating nodes whose clocks differ: least squares over all bits of all nodes of a frame.
+"""Separates nodes whose clocks differ, by least squares over all bits of all nodes of a frame.
 
 With clocks of their own the rows lose their orthogonality, and bit m of one node overlaps bits
 m ± 1 of others. But each node's waveform is known, so the samples y = A·x + noise determine all
@@ -11,11 +11,11 @@ the waveforms of bit m, D[0] = A[0]ᵀA[0] + λI and B[m] = D[m]⁻¹A[m]ᵀ:
     forward   v[m] = B[m]·(y − A[m−1]·v[m−1])      D[m] = A[m]ᵀ(I − A[m−1]·B[m−1])A[m] + λI
     backward  x[m] = v[m] − B[m]·(A[m+1]·x[m+1])
 
-where each product of neighbours runs over the few samples only that their bits share. So a frame
-costs little more than its correlation with dense waveforms.
+where products of neighbours run over the few samples only that their bits share. So a frame costs
+little more than its correlation with dense waveforms.
 
-λ bounds the noise for any clocks whatever, and best is λ = N·S/ρ² (S samples per chip), which
-makes x the linear estimate with the least mean error: the covariance of x is K·G·K for G = AᵀA and
+λ bounds the noise for any clocks, and best is λ = N·S/ρ² (S samples per chip), which makes x the
+linear estimate with the least mean error: the covariance of x is K·G·K for G = AᵀA and
 K = (G + λI)⁻¹, whose eigenvalues g/(g + λ)² are at most 1/(4λ). The price is that K·G = I − λK
 stands in for I: of its amplitude a node keeps the share 1 − λKᵢᵢ, the `resolution`. It is near 1
 unless two nodes have nearly the same waveform.
@@ -29,20 +29,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..base.arrays import Floats32, Indices
 from ..base.errors import SpecError
 from ..code.frame import UNIPOLAR, FrameSpec
 from .node_clocks import NodeClocks
 from .sampling import Sampling, row_samples
 
-Floats32 = NDArray[np.float32]
-
 MAX_GAIN = 8.0
-"""Noise of an estimate over that of a correlation without crosstalk: never more. Half of ρ gives
-the best λ, so this suits ρ = 16, and costs little elsewhere."""
+"""Largest noise of an estimate, over that of a correlation without crosstalk: sets λ. ρ/2 gives the
+best λ, so 8 suits ρ = 16. Chosen; it costs little elsewhere."""
 RESOLVED = 0.9
-"""Resolution below which a node counts as not separated from some other."""
+"""Resolution below which a node counts as not separated from some other. Chosen."""
 MAX_BYTES = 1 << 29
-"""Most memory that the matrices of one skin may take: 1024 nodes at 2 samples per chip fit."""
+"""Largest memory of one skin's matrices, bytes: 1024 nodes at 2 samples per chip fit. Chosen."""
 
 
 class _Bit(NamedTuple):
@@ -60,10 +59,10 @@ class _Bit(NamedTuple):
 class Decorrelator:
     """Amplitudes of all bits of all nodes, from the samples of a frame, for given clocks.
 
-    Building it takes about 8·k·n²·(n + samples per bit) operations; with 256 nodes that is some
-    tenth of a second, so do it beside the stream when clocks have moved. It doesn't change.
+    Immutable. Building it takes about 8·k·n²·(n + samples per bit) operations, some tenth of a
+    second with 256 nodes: do that beside the stream when clocks have moved.
 
-    samples: so many are needed from the sync edge on.
+    samples: number needed from the sync edge on.
     noise_gain: (k, n) float32, noise of each estimate over the noise of one sample.
     resolution: (n,) float32, share of its amplitude that a node keeps in its worst bit.
     """
@@ -78,8 +77,8 @@ class Decorrelator:
     ) -> None:
         """Set up the equations and eliminate.
 
-        samples: so many there are at most in a frame, None for all of its period (where the
-        digitizer integrates it sends k·N, and what slow nodes say later is lost).
+        samples: largest number in a frame; None for all of its period. (A digitizer that
+        integrates sends k·N; what slow nodes send later is lost.)
         Raises SpecError where the clocks are too far apart or the skin is too large.
         """
         if clocks.nodes != spec.nodes:
@@ -120,15 +119,15 @@ class Decorrelator:
         self.noise_gain, self.resolution = self._quality(inverses)
 
     @property
-    def unresolved(self) -> NDArray[np.intp]:
-        """Nodes, counted from 0, that these clocks do not let tell from some other."""
+    def unresolved(self) -> Indices:
+        """Nodes, counted from 0, whose waveforms at these clocks are those of some other."""
         return np.flatnonzero(self.resolution < RESOLVED)
 
     @property
-    def gain(self) -> NDArray[np.float32]:
+    def gain(self) -> Floats32:
         """Noise of a node's worst bit over that of a correlation without crosstalk, (n,)."""
         clean = math.sqrt(self.spec.order * self.sampling.per_chip)
-        worst: NDArray[np.float32] = self.noise_gain.max(axis=0) * np.float32(clean)
+        worst: Floats32 = self.noise_gain.max(axis=0) * np.float32(clean)
         return worst
 
     def estimate(self, samples: Floats32) -> Floats32:
@@ -192,8 +191,8 @@ class Decorrelator:
         """Waveforms of one bit, (u, stop − first): the nodes', then the pedestal's.
 
         The pedestal takes up a residual offset, and the mean level of unipolar nodes: what an
-        all-ones row gives, averaged over the nodes' clocks. Where row 0 belongs to a node there
-        is none.
+        all-ones row gives, averaged over the nodes' clocks. There is none where row 0 belongs to a
+        node.
         """
         edge = np.array(float(bit * self.spec.order))
         begin = edge + self.clocks.displacement(edge)
@@ -227,8 +226,8 @@ class Decorrelator:
     def _quality(self, inverses: list[NDArray[Any]]) -> tuple[Floats32, Floats32]:
         """noise_gain and resolution, from the diagonal blocks of K.
 
-        Those follow backwards, K[m] = D[m]⁻¹ + B[m]A[m+1]·K[m+1]·(B[m]A[m+1])ᵀ. Of λK² only the
-        part within a bit is taken off, which errs to the side of more noise.
+        They follow backwards, K[m] = D[m]⁻¹ + B[m]A[m+1]·K[m+1]·(B[m]A[m+1])ᵀ. Of λK² only the
+        part within a bit is subtracted, which errs to the side of more noise.
         """
         nodes = self.spec.nodes
         block = inverses[-1]
@@ -237,11 +236,10 @@ class Decorrelator:
         for m in range(self._bits - 1, -1, -1):
             bit = self._blocks[m]
             shared = bit.stop - self._blocks[m + 1].first if m + 1 < self._bits else 0
+            later, block = block, inverses[m]
             if shared > 0:
                 theirs, mine = self._blocks[m + 1].rows[:, :shared], bit.inverse[:, -shared:]
-                block = inverses[m] + mine @ (theirs.T @ block @ theirs) @ mine.T
-            else:
-                block = inverses[m]
+                block = block + mine @ (theirs.T @ later @ theirs) @ mine.T
             own = np.diag(block)[:nodes]
             gain[m] = np.sqrt(own - self.ridge * np.square(block).sum(axis=1)[:nodes])
             kept[m] = 1 - self.ridge * own

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Clocks of the nodes: what each one's delay and chip duration are, where a skin is modular.
+"""Clocks of the nodes of a modular skin: each one's delay and chip duration.
 
 All nodes hear the sync edge and then count chips of their own: chip c of node i begins
 delay[i] + c·(1 + rate_error[i]) nominal chips after the edge. Its displacement at chip c is what
@@ -13,20 +13,21 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..base.arrays import Bools, Floats
 from ..base.errors import SpecError
 from ..code.frame import FrameSpec
 
-Floats = NDArray[np.float64]
-
 MAX_DELAY = 4.0
-"""Largest believable delay of a node, chips."""
-MAX_RATE_ERROR = 0.03
-"""Largest believable error of a node's clock."""
+"""Largest believable delay of a node, chips. Chosen: four times what a roll call searches."""
+MAX_CLOCK_ERROR = 0.03
+"""Largest believable relative error of a node's clock. Chosen: half above what a roll call
+searches."""
 HARMLESS = 0.06
-"""Crosstalk of plain correlation, relative to a node's amplitude, that costs next to nothing: to
-noise at ρ = 6 it adds 13 % of power, and five of its deviations are a third of a bit."""
+"""Crosstalk of plain correlation, RMS relative to a node's amplitude, below which clocks need no
+decorrelation: it adds 13 % to the power of noise at ρ = 6, (0.06·6)², and five of its deviations
+are a third of an amplitude."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,14 +36,14 @@ class NodeClocks:
 
     delay_chips: (n,) float64, from the sync edge to the first chip, nominal chips.
     rate_error: (n,) float64, duration of a chip over nominal, minus 1.
-    known: (n,) bool, measured; the entries of the others are a guess.
+    known: (n,) bool, False where the entries are a guess.
 
-    Raises SpecError for entries that no node has.
+    Raises SpecError for different shapes and for values beyond MAX_DELAY and MAX_CLOCK_ERROR.
     """
 
     delay_chips: Floats
     rate_error: Floats
-    known: NDArray[np.bool_]
+    known: Bools
 
     def __post_init__(self) -> None:
         for name, kind in (("delay_chips", float), ("rate_error", float), ("known", bool)):
@@ -56,7 +57,7 @@ class NodeClocks:
                 f"delay_chips, rate_error and known have shapes {self.delay_chips.shape}, "
                 f"{self.rate_error.shape} and {self.known.shape}; all must be (nodes,)"
             )
-        for name, limit in (("delay_chips", MAX_DELAY), ("rate_error", MAX_RATE_ERROR)):
+        for name, limit in (("delay_chips", MAX_DELAY), ("rate_error", MAX_CLOCK_ERROR)):
             wrong = np.flatnonzero(~(np.abs(getattr(self, name)) <= limit))
             if wrong.size:
                 raise SpecError(
@@ -66,7 +67,7 @@ class NodeClocks:
 
     @classmethod
     def nominal(cls, nodes: int) -> NodeClocks:
-        """Clocks of which nothing is known: all on the digitizer's."""
+        """Clocks that agree with the digitizer's, none of them known."""
         return cls(np.zeros(nodes), np.zeros(nodes), np.zeros(nodes, bool))
 
     @property
@@ -75,7 +76,7 @@ class NodeClocks:
         return self.delay_chips.size
 
     def displacement(self, chip: ArrayLike) -> Floats:
-        """How late each node begins a chip of the frame: (…) chip numbers to (n, …) chips."""
+        """Delay of each node at the begin of a chip: (…) chip numbers to (n, …) chips."""
         at = np.asarray(chip, dtype=np.float64)
         shape = (self.nodes,) + (1,) * at.ndim
         late: Floats = self.delay_chips.reshape(shape) + self.rate_error.reshape(shape) * at
@@ -96,7 +97,7 @@ class NodeClocks:
         return float(spec.chips + self.displacement(spec.chips).max()) * spec.chip_s
 
     def with_guesses(self) -> NodeClocks:
-        """The same, and unknown nodes take the median of the known ones."""
+        """The same clocks, unknown ones replaced by the median of the known ones."""
         if not self.known.any():
             return self
         delay = np.where(self.known, self.delay_chips, np.median(self.delay_chips[self.known]))
@@ -105,12 +106,12 @@ class NodeClocks:
 
 
 def crosstalk(spec: FrameSpec, clocks: NodeClocks) -> float:
-    """What all others add to one correlation of plain decoding, rms over a node's amplitude.
+    """What all other nodes add to one correlation of plain decoding, RMS over a node's amplitude.
 
-    Plain: one start and one chip duration for all, fitted to them. A row that is δ ≤ 1 chips late
-    is (1 − δ) of itself and δ of itself one chip on, and the rows take up all of the latter's
-    power: n rows leave δ²·n/N in each on average. The worst bit counts, or the worst slot where
-    nodes start anew within a frame.
+    Plain decoding fits one start and one chip duration to all nodes. A row that is δ ≤ 1 chips
+    late is (1 − δ) of itself and δ of itself one chip later. All of the latter's power falls into
+    the rows of the book: n rows leave δ²·n/N in each on average. The worst bit counts, or the worst
+    slot where nodes start anew within a frame.
     """
     edges = np.arange(spec.line_bits + 1) * spec.order
     if spec.resync_chips:

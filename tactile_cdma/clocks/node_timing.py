@@ -24,8 +24,8 @@ from .decorrelate import Decorrelator
 from .sampling import Sampling
 
 TRACKED_FRAMES = 4
-"""Clocks are followed in one frame of so many, clock_tracking.BATCH nodes each time. Chosen: 16
-nodes at 78 Hz are all looked at ten times a second."""
+"""Clocks are followed in one frame of so many, clock_tracking.NODES_PER_FRAME nodes each time.
+Chosen: 16 nodes at 78 Hz are all looked at ten times a second."""
 MOST_REJECTED = 50
 """Frames in a row that the clocks fail to explain before they are dropped. Chosen: 0.6 s at 78 Hz,
 longer than disturbances that pass."""

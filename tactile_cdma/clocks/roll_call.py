@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A node's clock from a frame in which it speaks alone.
+"""Measures a node's clock from a frame in which it speaks alone.
 
-Its row is known; its word, delay and clock error are not. A hypothesis of the latter two gives
-the amplitude of each bit, and the mean of their magnitudes says how much of the samples' energy
-it explains. A hypothesis is a pair of displacements, of the frame's begin and of its end:
+Its row is known; its word, delay and clock error are not. A candidate for the latter two gives the
+amplitude of each bit, and the mean of their magnitudes says how much of the samples' energy it
+explains. A candidate is a pair of displacements, of the frame's begin and of its end:
 
 1. Range search: all pairs on a raster of half chips. Over 16 chips no believable clock drifts by
    more than a third of a chip, so pieces of 16 chips are correlated once at each displacement,
-   and hypotheses only add them up.
+   and candidates only add them up.
 2. Zoom: a raster around the best, recentred and halved. Ideal edges make the energy fall off as
    |τ|, not τ²: the likelihood is about 1/(k·ρ²) chips wide, where regression on the areas around
    edges has 1/(ρ·√k).
@@ -23,32 +23,36 @@ from math import ceil, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.arrays import Floats, Floats32
 from ..base.errors import SpecError
 from ..code.frame import FrameSpec
 from .node_clocks import NodeClocks
-from .sampling import Floats, RunningSum, Sampling
+from .sampling import RunningSum, Sampling
 
-LATEST = 1.0
-"""Largest delay that is searched for, chips."""
+LARGEST_DELAY = 1.0
+"""Largest delay that is searched for, chips. Chosen: a node starts within its first chip."""
 LARGEST_RATE_ERROR = 0.02
-"""Largest clock error that is searched for."""
+"""Largest relative clock error that is searched for. Chosen: about what calibrated RC oscillators
+of microcontrollers keep."""
 HEARD = 4.0
-"""A node was heard where its amplitude exceeds so many deviations of a bit's noise; the best of
-10⁴ hypotheses about noise alone reaches 2."""
+"""ρ from which on a node counts as heard; the best of 10⁴ candidates about noise alone reaches
+2."""
 MAX_LEFT = 0.15
-"""Power beyond noise that a lone node may leave unexplained, relative to its own."""
+"""Power beyond noise that a lone node may leave unexplained, relative to its own. Chosen, as
+fit.MAX_DISTORTION."""
 _PIECE = 16
-"""Chips that are correlated at one displacement."""
+"""Chips that are correlated at one displacement: at LARGEST_RATE_ERROR they drift by 0.32 chip."""
 _WIDEST, _FINEST = 0.087, 0.004
-"""First and last raster of the zoom, chips. At 2 samples per chip and little drift the energy is a
-staircase: a wider raster may step over its top."""
+"""Steps of the first and the last raster of the zoom, chips. Chosen: at 2 samples per chip and
+little drift the energy is a staircase, and a wider raster may step over its top."""
 _TIE = 1e-4
-"""Relative difference of explained energies that counts as one unit of likelihood at least."""
+"""Relative difference of explained energies that counts as at least one unit of log-likelihood.
+Chosen: bounds what a line without noise tells apart."""
 
 
 @dataclass(frozen=True, slots=True)
 class HeardClock:
-    """What a roll-call frame says about its node.
+    """A node's clock as one roll-call frame shows it.
 
     delay_chips, rate_error: as in NodeClocks. delay_std: likely error of the former.
     amplitude_v: of its ± code on the line, V, regardless of sign.
@@ -88,11 +92,11 @@ class RollCallListener:
     def samples(self) -> int:
         """Samples of a frame that are looked at: until the slowest clock is through."""
         spec = self.spec
-        longest = spec.chips * (1 + LARGEST_RATE_ERROR) + LATEST
+        longest = spec.chips * (1 + LARGEST_RATE_ERROR) + LARGEST_DELAY
         return int(self.sampling.per_chip * min(longest, spec.frame_period_s / spec.chip_s))
 
-    def hear(self, node: int, samples: NDArray[np.float32], noise_rms_v: float) -> HeardClock:
-        """Take in the frame of a node, counted from 0; what it refuses is told, not kept.
+    def hear(self, node: int, samples: Floats32, noise_rms_v: float) -> HeardClock:
+        """Measure the clock of a node, counted from 0, in its frame; a refused clock is not kept.
 
         samples: (≥ self.samples,) V, from the sync edge on, gap level removed. noise_rms_v: of one
         sample in the gap. Raises SpecError where samples are missing.
@@ -108,7 +112,7 @@ class RollCallListener:
         return clock
 
     def clocks(self) -> NodeClocks:
-        """The clocks so far; nodes that were not heard take the median of the others."""
+        """The clocks so far; for nodes not heard, the median of the others."""
         nodes = self.spec.nodes
         delay, rate, known = np.zeros(nodes), np.zeros(nodes), np.zeros(nodes, bool)
         for node, clock in self.heard.items():
@@ -147,13 +151,13 @@ def hear_node(
 
 
 def raster(late: Floats, step: float, reach: int) -> tuple[Floats, Floats]:
-    """Hypotheses around one, (2·reach + 1)² of begin and end."""
+    """Candidates around one: begins and ends, ((2·reach + 1)²,) each."""
     shifts = step * np.arange(-reach, reach + 1)
     return np.repeat(late[0] + shifts, shifts.size), np.tile(late[1] + shifts, shifts.size)
 
 
 class RowSearch:
-    """Amplitudes that displacements of a frame's begin and end let a row have in the samples."""
+    """A row's amplitude in the samples, for displacements of the frame's begin and end."""
 
     def __init__(
         self, line: Floats, row: NDArray[np.int8], spec: FrameSpec, sampling: Sampling
@@ -164,8 +168,8 @@ class RowSearch:
     def explained(self, begin: Floats, end: Floats) -> tuple[Floats, Floats]:
         """Mean magnitude of the bits' amplitudes, V, and samples per bit; begin, end: (h,) chips.
 
-        The count of samples is as fine as the samples: otherwise a shorter frame would be favoured
-        over a longer one that looks the same.
+        Samples are counted in fractions: otherwise a shorter frame would be favoured over a longer
+        one that looks the same.
         """
         rate = 1 + (end - begin) / self.chips
         edges = begin[:, None] + rate[:, None] * np.arange(self.chips + 1)
@@ -183,13 +187,13 @@ class RowSearch:
     def coarse(self) -> Floats:
         """The best pair of displacements on a raster of half chips."""
         order, reach = self.row.size, ceil(LARGEST_RATE_ERROR * self.chips)
-        halves = np.arange(-2 * reach, 2 * (reach + ceil(LATEST)) + 1)
+        halves = np.arange(-2 * reach, 2 * (reach + ceil(LARGEST_DELAY)) + 1)
         # Level of the chip that begins at each half chip of the line.
         begins = np.arange(halves[0], 2 * self.chips + halves[-1] + 1) / 2
         levels = self.sums.until(begins + 1)[0] - self.sums.until(begins)[0]
         displaced = np.lib.stride_tricks.sliding_window_view(levels, halves.size)[::2]
         starts = np.arange(0, order, _PIECE)
-        begin, end = np.meshgrid(np.arange(0, LATEST + 0.25, 0.5), halves / 2, indexing="ij")
+        begin, end = np.meshgrid(np.arange(0, LARGEST_DELAY + 0.25, 0.5), halves / 2, indexing="ij")
         possible = np.abs(end - begin) <= reach
         begin, end = begin[possible], end[possible]
         total = np.zeros(begin.size)
@@ -207,7 +211,7 @@ class RowSearch:
 def _judged(
     search: RowSearch, line: Floats, late: Floats, std: Floats, noise_rms_v: float
 ) -> HeardClock:
-    """The result of a search, and whether the samples are those of a lone node.
+    """The result of a search, with a refusal where the samples are not those of a lone node.
 
     late, std: (2,) displacements of begin and end, chips, and their deviations.
     """
@@ -223,7 +227,7 @@ def _judged(
     left = (float(np.square(line).sum()) - own - noise) / max(own, 1e-30)
     delay, rate = float(late[0]), float(late[1] - late[0]) / search.chips
     refusal = ""
-    if not (-LATEST <= delay <= 2 * LATEST and abs(rate) <= 1.2 * LARGEST_RATE_ERROR):
+    if not (-LARGEST_DELAY <= delay <= 2 * LARGEST_DELAY and abs(rate) <= 1.2 * LARGEST_RATE_ERROR):
         refusal = f"a delay of {delay:.2f} chips and a clock error of {rate:.1%} are out of range"
     elif rho < HEARD:
         refusal = f"nobody was heard: amplitude is {rho:.2g} times the noise"
@@ -232,12 +236,4 @@ def _judged(
             f"{left:.0%} of a node's power is left over: another one spoke, too, or the code row "
             "is a different one"
         )
-    return HeardClock(
-        delay_chips=delay,
-        rate_error=rate,
-        delay_std=float(std[0]),
-        amplitude_v=amplitude,
-        rho=rho,
-        left=left,
-        refusal=refusal,
-    )
+    return HeardClock(delay, rate, float(std[0]), amplitude, rho, left, refusal)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""How a node's code row looks to the digitizer, whatever the node's clock."""
+"""Code rows as the digitizer samples them, for any clock of the node."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from ..base.arrays import Floats, Floats32
 
 _SHARP = 1e-3
-"""Least aperture: no edge is sharper, and one formula serves instants and means."""
+"""Least aperture, samples, so that one formula serves instants and means. Chosen: far below the
+0.03 chip to which edges have to be known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +30,7 @@ class Sampling:
 
     @property
     def width(self) -> float:
-        """Samples over which an edge is seen as a ramp."""
+        """Width of the ramp that an edge is seen as, samples."""
         return max(self.aperture, _SHARP)
 
 
@@ -38,9 +39,9 @@ INTEGRATED = Sampling(1.0, 1.0)
 
 
 class RunningSum:
-    """Sum of samples up to any instant; a sample that an edge falls into counts in part.
+    """Sums of samples up to any instant; a sample at the instant counts in part.
 
-    The difference of two sums is what a level of 1 V between their instants correlates to.
+    The difference of two sums is the correlation with a level of 1 V between their instants.
     """
 
     def __init__(self, samples: Floats, sampling: Sampling) -> None:
@@ -64,8 +65,8 @@ class RunningSum:
 
 def row_samples(
     rows: NDArray[np.int8], begin: Floats, chip: Floats, first: int, stop: int, sampling: Sampling
-) -> NDArray[np.float32]:
-    """Code rows as samples first…stop − 1 show them: (n, stop − first) float32, 0 outside a row.
+) -> Floats32:
+    """Samples first…stop − 1 of code rows: (n, stop − first) float32, 0 outside a row.
 
     rows: (n, N) of ±1. begin, chip: (n,) start of each row and duration of its chips, nominal
     chips. Every sample is the mean over its aperture.

@@ -21,14 +21,18 @@ from functools import cache, cached_property, lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..base.arrays import Indices
 from ..base.errors import SpecError
 from .paley import paley
 
 MAX_ORDER = 65_536
+"""Largest code order. Chosen; make bench-speed goes up to it."""
 SMALL_FACTOR = 100
-"""Books whose factors are all this small are several times cheaper to correlate than others."""
+"""Largest factor of books that are several times cheaper to correlate than others (make
+bench-speed)."""
 MOST_EXTRA = 0.02
-"""Share by which a default order may exceed the smallest one to have small factors."""
+"""Share by which a default order may exceed the smallest one to have small factors. Chosen: frames
+get longer by as much."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +55,7 @@ class CodeBook:
         return self.rows(np.arange(self.order))
 
     def rows(self, indices: ArrayLike) -> NDArray[np.int8]:
-        """Chosen rows, (len(indices), N) int8, without forming the matrix."""
+        """Some rows, (len(indices), N) int8 of ±1, without forming the matrix."""
         remaining = np.asarray(indices, dtype=np.intp)
         if remaining.size and not 0 <= remaining.min() <= remaining.max() < self.order:
             raise SpecError(f"code rows run from 0 to {self.order - 1}, got {indices!r}")
@@ -98,11 +102,11 @@ def smallest_order(rows: int) -> int:
 
 
 def default_order(rows: int) -> int:
-    """The order to use where nothing else speaks for one: short, and cheap to correlate.
+    """The default order for so many rows: short, and cheap to correlate.
 
-    The smallest order with at least this many rows, or, where that one has a large factor, the
-    next within MOST_EXTRA that has none: for 4097 rows 4160 = 2²·20·52 instead of 4100, a single
-    Paley matrix. Raises SpecError above MAX_ORDER rows.
+    The smallest order with at least this many rows or, if that has a large factor, the next one
+    within MOST_EXTRA that has none: for 4097 rows 4160 = 2²·20·52 instead of 4100, a single Paley
+    matrix. Raises SpecError above MAX_ORDER rows.
     """
     smallest = smallest_order(rows)
     limit = min(int(smallest * (1 + MOST_EXTRA)), MAX_ORDER)
@@ -110,7 +114,7 @@ def default_order(rows: int) -> int:
     return next((n for n in close if max(code_book(n).plan) <= SMALL_FACTOR), smallest)
 
 
-def row_signs(rows: NDArray[np.intp], seed: int | None) -> NDArray[np.int8]:
+def row_signs(rows: Indices, seed: int | None) -> NDArray[np.int8]:
     """The fixed sign of each code row, (len(rows),) int8 of ±1; None gives natural (all +1) signs.
 
     Random signs keep the peak of the summed line near √n instead of n when all nodes send the
@@ -147,7 +151,7 @@ def _plan(order: int) -> tuple[int, ...] | None:
     return min(plans, key=lambda plan: (sum(plan), plan), default=None)
 
 
-def _factor_rows(order: int, indices: NDArray[np.intp]) -> NDArray[np.int8]:
+def _factor_rows(order: int, indices: Indices) -> NDArray[np.int8]:
     """Rows of a factor of order 1, 2 or a Paley order."""
     if order <= 2:
         return np.array([[1, 1], [1, -1]], dtype=np.int8)[indices, :order]

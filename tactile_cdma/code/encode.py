@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the nodes do: words to the chips that they put on the line."""
+"""Encodes words as the nodes do: to the chips that they put on the line."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..base.arrays import Floats32
 from ..base.errors import SpecError
 from .frame import DEFAULT_AMPLITUDE_V, UNIPOLAR, FrameSpec
 from .transform import spread
@@ -25,7 +26,7 @@ def word_bits(codes: ArrayLike, bits: int) -> NDArray[np.uint8]:
 
 
 def with_parity(bits: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Words (n, b) of bits followed by the bit that makes their ones even: (n, b + 1)."""
+    """Words (n, b) of bits, each followed by the bit that makes its ones even: (n, b + 1)."""
     return np.column_stack((bits, bits.sum(axis=1, dtype=np.uint8) & 1))
 
 
@@ -34,7 +35,7 @@ def line_chips(
     codes: ArrayLike,
     active: ArrayLike | None = None,
     amplitude_v: ArrayLike | None = None,
-) -> NDArray[np.float32]:
+) -> Floats32:
     """Level of the digitized line in every chip of one frame.
 
     codes: (n,) ADC words. active: (n,) bool, all by default; a silent node adds nothing.
@@ -56,8 +57,8 @@ def line_chips(
     return np.asarray(spec.polarity * chips, dtype=np.float32)
 
 
-def frame_levels(chips: NDArray[np.float32], spec: FrameSpec) -> NDArray[np.float32]:
-    """Coded chips (k, N) in the order of the line, (span_chips,); guards are silent."""
+def frame_levels(chips: Floats32, spec: FrameSpec) -> Floats32:
+    """Coded chips (k, N) in the order of the line, with silent guards: (span_chips,)."""
     levels = np.zeros(spec.span_chips, dtype=np.float32)
     levels[spec.places] = chips.ravel()
     return levels

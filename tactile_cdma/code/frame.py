@@ -1,33 +1,45 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""FrameSpec: the one place where a frame's shape and its levels on the line are defined."""
+"""FrameSpec, which defines a frame's shape and its levels on the line."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.arrays import Indices
 from ..base.errors import SpecError
 from .codes import CodeBook, code_book, default_order, is_feasible, row_signs, smallest_order
 
 BIPOLAR, UNIPOLAR = "bipolar", "unipolar"
 DEFAULT_AMPLITUDE_V = 0.3
-"""Level of one node on the line in the paper."""
+"""Level of one node on the line, V, in the paper: about 300 mV."""
 MAX_STRETCH = 0.11
-"""Longest recoverable stretch of a frame; the paper's hardware reaches 0.10 (8.0 to 8.8 ms)."""
+"""Largest relative stretch of a frame that is searched for. The paper's hardware reaches 0.10 (8.0
+to 8.8 ms); the rest is margin."""
+_RANGES = {
+    "nodes": (1, 65_536),
+    "bits": (8, 16),
+    "chip_s": (1e-8, 1.0),
+    "first_row": (0, 65_535),
+    "resync_chips": (0, 65_535),
+    "guard_chips": (0, 255),
+    "sign_seed": (0, 2**32 - 1),
+    "amplitude_v": (1e-6, 100.0),
+}
+"""Range of each field that is not None."""
 
 
 @dataclass(frozen=True)
 class FrameSpec:
-    """How n nodes share the line. Immutable; every derived quantity follows from these fields.
+    """How n nodes share the line. Immutable; all other quantities follow from these fields.
 
     nodes: number of sensing nodes, n.
     bits: length of a node's ADC word, sent most significant bit first.
-    order: chips per bit, N; 0 picks the default order for so many rows (codes.default_order).
+    order: chips per bit, N; 0 picks codes.default_order for the rows needed.
     chip_s: nominal chip duration, s.
     frame_period_s: from one frame's first chip to the next one's, s.
     first_row: code row of the first node; node i uses row first_row + i. 1 keeps the all-ones
@@ -37,9 +49,9 @@ class FrameSpec:
     polarity: −1 where the amplifier inverts.
     amplitude_v: A, the level of one node on the digitized line, V; None learns it from each frame.
     parity: every word is followed by a bit that makes its number of ones even.
-    resync_chips: nodes with clocks of their own start anew, at a sync edge, every so many chips;
-        0: at the frame's first chip only.
-    guard_chips: pause before each such restart, in chips, in which slow nodes finish.
+    resync_chips: chips after which nodes with clocks of their own start anew, at a sync edge; 0: at
+        the frame's first chip only.
+    guard_chips: pause before each such restart, chips, in which slow nodes finish.
 
     Raises SpecError for a field out of range or a combination that cannot work.
     """
@@ -59,16 +71,10 @@ class FrameSpec:
     guard_chips: int = 0
 
     def __post_init__(self) -> None:
-        _check_range("nodes", self.nodes, 1, 65_536)
-        _check_range("bits", self.bits, 8, 16)
-        _check_range("chip_s", self.chip_s, 1e-8, 1.0)
-        _check_range("first_row", self.first_row, 0, 65_535)
-        _check_range("resync_chips", self.resync_chips, 0, 65_535)
-        _check_range("guard_chips", self.guard_chips, 0, 255)
-        if self.sign_seed is not None:
-            _check_range("sign_seed", self.sign_seed, 0, 2**32 - 1)
-        if self.amplitude_v is not None:
-            _check_range("amplitude_v", self.amplitude_v, 1e-6, 100.0)
+        for name, (low, high) in _RANGES.items():
+            value = getattr(self, name)
+            if value is not None and not low <= value <= high:  # nor NaN
+                raise SpecError(f"{name} is {value}; it must lie within {low:g}…{high:g}")
         if self.drive not in (BIPOLAR, UNIPOLAR):
             raise SpecError(f"drive is {self.drive!r}; it must be {BIPOLAR!r} or {UNIPOLAR!r}")
         if self.polarity not in (1, -1):
@@ -94,9 +100,11 @@ class FrameSpec:
                 "restarts within a frame take both"
             )
         if not self.frame_s <= self.frame_period_s:
+            guards = self.span_chips - self.chips
+            guard_text = f"and {guards} guard chips " if guards else ""
             raise SpecError(
                 f"a frame of {self.line_bits} bits × {self.order} chips × {self.chip_s * 1e6:g} µs "
-                f"{self._guard_text}lasts {self.frame_s * 1e3:g} ms, longer than its period of "
+                f"{guard_text}lasts {self.frame_s * 1e3:g} ms, longer than its period of "
                 f"{self.frame_period_s * 1e3:g} ms"
             )
 
@@ -118,8 +126,8 @@ class FrameSpec:
         return self.chips + (self.chips - 1) // self.resync_chips * self.guard_chips
 
     @cached_property
-    def places(self) -> NDArray[np.intp]:
-        """When each coded chip begins, in chips after the frame's start, (k·N,)."""
+    def places(self) -> Indices:
+        """Begin of each coded chip, chips after the frame's start, (k·N,)."""
         chip = np.arange(self.chips)
         if self.resync_chips:
             chip += chip // self.resync_chips * self.guard_chips
@@ -143,7 +151,7 @@ class FrameSpec:
         return code_book(self.order)
 
     @cached_property
-    def rows(self) -> NDArray[np.intp]:
+    def rows(self) -> Indices:
         """Code row of every node, (n,)."""
         return np.arange(self.first_row, self.first_row + self.nodes)
 
@@ -159,7 +167,7 @@ class FrameSpec:
 
     @cached_property
     def sign_mask(self) -> NDArray[np.int32]:
-        """What turns the signs of a node's levels into its word, (n,) int32: all ones or none."""
+        """XOR mask from the signs of a node's levels to its word, (n,) int32: all ones or 0."""
         inverted = self.signs * self.polarity < 0
         return np.where(inverted, np.int32((1 << self.line_bits) - 1), np.int32(0))
 
@@ -170,17 +178,7 @@ class FrameSpec:
 
     @property
     def spare_rows(self) -> slice:
-        """Rows that no node uses and that carry no DC level: they show the noise floor."""
+        """Rows that no node uses and that carry no DC level; they show the noise floor."""
         after = slice(self.first_row + self.nodes, self.order)
         before = slice(1, max(1, self.first_row))
         return max(after, before, key=lambda rows: rows.stop - rows.start)
-
-    @property
-    def _guard_text(self) -> str:
-        guards = self.span_chips - self.chips
-        return f"and {guards} guard chips " if guards else ""
-
-
-def _check_range(name: str, value: float, low: float, high: float) -> None:
-    if not (math.isfinite(value) and low <= value <= high):
-        raise SpecError(f"{name} is {value}; it must lie within {low:g}…{high:g}")

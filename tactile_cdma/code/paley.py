@@ -23,6 +23,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.arrays import Floats, Floats32, Indices
+
 
 @dataclass(frozen=True)
 class Paley:
@@ -47,8 +49,8 @@ class Paley:
         """Number of rows."""
         return (self.q + 1) * (2 if self.doubled else 1)
 
-    def rows(self, indices: NDArray[np.intp]) -> NDArray[np.int8]:
-        """Chosen rows, (len(indices), order) int8 of ±1."""
+    def rows(self, indices: Indices) -> NDArray[np.int8]:
+        """Some rows, (len(indices), order) int8 of ±1."""
         if not self.doubled:
             rows = self._core_rows(indices)
             rows[np.arange(len(indices)), indices] += 1
@@ -60,9 +62,7 @@ class Paley:
         rows[:, 0, 1] *= -1
         return rows.reshape(len(indices), self.order)
 
-    def multiply(
-        self, vectors: NDArray[np.float32], transposed: bool = False
-    ) -> NDArray[np.float64]:
+    def multiply(self, vectors: Floats32, transposed: bool = False) -> Floats:
         """The matrix, or its transpose, times vectors (…, order), which may be strided.
 
         Returns (…, order) float64, exact to the rounding of that; O(order·log order).
@@ -84,7 +84,7 @@ class Paley:
             result[..., 0, 1] *= -1
         return result.reshape(x.shape)
 
-    def _core_rows(self, indices: NDArray[np.intp]) -> NDArray[np.int8]:
+    def _core_rows(self, indices: Indices) -> NDArray[np.int8]:
         """Rows of S, (len(indices), q + 1) int8."""
         rows = np.empty((len(indices), self.q + 1), dtype=np.int8)
         elements = indices - 1
@@ -99,7 +99,7 @@ class Paley:
         rows[top, 0], rows[top, 1:] = 0, 1
         return rows
 
-    def _core_product(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _core_product(self, x: Floats) -> Floats:
         """S times vectors (…, q + 1)."""
         group, axes = (self.p,) * self.m, tuple(range(-self.m, 0))
         elements = x[..., 1:].reshape(*x.shape[:-1], *group)
@@ -114,12 +114,12 @@ class Paley:
 
     @cached_property
     def _fft_shape(self) -> tuple[int, ...]:
-        """A prime length is slow: one dimension is padded until it can wrap without overlap."""
+        """Shape of the FFT: prime lengths are slow, so a single dimension is padded."""
         return (_smooth(2 * self.p - 1),) if self.m == 1 else (self.p,) * self.m
 
     @cached_property
     def _spectrum(self) -> NDArray[np.complex128]:
-        """The transform of χ on the group, continued periodically where the FFT is padded."""
+        """Transform of χ on the group, continued periodically where the FFT is padded."""
         kernel: NDArray[Any] = self._character.reshape((self.p,) * self.m)
         for axis, length in enumerate(self._fft_shape):
             step = np.arange(length)

@@ -17,30 +17,30 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..base.arrays import Floats32
 from ..base.errors import SpecError
 from .codes import MAX_ORDER, CodeBook
 from .paley import Paley, paley
 
 _LARGEST_BLOCK = 512
-"""Order above which an FFT beats a dense product."""
+"""Order above which an FFT beats a dense product (measured when it was introduced, by what is now
+make bench-speed)."""
 _BLAS_PRODUCTS = 1 << 18
 """Multiplications in one BLAS call. OpenBLAS spreads longer ones over its threads, which then wait
 for each other: milliseconds, on a machine that has anything else to do."""
 _LEAST_ROWS = 32
-"""Rows below which the time goes into packing the block's matrix for BLAS, each time anew."""
+"""Rows of a product below which packing the block's matrix for BLAS dominates its time. Measured
+when it was introduced."""
 _CHUNK = MAX_ORDER
-"""Values that pass through all stages together: one small scratch buffer does for any batch, and
-what is between two stages stays in the cache."""
+"""Values that pass through all stages together: one scratch buffer of 256 kB serves any batch, and
+intermediate results stay in the cache."""
 _STAGE_COST, _CALL_COST = 20, 16_000
-"""What a stage costs per value, and per call, beside the order of its block, in multiplications
-(measured for words of 10 bits)."""
+"""Costs of a stage per value and per call, in multiplications, beside the order of its block
+(measured for words of 10 bits when they were introduced)."""
 
 
-def correlate(
-    chips: NDArray[np.float32], book: CodeBook, out: NDArray[np.float32] | None = None
-) -> NDArray[np.float32]:
+def correlate(chips: Floats32, book: CodeBook, out: Floats32 | None = None) -> Floats32:
     """Amplitude of every code row in every bit.
 
     chips: (…, N) float32, V. Returns (…, N) float32, V: entry r is ±a for an active node on
@@ -52,9 +52,7 @@ def correlate(
     return _multiply(chips, _transform(book.plan), out)
 
 
-def spread(
-    symbols: NDArray[np.float32], book: CodeBook, out: NDArray[np.float32] | None = None
-) -> NDArray[np.float32]:
+def spread(symbols: Floats32, book: CodeBook, out: Floats32 | None = None) -> Floats32:
     """The sum of all code rows, each times its symbol: (…, N) float32 to chips (…, N) float32.
 
     What correlate takes apart: correlate(spread(x)) == x. out and errors as there.
@@ -68,7 +66,7 @@ class _Dense:
     One product is split into many, of some rows and columns each; see _BLAS_PRODUCTS.
     """
 
-    def __init__(self, matrix: NDArray[np.float32], rest: int) -> None:
+    def __init__(self, matrix: Floats32, rest: int) -> None:
         """rest: product of the other blocks' orders."""
         order = len(matrix)
         self.matrix, self.rest = matrix, rest
@@ -76,7 +74,7 @@ class _Dense:
         self._from = (-1, order, rest // rows, rows)
         self._to = (-1, rest // rows, rows, order)
 
-    def apply(self, values: NDArray[np.float32], result: NDArray[np.float32]) -> None:
+    def apply(self, values: Floats32, result: Floats32) -> None:
         """(c, order·rest) to (c, rest·order)."""
         if self.rest > 1:
             values = values.reshape(self._from).transpose(0, 2, 3, 1)
@@ -99,7 +97,7 @@ class _Fourier:
         self.factor, self.rest = factor, rest
         self.transposed, self.scale = transposed, scale
 
-    def apply(self, values: NDArray[np.float32], result: NDArray[np.float32]) -> None:
+    def apply(self, values: Floats32, result: Floats32) -> None:
         """(c, order·rest) to (c, rest·order)."""
         order = self.factor.order
         columns = values.reshape(-1, order, self.rest).swapaxes(1, 2)
@@ -108,7 +106,7 @@ class _Fourier:
 
 
 class _Scratch(threading.local):
-    """A buffer for what is between two stages; each thread has its own."""
+    """A buffer for intermediate results; each thread has its own."""
 
     def __init__(self) -> None:
         self.values = np.empty(_CHUNK, dtype=np.float32)
@@ -126,9 +124,7 @@ class _Transform:
     most: int
 
 
-def _multiply(
-    vectors: NDArray[np.float32], transform: _Transform, out: NDArray[np.float32] | None
-) -> NDArray[np.float32]:
+def _multiply(vectors: Floats32, transform: _Transform, out: Floats32 | None) -> Floats32:
     """Vectors (…, N) times the code book."""
     order = transform.order
     values = np.ascontiguousarray(vectors, dtype=np.float32)
@@ -143,21 +139,12 @@ def _multiply(
     parts = -(-count // transform.most)
     for part in range(parts):  # of about equal size
         chosen = slice(part * count // parts, (part + 1) * count // parts)
-        _pass(source[chosen], result[chosen], transform.stages)
+        values, to_scratch = source[chosen], len(transform.stages) % 2 == 0
+        for stage in transform.stages:  # by turns, so that the last one writes the result
+            goal = _scratch.values[: values.size] if to_scratch else result[chosen]
+            stage.apply(values, goal)
+            values, to_scratch = goal, not to_scratch
     return out
-
-
-def _pass(
-    values: NDArray[np.float32],
-    result: NDArray[np.float32],
-    stages: tuple[_Dense | _Fourier, ...],
-) -> None:
-    """All stages on vectors (c, N), few enough for the scratch buffer."""
-    to_scratch = len(stages) % 2 == 0  # by turns, so that the last stage writes the result
-    for stage in stages:
-        goal = _scratch.values[: values.size] if to_scratch else result
-        stage.apply(values, goal)
-        values, to_scratch = goal, not to_scratch
 
 
 @lru_cache(maxsize=64)
@@ -180,7 +167,7 @@ def _transform(plan: tuple[int, ...], spreading: bool = False) -> _Transform:
 
 
 def _most_rows(order: int) -> int:
-    """Rows of one BLAS product with a block: few large ones are split by columns rather."""
+    """Rows of one BLAS product with a block; products of few large rows are split by columns."""
     return max(_BLAS_PRODUCTS // order**2, _LEAST_ROWS)
 
 

@@ -25,14 +25,15 @@ from ..sim.options import SimOptions
 from ..sim.scene import SCENES
 
 LOSS = 1.02
-"""Noise that a sensible converter may add to the line's, in power: 0.09 dB, as in bench-crest."""
+"""Noise power with a sensible converter over that without: 0.09 dB, as in bench-crest."""
 LEAST_RHO = 3.0
-"""ρ of the noisiest line that the sensible converter is for, as in bench-crest."""
+"""ρ of the noisiest line that a sensible converter is chosen for, as in bench-crest."""
 DRAWS = 200
-"""Frames of random codes in the estimate of clipping."""
+"""Frames of random codes in the estimate of clipping; chosen."""
 FRAMES = 12
 """Frames of every scene in it, SCENE_STEP_S apart."""
 SCENE_STEP_S = 0.37
+"""s; chosen, so that FRAMES of them span a period of most scenes."""
 
 
 def add_to(commands: Any) -> None:
@@ -70,14 +71,14 @@ def run(arguments: argparse.Namespace) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """What a scene does to the range. peak: of the line, in A. clipped: share of its chips."""
+    """A scene's use of the range. peak: of the line, in A. clipped: share of its chips."""
 
     peak: float
     clipped: float
 
 
 def loads(spec: FrameSpec, front: FrontEnd) -> dict[str, Load]:
-    """Scenes of all nodes that may talk, spread over the skin, by name; simulated, without noise.
+    """Simulated scenes without noise, by name; nodes that may talk are spread over the skin.
 
     "random codes": independent ones. The others are the simulator's: in "idle" all nodes have one
     code, in "press" all but those under one press.
@@ -104,7 +105,7 @@ def gaussian_clipping(front: FrontEnd) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Resolution:
-    """What the converter's steps do to one node.
+    """Effect of the converter's steps on one node.
 
     count: one count, in A. rho: √N·A over the rms of the quantisation, as if every chip were one
     sample. wrong_words: share of wrong words that this alone makes. sensible_bits: the fewest with
@@ -118,7 +119,7 @@ class Resolution:
 
 
 def resolution(spec: FrameSpec, front: FrontEnd) -> Resolution:
-    """What the converter's steps do to one node: a step of q has an rms of q/√12."""
+    """Effect of the converter's steps on one node: a step of q has an rms of q/√12."""
     signal_v = math.sqrt(spec.order) * front.amplitude_v
     rho = signal_v * math.sqrt(12) / front.count_v
     step_v = math.sqrt(12 * (LOSS - 1)) * signal_v / LEAST_RHO
@@ -143,7 +144,7 @@ def report(spec: FrameSpec, front: FrontEnd) -> dict[str, Any]:
 
 
 def describe(spec: FrameSpec, front: FrontEnd) -> str:
-    """A front end for people: the parts, what they have to be capable of, and what comes of it."""
+    """A front end as text: parts, what they must be capable of, range and resolution."""
     seen = resolution(spec, front)
     scenes = loads(spec, front)
     worst = max(scenes, key=lambda name: scenes[name].peak)

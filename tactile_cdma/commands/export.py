@@ -79,7 +79,7 @@ def _write(
 
 
 def _check(path: Path, output: Path, bag: bool, force: bool) -> None:
-    """Raises CaptureError for what cannot be exported, or not there."""
+    """Raises CaptureError for a file that cannot be exported, or not to this output."""
     if is_text(path):
         raise CaptureError(f"{path}: text; of an oscilloscope's capture decode --json makes frames")
     if bag and not is_recording(path):

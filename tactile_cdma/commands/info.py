@@ -52,7 +52,7 @@ def _about(description: Description) -> dict[str, str]:
 
 
 def _say_frames(path: Path, asked: dict[str, Value]) -> None:
-    """What decoding finds, or why it finds nothing."""
+    """Print what decoding finds, or why it finds nothing."""
     try:
         capture = RawCapture(path, asked)
     except TactileError as error:

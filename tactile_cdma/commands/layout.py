@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The subcommand `tactile-cdma layout`: what a layout file says, as text and as a picture."""
+"""The subcommand `tactile-cdma layout`: checks a layout file, describes and draws it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def add_to(commands: Any) -> None:
         "--params",
         type=Path,
         metavar="FILE",
-        help="ROS 2 parameter file of the skin that it is for; else it is taken by itself",
+        help="ROS 2 parameter file of its skin, to check the layout against",
     )
     parser.set_defaults(run=run)
 
@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def describe_layout(layout: Layout) -> str:
-    """What it comes to, a line for each thing that may be wrong."""
+    """Its size, areas and neighbours, a line for each thing that may be wrong."""
     real = layout.nodes > 0
     low_mm, high_mm = layout.positions_m[real].min(axis=0), layout.positions_m[real].max(axis=0)
     size_mm = " × ".join(f"{edge:.1f}" for edge in (high_mm - low_mm) * 1e3)

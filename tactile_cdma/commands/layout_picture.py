@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A picture of a layout: what to compare with the skin on the bench."""
+"""A picture of a layout, to compare with the skin on the bench."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from ..base.errors import LayoutError
 from ..places.layout import Layout
 
 _INCHES_PER_PITCH = 0.6
+"""Scale of the picture, as long as it is no larger than _MOST_INCHES. All lengths in the picture
+are chosen by eye."""
 _MOST_INCHES = 40.0
 _SHAPE_INCHES, _HEADING_INCHES = 4.5, 3.0
 _LEFT_INCHES, _RIGHT_INCHES, _BOTTOM_INCHES, _TOP_INCHES = 0.8, 0.4, 0.6, 0.8
@@ -22,6 +24,7 @@ _GAP = 0.92
 _LABELLED_INCHES = 0.3
 """Taxels smaller than this in the picture have no numbers."""
 _ARROWS = 400
+"""Normals that are drawn, at most."""
 _MASKED_COLOUR, _EMPTY_COLOUR = (0.85, 0.3, 0.25), (1.0, 1.0, 1.0)
 
 

@@ -21,11 +21,12 @@ from ..wire.messages import Info
 from ..wire.port import Port
 
 MOST_AT_ONCE = 64
+"""Ports that are asked at the same time, a thread each; chosen."""
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What is known of one port: of a digitizer its INFO, else why there is none."""
+    """A port and its digitizer's INFO, or the reason why there is none."""
 
     port: SerialPort
     info: Info | None = None
@@ -38,8 +39,8 @@ def add_to(commands: Any) -> None:
         "ports",
         help="list serial ports and the digitizers on them",
         description="Lists serial ports and the digitizers on them. Ports are opened and listened "
-        "to; nothing is sent to what does not speak our protocol, and a port that another program "
-        "has open is left alone. Boards that reset when their port is opened, do so.",
+        "to; nothing is sent to a device that does not speak our protocol, and a port that another "
+        "program has open is left alone. Boards that reset when their port is opened will reset.",
     )
     parser.add_argument("port", nargs="*", help="only these; device paths or pyserial URLs")
     parser.add_argument("--list", action="store_true", help="open none of them")
@@ -61,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def chosen(urls: Iterable[str], ports: Iterable[SerialPort]) -> list[SerialPort]:
-    """The ports of these names, all without one; others than serial ports by their URL alone."""
+    """The ports with these names, or all; a URL that is no serial port stands for itself."""
     if not urls:
         return list(ports)
     known = {name: port for port in ports for name in (port.device, *port.links)}
@@ -69,7 +70,7 @@ def chosen(urls: Iterable[str], ports: Iterable[SerialPort]) -> list[SerialPort]
 
 
 def answers_of(ports: list[SerialPort], baud: int | None) -> list[Answer]:
-    """Ask all of them at the same time; without a baud rate, none."""
+    """Ask all of them at the same time; none without a baud rate."""
     if baud is None:
         return [Answer(port) for port in ports]
     with ThreadPoolExecutor(MOST_AT_ONCE) as pool:
@@ -86,7 +87,7 @@ def _ask(port: SerialPort, baud: int) -> Answer:
 
 
 def described(answer: Answer) -> str:
-    """A port and who is on it, for people."""
+    """A port and its digitizer as lines of text."""
     lines = [str(answer.port)]
     if answer.info is not None:
         lines.append(f"    digitizer {described_info(answer.info)}")
@@ -98,7 +99,7 @@ def described(answer: Answer) -> str:
 
 
 def as_values(answer: Answer) -> dict[str, Any]:
-    """The same for programs."""
+    """The same as plain values, for programs."""
     values: dict[str, Any] = asdict(answer.port)
     if (info := answer.info) is not None:
         values |= {

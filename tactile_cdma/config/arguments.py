@@ -11,21 +11,11 @@ from pathlib import Path
 
 from .parameters import BY_NAME, NATURAL_SIGNS, Value, read_file
 
-_SKIN_OPTIONS = {
-    "--nodes": "nodes",
-    "--bits": "bits",
-    "--chip-us": "chip_us",
-    "--frame-period-ms": "frame_period_ms",
-    "--order": "order",
-    "--first-row": "first_row",
-    "--sign-seed": "sign_seed",
-    "--drive": "drive",
-    "--polarity": "polarity",
-    "--amplitude-mv": "amplitude_mv",
-    "--timing": "timing",
-    "--samples-per-chip": "samples_per_chip",
-    "--vref": "vref_v",
-}
+_NAMES = (
+    *("nodes", "bits", "chip_us", "frame_period_ms", "order", "first_row", "sign_seed", "drive"),
+    *("polarity", "amplitude_mv", "timing", "samples_per_chip", "vref_v"),
+)
+"""Parameters that are options: --nodes, …, --samples-per-chip, --vref."""
 
 
 def add_skin_options(
@@ -35,8 +25,8 @@ def add_skin_options(
     """Add the skin's parameters as options; default: help text on where missing ones come from."""
     group = parser.add_argument_group(f"the skin (default: {default})")
     group.add_argument("--params", type=Path, metavar="FILE", help="ROS 2 parameter file")
-    for option, name in _SKIN_OPTIONS.items():
-        parameter = BY_NAME[name]
+    for name in _NAMES:
+        option, parameter = "--" + name.removesuffix("_v").replace("_", "-"), BY_NAME[name]
         kind, text = type(parameter.default), parameter.description.replace("%", "%%")
         group.add_argument(option, type=kind, dest=name, help=text)
     group.add_argument(
@@ -51,7 +41,7 @@ def add_skin_options(
 def given(arguments: argparse.Namespace) -> dict[str, Value]:
     """Parameters from the file, overridden by those from options."""
     values = read_file(arguments.params) if arguments.params else {}
-    options = {name: getattr(arguments, name) for name in _SKIN_OPTIONS.values()}
+    options = {name: getattr(arguments, name) for name in _NAMES}
     return values | {name: value for name, value in options.items() if value is not None}
 
 

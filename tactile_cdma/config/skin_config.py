@@ -23,6 +23,12 @@ from ..readings.dynamics import Compensator
 from ..wire.identity import parse_id, shown_id
 from .parameters import DEFAULTS, GAP, NATURAL_SIGNS, Values, check_values
 
+_FRAME_PARAMETERS = (
+    *("nodes", "bits", "parity", "order", "first_row", "resync_chips", "guard_chips"),
+    *("drive", "polarity"),
+)
+"""Parameters that are fields of FrameSpec as they are."""
+
 
 @dataclass(frozen=True, slots=True)
 class SkinConfig:
@@ -53,19 +59,11 @@ class SkinConfig:
         """
         get: Values = {**DEFAULTS, **check_values(values)}
         spec = FrameSpec(
-            nodes=get["nodes"],
-            bits=get["bits"],
-            order=get["order"],
             chip_s=get["chip_us"] * 1e-6,
             frame_period_s=get["frame_period_ms"] * 1e-3,
-            first_row=get["first_row"],
             sign_seed=None if get["sign_seed"] == NATURAL_SIGNS else get["sign_seed"],
-            drive=get["drive"],
-            polarity=get["polarity"],
             amplitude_v=get["amplitude_mv"] * 1e-3 or None,
-            parity=get["parity"],
-            resync_chips=get["resync_chips"],
-            guard_chips=get["guard_chips"],
+            **{name: get[name] for name in _FRAME_PARAMETERS},
         )
         if get["timing"] == GAP:
             _check_gap(spec, get["samples_per_chip"])

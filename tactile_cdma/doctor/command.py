@@ -20,22 +20,23 @@ TEXT = (
 )
 
 MOST_SECONDS = 600.0
+"""Longest examination, s; chosen, its bytes are held in memory."""
 
 
 def add_to(commands: Any) -> None:
-    """Add it to the command line's subcommands."""
+    """Add the subcommand to the command line."""
     parser = commands.add_parser(
         "doctor", help="check this installation, or a port, and say what is wrong", description=TEXT
     )
     _add_arguments(parser)
-    parser.set_defaults(run=doctor)
+    parser.set_defaults(run=run)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The doctor by itself; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m tactile_cdma.doctor", description=TEXT)
     _add_arguments(parser)
-    return doctor(parser.parse_args(argv))
+    return run(parser.parse_args(argv))
 
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -61,8 +62,8 @@ def _seconds(text: str) -> float:
     return value
 
 
-def doctor(arguments: argparse.Namespace) -> int:
-    """Examine, tell what was found as it is found; returns the exit code."""
+def run(arguments: argparse.Namespace) -> int:
+    """Run the checks and print each at once; returns the exit code."""
     checks = []
     try:
         for check in _examination(arguments):
@@ -70,7 +71,7 @@ def doctor(arguments: argparse.Namespace) -> int:
             if not arguments.json:
                 print(line(check), flush=True)
     except KeyboardInterrupt:
-        checks.append(problem("doctor", "interrupted: what follows was not looked at"))
+        checks.append(problem("doctor", "interrupted: what follows was not checked"))
     if arguments.json:
         print(json.dumps([asdict(check) for check in checks], indent=2))
     else:
@@ -83,7 +84,7 @@ def _examination(arguments: argparse.Namespace) -> Iterator[Check]:
         yield from installation()
         return
     try:
-        from .port import examine  # needs the packages whose lack the doctor is to tell of
+        from .port import examine  # needs the packages that may be missing
     except ImportError as error:
         yield problem("packages", f"{error}; python -m tactile_cdma.doctor tells what is missing")
         return

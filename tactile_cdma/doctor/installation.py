@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Is this computer set up for the driver? Standard library only: what is missing is told."""
+"""Checks whether this computer is set up for the driver. Standard library only."""
 
 from __future__ import annotations
 
@@ -17,28 +17,29 @@ import sys
 import time
 import tomllib
 from collections.abc import Iterator
+from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
 
+from ..base.shipped import CHECKOUT, shipped
 from .report import Check, Verdict, ok, problem, warning
 
-PACKAGE = Path(__file__).resolve().parents[1]
-CHECKOUT = PACKAGE.parent
 RULES = "60-tactile-cdma.rules"
 RULES_FOLDERS = ("etc/udev/rules.d", "run/udev/rules.d", "usr/lib/udev/rules.d", "lib/udev/rules.d")
 LEAST_SHARED_BYTES = 32 << 20
-"""Free in /dev/shm. A node takes 1 MB or more of it; with none left data is lost without a word."""
+"""Free in /dev/shm. Chosen: a ROS node takes 1 MB or more, and with none left loses data."""
 PORTS = "fast*_port*[0-9]"
-"""Names of the segments in which Fast DDS takes messages; every port has one."""
+"""Names of the segments in which Fast DDS receives messages, one per DDS port."""
 UNFINISHED_S = 2.0
-"""A segment gets its size microseconds after its name."""
+"""Age, s, at which a segment should have its size: it gets it microseconds after its name."""
 LEAST_FILES = 256
-"""Open files. A driver with its DDS takes about 40."""
+"""Open files per process. Chosen: a driver with its DDS takes about 40."""
 ROS_TIMEOUT_S = 60.0
+"""For the checks of ROS 2, s; chosen, several times what they take on a slow computer."""
 
 
 def installation() -> Iterator[Check]:
-    """All that there is to say, the cheap things first."""
+    """All checks, the cheap ones first."""
     yield python_version()
     yield from packages()
     yield from port_access()
@@ -69,7 +70,7 @@ def packages() -> Iterator[Check]:
         return
     lines = requirements()
     if not lines:
-        yield warning("packages", "requirements.txt is not to be found: versions are not checked")
+        yield warning("packages", "requirements.txt was not found: versions are not checked")
     for text in lines:
         try:
             needed = Requirement(text)
@@ -91,8 +92,8 @@ def packages() -> Iterator[Check]:
 
 
 def requirements() -> list[str]:
-    """The core's requirements, one text each: of the checkout, of the colcon or pip install."""
-    path = _shipped("requirements.txt")
+    """The core's requirements: from the checkout, or from the colcon or pip installation."""
+    path = shipped("requirements.txt")
     if path is not None:
         lines = (line.split("#")[0].strip() for line in path.read_text("utf-8").splitlines())
         return [line for line in lines if line]
@@ -103,21 +104,13 @@ def requirements() -> list[str]:
 
 
 def _project(key: str) -> str:
-    path = _shipped("pyproject.toml")
+    path = shipped("pyproject.toml")
     if path is not None:
         return str(tomllib.loads(path.read_text("utf-8"))["project"][key])
     try:
         return str(metadata.metadata("tactile_cdma")[key.title()])
     except (metadata.PackageNotFoundError, KeyError):
         return ""
-
-
-def _shipped(name: str) -> Path | None:
-    """A file of the checkout, or of the share folder of a colcon install."""
-    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    shares = [Path(prefix) / "share" / "tactile_cdma" for prefix in prefixes if prefix]
-    checkout = [CHECKOUT] if (CHECKOUT / "package.xml").is_file() else []
-    return next((folder / name for folder in checkout + shares if (folder / name).is_file()), None)
 
 
 def port_access() -> Iterator[Check]:
@@ -150,10 +143,10 @@ def port_access() -> Iterator[Check]:
 
 
 def udev_rule(root: Path) -> Iterator[Check]:
-    """The rule for stable names, where there is a udev."""
+    """The udev rule for stable names; nothing without udev, as in a container."""
     if not (root / "run/udev/control").exists():
         return
-    ours = _shipped(f"config/{RULES}")
+    ours = shipped(f"config/{RULES}")
     for folder in RULES_FOLDERS:
         path = root / folder / RULES
         if path.is_file():
@@ -170,7 +163,7 @@ def udev_rule(root: Path) -> Iterator[Check]:
 
 
 def modem_manager(root: Path) -> Iterator[Check]:
-    """ModemManager looks for modems on new ports, which our rule forbids it."""
+    """ModemManager probes new ports for modems unless our udev rule forbids it."""
     ruled = any((root / folder / RULES).is_file() for folder in RULES_FOLDERS)
     for comm in (root / "proc").glob("[0-9]*/comm"):
         try:
@@ -187,7 +180,7 @@ def modem_manager(root: Path) -> Iterator[Check]:
 
 
 def shared_memory(folder: Path) -> Iterator[Check]:
-    """Fast DDS hands messages over in shared memory; containers get 64 MB of it by default."""
+    """Room for Fast DDS, which exchanges messages in shared memory; containers get 64 MB."""
     try:
         free = shutil.disk_usage(folder).free
     except OSError:
@@ -210,7 +203,7 @@ def shared_memory(folder: Path) -> Iterator[Check]:
 
 
 def _is_unfinished(path: Path) -> bool:
-    """Whether a segment was not given its size, and nobody is just about to."""
+    """Whether a segment has no size, although it is older than it takes to get one."""
     try:
         seen = path.stat()
     except OSError:  # removed just now
@@ -219,7 +212,7 @@ def _is_unfinished(path: Path) -> bool:
 
 
 def open_files() -> Iterator[Check]:
-    """Files that a process may have open."""
+    """The limit of open files of a process."""
     limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     if 0 <= limit < LEAST_FILES:
         yield warning("open files", f"at most {limit} in a process: ulimit -n 1024")
@@ -228,7 +221,7 @@ def open_files() -> Iterator[Check]:
 
 
 def clock() -> Iterator[Check]:
-    """Is the clock synchronized? Stamps of several computers are compared by it."""
+    """Whether the clock is synchronized, so that stamps of several computers can be compared."""
     try:
         answer = subprocess.run(
             ["timedatectl", "show", "--property=NTPSynchronized", "--value"],  # noqa: S607
@@ -248,7 +241,7 @@ def clock() -> Iterator[Check]:
 
 
 def ros() -> Iterator[Check]:
-    """What the ROS side says of itself, in a process of its own: it may crash or hang there."""
+    """The checks of tactile_cdma.ros.doctor, in a process of its own: ROS may crash or hang."""
     path = os.pathsep.join(filter(None, (str(CHECKOUT), os.environ.get("PYTHONPATH"))))
     try:
         run = subprocess.run(
@@ -272,10 +265,8 @@ def ros() -> Iterator[Check]:
 
 
 def _reported(text: str) -> Iterator[Check]:
-    """A child's checks, one JSON object a line; what middleware prints in between is left out."""
+    """Checks as JSON, one per line; other lines are the middleware's and are skipped."""
     for entry in text.splitlines():
-        try:
+        with suppress(ValueError, KeyError, TypeError):
             values = json.loads(entry)
             yield Check(Verdict(values["verdict"]), values["subject"], values["text"])
-        except (ValueError, KeyError, TypeError):
-            continue

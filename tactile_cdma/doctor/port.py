@@ -1,17 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Whether a digitizer is on a port, the right one, and what its skin says."""
+"""Examines a port: whether a digitizer is there, the right one, with a sound skin."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from ..base.errors import PortError, TactileError
-from ..config.parameters import BY_NAME, Value, read_file
+from ..config.parameters import BY_NAME, Value, Values, read_file
 from ..config.skin_config import SkinConfig
 from ..driver.pipeline import Pipeline
 from ..driver.session import Session
@@ -23,66 +22,52 @@ from .report import Check, ok, problem
 from .stream import Stream, judge
 
 START_S = 3.5
-"""A digitizer gets so long, and some frames, to send a first one: it is asked several times."""
 START_FRAMES = 4
+"""s and frame periods; within their sum the first frame has to come. Chosen: the session asks a
+digitizer that does not answer several times."""
 MOST_BYTES = 64 << 20
-
-
-@dataclass(frozen=True, slots=True)
-class Patient:
-    """What is to be examined. values: of a parameter file, None without one."""
-
-    url: str
-    baud: int
-    values: dict[str, Value] | None
+"""Held in memory at most; chosen: 16 s of the fastest skin, at 4.1 MB/s."""
 
 
 def examine(
     url: str | None, params: Path | None, baud: int | None, seconds: float
 ) -> Iterator[Check]:
-    """All that there is to say of a port, or of the one that a parameter file names."""
+    """All checks of a port, or of the one that a parameter file names."""
     try:
-        patient = _patient(url, params, baud)
-        if params is not None and patient.values is not None:
-            SkinConfig.of(patient.values)
+        values = read_file(params) if params is not None else None
+        if values is not None:
+            SkinConfig.of(values)
             yield ok("parameters", f"{params}")
     except TactileError as error:
         yield problem("parameters", str(error))
         return
+    get: Values = {name: parameter.default for name, parameter in BY_NAME.items()} | (values or {})
+    url = url or get["port"]
     try:
-        leave_alone_if_open(patient.url)
-        with Port(patient.url, patient.baud) as port:
-            yield ok("port", f"{patient.url} opened")
-            yield from _examine(port, patient, seconds)
+        leave_alone_if_open(url)
+        with Port(url, baud or get["baud"]) as port:
+            yield ok("port", f"{url} opened")
+            yield from _examine(port, values, seconds)
     except PortError as error:
         yield problem("port", str(error))
     except TactileError as error:
         yield problem("digitizer", str(error))
 
 
-def _patient(url: str | None, params: Path | None, baud: int | None) -> Patient:
-    values = read_file(params) if params is not None else None
-    get: dict[str, Any] = {name: parameter.default for name, parameter in BY_NAME.items()} | (
-        values or {}
-    )
-    return Patient(url or str(get["port"]), baud or int(get["baud"]), values)
-
-
-def _examine(port: Port, patient: Patient, seconds: float) -> Iterator[Check]:
+def _examine(port: Port, values: dict[str, Value] | None, seconds: float) -> Iterator[Check]:
+    """values: of the parameter file; None without one."""
     info = introduction(port)
-    if patient.values is None:
-        config = SkinConfig.of({**parameters_of(info), "amplitude_mv": 0.0})
-    else:
-        config = SkinConfig.of(patient.values)
+    described = {**parameters_of(info), "amplitude_mv": 0.0}
+    config = SkinConfig.of(described if values is None else values)
     if wrong := config.refusal(info.digitizer_id):
         yield problem("digitizer", wrong)
         return
     yield ok("digitizer", described_info(info))
-    yield from judge(_listen(port, config, patient.values is not None, seconds), config)
+    yield from judge(_listen(port, config, values is not None, seconds), config)
 
 
 def _listen(port: Port, config: SkinConfig, configure: bool, seconds: float) -> Stream:
-    """The stream of so many seconds, asked for as the driver does.
+    """Listen to the stream for so long, asking for it as the driver does.
 
     configure: set the digitizer to these parameters; else it stays as it is.
     """

@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the doctor finds, and how it is told. Standard library only."""
+"""The doctor's checks and their wording. Standard library only."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 
 
 class Verdict(StrEnum):
-    """How bad it is: nothing to do, may cause trouble, will not work."""
+    """Nothing to do; may cause trouble; will not work."""
 
     OK = "ok"
     WARNING = "warning"
@@ -19,30 +20,20 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One thing that was looked at. text: what was found, and unless all is well what to do."""
+    """One thing that was checked. text: what was found and, unless all is well, what to do."""
 
     verdict: Verdict
     subject: str
     text: str
 
 
-def ok(subject: str, text: str) -> Check:
-    """All is well."""
-    return Check(Verdict.OK, subject, text)
-
-
-def warning(subject: str, text: str) -> Check:
-    """It may cause trouble."""
-    return Check(Verdict.WARNING, subject, text)
-
-
-def problem(subject: str, text: str) -> Check:
-    """It does not work like this."""
-    return Check(Verdict.PROBLEM, subject, text)
+ok = partial(Check, Verdict.OK)
+warning = partial(Check, Verdict.WARNING)
+problem = partial(Check, Verdict.PROBLEM)
 
 
 def line(check: Check) -> str:
-    """A check for people."""
+    """A check as a line of text."""
     return f"{check.verdict:<8} {check.subject}: {check.text}"
 
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where in a stretch of samples something is loud, and what the gap beside it is like.
+"""Finds the loud part of a stretch of samples, and measures the gap beside it.
 
 No stream state. Levels are means of half chips: short enough for every chip to show, and less noisy
 than samples. Every bit of a frame carries the same energy (the code rows are orthogonal), so the
@@ -20,13 +20,16 @@ from ..code.frame import MAX_STRETCH, FrameSpec
 from .fit import Fit, least_power
 
 _CELLS = 320
-"""Burst search divides a frame into at most about this many cells, whatever its order."""
+"""Most cells, about, that the burst search divides a frame into, whatever its order. Chosen: bounds
+its cost."""
 _LOUD = 6.0
-"""A half-chip mean this many noise deviations off the gap level belongs to a frame."""
+"""Noise deviations off the gap level beyond which a half-chip mean belongs to a frame. Chosen:
+noise exceeds that once in 5·10⁸."""
 _LEAST_POWER = 1e-14
-"""Power of what is not even rounding, V²."""
+"""Power below which there is not even rounding, V²: (0.1 µV)²."""
 _CALMER = 1000.0
-"""A gap's variance is no chance if so much below what is known: whatever it was is over."""
+"""Ratio of the known variance of the gap to the newest one beyond which it is no chance: what had
+raised it is over. Chosen."""
 _MEDIAN = 0.455
 """Median of the square of a normal variable."""
 
@@ -41,10 +44,10 @@ class Quiet:
 
 @dataclass(frozen=True, slots=True)
 class Burst:
-    """The loud part of a line: samples first…last, and how far (slack, samples) they may be wrong.
+    """The loud part of a line: samples first…last, each uncertain by `slack` samples.
 
     power: its mean power, V². variance: of half-chip means in the gap, V².
-    pause: where it first keeps quiet for longer than a frame would; `last` if it never does.
+    pause: where it is first silent for longer than a frame would be; `last` if it never is.
     """
 
     first: float
@@ -76,7 +79,7 @@ class Beside:
     def variance(self, guess: float) -> float:
         """Variance of their noise, V². guess: of the quietest window, which is too low.
 
-        Of differences, which hum leaves alone, and by the median, which a piece of a frame does
+        Taken from differences, which cancel hum, by their median, which a piece of a frame does
         not sway.
         """
         steps = np.concatenate((np.diff(self.before), np.diff(self.after)))
@@ -86,7 +89,7 @@ class Beside:
         return max(median / (2 * _MEDIAN), guess)
 
     def is_quiet(self, size: int, variance: float, power: float) -> bool:
-        """Whether so many on each side are gap: noise, and some hum against a frame's power."""
+        """Whether the nearest `size` on each side are gap: noise, and little hum."""
         for side in (self.before[:size], self.after[:size]):
             if side.size:
                 noise = variance * (1.5 + 5 * math.sqrt(2 / side.size))
@@ -103,7 +106,7 @@ class BurstSearch:
     """
 
     def __init__(self, spec: FrameSpec, rate_hz: float) -> None:
-        """Derive the search's lengths; all in samples but where the name says otherwise."""
+        """Derive the lengths of the search, in samples unless the name says otherwise."""
         self.spec = spec
         self.chip = rate_hz * spec.chip_s
         self.period = rate_hz * spec.frame_period_s
@@ -118,7 +121,7 @@ class BurstSearch:
 
     @cached_property
     def snr_floor(self) -> float:
-        """Mean excess power of a frame, in gap variances, that noise practically never reaches."""
+        """Mean excess power of a window, in gap variances, that noise practically never reaches."""
         return 0.1 + 6.0 * math.sqrt(self.half / self.shortest)
 
     def quiet(self, volts: Floats, known: Quiet | None) -> list[Quiet]:

@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..base.arrays import Floats, Floats32, Indices
 from ..code.frame import UNIPOLAR, FrameSpec
-from ..code.separate import NodeLevels, node_levels
 from ..code.transform import correlate, spread
 
 F = TypeVar("F", np.float32, np.float64)
@@ -40,7 +39,7 @@ gives 1/MIDDLE = 1.3, so that chance hardly gets there. Chosen."""
 REACHES = (0.5, 0.25, 0.12)
 """Part of a chip on either side of an edge in which samples tell how late it comes: first as wide
 as an edge may be off, last as narrow as edges a tenth of a chip off ideal allow. Chosen."""
-SETTLED = 0.02
+SETTLED_CHIPS = 0.02
 """Change of a frame's edges, chips, below which refinement ends. Chosen: an error of that size
 leaves 1e-3 of the words' power over."""
 BLUR = 0.3
@@ -58,6 +57,10 @@ broken nodes are few, while wrong timing makes all words uneven."""
 STRICTER = 3.0
 """Factor by which the other words must then be cleaner than they would have to be with these.
 Chosen: frames of wrong timing do not get there."""
+
+
+CHIPS_AT_ONCE = 1 << 18
+"""Chips that a search integrates at once: bounds its memory to some 10 MB. Chosen."""
 
 
 class Line:
@@ -270,20 +273,8 @@ class Fit:
         return self.start + spec.span_chips * self.chip
 
 
-class Attempt(NamedTuple):
-    """A frame as one fit reads it.
-
-    levels: of the nodes. amplitude: (n,) float32, V, of every node's word, 0 where silent.
-    believable: whether the words account for the chips.
-    """
-
-    levels: NodeLevels
-    amplitude: Floats32
-    believable: bool
-
-
-def attempt(line: Line, fit: Fit, spec: FrameSpec, limit: float, noise: float) -> Attempt:
-    """Read the frame of a fit. limit, noise: see WordFit.believable.
+def even_words(line: Line, fit: Fit, spec: FrameSpec) -> WordFit:
+    """Words of one fit, of whole chips or of their middle.
 
     Whole chips are the matched filter; their middle is blind to edges a tenth of a chip off. It is
     taken where words are uneven and it makes them more even than noise would by chance.
@@ -293,9 +284,8 @@ def attempt(line: Line, fit: Fit, spec: FrameSpec, limit: float, noise: float) -
     if words.spread[0] > UNEVEN:
         middle = read_words(integrate(line, start, chip, spec, MIDDLE), spec)
         if middle.spread[0] < MORE_EVEN * words.spread[0]:
-            words = middle
-    believable = words.believable(limit, spec, noise)
-    return Attempt(node_levels(words.rows[0], spec), words.amplitude[0], believable)
+            return middle
+    return words
 
 
 def refine(
@@ -333,7 +323,7 @@ def refine(
         longer = (m1 - w1 * (moved - start)) / w2 if w2 > 0 else 0.0
         change = abs(moved - start) + abs(longer) * spec.chips
         start, chip = moved, chip + longer
-        if change < SETTLED * chip:
+        if change < SETTLED_CHIPS * chip:
             break
     return Fit(float(start), float(chip))
 

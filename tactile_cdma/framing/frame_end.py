@@ -41,15 +41,10 @@ class FrameEnds:
         self._spec = spec
         self._silent = 0  # ends in a row, until proven
 
-    def classify(
-        self,
-        line: Line,
-        fit: Fit,
-        amplitude: Floats32,
-        noise: float,
-        level_known: bool,
+    def observe(
+        self, line: Line, fit: Fit, amplitude: Floats32, noise: float, level_known: bool
     ) -> End:
-        """What follows the fitted end; counts it.
+        """Look at what follows the fitted end, and count it.
 
         This tells a stretched frame from a shorter fit of its words, and words of more bits than
         specified. Once frames are proven to be of this length, some nodes among many may be late.

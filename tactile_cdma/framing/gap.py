@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which frame a burst is: chip clock recovery, and the choice among all that it could be.
+"""Recovers the chip clock of a burst, and chooses among all frames that it could be.
 
 No stream state: `gap_timing` feeds it. Times are as in `fit`.
 
@@ -33,27 +33,28 @@ from numpy.typing import NDArray
 from ..base.arrays import Floats, Floats32
 from ..code.frame import MAX_STRETCH
 from .burst import Burst, BurstSearch
-from .fit import Fit, Line, integrate, read_words, refine
+from .fit import CHIPS_AT_ONCE, Fit, Line, integrate, read_words, refine
 
 _CLEAR = 10.0
-"""A frame is certain if its log-likelihood exceeds that of any other by so much."""
+"""Margin of log-likelihood over every rival with which a frame counts as certain. Chosen: odds of
+2·10⁴ if noise is white."""
 _ASTRAY = 25.0
-"""Most that log-likelihood falls off the raster."""
+"""Largest penalty, in log-likelihood, for a start off the raster: seven of its deviations. Chosen:
+beyond that a frame has been delayed, and it no longer matters how far."""
 _DISTORTION = 0.02
-"""Share of a chip's energy that counts as one unit of log-likelihood at least: jitter, rounding."""
+"""Share of a chip's energy that counts as at least one unit of log-likelihood, for jitter and
+rounding, which limit how far a line without noise tells candidates apart. Chosen."""
 _MOST_SHIFTS = 64
-"""Quiet chips that a frame may begin with, so that the search stays bounded."""
-_BATCH = 1 << 18
-"""Chips that are looked at at once."""
+"""Largest number of silent chips that a frame may begin with; bounds the search. Chosen."""
 _TURNS = 4
-"""Chips that are looked at together in the search for the chip clock."""
+"""Chips per block in the search for the chip clock: its band of 11 % then is 0.4 turns wide."""
 _MAX_LINES = 12
-"""Spectral lines that are tried at most."""
+"""Spectral lines that are tried at most. Chosen."""
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """The most likely frame; tied: another one, some chips away, is about as likely."""
+    """A likely frame; tied: another one, some chips away, is about as likely."""
 
     fit: Fit
     tied: bool
@@ -61,7 +62,7 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """A frame as the one before lets expect it: start, its scatter, chip duration; samples."""
+    """A frame as expected after the one before: start, its scatter, chip duration; samples."""
 
     start: float
     scatter: float
@@ -72,16 +73,16 @@ class GapSearch(BurstSearch):
     """Finds a frame of one specification between gaps, at one sampling rate."""
 
     def fits(self, line: Line, burst: Burst, last: Expected | None) -> Iterator[Found]:
-        """Frames around a burst, the first one that the samples bear out is it.
+        """Candidate frames around a burst, best first: take the first that the samples bear out.
 
         last: what the frame before makes likely. If that is sharp, a frame on its raster that is
         loud from end to end comes first, which saves work; then the most likely one of all. The
-        last chip duration is tried too: words with few level changes show little of their own.
+        last chip duration is tried, too: words with few level changes show little of their own.
         The raster decides where energies can't: with natural signs and the same word everywhere
-        only one chip per bit is loud, and rows are shifts of each other, so that two nodes which
-        cancel in their first and last chips may look exactly like two others, a few chips later.
-        Without a raster, and after long silence, such frames are tied, and a loud first chip is
-        the better guess.
+        only one chip per bit is loud, and rows are shifts of each other, so two nodes that cancel
+        in their first and last chips may look exactly like two others, a few chips later. Without
+        a raster, and after long silence, such frames are tied, and a loud first chip is the better
+        guess.
         """
         spec, loud = self.spec, burst.last - burst.first
         if not self.shortest - 1.5 * spec.order * self.chip <= loud + 2 * burst.slack:
@@ -117,7 +118,7 @@ class GapSearch(BurstSearch):
         burst: Burst,
         last: Expected | None,
     ) -> Floats:
-        """Log-likelihood in white noise, no sharper than waveforms keep to the model, (c,)."""
+        """Log-likelihood in white noise, no sharper than _DISTORTION allows, (c,)."""
         energy = self.spec.chips * chips * power
         unit = _DISTORTION / self.spec.chips * float(energy.max())
         score: Floats = energy / max(2 * self.half * burst.variance, unit, 1e-30)
@@ -127,17 +128,14 @@ class GapSearch(BurstSearch):
         return score
 
     def _refined(self, line: Line, fit: Fit, tied: bool) -> Iterator[Found]:
-        """The frame with its exact timing, if that is possible."""
+        """The frame with its exact timing, if its chips have a possible duration."""
         fit = refine(line, fit, self.spec)
         if 0.99 * self.chip <= fit.chip <= 1.01 * (1 + MAX_STRETCH) * self.chip:
             yield Found(fit, tied)
 
     @cached_property
     def _tones(self) -> tuple[int, Floats]:
-        """A block of about four chips of middling stretch.
-
-        Its length, and cosine and −sine of four whole turns in it, (block, 2).
-        """
+        """Length of a block of _TURNS chips of middling stretch; cosine, −sine, (block, 2)."""
         block = round(_TURNS * self.chip * (1 + MAX_STRETCH / 2))
         angle = 2 * np.pi * _TURNS * np.arange(block) / block
         return block, np.stack((np.cos(angle), -np.sin(angle)), axis=1)
@@ -145,8 +143,8 @@ class GapSearch(BurstSearch):
     def _chip_lines(self, volts: Floats, burst: Burst) -> list[tuple[float, float]]:
         """(chip duration, instant of some chip edge) for each strong line of squared differences.
 
-        Levels are averaged over half a chip on either side of a difference against noise. Only
-        frequencies near 1/chip matter: blocks of four chips are mixed down by a frequency of
+        To reduce noise, levels are averaged over half a chip on either side of a difference. Only
+        frequencies near 1/chip matter: blocks of _TURNS chips are mixed down by a frequency of
         whole turns per block, and what is left varies slowly.
         """
         begin = max(0, int(burst.first - burst.slack))
@@ -186,8 +184,8 @@ class GapSearch(BurstSearch):
         """Every whole-chip start that lets a frame cover the burst.
 
         edge, chip: (q,) an instant of some chip edge and the duration, for each clock. Returns
-        starts, chip durations and powers of the words, (c,) each. Quiet chips at either end of a
-        frame are fewer than a bit's.
+        starts, chip durations and powers of the words, (c,) each. A frame is taken to have less
+        than a bit's silent chips at either end.
         """
         spec, span = self.spec, self.spec.span_chips
         length, bit = span * chip, spec.order * chip
@@ -198,7 +196,7 @@ class GapSearch(BurstSearch):
         shifts = np.arange(max(1, int(np.max((high - low) / chip)) + 1))
         starts = low[:, None] + shifts * chip[:, None]
         possible = starts <= high[:, None]
-        batches = min(chip.size, 1 + starts.size * spec.chips // _BATCH)
+        batches = min(chip.size, 1 + starts.size * spec.chips // CHIPS_AT_ONCE)
         powers = [
             self._powers(line, low[some], chip[some], shifts.size)
             for some in np.array_split(np.arange(chip.size), batches)
@@ -207,7 +205,7 @@ class GapSearch(BurstSearch):
         return starts[possible], np.broadcast_to(chip[:, None], starts.shape)[possible], power
 
     def _powers(self, line: Line, low: Floats, chip: Floats, count: int) -> Floats32:
-        """Power of the words for so many starts, a chip apart, of each clock, (q, count)."""
+        """Power of the words for `count` starts, a chip apart, of each clock, (q, count)."""
         spec, span = self.spec, self.spec.span_chips
         levels = line.means(low[:, None] + chip[:, None] * np.arange(span + count))
         windows = np.lib.stride_tricks.sliding_window_view(levels, span, axis=1)

@@ -12,18 +12,11 @@ import numpy as np
 from ..base.arrays import Floats
 from ..base.errors import SpecError
 from ..code.frame import FrameSpec
+from ..code.separate import node_levels
 from .burst import Burst, Quiet
-from .fit import MAX_SPREAD, Attempt, Fit, Line, attempt, lowest_power
+from .fit import MAX_SPREAD, Fit, Line, WordFit, even_words, lowest_power
 from .gap import Expected, Found, GapSearch
-from .timing import (
-    MOST_CLIPPED,
-    FrameLevels,
-    QuietBlock,
-    Rails,
-    SampleBlock,
-    Timing,
-    share_clipped,
-)
+from .timing import MOST_CLIPPED, FrameLevels, QuietBlock, Rails, SampleBlock, Timing, share_clipped
 
 BLIND_RHO = 2.5
 """ρ below which words are not found reliably: with the amplitude known and noise beyond this, a
@@ -206,12 +199,14 @@ class GapTiming(Timing):
             beside = self._search.beside(volts, fit)
             variance = beside.variance(burst.variance)
             noise = variance * self._search.half / fit.chip
-            read = attempt(line, fit, spec, MAX_SPREAD, noise)
-            if read.believable and beside.is_quiet(self._side_halves, variance, burst.power):
+            words = even_words(line, fit, spec)
+            if words.believable(MAX_SPREAD, spec, noise) and beside.is_quiet(
+                self._side_halves, variance, burst.power
+            ):
                 self._quiet = quiet
                 if spec.node_swing_v is None:
-                    self._search.least_power = lowest_power(float(read.amplitude.max()))
-                return self._emit(found, read, beside.level, clipped)
+                    self._search.least_power = lowest_power(float(words.amplitude.max()))
+                return self._emit(found, words, beside.level, clipped)
         return []
 
     def _expected(self, burst: Burst) -> Expected | None:
@@ -227,11 +222,11 @@ class GapTiming(Timing):
         return round((index - anchor.start) / self._period)
 
     def _emit(
-        self, found: Found, read: Attempt, left_v: float, clipped: float
+        self, found: Found, words: WordFit, left_v: float, clipped: float
     ) -> list[FrameLevels]:
         """The frame, after the silent slots before it. left_v: of the gap's level around it."""
         assert self._quiet is not None
-        levels = read.levels
+        levels = node_levels(words.rows[0], self._spec)
         fit = Fit(self._cursor + found.fit.start, found.fit.chip)
         # Without an earlier frame, what lies before this one may be the rest of another.
         frames: list[FrameLevels] = []

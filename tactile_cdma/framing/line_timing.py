@@ -11,16 +11,17 @@ import numpy as np
 
 from ..base.arrays import Floats, Floats32
 from ..code.frame import MAX_STRETCH, UNIPOLAR, FrameSpec
-from ..code.separate import NodeLevels, node_levels
+from ..code.separate import node_levels
 from ..code.transform import correlate
 from ..wire._protocol import TAIL_CHIPS
 from .fit import (
+    CHIPS_AT_ONCE,
     MAX_SPREAD,
     ChipEdges,
     Fit,
     Line,
-    attempt,
     dot,
+    even_words,
     integrate,
     read_words,
     refine,
@@ -134,15 +135,14 @@ class LineRecogniser:
             self._restarted = self._least_late(line)
         self._restart_uses += 1
         fit = self._restarted
-        found = attempt(line, fit, self._spec, MAX_SPREAD, self._line.noise)
-        if self._line.is_silent(found.amplitude):
+        words = even_words(line, fit, self._spec)
+        if self._line.is_silent(words.amplitude[0]):
             self._restart_uses = 0
             return self._faint(frame, self._chip_power(line), fit)
-        if found.believable and (
-            verdict := self._ended(frame, line, fit, found.levels, found.amplitude)
-        ):
-            return verdict
-        return Verdict(over=frame.start + self._line.size + math.ceil(self._line.chip))
+        rejected = Verdict(over=frame.start + self._line.size + math.ceil(self._line.chip))
+        if not words.believable(MAX_SPREAD, self._spec, self._line.noise):
+            return rejected
+        return self._ended(frame, line, fit, words.rows[0], words.amplitude[0]) or rejected
 
     def _least_late(self, line: Line) -> Fit:
         """The start, up to a chip late, that explains the most energy."""
@@ -165,8 +165,7 @@ class LineRecogniser:
             return None
         if unfinished := self._unfinished(frame, carried.fit):
             return unfinished
-        levels = node_levels(rows, self._spec)
-        verdict = self._ended(frame, line, carried.fit, levels, amplitude)
+        verdict = self._ended(frame, line, carried.fit, rows, amplitude)
         carried.uses += verdict is not None
         return verdict
 
@@ -199,12 +198,13 @@ class LineRecogniser:
         limit = MAX_SPREAD if noise else CLEAN_SPREAD
         for chip in dict.fromkeys((self._line.chip, self._chip)):
             fit = self._refined(line, chip)
-            found = attempt(line, fit, spec, limit, noise)
-            if not found.believable or self._line.is_silent(found.amplitude):
+            words = even_words(line, fit, spec)
+            amplitude = words.amplitude[0]
+            if not words.believable(limit, spec, noise) or self._line.is_silent(amplitude):
                 continue
             if unfinished := self._unfinished(frame, fit):
                 return unfinished
-            verdict = self._ended(frame, line, fit, found.levels, found.amplitude)
+            verdict = self._ended(frame, line, fit, words.rows[0], amplitude)
             if verdict and fit.end(spec) - size < 0.5 * chip:
                 self._carried = _Carried(fit, ChipEdges(fit, spec, size))
                 return verdict
@@ -224,11 +224,11 @@ class LineRecogniser:
             if not stretched.size:
                 continue
             fit = self._refined(line, self._strongest(line, stretched))
-            found = attempt(line, fit, spec, MAX_SPREAD, self._line.noise)
-            if self._line.is_silent(found.amplitude):
+            words = even_words(line, fit, spec)
+            if self._line.is_silent(words.amplitude[0]):
                 return self._faint(frame, power, fit)
-            if found.believable and (
-                verdict := self._ended(frame, line, fit, found.levels, found.amplitude)
+            if words.believable(MAX_SPREAD, spec, self._line.noise) and (
+                verdict := self._ended(frame, line, fit, words.rows[0], words.amplitude[0])
             ):
                 return verdict
         return Verdict(over=frame.start + longest + math.ceil(nominal))
@@ -245,17 +245,16 @@ class LineRecogniser:
         return Verdict(due=frame.start + frame.volts.size + math.ceil(missing))
 
     def _ended(
-        self,
-        frame: MarkedFrame,
-        line: Line,
-        fit: Fit,
-        levels: NodeLevels,
-        amplitude: Floats32,
+        self, frame: MarkedFrame, line: Line, fit: Fit, rows: Floats32, amplitude: Floats32
     ) -> Verdict | None:
-        """The frame of a fit, if the line is at rest after it; see FrameEnds."""
+        """The frame of a fit, if the line is at rest after it; see FrameEnds.
+
+        rows: (k, N) V, all correlations. amplitude: (n,) V, of every node's word, 0 where silent.
+        """
+        levels = node_levels(rows, self._spec)
         known = self._line.level_known  # a level that is not known yet has no noise either
         noise = self._line.noise if known else levels.noise_v**2 * self._spec.order
-        end = self._ends.classify(line, fit, amplitude, noise, known)
+        end = self._ends.observe(line, fit, amplitude, noise, known)
         if end == End.OTHER:
             return None
         self._chip = fit.chip
@@ -291,7 +290,7 @@ class LineRecogniser:
     def _strongest(self, line: Line, chip: Floats) -> float:
         """The chip duration that explains the most energy."""
         spec = self._spec
-        batches = np.array_split(chip, 1 + chip.size * spec.chips // 2**18)  # bounds the memory
+        batches = np.array_split(chip, 1 + chip.size * spec.chips // CHIPS_AT_ONCE)
         gains = [
             read_words(integrate(line, np.full(some.size, -0.5), some, spec), spec).power * some
             for some in batches

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The analog front end between the nodes' pins and the digitizer: what its parts have to be.
+"""The analog front end between the nodes' pins and the digitizer: values of its parts.
 
     pin ──R1──┬──▶ follower ──Rin──┬── … all nodes: the line
               ├──Rb── supply       │
@@ -31,17 +31,17 @@ from ..code.frame import BIPOLAR, DEFAULT_AMPLITUDE_V, FrameSpec
 CREST = 5.5
 """Peak of the sum in √n·A with random signs: above all that bench-crest has seen (5.4)."""
 RAIL_V = 0.05
-"""What a rail-to-rail output keeps away from its rails, V."""
+"""Distance that a rail-to-rail output keeps from its rails, V; chosen."""
 NODE_LEVEL_V = DEFAULT_AMPLITUDE_V
-"""Wanted of a node behind its follower, V: the paper's. It spares its input range and slew."""
+"""Level of a node behind its follower, V: the paper's; small, for the follower's range and slew."""
 SETTLED = 0.01
-"""What may be left of a step when the first sample of a chip is taken."""
+"""Share of a step that may be left when the first sample of a chip is taken; chosen."""
 SETTLING = 6.638
-"""Time constants that two equal low passes take for that: (1 + x)·e⁻ˣ = SETTLED."""
+"""Time constants in which two equal low passes settle to that: (1 + x)·e⁻ˣ = SETTLED."""
 LEAST_SAMPLES = 4
-"""Of a chip: a digitizer that sends one mean per chip takes more than one sample for it."""
+"""Samples of a chip at least: a digitizer that sends one mean per chip takes several for it."""
 LOOP_GAIN = 10.0
-"""Of an amplifier at the corner of the feedback, so that resistors and capacitors set that."""
+"""Of an amplifier at the corner of the feedback, so that the parts set the corner; chosen."""
 E24 = (  # of the resistors; capacitors have every other value
     *(10, 11, 12, 13, 15, 16, 18, 20, 22, 24, 27, 30),
     *(33, 36, 39, 43, 47, 51, 56, 62, 68, 75, 82, 91),
@@ -50,14 +50,15 @@ E12 = E24[::2]
 EXACT = 1 + 1e-9
 """Forgives rounding where values of a series are compared."""
 FILTER_OHM = 300.0
-"""Least resistance of the filter, for the amplifier; at most ten times that, for the converter."""
+"""Least resistance of the filter, Ω, an easy load for the amplifier; the design stays below ten
+times that, for the converter. Chosen."""
 
 
 @dataclass(frozen=True, slots=True)
 class FrontEnd:
     """The parts, and what follows from them. Names as in the drawing above; Ω, F, V, s, Hz.
 
-    talking: nodes that may talk at once. room_v: what the output may leave its rest by.
+    talking: nodes that may send at once. room_v: largest swing of the output about its rest.
     """
 
     nodes: int
@@ -92,7 +93,7 @@ class FrontEnd:
 
     @property
     def noise_gain(self) -> float:
-        """By which the amplifier multiplies its own offset and noise, and divides its speed."""
+        """Factor to the amplifier's own offset and noise, and divisor of its bandwidth."""
         return 1 + self.nodes * self.gain
 
     @property
@@ -107,32 +108,32 @@ class FrontEnd:
 
     @property
     def corner_hz(self) -> float:
-        """Of the amplifier's feedback."""
+        """Corner of the amplifier's feedback."""
         return 1 / (2 * math.pi * self.feedback_ohm * self.feedback_f)
 
     @property
     def filter_hz(self) -> float:
-        """Of the filter behind it."""
+        """Corner of the filter behind it."""
         return 1 / (2 * math.pi * self.filter_ohm * self.filter_f)
 
     @property
     def gain_bandwidth_hz(self) -> float:
-        """The least that the amplifier needs."""
+        """Least gain-bandwidth of the amplifier."""
         return LOOP_GAIN * self.noise_gain * self.corner_hz
 
     @property
     def slew_v_per_s(self) -> float:
-        """The least that the amplifier needs: end to end within the feedback's time constant."""
+        """Least slew rate of the amplifier: end to end in one time constant of the feedback."""
         return 2 * self.room_v * 2 * math.pi * self.corner_hz
 
     @property
     def follower_bandwidth_hz(self) -> float:
-        """The least gain-bandwidth that a follower needs."""
+        """Least gain-bandwidth of a follower."""
         return LOOP_GAIN * self.corner_hz
 
     @property
     def follower_slew_v_per_s(self) -> float:
-        """The least that a follower needs."""
+        """Least slew rate of a follower."""
         return 2 * self.node_level_v * 2 * math.pi * self.corner_hz
 
     @property
@@ -238,7 +239,7 @@ def _above(value: float) -> float:
 
 
 def _decade(value: float) -> float:
-    """What the two digits of a series are times, for values about this one."""
+    """Factor to the two digits of a series, for values about this one."""
     return float(10.0 ** (math.floor(math.log10(value * EXACT)) - 1))
 
 

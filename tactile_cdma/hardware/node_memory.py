@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A node's EEPROM: what a sensing node has to know about the skin that it is part of.
+"""A node's EEPROM: what a sensing node has to know about its skin.
 
 The bytes are a NodeRecord (firmware/protocol.yaml), the chips of the node's code row, 1 for +1,
 least significant bit first, and the CRC-32 of both. The row's sign is in the record, not in the
@@ -25,10 +25,9 @@ from ..wire.messages import WIRE, FrameLayout, Message
 
 @dataclass(frozen=True, slots=True)
 class Mcu:
-    """A microcontroller that a node may have, and what its firmware can do.
+    """A microcontroller for nodes, and the limits of its firmware.
 
-    order: longest code row that its memories take. chip_ns: shortest chip, ns, that its clock
-        leaves time for.
+    order: longest code row that fits its memories. chip_ns: shortest chip it keeps up with, ns.
     """
 
     order: int
@@ -42,13 +41,13 @@ must not begin before a node has released the line."""
 MEASURING_S = 1e-3
 """Least gap after a frame, s, in which the node measures and gets ready for the next sync edge."""
 HEARTBEAT_S = 1.0
-"""About so long a node at rest is silent, unless told otherwise."""
+"""Default time between two words of a node at rest, s; chosen, below stale_after_s."""
 CRC_BYTES = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NodeRecord(Message):
-    """What a node's EEPROM begins with, in the integers that lie there.
+    """The beginning of a node's EEPROM, in the integers stored there.
 
     node: counted from 1. row: of the code book; for whoever reads the memory, as the chips follow.
     rest: code at rest, or NODE_LEARN_REST. threshold: LSB. heartbeat, turn: frames.
@@ -75,7 +74,7 @@ class NodeRecord(Message):
 
 
 def check_timing(timing: str) -> None:
-    """Raises SpecError for a timing with which such nodes never talk."""
+    """Raises SpecError for a timing with which these nodes never send."""
     if timing != LINE:
         raise SpecError(
             f"timing is {timing!r}: the digitizer then gives no sync pulses, and these nodes talk "
@@ -102,7 +101,7 @@ def node_memory(
     rest: code at rest; None: learnt after power-up.
     discipline: chip times follow the period of the sync edges.
 
-    Raises SpecError, naming value, limit and cause, for what such a node cannot do.
+    Raises SpecError, naming value, limit and cause, for what these nodes cannot do.
     """
     if mcu not in MCUS:
         raise SpecError(f"mcu is {mcu!r}; it must be one of {', '.join(MCUS)}")
@@ -210,7 +209,7 @@ def read_node_memory(data: bytes) -> tuple[NodeRecord, NDArray[np.int8]]:
 
 
 def describe_memory(record: NodeRecord, chips: NDArray[np.int8]) -> str:
-    """What a node's memory says, for people: a few lines."""
+    """A node's memory as a few lines of text."""
     code = "".join("+" if chip > 0 else "-" for chip in chips)
     restart = f"every {record.resync_chips} chips, after {record.guard_chips} of pause"
     rest = "learnt after power-up" if record.rest == NODE_LEARN_REST else f"code {record.rest}"

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A node's memory as a file, and into the node by avrdude."""
+"""Node memories as files, and writing them to a node by avrdude."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import NodeMemoryError
-from ..base.named_file import read_named
+from ..base.named_file import naming, read_named
 from .intel_hex import from_hex, to_hex
 from .node_memory import NodeRecord, read_node_memory
 
@@ -22,16 +22,14 @@ PARTS = {"atmega328p": "m328p", "attiny85": "t85"}
 """What avrdude calls the microcontrollers."""
 AVRDUDE = "avrdude"
 MOST_BYTES = 1 << 20
-"""Of a file: Intel HEX of 64 kB takes 180 kB."""
+"""Largest file read; chosen: Intel HEX of 64 kB takes 180 kB."""
 
 
 def write_memory(path: Path, data: bytes) -> None:
     """Write a memory in the format of the file name's ending. Raises NodeMemoryError."""
     content = to_hex(data).encode() if _is_hex(path) else data
-    try:
+    with naming(path, NodeMemoryError):
         path.write_bytes(content)
-    except OSError as error:
-        raise NodeMemoryError(f"{path}: {error.strerror}") from None
 
 
 def node_files(directory: Path, nodes: int) -> list[Path]:
@@ -39,10 +37,8 @@ def node_files(directory: Path, nodes: int) -> list[Path]:
 
     Raises NodeMemoryError where it cannot be made.
     """
-    try:
+    with naming(directory, NodeMemoryError):
         directory.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise NodeMemoryError(f"{directory}: {error.strerror}") from None
     width = max(2, len(str(nodes)))
     return [directory / f"node{node:0{width}}.hex" for node in range(1, nodes + 1)]
 
@@ -53,11 +49,10 @@ def read_memory(path: Path) -> tuple[NodeRecord, NDArray[np.int8]]:
     Raises NodeMemoryError, naming the file and what is wrong.
     """
     is_hex = _is_hex(path)
-    try:
+    with naming(path, NodeMemoryError):
         content = read_named(path, MOST_BYTES)
+    try:
         return read_node_memory(from_hex(content.decode("latin-1")) if is_hex else content)
-    except OSError as error:
-        raise NodeMemoryError(f"{path}: {error.strerror}") from None
     except NodeMemoryError as error:
         raise NodeMemoryError(f"{path}: {error}") from None
 
@@ -69,7 +64,7 @@ def avrdude(path: Path, mcu: str, programmer: str) -> list[str]:
 
 
 def burn(path: Path, mcu: str, programmer: str) -> None:
-    """Write such a file to the node at the programmer. avrdude tells on stderr what it does.
+    """Write such a file to the node at the programmer; avrdude reports on stderr.
 
     Raises NodeMemoryError where that fails.
     """

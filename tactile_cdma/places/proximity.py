@@ -70,18 +70,16 @@ def _candidates(
     keys = cells @ strides
     order = np.argsort(keys, kind="stable")
     ordered = keys[order]
-    begins, counts = [], []
-    for step in product((-1, 0, 1), repeat=3):
-        wanted = keys + np.dot(step, strides)
-        begins.append(np.searchsorted(ordered, wanted, "left"))
-        counts.append(np.searchsorted(ordered, wanted, "right") - begins[-1])
-    begin, count = np.concatenate(begins), np.concatenate(counts)
+    steps = np.array(list(product((-1, 0, 1), repeat=3))) @ strides
+    wanted = (keys + steps[:, None]).ravel()
+    begin = np.searchsorted(ordered, wanted, "left")
+    count = np.searchsorted(ordered, wanted, "right") - begin
     if count.sum() > MOST_CANDIDATES:
         raise SpecError(
             f"taxels lie on top of each other: {count.sum() // len(keys)} of them, on average, "
             f"about {radius_m * 1e3:.3g} mm from each other; are positions in mm, is the pitch "
             "right?"
         )
-    first = np.repeat(np.tile(np.arange(len(keys)), len(begins)), count)
+    first = np.repeat(np.tile(np.arange(len(keys)), len(steps)), count)
     within = np.arange(len(first)) - np.repeat(np.cumsum(count) - count, count)
     return first, order[np.repeat(begin, count) + within]

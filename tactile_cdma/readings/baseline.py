@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a skin at rest reads: tare and slow drift, which readings are freed of."""
+"""What a skin reads at rest: tare and slow drift, which are taken off its readings."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 LOOK_S = 0.125
-"""The skin is looked at so often: for tares, and for drift."""
+"""Interval of the looks at the skin for tare and drift, s; chosen: rare enough to cost nothing."""
 LOOKS = 8
-"""Looks that a tare is taken from: the last second."""
+"""Looks that a tare is taken from: those of the last second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,8 +20,8 @@ class RestRules:
     """What counts as rest.
 
     drift_pa_per_min: fastest drift that is followed, Pa/min; 0: none. contact_pa: a node that reads
-    more is under load. release_pa: one that reads more keeps the drift of itself and of the nodes
-    beside it from being followed.
+    more is under load, Pa. release_pa: where a node reads more, Pa, drift is followed neither there
+    nor on the nodes beside it.
     """
 
     drift_pa_per_min: float
@@ -30,13 +30,13 @@ class RestRules:
 
 
 class Baseline:
-    """Per node, what is taken off, and the last second that a tare is taken from.
+    """What is taken off each node's readings, and the last second, which a tare is taken from.
 
     tare_pa: (n,) float32, Pa, pressure at rest (mounting, preload), subtracted from readings.
     drift_v: (n,) float32, V, added to measured voltages to undo what temperature and age do.
     rest_v: (n,) float32, V, the voltage, drift added, at which the tare was taken; None: no tare.
 
-    The arrays are replaced, never written to: who holds one holds a snapshot.
+    These arrays are replaced, never written to: a reference to one is a snapshot.
     """
 
     def __init__(self, nodes: int) -> None:
@@ -49,7 +49,7 @@ class Baseline:
         self._valid = np.zeros((LOOKS, nodes), dtype=bool)
 
     def clear(self) -> None:
-        """Forget tare and drift, and what was seen while they were in force."""
+        """Forget tare and drift, and the looks taken while they were in force."""
         self.forget()
         self.tare_pa = np.zeros_like(self.tare_pa)
         self.drift_v = np.zeros_like(self.drift_v)
@@ -61,7 +61,7 @@ class Baseline:
         return self.rest_v is not None
 
     def forget(self) -> None:
-        """What was seen is too long ago."""
+        """Forget the looks: they are too old."""
         self._looks = 0
 
     def look(
@@ -70,7 +70,7 @@ class Baseline:
         pressure_pa: NDArray[np.float32],
         valid: NDArray[np.bool_],
     ) -> None:
-        """Remember what the skin reads now.
+        """Remember what the skin reads now, for the next LOOKS looks.
 
         voltage_v: (n,) V, without drift_v. pressure_pa: (n,) Pa, before the tare. valid: (n,) bool.
         """

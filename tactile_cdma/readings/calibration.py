@@ -26,10 +26,6 @@ class AdcScale:
     bits: int = 10
     vref_v: float = 3.3
 
-    def __post_init__(self) -> None:
-        if not 0 < self.vref_v <= 100:
-            raise SpecError(f"vref is {self.vref_v} V; it must lie within 0…100 V")
-
     @property
     def lsb_v(self) -> float:
         """One count (LSB), V."""

@@ -155,9 +155,11 @@ class ContactTracker:
         sums = np.add.reduceat(moments * felt_pa[:, None], starts)
         np.add.at(sums, labels_of_rim, self._moments[rim] * pressure_pa[rim, None])
         position_m, force_n = sums[:, 1:4] / sums[:, :1], -sums[:, 4:7]
-        ids, age_s = self._identities(origin, passed_s)
+        new = (origin < 0).nonzero()[0]
+        ids, age_s = np.append(last.ids, 0)[origin], np.append(last.age_s, 0.0)[origin] + passed_s
+        ids[new], age_s[new] = np.arange(self.next_id, self.next_id + len(new)), 0.0
+        self.next_id += len(new)
         velocity, rate = _motion(position_m, force_n, last, origin, torn, passed_s)
-        ends = [*starts[1:].tolist(), len(taxels)]
         saturated = readings.status[taxels] & _SATURATED
         return Contacts(
             ids=ids,
@@ -171,7 +173,7 @@ class ContactTracker:
             saturated=np.maximum.reduceat(saturated, starts) > 0,
             velocity_m_s=velocity,
             force_rate_n_s=rate,
-            taxels=[taxels[i:j] for i, j in zip(starts.tolist(), ends, strict=True)],
+            taxels=np.split(taxels, starts[1:]),
         )
 
     def _touched(self, pressure_pa: NDArray[np.float32]) -> tuple[NDArray[np.intp], ...]:
@@ -203,17 +205,6 @@ class ContactTracker:
         place = self._place[self._beside[:, weak]].max(axis=0)
         beside = place >= 0
         return weak[beside], place[beside]
-
-    def _identities(
-        self, origin: NDArray[np.intp], passed_s: float
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Ids and ages (s), (c,) each. origin: (c,) indices of the last contacts; −1: new."""
-        new = (origin < 0).nonzero()[0]
-        ids = np.concatenate([self._contacts.ids, [0]])[origin]
-        age_s = np.concatenate([self._contacts.age_s, [0.0]])[origin] + passed_s
-        ids[new], age_s[new] = np.arange(self.next_id, self.next_id + len(new)), 0.0
-        self.next_id += len(new)
-        return ids, age_s
 
 
 def _moments(layout: Layout) -> NDArray[np.float64]:

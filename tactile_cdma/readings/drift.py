@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Slow drift of resting nodes: told from contacts, and followed.
+"""Tells slow drift of resting nodes from contacts, and follows it.
 
-Nothing in one reading tells a light steady touch from drift. But a touch comes and goes at once,
-and drift is small and slow. So a node's drift is followed while its voltage is within BAND_LSB of
-its voltage at rest and of where it has lately been, and has been so for SETTLE_S. A node that has
-left that band is touched; it rests again when it is back in the band by a jump, or close to rest.
-Neither touched nodes nor those beside a contact are followed, however long it lasts.
+A single reading cannot tell a light steady touch from drift. But touches begin and end quickly,
+and drift is small and slow. So the drift of a node is followed once its voltage has been within
+BAND_LSB of its voltage at rest, and of its recent voltage, for SETTLE_S. A node that leaves that
+band counts as touched; it rests again when it jumps back into the band, or comes close to rest.
+Neither touched nodes nor those beside a contact are followed, however long the touch lasts.
 """
 
 from __future__ import annotations
@@ -19,17 +19,19 @@ from .baseline import Baseline, RestRules
 from .calibration import Curves
 
 BAND_LSB = 1.5
-"""Farther from rest than this is no drift. A node that falls by one count is within, by two not."""
+"""Greatest distance from rest that may be drift, LSB: a node that falls by one count is within, by
+two it is not."""
 CLOSE_LSB = 0.75
-"""A touched node that comes back slowly rests when it is so close to rest: no whole count off."""
+"""A touched node that comes back slowly rests within this distance, LSB: less than a count."""
 SETTLE_S = 10.0
-"""So long a node must have rested. Slower than a count in this time is no jump."""
+"""Time that a node must have rested before it is followed, s; chosen. A change of less than a count
+in this time is no jump."""
 LONGEST_S = 1.0
-"""Where nothing was seen for longer, no more than this is made up for."""
+"""Longest step of drift, s: after a longer pause it is not caught up with at once. Chosen."""
 STRAY_S = 60.0
-"""A node off its rest for longer, without a contact to explain it, is worth a word."""
+"""A node off its rest for longer, s, without a contact to explain it, is reported. Chosen."""
 _NOTHING_LSB = 0.01
-"""Less than this is not followed: rounding of float32 is 10⁻⁴ of a count at 10 bits."""
+"""Smaller deviations are not followed, LSB: rounding of float32 is 10⁻⁴ of a count at 10 bits."""
 
 
 class DriftTracker:
@@ -57,7 +59,7 @@ class DriftTracker:
         self._last_s: float | None = None
 
     def forget(self) -> None:
-        """The device's clock starts anew."""
+        """Forget times: the device's clock starts anew."""
         self._last_s = None
         self._stray[:] = False
         self._begin()
@@ -71,7 +73,7 @@ class DriftTracker:
         valid: NDArray[np.bool_],
         t_s: float,
     ) -> None:
-        """Move the baseline's drift by what is due at t_s (device time, s).
+        """Move the baseline's drift up to device time t_s, s.
 
         voltage_v: (n,) V, without drift. reading_pa: (n,) Pa, after the tare. valid: (n,) bool.
         """
@@ -107,7 +109,7 @@ class DriftTracker:
         valid: NDArray[np.bool_],
         passed_s: float,
     ) -> NDArray[np.bool_]:
-        """(n,) bool, who is near rest and has not been touched since it was there before."""
+        """(n,) bool, nodes near rest that were not touched since they last rested."""
         band_v = np.float32(BAND_LSB * self._lsb_v)
         np.copyto(self._trail_v, voltage_v, where=np.isinf(self._trail_v))
         behind_v = np.clip(voltage_v - self._trail_v, -2 * band_v, 2 * band_v)
@@ -120,28 +122,28 @@ class DriftTracker:
         return np.asarray(home & ~self._touched)
 
     def _in_contact(self, pressed: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Nodes that are pressed, and those beside them."""
+        """(n,) bool, the pressed nodes and those beside them."""
         contact = pressed.copy()
         contact[self._beside[np.flatnonzero(pressed)]] = True
         return contact
 
     def _slowly(self, passed_s: float) -> tuple[np.float32, np.float32]:
-        """The most that a voltage may change to be no jump, either way, V."""
+        """Greatest changes of a voltage that are no jump, down and up, V."""
         most_v = np.float32(self._lsb_v * passed_s / SETTLE_S)
         return -most_v, most_v
 
     def strays_lsb(self, t_s: float) -> dict[int, float]:
-        """By number, the nodes that have been off their rest for STRAY_S, and how far, LSB.
+        """The nodes off their rest for STRAY_S: distance in LSB by number of the node.
 
-        Below 0: they read less than nothing. t_s: device time of the newest frame, s.
+        Negative: they read less than zero. t_s: device time of the newest frame, s.
         """
         if not self.rules.drift_pa_per_min:
-            return {}  # nobody looks
+            return {}  # drift is not watched
         strays = np.flatnonzero(self._stray & (t_s - self._stray_s > STRAY_S))
         return {int(i) + 1: float(self._deviation_v[i] / self._lsb_v) for i in strays}
 
     def _rest_at(self, curves: Curves, baseline: Baseline) -> None:
-        """Rest is where the tare was taken; without one, where the curves begin."""
+        """Take the tare's voltages as rest; without a tare, those at which the curves begin."""
         if curves is self._curves and baseline.rest_v is self._tared_v:
             return
         self._curves, self._tared_v = curves, baseline.rest_v
@@ -152,7 +154,7 @@ class DriftTracker:
         self._begin()
 
     def _begin(self) -> None:
-        """Nothing is known of where the nodes were."""
+        """Forget where the nodes were."""
         self._usual_v[:] = self._trail_v[:] = np.inf
         self._touched[:] = False
 

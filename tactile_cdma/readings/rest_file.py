@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tare and drift of a skin ↔ YAML file, so that they outlive the driver."""
+"""Reads and writes the YAML file that keeps a skin's tare and drift between runs."""
 
 from __future__ import annotations
 
@@ -20,21 +20,22 @@ from ..base.whole_file import replace_file
 SCHEMA = "tactile_cdma/rest"
 VERSION = 1
 _DIGITS = 8
-"""Decimals of V that are kept."""
+"""Decimals of V that are kept: 10 nV is far below a count of any converter."""
 _MOST_V = 100.0
+"""Greatest voltage that is read, V; more is damage to the file."""
 _SUFFIX = ".rest.yaml"
 _HEAD = "# Written by the driver: what it takes off readings. Delete it to start anew.\n"
 
 
 @dataclass(frozen=True, eq=False)
 class RestState:
-    """What a skin was found to read at rest.
+    """What a skin reads at rest, and which skin that is.
 
-    skin: its name; may be empty. simulated: it is none of hardware. nodes: on the wire.
-    calibration: identity of the calibration, empty for the default one; for people. curves:
-    checksum of its curves; tare and drift mean nothing without them.
-    written: when, in ISO 8601. tared: when the tare was taken; empty: never, or not known.
-    rest_v, drift_v: (n,) float32, see Baseline; None: no tare, no drift.
+    skin: its name; may be empty. simulated: it is not hardware. nodes: their number. calibration:
+    identity of the calibration, empty for the default one; for people. curves: checksum of its
+    curves, without which tare and drift mean nothing. written: when, in ISO 8601. tared: when the
+    tare was taken; empty: never, or unknown. rest_v, drift_v: (n,) float32, V, see Baseline; None:
+    no tare, no drift.
     """
 
     skin: str
@@ -48,7 +49,7 @@ class RestState:
     drift_v: NDArray[np.float32] | None
 
     def misfit(self, skin: str, simulated: bool, nodes: int, curves: str) -> str | None:
-        """Why this is not for such a skin, or None. A skin without a name is any."""
+        """Why this is not the state of such a skin, or None. An empty name fits every name."""
         if self.simulated != simulated:
             kinds = ("a real", "a simulated") if simulated else ("a simulated", "a real")
             return f"it is of {kinds[0]} skin, this is {kinds[1]} one"
@@ -65,10 +66,10 @@ class RestState:
 
 
 def rest_path(folder: str, node: str) -> Path:
-    """The file of a ROS node, by its fully qualified name.
+    """The file of a ROS node. node: its fully qualified name.
 
     folder: may begin with ~; empty: $ROS_HOME/tactile_cdma, or ~/.ros/tactile_cdma.
-    Raises RestError where ~ is of a user that there is not.
+    Raises RestError for the home of a user who does not exist.
     """
     text = folder or f"{os.environ.get('ROS_HOME') or '~/.ros'}/tactile_cdma"
     try:
@@ -79,32 +80,24 @@ def rest_path(folder: str, node: str) -> Path:
 
 
 def calibration_path(rest: Path) -> Path:
-    """Beside a node's file, that of the calibration it was found with."""
+    """The file, beside a node's, of the calibration that its tare and drift go with."""
     return rest.with_name(rest.name.removesuffix(_SUFFIX) + ".calibration.yaml")
 
 
 def write_rest(path: Path, state: RestState) -> None:
-    """Replace the file at once, or not at all; makes its folder.
-
-    Raises RestError where that is not possible.
-    """
+    """Replace the file atomically, creating its folder if necessary; raises RestError."""
     content = {
         "schema": SCHEMA,
         "version": VERSION,
-        "written": state.written,
-        "skin": state.skin,
+        **vars(state),
         "simulated": _YES if state.simulated else _NO,
-        "nodes": state.nodes,
-        "calibration": state.calibration,
-        "curves": state.curves,
-        "tared": state.tared,
         "rest_v": _numbers(state.rest_v),
         "drift_v": _numbers(state.drift_v),
     }
     text = _HEAD + yaml.dump(content, Dumper=_DUMPER, sort_keys=False, allow_unicode=True)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        if path.is_symlink():  # what it points at is not ours
+        if path.is_symlink():  # its target is not ours
             path.unlink()
         replace_file(path, text)
     except OSError as error:
@@ -112,9 +105,9 @@ def write_rest(path: Path, state: RestState) -> None:
 
 
 def set_aside(path: Path) -> Path | None:
-    """Rename a file that is not to be overwritten; its new name, or None where there is none.
+    """Rename a file that must not be overwritten; returns its new name, None if there is no file.
 
-    Raises RestError where that is not possible.
+    Raises RestError.
     """
     aside = path.with_name(f"{path.name}.old")
     try:
@@ -127,9 +120,9 @@ def set_aside(path: Path) -> Path | None:
 
 
 def read_rest(path: Path) -> RestState | None:
-    """What is in a file; None where there is none.
+    """The content of a file; None if it does not exist.
 
-    Raises RestError, naming file, line and cause, for anything that is not such a file.
+    Raises RestError, naming file, line and cause, for anything but such a file.
     """
     if not os.path.lexists(path):
         return None
@@ -153,7 +146,7 @@ def read_rest(path: Path) -> RestState | None:
 
 _TEXTS = ("skin", "calibration", "curves", "written", "tared")
 _YES, _NO = "yes", "no"
-_DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # 10 times as quick, where it is built in
+_DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # 10 times as fast, where available
 
 
 def _text(file: Mapping, name: str) -> str:

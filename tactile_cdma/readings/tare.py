@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Taking what a skin reads at rest for zero, unless something touches or moves it."""
+"""Tare: makes what a skin reads at rest its zero, unless something touches or moves it."""
 
 from __future__ import annotations
 
@@ -14,8 +14,10 @@ from .baseline import LOOK_S, LOOKS, Baseline
 from .calibration import Curves
 
 MOVING_LSB = 2.5
-"""A node whose voltage changed by more within the last second moves: not if a code flickers."""
+"""A node moves if its voltage changed by more within the last second, LSB: codes that flicker
+between neighbours differ by 1 or 2."""
 _MOST_NAMES = 8
+"""Nodes named in a refusal: as many as a person reads."""
 
 
 def take_tare(
@@ -29,14 +31,14 @@ def take_tare(
 ) -> list[int]:
     """Make the median of the last second the zero of every node with valid readings.
 
-    Pressure goes into the tare. A voltage above the curve's beginning is no pressure: what is
-    above goes into the drift.
-    lsb_v: one count of the nodes' converters, V. awaited: (n,) bool, nodes that may be heard soon.
-    Returns the numbers of the nodes without valid readings, which keep what they had.
+    Its pressure becomes the tare. A voltage above the start of the curve is no pressure: the excess
+    becomes drift.
+    lsb_v: one count of the nodes' converters, V. awaited: (n,) bool, nodes that may yet be heard.
+    Returns the numbers of the nodes without valid readings, which keep the zero they had.
 
-    Raises RestError, naming the taxels, where a node moves, reads more than contact_pa (Pa) above
-    its present zero, or has yet to be heard for a second, unless forced; and where there is nothing
-    to take a tare from.
+    Unless forced, raises RestError, naming the taxels, if a node moves, reads more than contact_pa
+    (Pa) above its present zero, or has not been heard for a second; forced or not, if no node has
+    readings.
     """
     if not baseline.seen:
         raise RestError(
@@ -65,7 +67,7 @@ def take_tare(
 
 
 def _refuse_early(numbers: NDArray[np.intp]) -> None:
-    """Raises RestError where there are nodes, which would be left with another zero."""
+    """Raises RestError if there are nodes: they would be left with another zero."""
     if not len(numbers):
         return
     raise RestError(
@@ -81,7 +83,7 @@ def _refuse(
     layout: Layout,
     remedy: str,
 ) -> None:
-    """Raises RestError where there are nodes, the most loaded first."""
+    """Raises RestError if there are nodes, naming the most loaded first."""
     numbers = np.flatnonzero(nodes)
     if not len(numbers):
         return
@@ -95,7 +97,7 @@ def _refuse(
 
 
 def _name(index: int, layout: Layout) -> str:
-    """A node and where it is, for people."""
+    """A node and its place on the skin."""
     taxel = int(np.flatnonzero(layout.nodes == index + 1)[0])
     if layout.rows == 1:
         return f"node {index + 1} (taxel {taxel})"

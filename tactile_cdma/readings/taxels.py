@@ -55,6 +55,9 @@ class Taxels:
     SILENT). Nodes also transmit at a slow heartbeat; one that was not heard for stale_after_s, or
     never, reads NaN (flag STALE), as does one whose words contradict the code (flag FAULTY).
     Masked nodes and taxels without a node have no reading (flag MASKED).
+
+    stale_after_s: silence after which a node is stale, s; call refresh() after changing it.
+    now_s: device time of the last frame, s.
     """
 
     def __init__(
@@ -69,7 +72,7 @@ class Taxels:
         self._layout = layout
         self._masked = np.zeros(nodes, dtype=bool)
         self._masked[[node - 1 for node in layout.masked + layout.unplaced]] = True
-        self._stale_after_s = stale_after_s
+        self.stale_after_s = stale_after_s
         # A table of all codes is quicker than converting each word.
         self._voltage_of = adc.voltage(np.arange(1 << adc.bits)).astype(np.float32)
         self._lsb_v = adc.lsb_v
@@ -78,17 +81,8 @@ class Taxels:
         self._heard_s = np.full(nodes, -np.inf)
         self._silence: Readings | None = None  # readings of silent frames, until a node transmits
         self._stale_from_s = -np.inf  # when the next node goes stale, device time
-        self._now_s = 0.0
+        self.now_s = 0.0
         self._began_s = np.inf  # the first frame's time
-
-    @property
-    def stale_after_s(self) -> float:
-        """Silence after which a node is stale, s."""
-        return self._stale_after_s
-
-    @stale_after_s.setter
-    def stale_after_s(self, seconds: float) -> None:
-        self._stale_after_s, self._silence = seconds, None
 
     @property
     def awaited(self) -> int:
@@ -96,14 +90,9 @@ class Taxels:
         return int(np.count_nonzero(~self._masked))
 
     @property
-    def now_s(self) -> float:
-        """Device time of the last frame, s."""
-        return self._now_s
-
-    @property
     def missing(self) -> list[int]:
         """Numbers of the nodes in service that were not heard for stale_after_s, as of now_s."""
-        unheard = (self._now_s - self._heard_s > self._stale_after_s) & ~self._masked
+        unheard = (self.now_s - self._heard_s > self.stale_after_s) & ~self._masked
         numbers: list[int] = (np.flatnonzero(unheard) + 1).tolist()
         return numbers
 
@@ -113,7 +102,7 @@ class Taxels:
 
         Empty until stale_after_s have passed.
         """
-        if self._now_s - self._began_s <= self._stale_after_s:
+        if self.now_s - self._began_s <= self.stale_after_s:
             return []
         return [number for number in self.missing if np.isinf(self._heard_s[number - 1])]
 
@@ -136,7 +125,7 @@ class Taxels:
     def tare(self, contact_pa: float, force: bool = False) -> list[int]:
         """Make the present readings the zero; see take_tare."""
         curves = self.chain.calibration.curves
-        begun = self._now_s - self._began_s <= self._stale_after_s
+        begun = self.now_s - self._began_s <= self.stale_after_s
         awaited = begun & ~self._masked
         unheard = take_tare(
             self.baseline, curves, self._layout, self._lsb_v, contact_pa, awaited, force
@@ -180,7 +169,7 @@ class Taxels:
 
     def update(self, words: Words, t_device: float, health: NodeHealth) -> Readings:
         """Update with one frame's words; t_device: its device time, s."""
-        self._now_s, self._began_s = t_device, min(self._began_s, t_device)
+        self.now_s, self._began_s = t_device, min(self._began_s, t_device)
         spoke = words.active
         anybody = bool(spoke.any())
         if anybody:
@@ -201,12 +190,12 @@ class Taxels:
         voltage_v = self._voltage_of[self._codes]
         status = self._flags | ~spoke * _SILENT | _FLAGS_OF[health.state]
         invalid = health.invalid | self._masked
-        self._stale_from_s = float(self._heard_s.min()) + self._stale_after_s
+        self._stale_from_s = float(self._heard_s.min()) + self.stale_after_s
         if t_device > self._stale_from_s:
-            stale = t_device - self._heard_s > self._stale_after_s
+            stale = t_device - self._heard_s > self.stale_after_s
             status[stale] = Status.SILENT | Status.STALE
             fresh_s = self._heard_s[~stale]
-            self._stale_from_s = float(fresh_s.min(initial=np.inf)) + self._stale_after_s
+            self._stale_from_s = float(fresh_s.min(initial=np.inf)) + self.stale_after_s
             invalid = stale | invalid
         pressure_pa, saturated = self.chain.update(self._at_least(voltage_v), ~invalid, t_device)
         uncalibrated = self.chain.calibration.uncalibrated

@@ -29,7 +29,7 @@ from .message_types import PACKAGE, message_types
 TOPIC, INFO_TOPIC = "/skin/tactile", "/skin/info"
 INFO_ID = 1
 _MOST_S = 2**31
-"""Stamps hold so many seconds since 1970."""
+"""Seconds since 1970 that a stamp can hold: an int32."""
 _FOREVER = QosTime(9_223_372_036, 854_775_807)
 _LATCHED = Qos(
     QosHistory.KEEP_LAST,
@@ -104,7 +104,7 @@ def _tactile_array(types: Typestore, config: SkinConfig, header: Any, frame: Tac
 
 
 def _skin_info(types: Typestore, config: SkinConfig, header: Any) -> Any:
-    """As a driver's that was neither tared nor has followed a drift."""
+    """As from a driver without tare or drift."""
     spec, layout = config.spec, config.layout
     code_rows = np.append(spec.rows, 0)  # 0 for a taxel without a node
     none = np.zeros(0, dtype=np.float32)

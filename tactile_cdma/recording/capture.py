@@ -17,13 +17,15 @@ from .container import RecordingParser
 from .recording_file import describe, is_recording, read_chunks, read_pieces, survey
 
 MOST_CSV_BYTES = 256 << 20
-"""Of an oscilloscope's file, about ten million samples; it is held in memory as a whole. Recordings
-and raw bytes are read piece by piece and may be of any size."""
+"""Of an oscilloscope's file, about ten million samples; chosen, as it is held in memory whole.
+Recordings and raw bytes are read piece by piece and may be of any size."""
 
 _HEADER_LINES = 64
+"""Before the first two numbers; chosen, scopes write up to 20 or so."""
 _LEAST_SAMPLES = 16
+"""Of a capture that is worth decoding; chosen."""
 _INVALID_V = 1e30
-"""Keysight writes 9.9E+37 for a sample that it does not have."""
+"""V; Keysight scopes write 9.9E+37 for a missing sample."""
 _SLACK = 0.75
 """Largest deviation of a time stamp from an even raster, in samples: more means missing samples."""
 
@@ -57,9 +59,9 @@ def is_text(path: Path) -> bool:
 
 
 def read_bytes(path: Path) -> Iterator[tuple[bytes, float]]:
-    """Bytes of a port, and when they were read, s on the host's monotonic clock of that time.
+    """Bytes of a port, and when they were read, s on the monotonic clock of the recording host.
 
-    From a recording, or from a file of the bytes alone, which have no time: 0 then.
+    From a recording, or from a file of the bytes alone, which has no times: 0 then.
     Raises CaptureError where it cannot be read.
     """
     if is_recording(path):

@@ -2,14 +2,13 @@
 
 """The container of a port's recorded bytes (.skin): records ↔ bytes. No I/O; see docs/recording.md.
 
-A recording begins with MAGIC and goes on with records: one that describes it, one for every piece
-that was read from the port, and one that ends it, with an index and a checksum:
+A recording is MAGIC and then records: one that describes it, one for every piece read from the
+port, and one that ends it, with an index and a checksum:
 
     RecordingEncoder → bytes → RecordingParser.feed(bytes) → [Chunk, …]
 
-Every record has a checksum of its own and says where its bytes belong. So a file that is cut short,
-or damaged anywhere, still gives all that is left of it, each byte at its time, and what is lost
-is known.
+Every record has its own checksum and the position of its bytes in the stream. So from a file that
+is cut short or damaged, everything intact is still read, at its time, and the losses are known.
 """
 
 from __future__ import annotations
@@ -29,11 +28,11 @@ SUFFIX = ".skin"
 MAGIC = b"\x89SKIN\r\n\0"
 VERSION = 1
 MOST_BYTES = 1 << 20
-"""Of one record, without its head."""
+"""Of one record, without its head; larger pieces take several. Chosen: bounds a reader's memory."""
 INDEX_S = 1.0
-"""Distance of two entries of the index, at first."""
+"""Distance of two entries of the index, at first, s; chosen."""
 MOST_ENTRIES = 2048
-"""Of the index: when it is full, every second one goes."""
+"""Of the index: when it is full, every second one is dropped. Chosen: 34 minutes at INDEX_S."""
 
 _MARK = b"\xf1SK"
 _DESCRIPTION, _CHUNK, _END = b"H", b"D", b"F"
@@ -43,20 +42,20 @@ _CRC = struct.Struct("<I")
 HEAD_BYTES = _HEAD.size + _CRC.size
 """Of a record, before what it holds."""
 _MOST = 2**63 - 1
-"""ns, or bytes."""
+"""Largest time, ns, and largest position, bytes: those of an int64."""
 _LEAST_VAIN, _VAIN_PER_BYTE = 16 * MOST_BYTES, 16
-"""Bytes of what looked like records, and was none, that are looked at: some in any file, and more
-in a long one. A file made of heads that all claim a megabyte would take hours else."""
+"""Bytes examined that looked like records but were none: in any file, and per byte of the file.
+Chosen: without a limit, a file of heads that all claim a megabyte would take hours."""
 POSITION = struct.Struct("<Q")
 """The last bytes of a recording: where the record that ends it begins."""
 
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """What a recording says of itself.
+    """A recording's description of itself.
 
-    wall_ns, monotonic_ns: the host's clocks when it was begun, ns: Unix time, and the clock that
-    only runs forward. parameters: those that were asked for.
+    wall_ns, monotonic_ns: the host's clocks when it began, ns: Unix time and the monotonic clock.
+    parameters: those that were asked for.
     """
 
     wall_ns: int
@@ -97,7 +96,7 @@ class End:
     index: tuple[tuple[int, int], ...]
 
     def position_of(self, time_ns: int) -> int | None:
-        """Where to read from for what was recorded at a time, and later; None: the beginning."""
+        """Where to begin reading for everything recorded from a time on; None: the beginning."""
         before = [position for time, position in self.index if time <= time_ns]
         return before[-1] if before else None
 
@@ -172,13 +171,12 @@ class RecordingEncoder:
 class RecordingParser:
     """Finds the chunks in the bytes of a recording that may be damaged or cut short.
 
-    However the bytes are divided over calls of `feed`, the outcome is the same. A record and a
-    piece of the file are held at most.
+    However the bytes are divided over calls of `feed`, the outcome is the same. At most one record
+    and one piece of the file are held in memory.
 
-    description: None while it was not met. end: None until the end was met.
-    damaged: places in the file where something else than records is, but for one at its end where
-    the end is missing.
-    lost_bytes: of the stream, missing before the last record that was met. chunks, bytes: found.
+    description, end: None until they are read. damaged: places in the file that hold something
+    other than records, not counting the end of a file that was cut. lost_bytes: of the stream,
+    missing before the last record that was read. chunks, bytes: found.
     """
 
     def __init__(self, resumed: bool = False) -> None:
@@ -193,7 +191,7 @@ class RecordingParser:
         self._identity: int | None = None
         self._offset: int | None = None if resumed else 0
         self._time_ns = 0
-        self._passed = self._vain = 0  # bytes that are done with; see _LEAST_VAIN
+        self._passed = self._vain = 0  # bytes of the file before _held; see _LEAST_VAIN
 
     def feed(self, data: bytes) -> list[Chunk]:
         """The chunks that these bytes complete.
@@ -204,7 +202,7 @@ class RecordingParser:
         return self._take(at_end=False)
 
     def finish(self) -> list[Chunk]:
-        """At the end of the file: chunks after a record that lacks its rest."""
+        """At the end of the file: chunks after a record whose rest is missing."""
         chunks = self._take(at_end=True)
         if self._in_damage and self.end is None:
             self.damaged -= 1  # this is where the file was cut
@@ -241,11 +239,11 @@ class RecordingParser:
         return found
 
     def _worth_trying(self, place: int) -> bool:
-        """Whether not too much was looked at in vain for what may begin here to be tried."""
+        """Whether a record that may begin here is still to be examined; see _LEAST_VAIN."""
         return self._vain <= _LEAST_VAIN + _VAIN_PER_BYTE * (self._passed + place)
 
     def _size(self, place: int) -> int | None:
-        """Bytes that a record which begins here takes; None: there is none."""
+        """Size of the record that begins here, bytes; None: there is none."""
         if len(self._held) - place < HEAD_BYTES:
             return HEAD_BYTES
         _, kind, identity, length, _, _ = _HEAD.unpack_from(self._held, place)
@@ -259,7 +257,7 @@ class RecordingParser:
             self.damaged += 1
 
     def _accept(self, record: bytes, found: list[Chunk]) -> bool:
-        """Take a record over; False where it is damaged, or not at its place."""
+        """Read a record; False where it is damaged or not at its place."""
         head, content = record[: _HEAD.size], record[HEAD_BYTES:]
         (crc,) = _CRC.unpack_from(record, _HEAD.size)
         if zlib.crc32(content, zlib.crc32(head)) != crc:
@@ -282,7 +280,7 @@ class RecordingParser:
         return True
 
     def _understood(self, kind: bytes, time_ns: int, content: bytes) -> bool:
-        """Take over a description, or an end; False where its content is not one."""
+        """Read a description or an end; False where the content is neither."""
         try:
             if kind == _DESCRIPTION:
                 self.description = _description(json.loads(content))
@@ -300,7 +298,7 @@ class RecordingParser:
 
 
 def losses(parser: RecordingParser) -> tuple[str, ...]:
-    """What a recording that was parsed to its end lacks, one sentence each."""
+    """What a recording, parsed to its end, lacks, one sentence each."""
     notes = []
     if parser.end is None:
         notes.append("the recording is cut short, or damaged at its end: what came before is there")
@@ -313,9 +311,7 @@ def losses(parser: RecordingParser) -> tuple[str, ...]:
 
 
 def _description_content(description: Description) -> dict[str, Any]:
-    content = asdict(description)
-    content["version"] = VERSION
-    return content
+    return asdict(description) | {"version": VERSION}
 
 
 def _description(said: Any) -> Description:

@@ -8,11 +8,10 @@ import csv
 import io
 import json
 import tempfile
-import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,33 +25,31 @@ Frames = Iterator[tuple[TactileFrame, float]]
 
 _PER_FRAME = {"sequence": "<u8", "device_time_s": "<f8", "wall_time_s": "<f8", "noise_v": "<f4"}
 _PER_TAXEL = {"pressure_pa": "<f4", "voltage_v": "<f4", "status": "|u1"}
-_COPY_BYTES = 1 << 20
 
 
 def write_npz(path: Path, frames: Frames, layout: Layout, about: Mapping[str, Any]) -> int:
-    """All frames as numpy arrays, by columns; returns how many. Raises OSError.
+    """All frames, at least one, as numpy arrays by columns; returns how many. Raises OSError.
 
-    about: what else is to be known, as JSON. Columns wait in temporary files beside it, so that
-    memory does not grow with the recording.
+    about: metadata, stored as JSON. Columns are kept in temporary files beside it, so that memory
+    does not grow with the recording.
     """
     count, taxels = 0, len(layout.positions_m)
+    shapes = dict.fromkeys(_PER_FRAME, ()) | dict.fromkeys(_PER_TAXEL, (taxels,))
     with ExitStack() as stack:
-        file = stack.enter_context(replacing(path))  # first: no work for a file that cannot be
+        file = stack.enter_context(replacing(path))  # first, since it may fail
         spools = {
-            name: stack.enter_context(tempfile.TemporaryFile(dir=path.parent))
-            for name in (*_PER_FRAME, *_PER_TAXEL)
+            name: stack.enter_context(tempfile.TemporaryFile(dir=path.parent)) for name in shapes
         }
         for frame, wall_s in frames:
             count += 1
             for name, value in _columns(frame, wall_s).items():
                 spools[name].write(np.asarray(value, dtype=_type(name)).tobytes())
-        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
-            for name, spool in spools.items():
-                shape = (count,) if name in _PER_FRAME else (count, taxels)
-                _copy_column(archive, name, _type(name), shape, spool)
-            for name, array in (_places(layout) | {"about": np.array(json.dumps(about))}).items():
-                with archive.open(f"{name}.npy", "w") as member:
-                    np.lib.format.write_array(member, array, allow_pickle=False)
+        arrays: dict[str, Any] = {
+            name: np.memmap(spool, _type(name), "r", shape=(count, *shapes[name]))
+            for name, spool in spools.items()
+        }
+        arrays |= _places(layout) | {"about": np.array(json.dumps(about))}
+        np.savez_compressed(file, **arrays)
     return count
 
 
@@ -81,7 +78,7 @@ def write_csv(path: Path, frames: Frames, layout: Layout) -> int:
 
 
 def taxels_path(path: Path) -> Path:
-    """Where the places of the taxels are that a CSV file has."""
+    """The file of the taxels' places that goes with a CSV file."""
     return path.with_name(f"{path.stem}.taxels{path.suffix}")
 
 
@@ -102,24 +99,8 @@ def _type(name: str) -> np.dtype[Any]:
     return np.dtype({**_PER_FRAME, **_PER_TAXEL}[name])
 
 
-def _copy_column(
-    archive: zipfile.ZipFile,
-    name: str,
-    kind: np.dtype[Any],
-    shape: tuple[int, ...],
-    spool: BinaryIO,
-) -> None:
-    """A spool's content as the member of an archive that numpy reads."""
-    header = {"descr": kind.str, "fortran_order": False, "shape": shape}
-    with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-        np.lib.format.write_array_header_1_0(member, header)
-        spool.seek(0)
-        while data := spool.read(_COPY_BYTES):
-            member.write(data)
-
-
 def _places(layout: Layout) -> dict[str, NDArray[Any]]:
-    """What is the same in all frames."""
+    """Arrays that are the same in all frames."""
     return {
         "shape": np.array([layout.rows, layout.columns], dtype=np.uint16),
         "node": layout.nodes.astype(np.uint16),

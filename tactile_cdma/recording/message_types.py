@@ -4,13 +4,12 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
+from rosbags.interfaces.typing import Typesdict
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from ..base.errors import CaptureError
+from ..base.shipped import shipped
 
 PACKAGE = "tactile_cdma"
 
@@ -20,23 +19,15 @@ def message_types() -> Typestore:
 
     Raises CaptureError where our definitions are not installed.
     """
+    example = shipped("msg/TactileArray.msg")
+    if example is None:
+        raise CaptureError(
+            "the definitions of tactile_cdma's messages are not installed: build the ROS 2 "
+            "package, or run this from its checkout"
+        )
+    ours: Typesdict = {}
+    for path in sorted(example.parent.glob("*.msg")):
+        ours |= get_types_from_msg(path.read_text("utf-8"), f"{PACKAGE}/msg/{path.stem}")
     store = get_typestore(Stores.ROS2_JAZZY)
-    ours = {}
-    for path in sorted(_folder().glob("*.msg")):
-        text = path.read_text(encoding="utf-8")
-        ours.update(get_types_from_msg(text, f"{PACKAGE}/msg/{path.stem}"))
     store.register(ours)
     return store
-
-
-def _folder() -> Path:
-    """Where the .msg files are: in a checkout beside the package, else in ROS 2's share folders."""
-    prefixes = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
-    shares = [Path(prefix) / "share" / PACKAGE / "msg" for prefix in prefixes]
-    for folder in (Path(__file__).parents[2] / "msg", *shares):
-        if (folder / "TactileArray.msg").is_file():
-            return folder
-    raise CaptureError(
-        "the definitions of tactile_cdma's messages are not installed: build the ROS 2 package, "
-        "or run this from its checkout"
-    )

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Recordings as files: written as the bytes come, read piece by piece."""
+"""Recordings as files, written as the bytes arrive and read piece by piece."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ import hashlib
 import secrets
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 
 from .. import __version__
 from ..base.errors import CaptureError
@@ -36,7 +35,7 @@ _READ_BYTES = 1 << 16
 class Recorder:
     """Writes a recording. Use as a context manager: leaving it ends the recording.
 
-    What was written is the system's at once: a program that is killed loses nothing of it.
+    Every piece is flushed at once: a program that is killed loses nothing of it.
     Raises OSError where the file cannot be written.
     """
 
@@ -48,7 +47,7 @@ class Recorder:
         parameters: Mapping[str, Value],
         overwrite: bool = True,
     ) -> None:
-        """Make the file, or write over it. parameters: those that were asked for."""
+        """Create or overwrite the file. parameters: those that were asked for."""
         description = Description(
             wall_ns=time.time_ns(),
             monotonic_ns=time.monotonic_ns(),
@@ -59,7 +58,7 @@ class Recorder:
         )
         self._encoder = RecordingEncoder(description, secrets.randbits(32))
         begin = self._encoder.begin()
-        # "x": nor where somebody has put a link that points elsewhere
+        # "x" refuses links as well, which may point elsewhere
         self._file = path.open("wb" if overwrite else "xb")
         self._put(begin)
 
@@ -80,22 +79,15 @@ class Recorder:
     def __enter__(self) -> Recorder:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if kind is None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        # After an error, such as a full disk, closing may fail as well: the first reason counts.
+        with suppress(OSError) if kind else nullcontext():
             self.close()
-        else:  # a full disk, perhaps: then this fails, too, and the first reason is the one to tell
-            with suppress(OSError):
-                self.close()
 
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """What a whole recording is like.
+    """Summary of a whole recording.
 
     length_s: from its beginning to its end, or to its last chunk where the end is missing.
     bytes: of the port. lost_bytes: see RecordingParser. notes: what is wrong with it, one sentence
@@ -116,7 +108,7 @@ def is_recording(path: Path) -> bool:
 
 
 def describe(path: Path) -> Description:
-    """What a recording says of itself; raises CaptureError where it is none."""
+    """A recording's description of itself; raises CaptureError where it is none."""
     parser = RecordingParser()
     for _ in read_chunks(path, parser):
         break

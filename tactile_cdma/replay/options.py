@@ -15,16 +15,17 @@ from ..config.skin_config import user_path
 from ..config.url_options import parse_options
 
 _LONGEST_S = 1e9
+"""Longer than any recording."""
 OPTIONS: tuple[Parameter, ...] = (
     Parameter(
         "speed", 1.0, "pace; 1: as it was recorded, 0: as fast as it is read", "", (0.0, 1000.0)
     ),
-    Parameter("loop", False, "begin anew at the end"),
-    Parameter("start", 0.0, "leave out what was recorded before", "s", (0.0, _LONGEST_S)),
-    Parameter("end", _LONGEST_S, "leave out what was recorded after", "s", (0.0, _LONGEST_S)),
+    Parameter("loop", False, "begin again at the end"),
+    Parameter("start", 0.0, "skip what was recorded before", "s", (0.0, _LONGEST_S)),
+    Parameter("end", _LONGEST_S, "skip what was recorded after", "s", (0.0, _LONGEST_S)),
 )
 SLOWEST = 0.1
-"""A driver takes a port that is slower than that for dead."""
+"""Least speed but 0: a driver takes a slower port for dead."""
 
 
 @dataclass(frozen=True, slots=True)

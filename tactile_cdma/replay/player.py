@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""When which bytes of a recording are due. Knows no ports."""
+"""Hands out the bytes of a recording when they are due. Knows no ports."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from .options import ReplayOptions
 
 
 class Player:
-    """Hands out the bytes of a recording at their times, from the first call of advance on.
+    """Hands out the bytes of a recording at their times, counted from the first call of advance.
 
-    ended: all were taken over, and there will be no more. pending: bytes that are due.
+    ended: all of them are due or taken; no more will come.
     """
 
     def __init__(self, options: ReplayOptions, clock: Callable[[], float] = time.monotonic) -> None:
@@ -50,14 +50,14 @@ class Player:
 
     @property
     def farewell(self) -> str:
-        """What to say at the end: that it is one, and what the recording lacks."""
+        """Message for the end of the replay, with what the recording lacks."""
         return "the recording has ended" + (f" ({'; '.join(self._notes)})" if self._notes else "")
 
     def advance(self, wanted: int) -> float:
-        """Take over what is due, until so many bytes are pending.
+        """Make due bytes pending, until so many are.
 
         Returns the seconds until more is due: 0 if there may be more now, infinity at the end.
-        Raises CaptureError where the file was taken away or changed since.
+        Raises CaptureError where the file was removed or changed meanwhile.
         """
         if math.isnan(self._origin_s):
             self._origin_s = self._clock()
@@ -93,7 +93,7 @@ class Player:
             raise CaptureError(f"{self._options.path} was changed: it holds no bytes any more")
 
     def _chunks(self) -> Iterator[Chunk]:
-        """Of the span that is asked for; what is in its way is described first."""
+        """Chunks of the requested span, after the digitizer's description if that was before it."""
         options = self._options
         start_ns, end_ns = round(options.start_s * 1e9), round(options.end_s * 1e9)
         position = None

@@ -19,7 +19,7 @@ from dataclasses import asdict
 from importlib import metadata, util
 from pathlib import Path
 
-from ..doctor.installation import CHECKOUT
+from ..base.shipped import CHECKOUT
 from ..doctor.report import Check, Verdict, ok, problem, warning
 
 INTERFACES = (

@@ -2,7 +2,8 @@
 
 """A skin without hardware: scenes, sensing nodes, analog line and digitizer, byte for byte.
 
-    scene ──▶ nodes ──▶ channel ──▶ digitizer ──▶ sim:// (protocol_sim) or a tty (pty)
+    scene ──▶ nodes ──▶ line (by channel) ──▶ packets ──▶ digitizer ──▶ sim:// (protocol_sim)
+                                              schedule ──┘       └──▶ a tty (pty)
 
 pyserial finds `sim://` once 'tactile_cdma.sim' is in serial.protocol_handler_packages.
 """

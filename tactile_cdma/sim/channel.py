@@ -8,7 +8,7 @@ y(t) = offset + polarity · Σ aᵢ·xᵢ(t) + noise, clipped at the amplifier's
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,11 +19,12 @@ from ..code.encode import frame_levels, line_chips
 from ..code.frame import DEFAULT_AMPLITUDE_V, UNIPOLAR, FrameSpec
 
 MAX_JITTER = 0.25
+"""Largest option `jitter`, in chips. Chosen: no chip is then shorter than half of its duration."""
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """What the line adds to the chips.
+    """What the line does to the chips.
 
     offset_v: level of silence, V. noise_rms_v: of one sample, V. stretch: the chips of a frame
     last up to this share longer, drawn per frame, the same for all nodes. jitter: largest
@@ -42,8 +43,8 @@ class Channel:
     def rail_of(self, spec: FrameSpec) -> float:
         """Rails of the amplifier about the offset, V.
 
-        With random signs the sum of n nodes stays below 8·√n·A (design: 4.5 to 5.5 in realistic
-        scenes); with natural signs it reaches n·A.
+        With random signs the sum of n nodes stays below 8·√n·A (bench-crest finds 5.4 at most in
+        realistic scenes); with natural signs it reaches n·A.
         """
         if self.rail_v:
             return self.rail_v
@@ -53,7 +54,7 @@ class Channel:
         return 1.1 * peak * _amplitude_v(spec) + 6.0 * self.noise_rms_v
 
     def volts_per_count(self, spec: FrameSpec) -> float:
-        """One count of the digitized line, V, as a float32 can say it."""
+        """One count of the digitized line, V, rounded to a float32 as on the wire."""
         finest = abs(self.offset_v) / 32_767  # zero_count is an int16 on the wire
         return float(np.float32(max(2.0 * self.rail_of(spec) / (1 << self.adc_bits), finest)))
 
@@ -102,7 +103,7 @@ class Channel:
         return in_range.astype(np.int16)
 
     def volts(self, counts: NDArray[np.int16], spec: FrameSpec) -> NDArray[np.float32]:
-        """What the counts mean, V."""
+        """Counts (m,) in V, (m,) float32."""
         # int16 minus int16 needs 17 bits: widen before subtracting.
         volts = (counts.astype(np.int32) - self.zero_count(spec)) * self.volts_per_count(spec)
         return volts.astype(np.float32)
@@ -115,7 +116,7 @@ def waveforms(
     edges_s: NDArray[np.float64],
     clocks: NodeClocks | None = None,
 ) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float64]]]:
-    """What adds up to the line in one frame, as levels (c,) V between edges (c + 1,) s.
+    """Waveforms whose sum is the line in one frame: levels (c,) V between edges (c + 1,) s.
 
     codes, active: (n,). edges_s: (span_chips + 1,) where a nominal clock puts them. Without
     clocks of their own all nodes share these edges; else each active node has its own.
@@ -142,7 +143,7 @@ def point_samples(
     first: int,
     stop: int,
 ) -> NDArray[np.float32]:
-    """The line seen by a converter that samples instants, (stop − first,) float32, V.
+    """The line as a converter samples it at instants, (stop − first,) float32, V.
 
     levels: (c,) V; edges_s: (c + 1,) s on the stream's clock. Sample i is taken in the middle of
     its period, at (i + ½)/rate_hz; before the first and after the last chip the line is at 0. The
@@ -174,34 +175,6 @@ def first_sample(t_s: ArrayLike, rate_hz: float) -> NDArray[np.int64]:
     """Index of the first sample taken at or after t_s."""
     index: NDArray[np.float64] = np.ceil(np.asarray(t_s, dtype=np.float64) * rate_hz - 0.5)
     return index.astype(np.int64)
-
-
-def scope_capture(
-    spec: FrameSpec,
-    frames: Sequence[tuple[NDArray[np.int64], NDArray[np.bool_]]],
-    rate_hz: float,
-    channel: Channel | None = None,
-    lead_s: float = 1e-3,
-    seed: int = 0,
-) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """What an oscilloscope on the line records of some frames, as in the paper's experiments.
-
-    frames: (codes, active) of each frame, (n,) each. lead_s: recorded before the first frame, s.
-    Returns time_s (m,) float64, 0 at the first sample, and volts (m,) float32.
-    """
-    channel = channel or Channel()
-    volts = []
-    first = 0
-    for number, (codes, active) in enumerate(frames):
-        start_s = lead_s + number * spec.frame_period_s
-        stop = int(first_sample(start_s + spec.frame_period_s, rate_hz))
-        rng = np.random.default_rng([seed, number])
-        edges_s = start_s + channel.edges(spec, rng)
-        levels = frame_levels(line_chips(spec, codes, active), spec)
-        line_v = point_samples(levels, edges_s, rate_hz, first, stop)
-        volts.append(channel.volts(channel.digitize(line_v, spec, rng), spec))
-        first = stop
-    return np.arange(first) / rate_hz, np.concatenate(volts)
 
 
 def _amplitude_v(spec: FrameSpec) -> float:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What else may happen on the line than what the nodes of a sound skin say."""
+"""Faults on the line, made by tests: signals that no node of a sound skin sends."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class Disturbance(Protocol):
     """Comes between the nodes and the converter, in frames of its choice."""
 
     def added(self, frame: NodeFrame, edges_s: NDArray[np.float64]) -> Iterator[Waveform]:
-        """What adds up with what the nodes say; edges_s: (span_chips + 1,) of a nominal clock."""
+        """Waveforms to add to those of the nodes; edges_s: (span_chips + 1,), nominal."""
         ...
 
     def disturbed(
         self, frame: NodeFrame, volts: NDArray[np.float32], t_s: NDArray[np.float64]
     ) -> NDArray[np.float32]:
-        """What becomes of the line, (m,) V, at (m,) s since START; after the amplifier's input."""
+        """The line, (m,) V at (m,) s since START, as it reaches the amplifier."""
         ...

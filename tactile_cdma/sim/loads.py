@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Known loads, the same on all taxels: what a skin is calibrated with."""
+"""Scenes for calibration: known loads, the same on all taxels."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from .scene import Scene, Skin
 
 _RISING_KPA = (*range(0, 60, 5), *range(60, 141, 10))
 STEPS_KPA = (*_RISING_KPA, *_RISING_KPA[-2:0:-1])
-"""The staircase of "steps": up to the range's end and down again, over and over."""
+"""The staircase of "steps", kPa: up to the end of the range and down again, repeatedly."""
 DWELL_S = 2.0
-"""So long does each of these loads stay."""
+"""Duration of each of these loads, s: the paper's sensor settles in 0.74 s."""
 TURNS_KPA = (0, 140, 20, 90, 0, 55, 10, 120, 40, 75, 0, 110, 60, 140, 0, 40)
-"""The loads at which "cycles" turns, over and over."""
+"""The loads between which "cycles" swings, kPa, repeatedly."""
 TURN_S = 2.0
-"""From one turn to the next."""
+"""Duration of each swing, s."""
 
 
 def steps(t_s: float, skin: Skin) -> NDArray[np.float64]:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the sensing nodes do: measure, keep time, decide whether to talk, and say a word."""
+"""What the sensing nodes do: measure, keep time, decide whether to send, and send a word."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class NodeFrame:
     """Ground truth of one frame. Arrays have one entry per node, (n,).
 
     number: frames since START. start_s: when its first chip begins, s since START.
-    pressure_pa: float64, what truly presses; voltage_v: float64, what the sensors make of it; both
-    at start_s. codes: int64 ADC words. active: bool, who talks.
-    called: the frame belongs to a roll call, in which one node speaks.
+    pressure_pa: float64, true pressure; voltage_v: float64, the sensors' output; both at start_s.
+    codes: int64 ADC words. active: bool, nodes that send.
+    called: the frame belongs to a roll call, in which one node sends.
     """
 
     number: int
@@ -52,7 +52,7 @@ class ClockModel:
 
     @property
     def largest_rate(self) -> float:
-        """Largest clock error that is ever reached."""
+        """Largest clock error at any time, with drift."""
         return self.rate + 2 * self.drift * WANDER_S / (2 * np.pi)
 
     def at(self, nodes: int, t_s: float) -> NodeClocks | None:
@@ -69,9 +69,9 @@ class ClockModel:
 
 @dataclass
 class RollCalls:
-    """The roll calls of a stream: in each, every node speaks alone once, in n frames.
+    """The roll calls of a stream: in each, every node sends alone once, in n frames.
 
-    starts: numbers of the frames at which they began. asked: one begins with the next frame.
+    starts: numbers of the frames at which they began. asked: another begins with the next frame.
     """
 
     starts: list[int] = field(default_factory=list)
@@ -92,8 +92,8 @@ class NodeRules:
 
     threshold: LSB. A node talks while its code is farther than this from its code at rest, or
         from the code that it sent last (so a release is told, too). 0: always.
-    heartbeat: frames. A node also talks once in so many frames, each at a turn of its own; all
-        have had theirs within the first period. 0: never.
+    heartbeat: frames. A node also talks once in this many frames; the turns of the nodes are
+        spread evenly over them. 0: never.
     """
 
     threshold: int = 1
@@ -112,8 +112,7 @@ def node_frames(
     """All frames since START, endlessly; the same arguments give the same frames.
 
     sensors: ideal ones if None. start_phase: share of frame 0's period that has passed at START.
-    roll_calls: may be asked for meanwhile; nodes then say what they measure when it is their turn,
-    and nothing else.
+    roll_calls: may be requested while frames are drawn; each node then sends in its turn only.
     """
     sensors = sensors or SensorModel()
     sensor = Sensor(sensors, spec.nodes)

@@ -10,7 +10,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from ..base.errors import SpecError
-from ..clocks.roll_call import LARGEST_RATE_ERROR, LATEST
+from ..clocks.roll_call import LARGEST_DELAY, LARGEST_RATE_ERROR
 from ..code.codes import default_order
 from ..code.frame import DEFAULT_AMPLITUDE_V, MAX_STRETCH, FrameSpec
 from ..config.parameters import BY_NAME, GAP, NATURAL_SIGNS, Parameter, Value
@@ -28,9 +28,10 @@ from .sensor import IDEAL, MOST_HYSTERESIS, MOST_MISMATCH, PAPER, SensorModel
 
 SCHEME = "sim"
 MOST_SAMPLES = 1 << 23
+"""Samples of a frame period. Chosen, as the next one, so that computing a frame, which nothing can
+interrupt, takes a few seconds at most."""
 MOST_NODE_CHIPS = 1 << 24
-"""Of a frame period, and of nodes with clocks of their own: a frame is made in one go, within
-which nobody can end the program, and so must not take more than a few seconds."""
+"""Nodes × chips of a frame, for nodes with clocks of their own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +110,7 @@ class SimOptions:
         0.0, "largest error of a node's own clock", "", (0.0, LARGEST_RATE_ERROR)
     )
     delay_spread: float = _option(
-        0.0, "largest delay of a node after the sync edge", "chips", (0.0, LATEST)
+        0.0, "largest delay of a node after the sync edge", "chips", (0.0, LARGEST_DELAY)
     )
     drift: float = _option(0.0, "fastest change of a node's clock error", "1/s", (0.0, 5e-5))
     sensor: str = _option(

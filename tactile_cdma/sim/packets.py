@@ -49,7 +49,7 @@ def stream(
     """All packets of samples since START, endlessly; a pure function of its arguments.
 
     Where frames are marked, each begins a new block and ends one; else blocks are of equal size.
-    roll_calls: may be asked for meanwhile.
+    roll_calls: may be requested while blocks are drawn.
     """
     rate_hz, marks = setup.rate_hz, setup.sync != SyncMode.NONE
     cutter = _Cutter(setup, options.channel.volts_per_count(setup.spec))

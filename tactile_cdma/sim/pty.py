@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A digitizer that is a program behind a real tty, for programs that open a device path."""
+"""Serves a simulated digitizer on a real tty, for programs that open a device path."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ from typing import Protocol
 from ..base.errors import PortError
 
 _CHUNK = 65_536
-"""Bytes offered to the terminal at once: it takes what it has room for."""
+"""Bytes offered to the terminal at once; it takes what it has room for."""
 _STOP_POLL_S = 0.1
+"""Longest wait before `stop` is looked at, s."""
 
 
 class Digitizer(Protocol):
@@ -30,7 +31,7 @@ class Digitizer(Protocol):
         """Do what is due by now; return the seconds until something else is due."""
 
     def take(self, size: int) -> bytes:
-        """Give away at most `size` bytes for the host."""
+        """Remove at most `size` bytes of the output, for the host."""
 
 
 def serve(
@@ -56,7 +57,7 @@ def serve(
 
 
 def _pump(digitizer: Digitizer, host: int, stop: threading.Event) -> None:
-    """Carry bytes both ways, in the digitizer's time."""
+    """Carry bytes both ways, at the digitizer's pace."""
     outgoing = b""
     while not stop.is_set():
         wait_s = digitizer.advance(_CHUNK)
@@ -74,13 +75,13 @@ def _pump(digitizer: Digitizer, host: int, stop: threading.Event) -> None:
 def _raw_terminal() -> Iterator[tuple[int, Path]]:
     """A pseudo-terminal in raw mode: the host's side and the path of the other one.
 
-    The other side is kept open here as well, so that its mode and what it has to say outlive the
+    The device's side is kept open here as well, so that its mode and unread bytes outlive the
     clients that open and close it.
     """
     try:
         host, device = os.openpty()
     except OSError as error:
-        raise PortError(f"no pseudo-terminal to be had: {error.strerror}") from None
+        raise PortError(f"no pseudo-terminal is available: {error.strerror}") from None
     try:
         tty.setraw(device)
         os.set_blocking(host, False)

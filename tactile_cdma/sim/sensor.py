@@ -15,9 +15,11 @@ from ..readings.dynamics import Dynamics, Hysteresis, Lag
 
 IDEAL, PAPER = "ideal", "paper"
 MOST_HYSTERESIS = 7.0
+"""Largest option `hysteresis`: 6.69 gives the paper's figure at 55 kPa (docs/sensor.md)."""
 MOST_MISMATCH = 0.1
+"""Largest option `mismatch`, rms. Chosen: slopes then differ by up to 20 %."""
 WANDER_S = 600.0
-"""Period of all slow wandering, of sensors and of clocks, like that of a room's temperature."""
+"""Period of the slow drift of sensors and clocks, s; chosen, like that of a room's temperature."""
 PAPER_DYNAMICS = Dynamics(
     rise_s=0.085,
     fall_s=0.024 / math.log(100),
@@ -26,12 +28,12 @@ PAPER_DYNAMICS = Dynamics(
 )
 """Fitted to response, recovery, and the hysteresis at 90 and 140 kPa, of Liu et al., IV.A."""
 _FARTHEST = 2.0
-"""Mismatch beyond so many of its rms is cut off, so that every curve stays above 0 V."""
+"""Mismatch is clipped at this many rms deviations, so that every curve stays above 0 V."""
 
 
 @dataclass(frozen=True, slots=True)
 class SensorModel:
-    """What the sensors of a simulated skin are like, apart from their nodes' converters.
+    """Properties of a simulated skin's sensors, without their nodes' converters.
 
     kind: "ideal", the curve alone, or "paper", with lag and hysteresis. hysteresis: factor to the
     paper's loops, 0…7. mismatch: spread of the taxels' curves, rms, as a share, 0…0.1. warming_v:
@@ -93,7 +95,7 @@ class SensorModel:
 
 
 class Sensor:
-    """The n sensors of a skin, with what they remember of their loads."""
+    """The n sensors of a skin, with the memory of lag and hysteresis."""
 
     def __init__(self, model: SensorModel, nodes: int) -> None:
         self._model, self._curves = model, model.curves(nodes)
@@ -107,7 +109,7 @@ class Sensor:
 
     @property
     def rest_v(self) -> NDArray[np.float64]:
-        """(n,) V: what a node learns at power-up, before anything touched the skin."""
+        """(n,) V: what nodes learn at power-up, before anything touches the skin."""
         return self._curves.voltage(0.0)
 
     def step(self, pressure_pa: NDArray[np.float64], t_s: float) -> NDArray[np.float64]:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""`tactile-cdma sensor`: what the simulated sensor measures up to, beside the paper's."""
+"""The subcommand `tactile-cdma sensor`: figures of the simulated sensor beside the paper's."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _DWELL_STEPS, _DWELL_STEP_S = 20, 0.1
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """What a test bench would find of a sensor.
+    """What a test bench would measure of a sensor.
 
     sensitivity_v_per_kpa: of both stages. response_s, recovery_s: from the beginning of a load and
     of its removal, until 1 % of the change is left. hysteresis: by the largest load in kPa, largest
@@ -76,13 +76,13 @@ def matching(load_kpa: float) -> float:
 
 
 def add_to(commands: Any) -> None:
-    """Add the command to those of the program (what argparse's add_subparsers returns)."""
+    """Add the subcommand to the command line."""
     parser = commands.add_parser("sensor", help="the simulated sensor beside the paper's")
     parser.set_defaults(run=run)
 
 
 def run(_arguments: argparse.Namespace) -> int:
-    """Run the command; returns the exit code."""
+    """Print the table; returns the exit code."""
     print(describe())
     return 0
 
@@ -91,27 +91,14 @@ def describe() -> str:
     """The table that the command prints."""
     figures = measure(SensorModel(kind=PAPER))
     lines = [("", "paper", "simulated", "")]
-    for stage, paper, found in zip(
-        ("0…50 kPa", "50…140 kPa"),
-        SENSITIVITY_V_PER_KPA,
-        figures.sensitivity_v_per_kpa,
-        strict=True,
-    ):
+    stages = zip(SENSITIVITY_V_PER_KPA, figures.sensitivity_v_per_kpa, strict=True)
+    for stage, (paper, found) in zip(("0…50 kPa", "50…140 kPa"), stages, strict=True):
         lines.append((f"sensitivity {stage}", f"{paper:.4f}", f"{found:.4f}", "V/kPa"))
-    lines += [
-        (
-            "response, 40 kPa in 0.5 s",
-            f"{RESPONSE_S * 1e3:.0f}",
-            f"{figures.response_s * 1e3:.0f}",
-            "ms",
-        ),
-        (
-            "recovery, 40 kPa at once",
-            f"{RECOVERY_S * 1e3:.0f}",
-            f"{figures.recovery_s * 1e3:.0f}",
-            "ms",
-        ),
-    ]
+    for name, paper, found in (
+        ("response, 40 kPa in 0.5 s", RESPONSE_S, figures.response_s),
+        ("recovery, 40 kPa at once", RECOVERY_S, figures.recovery_s),
+    ):
+        lines.append((name, f"{paper * 1e3:.0f}", f"{found * 1e3:.0f}", "ms"))
     for load_kpa, paper in HYSTERESIS.items():
         found = figures.hysteresis[load_kpa]
         note = f"%; hysteresis={matching(load_kpa):.2f} gives the paper's"

@@ -53,7 +53,7 @@ class Message:
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """The inverse of pack. Raises struct.error for a wrong length, SpecError for a value."""
+        """The inverse of pack. Raises struct.error or ValueError: wrong length, wrong value."""
         return cls._of(iter(WIRE[cls.__name__].unpack(data)))
 
     def _values(self) -> Iterator[Any]:
@@ -79,8 +79,8 @@ class Message:
 class FrameLayout(Message):
     """How the nodes share the line, in the wire's integers.
 
-    Every layout converts to a FrameSpec and back unchanged, and so does every FrameSpec whose
-    times are whole nanoseconds and microseconds, but for its amplitude, which doesn't travel.
+    A layout converts to a FrameSpec and back unchanged. So does a FrameSpec whose times are whole
+    nanoseconds and microseconds, except for its amplitude, which is not sent.
     """
 
     nodes: int
@@ -141,8 +141,7 @@ class FrameLayout(Message):
 class Packet(Message):
     """What one packet carries.
 
-    sequence: filled in by the parser. PacketWriter numbers packets itself and ignores it, and it
-        doesn't take part in comparisons.
+    sequence: filled in by the parser. PacketWriter ignores it, and so do comparisons.
     """
 
     TYPE: ClassVar[PacketType]
@@ -151,7 +150,6 @@ class Packet(Message):
 
     @classmethod
     def unpack(cls, data: bytes, sequence: int = 0) -> Self:
-        """The packet of a payload, which follows type and sequence. Raises as Message.unpack."""
         return cls._of(iter(WIRE[cls.__name__].unpack(data)), sequence=sequence)
 
 
@@ -161,7 +159,7 @@ class Info(Packet):
 
     sample_rate_uhz: rate of Samples.counts, µHz; in integrated mode that is the chip rate.
     volts_per_count: V, rounded to float32; counts are relative to zero_count.
-    min_count, max_count: rails of the ADC.
+    min_count, max_count: smallest and largest reading of the ADC.
     integrated: Samples carry one mean value per chip, and none in the gap between frames.
     quiet_uv: see Configure; 0 where the digitizer never sends Quiet.
     """
@@ -252,20 +250,22 @@ class Samples(Stretch):
         return self._head() == other._head() and np.array_equal(self.counts, other.counts)
 
     def pack(self) -> bytes:
-        words = (self.counts ^ _SAMPLE_MASK).astype("<i2", copy=False)
+        words = (self.counts ^ _SAMPLE_MASK).astype(_WORD, copy=False)
         return WIRE["Samples"].pack(*self._head()) + words.tobytes()
 
     @classmethod
     def unpack(cls, data: bytes, sequence: int = 0) -> Self:
         head = WIRE["Samples"]
-        device_time_us, first_index, flags = head.unpack_from(data)
-        words = np.frombuffer(data[head.size :], "<i2")  # a copy: at the odd address XOR is slow
+        time_us, index, flags = head.unpack_from(data)
+        words = np.frombuffer(data[head.size :], _WORD)  # a copy: XOR is slow at odd addresses
         return cls(
-            device_time_us,
-            first_index,
+            time_us,
+            index,
             words ^ _SAMPLE_MASK,
+            sync=bool(flags & FLAG_SYNC),
+            overrun=bool(flags & FLAG_OVERRUN),
+            called=bool(flags & FLAG_CALLED),
             sequence=sequence,
-            **_MARKS[flags % len(_MARKS)],
         )
 
 
@@ -319,9 +319,17 @@ class Quiet(Stretch):
 
     @classmethod
     def unpack(cls, data: bytes, sequence: int = 0) -> Self:
-        device_time_us, first_index, flags, *sums = WIRE["Quiet"].unpack(data)
+        time_us, index, flags, count, total, squares = WIRE["Quiet"].unpack(data)
         return cls(
-            device_time_us, first_index, *sums, sequence=sequence, **_MARKS[flags % len(_MARKS)]
+            time_us,
+            index,
+            count,
+            total,
+            squares,
+            sync=bool(flags & FLAG_SYNC),
+            overrun=bool(flags & FLAG_OVERRUN),
+            called=bool(flags & FLAG_CALLED),
+            sequence=sequence,
         )
 
 
@@ -330,7 +338,7 @@ class Status(Packet):
     """The digitizer's health; counts run since power-up.
 
     uptime_us: now, on the clock of Samples.device_time_us.
-    packets_dropped: numbered but never sent, since the host or the line was too slow.
+    packets_dropped: numbered but never sent, because host or line were too slow.
     """
 
     TYPE = PacketType.STATUS
@@ -390,7 +398,7 @@ class Configure(Command):
     """Sets the frame layout and the way of sampling.
 
     quiet_uv: µV; a frame, or a part of the gap, in which no two samples differ by more is sent as
-        Quiet. 0: never. See silence.py for how much is safe.
+        Quiet. 0: never. framing/silence.py computes a safe value.
     """
 
     TYPE = PacketType.CONFIGURE
@@ -403,14 +411,14 @@ class Configure(Command):
 
 @dataclass(frozen=True, slots=True)
 class RollCall(Command):
-    """Asks every node to speak alone once."""
+    """Asks every node to transmit alone once."""
 
     TYPE = PacketType.ROLL_CALL
 
 
 @dataclass(frozen=True, slots=True)
 class OtherVersion:
-    """An Info of a protocol version that this parser doesn't speak; its text is for people."""
+    """An Info of another protocol version; its text is for people."""
 
     version: int
     sequence: int = field(default=0, compare=False)
@@ -424,7 +432,7 @@ class OtherVersion:
 
 @dataclass(frozen=True, slots=True)
 class Rejected:
-    """A command that arrived intact but cannot be carried out; `ack` tells its sender why."""
+    """A command that arrived intact but cannot be carried out; `ack` answers with the reason."""
 
     command: int
     result: Result
@@ -439,7 +447,7 @@ Received: TypeAlias = Packet | OtherVersion | Rejected
 
 
 def _codes(name: str) -> str:
-    """The struct codes of a message, nested ones written out."""
+    """The struct codes of a message and of those nested in it."""
     return "".join(_codes(wire.code) if wire.code in FIELDS else wire.code for wire in FIELDS[name])
 
 
@@ -466,9 +474,9 @@ def _checked(wire: Field, value: Any) -> Any:
 
 
 def _whole(name: str, seconds: float, per_second: int, unit: str) -> int:
-    """Seconds as a whole number of units. Raises SpecError where that would change the time."""
+    """Seconds as a whole number of units. Raises SpecError if rounding would change the time."""
     count = round(seconds * per_second)
-    if abs(seconds * per_second - count) > 1e-9 * count:  # more than rounding of the float
+    if abs(seconds * per_second - count) > 1e-9 * count:  # more than float64 rounds
         raise SpecError(
             f"{name} is {seconds:g} s, but the digitizer takes whole {unit}: {count / per_second:g}"
         )
@@ -482,14 +490,6 @@ PACKETS: dict[int, type[Packet]] = {
     for kind in (Info, Samples, Quiet, Status, Ack, GetInfo, Start, Stop, Configure, RollCall)
 }
 """Packets by the first byte of their body."""
-_MARKS = [
-    {
-        "sync": bool(flags & FLAG_SYNC),
-        "overrun": bool(flags & FLAG_OVERRUN),
-        "called": bool(flags & FLAG_CALLED),
-    }
-    for flags in range(2 * max(FLAG_SYNC, FLAG_OVERRUN, FLAG_CALLED))
-]
-"""Fields of Stretch by the wire's flags; bits that this version does not know are ignored."""
 _SAMPLE_MASK = np.int16(SAMPLE_XOR)
 _INT16 = np.dtype(np.int16)
+_WORD = np.dtype("<i2")

@@ -1,29 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the words of many frames say of each node: sound, weak, doubled, faulty or missing."""
+"""Judges each node by its words of many frames: sound, weak, doubled, faulty or missing."""
 
 from __future__ import annotations
 
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..base.arrays import Floats32
 from ..code.frame import FrameSpec
 from .decode import DOUBLE_SHARE, FAINT_SHARE, LOW_MARGIN, LOW_RHO, Words
 
 JUDGE_FRAMES = 32
-"""Nodes are judged once in so many frames with words in them."""
+"""Frames with words in them between two verdicts. Chosen: 0.4 s at 78 Hz."""
 LEAST_WORDS = 4
-"""Words that a verdict on a node takes; afterwards they count half beside newer ones."""
+"""Words that a verdict on a node takes; afterwards they count half beside newer ones. Chosen."""
 WEAK_SHARE = 0.6
-"""A node below this share of the expected amplitude is weak."""
+"""Share of the expected amplitude below which a node is weak. Chosen: just above
+decode.ACTIVE_SHARE, so that a node is told before its words are lost."""
 MOST_UNEVEN, MOST_DOUBLED, MOST_ODD = 0.5, 0.25, 0.25
-"""Shares of a node's words: with more of them uneven, of two nodes, or of odd parity though every
-bit is clear, so is the node. What sends even words of another kind has odd parity in half of them.
-"""
+"""Shares of a node's words beyond which the node is faulty (uneven words; odd parity though every
+bit is clear) or doubled. Chosen; words that are no words have odd parity in half of all cases."""
 WEAK_RHO = 8.0
-"""Words of a node not known to be weak must stand so far out of the noise to be noticed."""
+"""ρ above which words below the threshold are noticed as those of a weak node. Chosen: at half the
+amplitude of a node at ρ = 16."""
 
 
 class NodeState(IntEnum):
@@ -47,24 +48,23 @@ class NodeHealth:
 
     def __init__(self, spec: FrameSpec) -> None:
         self._nominal_v = spec.node_swing_v
-        self.swing_v: NDArray[np.float32] | None = None
+        self.swing_v: Floats32 | None = None
         if self._nominal_v is not None:
             self.swing_v = np.full(spec.nodes, self._nominal_v, dtype=np.float32)
         self.state = np.full(spec.nodes, NodeState.UNHEARD, dtype=np.uint8)
         self.invalid = np.zeros(spec.nodes, dtype=bool)
-        # Per node: words, their amplitudes, uneven, doubled and odd ones, fading sums.
-        self._words = np.zeros(spec.nodes, dtype=np.float32)
-        self._amplitude_v = np.zeros(spec.nodes, dtype=np.float32)
-        self._uneven = np.zeros(spec.nodes, dtype=np.float32)
-        self._doubled = np.zeros(spec.nodes, dtype=np.float32)
-        self._odd = np.zeros(spec.nodes, dtype=np.float32)
+        # Fading sums per node: words, their amplitudes, uneven, doubled and odd words.
+        self._sums = np.zeros((5, spec.nodes), dtype=np.float32)
+        self._words, self._amplitude_v, self._uneven, self._doubled, self._odd = self._sums
         self._frames = 0
 
     def update(self, words: Words) -> None:
         """Count one frame's words."""
         heard = words.active
         if self._nominal_v is not None:
-            heard = heard | self._faint(words, self._nominal_v)
+            # Too weak to count as spoken, but too even and too strong to be noise.
+            strong = words.amplitude_v > FAINT_SHARE * self._nominal_v
+            heard = heard | strong & (words.rho > WEAK_RHO) & (words.margin > LOW_MARGIN)
         self._words += heard
         self._amplitude_v += words.amplitude_v * heard
         if words.doubtful.any():
@@ -82,24 +82,14 @@ class NodeHealth:
         return numbers
 
     @property
-    def amplitude_v(self) -> NDArray[np.float32]:
-        """(n,) float32, V: of each node's last words, mean; NaN for one that was never heard."""
+    def amplitude_v(self) -> Floats32:
+        """Mean amplitude of each node's last words, (n,) float32, V; NaN for one never heard."""
         amplitude_v = np.full_like(self._amplitude_v, np.nan)
         np.divide(self._amplitude_v, self._words, out=amplitude_v, where=self._words > 0)
         return amplitude_v
 
-    def _faint(self, words: Words, nominal_v: float) -> NDArray[np.bool_]:
-        """Words too weak to count as spoken, but too even and too strong to be noise."""
-        faint: NDArray[np.bool_] = (
-            ~words.active
-            & (words.amplitude_v > FAINT_SHARE * nominal_v)
-            & (words.rho > WEAK_RHO)
-            & (words.margin > LOW_MARGIN)
-        )
-        return faint
-
     def judge(self, least_words: int = LEAST_WORDS) -> None:
-        """Update the verdict on every node of which so many words are known."""
+        """Update the verdict on every node with at least this many words."""
         heard, due = self._words > 0, self._words >= least_words
         amplitude_v = self._amplitude_v / np.maximum(self._words, 1e-6)
         expected_v = self._nominal_v or (float(np.median(amplitude_v[heard])) if heard.any() else 0)
@@ -117,11 +107,4 @@ class NodeHealth:
             swing_v = np.where(weak, amplitude_v, np.float32(self._nominal_v))
             self.swing_v = np.where(due, swing_v, self.swing_v).astype(np.float32)
         # Each node's words fade by its own: one that speaks seldom is judged as well as others.
-        for total in (
-            self._words,
-            self._amplitude_v,
-            self._uneven,
-            self._doubled,
-            self._odd,
-        ):
-            total[due] *= 0.5
+        self._sums[:, due] *= 0.5

@@ -7,6 +7,7 @@ from __future__ import annotations
 import os
 import pty
 import re
+import runpy
 import select
 import signal
 import subprocess
@@ -51,7 +52,7 @@ def read_until(process: subprocess.Popen[str], text: str, timeout_s: float = 30.
 
 def test_make_run_counts_and_times_frames_and_loses_none() -> None:
     done = subprocess.run(
-        [*RUN, "--seconds", "4"],
+        [*RUN, "--seconds", "3"],
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
@@ -63,10 +64,10 @@ def test_make_run_counts_and_times_frames_and_loses_none() -> None:
     values = {key: float(value) for key, value in (pair.split("=") for pair in last.split())}
     assert set(values) == {"published", "received", "lost", "rate_hz", "p50_ms", "p99_ms"}
     assert values["lost"] == 0
-    assert values["received"] == values["published"] > 250
+    assert values["received"] == values["published"] > 180
     assert values["rate_hz"] == pytest.approx(78.1, rel=0.2)
     assert 0 < values["p50_ms"] <= values["p99_ms"]
-    assert sum("frames" in line for line in lines) >= 3
+    assert sum("frames" in line for line in lines) >= 2
 
 
 def test_a_terminal_shows_a_coloured_heatmap_until_ctrl_c() -> None:
@@ -98,11 +99,16 @@ def test_a_terminal_shows_a_coloured_heatmap_until_ctrl_c() -> None:
 
 
 @pytest.mark.parametrize("seconds", ["abc", "-1", "nan", "inf"])
-def test_a_wrong_time_is_refused_in_words_of_make(seconds: str) -> None:
-    done = subprocess.run([*RUN, "--seconds", seconds], capture_output=True, text=True, timeout=60)
-    assert done.returncode == 2
-    assert f"SECONDS={seconds} is no number of seconds" in done.stderr
-    assert done.stderr.startswith("usage: make run")
+def test_a_wrong_time_is_refused_in_words_of_make(
+    seconds: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", [*RUN[1:], "--seconds", seconds])
+    with pytest.raises(SystemExit) as exit_:
+        runpy.run_path(RUN[1], run_name="__main__")
+    said = capsys.readouterr().err
+    assert exit_.value.code == 2
+    assert f"SECONDS={seconds} is no number of seconds" in said
+    assert said.startswith("usage: make run")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

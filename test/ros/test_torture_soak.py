@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Two minutes of the soak, in real time; and what the soak looks for is found."""
+"""Some cycles of the soak, in real time; and its judge finds planted defects."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ from torture.process_watch import Watch
 
 pytestmark = [pytest.mark.ros, pytest.mark.xdist_group("soak")]  # many: so they begin early
 CONFIG = SkinConfig.of({})
-SOAK_S = 120.0
+SOAK_S = 40.0  # four cycles of guests that come and go; slopes of memory take longer anyway
 FIRST, FRAMES = 100, 300
 POWERED_S = 1000.0
 OPTIONS = SimOptions(scene="presses")
 
 
-def test_two_minutes_of_the_real_driver() -> None:
+def test_some_cycles_of_the_real_driver() -> None:
     outcome = soak.soak(SOAK_S)
     assert outcome.good, outcome
     assert "kB/h" in outcome.said

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The digitizer's core in C and its simulated twin in Python, on the same bytes and samples."""
+"""Compares the digitizer's core in C with the simulated one in Python, on the same input."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ REPLAY_S = 60
 TYPES = [0, 2, 0x7F, *range(0x80, 0x88), 0xFF]
 CONFIGURED = Configure(FrameLayout.of(FrameSpec(), 4))
 PACKETS, SAMPLES = 200, 20_000
-"""That one digitizer gets."""
+"""Input of one digitizer."""
 PERHAPS = {Result.OK, Result.UNSUPPORTED}
-"""What a digitizer can do is its own: to what is within all ranges either is a right answer."""
+"""Both are right answers to a valid request: what a digitizer supports is its own affair."""
 
 
 def same_answers(replay: Path, plan: Plan) -> Outcome:
-    """Packets of any type, length and content, and broken ones: both answer and count the same."""
+    """Packets of any type, length and content, and broken ones: answers and counts must agree."""
     rng = np.random.default_rng(plan.seed)
     batches, wrong, uncounted = (10 if plan.quick else 500), 0, 0
     for _ in range(batches):
-        # STOP comes in one go with the rest: the simulator need not make a strange skin's frames
+        # STOP comes with the rest, so that the simulator makes no frames of a strange skin
         data = b"".join(hostile_packet(rng) for _ in range(PACKETS)) + b"\0" + wrap(b"\x83\0\0")
         differ = compare(replayed(replay, [("r", data), SECOND, SEND]), simulated(data))
         wrong += differ[0]
@@ -55,7 +55,7 @@ def same_answers(replay: Path, plan: Plan) -> Outcome:
 
 
 def hostile_packet(rng: np.random.Generator) -> bytes:
-    """Mostly intact, mostly wrong."""
+    """A packet that is mostly intact, and mostly wrong."""
     kind, sequence = int(rng.choice(TYPES)), int(rng.integers(2**16))
     payload = b"" if rng.random() < 0.5 else rng.bytes(int(rng.integers(60)))
     if kind == PacketType.CONFIGURE and rng.random() < 0.9:
@@ -70,7 +70,7 @@ def hostile_packet(rng: np.random.Generator) -> bytes:
 
 
 def compare(in_c: Sequence[Packet], in_python: Sequence[Packet]) -> tuple[int, int]:
-    """In how many answers two digitizers differ, and whether in what they count."""
+    """Number of answers in which two digitizers differ, and whether their error counts do."""
     answers = [of_kind(said, Ack) for said in (in_c, in_python)]
     differ = abs(len(answers[0]) - len(answers[1]))
     differ += sum(not same(one, other) for one, other in zip(*answers, strict=False))
@@ -79,14 +79,14 @@ def compare(in_c: Sequence[Packet], in_python: Sequence[Packet]) -> tuple[int, i
 
 
 def same(one: Ack, other: Ack) -> bool:
-    """Whether two digitizers may answer so to the same command."""
+    """Whether two digitizers may give these answers to the same command."""
     if {one.result, other.result} <= PERHAPS:
         other = replace(other, result=one.result)
     return replace(one, sequence=0) == replace(other, sequence=0)
 
 
 def simulated(data: bytes) -> list[Packet]:
-    """What the Python digitizer says to them, and a second later."""
+    """Output of the Python digitizer for these bytes and one second more."""
     now_s = 0.0
     digitizer = VirtualDigitizer(clock=lambda: now_s)
     digitizer.receive(data)
@@ -96,7 +96,7 @@ def simulated(data: bytes) -> list[Packet]:
 
 
 def same_samples(replay: Path, plan: Plan) -> Outcome:
-    """Samples in pieces of any size, some lost: Python reads those that C was given."""
+    """Samples in pieces of any size, some lost: Python must read what C was given."""
     rng = np.random.default_rng(plan.seed)
     batches, wrong, uncounted, packets = (5 if plan.quick else 200), 0, 0, 0
     for _ in range(batches):
@@ -117,23 +117,23 @@ def same_samples(replay: Path, plan: Plan) -> Outcome:
 
 
 def right(packet: Samples, line: NDArray[np.uint16], lost: NDArray[np.bool_]) -> bool:
-    """Whether a packet says what the line was."""
+    """Whether a packet has the samples of the line."""
     place = slice(packet.first_index, packet.first_index + packet.counts.size)
     return np.array_equal(packet.counts, line[place]) and not lost[place].any()
 
 
 def counted(said: Sequence[Packet], lost: NDArray[np.bool_]) -> bool:
-    """Whether what the packets leave out is what was lost, and STATUS says so."""
+    """Whether exactly the lost samples are missing, and STATUS counts them."""
     told = np.zeros(lost.size, bool)
     for packet in of_kind(said, Samples):
         told[packet.first_index : packet.first_index + packet.counts.size] = True
-    begun = np.flatnonzero(told)[-1] + 1  # what comes after it may wait for more
+    begun = np.flatnonzero(told)[-1] + 1  # later ones may wait for a full packet
     status = of_kind(said, Status)[-1]
     return bool((told != lost)[:begun].all()) and status.samples_lost == lost.sum()
 
 
 def replayed(replay: Path, events: Sequence[tuple[str, bytes]]) -> list[Packet]:
-    """What the core says to events of firmware/digitizer/replay."""
+    """Output of the C core for events of firmware/digitizer/replay."""
     script = b"".join(kind.encode() + struct.pack("<I", len(data)) + data for kind, data in events)
     with TemporaryDirectory() as folder:
         files = [Path(folder, "events"), Path(folder, "output")]
@@ -144,7 +144,7 @@ def replayed(replay: Path, events: Sequence[tuple[str, bytes]]) -> list[Packet]:
 
 
 def parse(data: bytes) -> list[Packet]:
-    """All packets of a digitizer; ends where a byte of them is not right."""
+    """All packets of a digitizer. Raises RuntimeError if there are other bytes."""
     parser = PacketParser()
     packets = [packet for packet in parser.feed(data) if isinstance(packet, Packet)]
     seen = parser.counters

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Builds and runs the harnesses of firmware/fuzz, and tells what they found.
+"""Builds and runs the harnesses of firmware/fuzz, and classifies what they find.
 
 With clang, libFuzzer searches for inputs that reach new code. Without clang, the kept inputs and
 mutants of them are run, which finds much less.
@@ -31,7 +31,7 @@ Fault = Literal["", "wrong value", "uncounted loss", "crash", "hang"]
 
 @dataclass(frozen=True, slots=True)
 class Fuzzed:
-    """inputs: that were run. fault: that the last of them showed; said: how."""
+    """inputs: number run. fault: shown by the last one; said: its description."""
 
     inputs: int
     fault: Fault
@@ -39,7 +39,7 @@ class Fuzzed:
 
 
 def best_kind() -> Kind:
-    """What this machine can do."""
+    """LibFuzzer if this machine has it."""
     if shutil.which("clang") is None:
         return "standalone"
     asked = subprocess.run(["clang", "-print-runtime-dir"], capture_output=True, text=True)
@@ -48,13 +48,13 @@ def best_kind() -> Kind:
 
 
 def harnesses() -> list[str]:
-    """Those that can be built here: the emulated skin's board needs simavr."""
+    """Names of the harnesses that can be built here; the emulated board needs simavr."""
     names = sorted(file.stem.removeprefix("fuzz_") for file in (FIRMWARE / "fuzz").glob("fuzz_*.c"))
     return [name for name in names if name != "board" or SIMAVR.exists()]
 
 
 def build(target: str) -> None:
-    """Has make build a target of firmware/Makefile; one process at a time."""
+    """Build a target of firmware/Makefile; one process at a time."""
     BUILD.mkdir(exist_ok=True)
     make = ["make", "-s", f"-j{os.cpu_count()}", "-C", str(FIRMWARE), target]
     command = ["flock", str(BUILD / ".lock"), *make]
@@ -90,7 +90,7 @@ def _inputs(text: str) -> int:
 
 
 def _fault(returncode: int, text: str) -> tuple[Fault, str]:
-    """By what must.h, a sanitizer or libFuzzer says."""
+    """Classify by the messages of MUST(), a sanitizer or libFuzzer."""
     if returncode == 0:
         return "", ""
     if broken := re.search(r"^\S+: (wrong value|uncounted loss): .*", text, re.MULTILINE):

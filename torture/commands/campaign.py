@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The firmware under hostile bytes: whatever a host sends, a memory holds or a pulse says."""
+"""The firmware under hostile commands, memories, samples and sync pulses."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ COUNTS = {  # inputs, quick and full; about 2 s of one core, and 40 s
     "board": (2_000, 150_000),
 }
 MOST_S = (2, 40)
-"""What a harness takes at most, on a busy machine: then it has run fewer inputs."""
+"""Time limit of a harness, s; a busy machine runs fewer inputs."""
 HANG_S = (20, 30)
 
 
 def run(plan: Plan) -> Iterator[Outcome]:
-    """A slice of each harness, and both languages on the same bytes."""
+    """Run a slice of each harness, then both languages on the same bytes, then storms."""
     kind = best_kind()
     build(f"fuzz-{kind}")
     for name in harnesses():
@@ -46,14 +46,14 @@ def run(plan: Plan) -> Iterator[Outcome]:
 
 
 def fuzzed(program: Path, kind: Kind, plan: Plan) -> Outcome:
-    """What a harness finds in its slice."""
+    """Run a harness for its slice."""
     name, length = program.name, 0 if plan.quick else 1
     limits = (COUNTS[name][length], plan.seed, MOST_S[length], HANG_S[length])
     return outcome(WHAT[name], kind, fuzz(program, kind, *limits))
 
 
 def outcome(what: str, kind: Kind, found: Fuzzed) -> Outcome:
-    """What a harness found, as `make torture` sums it up."""
+    """The row of a harness."""
     return Outcome(
         what,
         found.inputs,

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The nodes' real images, emulated, on a sync line that does anything, and then as it should."""
+"""The real images of the nodes, emulated, on a sync line with storms of pulses."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ PERIOD_NS = round(SPEC.frame_period_s * 1e9)
 CHIP_NS = round(SPEC.chip_s * 1e9)
 UNIT_NS, LEAD_NS = SYNC_UNIT_US * 1000, SYNC_LEAD * SYNC_UNIT_US * 1000
 RECOVERY = 12
-"""Frames after a storm: a node may have to sit out a roll call, and to learn the period again."""
+"""Frames after a storm: a node may have to wait for a roll call's end and relearn the period."""
 JUDGED = 2
-"""The last of them must be right."""
+"""Number of these, the last ones, that must be right."""
 VREF_V = 3.3
 
 
 def storms(plan: Plan) -> Iterator[Outcome]:
-    """On a node of each kind; nothing where images or emulator cannot be built."""
+    """Storms at a node of each kind; nothing if images or emulator cannot be built."""
     if shutil.which("avr-gcc") is None or not SIMAVR.exists():
         return
     build("node")
@@ -50,9 +50,9 @@ def node_of(mcu: str, memory: bytes) -> Node:
 
 
 def storms_at(node: Node, plan: Plan) -> Outcome:
-    """Storms of up to 60 ms at one node, which must say its word NODE after each.
+    """Storms of up to 60 ms at one node, which must send the right word after each.
 
-    None is long enough for the watchdog, 250 ms: where that has to help, the node hung.
+    None is as long as the watchdog, 250 ms: if that has to help, the node hung.
     """
     rng = np.random.default_rng(plan.seed)
     count, wrong, hangs, now_ns = (10 if plan.quick else 400), 0, 0, 100_000_000
@@ -84,7 +84,7 @@ def storms_at(node: Node, plan: Plan) -> Outcome:
 
 
 def storm(skin: EmulatedNodes, rng: np.random.Generator, now_ns: int) -> int:
-    """Pulses of any length at any distance: some close together, some like those of frames."""
+    """Send pulses of any length and distance, some dense, some like frames; returns the end."""
     end_ns = now_ns + int(rng.integers(1_000_000, 60_000_000))
     apart_ns = int(rng.choice([10_000, 100_000, 1_000_000, PERIOD_NS]))
     longest_ns = int(rng.choice([500, 20_000, 60_000, 1_000_000]))
@@ -96,20 +96,20 @@ def storm(skin: EmulatedNodes, rng: np.random.Generator, now_ns: int) -> int:
 
 
 def pulse(skin: EmulatedNodes, rise_ns: int, length_ns: int) -> None:
-    """One pulse."""
+    """Send one pulse."""
     skin.sync(rise_ns, True)
     skin.sync(rise_ns + length_ns, False)
 
 
 def levels(edges: NDArray[np.void], start_ns: int) -> NDArray[np.int8]:
-    """Levels of a pin in the middle of every chip of a frame: (k·N,)."""
+    """Levels of the pin in the middle of every chip of a frame, (k·N,)."""
     middles_ns = start_ns + (np.arange(SPEC.chips) + 0.5) * CHIP_NS
     since_start = np.append(np.int8(0), edges["level"])
     return np.asarray(since_start[np.searchsorted(edges["t_ns"], middles_ns)], np.int8)
 
 
 def expected(code: int) -> NDArray[np.int8]:
-    """The same of a node that says a code."""
+    """The levels of a node that sends this code, (k·N,)."""
     active = np.arange(SPEC.nodes) == NODE - 1
     chips = line_chips(SPEC, np.full(SPEC.nodes, code), active, amplitude_v=1.0)
     return np.asarray(frame_levels(chips * SPEC.polarity, SPEC), np.int8)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Ports and digitizers that go away, stall, are reset or are others, and come back."""
+"""Ports and digitizers that vanish, stall, are reset or replaced, and come back."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from .trial import outcomes
 from .wrong_port import forbidden, strange, unusable
 
 KINDS = (stalled, reset, networked, unusable, strange)
-"""What runs side by side, the longest first."""
+"""Kinds of trials that run side by side, the longest first."""
 
 
 def run(plan: Plan) -> Iterator[Outcome]:
-    """Everything that a connection may suffer."""
+    """Yield an outcome per kind of fault of a connection."""
     with TemporaryDirectory() as folder:
         yield unplugged(plan, Path(folder))
         yield from outcomes([trial for kind in KINDS for trial in kind(plan, Path(folder))])

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Connections that are interrupted: unplugged, reset, hung up, or standing still for a while."""
+"""Interruptions: ports unplugged, digitizers reset, network hosts gone, stalls."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ Fault = Callable[[Trial, Rng], Turns]
 WARM = 20
 """Replugs after which nothing may grow any more."""
 MOST_GROWTH_KB = 10_000
-"""By which 1000 replugs may add to the memory of this process: 10 kB each."""
+"""Chosen: growth of this process's memory by 1000 replugs; 10 kB each."""
 GONE = ("unplugged", "no such port")
-"""What the driver says of a port that is gone: one of these."""
+"""The driver's problem with a removed port has one of these texts."""
 STALLS_S = {0.01: (5, 50), 0.1: (3, 30), 1.0: (1, 10), 10.0: (0, 2)}
-"""Length of a stall: how many, quick and full."""
+"""Length of a stall, s: number of them, quick and full."""
 
 
 def again_and_again(
     fault: Fault, rng: Rng, times: int, most_between_s: float
 ) -> Callable[[Trial], Turns]:
-    """Put a fault in so often, each time at a random moment after frames have come."""
+    """Put a fault in repeatedly, at random moments after frames have come."""
 
     def faults(trial: Trial) -> Turns:
         trial.plug.plug(trial.digitizer(some_skin(rng)))
@@ -49,7 +49,7 @@ def again_and_again(
 
 
 def unplugged(plan: Plan, folder: Path) -> Outcome:
-    """1000 replugs, alone, because what this process holds is counted."""
+    """1000 replugs; alone, because memory and descriptors of this process are compared."""
     rng, times = rng_of(plan, 0), 40 if plan.quick else 1000
     plug = Tty(folder / "replugged")
     trial = Trial("unplugged and plugged in again", plan, plug, lambda t: replugs(t, rng, times))
@@ -57,7 +57,7 @@ def unplugged(plan: Plan, folder: Path) -> Outcome:
 
 
 def replugs(trial: Trial, rng: Rng, times: int) -> Turns:
-    """Unplug at any moment: before it is asked, as it is, within a packet, at rest."""
+    """Unplug at any moment: before the first command, during it, within a packet, later."""
     assert isinstance(trial.plug, Tty)
     before, before_kb = _held(), _settled_kb()
     for count in range(times):
@@ -87,7 +87,7 @@ def replugs(trial: Trial, rng: Rng, times: int) -> Turns:
 
 
 def _asked(plug: Tty) -> Callable[[], bool]:
-    """Whether the driver has written: what it writes waits while this is looked at."""
+    """A condition: the driver has written. Stalls the line meanwhile, to keep the command."""
     plug.stalled = True
 
     def asked() -> bool:
@@ -103,7 +103,7 @@ def _held() -> int:
 
 
 def _settled_kb() -> int:
-    gc.collect()  # what waits for that is not growth
+    gc.collect()  # garbage is not growth
     return memory_kb(os.getpid())
 
 
@@ -122,7 +122,7 @@ def reset(plan: Plan, folder: Path) -> list[Trial]:
 
 
 def reset_once(trial: Trial, rng: Rng) -> Turns:
-    """Put a digitizer that was just powered up in the place of one that streams."""
+    """Replace a streaming digitizer by one that was just powered up."""
     trial.plug.step(int(rng.integers(1, 200)))
     trial.plug.swap(trial.digitizer(some_skin(rng)))
     trial.tally.times += 1
@@ -161,7 +161,7 @@ def networked(plan: Plan, folder: Path) -> list[Trial]:
 
 
 def vanish(trial: Trial, rng: Rng) -> Turns:
-    """Nobody listens for a while; then a digitizer that was just powered up."""
+    """Nobody listens for a while; then there is a digitizer that was just powered up."""
     trial.tally.times += 1
     trial.plug.unplug()
     yield from trial.told("unplugged", "refused")
@@ -170,7 +170,7 @@ def vanish(trial: Trial, rng: Rng) -> Turns:
 
 
 def _host_does(trial: Trial, what: Callable[[Host], None]) -> Turns:
-    """The connection ends; the digitizer streams on, and is asked anew."""
+    """End the connection; the digitizer streams on, and gets new commands."""
     assert isinstance(trial.plug, Host)
     trial.tally.times += 1
     streams = trial.judge.streams
@@ -199,7 +199,7 @@ def stalled(plan: Plan, folder: Path) -> list[Trial]:
 def stalls(
     stall: Callable[[Trial, float], Turns], rng: Rng, stall_s: float, times: int
 ) -> Callable[[Trial], Turns]:
-    """So many of one length, and an account of the packets that they cost."""
+    """Stalls of one length, and an account of the packets lost by them."""
 
     def faults(trial: Trial) -> Turns:
         digitizer = trial.digitizer(replace(some_skin(rng), scene="all"))
@@ -221,14 +221,14 @@ def stalls(
 
 
 def line_stalls(trial: Trial, stall_s: float) -> Turns:
-    """No byte gets through; the digitizer goes on, and drops what it has no room for."""
+    """No byte gets through; the digitizer runs on, and drops what it has no room for."""
     trial.plug.stalled = True
     yield from trial.stall(stall_s)
     trial.plug.stalled = False
 
 
 def consumer_stalls(trial: Trial, stall_s: float) -> Turns:
-    """Whoever takes the frames holds the driver's thread up, so that nobody reads the port."""
+    """The consumer of frames blocks the driver's thread, so that nobody reads the port."""
     trial.hold_s = stall_s
     yield from trial.until(lambda: not trial.hold_s)
     trial.plug.hasty = True

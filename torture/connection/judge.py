@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Holds the frames that one driver publishes against what its digitizers really saw, and when."""
+"""Judges a driver across digitizers and connections: words, stamps, and the sequence."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from tactile_cdma.sim.options import SimOptions
 from ..oracle import Judge, Stream, Verdict
 
 MOST_MISSING = 1
-"""Frames after a START that the driver may leave out: the second one has to come."""
+"""Frames after a START that may be missing: the second one has to be published."""
 CLOCK_S = 0.05
-"""Stamps may be so far off: clocks' rates are believed within 1e-3, from what came in 30 s."""
+"""Tolerance of stamps, s: clock rates are trusted to 1e-3 over a window of 30 s, with a margin."""
 LONG_AGO = Stream(SimOptions(), SimOptions().setup(), math.inf)
-"""A stream without frames."""
+"""A stream without frames, in place of streams that are over."""
 
 
 class Digitizer(VirtualDigitizer):
-    """A virtual digitizer, powered up now, that tells a judge of every START it obeys."""
+    """A virtual digitizer, powered up now, that reports every START it obeys to a judge."""
 
     def __init__(
         self, options: SimOptions, clock: Callable[[], float], judge: ConnectionJudge
     ) -> None:
-        """clock: its time, which may stand at times, but is no faster than the host's."""
+        """clock: its time, s; may stand still at times, but is never faster than the host's."""
         self.powered_s, self._power_s = judge.clock(), clock()
         super().__init__(options, clock)
         self._clock, self._judge = clock, judge
@@ -54,8 +54,8 @@ class Digitizer(VirtualDigitizer):
 class _Published:
     """A published frame that was judged.
 
-    connection: the driver's. device_s: time of its middle. true_s: the same, as host time, at the
-    earliest. late_s: of its stamp, at most.
+    connection: number of the driver's. device_s: device time of its middle. true_s: earliest
+    possible host time of that. late_s: largest possible error of its stamp.
     """
 
     sequence: int
@@ -67,11 +67,11 @@ class _Published:
 
 
 class ConnectionJudge(Judge):
-    """Takes what a driver publishes, and sums up what is wrong with it.
+    """Follows one driver.
 
-    Wrong values are nodes with another word than they sent, frames that never were, and, as long as
-    the digitizer's time does not stand, stamps from before the frame or after its publication.
-    missing: of every stream that was published, how many frames of its beginning were not.
+    Wrong values are words that were not sent, frames that never were, and, as long as the
+    digitizer's time does not stand still, stamps before the frame or after its publication.
+    missing: for every published stream, number of frames at its beginning that were not published.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -86,13 +86,13 @@ class ConnectionJudge(Judge):
         self._first_sequence = 0
 
     def take(self, frame: TactileFrame, connection: int = 0) -> None:
-        """A frame was published, by the driver's thread, over so many connections."""
+        """Queue a published frame; in the driver's thread. connection: number of the driver's."""
         self._queue.append((frame, connection, self.clock()))
 
     def began(self, digitizer: Digitizer) -> None:
-        """A digitizer obeyed a START: whatever was published until now is of those before."""
+        """Note a START: all frames published so far belong to earlier ones."""
         self.settle()
-        # No frame of those long before will come: they are not worth their memory.
+        # Frames of older streams will not come any more: free their memory.
         self.oracle.streams[:-2] = [LONG_AGO] * len(self.oracle.streams[:-2])
         self.oracle.began(digitizer.options, digitizer.setup, digitizer.started_s)
         self._powered_s.append(digitizer.powered_s)
@@ -100,20 +100,20 @@ class ConnectionJudge(Judge):
 
     @property
     def streams(self) -> int:
-        """How many STARTs there were."""
+        """Number of STARTs."""
         return len(self._powered_s)
 
     def hears(self, device: object) -> bool:
-        """Whether frames of the newest stream were published, and it is this digitizer's."""
+        """Whether the newest stream is this digitizer's, and frames of it were published."""
         return self._heard_s(device) is not None
 
     def reached(self, digitizer: Digitizer, device_s: float) -> bool:
-        """Whether a frame of its newest stream and after this was published."""
+        """Whether a frame of its newest stream after this device time was published."""
         heard_s = self._heard_s(digitizer)
         return heard_s is not None and heard_s > device_s
 
     def _heard_s(self, device: object) -> float | None:
-        """Device time of the last frame, if it is of the newest stream and this digitizer's."""
+        """Device time of the last frame; None if not of the newest stream and this digitizer."""
         self.settle()
         if not isinstance(device, Digitizer) or self._last is None:
             return None
@@ -123,24 +123,24 @@ class ConnectionJudge(Judge):
 
     @property
     def late(self) -> int:
-        """How often more frames were missing after a START than may be."""
+        """How often more frames were missing after a START than allowed."""
         return sum(missing > MOST_MISSING for missing in self.missing)
 
     def settle(self) -> None:
-        """Judge what was published since the last time."""
+        """Judge all queued frames."""
         while self._queue:
             self._judge(*self._queue.popleft())
 
     @property
     def _keeps_pace(self) -> bool:
-        """Whether the digitizer's time has not stood; no real one's does, and stamps are by it."""
+        """Whether the digitizer's time has not stood still, which a real one's never does."""
         digitizer = self._digitizer
         return digitizer is not None and (
             self.clock() - digitizer.powered_s - digitizer.now_s < CLOCK_S
         )
 
     def account(self, lost_frames: int) -> int:
-        """How far off the driver's count of lost frames is, after all was published."""
+        """Error of the driver's count of lost frames, at the end."""
         self.settle()
         if self._last is None:
             return lost_frames
@@ -162,13 +162,13 @@ class ConnectionJudge(Judge):
         self._last = now
 
     def _follow(self, now: _Published, verdict: Verdict, period_s: float) -> None:
-        """Hold a frame against the one before it."""
+        """Compare a frame with the one before it."""
         last = self._last
         if last is None:
             self._first_sequence = now.sequence
         elif (now.stream, now.connection) == (last.stream, last.connection):
             self.tally.uncounted_losses += verdict.uncounted
-        else:  # only the host's clock knows how many periods passed, and stamps may be late
+        else:  # only the host's clock tells how many periods passed, and stamps may be late
             passed = (now.true_s - last.true_s) / period_s
             slack = 1 + (abs(now.late_s) + abs(last.late_s)) / period_s
             self.tally.uncounted_losses += (

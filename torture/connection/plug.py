@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is behind a port, and how it comes and goes: a tty that can be unplugged, a network host."""
+"""The far end of a port: a tty that can be unplugged, or a network host."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from pathlib import Path
 from tactile_cdma.sim.pty import Digitizer
 
 TICK_S = 10e-3
-"""The time of digitizers goes on by so much with a step, at most."""
+"""Largest advance of the digitizers' time per step, s."""
 MOST = 65_536
 
 
 class Plug:
     """The far end of a port.
 
-    device: what is there, a digitizer or something else that says and hears bytes; None: nothing.
-    stalled: the device goes on, but no byte gets through.
-    now_s: the time that digitizers keep, s. It stands while what they said is not read, so that a
-        busy machine is no fault; but not where it is hasty, or in a stall.
-    Nothing happens but in `step`, so that the caller chooses the moment of every fault.
+    device: a digitizer or any other device; None: nothing.
+    stalled: the device runs, but no byte gets through.
+    now_s: the digitizers' time, s. It stands still while their output is not read, so that a busy
+        machine is no fault, except if `hasty` or stalled.
+    All happens in `step`, so that the caller chooses the moment of every fault.
     """
 
     def __init__(self) -> None:
@@ -45,19 +45,19 @@ class Plug:
         raise NotImplementedError
 
     def plug(self, device: Digitizer) -> None:
-        """Have the port there, and this device behind it."""
+        """Create the port, with this device behind it."""
         self.swap(device)
 
     def swap(self, device: Digitizer) -> None:
-        """Put another device behind a port that stays: what the last one had to say is lost."""
+        """Replace the device behind the port; output of the old one is lost."""
         self.device, self._outgoing = device, b""
 
     def unplug(self) -> None:
-        """Take the port away."""
+        """Remove the port."""
         self.device, self._outgoing = None, b""
 
     def step(self, most: int = MOST) -> None:
-        """Carry bytes both ways, at most so many to the host."""
+        """Carry bytes both ways, at most `most` to the host."""
         self._tick()
         if self.device is None:
             return
@@ -73,12 +73,12 @@ class Plug:
         self._host_s = host_s
 
     def _carry(self, device: Digitizer, outgoing: bytes) -> bytes:
-        """Exchange bytes with whoever has the port open; returns what was not taken."""
+        """Exchange bytes with the client; returns the output it did not take."""
         raise NotImplementedError
 
 
 class Tty(Plug):
-    """A pseudo-terminal under a link, made anew whenever it is plugged in."""
+    """A pseudo-terminal behind a symbolic link, a new one whenever it is plugged in."""
 
     def __init__(self, link: Path) -> None:
         super().__init__()
@@ -92,7 +92,7 @@ class Tty(Plug):
 
     @property
     def asked(self) -> bool:
-        """Whether bytes of the host wait to be received."""
+        """Whether bytes of the host are waiting."""
         return bool(select.select([self.host], [], [], 0)[0])
 
     def plug(self, device: Digitizer) -> None:
@@ -101,7 +101,7 @@ class Tty(Plug):
         self.show(device)
 
     def make(self) -> None:
-        """Make the terminal, which has no name yet that anybody knows."""
+        """Make the terminal, without its link."""
         self.host, self.side = os.openpty()
         tty.setraw(self.side)
         os.set_blocking(self.host, False)
@@ -112,7 +112,7 @@ class Tty(Plug):
         self._link.symlink_to(os.ttyname(self.side))
 
     def unplug(self) -> None:
-        """Take the terminal away, and its link."""
+        """Remove the terminal and its link."""
         if self.device is not None:
             self._link.unlink()
             os.close(self.host)
@@ -120,15 +120,15 @@ class Tty(Plug):
         super().unplug()
 
     def permit(self, mode: int) -> None:
-        """Who may open the terminal."""
+        """Set who may open the terminal."""
         os.chmod(os.ttyname(self.side), mode)
 
     def lock(self, how: int) -> None:
-        """Have it to oneself, or not any more: fcntl.LOCK_EX or LOCK_UN."""
+        """Lock the terminal, or unlock it: fcntl.LOCK_EX or LOCK_UN."""
         fcntl.flock(self.side, how)
 
     def fill(self) -> None:
-        """Leave no room for what the host writes, as a device does that takes nothing."""
+        """Fill the buffer that the host writes to, like a device that reads nothing."""
         os.set_blocking(self.side, False)
         for _ in range(3):  # the kernel makes some room a little later
             with suppress(BlockingIOError):
@@ -158,7 +158,7 @@ class Host(Plug):
 
     @property
     def url(self) -> str:
-        """Its address, the same for ever."""
+        """Its address, which never changes."""
         return "socket://{}:{}".format(*self._address)
 
     def plug(self, device: Digitizer) -> None:
@@ -167,7 +167,7 @@ class Host(Plug):
         super().plug(device)
 
     def unplug(self) -> None:
-        """Be gone, in order."""
+        """Close the connection, and stop listening."""
         self.hang_up()
         if self._server is not None:
             self._server.close()
@@ -181,13 +181,13 @@ class Host(Plug):
         self._client = None
 
     def reset(self) -> None:
-        """End the client's connection as a host does that was restarted."""
+        """Reset the client's connection, as a restarted host does."""
         if self._client is not None:
             self._client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         self.hang_up()
 
     def half_close(self) -> None:
-        """Say that nothing more will come, and go on listening to the client."""
+        """Shut down the sending side, and go on receiving."""
         if self._client is not None:
             self._client.shutdown(socket.SHUT_WR)
 
@@ -205,7 +205,7 @@ class Host(Plug):
         if writable and self._client is not None:
             with suppress(OSError):  # the client has gone: the next read will tell
                 outgoing = outgoing[self._client.send(outgoing) :]
-        # As a tty's: what comes while nobody listens is lost.
+        # Like a tty's: output is lost while nobody listens.
         return outgoing if self._client is not None else b""
 
     def _hear(self, device: Digitizer) -> None:
@@ -222,7 +222,7 @@ class Host(Plug):
 
 @contextmanager
 def as_ordinary_user(folder: Path) -> Iterator[None]:
-    """With the rights of nobody in particular, and this folder theirs: root may open anything."""
+    """Drop root's rights, which no permission stops, and own this folder."""
     if os.geteuid() != 0:
         yield
         return

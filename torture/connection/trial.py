@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A driver on a plug, put through one kind of fault, beside others."""
+"""One driver under one kind of fault; many trials take turns in one thread."""
 
 from __future__ import annotations
 
@@ -25,29 +25,28 @@ from .plug import Plug
 
 BAUD = 2_000_000
 ROUND_S = 5e-4
-"""Pause after every trial had its turn."""
+"""Pause after a round of turns, s."""
 TURN_S = 0.1
-"""A turn counts for so long at most: that this process had to wait is nobody's fault."""
+"""Most time that a turn counts for, s: this process may have had to wait."""
 SOON_S = 1.0
-"""In half of all cases frames come sooner: a driver that notices nothing asks again after 1 s."""
+"""Limit of the median time until frames come, s: a driver that notices nothing asks after 1 s."""
 ENOUGH = 20
-"""Cases of which that is asked: fewer may all have come at a bad moment."""
+"""Fewest cases for that limit: fewer may all have come at a bad moment."""
 SCENES = ("moving", "press", "all")
 Rng: TypeAlias = np.random.Generator
 Turns: TypeAlias = Generator[None, None, None]
 
 
 class HangError(Exception):
-    """Something did not go on in time."""
+    """Something did not happen in time."""
 
 
 class Trial:
-    """One driver, whose port is at a plug, and what came of the faults put in.
+    """One driver, whose port is a plug, and the result of the faults put in.
 
     tally: faults so far, and what was found. said: for the table. hold_s: how long the consumer of
-    the next frame takes. limit_s: after which what does not go on hangs.
-    resumed_s: how long the driver took each time, from when port and digitizer were there until it
-    published a frame.
+    the next frame takes. limit_s: time to wait for anything before it counts as a hang.
+    resumed_s: times from port and digitizer being there to a published frame.
     """
 
     def __init__(
@@ -91,17 +90,17 @@ class Trial:
 
     @property
     def late(self) -> int:
-        """How often frames came too late."""
+        """How often frames were published too late."""
         return self.judge.late + self._is_late
 
     def digitizer(self, options: SimOptions) -> Digitizer:
-        """One that is powered up now, and judged by."""
+        """A digitizer that is powered up now and known to the judge."""
         return Digitizer(options, lambda: self.plug.now_s, self.judge)
 
     def until(self, condition: Callable[[], object], least_s: float = 0.0) -> Turns:
-        """Go on until this holds; raises HangError where it never does.
+        """Take turns until a condition holds. Raises HangError if it takes too long.
 
-        least_s: how long it takes where nothing is wrong.
+        least_s: how long it takes if nothing is wrong.
         """
         left_s, now_s = 10 * least_s + self.limit_s, time.monotonic()
         while not condition():
@@ -113,34 +112,34 @@ class Trial:
             yield
 
     def after(self, seconds: float) -> Turns:
-        """Go on for so long."""
+        """Take turns for this time."""
         end_s = time.monotonic() + seconds
         yield from self.until(lambda: time.monotonic() >= end_s, seconds)
 
     def stall(self, seconds: float) -> Turns:
-        """Go on for so much of the digitizer's time."""
+        """Take turns for this much of the digitizer's time."""
         end_s = self.plug.now_s + seconds
         yield from self.until(lambda: self.plug.now_s >= end_s, seconds)
 
     def told(self, *texts: str) -> Turns:
-        """Go on until the driver gives a reason with one of these texts in it."""
+        """Take turns until the driver reports a problem with one of these texts."""
         yield from self.until(lambda: any(text in (self.driver.problem or "") for text in texts))
 
     def resumes(self) -> Turns:
-        """Go on until frames are published again, and no reason is given why not."""
+        """Take turns until frames are published again, and no problem is reported."""
         begin_s = time.monotonic()
         yield from self.until(self._flows)
         self.resumed_s.append(time.monotonic() - begin_s)
 
     def counted(self, count: Callable[[], int], true: Callable[[], int]) -> Turns:
-        """Go on until a count is the true one; else the difference is uncounted losses."""
+        """Take turns until a count is the true one; the difference is uncounted losses."""
         try:
             yield from self.until(lambda: count() == true())
         except HangError:
             self.tally.uncounted_losses += abs(count() - true())
 
     def caught_up(self) -> Turns:
-        """Go on until a frame is published that is not on the line yet."""
+        """Take turns until a frame is published that was not sent yet."""
         digitizer = self.plug.device
         assert isinstance(digitizer, Digitizer)
         now_s = digitizer.now_s
@@ -151,7 +150,7 @@ class Trial:
 
     @property
     def took(self) -> str:
-        """How long it took until frames came, in words."""
+        """The times until frames came, for the table."""
         took_ms = [1e3 * seconds for seconds in self.resumed_s]
         missing = max(self.judge.missing, default=0)
         return (
@@ -178,7 +177,7 @@ class Trial:
 
 
 def rng_of(plan: Plan, *place: int) -> Rng:
-    """The random numbers of one kind of fault."""
+    """The random generator of one kind of fault."""
     return np.random.default_rng([plan.seed, *place])
 
 
@@ -188,7 +187,7 @@ def some_skin(rng: Rng) -> SimOptions:
 
 
 def side_by_side(trials: Iterable[Turns], at_once: int = 5) -> None:
-    """Give so many trials their turns, one after the other, until all are over."""
+    """Run trials, at_once of them in turns, until all are over."""
     waiting = iter(trials)
     running = list(islice(waiting, at_once))
     while running:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Others on the port, and ports that do not open or take nothing."""
+"""Foreign devices on the port, and ports that do not open or take no bytes."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from .plug import Tty
 from .trial import Rng, Trial, Turns, rng_of, some_skin
 
 PACE_S = 10e-3
-"""A device says something so often."""
+"""Interval of a device's output, s."""
 CHUNK = 500
-"""Bytes that it says each time: 50 kB/s."""
+"""Bytes of each output: 50 kB/s."""
 SAMPLE = 10_000
-"""Bytes made up for a device, which then begins again."""
+"""Bytes generated for a device, which repeats them."""
 TEXT = "text received"
 NOISE = "no valid packet"
 UNKNOWN = "no description"
@@ -44,7 +44,7 @@ _NMEA = b"GPGGA,%02d3519.00,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,"
 
 
 class Stranger:
-    """Says the same bytes again and again; echoes: and sends back whatever it hears."""
+    """Sends the same bytes again and again; echoes: sends received bytes back as well."""
 
     def __init__(self, content: bytes, echoes: bool = False) -> None:
         self._content, self._echoes = content, echoes
@@ -57,7 +57,7 @@ class Stranger:
             self._output += data
 
     def advance(self, wanted: int) -> float:
-        """Say what is due; what nobody reads is lost."""
+        """Send what is due; drop what nobody reads."""
         now_s = time.monotonic()
         if not self._content:
             return math.inf
@@ -76,8 +76,8 @@ class Stranger:
 def misread(data: bytes, ratio: float) -> bytes:
     """What a UART receives of bytes sent back to back at another rate: 8 bits, no parity.
 
-    ratio: its rate, relative to the sender's. It begins with a falling edge and looks at the middle
-    of each of its own bits; a stop bit that is none changes nothing, as on a Linux tty.
+    ratio: its rate over the sender's. It starts at a falling edge and samples the middle of its own
+    bits; a wrong stop bit is ignored, as on a Linux tty.
     """
     bits = np.unpackbits(np.frombuffer(data, np.uint8), bitorder="little").reshape(-1, 8)
     framed = np.pad(bits, ((0, 0), (1, 1)))
@@ -95,7 +95,7 @@ def misread(data: bytes, ratio: float) -> bytes:
 
 
 def digitizer_bytes(seed: int, size: int) -> bytes:
-    """What a digitizer that streams says."""
+    """Output of a streaming digitizer."""
     digitizer = VirtualDigitizer(SimOptions(seed=seed, scene="all", speed=0))
     digitizer.receive(Session(SkinConfig.of({})).open())
     digitizer.advance(size)
@@ -112,7 +112,7 @@ def _nmea(rng: Rng) -> bytes:
 
 
 def _modbus(rng: Rng) -> bytes:
-    """Answers of a slave: address, function 3, values, CRC-16."""
+    """Answers of a Modbus slave: address, function 3, values, CRC-16."""
     frames = []
     for _ in range(500):
         body = bytes([1, 3, 8]) + rng.integers(0, 300, 4).astype(">u2").tobytes()
@@ -130,7 +130,7 @@ def _crc16(body: bytes) -> int:
 
 
 def _other_version(rng: Rng) -> bytes:
-    """INFO of a later protocol, twice as long, and packets that are not known."""
+    """INFO of a later protocol version, twice as long, and unknown packets."""
     packets = []
     for sequence in range(0, 200, 2):
         header = WIRE["Header"].pack(PacketType.INFO, sequence)
@@ -160,15 +160,15 @@ STRANGERS: dict[str, tuple[Callable[[Rng], Stranger], tuple[str, ...]]] = {
     "another protocol version": (lambda rng: Stranger(_other_version(rng)), ("version",)),
     "half the baud rate": (_at_rate(2.0), (NOISE,)),
     "twice the baud rate": (_at_rate(0.5), (NOISE,)),
-    # Bytes whose two top bits are alike are read right: a short packet may come through.
+    # Bytes with two equal top bits are read right: a short packet may come through.
     "a baud rate 7 % off": (_at_rate(1.07), (NOISE, UNKNOWN, "sends no frames")),
     "a twelfth of the baud rate": (_at_rate(12.0), (NOISE,)),
 }
-"""Who, and what of it the driver's explanation must say: one of these."""
+"""Devices, and texts one of which must be in the driver's problem."""
 
 
 def strange(plan: Plan, folder: Path) -> list[Trial]:
-    """Every stranger, and the digitizer after it."""
+    """Trials of every stranger, followed by the digitizer."""
     return [
         Trial(
             "wrong baud rate" if "baud" in name else "another device on the port",
@@ -181,7 +181,7 @@ def strange(plan: Plan, folder: Path) -> list[Trial]:
 
 
 def visits(name: str, rng: Rng, times: int) -> Callable[[Trial], Turns]:
-    """A stranger comes, is found out, and goes; then the digitizer comes."""
+    """A stranger is plugged in and must be named; then the digitizer takes its place."""
     make, texts = STRANGERS[name]
 
     def faults(trial: Trial) -> Turns:
@@ -203,7 +203,7 @@ def visits(name: str, rng: Rng, times: int) -> Callable[[Trial], Turns]:
 
 
 def unusable(plan: Plan, folder: Path) -> list[Trial]:
-    """Ports and digitizers that will not do for now."""
+    """Trials of ports and digitizers that cannot be used for a while."""
     times = 1 if plan.quick else 10
     kinds: tuple[tuple[str, Fault, dict[str, object]], ...] = (
         ("port busy", busy, {}),
@@ -224,7 +224,7 @@ def unusable(plan: Plan, folder: Path) -> list[Trial]:
 
 
 def forbidden(plan: Plan, folder: Path) -> list[Trial]:
-    """Ports that nobody may open; to be run as an ordinary user."""
+    """Trials of ports without permission; to be run as an ordinary user."""
     faults = _several(without_permission, rng_of(plan, 6), 2 if plan.quick else 20)
     return [Trial("permission taken away", plan, Tty(folder / "port"), faults)]
 
@@ -254,7 +254,7 @@ def busy(trial: Trial, rng: Rng) -> Turns:
 
 
 def without_permission(trial: Trial, rng: Rng) -> Turns:
-    """The port may not be opened, as before udev has seen it."""
+    """The port may not be opened yet, as before udev has set its permissions."""
     assert isinstance(trial.plug, Tty)
     trial.plug.make()
     trial.plug.permit(0)
@@ -275,7 +275,7 @@ def unwritable(trial: Trial, rng: Rng) -> Turns:
 
 
 def others(trial: Trial, rng: Rng) -> Turns:
-    """Another skin's digitizer, plugged in instead or put in its place; then the right one."""
+    """Another skin's digitizer, then the right one."""
     trial.plug.plug(trial.digitizer(SimOptions(seed=7)))
     yield from trial.resumes()
     other = trial.digitizer(SimOptions(seed=8 + int(rng.integers(100))))
@@ -292,7 +292,7 @@ _OURS = VirtualDigitizer(SimOptions(seed=7)).info().digitizer_id
 
 
 def otherwise(trial: Trial, rng: Rng) -> Turns:
-    """A digitizer that cannot be set to the parameters; then one that can."""
+    """A digitizer that cannot be configured to the parameters, then one that can."""
     trial.plug.plug(trial.digitizer(SimOptions(seed=1, order=24)))
     yield from trial.told("order 24 (parameters: 20)")
     trial.plug.swap(trial.digitizer(some_skin(rng)))

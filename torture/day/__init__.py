@@ -1,3 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A day in minutes."""
+"""A day of packets in minutes."""

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A robot's day in minutes: all that a driver counts goes on for 24 hours, and wraps.
+"""A robot's day in minutes: every counter of the driver runs for 24 hours, and wraps.
 
     laps ──bytes, host time──▶ Pipeline ──frames──▶ DayJudge
 
-Some seconds of a skin are told again and again, as a digitizer would tell them that runs all day;
-they come as USB brings them, by a host's clock that is another one than the digitizer's. A part of
-the day is recorded, too, and comes again through the driver's thread from replay://.
+A few seconds of a skin are repeated as if a digitizer ran all day. They arrive with the delays of
+USB, by a host clock that drifts against the digitizer's. A part of the day is also recorded, and
+replayed through the driver's thread from replay://.
 """
 
 from __future__ import annotations
@@ -38,21 +38,21 @@ from .laps import LapWriter, Stretch, record
 
 LAP_FRAMES = 195
 SKIN = {"frame_period_ms": 102.4, "stale_after_s": 24.0}
-"""An eighth of the frames of the paper's skin, and nodes that at rest speak once in 20 s, or a lap,
-so that a day takes minutes."""
+"""Frames at an eighth of the paper's rate, and nodes that at rest speak once per lap, 20 s, so that
+a day takes minutes."""
 QUIET_SCENE, BUSY_SCENES = "idle", ("presses", "moving", "hand")
 BUSY = 0.05
-"""Share of the day in which something touches the skin."""
+"""Share of laps in which something touches the skin."""
 DAY_S, QUICK_S = 86_400.0, 400.0
 REPLAYED_S, QUICK_REPLAYED_S = 3600.0, 30.0
 BEFORE_S = 20.0
-"""Time and index begin so long before their 32 bits are full, the sequence as many packets."""
+"""Device time and index begin this long before 32 bits overflow; the sequence, as many packets."""
 MOST_ERROR_S = 1e-3
-"""Of a stamp, against the true host time of its frame's middle."""
+"""Largest error of a stamp against the true host time of its frame's middle."""
 LOOKS, COUNTS = 120, 12
-"""So often memory is looked at, and Python's objects are counted, which takes longer."""
+"""Samples of memory in a day, and counts of Python's objects, which take longer."""
 WARM_UP = 0.25
-"""Share of the day after which neither may grow: pools fill up at first."""
+"""Share of the day after which neither may grow; pools fill up before."""
 MOST_GROWTH_KB, MOST_NEW_OBJECTS = 2048, 200
 REPORT_US = 1_000_000
 PATIENCE_S = 60.0
@@ -60,7 +60,7 @@ EDGE = 1 << 32
 
 
 def run(plan: Plan) -> Iterator[Outcome]:
-    """A day through the pipeline, and a part of one through the driver."""
+    """A day through the pipeline, and part of one through the driver."""
     config = SkinConfig.of(SKIN)
     stretches = [
         record(config, SimOptions(scene=scene, heartbeat=LAP_FRAMES, seed=plan.seed), LAP_FRAMES)
@@ -73,9 +73,9 @@ def run(plan: Plan) -> Iterator[Outcome]:
 
 
 class Telling:
-    """The digitizer of a day: laps in random order, without end.
+    """The digitizer of a day: an endless sequence of laps in random order.
 
-    writer: counts what was told. begin_us: of the first frame.
+    writer: counts packets and bytes. begin_us: of the first frame.
     """
 
     begin_us = EDGE - round(BEFORE_S * 1e6)
@@ -86,7 +86,7 @@ class Telling:
         self.writer = LapWriter(sequence=round(0x10000 - BEFORE_S))
 
     def bursts(self, frames: int, on_lap: Callable[[Lap], None]) -> Iterator[tuple[float, bytes]]:
-        """What is sent, and when, device s, until so many frames were told."""
+        """Yield device time, s, and bytes sent then, for this many frames."""
         writer, info = self.writer, self._stretches[0].info
         begin_us = due_us = report_us = self.begin_us
         begin_index = EDGE - round(BEFORE_S * info.sample_rate_hz)
@@ -114,7 +114,7 @@ class Telling:
 
 
 class Holdings:
-    """What this process holds while a day passes."""
+    """Memory, threads, descriptors and objects of this process during a day."""
 
     def __init__(self) -> None:
         self._watch = Watch(os.getpid())
@@ -122,7 +122,7 @@ class Holdings:
         self._objects: list[int] = []  # of Python's, after a collection
 
     def look(self, share: float, t_s: float) -> None:
-        """When this share of the day has passed, at this device time, s."""
+        """Sample them if due. share: of the day that has passed; t_s: device time, s."""
         if share * LOOKS >= len(self._t_s):
             self._t_s.append(t_s)
             self._watch.look()
@@ -131,13 +131,13 @@ class Holdings:
             self._objects.append(len(gc.get_objects()))
 
     def slope(self) -> Slope:
-        """Growth of memory by device time."""
+        """Growth of memory per device time."""
         first = round(WARM_UP * LOOKS)
         return slope(np.array(self._t_s[first:]), np.array(self._watch.rss_kb[first:], float))
 
     @property
     def grown(self) -> bool:
-        """Whether there is more at the end than when the pools were full."""
+        """Whether there is more at the end than after the warm-up."""
         kb, alone = self._watch.rss_kb, self._watch.alone
         objects = self._objects[round(WARM_UP * COUNTS) :]
         first = round(WARM_UP * LOOKS)
@@ -185,7 +185,7 @@ def day(config: SkinConfig, telling: Telling, seconds: float, seed: int) -> Iter
 
 
 def replayed(config: SkinConfig, telling: Telling, seconds: float) -> Outcome:
-    """A recording of a part of a day, through the driver's own thread."""
+    """Record part of a day, and replay it through the driver's thread."""
     judge = DayJudge(config, None)
     frames = round(seconds / config.spec.frame_period_s)
     with TemporaryDirectory() as folder:
@@ -212,7 +212,7 @@ def replayed(config: SkinConfig, telling: Telling, seconds: float) -> Outcome:
 
 
 def _wait(judge: DayJudge, frames: int) -> bool:
-    """Until all frames came; whether they did."""
+    """Wait for all frames; whether they came."""
     came, since_s = 0, time.monotonic()
     while judge.frames < frames and time.monotonic() < since_s + PATIENCE_S:
         if judge.frames > came:
@@ -222,7 +222,7 @@ def _wait(judge: DayJudge, frames: int) -> bool:
 
 
 def _miscounted(pipeline: Pipeline, writer: LapWriter, judge: DayJudge, frames: int) -> int:
-    """Frames that did not come, and counts that are not what they should be."""
+    """Sum of missing frames and of the errors of all counts."""
     counters, packets = pipeline.counters, pipeline.packet_counts
     grows = counters.frames + counters.samples + packets.bytes + packets.packets
     counts = replace(Counts.of(pipeline), digitizer=None).named().values()

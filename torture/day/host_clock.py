@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A host's clock beside a digitizer's, and when USB brings what the digitizer sends."""
+"""Models of a host's clock against a digitizer's, and of the delays of USB."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ import numpy as np
 
 MOST_CRYSTAL = 100e-6
 WARMING, WARMING_S = 10e-6, 1200.0
-"""A crystal that warms up with its robot: its error changes by so much, in this time."""
+"""Chosen: a crystal that warms up with its robot; its error changes by 10 ppm, time constant s."""
 DAILY, DAY_S = 5e-6, 86_400.0
 AIR, AIR_S = 1e-6, 1800.0
-"""And follows the room over the day, and its air conditioning."""
+"""Chosen: amplitude and period, s, of what follows the room's air conditioning."""
 FRAME_S = 1e-3
-"""USB carries at whole ms, of the host's clock."""
+"""Full-speed USB transfers at whole ms of the host's clock."""
 FASTEST_S, SLOWEST_S = 50e-6, 200e-6
-"""From there until a driver has read."""
+"""Chosen: delay from there until a driver has read, between."""
 LATE, LATE_S = 1e-3, 0.02
-"""Share of reads that are late, and by how much more on average."""
+"""Chosen: share of late reads, and their mean additional delay, s."""
 STALL_S = (0.5, 10.0)
 STALL_EVERY_S = (60.0, 540.0)
-"""Nothing comes for so long, so often; then all of it at once."""
+"""Chosen: length of stalls, s, and time between them, s; after one all bytes come at once."""
 
 
 class HostClock:
-    """The host's monotonic time of any moment of device time since power-up, s."""
+    """The host's monotonic time as a function of device time, s."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._begin_s = rng.uniform(0, 1e5)
@@ -43,7 +43,7 @@ class HostClock:
 
 
 class UsbLine:
-    """When what was sent is read, in the order of sending. late, stalls: how many there were."""
+    """When bytes that were sent are read, in order. late, stalls: number of each."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng
@@ -52,7 +52,7 @@ class UsbLine:
         self.late = self.stalls = 0
 
     def read_at(self, sent_s: float) -> float:
-        """Host time, s, of reading what was sent at this one."""
+        """Host time, s, at which bytes sent at this host time are read."""
         read_s = math.ceil(sent_s / FRAME_S) * FRAME_S + self._rng.uniform(FASTEST_S, SLOWEST_S)
         if self._rng.random() < LATE:
             read_s += self._rng.exponential(LATE_S)

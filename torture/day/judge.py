@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Holds every frame of a day against what was told, and its stamp against the true time."""
+"""Compares every frame of a day with the laps that were sent, and its stamp with the true time."""
 
 from __future__ import annotations
 
@@ -18,16 +18,17 @@ from ..oracle import Held
 from .laps import Stretch
 
 NEAR_S = 2e-6
+"""Tolerance of a frame's device time: two ticks of 1 µs, for rounding."""
 NEAR_PA = 1.0
-"""Of a pressure, for rounding; a step of a word is 98 Pa or more."""
+"""Tolerance of a pressure, for rounding; adjacent words are 98 Pa apart or more."""
 SETTLED_S = 3.0
-"""From then on the line of the clock is known."""
+"""Device time after which the clock estimate must be good."""
 LATEST_S, BIN_S = 10e-3, 1e-6
-"""Of stamps: beyond this all are alike."""
+"""Range and bins of the histogram of stamp errors; larger ones are in the last bin."""
 
 
 class Lap(NamedTuple):
-    """A stretch that was told from this frame on, and device time, µs, of its beginning."""
+    """A stretch that was sent: number of its first frame, and device time of that, µs."""
 
     stretch: Stretch
     first: int
@@ -35,12 +36,12 @@ class Lap(NamedTuple):
 
 
 class DayJudge:
-    """Told every lap before its first frame comes, and every frame once, in order.
+    """Takes every lap before its first frame, and every frame once, in order.
 
-    host_at: host time, s, of device time, s; None where stamps are not looked at.
-    wrong: frames with a false word, pressure, flag or time. frames: that came.
-    uncounted: frames that are missing, or not numbered as they came.
-    worst_s: largest error of a stamp.
+    host_at: host time, s, of device time, s; None: stamps are not judged.
+    wrong: frames with a false word, pressure, flag or time. frames: published ones.
+    uncounted: frames whose sequence is not the number of frames before. worst_s: largest error of
+    a stamp.
     """
 
     def __init__(self, config: SkinConfig, host_at: Callable[[float], float] | None) -> None:
@@ -53,11 +54,11 @@ class DayJudge:
         self.worst_s = 0.0
 
     def told(self, lap: Lap) -> None:
-        """This is told next."""
+        """Note the lap that is sent next."""
         self._laps.append(lap)
 
     def judge(self, frame: TactileFrame) -> None:
-        """The next frame came."""
+        """Judge the next frame."""
         number, self.frames = self.frames, self.frames + 1
         while len(self._laps) > 1 and number >= self._laps[1].first:
             self._laps.popleft()
@@ -95,10 +96,10 @@ class DayJudge:
         self.worst_s = max(self.worst_s, error_s)
 
     def stamps_beyond(self, error_s: float) -> int:
-        """How many stamps were farther from the true time."""
+        """Number of stamps with at least this error."""
         return int(self._bins[int(error_s / BIN_S) :].sum())
 
     def stamp_error_s(self, share: float) -> float:
-        """The error that this share of the stamps does not exceed."""
+        """Quantile of the stamp errors, s."""
         upto = np.cumsum(self._bins)
         return float(np.searchsorted(upto, share * upto[-1]) * BIN_S)

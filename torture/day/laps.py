@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A recorded stretch of a skin's day, told again and again while time and counts go on."""
+"""A recorded stretch of packets, repeated with continued numbers, times and CRCs."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from tactile_cdma.wire.packets import PacketParser, PacketWriter, wrap
 _HEAD = struct.Struct("<BHQQ")
 """Type, sequence, device_time_us and first_index: how Samples and Quiet begin."""
 _WHERE_BYTES = 16
-"""Of device_time_us and first_index."""
+"""Size of device_time_us and first_index."""
 _SEQUENCES = 2**16
 
 
 class Told(NamedTuple):
     """A packet of Samples or Quiet, counted from the start of its frame period.
 
-    time_us, place: time and index of its first sample. due_us: when it is sent. body: what follows
-    type, sequence, time and index.
+    time_us, place: time and index of its first sample. due_us: when it is sent. body: the bytes
+    after type, sequence, time and index.
     """
 
     kind: int
@@ -42,10 +42,10 @@ class Told(NamedTuple):
 
 @dataclass(frozen=True)
 class Stretch:
-    """Whole frame periods of a digitizer's packets, and what the nodes said in them.
+    """Whole frame periods of a digitizer's packets, and the truth about them.
 
-    info: of the digitizer. frames: the packets of each period. period_us, period_samples: of one.
-    active: (l, n) bool, who spoke. codes: (l, n) int64.
+    info: of the digitizer. frames: packets by period. period_us, period_samples: its length.
+    active: (l, n) bool, nodes that spoke. codes: (l, n) int64.
     """
 
     info: Info
@@ -60,9 +60,9 @@ class Stretch:
 
 
 class LapWriter:
-    """Makes packets of a stretch those of any other time, CRC and COBS anew.
+    """Writes packets of a stretch for another time, with new CRC and COBS.
 
-    sequence: of the next packet. packets, bytes: made so far.
+    sequence: of the next packet. packets, bytes: written so far.
     """
 
     def __init__(self, sequence: int = 0) -> None:
@@ -71,14 +71,14 @@ class LapWriter:
         self.packets = self.bytes = 0
 
     def tell(self, told: Told, begin_us: int, begin_index: int) -> bytes:
-        """The bytes of a packet of the frame period that begins at this time and index."""
+        """Bytes of a packet whose frame period begins at this time and index."""
         head = _HEAD.pack(
             told.kind, self.sequence, begin_us + told.time_us, begin_index + told.place
         )
         return self._count(wrap(head + told.body))
 
     def encode(self, packet: Packet) -> bytes:
-        """The bytes of any other packet."""
+        """Bytes of any other packet."""
         self._others.sequence = self.sequence
         return self._count(self._others.encode(packet))
 
@@ -90,7 +90,7 @@ class LapWriter:
 
 
 def record(config: SkinConfig, options: SimOptions, count: int) -> Stretch:
-    """The first frame periods of a simulated skin."""
+    """Record the first frame periods of a simulated skin."""
     digitizer = VirtualDigitizer(replace(options, speed=0.0))
     digitizer.receive(Session(config).open())
     parser, periods = PacketParser(), list[list[Samples | Quiet]]()
@@ -126,7 +126,7 @@ def _told(
         time_us = packet.device_time_us - begin_us
         due_us = time_us + _length_us(packet, info)
         if isinstance(begin, Quiet) and isinstance(packet, Quiet) and packet is not begin:
-            # A gap after a silent frame waits for the next one.
+            # QUIET of a gap after a silent frame is sent with the next frame.
             due_us = period_us + begin.device_time_us - begin_us + frame_us
         place = packet.first_index - begin.first_index
         yield Told(packet.TYPE, time_us, place, due_us, packet.pack()[_WHERE_BYTES:])

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""`make fuzz`: searches all targets on all cores for inputs that do what none must do."""
+"""`make fuzz`: searches all targets, on all cores, for inputs that crash, hang or deceive them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .search import Found, search
 from .targets import TARGETS
 
 WEIGHTS = {"packets": 40, "bodies": 20, "line": 2, "digitizer": 4, "offline": 1, "commands": 1}
-"""Shares of the inputs; targets that are quick get more. Others: 4."""
+"""Shares of the inputs, more for faster targets; USUAL_WEIGHT for others."""
 USUAL_WEIGHT = 4
 LONGEST_S = 1_000_000
 
@@ -48,7 +48,7 @@ def main() -> int:
 
 
 def shares(names: list[str], count: int) -> dict[str, int]:
-    """How many of the inputs each target gets."""
+    """Number of inputs for each target."""
     weights = {name: WEIGHTS.get(name, USUAL_WEIGHT) for name in names}
     return {name: -(-count * weight // sum(weights.values())) for name, weight in weights.items()}
 

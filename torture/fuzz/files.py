@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Files that users name, as targets."""
+"""Fuzz targets: all files that users name."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def _folder() -> TemporaryDirectory[str]:
 
 
 def _in_file(read: Callable[[Path], object], suffix: str) -> Callable[[bytes], None]:
-    """Reads a file that holds the data."""
+    """Make a target's run() of a function that reads a file."""
 
     def run(data: bytes) -> None:
         path = Path(_folder().name, f"input{suffix}")
@@ -64,7 +64,7 @@ def _in_file(read: Callable[[Path], object], suffix: str) -> Callable[[bytes], N
 
 
 def _written(write: Callable[[Path], object], suffix: str) -> bytes:
-    """What is written to a file."""
+    """The bytes that a function writes to a file."""
     path = Path(_folder().name, f"seed{suffix}")
     path.unlink(missing_ok=True)
     write(path)
@@ -80,7 +80,7 @@ def _read_scope(path: Path) -> None:
 
 
 def _read_recording(path: Path) -> None:
-    """At once and piece by piece; then as the command line does."""
+    """Read at once and in pieces, which must agree; then as the command line does."""
     data = path.read_bytes()
     at_once, one_by_one = RecordingParser(), RecordingParser()
     chunks = at_once.feed(data) + at_once.finish()
@@ -101,7 +101,7 @@ def _read_recording(path: Path) -> None:
 
 
 def _read_capture(path: Path) -> None:
-    """As far as parameters: what decoding does with the bytes other targets try."""
+    """Read bytes and parameters; decoding is left to other targets."""
     for _ in read_bytes(path):
         pass
     SkinConfig.of(offline_values(path, {"nodes": NODES}))

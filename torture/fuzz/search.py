@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Searches a target in a process of its own, and what came of it."""
+"""Runs the search of a target in its own process."""
 
 from __future__ import annotations
 
@@ -15,18 +15,17 @@ from tempfile import TemporaryDirectory
 from .target import CRASH
 
 MEMORY = Path("/dev/shm")
-"""Where inputs that have to be files are written, if it is there."""
+"""Folder for inputs that have to be files, if it exists."""
 MARGIN_S = 120
-"""A process that takes so much longer than it was given hangs."""
+"""Time beyond its limit after which a search counts as a hang."""
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What came of a search.
+    """The result of a search.
 
-    inputs: tried. per_s: inputs per second. coverage: branches of the driver that were reached; 0:
-    not measured. peak_mb: memory of the process at most. finds: the kind of each, and what is to
-    be said of it: where it lies first.
+    inputs: number tried. per_s: inputs per second. coverage: branches reached; 0: not measured.
+    peak_mb: largest memory of the process. finds: kind of each, and its file with a description.
     """
 
     target: str
@@ -45,7 +44,7 @@ class Found:
 
 
 def search(target: str, folder: Path, runs: int, seconds: int, seed: int) -> Found:
-    """Try so many inputs, for so long at most; seeds and finds stay in the folder."""
+    """Try up to `runs` inputs for up to `seconds`; seeds and finds stay in the folder."""
     for name in ("seeds", "finds"):
         (folder / name).mkdir(parents=True, exist_ok=True)
     command = [sys.executable, "-m", "torture.fuzz.worker", target, str(folder)]

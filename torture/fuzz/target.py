@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is fuzzed, and what counts as a find."""
+"""Fuzz targets, what counts as a find, and mutated inputs."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from types import FrameType
 from tactile_cdma.base.errors import TactileError
 
 SLOW_S = 1.0
-"""Processor time that one input may take."""
+"""Processor time above which an input is a find, s."""
 HANG_S = 10.0
-"""After so much of it an input is given up."""
+"""Processor time after which an input is given up, s."""
 MOST_TEXT = 4096
-"""Characters of an error's text, at most."""
+"""Longest text of an error, characters."""
 CRASH, SLOW, WRONG, UNCOUNTED = "crash", "slow", "wrong", "uncounted"
 
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Something that reads bytes of others.
+    """A reader of untrusted bytes.
 
-    run: reads them; raises AssertionError where what it promises does not hold, MiscountError for
-    a loss. refuses: the errors by which it may refuse them. seeds: inputs to begin with, by what
-    they are. most_bytes: of an input.
+    run: reads them; raises AssertionError if a promise is broken, MiscountError if a loss is not
+    counted. seeds: inputs to start from, by name. refuses: errors by which it may refuse an input.
+    most_bytes: largest input.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Target:
 
 @dataclass(frozen=True, slots=True)
 class Find:
-    """An input that did what none must do. kind: CRASH, SLOW, …; where: to tell finds apart."""
+    """A defect shown by an input. kind: CRASH, SLOW, …; where: identifies the defect."""
 
     kind: str
     where: str
@@ -53,20 +53,20 @@ class Find:
 
 
 class MiscountError(AssertionError):
-    """A loss that was not counted, or one counted that was none."""
+    """A loss that was not counted, or a counted loss that did not happen."""
 
 
 class _HangError(BaseException):
-    """Taken for no error of the target's."""
+    """No Exception, so that no target catches it."""
 
 
 @contextmanager
 def trying(target: Target) -> Iterator[Callable[[bytes], Find | None]]:
-    """What lets the target read data: None where it does, or refuses them as it may."""
+    """Yield a function that runs the target on data; None: read or properly refused."""
     before = signal.signal(signal.SIGVTALRM, _give_up)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error")  # a warning would be printed over a user's terminal
+            warnings.simplefilter("error")  # warnings would be printed on the user's terminal
             yield lambda data: _attempt(target, data)
     finally:
         signal.signal(signal.SIGVTALRM, before)
@@ -100,7 +100,7 @@ def _kind(error: Exception) -> str:
 
 
 def _unfit(text: str) -> str:
-    """What makes a text unfit for a terminal or a log."""
+    """Why a text is unfit for a terminal or a log; empty if it is not."""
     if not text:
         return "says nothing"
     if len(text) > MOST_TEXT:
@@ -109,7 +109,7 @@ def _unfit(text: str) -> str:
 
 
 def _where() -> str:
-    """The last place of ours that the present exception came through."""
+    """The innermost place in our code in the current traceback."""
     ours = "unknown"
     for frame, line in traceback.walk_tb(sys.exc_info()[2]):
         file = Path(frame.f_code.co_filename)
@@ -125,11 +125,11 @@ def _give_up(signum: int, frame: FrameType | None) -> None:
 # ---- inputs that are nearly right, where there is no atheris to make better ones
 
 _TELLING = (b"\0", b"\xff", b"\x80", b"\x7f", b"-", b"9" * 20, b"nan", b"1e999", b"\n", b"[" * 20)
-"""Bytes that readers stumble over."""
+"""Byte sequences that readers tend to fail on."""
 
 
 def inputs(target: Target, seed: int) -> Iterator[bytes]:
-    """Endlessly, the target's seeds first."""
+    """Yield the target's seeds, then mutations, endlessly."""
     rng, seeds = random.Random(f"{target.name} {seed}"), list(target.seeds().values())
     yield from (known[: target.most_bytes] for known in seeds)
     while True:

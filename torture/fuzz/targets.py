@@ -17,17 +17,17 @@ PORTS = (SerialPort("/dev/ttyACM0", "a board", "E661"), SerialPort("/dev/ttyACM1
 
 
 def read_sim(data: bytes) -> None:
-    """The options of a simulated skin."""
+    """Read the options of a simulated skin."""
     SimOptions.from_url("sim://?" + data.decode(errors="replace"))
 
 
 def read_replay(data: bytes) -> None:
-    """The options of a replay."""
+    """Read the options of a replay."""
     ReplayOptions.from_url("replay://" + data.decode(errors="replace"))
 
 
 def read_names(data: bytes) -> None:
-    """A digitizer's id; a USB serial number."""
+    """Read a digitizer's id or a USB serial number."""
     text = data.decode(errors="replace")
     try:
         digitizer_id = parse_id(text)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""One target, searched in a process of its own: by coverage with atheris, else by mutations alone.
+"""Searches one target, guided by coverage if atheris is installed, otherwise by mutations.
 
-python -m torture.fuzz.worker TARGET FOLDER RUNS SECONDS SEED: inputs that reached something new are
-kept in FOLDER/seeds, finds in FOLDER/finds. What it came to is told on stderr as libFuzzer does.
+python -m torture.fuzz.worker TARGET FOLDER RUNS SECONDS SEED: inputs with new coverage are kept in
+FOLDER/seeds, finds in FOLDER/finds. The statistics go to stderr in libFuzzer's format.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from .target import Target
 
 ROOM = 1 << 30
-"""Bytes that a process may grow by; what asks for more gets a MemoryError, which is a find."""
+"""Growth allowed to the process, bytes; asking for more raises MemoryError, which is a find."""
 DEAD_S = 60
-"""Wall-clock time after which an input that cannot even be given up ends the process."""
+"""Wall-clock time after which libFuzzer ends a process whose input cannot be given up, s."""
 NUMERIC = [
     "tactile_cdma.code",
     "tactile_cdma.driver.clock",
@@ -34,11 +34,11 @@ NUMERIC = [
     "tactile_cdma.sim",
     "tactile_cdma.words",
 ]
-"""What takes arrays, not bytes: its branches are not looked at, which takes time."""
+"""Modules that take arrays, not bytes: excluded from coverage, for speed."""
 
 
 def main() -> int:
-    """Search; 0 where nothing ended the process."""
+    """Search."""
     name, folder = sys.argv[1], Path(sys.argv[2])
     runs, seconds, seed = map(int, sys.argv[3:6])
     if importlib.util.find_spec("atheris") is None:
@@ -67,7 +67,7 @@ def main() -> int:
 
 
 def _prepare(name: str, folder: Path) -> tuple[Callable[[bytes], None], Target]:
-    """What takes an input and keeps it if it is a find, one for each place."""
+    """Return a function that runs an input and keeps it if it is a new find."""
     from .target import trying
     from .targets import TARGETS
 
@@ -84,7 +84,7 @@ def _prepare(name: str, folder: Path) -> tuple[Callable[[bytes], None], Target]:
         path.with_suffix(f".{find.kind}").write_text(f"{find.where}\n{find.text}\n")
 
     for data in target.seeds().values():
-        one_input(data)  # what is made once only is made before memory is limited
+        one_input(data)  # caches are filled before memory is limited
     limit = _virtual_bytes() + ROOM
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     return one_input, target

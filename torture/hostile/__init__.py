@@ -1,3 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Bytes and files that mean harm."""
+"""Hostile bytes and files."""

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Files that are made to fill the memory, or to keep their reader busy or waiting for ever."""
+"""Files made to fill the memory, or to keep a reader busy or waiting for ever."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from tactile_cdma.recording.container import MOST_BYTES as MOST_RECORD
 from tactile_cdma.recording.recording_file import describe, read_end, survey
 
 HANG_S = 60.0
-"""After so long a reader hangs, on however busy a machine."""
+"""Time after which a reader hangs, on however busy a machine, s."""
 MOST_HELD = 1 << 30
-"""Bytes that a reader may hold of a file that it refuses."""
+"""Most memory that a reader may use for a file it refuses, bytes."""
 YAML: dict[str, Callable[[Path], object]] = {
     "layout": lambda path: read_layout(path, Wiring()),
     "calibration": lambda path: read_calibration(path, 3, AdcScale(), PressureCurve.two_stage()),
@@ -48,7 +48,7 @@ OTHERS: dict[str, Callable[[Path], object]] = {
     "end of recording": read_end,
     "node memory": read_memory,
 }
-"""What reads a file of a user."""
+"""The readers of users' files."""
 YAML_BOMBS: dict[str, Callable[[], bytes]] = {
     "aliases that multiply": lambda: _multiplying(30),
     "lists in lists": lambda: b"a: " + b"[" * 1_000_000,
@@ -66,24 +66,24 @@ YAML_BOMBS: dict[str, Callable[[], bytes]] = {
 
 
 def _read_rest(path: Path) -> None:
-    if read_rest(path) is None:  # that is no error
+    if read_rest(path) is None:  # a missing file is no error to it
         raise FileNotFoundError(path)
 
 
 def _multiplying(times: int) -> bytes:
-    """Each list holds the one before nine times."""
+    """Lists that each hold the one before nine times."""
     lists = [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, times)]
     return "\n".join(["a0: &a0 [x]", *lists]).encode()
 
 
 def crafted_recording(size: int) -> bytes:
-    """Heads, each of a record that takes a megabyte, one after the other."""
+    """A recording of headers alone, each of which claims a record of a megabyte."""
     head = struct.pack("<3scIIqQ", b"\xf1SK", b"D", 7, MOST_RECORD, 0, 0)
     return MAGIC + head * (size // len(head))
 
 
 def parse_crafted(size: int) -> None:
-    """Read it as a file is read."""
+    """Parse a crafted recording in chunks, as a file."""
     parser, data = RecordingParser(), crafted_recording(size)
     for begin in range(0, len(data), 1 << 16):
         parser.feed(data[begin : begin + (1 << 16)])
@@ -91,14 +91,14 @@ def parse_crafted(size: int) -> None:
 
 
 def oversized_csv(path: Path) -> None:
-    """A file that is larger than what is read; it takes no room on a disk."""
+    """Write a sparse file above the limit of CSV files."""
     with path.open("wb") as file:
         file.write(b"0,1\n")
         file.truncate(MOST_CSV_BYTES + 1)
 
 
 def never_ending(folder: Path) -> Iterator[Path]:
-    """What keeps its reader waiting, never ends, or is no file at all."""
+    """Yield paths that block, never end, or are no files."""
     fifo = folder / "fifo.bin"
     if not fifo.exists():
         os.mkfifo(fifo)
@@ -109,12 +109,12 @@ def never_ending(folder: Path) -> Iterator[Path]:
 
 
 class _LateError(BaseException):
-    """Taken for no error of a reader's."""
+    """No Exception, so that no reader catches it."""
 
 
 @contextmanager
 def in_time() -> Iterator[None]:
-    """Raises TimeoutError out of what hangs, be it busy or waiting."""
+    """Raise TimeoutError in code that hangs, busy or waiting."""
 
     def late(signum: int, frame: FrameType | None) -> None:
         raise _LateError
@@ -131,9 +131,9 @@ def in_time() -> Iterator[None]:
 
 
 def refuse(read: Callable[[Path], object], path: Path, measured: bool = True) -> int:
-    """Most bytes that were held until the refusal; 0: not measured, which takes time.
+    """Check that a reader refuses a file; returns its peak memory, bytes, or 0 if not measured.
 
-    Raises AssertionError where the file is taken, TimeoutError where its reader hangs.
+    Raises AssertionError if the file is accepted, TimeoutError if the reader hangs.
     """
     if measured:
         tracemalloc.start()

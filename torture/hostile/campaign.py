@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Hostile bytes: fuzzing of all that reads bytes of others, bombs, and garbage without end."""
+"""Hostile bytes: a slice of fuzzing, files made to exhaust memory, and endless garbage."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from ..outcome import Outcome, Plan
 from . import bombs, garbage
 
 SLICE_S = {True: 0.12, False: 18.0}
-"""Processor time, or in a process of its own wall-clock time, for a target: quick and full."""
+"""Time for a target, s; processor time if quick, wall-clock time of its own process if not."""
 JOBS = 2
 MOST_RUNS = 10**9
-"""Time ends a search sooner."""
+"""Never reached: time ends a search."""
 QUICK_BYTES, FULL_BYTES = 2 << 20, 50 << 20
-"""Of a kind of garbage, at most."""
+"""Most bytes of each kind of garbage."""
 GARBAGE_S = {True: 0.1, False: 8.0}
-"""Processor time for a kind of garbage."""
+"""Most processor time for each kind of garbage, s."""
 LONG = {"millions of values"}
-"""Bombs that take seconds, on a machine that is busy many."""
+"""Bombs that take seconds, and many on a busy machine."""
 CRAFTED_BYTES = {True: 1 << 18, False: 4 << 20}
 
 
 def run(plan: Plan) -> Iterator[Outcome]:
-    """Try it all; quick: mutations in this process instead of searches by coverage."""
+    """Run everything; quick: mutations in this process instead of searches by coverage."""
     for fault, targets in GROUPS.items():
         yield tried(fault, targets, plan) if plan.quick else searched(fault, targets, plan)
     with TemporaryDirectory() as folder:
@@ -47,7 +47,7 @@ def run(plan: Plan) -> Iterator[Outcome]:
 
 
 def tried(fault: str, targets: Sequence[Target], plan: Plan) -> Outcome:
-    """Seeds and mutations, a slice for each target."""
+    """Run seeds and mutations of each target for a slice of time."""
     kinds, done = Counter[str](), 0
     for target in targets:
         with trying(target) as attempt:
@@ -63,7 +63,7 @@ def tried(fault: str, targets: Sequence[Target], plan: Plan) -> Outcome:
 
 
 def searched(fault: str, targets: Sequence[Target], plan: Plan) -> Outcome:
-    """By coverage, each target in a process of its own."""
+    """Search each target by coverage, in its own process."""
     with TemporaryDirectory() as folder, ThreadPoolExecutor(JOBS) as pool:
         jobs = [
             pool.submit(search, name, Path(folder, name), MOST_RUNS, int(SLICE_S[False]), plan.seed)
@@ -81,7 +81,7 @@ def searched(fault: str, targets: Sequence[Target], plan: Plan) -> Outcome:
 
 
 def yaml_bombs(folder: Path, names: Set[str]) -> Outcome:
-    """YAML that is made to fill the memory, given to every reader of YAML, the large to one."""
+    """YAML made to fill the memory, for every reader of YAML; large ones for one reader only."""
     cases = []
     for number, name in enumerate(sorted(names)):
         path = folder / f"bomb{number}.yaml"
@@ -93,14 +93,14 @@ def yaml_bombs(folder: Path, names: Set[str]) -> Outcome:
 
 
 def waiting(folder: Path) -> Outcome:
-    """FIFOs, devices and impossible names, given to every reader of files."""
+    """FIFOs, devices and impossible names, for every reader of files."""
     readers = [*bombs.YAML.values(), *bombs.OTHERS.values()]
     cases = [(read, path, True) for path in bombs.never_ending(folder) for read in readers]
     return _refused("FIFO, device, folder or impossible name for a file", cases)
 
 
 def oversized(folder: Path, size: int) -> Outcome:
-    """A CSV beyond what is read; a recording made of heads that claim a megabyte each."""
+    """A CSV file above the limit, and a recording whose headers claim a megabyte each."""
     path = folder / "scope.csv"
     bombs.oversized_csv(path)
     outcome = _refused("oversized or crafted files", [(bombs.OTHERS["scope"], path, True)])
@@ -113,14 +113,14 @@ def oversized(folder: Path, size: int) -> Outcome:
 
 
 def _refused(fault: str, cases: Sequence[tuple[Callable[[Path], object], Path, bool]]) -> Outcome:
-    """Each file must be refused by its reader, soon and without much memory."""
+    """Each reader must refuse its file, in time and with little memory."""
     kinds, most = Counter[str](), 0
     for read, path, measured in cases:
         try:
             most = max(most, bombs.refuse(read, path, measured))
         except TimeoutError:
             kinds[SLOW] += 1
-        except Exception:  # whatever it is: that there is one is what is looked for
+        except Exception:  # any at all is a defect
             traceback.print_exc()
             kinds[CRASH] += 1
     kinds[CRASH] += most > bombs.MOST_HELD
@@ -128,7 +128,7 @@ def _refused(fault: str, cases: Sequence[tuple[Callable[[Path], object], Path, b
 
 
 def fed(plan: Plan) -> Outcome:
-    """Garbage without end: what a pipeline holds of it is bounded."""
+    """Endless garbage: what a pipeline holds of it must be bounded."""
     most, total, kinds = 0, 0, Counter[str]()
     size = QUICK_BYTES if plan.quick else FULL_BYTES
     for kind in garbage.KINDS:

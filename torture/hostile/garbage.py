@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Bytes without end that a driver might be given, and how much memory they make it hold."""
+"""Endless garbage for a pipeline, and how much memory it holds of it."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from tactile_cdma.wire.messages import FrameLayout, Info, Quiet, Samples
 from tactile_cdma.wire.packets import PacketWriter, wrap
 
 CHUNK = 1 << 16
-"""Bytes that come at once."""
+"""Bytes fed at once."""
 MOST_HELD = 16 << 20
-"""Bytes that a pipeline may hold, with what it takes to deal with a chunk."""
+"""Most memory of a pipeline, including the processing of a chunk, bytes."""
 Garbage = Callable[[random.Random], Iterator[bytes]]
 
 
@@ -84,21 +84,21 @@ KINDS: dict[str, tuple[str, Garbage]] = {
     "quiet frames of any length": (LINE, _quiet),
     "samples of noise without gaps": (GAP, _samples("unmarked")),
 }
-"""Timing of the driver that is fed, and what it is fed."""
+"""Timing parameter of the driver, and the garbage for it."""
 CONFIGS = {timing: SkinConfig.of({"timing": timing}) for timing in (LINE, GAP)}
 RATE_HZ = CONFIGS[LINE].samples_per_chip / CONFIGS[LINE].spec.chip_s
 
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """fed: bytes that came. most: bytes that the pipeline held of them at once, at most."""
+    """fed: bytes fed. most: peak growth of memory meanwhile, bytes."""
 
     fed: int
     most: int
 
 
 def feed(kind: str, seed: int, most_bytes: int, most_s: float, pipeline: Pipeline) -> Held:
-    """Feed INFO, then so many bytes, or for so much processor time."""
+    """Feed INFO, then garbage up to most_bytes or most_s of processor time."""
     pipeline.feed(PacketWriter().encode(_info(pipeline.config)), 0.0)
     chunks, fed = KINDS[kind][1](random.Random(seed)), 0
     tracemalloc.start()
@@ -114,7 +114,7 @@ def feed(kind: str, seed: int, most_bytes: int, most_s: float, pipeline: Pipelin
 
 
 def pipeline_for(kind: str) -> Pipeline:
-    """Of a driver that such garbage is meant for."""
+    """The pipeline that this kind of garbage is meant for."""
     return Pipeline(CONFIGS[KINDS[kind][0]], background=False)
 
 

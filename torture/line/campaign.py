@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Damaged bytes between digitizer and driver: what comes of bits, bytes and packets in disorder.
+"""Damage between digitizer and driver: bits, bytes and packets lost, changed or reordered.
 
-A man in the middle between a virtual digitizer and a driver on a real tty harms what passes, one
-kind of fault after the other, on streams of many kinds, as fast as the driver reads. He knows what
-he did, so that of each kind it can be told whether every word, time and pressure was right, whether
-the driver counted what was lost exactly, and whether it went on at once.
+A man in the middle between a virtual digitizer and a driver on a real tty damages the bytes, one
+kind of fault after the other, on many kinds of streams, as fast as the driver reads. It knows what
+it did, which shows for each kind whether every word, time and pressure was right, whether the
+driver counted losses exactly, and whether it resumed at once.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ STREAMS = {
     Stream("silent gaps", {"timing": "gap"}, {"scene": "press"}): 25,
     Stream("256 nodes", MANY, {"scene": "hand"}): 40,
 }
-"""What is sent, and how many faults of each kind it bears in the full run."""
+"""The streams, and how many faults of each kind are put into each in a full run."""
 QUICK = 2
-"""Faults of each kind and stream in the quick one."""
+"""Faults of each kind and stream in a quick run."""
 WRAPS = {
     "sequence of packets": Counted(sequence=2**16 - 20),
     "device time, 2^32 µs": Counted(device_time_us=2**32 - 200_000),
@@ -47,12 +47,12 @@ WRAPS = {
     "index of samples, 2^63": Counted(first_index=2**63 - 5000),
 }
 WRAP_FAULTS = 12
-"""Packets that are lost while a counter wraps."""
+"""Packets lost while a counter wraps."""
 OF_COMMANDS = (Kind("bits", partial(flipped, 1e-2)), *OF_BYTES)
 AT_ONCE = 8
-"""Drivers whose commands are damaged, at the same time: most of it is waiting."""
+"""Drivers run at the same time while commands are damaged: most of it is waiting."""
 FRAMES = 5
-"""That have to come although they were."""
+"""Frames that have to come despite damaged commands."""
 COMMANDS = "damaged commands: frames come all the same"
 
 
@@ -65,13 +65,13 @@ def run(plan: Plan) -> Iterator[Outcome]:
 
 
 def harmed(streams: Mapping[Stream, int], plan: Plan) -> Iterator[Outcome]:
-    """All kinds of damage on streams, each given how many faults it bears."""
+    """Put all kinds of damage into these streams, with the number of faults of each."""
     tallies = {kind: Tally() for kind in KINDS}
     for number, (stream, times) in enumerate(streams.items()):
         with Rig(stream, plan.seed + number, patience_s(plan)) as rig:
             for kind in KINDS:
                 wanted = times // kind.weight
-                if plan.quick:  # what takes long is done once, to some streams only
+                if plan.quick:  # slow kinds once, on some streams only
                     wanted = QUICK if kind.weight == 1 else number % kind.weight == 0
                 harm(rig, tallies[kind], kind, wanted, [plan.seed, number])
     for kind, tally in tallies.items():
@@ -79,7 +79,7 @@ def harmed(streams: Mapping[Stream, int], plan: Plan) -> Iterator[Outcome]:
 
 
 def patience_s(plan: Plan) -> float:
-    """What stands still for so long hangs."""
+    """Time without progress that counts as a hang, s."""
     return 10.0 if plan.quick else 30.0
 
 
@@ -93,7 +93,7 @@ def told(name: str, tally: Tally) -> Outcome:
 
 
 def harm(rig: Rig, tally: Tally, kind: Kind, times: int, seed: Sequence[int]) -> None:
-    """Put faults of a kind on a line."""
+    """Put faults of a kind into a stream, and add up the findings."""
     schedule = Schedule(kind, times, np.random.default_rng([*seed, crc32(kind.name.encode())]))
     tally += rig.run(schedule)
     tally.times += schedule.done
@@ -101,7 +101,7 @@ def harm(rig: Rig, tally: Tally, kind: Kind, times: int, seed: Sequence[int]) ->
 
 
 def wrapped(name: str, begin: Counted, plan: Plan) -> Outcome:
-    """Packets are lost while a counter wraps, or is near its end."""
+    """Lose packets while a counter wraps, or is near its end."""
     tally = Tally()
     for number, stream in enumerate(list(STREAMS)[: 2 if plan.quick else None]):
         with Rig(replace(stream, begin=begin), plan.seed + number, patience_s(plan)) as rig:
@@ -110,7 +110,7 @@ def wrapped(name: str, begin: Counted, plan: Plan) -> Outcome:
 
 
 def spoilt_commands(times: int, plan: Plan) -> Outcome:
-    """The first commands of the host are damaged on their way to the digitizer."""
+    """Damage the host's first commands on their way to the digitizer."""
     with ThreadPoolExecutor(AT_ONCE) as pool:
         sessions = [pool.submit(_spoilt, number, plan) for number in range(times)]
         tally = Tally(times)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What can happen to bytes on their way: kinds of damage, as functions of packets and a seed."""
+"""Kinds of damage to bytes in transit, as functions of packets and random numbers."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from tactile_cdma.wire.packets import PacketParser, PacketWriter
 
 Packets: TypeAlias = Sequence[bytes]
 Damage: TypeAlias = Callable[[Packets, Packets, np.random.Generator], list[bytes]]
-"""Packets as they travel, delimiters included, and earlier ones → what comes of them, in clumps."""
+"""Packets with their delimiters, and earlier ones → the bytes that arrive instead, in clumps."""
 
 RUN = 64
-"""Most bytes that are dropped, doubled, moved or put in at once."""
+"""Largest number of bytes dropped, doubled, moved or inserted at once."""
 REPLAYED = 30
-"""Most packets that are sent once more in a row."""
+"""Largest number of packets repeated in a row."""
 LARGEST_BURST = 100_000
 
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """A kind of fault. It is done to `packets` or more in a row, of at least `size` bytes in all.
+    """A kind of fault, applied to at least `packets` packets in a row of at least `size` bytes.
 
-    weight: how many faults of other kinds take as long. hold_s: pause of the host's time between
-    its clumps. forges: it makes another packet of one.
+    weight: duration, relative to other kinds. hold_s: pause between clumps, s of the host's time.
+    forges: it turns a packet into another valid one.
     """
 
     name: str
@@ -44,7 +44,7 @@ class Kind:
 
 
 def flipped(rate: float, packets: Packets, _: Packets, rng: np.random.Generator) -> list[bytes]:
-    """Every bit is turned with this probability."""
+    """Flip every bit with this probability."""
     data = np.frombuffer(b"".join(packets), np.uint8).copy()
     places = np.unique(rng.integers(8 * data.size, size=rng.binomial(8 * data.size, rate)))
     np.bitwise_xor.at(data, places // 8, np.uint8(1) << (places % 8).astype(np.uint8))
@@ -52,19 +52,19 @@ def flipped(rate: float, packets: Packets, _: Packets, rng: np.random.Generator)
 
 
 def dropped(packets: Packets, _: Packets, rng: np.random.Generator) -> list[bytes]:
-    """A run of bytes is missing."""
+    """Drop a run of bytes."""
     before, _run, after = _cut(b"".join(packets), rng)
     return [before + after]
 
 
 def doubled(packets: Packets, _: Packets, rng: np.random.Generator) -> list[bytes]:
-    """A run of bytes comes twice."""
+    """Repeat a run of bytes."""
     before, run, after = _cut(b"".join(packets), rng)
     return [before + run + run + after]
 
 
 def shuffled(packets: Packets, _: Packets, rng: np.random.Generator) -> list[bytes]:
-    """The bytes of a run come in another order."""
+    """Shuffle a run of bytes."""
     before, run, after = _cut(b"".join(packets), rng)
     return [before + bytes(rng.permutation(list(run)).astype(np.uint8)) + after]
 
@@ -72,7 +72,7 @@ def shuffled(packets: Packets, _: Packets, rng: np.random.Generator) -> list[byt
 def filled(
     value: int | None, packets: Packets, _: Packets, rng: np.random.Generator
 ) -> list[bytes]:
-    """A run of one value, or of any (None), is put in."""
+    """Insert a run of bytes of one value, or random ones (None)."""
     data = b"".join(packets)
     place, size = int(rng.integers(len(data) + 1)), int(rng.integers(1, RUN + 1))
     run = rng.bytes(size) if value is None else bytes([value]) * size
@@ -80,7 +80,7 @@ def filled(
 
 
 def burst(packets: Packets, _: Packets, rng: np.random.Generator) -> list[bytes]:
-    """Noise of 1 B to 100 kB takes the place of so many bytes, or of what is left of them."""
+    """Replace bytes by noise, 1 B to 100 kB, which may be more than there was."""
     data = b"".join(packets)
     place = int(rng.integers(len(data)))
     size = int(LARGEST_BURST ** rng.random())
@@ -88,26 +88,26 @@ def burst(packets: Packets, _: Packets, rng: np.random.Generator) -> list[bytes]
 
 
 def in_clumps(packets: Packets, _: Packets, rng: np.random.Generator) -> list[bytes]:
-    """All comes, cut anywhere, with pauses."""
+    """Deliver everything, cut anywhere, with pauses."""
     data = b"".join(packets)
     cuts = [0, *sorted(rng.integers(len(data), size=3).tolist()), len(data)]
     return [data[a:b] for a, b in pairwise(cuts)]
 
 
 def without_one(packets: Packets, _: Packets, rng: np.random.Generator) -> list[bytes]:
-    """A packet is missing."""
+    """Drop a packet."""
     missing = int(rng.integers(len(packets)))
     return [b"".join(p for number, p in enumerate(packets) if number != missing)]
 
 
 def one_twice(packets: Packets, _: Packets, rng: np.random.Generator) -> list[bytes]:
-    """A packet comes twice, at once or a bit later."""
+    """Repeat a packet, at once or a little later."""
     first, later = np.sort(rng.integers(len(packets), size=2)).tolist()
     return [b"".join((*packets[: later + 1], packets[first], *packets[later + 1 :]))]
 
 
 def late(packets: Packets, _: Packets, rng: np.random.Generator) -> list[bytes]:
-    """A packet comes after some of its successors."""
+    """Deliver a packet after some of its successors."""
     moved = list(packets)
     packet = moved.pop(int(rng.integers(len(packets) - 1)))
     moved.insert(int(rng.integers(1, len(packets))), packet)
@@ -115,15 +115,15 @@ def late(packets: Packets, _: Packets, rng: np.random.Generator) -> list[bytes]:
 
 
 def replayed(packets: Packets, past: Packets, rng: np.random.Generator) -> list[bytes]:
-    """Some packets of long ago come again."""
+    """Repeat packets of long ago."""
     first = int(rng.integers(len(past)))
     return [b"".join((*past[first : first + int(rng.integers(1, REPLAYED + 1))], *packets))]
 
 
 def forged(packets: Packets, _: Packets, rng: np.random.Generator) -> list[bytes]:
-    """A packet of samples that is in order but for what it says of itself; others are left alone.
+    """Replace a packet of samples by one with a false index or time; leave others alone.
 
-    Its CRC and sequence are right, so that nothing but its contents can give it away.
+    Its CRC and sequence are right: only the contents can give it away.
     """
     [packet] = packets
     (said,) = PacketParser().feed(packet)
@@ -144,14 +144,14 @@ def forged(packets: Packets, _: Packets, rng: np.random.Generator) -> list[bytes
 
 
 def _cut(data: bytes, rng: np.random.Generator) -> tuple[bytes, bytes, bytes]:
-    """What is before, in and after a run of bytes."""
+    """The bytes before, in and after a random run."""
     place = int(rng.integers(len(data)))
     stop = place + int(rng.integers(1, RUN + 1))
     return data[:place], data[place:stop], data[stop:]
 
 
 _EXPOSED = {6: (200_000, 33), 5: (12_000, 3), 4: (1200, 1), 3: (500, 1), 2: (1, 1)}
-"""Power of ten: bytes among which a bit or more is expected, and weight."""
+"""Negative power of ten of the rate: bytes in which about one bit flips, and weight."""
 FLIPS = tuple(
     Kind(f"bits flipped, 1 in 10^{power}", partial(flipped, 10.0**-power), 1, size, weight)
     for power, (size, weight) in _EXPOSED.items()

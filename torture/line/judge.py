@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is to be said of a line after a while: frames, times, pressures and counts, one by one."""
+"""Judges a driver on a damaged line: words, times, pressures, counts, and whether it resumed."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from ..outcome import Tally
 from .ledger import Counts, Ledger, Unbroken
 
 MAY_MISS = 2
-"""Frames that may be missing after a fault although they arrived whole, where they have no marks:
-they are found by a gap before and after them. Where they have, none may."""
+"""Frames that arrived whole but may be missing after a fault, without marks: a frame is then found
+by the gaps before and after it. With marks, none may be missing."""
 NEAR_CHIPS = 0.5
-"""By how much a frame in which somebody spoke may be off its true start."""
+"""Tolerance of the start of a frame in which a node spoke, chips."""
 NEAR_PA = 0.5
-"""By how much a pressure may be off what its word says: float32 holds 0.01 Pa."""
+"""Tolerance of a pressure, Pa; float32 resolves 0.01 Pa."""
 
 
 class LineJudge(Judge):
-    """Follows one driver on one line."""
+    """Follows one driver on one line, whose man in the middle keeps a ledger."""
 
     def __init__(self, config: SkinConfig, ledger: Ledger, frame_samples: float) -> None:
         """frame_samples: samples from one frame's start to the next one's."""
@@ -48,7 +48,7 @@ class LineJudge(Judge):
         self._first_index: dict[int, int] = {}
 
     def began(self, options: SimOptions, setup: Setup, started_s: float, first_index: int) -> None:
-        """A stream began at this time of the digitizer's clock, with this index."""
+        """Note that a stream began at this time of the digitizer's clock, s, with this index."""
         self._first_index[len(self.oracle.streams)] = first_index
         self.oracle.began(options, setup, started_s)
 
@@ -73,7 +73,7 @@ class LineJudge(Judge):
         return self.tally
 
     def _passed_over(self, frame: TactileFrame, verdict: Verdict) -> int:
-        """Frames lost before this one: after a START only the host's clock can tell how many."""
+        """Frames lost before this one; after a START only the host's clock tells how many."""
         before, self._newest_sequence = self._newest_sequence, frame.sequence
         return frame.sequence - before - 1 if verdict.lost is None else verdict.lost
 
@@ -81,7 +81,7 @@ class LineJudge(Judge):
         """How many times and pressures of a frame are wrong."""
         if verdict.stream != self._stream:
             self._stream = verdict.stream
-            # What was heard before is held, or forgotten if the clock may be another.
+            # Earlier words are held, or forgotten if the device's clock may be another one.
             self._may_be_forgotten[:] = True
         wrong = self._misread(frame)
         newest, self._newest = self._newest, frame
@@ -94,7 +94,7 @@ class LineJudge(Judge):
         return wrong + (abs(frame.t_start - true_s) > NEAR_CHIPS * self._config.spec.chip_s)
 
     def _misread(self, frame: TactileFrame) -> int:
-        """How many taxels read something else than the words say."""
+        """Number of taxels whose reading does not follow from the words."""
         words = frame.words
         self._held.hear(words.active, words.codes)
         self._heard_s[words.active] = frame.t_middle
@@ -107,7 +107,7 @@ class LineJudge(Judge):
         return int(np.count_nonzero(~(near | unknown)))
 
     def _miscounted(self, pipeline: Pipeline) -> int:
-        """By how much more than before the driver's counts differ from what arrived."""
+        """How far the driver's counts have moved away from the ledger since the last look."""
         differences = Counter(counted(pipeline))
         differences.subtract(asdict(self._ledger.counts))
         differences["lost_frames"] = pipeline.counters.lost_frames - self._lost
@@ -116,7 +116,7 @@ class LineJudge(Judge):
         return new
 
     def _count_missing(self, found: Tally) -> None:
-        """Whole frames that were not published: late, and a hang if long after the last fault."""
+        """Count whole frames that were not published: late, and hangs unless after a fault."""
         may_miss = MAY_MISS if self._config.timing == GAP else 0
         for samples in self._ledger.unbroken:
             for number, since in self._frames_within(samples):
@@ -134,13 +134,13 @@ class LineJudge(Judge):
         origin = self._first_index[samples.start]
         size = self._frame_samples
         first = int(np.ceil((samples.begin - origin) / size))
-        # Without marks a frame is known when the next one would be over.
+        # Without marks a frame is known only when the next one is over.
         last = int((samples.end - origin) // size) - (2 if self._config.timing == GAP else 0)
         return ((number, number - first) for number in range(first, last))
 
 
 def counted(pipeline: Pipeline) -> dict[str, int]:
-    """What a driver has counted, by the names of Counts; what must not come is added to broken."""
+    """The driver's counts by the names of Counts; all kinds of broken packets are summed."""
     packets, counters = pipeline.packet_counts, pipeline.counters
     unintelligible = packets.crc_errors + packets.framing_errors + packets.resyncs
     counts = Counts(

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What was sent, and what of it can have arrived: the counts that a receiver must come to.
+"""A ledger of sent and arrived packets: the counts that a receiver must arrive at.
 
-It knows the packets themselves: what is, byte for byte, one that was sent arrived; anything else
-between two delimiters is broken. So it shares no code with the parser that it is held against.
+It compares bytes: what equals a sent packet has arrived, anything else between two delimiters is
+broken. So it shares no code with the parser it is compared with.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from dataclasses import dataclass
 from tactile_cdma.wire.messages import Info, Quiet, Received, Samples
 
 KEPT = 2048
-"""Packets that are remembered, for those that come again."""
+"""Packets that are remembered, to recognise repetitions."""
 RECENT = 1024
-"""Of these, how many may be sent again: what is under way meanwhile must not drive them out."""
+"""Newest of these that may be repeated: packets in transit must not displace them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """A packet. start: which START it follows. begin, end: of its samples; equal if it has none."""
+    """A packet. start: index of its START. begin, end: indices of its samples; equal if none."""
 
     start: int
     begin: int = 0
@@ -32,7 +32,7 @@ class Sent:
 
 @dataclass(slots=True)
 class Unbroken:
-    """Samples that arrived without a hole."""
+    """A range of samples that arrived without a gap."""
 
     start: int
     begin: int
@@ -41,7 +41,10 @@ class Unbroken:
 
 @dataclass(slots=True)
 class Counts:
-    """As the driver is to have them; broken: whatever is wrong with them, impossible: contents."""
+    """What the driver must have counted.
+
+    broken: damaged packets. impossible: packets with a right CRC and contradictory contents.
+    """
 
     bytes: int = 0
     packets: int = 0
@@ -56,7 +59,7 @@ class Counts:
 
 
 class Ledger:
-    """Written by whoever carries the bytes."""
+    """Kept by the man in the middle."""
 
     def __init__(self) -> None:
         self.counts = Counts()
@@ -71,11 +74,11 @@ class Ledger:
 
     @property
     def past(self) -> list[bytes]:
-        """The packets that were sent last, in their order."""
+        """The packets sent last, in order."""
         return list(self._past)[-RECENT:]
 
     def sent(self, packet: bytes, said: Received, start: int) -> None:
-        """The digitizer has sent this. said: its contents. start: number of the last START."""
+        """Note a packet of the digitizer. said: its contents. start: index of the last START."""
         entry = Sent(start, describes=isinstance(said, Info))
         if isinstance(said, Samples | Quiet):
             count = said.count if isinstance(said, Quiet) else len(said.counts)
@@ -88,13 +91,13 @@ class Ledger:
         self._number += 1
 
     def forged(self, packet: bytes, claim: bytes) -> None:
-        """The packet that was sent last has become another one."""
+        """Note that the packet sent last was replaced by another one."""
         number, entry = self._sent.pop(packet[:-1])
         self._sent[claim[:-1]] = number, Sent(entry.start, impossible=True)
         self._past[-1] = claim
 
     def arrived(self, data: bytes) -> None:
-        """These bytes were handed to the receiver."""
+        """Note bytes handed to the receiver."""
         self.counts.bytes += len(data)
         *runs, rest = (self._run + data).split(b"\0")
         self._run = rest

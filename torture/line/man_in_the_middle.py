@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A man in the middle of the line: a digitizer whose bytes come to harm, by a seeded schedule."""
+"""A man in the middle, who damages a digitizer's bytes by a seeded schedule."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from .ledger import Ledger
 CHUNK = 4096
 """Bytes taken from the digitizer at once."""
 POLL_S = 2e-3
-"""Between looks at whether there is something to do."""
+"""Polling interval."""
 PEACE = (1.1, 2.1)
-"""Frame periods between two faults: time enough to recover, and to show it."""
+"""Frame periods between two faults, drawn between these: enough to recover, and to show it."""
 PEACE_WITHOUT_MARKS = (3.1, 4.1)
-"""The same where frames have to be looked for."""
+"""The same for frames without marks, which take one or two more to find."""
 
 
 @dataclass(frozen=True, slots=True)
 class Counted:
-    """Where counters begin: sequence of packets, device time in µs, index of samples."""
+    """Initial counters: sequence of packets, device time in µs, index of samples."""
 
     sequence: int = 0
     device_time_us: int = 0
@@ -41,7 +41,7 @@ class Counted:
 
 
 class Renumbered:
-    """Hands on what a digitizer says, with its counters set on."""
+    """A digitizer that has run for long: adds these counters to all it sends."""
 
     def __init__(self, digitizer: VirtualDigitizer, begin: Counted) -> None:
         self._digitizer, self._begin = digitizer, begin
@@ -81,9 +81,9 @@ class Renumbered:
 
 @dataclass
 class Schedule:
-    """So many faults of a kind, one after the other, with a few sound frames before each.
+    """A number of faults of one kind, with a few sound frames before each.
 
-    done: how many really did something. bytes: of the line that were exposed to them.
+    done: faults that changed something. bytes: exposed to faults.
     """
 
     kind: Kind
@@ -97,10 +97,9 @@ class Schedule:
 class ManInTheMiddle:
     """Stands between a virtual digitizer and a host; see tactile_cdma.sim.pty.Digitizer.
 
-    Nothing passes but while there is a schedule, nor before the host's first command.
+    Bytes pass only while there is a schedule, and after the host's first command.
 
-    ledger: what was sent and what arrived. starts: device times, s, at which streams began, and how
-    the digitizer was set then.
+    ledger: what was sent and what arrived. starts: device time, s, and setup of every START.
     """
 
     def __init__(
@@ -109,7 +108,7 @@ class ManInTheMiddle:
         begin: Counted | None = None,
         spoil: Callable[[bytes], bytes] | None = None,
     ) -> None:
-        """begin: where the digitizer's counters are. spoil: the host's first commands, to these."""
+        """begin: state of the digitizer's counters. spoil: changes the host's first commands."""
         self.ledger = Ledger()
         self.starts: list[tuple[float, Setup]] = []
         self._spoil = spoil
@@ -126,19 +125,19 @@ class ManInTheMiddle:
 
     @property
     def frame_samples(self) -> float:
-        """Samples of a frame period, as they are counted."""
+        """Samples, or chips if integrated, of a frame period."""
         setup = self._virtual.setup
         if setup.integrated:
             return setup.spec.chips
         return setup.rate_hz * setup.spec.frame_period_s
 
     def begin(self, schedule: Schedule) -> None:
-        """Carry bytes, and harm them by this schedule until it is over."""
+        """Carry bytes, and damage them by this schedule, until it is over."""
         self._peace_until = None
         self._schedule = schedule
 
     def over(self) -> bool:
-        """Whether the last schedule is done with, and everything was handed on."""
+        """Whether the last schedule is over and everything was handed on."""
         return self._schedule is None and not self._leaving
 
     def receive(self, data: bytes) -> None:
@@ -182,7 +181,7 @@ class ManInTheMiddle:
         return data
 
     def _pass(self, packet: bytes) -> None:
-        """Let a packet pass, or keep it for what is to be done to it."""
+        """Hand a packet on, or keep it to be damaged."""
         schedule = self._schedule
         assert schedule is not None
         self._note(packet)
@@ -202,7 +201,7 @@ class ManInTheMiddle:
             self._peace_until = None
 
     def _harm(self, schedule: Schedule) -> None:
-        """Do to the packets that were kept what the schedule wants."""
+        """Damage the packets that were kept."""
         kind, window, self._exposed = schedule.kind, self._exposed, []
         clumps = kind.damage(window, self.ledger.past, schedule.rng)
         harmed = kind.hold_s > 0 or b"".join(clumps) != b"".join(window)
@@ -214,7 +213,7 @@ class ManInTheMiddle:
         self._leaving += ((clump, kind.hold_s) for clump in clumps)
 
     def _note(self, packet: bytes) -> None:
-        """Take down what the digitizer sends."""
+        """Enter a packet of the digitizer in the ledger."""
         for said in self._parser.feed(packet):
             if isinstance(said, Ack) and (said.command, said.result) == _STARTED:
                 started_s = self._virtual.started_s + self._begin.device_time_us * 1e-6

@@ -32,7 +32,7 @@ LOOK_S = 2e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stream:
-    """A kind of stream. parameters: of the driver. options: of the simulator."""
+    """A kind of stream. parameters: the driver's. options: the simulator's. begin: counters."""
 
     name: str
     parameters: Values = field(default_factory=dict)
@@ -41,7 +41,7 @@ class Stream:
 
 
 class Rig:
-    """Everything that it takes for bytes to come to harm on a real tty; a context manager."""
+    """Digitizer, man in the middle, tty and driver. Use as a context manager."""
 
     def __init__(
         self,
@@ -50,11 +50,11 @@ class Rig:
         patience_s: float,
         spoil: Callable[[bytes], bytes] | None = None,
     ) -> None:
-        """patience_s: without any progress for so long it hangs. spoil: see ManInTheMiddle."""
+        """patience_s: time without progress that counts as a hang. spoil: see ManInTheMiddle."""
         self._patience_s = patience_s
         self.config = SkinConfig.of({"drift_pa_per_min": 0.0, **stream.parameters})
         options = SimOptions(**{"seed": seed, "speed": 0.0, **stream.options})  # type: ignore[arg-type]
-        # At speed 0 its time passes with its samples; the host's must not decide when it reports.
+        # At speed 0 device time passes with the samples; the host's clock must not trigger reports.
         self._digitizer = VirtualDigitizer(options, clock=lambda: 0.0)
         self.man = ManInTheMiddle(self._digitizer, stream.begin, spoil)
         self.frames: list[TactileFrame] = []
@@ -81,7 +81,7 @@ class Rig:
         self._line.join()
 
     def run(self, schedule: Schedule) -> Tally:
-        """Put a schedule through; what was wrong then."""
+        """Run a schedule; returns what was wrong."""
         self.man.begin(schedule)
         hangs = not self._wait(self._consumed)
         with self.driver.between_frames() as pipeline:
@@ -93,7 +93,7 @@ class Rig:
         return found
 
     def receive(self, frames: int, rng: np.random.Generator) -> Tally:
-        """Let bytes pass until so many frames have come; what was wrong with these."""
+        """Let bytes pass until this many frames came; returns what was wrong with them."""
 
         def come() -> bool:
             if self.man.over():
@@ -108,7 +108,7 @@ class Rig:
         return found
 
     def _wait(self, happened: Callable[[], bool]) -> bool:
-        """Whether it happened, before the line stood still for too long."""
+        """Wait for a condition; False if the line stands still for patience_s before."""
         deadline_s, progress = 0.0, -1
         while not happened():
             time.sleep(LOOK_S)
@@ -119,19 +119,19 @@ class Rig:
         return True
 
     def _consumed(self) -> bool:
-        """Whether the driver has dealt with everything that was handed on to it."""
+        """Whether the driver has processed all bytes handed to it."""
         if not self.man.over():
             return False
         with self.driver.between_frames() as pipeline:
             return pipeline.packet_counts.bytes >= self.man.ledger.counts.bytes
 
     def _taken(self) -> list[TactileFrame]:
-        """The frames that were published since the last time."""
+        """The frames published since the last call."""
         frames, self.frames[:] = list(self.frames), []
         return frames
 
     def _judged(self) -> LineJudge:
-        """The judge, who knows of all streams that began."""
+        """The judge, up to date with all STARTs."""
         if self._judge is None:
             self._judge = LineJudge(self.config, self.man.ledger, self.man.frame_samples)
         for started_s, setup in self.man.starts[self._started :]:
@@ -140,7 +140,7 @@ class Rig:
         return self._judge
 
     def _crashes(self) -> int:
-        """Defects that ended a thread or would have."""
+        """Number of defects that ended a thread, or would have."""
         crashes = sum("internal error" in problem for problem in self.problems)
         self.problems.clear()
         return crashes + (not self._line.is_alive())

@@ -1,3 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A driver under load."""
+"""A driver node under load, or left running: one rig for both."""

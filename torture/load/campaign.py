@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Load: subscribers of every kind, too little processor, full disks, clocks that are set.
+"""Load: subscribers of every kind, starvation, full disks, clock steps.
 
-One real driver, behind a tty, has all of it done to it in turn; another one, behind a socket and
-with simulated time, is stopped and has its clock set. A subscriber who knows the truth listens to
-each the whole time.
+One driver node, behind a tty, is put through all of it in turn; another one, behind a socket, is
+stopped again and again. A subscriber with the truth judges all messages of both.
 """
 
 from __future__ import annotations
@@ -36,24 +35,24 @@ from .loaded_skin import LoadedSkin, frames_missing, stamps_off
 from .simulated_time import SimulatedTime
 
 MOST_GROWTH_KB = 50_000
-"""More memory than this is not what a few subscribers take."""
+"""Chosen: more growth of the driver's memory than a few subscribers can explain."""
 HOG = "import time; end_s = time.monotonic() + {}\nwhile time.monotonic() < end_s: pass"
-"""Takes a core for so many seconds, and ends by itself."""
+"""A program that occupies a core for this many seconds."""
 STARVED_NICE = 19
 PATIENCE_S = (10.0, 30.0)
-"""Quick, and else: without progress for so long, something hangs."""
+"""Time without progress that counts as a hang, s: quick and full."""
 AT_ONCE = 8
 """Calls of each service on their way at the same time."""
 FULL_BYTES = 100_000
 FRAMES = 500
-"""Of the other subscribers, while some are slow or many."""
+"""Frames to judge while some subscribers are slow or many."""
 STOPS_S = ((0.01, 0.1, 0.7), (0.01, 0.03, 0.1, 0.3, 0.7, 1.0, 2.0, 5.0))
 SLACK_FRAMES = 2
-"""What a stop may cost beyond its own length."""
+"""Frames that a stop may cost beyond its length."""
 
 
 def run(plan: Plan) -> Iterator[Outcome]:
-    """See the module."""
+    """Run everything on one driver, one after the other."""
     patience_s, rng = PATIENCE_S[not plan.quick], Random(plan.seed)
     with TemporaryDirectory(prefix="load-") as folder:
         with LoadedSkin(Path(folder), plan.seed, patience_s) as skin:
@@ -62,7 +61,7 @@ def run(plan: Plan) -> Iterator[Outcome]:
             yield _stuck(skin, plan)
             yield _slow(skin, plan)
             yield _many(skin, plan)
-            if not plan.quick:  # those that were stopped were killed, too
+            if not plan.quick:  # a quick run has killed subscribers, too
                 yield _come_and_go(skin)
             yield _calls(skin, plan)
             yield _stops(skin, plan, rng)
@@ -81,7 +80,7 @@ def run(plan: Plan) -> Iterator[Outcome]:
 
 
 def _stuck(skin: LoadedSkin, plan: Plan) -> Outcome:
-    """Subscribers that asked for everything, reliably, are stopped by the system, then killed."""
+    """Reliable keep-all subscribers are stopped by a signal, later killed."""
     count = 2 if plan.quick else 10
     with _crowd(skin, "--participants", str(count)) as crowd:
         crowd.send_signal(signal.SIGSTOP)
@@ -105,7 +104,7 @@ def _slow(skin: LoadedSkin, plan: Plan) -> Outcome:
 
 
 def _many(skin: LoadedSkin, plan: Plan) -> Outcome:
-    """Tens of subscribers: each gets every message, unaltered, or learns of those it does not."""
+    """Tens of subscribers: each receives every message unaltered, or a gap in the sequence."""
     crowds = [(2, 4, "arrays")]
     if not plan.quick:
         crowds = [(5, 4, "arrays"), (5, 4, "arrays"), (5, 2, "pictures")]
@@ -132,7 +131,7 @@ def _many(skin: LoadedSkin, plan: Plan) -> Outcome:
 
 
 def _come_and_go(skin: LoadedSkin) -> Outcome:
-    """Participants of the domain that end by being killed."""
+    """DDS participants that are killed."""
     rounds, each = 8, 4
     for _ in range(rounds):
         with _crowd(skin, "--participants", str(each)) as crowd:
@@ -142,7 +141,7 @@ def _come_and_go(skin: LoadedSkin) -> Outcome:
 
 
 def _calls(skin: LoadedSkin, plan: Plan) -> Outcome:
-    """Services are called as fast as they answer, a third of the settings to be refused."""
+    """Call services as fast as they answer; a third of the settings must be refused."""
     settings = cycle(
         SetParameters.Request(parameters=[Parameter("visual_rate_hz", value=hz).to_parameter_msg()])
         for hz in (-1.0, 10.0, 30.0)
@@ -177,7 +176,7 @@ def _all_done(calls: Sequence[Future[Any]]) -> bool:
 
 
 def _stops(skin: LoadedSkin, plan: Plan, rng: Random) -> Outcome:
-    """The driver gets no processor for a while: it loses no more than what passed meanwhile."""
+    """Stop the driver for a while: it may lose only the frames of that time."""
     stops_s = list(STOPS_S[not plan.quick]) * (1 if plan.quick else 5)
     rng.shuffle(stops_s)
     period_s, wrong, lost = skin.digitizer.setup.spec.frame_period_s, 0, 0
@@ -196,18 +195,18 @@ def _stops(skin: LoadedSkin, plan: Plan, rng: Random) -> Outcome:
 
 
 def _uncounted(skin: LoadedSkin) -> int:
-    """Packets that the digitizer could not get rid of, and of which the driver does not tell."""
+    """Difference between packets the digitizer dropped and packets the driver counts as lost."""
     skin.waits_for(lambda: int(skin.says("lost packets") or -1) >= skin.digitizer.packets_dropped)
     more = int(skin.says("lost packets") or 0) - skin.digitizer.packets_dropped
-    skipped = int(skin.says("skipped bytes") or 0)  # what is skipped is lost, too
+    skipped = int(skin.says("skipped bytes") or 0)  # their packets count as lost, too
     return 0 if skipped and more > 0 else abs(more)
 
 
 def _unwritable_state(skin: LoadedSkin, plan: Plan) -> Outcome:
-    """The driver's own files cannot be written for a while: the service says so.
+    """Make the driver's state folder unusable for a while: the service must report failure.
 
-    No limit on the size of files does that: it would hold for DDS's shared memory, too, and Fast
-    DDS waits forever for a segment that could not be given its size.
+    A limit on file sizes would be simpler, but applies to DDS's shared memory as well, and Fast
+    DDS waits forever for a segment that has not got its size.
     """
     times = 1 if plan.quick else 20
     client = skin.node.create_client(Trigger, f"{skin.name}/save_calibration")
@@ -230,11 +229,11 @@ def _unwritable_state(skin: LoadedSkin, plan: Plan) -> Outcome:
 
 
 def _full_recording(folder: Path, plan: Plan) -> Outcome:
-    """A recording outgrows what it may: one message, and all that was written reads."""
+    """A recording exceeds a file size limit: one message, and what was written can be read."""
     times, crashes, wrong = 1 if plan.quick else 10, 0, 0
     for number in range(times):
         path, most = folder / f"{number}.skin", FULL_BYTES * (number + 1)
-        # At speed 0 its time passes with its samples: none are lost, however busy the machine is.
+        # At speed 0 simulated time passes with the samples: none are lost on a busy machine.
         record = [
             sys.executable,
             "-m",
@@ -257,7 +256,7 @@ def _full_recording(folder: Path, plan: Plan) -> Outcome:
 
 
 def _starved(skin: LoadedSkin, plan: Plan) -> Outcome:
-    """Two hogs per core, and the driver is nicer than they are; then they end."""
+    """Starve the driver, at nice 19, by two busy programs per core."""
     seconds = 1.5 if plan.quick else 20.0
     for task in Path(f"/proc/{skin.process.pid}/task").iterdir():
         os.setpriority(os.PRIO_PROCESS, int(task.name), STARVED_NICE)
@@ -277,7 +276,7 @@ def _starved(skin: LoadedSkin, plan: Plan) -> Outcome:
 
 
 def _growth(skin: LoadedSkin, grown_kb: int) -> Outcome:
-    """Memory after all that."""
+    """Growth of the driver's memory."""
     return skin.outcome(
         "memory of the driver after all this",
         1,
@@ -287,7 +286,7 @@ def _growth(skin: LoadedSkin, grown_kb: int) -> Outcome:
 
 
 def _steps(skin: LoadedSkin, plan: Plan, rng: Random) -> Outcome:
-    """ROS time is set by seconds and by hours, either way."""
+    """Step ROS time by seconds and hours, both ways."""
     steps_s = [2.0, -2.0, 3600.0, -3600.0] if plan.quick else [2.0, -2.0, 3600.0, -3600.0] * 10
     rng.shuffle(steps_s)
     with SimulatedTime(skin) as clock:
@@ -297,7 +296,7 @@ def _steps(skin: LoadedSkin, plan: Plan, rng: Random) -> Outcome:
 
 
 def _stops_behind_a_socket(skin: LoadedSkin, rng: Random) -> Outcome:
-    """The driver is stopped while the kernel keeps what comes: nothing is lost, or stamped new."""
+    """Stop the driver while the kernel buffers its input: no stale frame may get a new stamp."""
     stops_s = [0.3, 1.0, 3.0, 5.0] * 3
     rng.shuffle(stops_s)
     for seconds in stops_s:
@@ -310,7 +309,7 @@ def _stops_behind_a_socket(skin: LoadedSkin, rng: Random) -> Outcome:
 
 @contextmanager
 def _crowd(skin: LoadedSkin, *arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """Subscribers in a process of their own, once each has got something."""
+    """Start subscribers in their own process, and wait for each one's first message."""
     command = [sys.executable, "-m", "torture.load.crowd", skin.name, *arguments]
     process = subprocess.Popen(command, env=skin.environment, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
@@ -324,7 +323,7 @@ def _crowd(skin: LoadedSkin, *arguments: str) -> Iterator[subprocess.Popen[str]]
 
 
 def _ended(crowd: subprocess.Popen[str]) -> list[tuple[int, dict[str, int]]]:
-    """What each of a crowd has got: how many messages, and their digests by sequence."""
+    """End a crowd: number of messages of each subscriber, and digests by sequence."""
     crowd.terminate()
     assert crowd.stdout is not None
     return [(count, got) for count, got in json.loads(crowd.stdout.readline() or "[]")]

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Subscribers of a skin as a program: many, slow or in no hurry; says in the end what each got.
+"""A program with any number of subscribers, fast or slow; prints at the end what each received.
 
 python -m torture.load.crowd /skin --participants 5 --each 2 --delay 1.0 --kind pictures
 """
@@ -28,15 +28,15 @@ from .message_judge import digest
 
 KINDS = {"arrays": (TactileArray, "tactile"), "pictures": (Image, "heatmap")}
 PATIENCE_S = 120.0
-"""Who has got nothing for so long gives up."""
+"""Time to wait for the first message of every subscriber, s."""
 KEEP_ALL = QoSProfile(
     history=HistoryPolicy.KEEP_ALL, depth=0, reliability=ReliabilityPolicy.RELIABLE
 )
-"""The most that a subscriber can ask for."""
+"""The most demanding subscription."""
 
 
 class Subscriber(Node):
-    """One of the crowd. got: digests by sequence, of arrays. count: of messages."""
+    """A subscriber. got: digests of arrays, by sequence. count: number of messages."""
 
     def __init__(self, context: rclpy.Context, topic: str, kind: type, delay_s: float) -> None:
         super().__init__("crowd", context=context, enable_rosout=False)
@@ -53,7 +53,7 @@ class Subscriber(Node):
 
 
 def main() -> int:
-    """Subscribe until SIGTERM; a line `ready` once all have got something, then what they got."""
+    """Subscribe until SIGTERM. Prints `ready` after everyone's first message, JSON at the end."""
     parser = argparse.ArgumentParser(prog="python -m torture.load.crowd", description=__doc__)
     parser.add_argument("skin", help="the driver's node, /skin")
     parser.add_argument("--participants", type=int, default=1)
@@ -65,7 +65,7 @@ def main() -> int:
     signal.signal(signal.SIGTERM, lambda *_: over.set())
     kind, topic = KINDS[arguments.kind]
     crowd: list[Subscriber] = []
-    parent = os.getppid()  # who started it may be killed
+    parent = os.getppid()  # ends with it, even if it is killed
     for _ in range(arguments.participants):
         context = rclpy.Context()
         rclpy.init(context=context)
@@ -83,7 +83,7 @@ def main() -> int:
     while not over.wait(1.0) and os.getppid() == parent:
         pass
     print(json.dumps([[member.count, member.got] for member in crowd]), flush=True)
-    os._exit(0)  # what is left in the middleware is of no interest
+    os._exit(0)  # no orderly shutdown of the middleware: it takes seconds
 
 
 def _spin(executor: SingleThreadedExecutor) -> None:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A virtual digitizer behind a tty or a socket, in a thread, and what its skin really said when."""
+"""A virtual digitizer in a thread, behind a tty or a socket, that remembers the truth."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from ..oracle import Stream
 
 READY_S = 30.0
 SPAN_S, WINDOW, KEPT = 5.0, 6, 14
-"""The lag is kept by spans of this length: 6 are the 30 s of the driver's clock window, 14 outlast
-whatever a late packet did to it."""
+"""The lag is kept by spans of SPAN_S, s. WINDOW spans are the 30 s of the driver's clock estimate;
+KEPT spans outlast the effect of a late packet on it."""
 _TURN_S = 1e-3
 
 
@@ -56,12 +56,12 @@ class KnownDigitizer(VirtualDigitizer):
 
     @property
     def lag_s(self) -> float:
-        """By how much it was late itself for lack of processor time, at most, lately."""
+        """Largest delay of its own, for lack of processor time, in the last KEPT spans, s."""
         return max(most_s for _, most_s in self._lags_s)
 
     @property
     def least_lag_s(self) -> float:
-        """By how much all it sent within the driver's clock window was late, at least."""
+        """Smallest delay of its own within the driver's clock window, s: the error of stamps."""
         return min(least_s for least_s, _ in list(self._lags_s)[-WINDOW:])
 
     def advance(self, wanted: int = 1) -> float:
@@ -91,11 +91,11 @@ class KnownDigitizer(VirtualDigitizer):
         self.streamed(Stream(self.options, self.setup, self.started_s))
 
     def streamed(self, stream: Stream, late_s: float = 0.0) -> None:
-        """From here on these frames are sent, so much later than the stream's own times."""
+        """Note that these frames are sent from now on, late_s after the stream's own times."""
         self._epochs.append((stream, late_s))
 
     def frames_at(self, t_start: float) -> Iterator[Known]:
-        """All frames that began about then, device s; those of the newest epoch first."""
+        """All true frames near this device time, s; the newest epoch first."""
         for epoch in range(len(self._epochs) - 1, -1, -1):
             stream, late_s = self._epochs[epoch]
             if (frame := stream.frame_at(t_start - late_s)) is not None:
@@ -108,7 +108,7 @@ class KnownDigitizer(VirtualDigitizer):
 
 @contextmanager
 def on_a_tty(digitizer: KnownDigitizer, path: Path) -> Iterator[str]:
-    """Plugged in at this path, which is the port's URL."""
+    """Serve it on a tty with this path, which is the port's URL."""
     stop, ready = threading.Event(), threading.Event()
     arguments = (lambda: digitizer, path, stop, lambda _: ready.set())
     with _running(threading.Thread(target=serve, args=arguments), stop):
@@ -118,7 +118,7 @@ def on_a_tty(digitizer: KnownDigitizer, path: Path) -> Iterator[str]:
 
 @contextmanager
 def on_a_socket(digitizer: KnownDigitizer) -> Iterator[str]:
-    """Behind a socket, whose kernel keeps many seconds; yields the port's URL."""
+    """Serve it on a socket, whose kernel buffers hold many seconds; yields the port's URL."""
     stop, host = threading.Event(), Host()
     host.plug(digitizer)
 

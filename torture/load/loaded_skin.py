@@ -139,10 +139,10 @@ class LoadedSkin:
     def __exit__(self, *_: object) -> None:
         self._stack.close()
 
-    # What is done with it
+    # ---- Actions
 
     def streams_on(self, frames: int = 20) -> bool:
-        """Wait until so many messages have come from now on; where they don't, it hangs."""
+        """Wait for this many messages; counts a hang if they don't come."""
         wanted = self.judge.tally.frames + frames
         before = -1
 
@@ -154,7 +154,7 @@ class LoadedSkin:
         return before >= wanted
 
     def is_fresh(self) -> bool:
-        """Wait until messages are no older than they should be; else it hangs."""
+        """Wait until messages are current; counts a hang if they don't get so."""
 
         def fresh() -> bool:
             return time.monotonic() - self.judge.last_middle_s < FRESH_S
@@ -162,11 +162,11 @@ class LoadedSkin:
         return self.streams_on(1) and self.waits_for(fresh)
 
     def is_newest(self, since_s: float) -> bool:
-        """Wait for a frame that was measured after this moment, monotonic; else it hangs."""
+        """Wait for a frame measured after this monotonic time, s; counts a hang otherwise."""
         return self.waits_for(lambda: self.judge.last_middle_s > since_s)
 
     def waits_for(self, condition: Callable[[], object]) -> bool:
-        """Wait for something that has to come; where it doesn't, that is a hang."""
+        """Wait for a condition; counts a hang if patience_s pass or the driver ends before."""
         end_s = time.monotonic() + self.patience_s
         while not condition():
             if time.monotonic() > end_s or self.process.poll() is not None:
@@ -176,28 +176,28 @@ class LoadedSkin:
         return True
 
     def stopped_for(self, seconds: float) -> None:
-        """The driver gets no processor at all."""
+        """Stop the driver by a signal for this time."""
         self.process.send_signal(signal.SIGSTOP)
         time.sleep(seconds)
         self.process.send_signal(signal.SIGCONT)
 
     def says(self, value: str) -> str:
-        """A value of /diagnostics, the newest; empty before it came."""
+        """The newest value of a key in /diagnostics; empty if there was none."""
         return self._values.get(value, "")
 
     def complains(self, entry: str, text: str) -> bool:
-        """Whether an entry of /diagnostics has said so since the last outcome."""
+        """Whether an entry of /diagnostics warned with this text since the last outcome."""
         return any(text in message for message in self.warned.get(entry, ()))
 
     @property
     def rss_kb(self) -> int:
-        """Memory of the driver's process."""
+        """Resident memory of the driver's process."""
         return memory_kb(self.process.pid)
 
     def outcome(
         self, fault: str, times: int, said: str = "", uncounted: int = 0, wrong: int = 0
     ) -> Outcome:
-        """What came of a fault since the last outcome; uncounted, wrong: what else was found."""
+        """Sum up since the last outcome. uncounted, wrong: findings besides the judge's."""
         tally, self.judge.tally = self.judge.tally, Tally()
         tally.times = times
         tally.wrong_values += wrong
@@ -207,12 +207,12 @@ class LoadedSkin:
         return tally.outcome(fault, said or frames_missing(tally))
 
     def defects(self) -> int:
-        """How many defects the driver's log tells of since the last call."""
+        """Number of new lines of the driver's log that show a defect, since the last call."""
         log = (self.folder / "driver.log").read_text()
         new, self._log_read = log[self._log_read :], len(log)
         return sum(new.count(defect) for defect in DEFECTS)
 
-    # How it runs
+    # ---- Processes and threads
 
     @contextmanager
     def _driver(self, port: str) -> Iterator[subprocess.Popen[bytes]]:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tells a skin's driver the time on /clock, and sets that."""
+"""Publishes simulated time on /clock, with steps."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from .message_judge import real_time_ahead_s
 BEGIN_S = 1_000_000.0
 TICK_S = 2e-3
 STEP_FRAMES = 20
-"""Frames after a step whose stamps are looked at."""
+"""Frames to judge after a step."""
 
 
 class SimulatedTime:
-    """Runs as fast as the host's monotonic clock, from BEGIN_S on.
+    """A clock that runs at the rate of the host's, from BEGIN_S on.
 
-    Use as a context manager: the driver takes its time from here as long as that is entered.
+    Use as a context manager, within which the driver uses this time.
     """
 
     def __init__(self, skin: LoadedSkin) -> None:
@@ -36,7 +36,7 @@ class SimulatedTime:
         self._thread = threading.Thread(target=self._run)
 
     def step(self, step_s: float) -> int:
-        """Set the clock; returns how many frames still had the old time."""
+        """Set the clock; returns how many later frames were stamped by the old time."""
         judge, before_s = self._skin.judge, self._ahead_s
         after_s = before_s + step_s
         judge.ahead_s = [before_s, after_s]
@@ -60,7 +60,7 @@ class SimulatedTime:
         self._thread.join()
 
     def _use(self, simulated: bool, ahead_s: float) -> None:
-        """Have the driver take its time from here, or not, and wait until its stamps show it."""
+        """Set use_sim_time, and wait until the driver's stamps follow."""
         judge, node = self._skin.judge, self._skin.node
         client = node.create_client(SetParameters, f"{self._skin.name}/set_parameters")
         self._skin.waits_for(client.service_is_ready)

@@ -42,21 +42,21 @@ LOOK_S = 0.5
 WARM_UP, LONGEST_WARM_UP_S = 0.5, 1800.0
 """Share of the run, but no longer, after which memory is looked at: pools fill for half an hour."""
 MOST_DRIFT_S = 1e-3
-"""Of stamps against the true time, from the first part of the run to the last."""
+"""Largest drift of stamps against the true time, from the first part of the run to the last."""
 PARTS = 5
 LONG_S = 600.0
-"""Slopes of shorter runs are told, not judged: single pages make too much of them."""
+"""Slopes of shorter runs are reported, not judged: single pages dominate them."""
 MOST_KB_PER_H, SPREADS = 2048.0, 3.0
 """A leak is memory that grows faster than this, by more than so many spreads of the slope."""
 
 
 def run(plan: Plan) -> Iterator[Outcome]:
-    """A short soak; only one of hours proves much."""
+    """A short soak; only hours prove much."""
     yield soak(QUICK_S if plan.quick else FULL_S, plan.seed)
 
 
 def soak(seconds: float, seed: int = 1) -> Outcome:
-    """Run the driver for so long after its first frame."""
+    """Run the driver for this time after its first frame."""
     with (
         TemporaryDirectory(prefix="soak-") as folder,
         LoadedSkin(Path(folder), seed, PATIENCE_S, setting=SOAKED) as skin,

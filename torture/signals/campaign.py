@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Faults of nodes and of the analog line: right values of the sound nodes, flags for the others.
+"""Faults of nodes and of the analog line: sound nodes must read right, others must be flagged.
 
-What is beyond the limits of docs/signal-model.md has rows of its own, with what comes of it.
+Faults beyond the limits of docs/signal-model.md have rows of their own, which report the effect.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ SMALL = [
     Skin(GAP, {}, ALWAYS | {"stretch": 0.1}),
     Skin(LINE, {"parity": True}),
 ]
-"""Most have nodes that speak in every frame, one has nodes that speak when something changes.
-A quick run takes one for each kind of fault, in turns, …"""
+"""The nodes of most speak in every frame, those of the last when something changes. A quick run
+uses one of these skins for each kind of fault, in turn."""
 LARGE = [
     Skin(CHIPS, NODES_256, ALWAYS),
     Skin(LINE, NODES_256 | {"parity": True}, ALWAYS),
@@ -38,11 +38,11 @@ LARGE = [
     Skin(LINE, NODES_1024, ALWAYS),
 ]
 QUICK_KINDS = 3
-"""… and of the kinds one of so many, by the seed."""
+"""A quick run tries one in three kinds, by the seed."""
 LARGE_IN_TURN = 2
-"""So many of the large ones for each kind, by the seed, and all small ones, are a full run."""
+"""A full run tries all small skins and this many large ones for each kind, by the seed."""
 FRAMES = 100
-"""With the fault, for each kind on each skin; at least one episode."""
+"""Frames with the fault for each kind on each skin; at least one episode."""
 
 flash = partial(Kind, length=1, pause=8)
 short = partial(Kind, length=3, pause=9)
@@ -52,7 +52,7 @@ marked = (LINE, CHIPS)
 KINDS = (
     Kind("dead nodes", nodes.dead, count=3),
     Kind("node stuck", nodes.stuck, flagged=False),  # found within minutes: make bench-stuck
-    # Where nodes are quiet it takes four heartbeats of 20 frames each, and a verdict or two.
+    # With quiet nodes it takes four heartbeats of 20 frames each, and a verdict or two.
     Kind("two nodes on a row", nodes.doubled(1), length=160),
     Kind("three nodes on a row", nodes.doubled(2), length=160),
     Kind("node with garbage in half of its frames", nodes.chattering, flagged=False),
@@ -118,7 +118,7 @@ KINDS = (
 
 
 def run(plan: Plan) -> Iterator[Outcome]:
-    """An outcome per kind of fault."""
+    """Yield an outcome per kind of fault."""
     kinds = KINDS[plan.seed % QUICK_KINDS :: QUICK_KINDS] if plan.quick else KINDS
     for place, kind in enumerate(kinds):
         small, large = (
@@ -132,7 +132,7 @@ def run(plan: Plan) -> Iterator[Outcome]:
 
 
 def trials(kind: Kind, skins: list[Skin], frames: int, seed: int) -> Outcome:
-    """What comes of about so many frames with the fault on each of these skins."""
+    """Try about this many frames with the fault on each of these skins."""
     total = WordTally()
     of_timing: defaultdict[str, WordTally] = defaultdict(WordTally)
     for skin in skins:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What happens to the analog line between the nodes and the converter."""
+"""Faults of the analog line between the nodes and the converter."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Span:
-    """Samples of one frame period, and what chance has for them.
+    """Samples of one frame period, and random generators for them.
 
-    volts: (m,) V. t_s: (m,) s since the disturbance began. frame_s: what of them is the frame.
-    unit_v: level of one node. peak_v: what nearly all sums of nodes stay below.
-    life: drawn once for each disturbance; chance: anew in every frame.
+    volts: (m,) V. t_s: (m,) s since the disturbance began. frame_s: length of the frame in it.
+    unit_v: level of one node. peak_v: 4·√n nodes, which nearly all sums stay below.
+    life: seeded once for each disturbance; chance: anew for every frame.
     """
 
     volts: Level
@@ -32,16 +32,16 @@ class Span:
     chance: np.random.Generator
 
     def moment(self, rng: np.random.Generator) -> float:
-        """An instant within the frame, s."""
+        """A random instant within the frame, s."""
         return float(self.t_s[0] + rng.uniform(0, self.frame_s))
 
 
 Broken = Callable[[Span], Level]
-"""What becomes of the line's volts."""
+"""Returns the line's volts with the fault."""
 
 
 def hum(frequency_hz: float, nodes: float) -> Broken:
-    """Mains of an amplitude of so many nodes, with odd harmonics."""
+    """Mains hum with odd harmonics; its amplitude in levels of a node."""
 
     def added(line: Span) -> Level:
         phase = 2 * np.pi * (frequency_hz * line.t_s + line.life.random())
@@ -74,12 +74,12 @@ def discharge(line: Span) -> Level:
 
 
 def wander(line: Span) -> Level:
-    """A baseline that goes up and down by ten nodes within two seconds."""
+    """A baseline that swings by ten nodes with a period of two seconds."""
     return _with(line, 10 * line.unit_v * np.sin(2 * np.pi * (line.t_s / 2 + line.life.random())))
 
 
 def jump(nodes: float) -> Broken:
-    """A baseline that jumps by up to so many nodes within a frame and creeps back within 30 ms."""
+    """A baseline that jumps by up to this many nodes within a frame, and decays within 30 ms."""
 
     def added(line: Span) -> Level:
         at_s = line.life.uniform(0, line.frame_s)
@@ -96,7 +96,7 @@ def hard_clipping(share: float) -> Broken:
 
 
 def soft_clipping(share: float) -> Broken:
-    """An amplifier that tires from this share of the largest likely sum on."""
+    """An amplifier that saturates softly from this share of the largest likely sum on."""
 
     def tired(line: Span) -> Level:
         limit_v = np.float32(share * line.peak_v)
@@ -124,7 +124,7 @@ def at_rail(line: Span) -> Level:
 
 
 def torn_off(line: Span) -> Level:
-    """A wire that touches nothing but mains and chance."""
+    """An open wire, which picks up mains and noise."""
     phase = 2 * np.pi * (50 * line.t_s + line.life.random())
     noise = line.chance.standard_normal(line.t_s.size)
     return (line.unit_v * (0.05 * np.sin(phase) + 0.02 * noise)).astype(np.float32)
@@ -142,20 +142,20 @@ def loose(line: Span) -> Level:
 
 
 def oscillating(line: Span) -> Level:
-    """An amplifier that swings by itself, at a frequency of its own."""
+    """An amplifier that oscillates, at 100 Hz to 100 kHz."""
     frequency_hz = 10 ** line.life.uniform(2, 5)
     phase = 2 * np.pi * (frequency_hz * line.t_s + line.life.random())
     return _with(line, 8 * line.unit_v * np.sin(phase))
 
 
 def warming(line: Span) -> Level:
-    """A gain and an offset that drift by 20 % and ten nodes within seconds."""
+    """A gain and an offset that drift by 20 % and ten nodes with a period of 8 s."""
     course = np.sin(2 * np.pi * (line.t_s / 8 + line.life.random()))
     return (line.volts * (1 + 0.2 * course) + 10 * line.unit_v * course).astype(np.float32)
 
 
 def in_turn(*faults: Broken) -> Broken:
-    """One after the other, on the same line."""
+    """Several faults on the same line, in this order."""
 
     def all_of_them(line: Span) -> Level:
         for fault in faults:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What broken nodes put on the line instead of their words."""
+"""Faults of nodes: what they put on the line instead of their words."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ Waveforms = list[Waveform]
 
 @dataclass(frozen=True)
 class Turn:
-    """What a node would say in one frame, and what chance has for it.
+    """One frame of a broken node.
 
-    node, other: from 0 on, the latter a sound one. code: its word; None: it is silent.
-    edges_s: (span_chips + 1,) of its chips.
-    life: drawn once for each time that the node breaks; chance: anew in every frame.
+    node, other: indices of the node and of a sound one. code: its word; None: it is silent.
+    edges_s: (span_chips + 1,) edges of its chips, s.
+    life: random generator seeded once per episode; chance: anew for every frame.
     """
 
     spec: FrameSpec
@@ -49,11 +49,11 @@ class Turn:
 
     @property
     def heard(self) -> int:
-        """Its word, or any where it has none to say: broken nodes speak out of turn."""
+        """Its word, or a random one if it should be silent: broken nodes speak out of turn."""
         return self.any_word(self.chance) if self.code is None else self.code
 
     def any_word(self, rng: np.random.Generator) -> int:
-        """A word drawn at random."""
+        """A random word."""
         return int(rng.integers(1 << self.spec.bits))
 
     def levels(self) -> Level:
@@ -185,7 +185,7 @@ def other_bits(turn: Turn) -> Waveforms:
 
 
 def one_of(*faults: Broken) -> Broken:
-    """One of these, for as long as the node is broken."""
+    """One of these faults, chosen per episode."""
     return lambda turn: faults[turn.life.integers(len(faults))](turn)
 
 

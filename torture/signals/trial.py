@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A skin whose nodes or line break for a while, again and again, and what it publishes of that."""
+"""A skin whose nodes or line break in episodes, and a judge of what its driver publishes."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ from .faulty_line import Span
 from .faulty_nodes import Turn, spoken
 
 LINE, CHIPS, GAP = "line", "chips", "gap"
-"""Timings: frames marked, of raw samples or of means of chips; frames found by their gaps."""
+"""Kinds of skins: marked frames of raw samples, of chip means, and frames found by their gaps."""
 WARM_UP = 34
 """Sound frames before the first fault."""
 RECOVERY = 2
-"""Frames after a fault that may still be lost."""
+"""Frames after an episode that may still be lost."""
 SEEN = 0.75
-"""Nodes must be found out if frames are published after this share of an episode."""
+"""Broken nodes must be flagged if frames are published after this share of an episode."""
 UNKNOWN = -1
-"""Code of a node of which nothing was published since it was broken."""
+"""Code of a node that has not been published since it was broken."""
 BLAME = Status.WEAK | Status.FAULTY | Status.STALE
-"""Flags of nodes that are not in order."""
+"""Flags of broken nodes."""
 DOUBT = Status.LOW_SNR | Status.FAULTY | Status.STALE
-"""Flags of readings that are not to be relied on."""
+"""Flags of unreliable readings."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Kind:
     told: tuple[str, ...] = ()
 
     def episode(self, number: int) -> int | None:
-        """Which of its times the fault is there in a frame; None: it is not."""
+        """Index of the episode that a frame belongs to; None: the frame is sound."""
         turn, place = divmod(number - WARM_UP, self.length + self.pause)
         return turn if turn >= 0 and place < self.length else None
 
@@ -82,7 +82,7 @@ class Kind:
 
 @dataclass(frozen=True)
 class Skin:
-    """A skin as its driver and its simulator are told to be. timing: LINE, CHIPS or GAP."""
+    """Parameters of a driver and options of its simulator. timing: LINE, CHIPS or GAP."""
 
     timing: str
     values: Mapping[str, Value]
@@ -113,7 +113,7 @@ class Faults:
     number: int = -1
 
     def added(self, frame: NodeFrame, edges_s: NDArray[np.float64]) -> Iterator[Waveform]:
-        """What broken nodes say, less what they should."""
+        """What broken nodes transmit, minus what they should."""
         self.number, spec = frame.number, self.skin.config.spec
         episode = self.kind.episode(frame.number)
         if self.kind.nodes is None or episode is None:
@@ -129,7 +129,7 @@ class Faults:
     def disturbed(
         self, frame: NodeFrame, volts: NDArray[np.float32], t_s: NDArray[np.float64]
     ) -> NDArray[np.float32]:
-        """What becomes of the line."""
+        """The line with the fault."""
         self.number, spec = frame.number, self.skin.config.spec
         episode = self.kind.episode(frame.number)
         if self.kind.line is None or episode is None or not volts.size:
@@ -142,7 +142,7 @@ class Faults:
         return self.kind.line(line)
 
     def chosen(self, episode: int) -> list[tuple[int, int]]:
-        """The nodes that are broken, each with a sound one, from 0 on."""
+        """Indices of the broken nodes, each with that of a sound one."""
         if self.kind.nodes is None:
             return []
         order = np.random.default_rng([self.seed, episode]).permutation(self.skin.config.spec.nodes)
@@ -209,7 +209,7 @@ class Trial:
         self._spent: tuple[list[float], list[float]] = ([], [])  # s for a frame: sound, with fault
 
     def run(self, episodes: int) -> WordTally:
-        """Let the fault come so often."""
+        """Run this many episodes."""
         spec, digitizer = self.skin.config.spec, self._digitizer
         digitizer.receive(Session(self.skin.config).open())
         self._oracle.began(digitizer.options, digitizer.setup, digitizer.started_s)
@@ -264,7 +264,7 @@ class Trial:
         self._codes[broken | victims] = UNKNOWN
 
     def _misread(self, frame: TactileFrame) -> NDArray[np.bool_]:
-        """Nodes whose reading is not what their last published word means."""
+        """(n,) bool: nodes whose reading is not that of their last published word."""
         config, words, readings = self.skin.config, frame.words, frame.readings
         codes = np.where(words.active, words.codes, self._codes)
         voltage_v = config.adc.voltage(np.maximum(codes, 0)).astype(np.float32)
@@ -275,7 +275,7 @@ class Trial:
         return wrong
 
     def _look(self, frame: TactileFrame, number: int, episode: int) -> None:
-        """Whether the broken nodes are found out."""
+        """Note which broken nodes are flagged."""
         stuck = self._stuck.nodes
         for node, _ in self.faults.chosen(episode):
             if frame.readings.status[node] & BLAME or node + 1 in stuck:

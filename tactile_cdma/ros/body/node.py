@@ -2,7 +2,7 @@
 
 """The node of a whole body: contacts, wrench and points of all its patches in one tf frame.
 
-Nothing is subscribed to that nobody asks for.
+It subscribes only to what its own subscribers need.
 """
 
 from __future__ import annotations
@@ -40,14 +40,16 @@ from .report import PatchState, body_status
 
 NODE_NAME = "body"
 TICK_S = 0.2
+"""Interval of looks at who subscribes, s; chosen."""
 REPORT_S = 1.0
+"""Interval of /diagnostics, s, as usual in ROS."""
 
 
 class BodyNode(Node):
-    """Gathers what the drivers of a body's patches publish."""
+    """Combines what the drivers of a body's patches publish."""
 
     def __init__(self, **node_options: Any) -> None:
-        """Raises TactileError for parameters that it cannot work with."""
+        """Raises TactileError for wrong parameters."""
         super().__init__(NODE_NAME, **node_options)
         self._setup = body_setup(self)
         self._contacts = self._publisher(TactileContacts, "~/contacts", RELIABLE)
@@ -81,7 +83,7 @@ class BodyNode(Node):
         )
 
     def _tick(self) -> None:
-        """Follow what is asked for now; where nothing comes, say even that."""
+        """Follow what is asked for; publish that patches are absent where nothing comes."""
         contacts = bool(
             self._contacts.get_subscription_count() or self._wrench.get_subscription_count()
         )
@@ -92,7 +94,7 @@ class BodyNode(Node):
         if points:
             if self._points_timer.is_canceled():
                 self._points_timer.reset()
-            self._gate.open()  # who is silent is seen, however seldom points are drawn
+            self._gate.open()  # notices silent patches, however seldom points are drawn
         else:
             self._points_timer.cancel()
         now_s = time.monotonic()
@@ -103,7 +105,7 @@ class BodyNode(Node):
             self._publish_contacts(now_s)
 
     def _pose(self, feed: PatchFeed, frame_id: str) -> Pose | None:
-        """Of a patch's frame in the body's; None, and a fault, where it is not known."""
+        """The pose of a patch's frame in the body's; None, noting the fault, if unknown."""
         try:
             pose = self._transforms.tree.pose(self._setup.frame_id, frame_id)
         except TransformError as error:
@@ -143,7 +145,7 @@ class BodyNode(Node):
             self._wrench.publish(WrenchStamped(header=header, wrench=message.wrench))
 
     def _header(self, stamps: list[Time]) -> Header:
-        """Of the newest of the stamps; of this moment without any."""
+        """A header with the newest stamp; with the present time if there is none."""
         newest = max(stamps, key=nanoseconds) if stamps else self.get_clock().now().to_msg()
         return Header(stamp=newest, frame_id=self._setup.frame_id)
 
@@ -154,7 +156,7 @@ class BodyNode(Node):
         self._gate.open()
 
     def _publish_points(self) -> None:
-        """The latest of every patch, where any of it is new, or a patch has come or gone."""
+        """Publish the latest of every patch if any is new, or a patch has come or gone."""
         now_s, stamps, clouds = time.monotonic(), [], []
         present = [
             feed

@@ -29,7 +29,7 @@ _PATCHES = "patches"
 
 @dataclass(frozen=True, slots=True)
 class BodySetup:
-    """What the node is asked to do. patches: fully qualified names of the drivers' nodes."""
+    """The parameters' values. patches: fully qualified names of the drivers' nodes."""
 
     patches: tuple[str, ...]
     frame_id: str
@@ -39,7 +39,7 @@ class BodySetup:
 
 
 def body_setup(node: Node) -> BodySetup:
-    """Declare the parameters, which are read only once.
+    """Declare and read the parameters, which cannot change later.
 
     Raises ParameterError for a wrong one, BodyError for a body file that cannot be used.
     """
@@ -73,7 +73,7 @@ def declared(node: Node, parameter: Parameter) -> Any:
 
 
 def _declare(node: Node, name: str, default: Value | list[str], text: str) -> object:
-    """The value given, of whatever type: messages about a wrong one are ours."""
+    """The value given, of any type, so that its error message is ours."""
     descriptor = ParameterDescriptor(
         description=text,
         read_only=True,

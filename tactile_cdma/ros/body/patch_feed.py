@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What one patch publishes, as its body hears it: subscribed to only while it is needed."""
+"""Receives what one patch of a body publishes, while it is needed."""
 
 from __future__ import annotations
 
@@ -27,18 +27,17 @@ from ..common.gate import Gate
 from ..common.qos import LATCHED
 
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Of arrays: points are drawn less often than they come."""
+"""For arrays: points are drawn less often than arrays arrive."""
 FRESH = QoSProfile(depth=2)
-"""Of contacts: who falls behind goes on with the newest, instead of being late from then on."""
+"""For contacts: a node that falls behind goes on with the newest instead of staying late."""
 NewContacts = Callable[["PatchFeed", TactileContacts], None]
 
 
 class PatchFeed:
-    """The latest of one patch's topics.
+    """The latest messages of one patch.
 
-    node_name: fully qualified, of the patch's driver. contacts, array: the latest messages, None:
-    none since they are followed. is_new: the array has not been drawn. gate: arrays come through
-    it.
+    node_name: fully qualified name of the patch's driver. contacts, array: the latest messages;
+    None: none since they are followed. is_new: the array has not been drawn.
     """
 
     def __init__(
@@ -59,37 +58,40 @@ class PatchFeed:
 
     @property
     def is_followed(self) -> bool:
-        """Whether anything of it is subscribed to."""
+        """Whether it is subscribed to."""
         return bool(self._for_contacts or self._for_points)
 
     def silent_s(self, now_s: float) -> float:
-        """How long nothing came; infinite if nothing ever did."""
+        """Time since the last message, s; infinite if there was none."""
         return now_s - self._heard_s
 
     def late_s(self) -> float:
-        """Least age of a stamp when it came, since this was last asked; 0: nothing came.
+        """Least age of a message on arrival since the last call, s; 0 if none arrived.
 
-        The least, because a busy computer takes messages late, but not all of them.
+        The least, because a busy computer takes some messages late, but not all.
         """
         late_s, self._late_s = self._late_s, math.inf
         return late_s if late_s < math.inf else 0.0
 
     def rate_hz(self, now_s: float) -> float:
-        """Of its frames that were taken since this was last asked."""
+        """Rate of the frames received since the last call."""
         rate_hz = self._counted / (now_s - self._reported_s)
         self._counted, self._reported_s = 0, now_s
         return rate_hz
 
     @property
     def has_driver(self) -> bool:
-        """Whether anybody publishes its topics; by a discovery server, those subscribed to."""
+        """Whether anybody publishes its topics.
+
+        With a discovery server, only topics that are subscribed to are known.
+        """
         return any(
             self._node.count_publishers(f"{self.node_name}/{topic}")
             for topic in ("contacts", "tactile")
         )
 
     def follow(self, contacts: bool, points: bool) -> None:
-        """Subscribe to what contacts and points of the body take, and to no more."""
+        """Subscribe to what the body's contacts and points need, and to nothing else."""
         if contacts and not self._for_contacts:
             self._for_contacts = [
                 self._subscribe(TactileContacts, "contacts", self._take_contacts, FRESH)
@@ -108,14 +110,14 @@ class PatchFeed:
             self.is_new = False
 
     def points(self, max_pa: float, pose: Pose) -> NDArray[np.void] | None:
-        """(m,) BODY_POINT of the latest array; None while what it is to be read with is not there.
+        """(m,) BODY_POINT of the latest array; None while the info that goes with it is missing.
 
         max_pa, pose: see Cloud.points.
         """
         if self.array is None or self._cloud is None:
             return None
         info_id, cloud = self._cloud
-        # A driver that was started again counts from 1 again: the same id may mean another skin.
+        # A restarted driver counts from 1 again: the same id may mean another skin.
         if self.array.info_id != info_id or len(self.array.pressure) != len(cloud):
             return None
         pressure_pa = np.frombuffer(self.array.pressure, dtype=np.float32)

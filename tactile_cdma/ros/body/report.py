@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the body node says of its patches in /diagnostics."""
+"""The body node's entry in /diagnostics: the state of its patches."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ from ...base.listing import listed
 from ..common.convert import diagnostic
 
 CLOCKS_APART_S = 0.5
-"""What no transport makes of stamps."""
+"""A message of this age, s, or from so far in the future, means clocks that disagree; chosen above
+every delay of transport."""
 
 
 @dataclass(frozen=True, slots=True)
 class PatchState:
-    """How one patch is heard.
+    """How one patch is received.
 
-    has_driver: somebody publishes its topics. followed: it is subscribed to. silent_s: since its
-    last message, s. late_s: least age of a stamp when it came, s. rate_hz: of its messages.
-    fault: why its frame is not known in the body's; empty: it is.
+    has_driver: somebody publishes its topics. followed: it is subscribed to. silent_s: time since
+    its last message, s. late_s: least age of a message on arrival, s. rate_hz: of its messages.
+    fault: why its frame is unknown in the body's; empty: it is known.
     """
 
     name: str
@@ -34,7 +35,7 @@ class PatchState:
     fault: str
 
     def complaint(self, stale_after_s: float) -> str:
-        """What is wrong, and what to do; empty where nothing is, or nobody asks."""
+        """What is wrong and what to do; empty if nothing is, or nobody subscribes."""
         if not self.followed:
             return ""
         if self.silent_s > stale_after_s and not self.has_driver:
@@ -52,7 +53,7 @@ class PatchState:
 
 
 def body_status(name: str, patches: Sequence[PatchState], stale_after_s: float) -> DiagnosticStatus:
-    """The entry `<node>: patches`. name: fully qualified, of the body node."""
+    """The entry `<node>: patches`. name: fully qualified name of the body node."""
     complaints = {patch.name: patch.complaint(stale_after_s) for patch in patches}
     wrong = [patch for patch, complaint in complaints.items() if complaint]
     level, text = DiagnosticStatus.OK, f"all {len(patches)} patches are there"

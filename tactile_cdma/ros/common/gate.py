@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Subscriptions whose messages stay in the middleware until they are wanted, all at once.
+"""Subscriptions whose messages stay in the middleware until all are taken at once.
 
-Waiting for what comes next costs rclpy much more than taking it. Who looks at the latest of many
-topics now and then is therefore not to be woken by every message.
+Being woken by a message costs rclpy much more than taking it. A node that needs the latest message
+of many topics only now and then should therefore not be woken by each.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from rclpy.node import Node
 
 
 class Gate(CallbackGroup):
-    """The callback group of such subscriptions, of a node in a single-threaded executor."""
+    """Callback group of such subscriptions, for a node in a single-threaded executor."""
 
     def __init__(self, node: Node, on_taken: Callable[[], None]) -> None:
-        """on_taken: called when it was opened, and every message that had come was taken."""
+        """on_taken: called after the gate was opened and all waiting messages were taken."""
         super().__init__()
         self._is_open, self._on_taken = False, on_taken
-        # Executors come to guard conditions after subscriptions.
+        # Executors handle guard conditions after subscriptions.
         self._taken = node.create_guard_condition(self._close)
 
     def open(self) -> None:
-        """Take one message of each subscription as soon as this callback is over."""
+        """Take one message of each subscription once the present callback has returned."""
         self._is_open = True
         self._taken.trigger()
 
@@ -38,8 +38,8 @@ class Gate(CallbackGroup):
         return self._is_open
 
     def beginning_execution(self, entity: object) -> bool:
-        """Whether it may call back."""
+        """Whether the executor may call back."""
         return self._is_open
 
     def ending_execution(self, entity: object) -> None:
-        """Nothing is to be done then."""
+        """Do nothing: the gate closes when all subscriptions were served."""

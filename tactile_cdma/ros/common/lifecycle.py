@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A lifecycle node without the gaps of rclpy's."""
+"""A lifecycle node that mends what rclpy's leaves open."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]
 
 
 def reported(transition: Transition) -> Transition:
-    """A transition's callback that tells of its own defects: rclpy swallows exceptions."""
+    """Decorate a transition's callback to log its exceptions, which rclpy swallows."""
 
     @wraps(transition)
     def callback(node: Any, state: LifecycleState) -> TransitionCallbackReturn:
@@ -35,23 +35,22 @@ def reported(transition: Transition) -> Transition:
 
 
 class ManagedNode(LifecycleNode):
-    """Refuses transitions that are impossible, and leaves nothing behind when destroyed."""
+    """Refuses impossible transitions, and leaves nothing behind when destroyed."""
 
     def __init__(self, name: str, **node_options: Any) -> None:
-        """Raises ParameterError for an override that is none: rclpy takes no empty list."""
+        """Raises ParameterError for an override without a value, or an empty list."""
         try:
             super().__init__(name, **node_options)
         except ValueError as error:
             raise ParameterError(f"a parameter has no value, or an empty list ({error})") from error
-        # rclpy lets a transition that is impossible in the present state end the executor.
+        # In rclpy a transition that is impossible in the present state ends the executor.
         self._service_change_state.callback = partial(
             _refuse_impossible, self, self._service_change_state.callback
         )
 
     def destroy_node(self) -> None:
-        """Also end the lifecycle's services."""
+        """End the lifecycle's services too: rclpy leaves them to the garbage collector."""
         super().destroy_node()
-        # rclpy leaves them in the graph until the garbage collector finds them.
         self._state_machine.destroy_when_not_in_use()
 
 
@@ -61,7 +60,7 @@ def _refuse_impossible(
     request: ChangeState.Request,
     response: ChangeState.Response,
 ) -> ChangeState.Response:
-    """Answer a change_state request, also one that the present state does not allow."""
+    """Answer a change_state request, with a refusal if the present state does not allow it."""
     try:
         return change_state(request, response)
     except RCLError:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""How topics are offered, and the standard parameters that say otherwise.
+"""The QoS of topics, and the standard parameters that override it.
 
-`qos_overrides.<topic>.publisher.<policy>` are names that every ROS 2 node understands. rclpy's own
-reading of them ends the node with the middleware's words for a wrong one; these are checked, and
-refused, as all other parameters are.
+Every ROS 2 node knows `qos_overrides.<topic>.publisher.<policy>`. Where rclpy reads them itself, a
+wrong one ends the node with an error of the middleware; here they are checked and refused like all
+other parameters.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ LATCHED = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-"""What does not change from frame to frame: who comes later gets the last one."""
+"""For what rarely changes: late subscribers receive the last message."""
 RELIABLE = QoSProfile(depth=10)
-"""Small messages, which rviz and controllers may both ask for."""
+"""For small messages that rviz and controllers may both subscribe to."""
 PICTURE = QoSProfile(depth=2, reliability=ReliabilityPolicy.RELIABLE)
-"""What people look at."""
+"""For pictures; the depth is small because only the newest matters."""
 QOS_OVERRIDES = "qos_overrides."
 _POLICIES = {
     "history": HistoryPolicy,
@@ -33,16 +33,17 @@ _POLICIES = {
     "durability": DurabilityPolicy,
 }
 _NOT_FOR_PUBLISHERS = {"UNKNOWN", "BEST_AVAILABLE", "KEEP_ALL"}
-"""One that keeps all waits for its slowest subscriber, 100 ms per message, and then fails; here
-newest data wins."""
+"""A publisher with KEEP_ALL waits for its slowest subscriber, 100 ms per message, and then fails;
+here the newest data counts."""
 _MOST_DEPTH = 1 << 20
+"""Greatest depth that is accepted; chosen beyond every use, within what the middleware takes."""
 
 
 def offered(profile: QoSProfile, topic: str, declare: Callable[[Parameter], Value]) -> QoSProfile:
-    """A publisher's profile as the parameters have it.
+    """A publisher's profile with its overrides.
 
-    topic: its full name. declare: makes a parameter that is fixed from the node's start on, and
-    returns its value.
+    topic: its full name. declare: declares a parameter that cannot change after the node's start,
+    and returns its value.
     """
     result = copy(profile)
     prefix, text = f"{QOS_OVERRIDES}{topic}.publisher.", f"of the publisher of {topic}"

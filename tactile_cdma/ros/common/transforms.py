@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Hears /tf and /tf_static: tf2's Python interface is not on PyPI, its messages are enough."""
+"""Listens to /tf and /tf_static without tf2, whose Python interface is not on PyPI."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from ...places.poses import Pose
 from ...places.tf_tree import TfTree
 
 QUEUE = 100
-"""Messages, as tf2 has it."""
+"""Depth of the subscriptions; the same as in tf2."""
 STATIC = QoSProfile(depth=QUEUE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 COMPLAINT_S = 10.0
+"""Least time between two warnings of the same cause, s; chosen."""
 
 
 class TransformListener:
-    """A tree of tf frames as a node hears of them, while it follows."""
+    """The tree of tf frames that a node receives while it follows them."""
 
     def __init__(self, node: Node) -> None:
         self.tree = TfTree()
@@ -28,7 +29,7 @@ class TransformListener:
         self._subscriptions: list[Subscription] = []
 
     def follow(self, asked: bool) -> None:
-        """Subscribe while the tree is needed."""
+        """Subscribe while the tree is asked for."""
         if asked and not self._subscriptions:
             self._subscriptions = [
                 self._node.create_subscription(TFMessage, topic, self._take, qos)

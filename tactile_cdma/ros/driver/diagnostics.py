@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a driver says of itself in /diagnostics; docs/diagnostics.md explains every value."""
+"""A driver's entries in /diagnostics; docs/diagnostics.md explains every value."""
 
 from __future__ import annotations
 
@@ -30,28 +30,29 @@ Values = Mapping[str, object]
 
 
 class SkinReport:
-    """The entries of one skin, from one report to the next."""
+    """Makes the entries of one skin, report after report."""
 
     def __init__(self, node: str) -> None:
         """node: fully qualified name of the node."""
         self._prefix = node.lstrip("/")
         self._hardware_id = ""
         self._settling = {entry: Settling() for entry in ENTRIES}
-        self._receiving = False  # at the report before
+        self._receiving = False  # at the last report
 
     def inactive(self, failure: str) -> list[DiagnosticStatus]:
-        """The entries while no driver runs. failure: why it could not be started, or nothing."""
+        """The entries while no driver runs. failure: why it could not be started, or empty."""
         self._settling = {entry: Settling() for entry in ENTRIES}
         level = Level.ERROR if failure else Level.STALE
         first = self._entry(STREAM, level, failure or "not active", {})
         return [first] + [self._entry(e, Level.STALE, "not active", {}) for e in ENTRIES[1:]]
 
     def of(
-        self, driver: Driver, latest: TactileFrame | None, tared: str | None, drivers: int
+        self, driver: Driver, latest: TactileFrame | None, tared: str, drivers: int
     ) -> list[DiagnosticStatus]:
-        """The entries of a running driver. latest: the newest frame. tared: when, if ever.
+        """The entries of a running driver.
 
-        drivers: how many publish under this node's name, itself included.
+        latest: the newest frame. tared: when, or empty. drivers: number of those that publish under
+        this node's name, itself included.
         """
         pipeline = driver.pipeline
         window = driver.vitals.take(pipeline)
@@ -65,7 +66,7 @@ class SkinReport:
         }
         if driver.problem:
             return self._without_frames(driver.problem, values)
-        # Counts rise when frames begin to come, and the first of them fill no whole second.
+        # The first report of a stream would complain of a second that frames fill only in part.
         started, self._receiving = not self._receiving, True
         found: dict[str, Callable[[], Iterable[Finding]]] = {
             STREAM: lambda: () if started else checkup.stream(pipeline, window, latest),
@@ -83,7 +84,7 @@ class SkinReport:
         return entries
 
     def _without_frames(self, problem: str, values: Mapping[str, Values]) -> list[DiagnosticStatus]:
-        """The entries where the stream has a problem: of the others there is no news."""
+        """The entries while the stream has a problem, which leaves nodes and link unknown."""
         self._receiving = False
         self._settling = {entry: Settling() for entry in ENTRIES}
         level = Level.WARN if problem == WAITING else Level.ERROR
@@ -173,5 +174,5 @@ def _host_values(window: Window) -> Values:
 
 
 def _number(value: float, digits: int) -> str:
-    """Nothing where nothing is known."""
+    """A number as text; NaN, an unknown one, is empty."""
     return "" if math.isnan(value) else f"{value:.{digits}f}"

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The table of parameters as those of a ROS node: declared, described, refused with reasons."""
+"""Declares the table of parameters at a ROS node, describes them, and refuses wrong values."""
 
 from __future__ import annotations
 
@@ -31,23 +31,22 @@ from ...config.parameters import (
 from ..common.qos import QOS_OVERRIDES, offered
 
 AT_START = {"autostart"}
-"""What is asked only once."""
+"""Parameters that are read only once."""
 _RESTART = " (correct it and start the node again)"
 Change = Callable[[Values, set[str]], None]
-"""Takes all values, and the names of those that are new; raises TactileError to refuse them."""
+"""Called with all values and the names of new ones; raises TactileError to refuse them."""
 
 
 class NodeParameters:
-    """A node's parameters. It was made with automatically_declare_parameters_from_overrides.
+    """The parameters of a node that was made with automatically_declare_parameters_from_overrides.
 
-    values: what those of the table are at present; the same mapping all along, as quick to read
-        as a dict.
+    values: the present values of the table's parameters; always the same dict.
     faults: by name, what keeps the node from being configured.
-    fixed: whether only live ones may change.
+    fixed: whether only live parameters may change.
     """
 
     def __init__(self, node: Node, change: Change) -> None:
-        """Change is called before values change, with several new ones at once or not at all."""
+        """change: called before values change, for all that are set at once."""
         self._node, self._change = node, change
         self.faults: dict[str, str] = {}
         self.fixed = False
@@ -62,13 +61,13 @@ class NodeParameters:
         node.add_on_set_parameters_callback(self._on_set)
 
     def offered(self, profile: QoSProfile, topic: str) -> QoSProfile:
-        """How a topic is published: as in profile, unless qos_overrides say otherwise."""
+        """The QoS of a topic's publisher: the profile, with its qos_overrides."""
         return offered(
             profile, self._node.resolve_topic_name(topic), lambda p: self._declare(p, True)
         )
 
     def check_all_taken(self) -> None:
-        """Once all publishers are made: warn of qos_overrides that are nobody's."""
+        """Warn of qos_overrides without a publisher; call it when all publishers exist."""
         for name in self._given:
             if name.startswith(QOS_OVERRIDES) and not self._node.describe_parameter(name).read_only:
                 self._node.get_logger().warning(
@@ -76,9 +75,9 @@ class NodeParameters:
                 )
 
     def checked(self, changes: Sequence[RosParameter]) -> list[RosParameter]:
-        """Changes in the types of the table: 50 will do for 50.0.
+        """Changes converted to the types of the table: 50 is taken as 50.0.
 
-        Raises ParameterError, with a reason where rclpy gives none or an empty one.
+        Raises ParameterError with a reason for what rclpy refuses without one.
         """
         result = []
         for change in changes:
@@ -96,7 +95,7 @@ class NodeParameters:
         return result
 
     def _declare(self, parameter: Parameter, read_only: bool) -> Value:
-        """Of a wrong override the fault is kept, and the default taken."""
+        """Declare a parameter; a wrong override becomes a fault, and the default applies."""
         name, value = parameter.name, parameter.default
         if name in self._given:
             self._node.undeclare_parameter(name)
@@ -113,7 +112,7 @@ class NodeParameters:
         self._node.get_logger().error(f"not starting: {text}")
 
     def _on_set(self, changes: list[RosParameter]) -> SetParametersResult:
-        """Refuse what cannot work, saying why; let live parameters take effect at once."""
+        """Let new values take effect, or refuse them with the reason."""
         given = {change.name: change.value for change in changes if change.name in BY_NAME}
         before = dict(self.faults)
         try:
@@ -131,7 +130,7 @@ class NodeParameters:
         return SetParametersResult(successful=True)
 
     def _check_fixed(self, new: Values) -> None:
-        """Raises ParameterError for what takes a new configuration."""
+        """Raises ParameterError for changes that require the node to be configured again."""
         fixed = [n for n, v in new.items() if not BY_NAME[n].live and v != self.values[n]]
         if fixed:
             raise ParameterError(

@@ -1,3 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Programs that subscribe to show what a skin feels: terminal and Rerun."""
+"""Programs that subscribe to a skin and show it: in a terminal, in Rerun."""

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What /diagnostics says of drivers, for those who show it."""
+"""Keeps a node's entries of /diagnostics, for programs that show them."""
 
 from __future__ import annotations
 
@@ -14,23 +14,24 @@ LEVELS = {
     DiagnosticStatus.WARN: "WARN",
     DiagnosticStatus.ERROR: "ERROR",
 }
-"""From good to bad."""
+"""In the order of their severity."""
 _BADNESS = list(LEVELS)
 MOST_ENTRIES = 32
-"""Of one node, which has a handful: anybody may publish under its name."""
+"""Entries kept of a node, which has a handful: anybody may publish under its name. Chosen."""
 
 
 class Complaints:
-    """The newest of every entry of one node. node: its name without the leading slash."""
+    """The newest version of every entry of one node."""
 
     def __init__(self, node: str) -> None:
+        """node: its name without the leading slash."""
         self._prefix = f"{node}:"
         self._entries: dict[str, DiagnosticStatus] = {}
 
     def take(self, message: DiagnosticArray) -> list[DiagnosticStatus]:
-        """Take the node's entries out of a message; returns those whose level or text changed.
+        """Take the node's entries from a message; returns those whose level or text changed.
 
-        Such as no driver of ours makes, of other levels or too many, are left out.
+        Entries that no driver makes are ignored: of unknown levels, or too many.
         """
         changed = []
         for status in message.status:
@@ -46,6 +47,6 @@ class Complaints:
         return changed
 
     def worst_first(self) -> list[DiagnosticStatus]:
-        """The entries that are not OK."""
+        """The entries that are not OK, the worst first."""
         bad = [status for status in self._entries.values() if status.level != DiagnosticStatus.OK]
         return sorted(bad, key=lambda status: -_BADNESS.index(status.level))

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Keys pressed in a terminal, without waiting for them or for Enter."""
+"""Reads keys from a terminal without waiting for them or for Enter."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from types import TracebackType
 
 
 class Keys:
-    """While in its context, stdin, a terminal, gives keys at once and does not echo them."""
+    """Within its context stdin, a terminal, delivers keys at once and does not echo them."""
 
     def __enter__(self) -> Keys:
         self._stdin = sys.stdin.fileno()
@@ -30,7 +30,7 @@ class Keys:
         termios.tcsetattr(self._stdin, termios.TCSADRAIN, self._before)
 
     def read(self) -> str:
-        """What was pressed since the last call."""
+        """The keys pressed since the last call."""
         if not select.select([self._stdin], [], [], 0)[0]:
             return ""
         return os.read(self._stdin, 64).decode("ascii", errors="ignore")

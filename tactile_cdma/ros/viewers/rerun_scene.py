@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A patch in the Rerun viewer: its surface, picture, contacts, curves and complaints.
+"""Logs a patch to the Rerun viewer: surface, picture, contacts, curves and complaints.
 
-Everything has the time of its header, on the timeline `stamp`, and if it comes from the digitizer
-that on `device_time`. Curves keep every frame; surface, picture and arrows are those of the newest
-frame at each flush().
+Everything is logged at the stamp of its message, on the timeline `stamp`, and frames at the time of
+their digitizer, too, on `device_time`. Curves have every frame; surface, picture and arrows the
+newest frame at each flush().
 """
 
 from __future__ import annotations
@@ -24,15 +24,16 @@ from ...views.heatmap import colours, heatmap
 
 STAMP, DEVICE_TIME = "stamp", "device_time"
 SHOWN_S = 20.0
-"""What curves show of the past."""
+"""Time that curves show, s; chosen."""
 HALF_LENGTH_N = 5.0
-"""An arrow of this force is half as long as the longest, which is half as long as the skin."""
+"""An arrow for this force is half as long as the longest, which is half as long as the skin.
+Chosen: a firm press."""
 PIXELS = 16
-"""Of a pitch in the picture, at most."""
+"""Pixels per pitch in the picture, at most; chosen."""
 EYE = (0.55, -1.05, 0.85)
-"""Where skins are looked at from, in their extent from their middle."""
+"""Position of the eye relative to the middle of the skins, in units of their extent; chosen."""
 BACKGROUND_RGB = (44, 50, 58)
-"""Lighter than a skin that nothing touches."""
+"""Chosen lighter than an untouched skin."""
 PATCH_RGB = (
     (80, 200, 255),
     (130, 220, 120),
@@ -43,11 +44,11 @@ PATCH_RGB = (
     (200, 200, 90),
     (160, 160, 160),
 )
-"""Of curves and arrows, patch after patch; none of them is on the scale of pressure."""
+"""Colours of curves and arrows, patch after patch; chosen off the scale of pressure."""
 
 
 class PatchScene:
-    """Logs one patch under its name. index: counts patches; tells them apart by colour."""
+    """Logs one patch under its path. index: number of the patch, which gives its colour."""
 
     def __init__(self, recording: rr.RecordingStream, path: str, index: int, max_pa: float) -> None:
         self.path = path
@@ -55,21 +56,21 @@ class PatchScene:
         self._recording = recording
         self._max_pa = max_pa
         self.pose = Pose(np.eye(3), np.zeros(3))
-        """Of the patch in the frame it is shown in."""
+        """The patch's pose in the frame it is shown in."""
         self._shown_place: NDArray[np.float64] | None = None
         self._layout: Layout | None = None
         self._pressure_pa: NDArray[np.float32] | None = None
         self._contacts: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
         self._now = (0, 0)
         self._curves: dict[str, list[tuple[int, int, float]]] = defaultdict(list)
-        self._slots: dict[int, int] = {}  # of the contacts that there are, by id
+        self._slots: dict[int, int] = {}  # numbers of the present contacts' curves, by id
 
     def place(self, layout: Layout) -> None:
-        """Geometry, from now on."""
+        """Set the geometry for the frames that follow."""
         self._layout, self._pressure_pa = layout, None
         self._extent_m = float(np.ptp(layout.positions_m, axis=0).max()) + layout.pitch_m
         corners_m = taxel_squares(layout)[layout.nodes > 0].reshape(-1, 3)
-        # Without normals it is not shaded, so that colours are those of the scale.
+        # Without normals there is no shading, which would change the colours of the scale.
         surface = rr.Mesh3D(
             vertex_positions=corners_m,
             triangle_indices=np.arange(len(corners_m)).reshape(-1, 3),
@@ -80,7 +81,7 @@ class PatchScene:
 
     @property
     def places_m(self) -> NDArray[np.float64]:
-        """(t, 3) places of its taxels in the frame it is shown in."""
+        """(t, 3) positions of its taxels in the frame it is shown in, m."""
         assert self._layout is not None
         return self.pose.apply(self._layout.positions_m.astype(np.float64))
 
@@ -93,7 +94,7 @@ class PatchScene:
         return height, width
 
     def take_frame(self, stamp_ns: int, device_us: int, pressure_pa: NDArray[np.float32]) -> None:
-        """A frame's pressures, (t,) float32, Pa, if it is of the layout that is in force."""
+        """Take a frame's pressures, (t,) float32, Pa; ignored if they do not fit the layout."""
         if self._layout is None or len(pressure_pa) != len(self._layout):
             return
         self._now = (stamp_ns, device_us)
@@ -108,10 +109,10 @@ class PatchScene:
         position_m: NDArray[np.float64],
         force_n: NDArray[np.float64],
     ) -> None:
-        """A frame's contacts, c of them; position_m and force_n: (c, 3).
+        """Take a frame's contacts. position_m, force_n: (c, 3).
 
-        Curves of contacts are numbered by the least number that is free, so there are no more of
-        them than there were contacts at once.
+        A contact's curve has the least free number, so there are no more curves than contacts at
+        once.
         """
         if self._layout is None:
             return
@@ -134,13 +135,13 @@ class PatchScene:
         self._contacts = (position_m, force_n)
 
     def complain(self, stamp_ns: int, level: str, text: str) -> None:
-        """What the driver says of itself. level: as of rr.TextLogLevel."""
+        """Log an entry of the driver's diagnostics. level: as in rr.TextLogLevel."""
         self._recording.reset_time()
         self._recording.set_time(STAMP, timestamp=np.datetime64(stamp_ns, "ns"))
         self._recording.log(f"{self.path}/diagnostics", rr.TextLog(text, level=level))
 
     def flush(self) -> None:
-        """Log what has come since the last time."""
+        """Log what came since the last call."""
         for name, values in self._curves.items():
             self._log_curve(f"{self.path}/{name}", values)
         self._curves.clear()
@@ -169,7 +170,7 @@ class PatchScene:
         extent_m = self._extent_m
         vectors_m = force_n * (extent_m / 2 / (size_n + HALF_LENGTH_N))[:, None]
         return rr.Arrows3D(
-            origins=position_m - vectors_m,  # what touches the skin comes from outside
+            origins=position_m - vectors_m,  # outside the skin: forces point into it
             vectors=vectors_m,
             radii=extent_m / 80,
             colors=self._rgb,
@@ -191,7 +192,7 @@ class PatchScene:
 
 
 def blueprint(scenes: Mapping[PatchScene, str]) -> rrb.Blueprint:
-    """How patches are shown that have been placed. scenes: of each the frame it is shown in."""
+    """The viewer's arrangement. scenes: placed patches, each with the frame it is shown in."""
     frames = list(dict.fromkeys(scenes.values()))
     spaces = [_space(frame, [s for s in scenes if scenes[s] == frame]) for frame in frames]
     past = rrb.VisibleTimeRange(
@@ -226,7 +227,7 @@ def blueprint(scenes: Mapping[PatchScene, str]) -> rrb.Blueprint:
 
 
 def _space(frame: str, scenes: Sequence[PatchScene]) -> rrb.Spatial3DView:
-    """All patches whose places are known in a frame, seen as a whole."""
+    """The view of all patches in a frame."""
     places_m = np.concatenate([scene.places_m for scene in scenes])
     low, high = places_m.min(axis=0), places_m.max(axis=0)
     centre_m, extent_m = (low + high) / 2, float((high - low).max())
@@ -242,7 +243,7 @@ def _space(frame: str, scenes: Sequence[PatchScene]) -> rrb.Spatial3DView:
 
 
 def _picture(scene: PatchScene) -> rrb.Spatial2DView:
-    """A patch's picture, all of it."""
+    """The view of a patch's whole picture."""
     height, width = scene.picture_px
     return rrb.Spatial2DView(
         origin=f"/{scene.path}/heatmap",

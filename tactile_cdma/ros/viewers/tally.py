@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Counts messages as they arrive: rate, losses, age."""
+"""Statistics of messages as they arrive: rate, losses, age."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from collections import deque
 import numpy as np
 
 RATE_SPAN_S = 3.0
+"""Time over which the present rate is taken, s; chosen: steady to read, quick to follow."""
 
 
 class Tally:
-    """Counts what arrived. Latency is a message's age: from the middle of its frame to here.
+    """Counts messages. Latency is a message's age on arrival, from the middle of its frame on.
 
-    published: frames that the driver counted between the first and the last one received; where it
-        was started again, over all its runs.
-    lost: those of them that did not arrive.
+    published: frames that the driver counted from the first to the last one received, over all its
+        runs if it was restarted.
     """
 
     def __init__(self) -> None:
@@ -29,7 +29,7 @@ class Tally:
         self._first_age_s = self._least_age_s = 0.0
 
     def add(self, info_id: int, sequence: int, age_s: float, now_s: float) -> None:
-        """One message arrived."""
+        """Count a message."""
         continues = self._run is not None and self._run[0] == info_id and sequence > self._run[1]
         self.published += sequence - self._run[1] if continues and self._run else 1
         self._run = (info_id, sequence)
@@ -42,18 +42,18 @@ class Tally:
 
     @property
     def lost(self) -> int:
-        """Frames that did not arrive."""
+        """Published frames that did not arrive."""
         return self.published - self.received
 
     def end(self, now_s: float) -> None:
-        """Nothing more is counted."""
+        """End the time that mean_rate_hz is taken over."""
         self._end_s = now_s
 
     @property
     def mean_rate_hz(self) -> float:
         """Messages per second from the first one to the end.
 
-        The first one often takes longer than the others: it counts from when it could have come.
+        The first often takes longer than the others: time counts from when it could have arrived.
         """
         span_s = self._end_s - self._begin_s + self._first_age_s - self._least_age_s
         return (self.received - 1) / span_s if self.received > 1 else 0.0
@@ -65,13 +65,13 @@ class Tally:
         return (len(recent) - 1) / span if span > 0 else 0.0
 
     def percentile_ms(self, percent: float, last: int | None = None) -> float:
-        """A percentile of the latency, over all or the last few messages."""
+        """A percentile of the latency, ms, over all or the last few messages."""
         values = list(self.latency_ms)[-last:] if last else self.latency_ms
         return float(np.percentile(values, percent)) if values else float("nan")
 
 
 def summary(tally: Tally) -> str:
-    """A viewer's last line: key=value pairs."""
+    """A viewer's last line, `key=value` pairs."""
     return (
         f"published={tally.published} received={tally.received} lost={tally.lost} "
         f"rate_hz={tally.mean_rate_hz:.2f} p50_ms={tally.percentile_ms(50):.2f} "

@@ -12,9 +12,9 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from scope import scope_capture
 
 from tactile_cdma.commands.cli import main
-from tactile_cdma.sim.channel import scope_capture
 
 ROOT = Path(__file__).resolve().parents[3]
 COMMAND = [sys.executable, "-m", "tactile_cdma"]

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Body files: what they come to, and what is refused with its line."""
+"""Body files: what they contain, and errors with their line."""
 
 from __future__ import annotations
 
@@ -53,13 +53,13 @@ def test_a_patch_takes_what_its_file_and_its_parameters_say(tmp_path: Path) -> N
         "skin": "7",
         "parity": True,
         "mount_xyz_m": (1.0, 2.5, -3.0),
-        "parent_frame": "torso",  # it is mounted, and no other frame was named
+        "parent_frame": "torso",  # it has a mount, and no parent_frame was given
     }
     assert type(palm.parameters["frame_period_ms"]) is float
     assert (back.params_file, back.parameters) == (None, {"frame_id": "back"})
 
 
-def test_files_begin_in_the_folder_of_the_body_file(tmp_path: Path) -> None:
+def test_paths_are_relative_to_the_folder_of_the_body_file(tmp_path: Path) -> None:
     (patch,) = read(
         tmp_path,
         "patches: {a: {parameters: {layout_file: x/y.yaml, calibration_file: /c.yaml, "
@@ -70,7 +70,7 @@ def test_files_begin_in_the_folder_of_the_body_file(tmp_path: Path) -> None:
     assert patch.parameters["state_folder"] == ""
 
 
-def test_some_of_the_patches(tmp_path: Path) -> None:
+def test_patches_can_be_selected_by_name(tmp_path: Path) -> None:
     body = read(tmp_path, "patches: {a: {}, b: {}, c: {}}")
     assert [patch.name for patch in body.only("c, a")] == ["a", "c"]
     assert body.only("") == body.patches

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The parameter table, parameter files and the configuration made of them."""
+"""The parameter table, parameter files and the configuration made from them."""
 
 import os
 import subprocess
@@ -100,7 +100,7 @@ def test_a_refusal_is_short_however_much_was_sent(name: str) -> None:
         assert "array(" not in str(refusal.value)
 
 
-def test_integers_are_taken_where_numbers_are_asked_for() -> None:
+def test_integers_are_accepted_as_numbers() -> None:
     assert check_values({"chip_us": 50}) == {"chip_us": 50.0}
     for given in ([1, 2.5, 3], (1.0, 2.5, 3.0), array("d", [1, 2.5, 3])):
         assert check_values({"mount_xyz_m": given}) == {"mount_xyz_m": (1.0, 2.5, 3.0)}

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from boards import board, board_id, chattering, plugged
 
+from tactile_cdma.base import shipped
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.doctor import installation
@@ -159,7 +160,7 @@ def test_versions_outside_of_their_ranges(tmp_path: Path, monkeypatch: pytest.Mo
     assert {check.verdict for check in installation.packages()} == {Verdict.OK}
     (tmp_path / "package.xml").touch()
     (tmp_path / "requirements.txt").write_text("numpy>=99\nno-such-package>=1\n???\n")
-    monkeypatch.setattr(installation, "CHECKOUT", tmp_path)
+    monkeypatch.setattr(shipped, "CHECKOUT", tmp_path)
     old, missing, wrong = installation.packages()
     assert (old.verdict, missing.verdict, wrong.verdict) == (
         Verdict.WARNING,
@@ -182,7 +183,7 @@ def test_udev_rule_and_modem_manager(tmp_path: Path) -> None:
     rules = tmp_path / "etc" / "udev" / "rules.d"
     rules.mkdir(parents=True)
     rule = rules / installation.RULES
-    rule.write_bytes((installation.CHECKOUT / "config" / installation.RULES).read_bytes())
+    rule.write_bytes((shipped.CHECKOUT / "config" / installation.RULES).read_bytes())
     assert [f.verdict for f in installation.udev_rule(tmp_path)] == [Verdict.OK]
     assert list(installation.modem_manager(tmp_path)) == []
     rule.write_text("# of last year\n")

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A synthetic line for the tests of timing: frames at known places, and what comes back."""
+"""A synthetic line for tests of timing: frames at known times, and checks of what is decoded."""
 
 from __future__ import annotations
 

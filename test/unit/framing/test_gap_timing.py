@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Blind timing against a synthetic line: right words, right times, nothing false."""
+"""Gap timing on a synthetic line: right words, right times, nothing invented."""
 
 from __future__ import annotations
 
@@ -202,7 +202,7 @@ def test_a_hole_costs_one_frame() -> None:
 
 
 @pytest.mark.parametrize(("rho", "told"), [(1.0, False), (4.0, True)])
-def test_noise_that_hides_words_is_no_silence(rho: float, told: bool) -> None:
+def test_a_slot_in_noise_that_hides_words_is_not_called_silent(rho: float, told: bool) -> None:
     noise_v = 0.3 * math.sqrt(DEFAULT.order * 4) / rho
     volts = np.random.default_rng(6).normal(0, noise_v, 20 * 1024).astype(np.float32)
     timing = GapTiming(replace(DEFAULT, amplitude_v=0.3), 4 / DEFAULT.chip_s)
@@ -249,7 +249,7 @@ def test_garbage_gives_no_words(kind: str, spec: FrameSpec) -> None:
     assert all(frame.levels is None for frame in frames)
 
 
-def test_frames_aftergarbage() -> None:
+def test_frames_after_garbage() -> None:
     wire = Wire(PAPER, 8.13, seed=14)
     wire.send_random(10)
     volts = np.concatenate((garbage("telegraph"), garbage("nan"), wire.volts(offset_v=2.0)))

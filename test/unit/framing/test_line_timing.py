@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Line timing does only what a frame needs, and it makes no difference to the words."""
+"""Line timing on simulated lines: its shortcuts change no word, and disturbances cost little."""
 
 from dataclasses import replace
 from itertools import islice
@@ -53,7 +53,7 @@ def run(timing: LineTiming, given: list[SampleBlock]) -> list[FrameLevels]:
 
 
 def ungated(rate_hz: float) -> LineTiming:
-    """Takes every frame for a loud one until its chips were looked at."""
+    """Line timing without the energy gate."""
     timing = LineTiming(SPEC, rate_hz)
     sample_power = timing.line.sample_power
 
@@ -94,7 +94,7 @@ def test_the_energy_gate_changes_nothing(scene: str, rate: int, noise: float, se
 def test_timing_carried_over_is_as_good_as_timing_refined(
     noise: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """… and saves nearly every refinement."""
+    """Words are as accurate, and nearly every refinement is saved."""
     calls = []
 
     def counted(line: Line, *args: object, **options: object) -> object:
@@ -311,7 +311,7 @@ def test_nodes_on_one_row_cost_no_frame(
 @pytest.mark.parametrize("number", [0, 1])
 @pytest.mark.parametrize("what", ["another code", "noise", "too long", "cut"])
 def test_what_is_no_frame_is_rejected(what: str, number: int) -> None:
-    """A row with two nodes on it is no excuse for the others."""
+    """Also where two nodes share a row, which makes these words uneven anyway."""
     given, _ = shared_row_blocks(16, number, "any", frames=12)
     timing, rng = LineTiming(SPEC, 4 / SPEC.chip_s), np.random.default_rng(1)
     for block in given:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Frames that the digitizer marks, against a synthetic line: right words and times or rejected."""
+"""Line timing on a synthetic line: right words and times, or the frame is rejected."""
 
 from __future__ import annotations
 
@@ -155,7 +155,7 @@ def test_a_mark_within_a_frame_rejects_it() -> None:
     assert [words_of(f, PAPER) for f in frames] == [s.words for s in wire.sent]
 
 
-def test_marked_silence_andgarbage() -> None:
+def test_marked_silence_and_garbage() -> None:
     rng = np.random.default_rng(24)
     starts = list(range(100, 18_000, 2048))
     quiet = rng.normal(0, 0.01, 20_000).astype(np.float32)

@@ -55,7 +55,7 @@ def pairs(layout: Layout) -> set[tuple[int, int]]:
 
 
 def all_close_pairs(layout: Layout) -> set[tuple[int, int]]:
-    """The same, by measuring every distance."""
+    """The same by brute force."""
     places = layout.positions_m.astype(float)
     near = np.linalg.norm(places[:, None] - places, axis=2) <= NEIGHBOUR_PITCHES * layout.pitch_m
     near &= layout.normals @ layout.normals.T > -1e-3
@@ -99,7 +99,7 @@ def test_areas_add_up_to_that_of_the_surface() -> None:
     flat_m2 = 40 * PITCH_M**2
     assert SURFACES["plane"].areas_m2.sum() == pytest.approx(flat_m2)
     assert SURFACES["cylinder"].areas_m2.sum() == pytest.approx(flat_m2)
-    # Over all directions, the cap of the sphere that reaches to the edge of the rectangle.
+    # Integral over all directions of the spherical cap up to the rectangle's edge.
     radius_m, half = 25e-3, np.array([8, 5]) * PITCH_M / 2
     turn = (np.arange(200_000) + 0.5) * 2 * np.pi / 200_000
     edge = np.min(half / np.abs(np.stack([np.cos(turn), np.sin(turn)], axis=1)), axis=1)
@@ -116,7 +116,7 @@ def test_a_large_radius_is_flat(bend) -> None:
     assert np.allclose(bent.areas_m2, flat.areas_m2, rtol=1e-6)
 
 
-def test_what_does_not_go_round_is_refused() -> None:
+def test_too_many_columns_or_too_small_a_radius_are_refused() -> None:
     with pytest.raises(SpecError, match=r"12 columns of 7 mm take 84 mm.*62\.8 mm round"):
         cylinder(2, 12, PITCH_M, 10e-3)
     with pytest.raises(SpecError, match="hemisphere"):
@@ -150,13 +150,15 @@ def test_places_without_a_node_are_nobodys_neighbours() -> None:
     assert pairs(holed) == {(a, b) for a, b in pairs(layout) if 9 not in (a, b)}
 
 
-def test_a_lonely_taxel_has_none() -> None:
+def test_a_single_taxel_has_no_neighbours() -> None:
     assert irregular(np.zeros((1, 2))).neighbours.tolist() == [[0]]
 
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 80), st.floats(0.5, 12))
-def test_neighbours_are_exactly_who_is_near_enough(seed: int, count: int, spread: float) -> None:
+def test_neighbours_are_exactly_the_taxels_within_reach(
+    seed: int, count: int, spread: float
+) -> None:
     rng = np.random.default_rng(seed)
     places = rng.uniform(-spread, spread, (count, 3)) * PITCH_M
     normals = rng.normal(size=(count, 3))
@@ -182,7 +184,7 @@ def test_the_usual_distance_is_the_median_of_the_nearest(seed: int, count: int) 
     assert usual_distance_m(places, upwards) == pytest.approx(nearest[(count - 1) // 2])
 
 
-def test_heaps_of_places_are_refused_instead_of_compared() -> None:
+def test_piled_up_positions_are_refused_instead_of_compared() -> None:
     with pytest.raises(SpecError, match="on top of each other"):
         beside(np.zeros((3000, 3)), np.tile([0.0, 0.0, 1.0], (3000, 1)), 1e-3)
 
@@ -199,7 +201,7 @@ def test_a_list_that_is_a_grid_is_drawn_as_that_grid() -> None:
 
 @pytest.mark.parametrize("name", [*SURFACES, "list"])
 def test_pictures_show_the_skin_as_it_looks_from_outside(name: str) -> None:
-    """With its normals towards the eye x goes right and y up: no mirror image."""
+    """With normals towards the viewer x is to the right and y up: no mirror image."""
     layout = irregular(SURFACES["plane"].flat_m) if name == "list" else on(SURFACES[name])
     right, up = layout.positions_m[:, 0].argmax(), layout.positions_m[:, 1].argmax()
     assert np.argwhere(layout.raster == right)[:, 1].max() == layout.raster.shape[1] - 1
@@ -225,7 +227,7 @@ def test_every_cell_of_a_raster_shows_the_nearest_taxel(
     assert (distance.min(axis=2)[~shown] > 0.7 * PITCH_M).all()
 
 
-def test_rasters_of_scattered_skins_are_bounded_and_show_everybody() -> None:
+def test_rasters_of_scattered_skins_are_bounded_and_show_every_taxel() -> None:
     far = irregular(np.array([[0, 0], [1, 0], [3000, 4000]]) * PITCH_M)
     assert far.raster.size <= MAX_CELLS
     assert far.raster.max() == 2

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Layout files: what they become, on the way from a node to its taxel, and what is refused."""
+"""Layout files: the layouts they give, nodes and their taxels, and what is refused."""
 
 import re
 from pathlib import Path
@@ -69,7 +69,7 @@ def test_a_list_stands_where_it_says(tmp_path: Path) -> None:
 
 
 def test_a_list_is_drawn_as_seen_from_outside(tmp_path: Path) -> None:
-    """Along the normals x is to the right, y is up."""
+    """Seen against the normals x is to the right and y is up."""
     side = taxels(  # a wall in the plane x = 0 whose outside is at x > 0
         "position_mm: [0, 0, 0], normal: [1, 0, 0], node: 1",
         "position_mm: [0, 7, 0], normal: [1, 0, 0], node: 2",
@@ -139,7 +139,7 @@ def test_the_simulator_presses_on_the_unrolled_skin(tmp_path: Path) -> None:
             SimOptions.from_url(f"sim://?{query}&layout={tmp_path / 'skin.yaml'}")
 
 
-def test_the_simulator_has_its_middle_in_that_of_the_skin(tmp_path: Path) -> None:
+def test_the_simulator_is_centred_on_the_skin(tmp_path: Path) -> None:
     path = written(
         tmp_path,
         LIST + taxels(*(f"position_mm: [{100 + 7 * n}, 50, 0], node: {4 - n}" for n in range(4))),
@@ -308,8 +308,8 @@ VALUES = ["", "~", "0", "-1", "1e9", "0.001", "nan", "[]", "[[0]]", "{}", "'1'",
 
 @settings(max_examples=300, deadline=None)
 @given(st.sampled_from(TEXTS), st.data())
-def test_whatever_stands_in_a_file_it_is_taken_or_refused(text: str, data: st.DataObject) -> None:
-    """Values, lines and characters in wrong places: never another error, never a wrong layout."""
+def test_any_file_is_read_or_refused(text: str, data: st.DataObject) -> None:
+    """Random edits of values, lines and characters give a LayoutError or a valid layout."""
     numbers = list(re.finditer(r"-?[\d.]+|\w+$", text, re.MULTILINE))
     for _ in range(data.draw(st.integers(1, 2))):
         place = data.draw(st.sampled_from(numbers))
@@ -335,7 +335,7 @@ def test_whatever_stands_in_a_file_it_is_taken_or_refused(text: str, data: st.Da
     assert len(layout.neighbours) == len(layout) == layout.rows * layout.columns
 
 
-def test_a_heap_of_taxels_is_refused(tmp_path: Path) -> None:
+def test_piled_up_taxels_are_refused(tmp_path: Path) -> None:
     heap = taxels(*(f"position_mm: [{n * 1e-5:.5f}, 0, 0], node: {n}" for n in range(1, 3000)))
     with pytest.raises(LayoutError, match="on top of each other"):
         read_layout(written(tmp_path, LIST + "pitch_mm: 7\n" + heap), Wiring())

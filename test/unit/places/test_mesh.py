@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The squares that stand for taxels lie on the skin: areas, normals, places."""
+"""Squares of taxels on the skin: areas, normals, positions."""
 
 import numpy as np
 import pytest

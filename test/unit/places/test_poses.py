@@ -24,7 +24,7 @@ poses = st.builds(Pose.of_rpy, triples, triples)
         ((math.pi / 2, 0, 0), (1, 0, 0), (0, 0, 1)),
         ((0, math.pi / 2, 0), (0, 0, -1), (0, 1, 0)),
         ((0, 0, math.pi / 2), (0, 1, 0), (-1, 0, 0)),
-        # Axes stay where the parent's are: the yaw turns what the roll has turned.
+        # Fixed axes: the yaw rotates what the roll has rotated.
         ((math.pi / 2, 0, math.pi / 2), (0, 1, 0), (0, 0, 1)),
     ],
 )

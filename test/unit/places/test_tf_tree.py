@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A tree of tf frames: poses along every way through it."""
+"""The tree of tf frames: poses along every path."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def assert_same(one: Pose, other: Pose) -> None:
 def test_every_way_through_a_tree_composes(
     steps: list[tuple[int, Pose]], data: st.DataObject
 ) -> None:
-    """Frames hang from any earlier one; the truth is each one's pose in the first."""
+    """Each frame has a random earlier parent; the reference is each frame's pose in the first."""
     tree, in_root = TfTree(), [Pose.of_rpy((0, 0, 0), (0, 0, 0))]
     for child, (parent, pose) in enumerate(steps, start=1):
         parent %= child

@@ -34,6 +34,7 @@ LOAD_SERIAL = {
     "commands.record",
     "doctor.port",
     "driver.driver",
+    "driver.rest_keeper",
     "replay.protocol_replay",
     "sim.protocol_sim",
     "skin",

@@ -97,7 +97,7 @@ def any_curve(draw: st.DrawFn) -> PressureCurve:
 def test_the_curves_of_a_skin_are_those_of_its_sensors(
     curves: list[PressureCurve], share: float
 ) -> None:
-    """Of any number of pieces, at corners and between them, but for the rounding of float32."""
+    """For any number of pieces, at corners and between them, up to the rounding of float32."""
     skin = Curves.of(curves)
     assert [skin[i] for i in range(len(curves))] == curves
     steepest = max(np.max(np.diff(c.pressure_pa) / -np.diff(c.voltage_v)) for c in curves)
@@ -117,7 +117,7 @@ def test_the_curves_of_a_skin_are_those_of_its_sensors(
 
 @pytest.mark.parametrize("bits", [10, 12, 16])
 def test_float32_is_fine_enough_for_every_converter(bits: int) -> None:
-    """Rounding makes less than a hundredth of the error of quantisation, LSB/√12, up to 5 V."""
+    """Rounding errors are below 1 % of the quantisation error, LSB/√12, up to 5 V."""
     scale, curve = AdcScale(bits, 5.0), PressureCurve.two_stage(v0_v=5.0)
     voltage_v = scale.voltage(np.arange(1 << bits))
     exact_pa = curve.pressure(voltage_v)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Calibration files: what is written is read, all else is refused with line and cause."""
+"""Calibration files: written content is read back; anything else is refused with line and cause."""
 
 import os
 import time
@@ -56,7 +56,7 @@ def refusal(path: Path, **changes: object) -> str:
 
 
 def edit(path: Path, old: str, new: str) -> int:
-    """Replace a text that is there once; returns its line."""
+    """Replace a text that occurs exactly once; returns its line."""
     text = path.read_text()
     assert text.count(old) == 1, text
     path.write_text(text.replace(old, new))
@@ -81,7 +81,7 @@ def test_dynamics_are_kept_to_the_last_bit(path: Path) -> None:
     assert content["rise_s"] == DYNAMICS.rise_s and content["weights"] == [*DYNAMICS.weights]
 
 
-def test_whole_numbers_are_numbers(path: Path) -> None:
+def test_integers_are_accepted_as_numbers(path: Path) -> None:
     curve = PressureCurve((0, 100_000), (3, 1))
     whole = replace(Calibration.of_nodes({1: curve}, DEFAULT, 1), dynamics=Dynamics(1, 1))
     write_calibration(path, whole, ADC)
@@ -106,7 +106,9 @@ def test_whole_numbers_are_numbers(path: Path) -> None:
         ("widths: [0.05, 0.3]", "widths: [0.05]", "1 widths but 2 weights"),
     ],
 )
-def test_dynamics_that_cannot_be_are_refused(path: Path, old: str, new: str, cause: str) -> None:
+def test_impossible_dynamics_are_refused_with_their_line(
+    path: Path, old: str, new: str, cause: str
+) -> None:
     write_calibration(path, replace(read(path), dynamics=DYNAMICS), ADC, "palm")
     line = edit(path, old, new)
     assert cause in (text := refusal(path))
@@ -131,7 +133,7 @@ def curves(draw: st.DrawFn) -> PressureCurve:
 
 
 @given(st.lists(curves(), min_size=1, max_size=5), st.data())
-def test_any_calibration_survives_file_and_file_again(
+def test_any_calibration_survives_writing_and_reading_twice(
     tmp_path_factory: pytest.TempPathFactory, drawn: list[PressureCurve], data: st.DataObject
 ) -> None:
     own = data.draw(st.sets(st.integers(1, len(drawn))))
@@ -149,7 +151,7 @@ def test_any_calibration_survives_file_and_file_again(
     assert np.array_equal(once.uncalibrated, calibration.uncalibrated)
 
 
-def test_identity_is_of_what_matters(path: Path) -> None:
+def test_the_identity_depends_on_what_determines_readings_only(path: Path) -> None:
     identity = read(path).identity
     whole = Calibration.of_nodes(CURVES, DEFAULT, NODES)
     assert write_calibration(path, whole, ADC, "palm", "other source") == identity
@@ -165,7 +167,7 @@ def test_identity_is_of_what_matters(path: Path) -> None:
     assert len({identity, *others}) == 7
 
 
-def test_the_skins_parameters_take_it(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_skin_configuration_reads_it(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(path.parent)
     values = {"nodes": NODES, "skin": "palm", "calibration_file": path.name}
     config = SkinConfig.of(values)
@@ -239,12 +241,12 @@ def test_what_is_wrong_is_named_with_its_line(path: Path, old: str, new: str, ca
     line = edit(path, old, new)
     with pytest.raises(CalibrationError, match=cause):
         read(path)
-    # Where something is missing, or contradicts the identity, the line is another one.
+    # If something is missing, or contradicts the identity, another line is named.
     if cause not in ("no curve for node 3; calibrate", "damaged, or edited; .* --seal"):
         assert f"{path}, line {line}: " in refusal(path)
 
 
-def test_what_is_no_calibration_file_is_refused(path: Path) -> None:
+def test_other_files_are_refused(path: Path) -> None:
     text = path.read_text()
     for content, cause in (
         ("", "empty"),
@@ -325,7 +327,7 @@ def test_writing_is_all_or_nothing(path: Path, monkeypatch: pytest.MonkeyPatch) 
         write_calibration(path / "in a file", Calibration.default(DEFAULT, NODES), ADC)
 
 
-def test_it_is_yaml_that_others_read(path: Path) -> None:
+def test_it_is_plain_yaml(path: Path) -> None:
     content = yaml.safe_load(path.read_text())
     assert content["curves"][2] == {
         "pressure": [0.0, 48000.0, 140000.0],
@@ -343,7 +345,7 @@ def test_a_large_skin_loads_in_a_moment(tmp_path: Path) -> None:
     assert time.process_time() - start < 8  # 1 s where nobody else computes; without libyaml 5 s
 
 
-def test_a_curve_of_several_is_taken_out_whole() -> None:
+def test_a_single_curve_of_a_skin_is_returned_without_padding() -> None:
     all_curves = Calibration.of_nodes(CURVES, DEFAULT, NODES).curves
     assert all_curves[3] == CURVES[4]
     assert all_curves[0] == CURVES[1]  # without the repeated corner

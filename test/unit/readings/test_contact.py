@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Contacts: their forces against integrals, their taxels against a search, their lives."""
+"""Contacts: forces against integrals, taxels against a graph search, ids over time."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def readings(pressure_pa: NDArray[np.float64], saturated: tuple[int, ...] = ()) 
 
 
 def pressed(places: dict[tuple[int, int], float]) -> Readings:
-    """Pressures, kPa, at some rows and columns of GRID."""
+    """Pressures in kPa at some (row, column) of GRID."""
     pressure_pa = np.zeros((ROWS, COLUMNS))
     for place, kpa in places.items():
         pressure_pa[place] = kpa * 1e3
@@ -70,7 +70,7 @@ def components(taxels: list[int], neighbours: NDArray[np.int32]) -> set[frozense
 
 
 @given(st.lists(st.integers(0, ROWS * COLUMNS - 1), unique=True))
-def test_taxels_that_hang_together_are_those_that_a_search_finds(touched: list[int]) -> None:
+def test_connected_taxels_are_those_that_a_graph_search_finds(touched: list[int]) -> None:
     touched.sort()
     labels = connected(np.array(touched, dtype=np.intp), GRID.neighbours.T.astype(np.intp))
     groups: dict[int, set[int]] = {}
@@ -81,7 +81,7 @@ def test_taxels_that_hang_together_are_those_that_a_search_finds(touched: list[i
 
 
 @pytest.mark.parametrize("density", [0.2, 0.41, 0.6, 1.0])
-def test_taxels_that_hang_together_on_a_large_skin(density: float) -> None:
+def test_connected_taxels_on_a_large_skin(density: float) -> None:
     layout = Layout.grid(1600, 40, 40, PITCH_M, TAXEL_M)
     touched = np.flatnonzero(np.random.default_rng(4).uniform(size=1600) < density)
     labels = connected(touched, layout.neighbours.T.astype(np.intp))
@@ -93,13 +93,13 @@ TOUCHES = st.lists(
     st.lists(st.tuples(st.integers(0, ROWS - 1), st.integers(0, COLUMNS - 1)), max_size=20),
     max_size=8,
 )
-"""Places touched, frame by frame."""
+"""Touched (row, column) frame by frame."""
 
 
 @given(TOUCHES)
 @example([[(0, 0), (0, 1)], [(0, 0), (5, 5)]])
 @settings(max_examples=60)
-def test_contacts_are_what_hangs_together_in_each_frame(
+def test_contacts_are_the_connected_taxels_of_each_frame(
     frames: list[list[tuple[int, int]]],
 ) -> None:
     twice = [frame for frame in frames for _ in range(2)]
@@ -115,7 +115,7 @@ def test_a_contact_begins_above_one_threshold_and_lasts_above_another() -> None:
     assert counts == [0, 1, 1, 0, 0, 1]
 
 
-def test_a_contact_takes_in_weaker_taxels_beside_it() -> None:
+def test_a_contact_includes_weaker_adjacent_taxels() -> None:
     [contacts] = contacts_of({(0, 0): 1.1, (1, 1): 0.6, (2, 2): 0.6, (2, 5): 0.9, (3, 2): 0.4})
     assert taxels(contacts) == [[0, 9, 18]]
     assert contacts.area_m2 == pytest.approx(3 * PITCH_M**2)
@@ -238,8 +238,8 @@ def test_force_within_2_percent_and_centre_within_5_percent_of_a_pitch(
 
 
 @pytest.mark.parametrize("peak_kpa", [8.0, 20.0, 45.0, 120.0])
-def test_also_of_taxels_that_feel_nothing_but_their_centres(peak_kpa: float) -> None:
-    """Of soft contacts. The upright edge of a Hertz contact lies between points: see the next."""
+def test_force_and_centre_for_taxels_that_sense_at_a_point(peak_kpa: float) -> None:
+    """For soft contacts. The steep edge of a Hertz contact lies between points: see the next."""
     of_force, of_centre = errors(soft, 2.5, peak_kpa, averaging=False)
     assert np.abs(of_force).max() < 0.02
     assert of_centre.max() < 0.05
@@ -251,7 +251,7 @@ def test_also_of_taxels_that_feel_nothing_but_their_centres(peak_kpa: float) -> 
 def test_nothing_is_lost_on_the_way_from_taxels_to_force(
     profile: Profile, pitches: float, averaging: bool
 ) -> None:
-    """What is missing between the taxels is the skin's; thresholds and ADC cost less than 2 %."""
+    """Gaps between taxels are a property of the skin; thresholds and ADC cost less than 2 %."""
     rng = np.random.default_rng(7)
     config = SkinConfig.of({"nodes": SIDE**2, "chip_us": 1.0})
     for _ in range(TRIALS):
@@ -271,7 +271,7 @@ AROUND, ALONG = 40, 16
 
 
 def cylinder() -> Layout:
-    """A patch of a cylinder about the axis y, its middle at the top: x = z = 0 on the axis."""
+    """A patch of a cylinder around the y axis, centred at the top: x = z = 0 on the axis."""
     step = PITCH_M / RADIUS_M
     angle = (np.arange(AROUND) - (AROUND - 1) / 2) * step
     y = (np.arange(ALONG) - (ALONG - 1) / 2) * PITCH_M
@@ -292,7 +292,7 @@ def cylinder() -> Layout:
 
 
 def test_force_and_torque_on_a_cylinder_are_the_integrals_over_its_surface() -> None:
-    """A band 60 degrees wide pressed by p = p0·cos(3θ)·cos(π·y/h): all is known in closed form."""
+    """A band 60 degrees wide under p = p0·cos(3θ)·cos(π·y/h), whose integrals have closed forms."""
     layout, peak_pa, half_m = cylinder(), 30e3, 0.045
     tracker = ContactTracker(layout, THRESHOLDS)
     for about, shift_m in [(0.0, 0.0), (0.5, 0.004), (-0.83, -0.0027)]:
@@ -308,7 +308,7 @@ def test_force_and_torque_on_a_cylinder_are_the_integrals_over_its_surface() -> 
         expected_n = -up * peak_pa * RADIUS_M * 4 * half_m / np.pi * 3 * np.sqrt(3) / 8
         size_n = np.linalg.norm(expected_n)
         assert np.linalg.norm(force_n - expected_n) < 0.02 * size_n
-        # All forces point to the axis: its torque is that of the resultant at (0, shift, 0).
+        # All forces point to the axis: the torque is that of the resultant at (0, shift, 0).
         expected_nm = np.cross([0.0, shift_m, 0.0], expected_n)
         assert np.linalg.norm(torque_nm - expected_nm) < 0.05 * PITCH_M * size_n
         assert normal @ up > 1 - 1e-4
@@ -372,7 +372,7 @@ def track(
     force_n: Callable[[float], float],
     seconds: float = 1.0,
 ) -> Track:
-    """A soft contact of 2.5 pitches through the ADC, noise of a third of a count in the sensor."""
+    """A soft contact of 2.5 pitches through the ADC, with sensor noise of a third of a count."""
     config, rng = SkinConfig.of({"nodes": SIDE**2, "chip_us": 1.0}), np.random.default_rng(3)
     tracker, radius_m, result = ContactTracker(LARGE, THRESHOLDS), 2.5 * PITCH_M, []
     for now_s in np.arange(0.0, seconds, PERIOD_S).tolist():
@@ -394,7 +394,7 @@ def test_the_velocity_is_that_of_a_sliding_contact() -> None:
 
 
 @pytest.mark.parametrize("speed_mm_s", [5.0, 20.0])
-def test_a_slide_is_told_from_a_changing_grip_within_a_tenth_of_a_second(speed_mm_s: float) -> None:
+def test_a_slide_is_distinguished_from_a_changing_grip_within_100_ms(speed_mm_s: float) -> None:
     def speeds(history: Track) -> list[float]:
         return [float(np.linalg.norm(c.velocity_m_s[0])) for t, c in history if t > 0.25]
 
@@ -436,12 +436,12 @@ def test_velocities_on_a_curved_skin_are_along_it() -> None:
         contacts = tracker.update(readings(30e3 * soft(away / 0.02)), frame * PERIOD_S)
     [velocity], [normal] = contacts.velocity_m_s, contacts.normals
     assert abs(velocity @ normal) < 1e-12
-    # The centre of a curved contact lies a little below the surface, and moves that much less.
+    # The centre of a curved contact lies slightly below the surface and moves that much less.
     inside = np.linalg.norm(contacts.position_m[0, [0, 2]]) / RADIUS_M
     assert np.linalg.norm(velocity) == pytest.approx(inside * 4e-4 / PERIOD_S, rel=0.02)
 
 
-def test_frames_that_share_their_readings_are_like_frames_that_repeat_them() -> None:
+def test_frames_that_share_readings_give_the_same_as_frames_that_repeat_them() -> None:
     start, then = {(2, 2): 5.0}, {(2, 2): 4.0, (2, 3): 4.0}
     sharing, repeating = (ContactTracker(GRID, THRESHOLDS) for _ in range(2))
     shared = pressed(then)

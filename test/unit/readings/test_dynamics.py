@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Lag and hysteresis, and what undoes them: exact where it can be, bounded where it cannot."""
+"""Lag, hysteresis and their compensation: exact where possible, bounded elsewhere."""
 
 import math
 from dataclasses import replace
@@ -61,7 +61,9 @@ def test_rising_loads_read_what_the_curve_says_and_falling_ones_no_less(
 
 
 @given(any_dynamics(), paths_pa)
-def test_hysteresis_knows_turns_but_no_time(dynamics: Dynamics, path_pa: np.ndarray) -> None:
+def test_hysteresis_depends_on_turns_but_not_on_time(
+    dynamics: Dynamics, path_pa: np.ndarray
+) -> None:
     """Frames that repeat a pressure, or split a move in two, change nothing."""
     middles_pa = path_pa.copy()
     middles_pa[1:] = (path_pa[1:] + path_pa[:-1]) / 2
@@ -73,14 +75,14 @@ def test_hysteresis_knows_turns_but_no_time(dynamics: Dynamics, path_pa: np.ndar
 
 
 def test_loops_open_with_the_load() -> None:
-    """The gap after a full turn is (P + scale)·(e^Σw·width − 1): in proportion to the load."""
+    """The gap after a full turn is (P + scale)·(e^Σw·width − 1), proportional to the load."""
     hysteresis = Hysteresis.of(PAPER_DYNAMICS, 3)
     loads_pa = np.array([20e3, 40e3, 60e3])
     hysteresis.update(3 * loads_pa)
     opened = math.exp(np.dot(PAPER_DYNAMICS.widths, PAPER_DYNAMICS.weights)) - 1
     gap_pa = hysteresis.update(loads_pa) - loads_pa
     np.testing.assert_allclose(gap_pa, (loads_pa + PAPER_DYNAMICS.scale_pa) * opened, rtol=1e-9)
-    # What stays at zero is no more than the smallest digit of a 10-bit converter, 98 Pa, or two.
+    # The remainder at zero is at most about two counts of a 10-bit ADC, 98 Pa each.
     assert np.all(hysteresis.update(np.zeros(3)) < 200)
 
 
@@ -149,7 +151,7 @@ def distorted(dynamics: Dynamics, path_pa: np.ndarray, step_s: float) -> np.ndar
 
 @pytest.mark.parametrize("step_s", [0.0128, 0.02, 0.05])
 def test_a_rising_pressure_comes_back_through_the_filter_alone(step_s: float) -> None:
-    """Lag and lead together are a filter of rise_s/most_gain, to the last digit of float32."""
+    """Lag and lead together are a filter with rise_s/most_gain, to the precision of float32."""
     t_s = np.arange(0, 2, step_s)
     path_pa = 100e3 * (1 - np.exp(-t_s / 0.3))[:, None] + [5e3, 10e3, 20e3]
     path_pa[0] = 0
@@ -188,7 +190,7 @@ def test_steps_are_known_sooner_each_time() -> None:
 def test_whatever_comes_in_the_result_stays_in_the_range(
     dynamics: Dynamics, measured_pa: np.ndarray, valid: np.ndarray, t_s: list[float]
 ) -> None:
-    """Any pressures, NaN and infinite too, lost readings, any times."""
+    """For any pressures, NaN and infinite ones included, lost readings, and any times."""
     compensator = Compensator(dynamics, EVERYWHERE)
     for row, known, time in zip(measured_pa, valid, t_s, strict=True):
         found = compensator.update(row, known, time)
@@ -200,7 +202,7 @@ def test_whatever_comes_in_the_result_stays_in_the_range(
 @pytest.mark.parametrize("step_s", [1e-4, 0.0128, 0.1])
 @pytest.mark.parametrize("most_gain", [1.0, 4.0, 20.0])
 def test_noise_grows_no_more_than_promised(most_gain: float, step_s: float) -> None:
-    """A third of a digit on rising pressures, where the lead is on, and on resting ones."""
+    """Noise of a third of a count on rising pressures, with the lead on, and on resting ones."""
     dynamics = replace(PAPER_DYNAMICS, most_gain=most_gain)
     rng = np.random.default_rng(1)
     t_s = step_s * np.arange(min(2000, round(1.6 / step_s)))
@@ -242,7 +244,7 @@ def test_no_disturbance_grows_beyond_its_bound() -> None:
 def test_slow_and_lost_frames_leave_more_of_the_error(
     period_s: float, lost: float, removed: float
 ) -> None:
-    """Pressures go on between frames, which no compensation sees."""
+    """Pressures change between frames, which no compensation can see."""
     rng = np.random.default_rng(6)
     turns_s = np.append(0.0, np.cumsum(rng.uniform(0.3, 3.0, 60)))
     turns_pa = rng.uniform(0, 120e3, (61, 3)) * np.where(np.arange(61) % 2, 1.0, 0.2)[:, None]
@@ -257,7 +259,7 @@ def test_slow_and_lost_frames_leave_more_of_the_error(
 
 
 def test_a_resting_reading_does_not_flicker_more_than_its_last_digit() -> None:
-    """The converter's code goes to and fro between two values, in both stages of the curve."""
+    """The ADC code alternates between two values, in both stages of the curve."""
     rng = np.random.default_rng(2)
     at_pa, digit_pa = np.array([5e3, 40e3, 100e3]), np.array([98.0, 98.0, 546.0])
     measured = at_pa + digit_pa * rng.integers(0, 2, (2000, 3))
@@ -268,7 +270,7 @@ def test_a_resting_reading_does_not_flicker_more_than_its_last_digit() -> None:
 
 @pytest.mark.parametrize("drift", [0.7, 1.4])
 def test_a_wrong_model_does_no_harm(drift: float) -> None:
-    """Everything off by a third: what it leaves is still less than what was there."""
+    """With every value off by a third, the remaining error is still below the uncompensated one."""
     rng = np.random.default_rng(3)
     t_s = 0.0128 * np.arange(4000)
     swings = rng.uniform(0.3, 3.0, 3)
@@ -285,8 +287,8 @@ def test_a_wrong_model_does_no_harm(drift: float) -> None:
     assert rms_after < 0.7 * rms_before
 
 
-def test_a_node_that_comes_back_begins_anew() -> None:
-    """What it was loaded with while unheard is unknown: no jump, no memory of before."""
+def test_a_node_that_comes_back_starts_over() -> None:
+    """Its load while unheard is unknown: no jump, no memory of before."""
     compensator = Compensator(PAPER_DYNAMICS, EVERYWHERE)
     for step in range(20):
         compensator.update(np.full(3, 5e3 * step, np.float32), ALL, 0.01 * step)
@@ -300,7 +302,7 @@ def test_a_node_that_comes_back_begins_anew() -> None:
     assert again == pytest.approx(60e3, rel=1e-5), "after a restart nobody does"
 
 
-def test_frames_that_are_skipped_while_steady_change_nothing() -> None:
+def test_frames_that_are_held_change_nothing() -> None:
     rng = np.random.default_rng(4)
     heights = np.repeat(rng.uniform(0, RANGE_PA, (30, 3)), 60, axis=0).astype(np.float32)
     every, some = Compensator(PAPER_DYNAMICS, EVERYWHERE), Compensator(PAPER_DYNAMICS, EVERYWHERE)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Nodes that do not move while all around them do."""
+"""Nodes whose value does not change while those around them do."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SWING = (0.0, 30e3)  # Pa
 
 
 class Skin:
-    """What a StuckNodes of this layout is shown, look by look."""
+    """Feeds a StuckNodes of this layout, look by look."""
 
     def __init__(self, layout: Layout = GRID) -> None:
         self.stuck = StuckNodes(layout)
@@ -37,7 +37,7 @@ class Skin:
         self._t_s = 0.0
 
     def show(self, pressure_pa: np.ndarray, voltage_v: np.ndarray | None = None) -> list[int]:
-        """Pressures, Pa; what the nodes say is these in counts unless given."""
+        """Pressures in Pa; the nodes' words are these in counts unless given."""
         counts = np.rint(pressure_pa / COUNT_PA) if voltage_v is None else voltage_v
         readings = Readings(
             pressure_pa.astype(np.float32), counts.astype(np.float32), self.status.copy()
@@ -50,7 +50,7 @@ class Skin:
 def pressed(
     skin: Skin, taxels: int, held: dict[int, float], times: int, loads_pa: tuple[float, ...] = SWING
 ) -> list[int]:
-    """The whole skin under one load after the other, but for the taxels that say the same."""
+    """The whole skin under one load after another, except for the taxels that do not change."""
     for number in range(times):
         pressure_pa = np.full(taxels, loads_pa[number % len(loads_pa)])
         for taxel, value in held.items():
@@ -72,7 +72,7 @@ def test_a_node_that_never_moves_is_named_after_some_swings(
 
 
 @pytest.mark.parametrize("taxel", [INNER, EDGE, CORNER])
-def test_wherever_it_is_and_whatever_it_says(taxel: int) -> None:
+def test_a_stuck_node_is_found_at_any_place_with_any_value(taxel: int) -> None:
     loads_pa = (20e3, 60e3)  # a hand that rests there: never free
     assert pressed(Skin(), len(GRID), {taxel: 0.0}, 6, loads_pa) == [taxel + 1]
     assert pressed(Skin(), len(GRID), {taxel: 60e3}, 6, loads_pa) == [taxel + 1]
@@ -85,7 +85,7 @@ def test_two_side_by_side_are_found_and_no_sound_one_with_them() -> None:
     assert pressed(Skin(), len(GRID), beside, 9, (20e3, 60e3)) == sorted(t + 1 for t in beside)
 
 
-def test_one_count_clears_it() -> None:
+def test_a_change_of_one_count_clears_it() -> None:
     skin = Skin()
     assert pressed(skin, len(GRID), {INNER: 45e3}, 6)
     assert pressed(skin, len(GRID), {INNER: 45e3 + COUNT_PA}, 1) == []
@@ -131,7 +131,7 @@ def test_what_neighbours_tell_does_not_depend_on_who_was_unreadable_before(
     for pressure_pa in looks_pa:
         old.show(pressure_pa)
     fresh.show(looks_pa[-1])
-    # Of a node that stays while its neighbours move there is something to be told.
+    # A node that does not change while its neighbours do is reported.
     last_pa = np.where(np.arange(len(GRID)) % 7 == 0, looks_pa[-1], looks_pa[-1] + 1e3)
     for skin in (old, fresh):
         skin.show(last_pa)
@@ -169,7 +169,7 @@ def test_readings_are_looked_at_ten_times_a_second_only() -> None:
 def test_round_contacts_on_a_sound_skin_name_nobody(
     contacts: list[tuple[float, float, float, float]], power: float
 ) -> None:
-    """They come and go at the same places; edges as steep as Hertz's, and softer ones."""
+    """They come and go at the same positions, with edges as steep as Hertz's and softer ones."""
     row, column = np.divmod(np.arange(len(GRID)), SIDE)
     fields = [
         peak * np.clip(1 - ((row - y) ** 2 + (column - x) ** 2) / radius**2, 0, None) ** power

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scope import scope_capture
 
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.sim.channel import Channel, chip_means, first_sample, point_samples, scope_capture
+from tactile_cdma.sim.channel import Channel, chip_means, first_sample, point_samples
 
 SPEC = FrameSpec()
 QUIET = Channel(noise_rms_v=0.0)

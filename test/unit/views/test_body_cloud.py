@@ -55,7 +55,7 @@ def test_places_move_and_normals_only_turn(
 
 
 def test_a_quarter_turn_by_hand() -> None:
-    """Flat in the patch; x of the body's is its normal, and its row of 4 columns goes down."""
+    """The patch is flat: its normal becomes the body's x, and its row of 4 columns runs down."""
     pose = Pose.of_rpy((0.1, 0.0, 0.3), (0.0, math.pi / 2, 0.0))
     points = cloud().points(np.ones(12, dtype=np.float32), 1.0, pose)
     np.testing.assert_allclose(points["x"], 0.1, atol=1e-7)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The point cloud and the raster hold what the skin reads, where it reads it."""
+"""The point cloud and the raster hold the skin's readings at their positions."""
 
 import numpy as np
 from hypothesis import given

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Rounds: what many senders bring, at paces of their own, in as few messages as lose nothing."""
+"""Rounds: messages of many senders at different rates, combined without loss."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tactile_cdma.views.rounds import Rounds
 
 
 class Gatherer:
-    """Keeps the latest of every sender, and what goes out, as a node would."""
+    """Keeps each sender's latest message and what is published, as a node would."""
 
     def __init__(self, silent_after_s: float) -> None:
         self.rounds = Rounds(silent_after_s)
@@ -80,7 +80,7 @@ def test_a_sender_that_falls_silent_holds_nobody_up() -> None:
     assert len(waiting) >= 48  # while b is waited for, a's pace is kept
 
 
-def test_silence_of_somebody_never_heard_is_endless() -> None:
+def test_the_silence_of_a_sender_never_heard_is_infinite() -> None:
     rounds = Rounds(1.0)
     assert rounds.present(["a"], 1e9) == []
     rounds.add("a", 5.0)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The skin in characters: what must be seen is seen, and nothing is wider than the terminal."""
+"""The skin in characters: essentials stay visible, and no line exceeds the terminal."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def grid(rows: int, columns: int, pressure_kpa: object = 0.0, status: object = 0
         np.broadcast_to(np.float32(pressure_kpa) * 1000, taxels).astype(np.float32),
         np.broadcast_to(np.uint8(status), taxels).astype(np.uint8),
         np.arange(taxels, dtype=np.int32).reshape(rows, columns),
-        np.arange(taxels, 0, -1).astype(np.int32),  # nodes are not numbered as taxels
+        np.arange(taxels, 0, -1).astype(np.int32),  # node numbers differ from taxel indices
     )
 
 

@@ -1,0 +1,20 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Files that come with the package but lie outside it: messages, rules, requirements."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+"""Where the package lies; only in a checkout the files lie there as well."""
+
+
+def shipped(name: str) -> Path | None:
+    """A file of the checkout, else of a ROS 2 workspace's share folder; None: not installed."""
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    folders = [Path(prefix) / "share" / "tactile_cdma" for prefix in prefixes if prefix]
+    if (CHECKOUT / "package.xml").is_file():
+        folders.insert(0, CHECKOUT)
+    return next((folder / name for folder in folders if (folder / name).is_file()), None)

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The stream of marked frames, with a recogniser that does as it is told."""
+
+import numpy as np
+
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.framing.marked_timing import (
+    REJECTED,
+    MarkedFrame,
+    MarkedLine,
+    MarkedTiming,
+    Verdict,
+)
+from tactile_cdma.framing.timing import QuietBlock, SampleBlock
+
+SPEC = FrameSpec()
+PERIOD = 1024  # samples, at 4 per chip
+
+
+class Scripted:
+    """Gives prepared verdicts, and keeps what it is asked."""
+
+    def __init__(self, line: MarkedLine) -> None:
+        self.line = line
+        self.verdicts: list[Verdict] = []
+        self.opened: list[tuple[int, bool, int | None]] = []
+        self.frames: list[tuple[int, int, bool]] = []
+        self.forgotten = 0
+
+    def open(self, start: int, called: bool, since: int | None) -> int:
+        self.opened.append((start, called, since))
+        return self.line.size
+
+    def recognise(self, frame: MarkedFrame) -> Verdict:
+        self.frames.append((frame.start, frame.volts.size, frame.final))
+        return self.verdicts.pop(0) if self.verdicts else self.line.silent(frame.start, 0.0)
+
+    def forget(self) -> None:
+        self.forgotten += 1
+
+
+def scripted() -> tuple[MarkedTiming, Scripted]:
+    line = MarkedLine(SPEC, 4 / SPEC.chip_s, None)
+    recogniser = Scripted(line)
+    return MarkedTiming(line, recogniser), recogniser
+
+
+def block(index: int, size: int = PERIOD, called: bool = False) -> SampleBlock:
+    return SampleBlock(index, np.zeros(size, np.float32), sync=True, called=called)
+
+
+def test_a_recogniser_gets_the_samples_that_it_asks_for() -> None:
+    timing, recogniser = scripted()
+    recogniser.verdicts = [Verdict(due=900)]
+    assert timing.feed(block(0, 850)) == []
+    (frame,) = timing.feed(SampleBlock(850, np.zeros(174, np.float32)))
+    assert recogniser.frames == [(0, timing.line.size, False), (0, 900, False)]
+    assert frame.start == -0.5 and timing.rejected == 0
+
+
+def test_the_next_mark_ends_a_frame_that_waits() -> None:
+    timing, recogniser = scripted()
+    recogniser.verdicts = [Verdict(due=2000)]
+    assert timing.feed(block(0)) == []
+    assert [frame.start for frame in timing.feed(block(PERIOD, 10))] == [-0.5]
+    assert recogniser.frames[-1] == (0, PERIOD, True)
+    assert timing.flush() == [] and timing.rejected == 1  # ten samples are no frame
+
+
+def test_rejections_are_counted_and_told() -> None:
+    timing, recogniser = scripted()
+    recogniser.verdicts = [REJECTED]
+    assert timing.feed(block(0)) == []
+    assert (timing.rejected, recogniser.forgotten) == (1, 1)
+
+
+def test_frames_are_opened_with_their_distance_unless_a_hole_lies_between() -> None:
+    timing, recogniser = scripted()
+    timing.feed(block(0))
+    timing.feed(block(PERIOD, called=True))
+    timing.quiet(QuietBlock(2 * PERIOD, PERIOD, 0.0, 1e-6, sync=True))
+    timing.feed(block(4 * PERIOD))
+    assert recogniser.opened == [
+        (0, False, None),
+        (PERIOD, True, PERIOD),
+        (2 * PERIOD, False, PERIOD),
+        (4 * PERIOD, False, None),
+    ]
+
+
+def test_level_and_noise_are_learnt_from_gaps_only() -> None:
+    timing, _ = scripted()
+    volts = np.full(PERIOD, 9.0, np.float32)
+    volts[timing.line.size + 8 :] = 0.25
+    for number in range(3):
+        timing.feed(SampleBlock(number * PERIOD, volts, sync=True))
+    assert timing.line.level_known
+    assert timing.line.level_v == 0.25 and timing.line.noise < 1e-12
