@@ -2,7 +2,7 @@
 
 """Starts the driver of one skin patch: `ros2 launch tactile_cdma skin.launch.py sim:=true`.
 
-Or those of a body of many patches, and the node that gathers what they publish:
+Or those of a body of many patches, and the node that combines what they publish:
 `ros2 launch tactile_cdma skin.launch.py patches:=config/body.yaml`. Drivers configure and activate
 themselves, so plain nodes need no help from launch.
 """
@@ -83,7 +83,7 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
-    """Return what the arguments ask for."""
+    """Return the nodes that the arguments ask for."""
     get = context.launch_configurations
     actions = whole_body(get) if get["patches"] else one_patch(get)
     if get["rviz"] == "true":
@@ -104,7 +104,7 @@ def one_patch(get: dict[str, str]) -> list[LaunchDescriptionEntity]:
 
 
 def whole_body(get: dict[str, str]) -> list[LaunchDescriptionEntity]:
-    """Return the drivers of a body's patches, started again where they die, and its own node."""
+    """Return the drivers of a body's patches, restarted when they die, and the body's node."""
     given = [name for name in OF_ONE_PATCH if get[name]] + ["sim"] * (get["sim"] == "true")
     given += ["params_file"] * (get["params_file"] != PARAMS)
     if given:
@@ -136,9 +136,9 @@ def whole_body(get: dict[str, str]) -> list[LaunchDescriptionEntity]:
 def driver(
     namespace: str, params_file: Path | str | None, parameters: Mapping[str, Value], **options: Any
 ) -> Node:
-    """Return one driver; parameters go before those of the file."""
+    """Return one driver; its parameters override those of the file."""
     overrides = {
-        # str even where the text looks like a number
+        # a str even if the text looks like a number
         name: ParameterValue(value, value_type=str) if isinstance(value, str) else value
         for name, value in parameters.items()
     }
@@ -155,7 +155,7 @@ def driver(
 
 
 def rviz(get: dict[str, str]) -> LaunchDescriptionEntity:
-    """Return rviz2 with our displays, or a remark where it is not installed."""
+    """Return rviz2 with our displays, or a remark if it is not installed."""
     try:
         get_package_prefix("rviz2")
     except PackageNotFoundError:

@@ -89,13 +89,8 @@ def write_rest(path: Path, state: RestState) -> None:
     content = {
         "schema": SCHEMA,
         "version": VERSION,
-        "written": state.written,
-        "skin": state.skin,
+        **vars(state),
         "simulated": _YES if state.simulated else _NO,
-        "nodes": state.nodes,
-        "calibration": state.calibration,
-        "curves": state.curves,
-        "tared": state.tared,
         "rest_v": _numbers(state.rest_v),
         "drift_v": _numbers(state.drift_v),
     }

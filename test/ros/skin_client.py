@@ -30,7 +30,7 @@ from tactile_cdma.sim.pty import serve
 
 
 class Client(Node):
-    """A subscriber and caller of services, as any user's node would be."""
+    """Subscribes and calls services like any user's node."""
 
     def __init__(self) -> None:
         super().__init__("client")
@@ -89,7 +89,7 @@ def in_one(message: DiagnosticArray) -> DiagnosticStatus:
 
 
 def wait_for(condition: Callable[[], object], timeout_s: float = 60.0) -> None:
-    """Until it holds; of the last message of none it does not."""
+    """Wait until the condition holds; one about the last of no messages does not."""
     deadline = time.monotonic() + timeout_s
     while not _holds(condition):
         assert time.monotonic() < deadline, "waited in vain"

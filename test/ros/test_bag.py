@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Bags of a live skin, as another reader sees them; recordings replayed through a real node."""
+"""Bags recorded from a live skin, read by another library; recordings replayed by a real node."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a body's node makes of patches that come, go, change and talk nonsense.
+"""The body's node and patches that come, go, change and send nonsense.
 
 The patches are publishers of the test, which can do what no driver does.
 """

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The package builds as others will build it: with colcon in a workspace, and with pip."""
+"""The package builds as users build it: with colcon in a workspace, and with pip."""
 
 from __future__ import annotations
 

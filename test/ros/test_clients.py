@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The examples of docs/clients.md, run as they stand there, beside a real driver."""
+"""The examples of docs/clients.md, run as printed there, beside a real driver."""
 
 from __future__ import annotations
 

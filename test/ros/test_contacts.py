@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Contacts and wrench over real DDS: one with the array of the same frame, and only when asked."""
+"""Contacts and wrench over real DDS: consistent with the array of their frame, only on demand."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What /diagnostics says of a driver that something is wrong with, over real DDS."""
+"""What /diagnostics says about a driver in trouble, over real DDS."""
 
 from __future__ import annotations
 

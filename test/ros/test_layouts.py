@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A layout file on its way to subscribers."""
+"""A layout file reaches subscribers: info, arrays, pictures."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Pictures of one skin over real DDS: the same pressures, places and colours in every one."""
+"""Pictures of one skin over real DDS: all show the same pressures, places and colours."""
 
 from __future__ import annotations
 

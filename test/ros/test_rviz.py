@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""rviz's files name displays and properties that there are, and topics as they are offered.
+"""The rviz files name displays and properties that exist, and topics as they are offered.
 
 rviz itself passes silently over what it does not know. Names are those of rviz_default_plugins and
 rviz_common in ROS 2 Jazzy: plugins_description.xml, and the properties of each display's source.

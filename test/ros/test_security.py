@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The driver as an ordinary user: what it touches, and what SROS 2 has to allow it."""
+"""The driver as an ordinary user: what it opens, and what SROS 2 must allow it."""
 
 from __future__ import annotations
 

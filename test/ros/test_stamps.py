@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Stamps follow ROS time, whatever it does, and keep the distances of the moments they are of."""
+"""Stamps follow every change of ROS time and keep the distances between moments."""
 
 from __future__ import annotations
 

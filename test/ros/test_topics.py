@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""How a node's topics are offered, and where it tells tf that the skin is."""
+"""The QoS of a node's topics, and the transform that it publishes."""
 
 from __future__ import annotations
 

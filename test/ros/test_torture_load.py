@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Load is borne, and what finds that it is not borne must find it."""
+"""The driver withstands load, and the campaign's judges find planted defects."""
 
 from __future__ import annotations
 

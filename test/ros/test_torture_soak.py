@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Some cycles of the soak, in real time; and what the soak looks for is found."""
+"""Some cycles of the soak, in real time; and its judge finds planted defects."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A driver node and the wrong board, over real DDS: refused, told, and recovered from."""
+"""A driver node and the wrong board, over real DDS: it is refused, reported, and replaced."""
 
 from __future__ import annotations
 

@@ -29,23 +29,19 @@ class Mount:
         """Publish where the skin is; None: it is not mounted on another frame."""
         if transform is not None:
             self._publisher = self._node.create_publisher(TFMessage, TF_STATIC, self._profile)
-            self._publish(transform)
+            self.change(transform)
 
     def change(self, transform: TransformStamped | None) -> None:
         """Publish another place of the skin on its parent."""
         if transform is not None and self._publisher is not None:
-            self._publish(transform)
+            transform.header.stamp = self._node.get_clock().now().to_msg()
+            self._publisher.publish(TFMessage(transforms=[transform]))
 
     def release(self) -> None:
         """Offer the transform no longer; those who received it keep it, as usual in tf."""
         if self._publisher is not None:
             self._node.destroy_publisher(self._publisher)
             self._publisher = None
-
-    def _publish(self, transform: TransformStamped) -> None:
-        assert self._publisher is not None
-        transform.header.stamp = self._node.get_clock().now().to_msg()
-        self._publisher.publish(TFMessage(transforms=[transform]))
 
 
 def transform_of(values: Values) -> TransformStamped | None:

@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Sequence
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Point, Vector3
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
@@ -20,6 +20,7 @@ from tactile_cdma.msg import TactileContact, TactileContacts
 from ...base.listing import listed
 from ..common.process import Viewing, viewing
 from ..common.qos import RELIABLE
+from .complaints import Complaints
 from .patches import NODE_NAME
 
 LINE_S = 1.0
@@ -33,11 +34,10 @@ class BodyViewer(Node):
     def __init__(self, body: str) -> None:
         super().__init__("body_viewer")
         self.latest: TactileContacts | None = None
-        self.complaint = ""
+        self._complaints = Complaints(body.strip("/"))
         self.received = self.lost = 0
-        self._body = body
         self.create_subscription(TactileContacts, f"{body}/contacts", self._take, RELIABLE)
-        self.create_subscription(DiagnosticArray, "/diagnostics", self._take_diagnostics, 10)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._complaints.take, 10)
 
     def _take(self, message: TactileContacts) -> None:
         if self.latest is not None:
@@ -45,10 +45,10 @@ class BodyViewer(Node):
         self.latest = message
         self.received += 1
 
-    def _take_diagnostics(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            if status.name.startswith(f"{self._body.lstrip('/')}:"):
-                self.complaint = "" if status.level == DiagnosticStatus.OK else status.message
+    @property
+    def complaint(self) -> str:
+        """What the body's node complains of; empty: nothing."""
+        return next((entry.message for entry in self._complaints.worst_first()), "")
 
 
 def line(message: TactileContacts | None, rate_hz: float, complaint: str) -> str:

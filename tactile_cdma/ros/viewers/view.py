@@ -80,8 +80,8 @@ class Viewer(Node):
     @property
     def complaint(self) -> str:
         """The worst known of the driver: that there are two, or what its diagnostics say."""
-        worst = self.complaints.worst_first()
-        return self.rivals or (worst[0].message if worst else "")
+        entries = self.complaints.worst_first()
+        return self.rivals or next((entry.message for entry in entries), "")
 
     def _count_drivers(self) -> None:
         drivers, self.rivals = self.count_publishers(self._topic), ""
