@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the node of a whole body costs: `make bench-body`.
+"""CPU time and latency of the node of a whole body: `make bench-body`.
 
 Three processes: one publishes what eight drivers would, 50 frames per second each and out of step,
 with four contacts of 20 taxels in each; the second is the body's node; this one subscribes to it.
@@ -37,7 +37,7 @@ LOADS: dict[str, tuple[bool, int]] = {
     "contacts, points of 8 × 16": (True, 16),
     "contacts, points of 8 × 4096": (True, 4096),
 }
-"""Whether contacts are asked for, and how many taxels a patch has."""
+"""Whether contacts are subscribed to, and the number of taxels of a patch."""
 SECONDS = 4.0 if QUICK else 20.0
 WARM_UP_S = 1.0
 DOMAIN = 79
@@ -80,7 +80,7 @@ def main() -> None:
 
 
 def measure(load: str, contacts: bool, taxels: int) -> Result:
-    """One load, for some seconds."""
+    """Measure one load for SECONDS."""
     context = multiprocessing.get_context("spawn")
     stop = context.Event()
     drivers = context.Process(target=publish, args=(taxels, stop), daemon=True)
@@ -142,13 +142,13 @@ def listen(body_pid: int, contacts: bool, points: bool) -> Result:
 
 
 def cpu_s(pid: int) -> float:
-    """What a process has had of the cores, s."""
+    """CPU time of a process, s."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / float(os.sysconf("SC_CLK_TCK"))
 
 
 def publish(taxels: int, stop: EventType) -> None:
-    """In a process of its own: what the drivers of all patches do, one after the other."""
+    """Publish in turn what the drivers of all patches would; runs in its own process."""
     import rclpy
     from tf2_msgs.msg import TFMessage
 
@@ -169,7 +169,7 @@ def publish(taxels: int, stop: EventType) -> None:
 
 
 def mount(patch: int) -> Any:
-    """Where a patch is."""
+    """Transform from the body to a patch."""
     from geometry_msgs.msg import TransformStamped
     from std_msgs.msg import Header
 
@@ -179,7 +179,7 @@ def mount(patch: int) -> Any:
 
 
 def driver(node: Any, patch: int, layout: Layout) -> Any:
-    """A call that publishes one frame of a patch with this stamp."""
+    """Return a function that publishes a frame of a patch with a given stamp."""
     from geometry_msgs.msg import Point32, Vector3
     from rclpy.qos import qos_profile_sensor_data
 

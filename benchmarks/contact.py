@@ -64,7 +64,7 @@ from .report import QUICK, Report, medians_s
 RADII = (1.5, 2.0, 2.5, 4.0)
 PEAKS_KPA = (4.0, 8.0, 20.0, 45.0, 120.0)
 FIRM_KPA = 8.0
-"""From this peak on, tables by radius hold all peaks."""
+"""Tables by radius cover all peaks from this one on."""
 PRESSES = 15 if QUICK else 150
 RESTED_S = 60.0
 OWN = SensorModel(mismatch=0.05).curves(NODES)
@@ -99,7 +99,7 @@ PERCENT = ["force: rms, %", "95 %", "worst", "centre: 95 %, % of a pitch", "wors
 def presses(
     skin: Feeling, profile: Profile, pitches: float, peak_kpa: float, sensing: str = AREA
 ) -> Errors:
-    """Of presses at random places."""
+    """Errors of presses at random places."""
     force_n = peak_kpa * 1e3 * SHARE[profile] * math.pi * (pitches * PITCH_M) ** 2
     of_force, of_centre = [], []
     for centre_m, pressure_pa in pressed(profile, pitches, peak_kpa, sensing):
@@ -112,7 +112,7 @@ def presses(
 def pressed(
     profile: Profile, pitches: float, peak_kpa: float, sensing: str = AREA
 ) -> Iterator[tuple[Floats, Floats]]:
-    """Centres, m, near the middle of the skin, and what the taxels feel, (n,) Pa."""
+    """Yield centres near the middle of the skin, m, and pressures of the taxels, (n,) Pa."""
     rng = np.random.default_rng([int(10 * pitches), int(peak_kpa)])
     for _ in range(PRESSES):
         centre_m = rng.uniform(-2, 2, 2) * PITCH_M
@@ -181,7 +181,7 @@ def rest(report: Report) -> float:
 
 
 def rim(report: Report) -> None:
-    """Mean errors of the force of a soft contact, by which taxels count for it."""
+    """Mean errors of the force of a soft contact, by the taxels that are counted."""
     rows = []
     lsb_v = CONFIG.adc.lsb_v
     for curves, below_v, of in (
@@ -210,7 +210,7 @@ def rim(report: Report) -> None:
 
 
 def frames(nodes: int, scene: str) -> list[Readings]:
-    """What a skin reads in a scene, frame by frame."""
+    """Readings of a skin in a scene, frame by frame."""
     skin, curves = SimOptions().skin(nodes), Curves.uniform(CONFIG.curve, nodes)
     status, result = np.zeros(nodes, dtype=np.uint8), []
     for t_s in np.arange(64) * 20e-3:
@@ -221,7 +221,7 @@ def frames(nodes: int, scene: str) -> list[Readings]:
 
 
 def times(report: Report) -> dict[tuple[int, str], tuple[float, float]]:
-    """Median s per frame of the tracker and of the plain way, by size and scene."""
+    """Median time per frame, s, of the tracker and of the plain search, by size and scene."""
     result, rows = {}, []
     for nodes in SIZES:
         layout = Layout.grid(nodes, 0, 0, PITCH_M, TAXEL_M)
@@ -247,7 +247,7 @@ def times(report: Report) -> dict[tuple[int, str], tuple[float, float]]:
 def in_turn(
     update: Callable[[Readings, float], object], readings: list[Readings]
 ) -> Callable[[], object]:
-    """A call gives one frame after the other."""
+    """Return a function that processes one frame after the other."""
     number = 0
 
     def give() -> object:
@@ -259,7 +259,7 @@ def in_turn(
 
 
 class Plain:
-    """The obvious way: search from taxel to taxel, then sums contact by contact."""
+    """The plain search: from taxel to taxel, then sums contact by contact."""
 
     def __init__(self, layout: Layout) -> None:
         self._beside = layout.neighbours.tolist()

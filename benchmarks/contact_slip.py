@@ -66,10 +66,10 @@ def felt(profile: Profile, centre_m: Floats, radius_m: float, sensing: str = ARE
 
 
 class Feeling:
-    """The driver's way from the nodes' voltages to contacts."""
+    """The driver's chain from the nodes' voltages to contacts."""
 
     def __init__(self, curves: Curves | None = None) -> None:
-        """curves: those of the sensors, and of their calibration; None: the default."""
+        """curves: of the sensors and of their calibration; None: the default."""
         self.curves = curves or Curves.uniform(CONFIG.curve, NODES)
         self.taxels = Pipeline(CONFIG).taxels
         self.taxels.calibrate(Calibration(self.curves, np.zeros(NODES, dtype=bool)))
@@ -85,7 +85,7 @@ class Feeling:
         return readings, self._tracker.update(readings, self._now_s)
 
     def rest(self, seconds: float) -> None:
-        """Nothing touches the skin for a while."""
+        """Let time pass without a touch."""
         for _ in np.arange(0.0, seconds, LOOK_S):
             self.feel(self.curves.voltage(0.0), LOOK_S)
 
@@ -101,7 +101,7 @@ CENTRE, ENERGY = "centre's speed", "high-pass energy"
 CUES = (CENTRE, ENERGY)
 
 Track = tuple[Floats, dict[str, Floats]]
-"""Times, s, and what each cue says then."""
+"""Times, s, and the value of each cue."""
 Place = Callable[[float], Floats]
 Force = Callable[[float], float]
 
@@ -135,7 +135,7 @@ def somewhere(rng: np.random.Generator) -> Floats:
 
 
 def grip(model: SensorModel, force_n: float, rng: np.random.Generator, swing: float) -> Track:
-    """Held where it is, by a force that pulsates by a share of itself, 0.5 to 3 times a second."""
+    """A grip that does not move; its force pulsates by a share of itself, at 0.5 to 3 Hz."""
     there, rate_hz, phase = somewhere(rng), rng.uniform(0.5, 3.0), rng.uniform(0, 2 * math.pi)
     return track(
         model,
@@ -167,7 +167,7 @@ def rolling(model: SensorModel, force_n: float, rng: np.random.Generator) -> Tra
 
 
 def slide(model: SensorModel, force_n: float, rng: np.random.Generator, mm_s: float) -> Track:
-    """Held for BEFORE_S, then sliding."""
+    """A grip that is held for BEFORE_S, then slides."""
     there, towards = somewhere(rng), direction(rng)
     return track(
         model,
@@ -187,7 +187,7 @@ def highest(tracks: list[Track], cue: str, after_s: float = SETTLED_S) -> Floats
 
 
 def delays_s(tracks: list[Track], cue: str, limit: float) -> Floats:
-    """From the beginning of each slide until the cue exceeds a limit; ∞: it does not."""
+    """Time from the start of each slide until the cue exceeds a limit, s; ∞ if it never does."""
     found = []
     for t_s, cues in tracks:
         over = t_s[(t_s >= BEFORE_S) & (cues[cue] > limit)]

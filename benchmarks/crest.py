@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Peaks of the summed line and the converter that it takes, by signs of the code rows.
+"""Peaks of the summed line, and the converter they require, by signs of the code rows.
 
 n = N − 1 nodes share a Sylvester book of order N (row 0 is free), and all of them talk in every
 frame: the scenes of the simulator, of which "idle" is the worst case, all nodes with one code.
@@ -44,9 +44,9 @@ FRAMES = 4 if QUICK else 12
 """Frames of each scene, 0.37 s apart."""
 RHO = 3.0
 NOISES = 4 if QUICK else 16
-"""Frames of each scene behind every converter, each with its own noise."""
+"""Repetitions of each scene's frames for every converter, each with its own noise."""
 SCALES = (2.0, 2.5, 3.0, 4.0, 5.0, 6.0)
-"""Full scales c tried, besides √n, which has room for every sum."""
+"""Full scales c that are tried, besides √n, which fits every sum."""
 ADC_BITS = range(3, 14)
 TOLERANCE = 1.1
 
@@ -72,7 +72,7 @@ def signs(order: int, scheme: str, seed: int = 1) -> NDArray[np.int8]:
 
 
 def crest(order: int, scheme: str, scene: str) -> float:
-    """Largest peak over RMS of all frames (and seeds, where there are any)."""
+    """Largest ratio of peak to RMS over all frames, and seeds if the signs have any."""
     largest = 0.0
     for symbols in words(order, scene, FRAMES):
         for seed in SEEDS if scheme == "random" else (1,):
@@ -159,7 +159,7 @@ def main() -> None:
 
 
 def least_bits(rates: dict[float, list[float]], unquantised: float) -> int:
-    """The fewest ADC bits that do at one of the full scales, and from there on."""
+    """Fewest ADC bits that suffice, as do all larger numbers, at one of the full scales."""
     return min(
         (
             bits

@@ -42,14 +42,14 @@ SPECS = {
     "256, row 0": FrameSpec(nodes=256, order=256, first_row=0, chip_s=3e-6),
 }
 TARGET = 1e-3
-"""Bit error rate at which the loss is read."""
+"""Bit error rate at which the loss is evaluated."""
 TARGET_DB = 20 * math.log10(3.0902)
-"""ρ at which Q(ρ) is that."""
+"""ρ at which Q(ρ) equals TARGET, dB."""
 
 
 @dataclass(frozen=True)
 class Condition:
-    """How the line is seen.
+    """How the line is sampled and timed.
 
     blind: GapTiming; else the frame's first sample is marked for LineTiming, whose nodes keep to
         the digitizer's clock: no stretch.
@@ -75,7 +75,7 @@ CONDITIONS = (
 
 @dataclass(frozen=True)
 class Job:
-    """Some frames at one ρ; what a process takes at a time."""
+    """Some frames at one ρ: the work of a process at a time."""
 
     spec: str
     condition: Condition
@@ -103,7 +103,7 @@ class BitErrors(NamedTuple):
 
 
 class Streams(NamedTuple):
-    """Frames with a word in them, wrong words passed off as good, frames not delivered in full."""
+    """Frames with at least one word, wrong words without a flag, frames not delivered in full."""
 
     frames: int
     wrong: int
@@ -116,7 +116,7 @@ def q(rho: float) -> float:
 
 
 def run(job: Job) -> BitErrors:
-    """Send frames, each on a line of its own, and count."""
+    """Decode frames, each on its own line, and count errors."""
     spec, condition = SPECS[job.spec], job.condition
     rng = np.random.default_rng([job.seed, round(1000 * job.rho_db)])
     rate_hz = condition.samples_per_chip / spec.chip_s
@@ -186,7 +186,7 @@ def marked_words(volts: np.ndarray, spec: FrameSpec, rate_hz: float, first: int)
 
 
 def paper_stream(seed: int, frames: int = 100, samples_per_chip: int = 8) -> Streams:
-    """A stream of the paper's: 16 nodes of which any number speaks, edges a tenth of a chip off."""
+    """The paper's skin: 16 nodes, any number of which speak; edges jitter by a tenth of a chip."""
     rng, spec = np.random.default_rng([seed, 16]), PAPER
     rate_hz = samples_per_chip / spec.chip_s
     channel = Channel(
@@ -196,7 +196,7 @@ def paper_stream(seed: int, frames: int = 100, samples_per_chip: int = 8) -> Str
         jitter=0.10,
         adc_bits=12,
     )
-    # The recording begins anywhere; a frame that it cuts into is none.
+    # The recording begins anywhere; a frame that is cut does not count.
     begin_s = rng.uniform(0, spec.frame_period_s)
     sent, pieces, first = [], [], 0
     for number in range(frames):
@@ -230,7 +230,7 @@ def paper_stream(seed: int, frames: int = 100, samples_per_chip: int = 8) -> Str
 
 
 def jobs() -> Iterator[Job]:
-    """What part one measures: as many frames as give enough errors, most where the loss is read."""
+    """Jobs of part one, with enough frames for the errors wanted: most near TARGET."""
     grid = (8.5, 9.4, 10.1) if QUICK else (7.0, 8.0, 9.0, 9.6, 10.1, 11.0)
     errors = 380 if QUICK else 1600
     for name, spec in SPECS.items():
@@ -247,7 +247,7 @@ def jobs() -> Iterator[Job]:
 
 
 def loss_db(points: list[tuple[float, float]]) -> float:
-    """How many dB more ρ than the bound it takes to reach the target.
+    """Additional ρ over the bound to reach the target, dB.
 
     points: (ρ in dB, measured bit error rate), rising in ρ. Interpolated in log(rate); NaN where
     the points do not bracket the target.
@@ -300,7 +300,7 @@ def main() -> None:
 
 
 def row(name: str, condition: Condition, rho_db: float, tally: BitErrors) -> list[object]:
-    """A line of the table: measured rates beside what theory says."""
+    """A row of the table: measured rates beside the theory."""
     bound = q(10 ** (rho_db / 20))
     scatter = 1.96 * math.sqrt(max(tally.bit_errors, 1)) / max(tally.bits, 1)
     word_bound = 1 - (1 - bound) ** SPECS[name].bits
@@ -310,7 +310,7 @@ def row(name: str, condition: Condition, rho_db: float, tally: BitErrors) -> lis
 
 
 def picture(sums: dict[tuple[str, Condition, float], BitErrors]) -> Figure:
-    """Bit error rate over ρ beside the bound, one panel for each specification."""
+    """Bit error rate against ρ, with the bound; one panel per specification."""
     figure = Figure(figsize=(11, 8))
     panels = figure.subplots(2, 2, sharex=True, sharey=True)
     for panel, name in zip(panels.flat, SPECS, strict=True):

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Sensors that the compensation was not made for, beside the one that it was made for.
+"""Sensor models that the compensation does not assume, beside the one that it does.
 
 All but "creep" read a load that rises slowly as their static curve says. Pressures may change
 between two frames, which compensation cannot see.
@@ -18,7 +18,7 @@ from tactile_cdma.sim.sensor import PAPER_DYNAMICS
 
 Floats = NDArray[np.float64]
 Distortion = Callable[[Floats, float], Floats]
-"""Apparent pressures (n,), Pa, of true ones (n,), Pa, that were there for so long, s."""
+"""(true pressures (n,), Pa, their duration, s) → apparent pressures (n,), Pa."""
 
 HIGHEST_PA = 140e3
 _PARTS = 2
@@ -26,7 +26,7 @@ _PARTS = 2
 
 
 class Paper:
-    """Lag and Prandtl–Ishlinskii plays, as compensation takes them to be."""
+    """Lag and Prandtl–Ishlinskii plays, as the compensation assumes."""
 
     def __init__(self, sensors: int) -> None:
         self._lag = Lag.of(PAPER_DYNAMICS)
@@ -44,7 +44,7 @@ class Relays:
 
     LEVELS = 100
     SHARE = 0.2
-    """Of the relays; the rest follows at once."""
+    """Share of the reading that relays make; the rest follows at once."""
 
     def __init__(self, sensors: int) -> None:
         self._lag = Lag.of(PAPER_DYNAMICS)
@@ -83,7 +83,7 @@ class Creep:
 
 
 class Quick:
-    """Neither lag nor loops: there is nothing to undo."""
+    """Neither lag nor loops: nothing to compensate."""
 
     def __init__(self, sensors: int) -> None:
         pass
@@ -101,7 +101,7 @@ KINDS: dict[str, Callable[[int], Distortion]] = {
 
 
 def apparent(kind: Callable[[int], Distortion], loads_pa: Floats, period_s: float) -> Floats:
-    """(m, n) Pa that sensors show at every frame under loads (m, n), Pa, straight in between."""
+    """Apparent pressure at every frame, (m, n) Pa, under loads (m, n), Pa, linear in between."""
     sensors, before_pa, shown = kind(loads_pa.shape[1]), loads_pa[0], []
     for load_pa in loads_pa:
         for part in range(1, _PARTS + 1):

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a picture of the skin costs the driver: `make bench-pictures`.
+"""CPU time of the driver for pictures of the skin: `make bench-pictures`.
 
 Each of the driver's pictures, of 16 to 4096 taxels in a square that several things press, at most
 16: drawn (a finished message), and drawn and published to a subscriber in another process, which
@@ -51,7 +51,7 @@ DOMAIN = 78
 
 Frame = tuple[NDArray[np.float32], Contacts]
 Times = dict[tuple[int, str], tuple[float, float]]
-"""s to draw, and to draw and publish, by taxels and picture."""
+"""Time to draw, and to draw and publish, s, by number of taxels and picture."""
 
 
 def main() -> None:
@@ -99,7 +99,7 @@ def times(report: Report) -> Times:
 
 
 def drawings(taxels: int) -> dict[str, Callable[[], Any]]:
-    """By picture, a call that draws one frame after the other."""
+    """Functions by picture, each of which draws one frame after the other."""
     from std_msgs.msg import Header
 
     from tactile_cdma.ros.common import convert
@@ -129,7 +129,7 @@ def drawings(taxels: int) -> dict[str, Callable[[], Any]]:
 
 
 def pressed(layout: Layout) -> list[Frame]:
-    """What the taxels read, Pa, and the contacts of it, while things come and go."""
+    """Frames of readings and their contacts, with touches that come and go."""
     skin = SimOptions().skin(len(layout))
     tracker = ContactTracker(layout, SkinConfig.of({}).contact)
     status, frames = np.zeros(len(layout), dtype=np.uint8), []
@@ -142,7 +142,7 @@ def pressed(layout: Layout) -> list[Frame]:
 
 @contextmanager
 def publishers() -> Iterator[Callable[[str, Any], None]]:
-    """Publishes a picture by its name to a subscriber in another process."""
+    """Yield a function that publishes a picture by name to a subscriber in another process."""
     import rclpy
 
     from tactile_cdma.ros.common.qos import PICTURE

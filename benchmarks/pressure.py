@@ -3,20 +3,20 @@
 """Error and run time of the pressure chain: `make bench-pressure`.
 
 Skins of simulated sensors (docs/sensor.md), each taxel with a curve of its own, behind 10-bit
-converters. What is judged was not used to calibrate or to identify anything.
+converters. Errors are of data that was used neither to calibrate nor to identify.
 
-- static: curves fitted to a staircase of loads read ideal sensors at random pressures; the error is
+- static: curves fitted to a staircase of loads, for ideal sensors at random pressures; the error is
   compared with that of the quantisation alone, LSB/√12 on each taxel's own slope, stage by stage.
-- dynamics: sensors with lag and hysteresis under random cycles; the compensation identified from
-  other cycles, and the same where lag, loops or both are wrong by 10 %, as when sensors have
-  changed since ("drifted"), or where only one of them is undone. These sensors are of the very
-  model that compensation inverts, and their loads change from frame to frame as it assumes.
-- others: what compensation does to sensors of other models, under loads that move between frames,
-  with dynamics identified from them (or refused), and with those of the paper's sensor.
-- tare: contacts that stay for an hour while drift is followed; one is swallowed if it reads less
-  than half of its load at the end. And what drift is left on a warming skin that nothing touches.
+- dynamics: sensors with lag and hysteresis under random cycles; compensation with dynamics
+  identified from other cycles, with lag, loops or both wrong by 10 %, as when sensors have changed
+  since ("drifted"), and with only one of them undone. These sensors follow the very model that
+  compensation inverts, and their loads change only from frame to frame, as it assumes.
+- others: compensation of sensors of other models, under loads that move between frames, with
+  dynamics identified from them (or refused), and with those of the paper's sensor.
+- tare: contacts that stay for an hour while drift is followed; one counts as swallowed if it reads
+  less than half of its load at the end. Also, the drift left on a warming skin without contacts.
 - chains: everything at once, on skins that are mounted with up to 3 kPa of preload, for each chain
-  from the plain curve to compensation: error, and time of a frame in which every node spoke.
+  from the plain curve to compensation: error, and time of a frame in which all nodes transmit.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ OTHER_SKINS = 1 if QUICK else 4
 
 
 def quantised(voltage_v: Floats) -> Floats:
-    """What the node's word says of a voltage."""
+    """The voltage as the node's converter reads it."""
     return ADC.voltage(ADC.code(voltage_v))
 
 
@@ -83,7 +83,7 @@ def rms(error: Floats) -> float:
 
 
 def calibrated(model: SensorModel, nodes: int = NODES) -> Calibration:
-    """A calibration of such a skin, from a staircase of loads that each settles."""
+    """A calibration of such a skin, from a staircase of settled loads."""
     voltage_v = quantised(np.array([model.curves(nodes).voltage(p) for p in CALIBRATION_PA]))
     loads, numbers = np.meshgrid(CALIBRATION_PA, np.arange(1, nodes + 1), indexing="ij")
     points = LoadPoints(
@@ -129,7 +129,7 @@ def _over_quantisation(
     """Rms over taxels and pressures of error / (LSB/√12 in Pa) within one stage."""
     low_pa, high_pa = truth.pressure_pa[stage], truth.pressure_pa[stage + 1]
     slope = (truth.voltage_v[stage] - truth.voltage_v[stage + 1]) / (high_pa - low_pa)
-    # Converters end below vref: what lies above is their last code.
+    # Voltages above the last code, one below vref, read as that code.
     low_pa = np.where(stage == 0, truth_pressure_of(truth, ADC.vref_v - 1.5 * ADC.lsb_v), low_pa)
     limit_pa = ADC.lsb_v / slope / np.sqrt(12)
     errors = []
@@ -165,13 +165,13 @@ def cycles(seconds: float, nodes: int, rng: np.random.Generator) -> Floats:
 
 
 def recorded(model: SensorModel, loads_pa: Floats) -> Floats:
-    """(m, n) V: what the words say under such loads, frame by frame."""
+    """(m, n) V: what the nodes measure under such loads, frame by frame."""
     sensor = Sensor(model, loads_pa.shape[1])
     return np.array([quantised(sensor.step(p, i * PERIOD_S)) for i, p in enumerate(loads_pa)])
 
 
 def read(chain: PressureChain, voltage_v: Floats, tare_s: float = math.inf) -> Floats:
-    """(m, n) Pa: what a chain makes of them, tared at a time if it can be."""
+    """(m, n) Pa: a chain's readings of these voltages, tared at tare_s if it can be."""
     nodes = voltage_v.shape[1]
     valid, curves = np.ones(nodes, dtype=bool), chain.calibration.curves
     layout, tare_frame = Layout.grid(nodes, 0, 0, 7e-3, 5.5e-3), tare_s / PERIOD_S
@@ -193,7 +193,7 @@ def identified(model: SensorModel, calibration: Calibration, seed: int) -> Dynam
 
 
 def off_by(known: Dynamics, factor: float) -> dict[str, Dynamics]:
-    """What was known of sensors that have changed since."""
+    """Dynamics that are wrong by a factor, of sensors that have changed since."""
     lag = replace(known, rise_s=known.rise_s * factor, fall_s=known.fall_s * factor)
     weights = tuple(weight * factor for weight in known.weights)
     percent = f"{(factor - 1) * 100:+.0f} %"
@@ -309,7 +309,7 @@ def swallowed(report: Report) -> int:
 
 
 def warming(report: Report) -> None:
-    """What a skin that nothing touches reads while it warms up and cools down."""
+    """Readings of a skin without contacts while it warms up and cools down."""
     rows = []
     for warming_v in (WARMING_V, 2 * WARMING_V, 4 * WARMING_V):
         model = SensorModel(mismatch=MISMATCH, warming_v=warming_v)
@@ -341,7 +341,7 @@ def chain_of(
     layout: Layout | None = None,
     rules: RestRules = RULES,
 ) -> PressureChain:
-    """The chains that are compared, each with what the ones before have."""
+    """One of the chains that are compared; each has what the ones before it have."""
     nodes = len(calibration.curves)
     layout = layout or Layout.grid(nodes, 0, 0, 7e-3, 5.5e-3)
     if name == CURVE:
@@ -356,7 +356,7 @@ def chain_of(
 
 
 def used(seconds: float, rng: np.random.Generator) -> Floats:
-    """(m, n) Pa: a skin that is handled for a quarter of a minute, and rests for as long."""
+    """(m, n) Pa: a skin that is handled for 15 s and then rests for 15 s, over and over."""
     t_s = np.arange(0, seconds, PERIOD_S)
     handled = np.clip(np.sin(2 * np.pi * (t_s - REST_S) / 30.0) * 8, 0, 1) * (t_s > REST_S)
     return np.asarray(cycles(seconds, NODES, rng) * handled[:, None])
@@ -396,7 +396,7 @@ def chains(report: Report) -> tuple[dict[str, float], dict[str, float]]:
 
 
 def frames(chain: PressureChain) -> Callable[[], object]:
-    """A call feeds one frame of a large skin, all of whose voltages are new."""
+    """Returns a function that feeds one frame of a large skin, all of whose voltages are new."""
     voltage_v = pressed_skin()
     valid, number = np.ones(BIG, dtype=bool), 0
 
@@ -409,7 +409,7 @@ def frames(chain: PressureChain) -> Callable[[], object]:
 
 
 def contacts_of(tracker: ContactTracker, layout: Layout) -> Callable[[], object]:
-    """A call finds the contacts of one frame of the same skin."""
+    """Returns a function that finds the contacts of one frame of the same skin."""
     curves = Curves.uniform(PressureCurve.two_stage(), BIG)
     status = np.zeros(BIG, dtype=np.uint8)
     readings = [Readings(curves.pressure(v), v, status) for v in pressed_skin()]

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""From the last byte of a frame in to the subscriber's callback: `make bench-ros`.
+"""Latency from a frame's last byte to the subscriber's callback: `make bench-ros`.
 
 Three processes, as in use: this one is the digitizer behind a pseudo-terminal, the second is the
 driver node, the third subscribes to ~/tactile. All read one monotonic clock. A frame's time begins
@@ -101,7 +101,7 @@ def main() -> None:
 
 
 def measure(values: dict[str, Value]) -> Result:
-    """One skin, live for some seconds."""
+    """Measure a live skin for SECONDS."""
     config = SkinConfig.of(values)
     context = multiprocessing.get_context("spawn")
     stop, receiving = context.Event(), context.Event()
@@ -121,7 +121,7 @@ def measure(values: dict[str, Value]) -> Result:
 
 
 def measure_bare() -> Result:
-    """Messages published by a process that has nothing else to do."""
+    """Measure messages of a process that does nothing but publish."""
     context = multiprocessing.get_context("spawn")
     stop, receiving, ended = context.Event(), context.Event(), context.Event()
     queue, sent = context.Queue(), context.Queue()
@@ -190,7 +190,7 @@ class Digitizer:
         self._config = config
         self._digitizer = VirtualDigitizer(SimOptions.from_url("sim://?scene=all&threshold=0"))
         self._parser = PacketParser()
-        self._end: int | None = None  # index of the frame's last sample that is waited for
+        self._end: int | None = None  # index of the last sample of the awaited frame
         self._middle_us = 0
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run)
@@ -239,7 +239,7 @@ class Digitizer:
 
 
 class driver:  # noqa: N801  # used like a function
-    """The driver node in a process of its own."""
+    """The driver node in its own process."""
 
     def __init__(self, values: dict[str, Value], port: Path, folder: Path) -> None:
         script = Path(__file__).resolve().parent.parent / "scripts" / "skin_driver"
@@ -263,7 +263,7 @@ class driver:  # noqa: N801  # used like a function
 
 
 def subscribe(stop: EventType, receiving: EventType, queue: multiprocessing.Queue[object]) -> None:
-    """Note when every array comes: (device time of the frame's middle in µs, monotonic s)."""
+    """Note the arrival of every array: (device time of the frame's middle in µs, monotonic s)."""
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.qos import QoSProfile, ReliabilityPolicy

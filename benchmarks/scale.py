@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The whole byte path in real time: how many nodes one core's share can serve, and how fast.
+"""The whole byte path in real time: CPU share and latency by number of nodes.
 
 A virtual digitizer in a process of its own samples a skin on which every node speaks in every
 frame, and writes to a pty; a second process runs the driver on that pty. Measured is all that this
@@ -68,7 +68,7 @@ class Delivered:
 
 @dataclass(frozen=True)
 class Run:
-    """What the measured process found out about itself while it was warm.
+    """Figures that the measured process collects about itself after the warm-up.
 
     cpu_s: CPU time by "process", all of it, and by "read", "parse" and "feed" (parse included).
     replay_s: CPU time per frame of feeding what came during the warm-up to another pipeline.
@@ -136,7 +136,7 @@ def parameters(nodes: int) -> dict[str, Any]:
 
 
 def measure(nodes: int, scene: str) -> dict[str, Any]:
-    """One row of the table."""
+    """Measure one row of the table."""
     config = SkinConfig.of(parameters(nodes))
     query = f"sim://?{scene}"
     context = multiprocessing.get_context("spawn")
@@ -180,7 +180,7 @@ def measure(nodes: int, scene: str) -> dict[str, Any]:
 
 
 def digitize(query: str, stop: Event, ready: Connection) -> None:
-    """The digitizer's process. Tells the tty and when the device's time was 0."""
+    """Run the digitizer's process; sends its tty and the host time of its time 0."""
 
     def on_ready(path: object) -> None:
         ready.send((str(path), time.monotonic()))
@@ -189,7 +189,7 @@ def digitize(query: str, stop: Event, ready: Connection) -> None:
 
 
 def drive(nodes: int, path: str, results: Connection) -> None:
-    """The driver's process."""
+    """Run the driver's process."""
     spent: Counter[str] = Counter()
     read = [0, 0.0]  # bytes so far, when the last ones came
     time_stage(Port, "read", "read", spent)
@@ -232,7 +232,7 @@ def drive(nodes: int, path: str, results: Connection) -> None:
 
 
 def replay(config: SkinConfig, recorded: list[tuple[bytes, float]]) -> float:
-    """CPU time per frame of feeding what was read, chunk by chunk, to a new pipeline, s."""
+    """CPU time per frame of feeding the recorded chunks to a new pipeline, s."""
     pipeline = Pipeline(config)
     begin_s = time.thread_time()
     for data, t_host in recorded:
@@ -241,7 +241,7 @@ def replay(config: SkinConfig, recorded: list[tuple[bytes, float]]) -> float:
 
 
 def time_stage(owner: type, method: str, stage: str, spent: Counter[str]) -> None:
-    """Add the CPU time that a method's calls take to a stage's."""
+    """Add the CPU time of a method's calls to that of a stage."""
     original: Callable[..., Any] = getattr(owner, method)
 
     def timed(*args: Any) -> Any:
@@ -254,7 +254,7 @@ def time_stage(owner: type, method: str, stage: str, spent: Counter[str]) -> Non
 
 
 def wrong_words(frames: list[Delivered], config: SkinConfig, query: str) -> int:
-    """Words that differ from what the simulated nodes said, silence where they spoke included."""
+    """Number of words that differ from what the simulated nodes sent, missing words included."""
     if not frames:
         return 0
     options = SimOptions.from_url(query)

@@ -41,7 +41,7 @@ HEARTBEAT = "heartbeat"
 FRAMES = {16: 200, 1024: 40, 4096: 20}
 ROUNDS = 5 if QUICK else 25
 READ = 4095
-"""Bytes that a tty hands out at most in one read."""
+"""Largest read from a tty, bytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class Recording:
     frames: int
 
     def play(self) -> list[TactileFrame]:
-        """Decode it as it would arrive."""
+        """Decode it read by read."""
         pipeline, frames = Pipeline(self.config), []
         for t_host, data in self.reads:
             frames += pipeline.feed(data, t_host)
@@ -96,10 +96,10 @@ def main() -> None:
 
 
 def record(config: SkinConfig, share: float | str, quiet: bool, frames: int) -> Recording:
-    """So many frames of a skin of which a share of the taxels is pressed."""
+    """Record frames of a skin with a share of its taxels pressed."""
     heartbeat = 78 if share == HEARTBEAT else 0
     SCENES["press"] = pressed(0.0 if share == HEARTBEAT else float(share))
-    # The clock stands still: no report but the first, whatever the recording takes.
+    # The clock stands still, so that there is one report only, however long this takes.
     digitizer = VirtualDigitizer(
         SimOptions.from_url(f"sim://?scene=press&speed=0&heartbeat={heartbeat}"), lambda: 0.0
     )
@@ -135,13 +135,13 @@ def pressed(share: float) -> Callable[[float, Skin], NDArray[np.float64]]:
 
 
 def compare(some: Recording, others: Recording) -> int:
-    """How many frames of two recordings of one scene read differently."""
+    """Number of frames that differ between two recordings of one scene."""
     pairs = zip(some.play(), others.play(), strict=False)
     return sum(not same(one, other) for one, other in pairs)
 
 
 def same(one: TactileFrame, other: TactileFrame) -> bool:
-    """Whether two frames read alike, bit by bit."""
+    """Whether two frames have the same readings, bit by bit."""
     return (
         one.sequence == other.sequence
         and np.array_equal(one.words.active, other.words.active)

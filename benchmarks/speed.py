@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Time and error of a frame's correlation against code order, beside other ways to do it.
+"""Time and error of a frame's correlation against code order, compared with other methods.
 
 Timed are frames of 10 bits, as the decoder gets them: float32 chips in, float32 volts out, scaled
 by 1/N in every case; the memory for the result is there beforehand. All on one thread:
@@ -48,7 +48,7 @@ def frame(order: int, rng: np.random.Generator, frames: int = 1) -> NDArray[np.f
 
 
 def butterfly(chips: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The fast Walsh-Hadamard transform as textbooks have it, vectorised."""
+    """The textbook fast Walsh–Hadamard transform, vectorised."""
     values = chips.copy()
     half = 1
     while half < chips.shape[1]:
@@ -61,7 +61,7 @@ def butterfly(chips: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def ways(chips: NDArray[np.float32]) -> dict[str, Callable[[], NDArray[np.float32]]]:
-    """Whatever can correlate chips of this order, by name."""
+    """All methods that can correlate chips of this order, by name."""
     order = chips.shape[1]
     book, scale, out = code_book(order), np.float32(1.0 / order), np.empty_like(chips)
     calls: dict[str, Callable[[], NDArray[np.float32]]] = {

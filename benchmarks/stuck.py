@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""How soon nodes that do not move are found, how often sound ones are taken for such.
+"""Time until stuck nodes are found, and how often sound ones are reported as stuck.
 
 `make bench-stuck`.
 
 Simulated skins are touched for hours; of each, a few nodes are stuck at a random word. What they
-say goes word by word through the same stages as in the driver, without the line between, in frames
-that come as often as readings are looked at.
+send passes through the same stages as in the driver, without the line, at one frame per look of
+the detector.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class Run:
 
 
 def named_nodes(options: SimOptions, nodes: int) -> Iterator[tuple[float, list[int]]]:
-    """Time, s, and the nodes that are taken for stuck, look by look, endlessly."""
+    """Yield time, s, and the nodes reported as stuck, look by look, endlessly."""
     config = SkinConfig.of({"nodes": nodes, "frame_period_ms": LOOK_S * 1e3, "chip_us": 1.0})
     pipeline, stuck = Pipeline(config), StuckNodes(config.layout)
     nothing, no = np.zeros(nodes, dtype=np.float32), np.zeros(nodes, dtype=bool)
@@ -147,13 +147,13 @@ def cost_us() -> dict[int, float]:
 
 
 def _readings(rng: np.random.Generator, status: NDArray[np.uint8]) -> Readings:
-    """Pressures and voltages that mean nothing, of as many taxels as there are status bits."""
+    """Readings with these status bits, and arbitrary pressures and voltages."""
     pressure_pa, voltage_v = rng.uniform(0, 1e5, (2, len(status))).astype(np.float32)
     return Readings(pressure_pa, voltage_v, status)
 
 
 def picture(delays_s: list[float]) -> Figure:
-    """Share of the found nodes against the time it took."""
+    """Share of stuck nodes found, against time."""
     figure = Figure(figsize=(6, 3.5))
     axes = figure.subplots()
     axes.plot(np.sort(delays_s), np.arange(1, len(delays_s) + 1) / max(len(delays_s), 1))

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Timing: what stretch, jitter and clocks of the nodes' own cost, and what helps.
+"""Bit errors by stretch, jitter and clocks of the nodes' own, with each remedy.
 
     make bench-timing      QUICK=1: fewer frames and points
 
@@ -74,13 +74,13 @@ class ScrambledSpec(FrameSpec):
 
 
 def frame_spec(nodes: int, kind: type[FrameSpec] = FrameSpec) -> FrameSpec:
-    """Room for the longest stretch and a gap; a period of whole samples."""
+    """A frame with room for the longest stretch and a gap, and a period of whole samples."""
     chips = 10 * FrameSpec(nodes=nodes, chip_s=1e-8, frame_period_s=1.0).order
     return kind(nodes=nodes, chip_s=CHIP_S, frame_period_s=round(1.6 * chips) * CHIP_S)
 
 
 def noise_of(spec: FrameSpec, per_chip: float) -> float:
-    """Of one sample, V, for ρ with nodes of 1 V."""
+    """Standard deviation of one sample's noise, V, for RHO with nodes of 1 V."""
     return float(np.sqrt(spec.order * per_chip) / RHO)
 
 
@@ -141,7 +141,7 @@ def wrong(values: np.ndarray | None, bits: np.ndarray) -> float:
 def own_line(
     spec: FrameSpec, clocks: NodeClocks, bits: np.ndarray, per_chip: int, size: int
 ) -> np.ndarray:
-    """What instants see of nodes that count their own chips; bits: (k, n), 0 where silent."""
+    """Samples of nodes that count their own chips; bits: (k, n), 0 for silence."""
     instants = (np.arange(size) + 0.5) / per_chip
     pitch = RESYNC + GUARD if spec.resync_chips else size
     slot, since = np.divmod(instants, pitch)
@@ -160,7 +160,7 @@ def own_line(
 def called_clocks(
     spec: FrameSpec, clocks: NodeClocks, per_chip: int, rng: np.random.Generator
 ) -> NodeClocks:
-    """The clocks as one roll call lets the host know them."""
+    """The clocks as estimated from one roll call."""
     listener, noise = RollCallListener(spec, Sampling(per_chip)), noise_of(spec, per_chip)
     for node in range(spec.nodes):
         bits = rng.choice([-1.0, 1.0], (spec.bits, 1)) * (np.arange(spec.nodes) == node)
@@ -211,7 +211,7 @@ def own_errors(nodes: int, rate: float, delay: float) -> dict[str, float]:
 
 
 def sampling_rows() -> list[list[object]]:
-    """What the samples per chip do for noise and bit errors, at 0.5 % and half a chip of delay."""
+    """Noise and bit errors by samples per chip, at 0.5 % clock error and half a chip of delay."""
     rows: list[list[object]] = []
     for nodes in NODES[:2] if QUICK else NODES:
         rng = np.random.default_rng(3)
@@ -251,7 +251,7 @@ def plainly(line: np.ndarray, spec: FrameSpec) -> NodeLevels:
 
 
 def costs(report: Report) -> float:
-    """Times of a frame and of what is done beside, ms; returns a decorrelation's at 256 nodes."""
+    """Table of times per frame and per matrix, ms; returns that of decorrelation at 256 nodes."""
     rows, last = [], 0.0
     for nodes in NODES:
         spec, rng = frame_spec(nodes), np.random.default_rng(4)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The test vectors that C and Python share, made with the Python implementation.
+"""Test vectors shared by C and Python, made with the Python implementation.
 
-They pin the wire down: a change of one shows in the diff. That they are right in the first place
-is for the tests to show, which derive some of them by other means.
+They pin the wire format: a change shows in their diff. They cannot show that it is right; for that
+the tests derive some of them by other means.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ PACKETS: dict[str, tuple[int, Packet]] = {
     "configure": (2, Configure(PAPER, SyncMode.HEAR, integrated=True, quiet_uv=135_000)),
 }
 
-COBS = (  # those of the literature, then the ends of long blocks
+COBS = (  # examples of the literature, then blocks around 254 bytes
     b"",
     b"\0",
     b"\0\0",
@@ -124,7 +124,7 @@ COBS = (  # those of the literature, then the ends of long blocks
 
 CODE_ORDERS = (1, 2, 4, 12, 16, 20, 28, 36, 64, 144)
 LONG_ORDERS = {1024: (1, 512, 1023), 1040: (1, 519, 1039)}
-"""Too large to be given whole."""
+"""Orders too large to be written whole, and the rows that are."""
 SIGN_SEEDS = (0, 1, 2, 0xDEADBEEF, 0xFFFFFFFF)
 SIGN_ROWS = (*range(32), 1023, 4095, 65_534, 65_535)
 
@@ -227,7 +227,7 @@ def plus_minus(chips: np.ndarray) -> str:
 
 
 def dump(vectors: dict[str, Any]) -> str:
-    """JSON with one vector per line, so that diffs are readable."""
+    """JSON with one vector per line, for readable diffs."""
     sections = []
     for name, items in vectors.items():
         lines = ",\n".join("  " + json.dumps(item) for item in items)

@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The command `tactile-cdma calibrate`: known loads and what a skin measured → calibration file."""
+"""The command `tactile-cdma calibrate`: fits a calibration file to known loads."""
 
 from __future__ import annotations
 
 import argparse
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
@@ -19,7 +21,8 @@ from ..base.listing import listed
 from ..config.arguments import add_skin_options, finite, given, positive
 from ..config.parameters import BY_NAME, Value
 from ..config.skin_config import SkinConfig
-from ..driver.pipeline import Pipeline
+from ..driver.driver import Driver
+from ..driver.pipeline import Pipeline, TactileFrame
 from ..readings.calibration import Calibration
 from ..readings.calibration_file import (
     CalibrationContent,
@@ -31,7 +34,7 @@ from ..recording.capture import capture_notes
 from ..recording.offline import described_parameters, raw_frames
 from . import dynamics_fit, report
 from .load_points import LoadPoints, read_points
-from .load_session import LiveSkin, LoadSession
+from .load_session import LoadSession
 from .plateaus import Recording, Reference, find_offset, plateau_points, read_reference
 from .skin_fit import fit_skin
 
@@ -39,20 +42,10 @@ NODE_ORDER: dict[str, Value] = {"calibration_file": "", "layout_file": "", "rows
 """Parameters under which taxel i is node i + 1, and no earlier calibration takes part."""
 LONGEST_MS = 1e5
 """Frame period for tables of points, which have no frames, ms: long enough for any skin."""
-OF_CURVES: dict[str, Any] = {
-    "pieces": 2,
-    "rising": False,
-    "allow_missing": False,
-    "settle": 2.0,
-    "port": None,
-    "steps": (),
-    "node": None,
-    "seconds": 1.0,
-    "append": False,
-}
-"""Options of the fit of curves, and their defaults. settle, s: the paper's sensor takes 0.74 s."""
 OPTIONS_OF = {"port": ("steps", "node", "seconds", "append"), "capture": ("offset", "settle")}
 """Options that go with a source of loads only."""
+OF_CURVES = ("pieces", "rising", "allow_missing", "settle", "port", *OPTIONS_OF["port"])
+"""Options of the fit of curves, which do not go with --dynamics."""
 MISLED_S = 0.3
 """By how much a sensor's lag may shift the clock offset that is found, s; chosen: over three times
 the time constant of the paper's sensor."""
@@ -78,18 +71,13 @@ def add_to(commands: Any) -> None:
     parser.add_argument("--force", action="store_true", help="overwrite the output")
     parser.add_argument("--skin", help="name of this very skin (the parameter skin)")
     parser.add_argument(
-        "--pieces",
-        type=int,
-        choices=range(1, 9),
-        help="pieces of every curve (%(default)s)",
+        "--pieces", type=int, choices=range(1, 9), default=2, help="of every curve (%(default)s)"
     )
     parser.add_argument(
         "--rising", action="store_true", help="use rising loads only: for a skin to be compensated"
     )
     parser.add_argument(
-        "--allow-missing",
-        action="store_true",
-        help="accept nodes without a sound curve",
+        "--allow-missing", action="store_true", help="accept nodes without a sound curve"
     )
     parser.add_argument("--area-mm2", type=positive, metavar="MM2", help="area under a force_n")
     parser.add_argument("--seal", **file, help="accept a calibration file edited by hand")
@@ -98,10 +86,8 @@ def add_to(commands: Any) -> None:
     capture.add_argument(
         "--offset", type=finite, help="device time minus the reference's time [s] (found)"
     )
-    capture.add_argument(
-        "--settle",
-        type=positive,
-        help="left out after a load came to rest [s] (%(default)s)",
+    capture.add_argument(  # the paper's sensor takes 0.74 s
+        "--settle", type=positive, default=2.0, help="left out of every load at first [s] (2)"
     )
     capture.add_argument(
         "--dynamics", **file, help="calibration file to add lag and hysteresis, seen in cycles, to"
@@ -109,21 +95,21 @@ def add_to(commands: Any) -> None:
     live = parser.add_argument_group("loads taken step by step")
     live.add_argument("--port", help="pyserial URL of the digitizer")
     live.add_argument("--baud", type=int, default=BY_NAME["baud"].default)
-    live.add_argument("--steps", type=_steps, metavar="0,10,…", help="loads [kPa]")
+    live.add_argument("--steps", type=_steps, default=(), metavar="0,10,…", help="loads [kPa]")
     live.add_argument("--node", type=int, help="the one that is loaded (all, alike)")
     live.add_argument(
-        "--seconds", type=positive, help="how long a load is measured [s] (%(default)s)"
+        "--seconds", type=positive, default=1.0, help="for which a load is measured [s] (1)"
     )
     live.add_argument("--append", action="store_true", help="go on with a file of points")
     add_skin_options(parser, "what a capture says, else the driver's")
-    parser.set_defaults(run=run, **OF_CURVES)
+    parser.set_defaults(run=partial(_run, parser))
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns the exit code."""
+def _run(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
     if arguments.seal:
         print(f"identity={seal_calibration(arguments.seal)}")
         return 0
+    _check_options(parser, arguments)
     loads = _checked_files(arguments)
     values = given(arguments) | NODE_ORDER
     if arguments.skin is not None:
@@ -158,10 +144,10 @@ def _fit(arguments: argparse.Namespace, config: SkinConfig, points: LoadPoints) 
     if not fit.curves:
         raise CalibrationError(f"{points.source}: no node has a sound curve; nothing is written")
     if fit.refused and not arguments.allow_missing:
+        nodes_without = listed(list(fit.refused), "node")
         raise CalibrationError(
-            f"{points.source}: no sound curve for {listed(list(fit.refused), 'node')} (see above); "
-            "nothing is written: mend the loads, or --allow-missing takes the default curve for "
-            "them"
+            f"{points.source}: no sound curve for {nodes_without} (see above); nothing is written: "
+            "mend the loads, or --allow-missing takes the default curve for them"
         )
     calibration = Calibration.of_nodes(fit.curves, config.curve, nodes)
     content = CalibrationContent.of(calibration, config.adc, config.skin, points.source)
@@ -203,9 +189,6 @@ def _picture(arguments: argparse.Namespace) -> Path:
 def _checked_files(arguments: argparse.Namespace) -> Path:
     """The file of loads. Options and files that cannot be meant are refused before anything."""
     output, loads = arguments.output, arguments.loads
-    if output is None:
-        raise CalibrationError("-o is missing: the calibration file to write")
-    _check_options(arguments)
     if loads is None:
         if not arguments.port:
             raise CalibrationError("which loads? Give a CSV file, or --port to take them now")
@@ -230,12 +213,17 @@ def _check_writable(path: Path, force: bool, *others: Path | None) -> None:
         raise CalibrationError(f"{path}: there is no such folder")
 
 
-def _check_options(arguments: argparse.Namespace) -> None:
-    """Raise CalibrationError for options that do not go with each other."""
-    changed = [name for name, default in OF_CURVES.items() if getattr(arguments, name) != default]
-    if arguments.dynamics and changed:
+def _check_options(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
+    """Raise CalibrationError for options that are missing or do not go with each other."""
+
+    def changed(names: Iterable[str]) -> list[str]:
+        return [name for name in names if getattr(arguments, name) != parser.get_default(name)]
+
+    if arguments.output is None:
+        raise CalibrationError("-o is missing: the calibration file to write")
+    if arguments.dynamics and (wrong := changed(OF_CURVES)):
         raise CalibrationError(
-            f"--{changed[0].replace('_', '-')} is for curves; --dynamics adds to those of "
+            f"--{wrong[0].replace('_', '-')} is for curves; --dynamics adds to those of "
             f"{arguments.dynamics}"
         )
     if arguments.dynamics and not arguments.capture:
@@ -243,9 +231,8 @@ def _check_options(arguments: argparse.Namespace) -> None:
     if arguments.port and arguments.capture:
         raise CalibrationError("--port and --capture: loads come from one of the two")
     for source, names in OPTIONS_OF.items():
-        for name in () if getattr(arguments, source) else names:
-            if getattr(arguments, name) != OF_CURVES.get(name):
-                raise CalibrationError(f"--{name} goes with --{source} only")
+        if not getattr(arguments, source) and (wrong := changed(names)):
+            raise CalibrationError(f"--{wrong[0]} goes with --{source} only")
     if arguments.dynamics:
         _check_scipy()
 
@@ -277,10 +264,8 @@ def _beside_capture(
     if arguments.offset is not None:
         return recording, float(arguments.offset)
     found = find_offset(reference, recording, config.curve)
-    print(
-        f"offset of the clocks: {found.offset_s:.2f} ± {found.error_s:.2f} s (match "
-        f"{found.match:.3f})"
-    )
+    uncertain = f"{found.offset_s:.2f} ± {found.error_s:.2f} s (match {found.match:.3f})"
+    print(f"offset of the clocks: {uncertain}")
     return recording, found.offset_s
 
 
@@ -305,8 +290,9 @@ def _take_loads(arguments: argparse.Namespace, path: Path, config: SkinConfig) -
     if arguments.node is not None and not 1 <= arguments.node <= nodes:
         raise CalibrationError(f"--node is {arguments.node}; the skin has nodes 1…{nodes}")
     loaded = range(1, nodes + 1) if arguments.node is None else [arguments.node]
-    with LiveSkin(config, arguments.port, arguments.baud) as skin:
-        session = LoadSession(skin, loaded, arguments.seconds)
+    frames: SimpleQueue[TactileFrame] = SimpleQueue()
+    with Driver(config, arguments.port, arguments.baud, frames.put, lambda problem: None) as driver:
+        session = LoadSession(driver, frames, config.adc.lsb_v, loaded, arguments.seconds)
         try:
             taken = session.run(path, arguments.steps, arguments.append)
         except KeyboardInterrupt:

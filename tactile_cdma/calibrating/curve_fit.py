@@ -39,8 +39,6 @@ _GOOD_SHARE, _GOOD_SIGMAS = 0.7, 1.04
 """Share of the points taken to be no outliers; of a normal distribution it lies within 1.04 σ."""
 _RIDGE = 1e-14
 """Relative to the trace of the normal matrix: keeps it regular where a piece has no points."""
-_CHUNK = 50_000
-"""Points fitted at once: keeps the arrays within a cache or two."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,32 +66,12 @@ class Fit:
 
 
 def fit_curves(pressure_pa: Floats, voltage_v: Floats, pieces: int, noise_v: float) -> Fit:
-    """Fit n sensors at once.
+    """Fit n sensors at once; a few thousand points at a time are fastest.
 
     pressure_pa, voltage_v: (n, m), Pa and V, NaN where a sensor has fewer than m points. Each
     needs LEAST_LEVELS different loads per piece. noise_v: rms that the converter's resolution adds,
     V: no point is an outlier for less. Whether the curves fall is for the caller to check.
     """
-    size = max(1, _CHUNK // pressure_pa.shape[1])
-    fits = [
-        _fit(pressure_pa[i : i + size], voltage_v[i : i + size], pieces, noise_v)
-        for i in range(0, len(pressure_pa), size)
-    ]
-    names = Fit.__dataclass_fields__
-    return Fit(**{name: np.concatenate([getattr(fit, name) for fit in fits]) for name in names})
-
-
-def levels_of(load: Floats) -> Floats:
-    """The different loads among (m,), rising: closer than LEVEL of the largest are one."""
-    rising: list[float] = np.sort(load).tolist()
-    least, levels = LEVEL * rising[-1], rising[:1]
-    for value in rising:
-        if value - levels[-1] > least:
-            levels.append(value)
-    return np.array(levels)
-
-
-def _fit(pressure_pa: Floats, voltage_v: Floats, pieces: int, noise_v: float) -> Fit:
     given = np.isfinite(pressure_pa) & np.isfinite(voltage_v)
     scale_pa = np.max(pressure_pa, axis=1, keepdims=True, where=given, initial=0.0)
     load = np.where(given, pressure_pa / scale_pa, 0.0)
@@ -105,7 +83,7 @@ def _fit(pressure_pa: Floats, voltage_v: Floats, pieces: int, noise_v: float) ->
         simpler, spacing = knees, np.diff(places, axis=0).max(axis=0)
         knees, used = points.settle(points.with_another(knees), spacing)
         gain = points.squares(simpler, used) - points.squares(knees, used)
-        found &= gain > KNEE_EVIDENCE * np.maximum(points.sigma(knees, used), noise_v) ** 2
+        found &= gain > KNEE_EVIDENCE * np.maximum(points.variance(knees, used), noise_v**2)
     last = np.max(load, axis=1, where=used, initial=0.0)
     corners = np.column_stack((np.zeros(len(given)), knees, last))
     beta, residual = points.solve(knees, used)
@@ -114,9 +92,19 @@ def _fit(pressure_pa: Floats, voltage_v: Floats, pieces: int, noise_v: float) ->
         corner_v=(_design(corners, knees) @ beta[:, :, None])[:, :, 0],
         residual_v=np.where(given, residual, np.nan),
         used=used,
-        sigma_v=points.sigma(knees, used),
+        sigma_v=np.sqrt(points.variance(knees, used)),
         knee_found=found,
     )
+
+
+def levels_of(load: Floats) -> Floats:
+    """The different loads among (m,), rising: closer than LEVEL of the largest are one."""
+    rising: list[float] = np.sort(load).tolist()
+    least, levels = LEVEL * rising[-1], rising[:1]
+    for value in rising:
+        if value - levels[-1] > least:
+            levels.append(value)
+    return np.array(levels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,11 +128,10 @@ class _Points:
         """Least sum of squares over the points used, (n,) V²."""
         return np.asarray(np.square(self.solve(knees, used)[1]).sum(axis=1, where=used))
 
-    def sigma(self, knees: Floats, used: Mask) -> Floats:
-        """Standard deviation of the points used, (n,) V."""
-        unknowns = 2 + 2 * knees.shape[1]
-        freedom = np.maximum(used.sum(axis=1) - unknowns, 1)
-        return np.asarray(np.sqrt(self.squares(knees, used) / freedom))
+    def variance(self, knees: Floats, used: Mask) -> Floats:
+        """Variance of the points used about the fit, (n,) V²."""
+        freedom = used.sum(axis=1) - 2 - 2 * knees.shape[1]
+        return np.asarray(self.squares(knees, used) / np.maximum(freedom, 1))
 
     def with_another(self, knees: Floats) -> Floats:
         """Knees (n, k) and the one more that lowers the sum of |residuals| most, (n, k + 1)."""

@@ -73,15 +73,15 @@ def _check(reference: Reference, recording: Recording, within: NDArray[np.bool_]
 
 def describe(found: Identified) -> str:
     """The report for people."""
-    dynamics, held_out = found.dynamics, found.held_out
+    dynamics = found.dynamics
     opened = np.expm1(np.dot(dynamics.widths, dynamics.weights))
     return (
         f"dynamics from {found.cycles} loading cycles, which move the offset of the clocks by "
         f"{-found.late_s * 1e3:+.0f} ms\n"
         f"lag: rising {dynamics.rise_s * 1e3:.0f} ms, falling {dynamics.fall_s * 1e3:.0f} ms\n"
         f"hysteresis: falling loads read up to {opened:.1%} more than rising ones\n"
-        f"error on the last third, which was not fitted: {held_out.before_pa:.0f} Pa rms without, "
-        f"{held_out.after_pa:.0f} Pa with compensation ({held_out.removed:.0%} removed)\n"
+        f"error on the last third, which was not fitted: {found.before_pa:.0f} Pa rms without, "
+        f"{found.after_pa:.0f} Pa with compensation ({found.removed:.0%} removed)\n"
         f"noise grows up to {dynamics.noise_gain:.1f} times while a pressure rises"
     )
 
@@ -91,24 +91,23 @@ def results(found: Identified) -> dict[str, str]:
     return {
         "rise_ms": f"{found.dynamics.rise_s * 1e3:.1f}",
         "fall_ms": f"{found.dynamics.fall_s * 1e3:.1f}",
-        "hysteresis_removed": f"{found.held_out.removed:.3f}",
-        "rms_before_pa": f"{found.held_out.before_pa:.1f}",
-        "rms_after_pa": f"{found.held_out.after_pa:.1f}",
+        "hysteresis_removed": f"{found.removed:.3f}",
+        "rms_before_pa": f"{found.before_pa:.1f}",
+        "rms_after_pa": f"{found.after_pa:.1f}",
     }
 
 
 def draw(found: Identified, path: Path) -> None:
     """The part that was not fitted, over time and over the known pressure, as a PNG."""
-    held_out = found.held_out
-    known_kpa = held_out.reference_pa / 1e3
+    known_kpa = found.reference_pa / 1e3
     with picture(path, (2, 1)) as (time_axes, loop_axes):
-        time_axes.plot(held_out.t_s, known_kpa, "k", lw=2, label="reference")
+        time_axes.plot(found.t_s, known_kpa, "k", lw=2, label="reference")
         for pressure_pa, colour, name in (
-            (held_out.static_pa, "C1", "curves alone"),
-            (held_out.compensated_pa, "C0", "with compensation"),
+            (found.static_pa, "C1", "curves alone"),
+            (found.compensated_pa, "C0", "with compensation"),
         ):
             middle_kpa = np.nanmedian(pressure_pa, axis=1) / 1e3
-            time_axes.plot(held_out.t_s, middle_kpa, colour, lw=1, label=name)
+            time_axes.plot(found.t_s, middle_kpa, colour, lw=1, label=name)
             loop_axes.plot(known_kpa, middle_kpa - known_kpa, colour, lw=0.8)
         time_axes.set(
             xlabel="time of the capture / s", ylabel="pressure / kPa", title="median of the nodes"

@@ -48,13 +48,17 @@ _PROBE_S = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class HeldOut:
-    """The m frames of n nodes that were not fitted.
+class Identified:
+    """Dynamics, and what their compensation makes of cycles that they were not fitted to.
 
-    t_s: (m,) s. reference_pa: (m,) known pressure, Pa. static_pa, compensated_pa: (m, n), Pa, NaN
-    where a node has no reading.
+    cycles: loads and releases in the record. late_s: by how much the reference was late, s.
+    The m frames of n nodes that were not fitted: t_s, (m,) s; reference_pa, (m,) known pressure,
+    Pa; static_pa, compensated_pa, (m, n) Pa, NaN where a node has no reading.
     """
 
+    dynamics: Dynamics
+    cycles: int
+    late_s: float
     t_s: Floats
     reference_pa: Floats
     static_pa: NDArray[np.floating]
@@ -78,19 +82,6 @@ class HeldOut:
     def _error_pa(self, pressure_pa: NDArray[np.floating]) -> float:
         error_pa = np.ma.masked_invalid(pressure_pa - self.reference_pa[:, None])
         return float(np.nanmedian(np.sqrt((error_pa**2).mean(axis=0).filled(np.nan))))
-
-
-@dataclass(frozen=True, eq=False)
-class Identified:
-    """Dynamics, and what their compensation makes of cycles that they were not fitted to.
-
-    cycles: loads and releases in the record. late_s: by how much the reference was late, s.
-    """
-
-    dynamics: Dynamics
-    cycles: int
-    late_s: float
-    held_out: HeldOut
 
 
 def identify(
@@ -118,23 +109,23 @@ def identify(
     fitted = len(t_s) * 2 // 3
     record = _Record(t_s, reference_pa, np.nanmedian(pressure_pa[:fitted], axis=1), uncertain_s)
     dynamics, late_s = _search(record)
-    reference_pa = np.interp(t_s + late_s, t_s, reference_pa)
-    compensated_pa = _compensated(dynamics, t_s, pressure_pa)
-    held_out = HeldOut(
-        t_s[fitted:], reference_pa[fitted:], pressure_pa[fitted:], compensated_pa[fitted:]
+    reference_pa = np.interp(t_s + late_s, t_s, reference_pa)[fitted:]
+    compensated_pa = _compensated(dynamics, t_s, pressure_pa)[fitted:]
+    found = Identified(
+        dynamics, cycles, late_s, t_s[fitted:], reference_pa, pressure_pa[fitted:], compensated_pa
     )
-    if not held_out.after_pa < (1 - LEAST_REMOVED) * held_out.before_pa:
+    if not found.after_pa < (1 - LEAST_REMOVED) * found.before_pa:
         raise CalibrationError(
             "what the first cycles taught makes the last ones hardly better: "
-            f"{held_out.before_pa:.0f} Pa rms before, {held_out.after_pa:.0f} Pa after; do the "
+            f"{found.before_pa:.0f} Pa rms before, {found.after_pa:.0f} Pa after; do the "
             "curves and the reference belong together?"
         )
-    if held_out.after_pa > MOST_LEFT * held_out.reference_pa.max():
+    if found.after_pa > MOST_LEFT * reference_pa.max():
         raise CalibrationError(
-            f"{held_out.after_pa:.0f} Pa rms stay of loads up to {held_out.reference_pa.max():.0f} "
-            "Pa: do the capture, the reference and the curves belong together?"
+            f"{found.after_pa:.0f} Pa rms stay of loads up to {reference_pa.max():.0f} Pa: do the "
+            "capture, the reference and the curves belong together?"
         )
-    return Identified(dynamics, cycles, late_s, held_out)
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,16 +197,14 @@ def _search(record: _Record) -> tuple[Dynamics, float]:
             f"the clocks differ by {record.uncertain_s:g} s or more from the offset that was found "
             "by matching the loads: give --offset"
         )
-    none = np.log(1e-6)
-    quick_pa, slow_pa = record.delayed(
-        np.array([[none, none, late], [np.log(_PROBE_S), none, late]])
-    ).T
+    constants = np.log([[1e-6, 1e-6], [_PROBE_S, 1e-6]])
+    quick_pa, slow_pa = record.delayed(np.insert(constants, 2, late, axis=1)).T
     shown_pa, left_pa = (np.sqrt(np.mean(x**2)) for x in (slow_pa - quick_pa, found.fun))
     if shown_pa < left_pa:
         raise CalibrationError(
             f"a lag of {_PROBE_S:g} s would change the readings by {shown_pa:.0f} Pa rms, but "
-            f"{left_pa:.0f} Pa stay unexplained anyway: the loads change too slowly to "
-            "tell, or capture and reference do not belong together"
+            f"{left_pa:.0f} Pa stay unexplained anyway: the loads change too slowly to tell, or "
+            "capture and reference do not belong together"
         )
     weights = tuple(record.explain(found.x[None])[0][0].tolist())
     rise_s, fall_s = np.exp([rise, fall]).tolist()
@@ -225,14 +214,11 @@ def _search(record: _Record) -> tuple[Dynamics, float]:
 def _compensated(
     dynamics: Dynamics, t_s: Floats, pressure_pa: NDArray[np.floating]
 ) -> NDArray[np.float32]:
-    nodes = pressure_pa.shape[1]
-    highest_pa = 2 * float(np.nanmax(pressure_pa))  # out of the way: it is not to help
-    compensator = Compensator(dynamics, np.full(nodes, highest_pa))
-    everywhere = np.ones(nodes, dtype=bool)
-    rows = pressure_pa.astype(np.float32)
-    return np.array(
-        [compensator.update(row, everywhere, t) for row, t in zip(rows, t_s.tolist(), strict=True)]
-    )
+    everywhere = np.ones(pressure_pa.shape[1], dtype=bool)
+    # The bound of the range is not to help.
+    compensator = Compensator(dynamics, everywhere * 2.0 * np.nanmax(pressure_pa))
+    readings = zip(pressure_pa.astype(np.float32), t_s.tolist(), strict=True)
+    return np.array([compensator.update(row, everywhere, t) for row, t in readings])
 
 
 def _check(t_s: Floats, reference_pa: Floats, pressure_pa: NDArray[np.floating]) -> None:

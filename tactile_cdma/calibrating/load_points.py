@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Points to calibrate from: known pressures on nodes, and the voltages that the nodes gave."""
+"""Points to calibrate from: known pressures on nodes and the voltages measured there."""
 
 from __future__ import annotations
 

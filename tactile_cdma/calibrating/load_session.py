@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from ..base.errors import CalibrationError, PortError
 from ..base.listing import listed
-from ..config.skin_config import SkinConfig
 from ..driver.driver import Driver
 from ..driver.pipeline import TactileFrame
 from .load_points import HEADING, point_lines
@@ -29,46 +28,17 @@ MOVED = 2.0
 """Change by which a node has moved, LSB: a code that flickers between two changes by one."""
 
 
-class LiveSkin:
-    """Readings of a skin on a port, from now on for a while. A context manager."""
-
-    def __init__(self, config: SkinConfig, url: str, baud: int) -> None:
-        self.config = config
-        self._frames: queue.SimpleQueue[TactileFrame] = queue.SimpleQueue()
-        self._driver = Driver(config, url, baud, self._frames.put, lambda problem: None)
-
-    def __enter__(self) -> LiveSkin:
-        self._driver.start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._driver.stop()
-
-    def collect(self, seconds: float) -> NDArray[np.float32]:
-        """Voltages of the frames of the next seconds, (f, n) V, NaN where a node is not heard.
-
-        Raises PortError, with the driver's reason, where too few frames come.
-        """
-        begin_s = time.monotonic()
-        deadline_s, rows = begin_s + seconds + PATIENCE_S, list[NDArray[np.float32]]()
-        while time.monotonic() < deadline_s:
-            with suppress(queue.Empty):
-                frame = self._frames.get(timeout=0.1)
-                if frame.t_host >= begin_s:
-                    rows.append(frame.readings.voltage_v)
-                if frame.t_host >= begin_s + seconds and len(rows) >= LEAST_FRAMES:
-                    return np.array(rows)
-        raise PortError(self._driver.problem or "too few frames come; is the skin connected?")
-
-
 @dataclass(frozen=True)
 class LoadSession:
     """The dialogue on the terminal: every load that is accepted is in the file at once.
 
-    nodes: numbers of those that are loaded. seconds: for which each load is measured.
+    frames: what the driver puts there. nodes: numbers of those that are loaded. seconds: for which
+    each load is measured.
     """
 
-    skin: LiveSkin
+    driver: Driver
+    frames: queue.SimpleQueue[TactileFrame]
+    lsb_v: float
     nodes: Sequence[int]
     seconds: float
 
@@ -100,7 +70,7 @@ class LoadSession:
         return taken
 
     def _take(self, file: TextIO, steps_kpa: Sequence[float]) -> int:
-        self.skin.collect(0.0)  # raises before anybody loads a skin that is not heard
+        self._collect(0.0)  # raises before anybody loads a skin that is not heard
         before_v: Floats | None = None
         taken = 0
         while (load_kpa := self._next(taken, steps_kpa)) is not None:
@@ -140,10 +110,25 @@ class LoadSession:
                     return value
             print(f"{answer!r} is no pressure in kPa", flush=True)
 
+    def _collect(self, seconds: float) -> NDArray[np.float32]:
+        """Voltages of the frames of the next seconds, (f, n) V, NaN where a node is not heard.
+
+        Raises PortError, with the driver's reason, where too few frames come.
+        """
+        begin_s = time.monotonic()
+        deadline_s, rows = begin_s + seconds + PATIENCE_S, list[NDArray[np.float32]]()
+        while time.monotonic() < deadline_s:
+            with suppress(queue.Empty):
+                frame = self.frames.get(timeout=0.1)
+                if frame.t_host >= begin_s:
+                    rows.append(frame.readings.voltage_v)
+                if frame.t_host >= begin_s + seconds and len(rows) >= LEAST_FRAMES:
+                    return np.array(rows)
+        raise PortError(self.driver.problem or "too few frames come; is the skin connected?")
+
     def _settled(self) -> Floats | None:
         """Voltages of the nodes, (k,) V, NaN where not heard; None where they still move."""
-        lsb_v = self.skin.config.adc.lsb_v
-        frames = self.skin.collect(self.seconds)[:, np.array(self.nodes) - 1]
+        lsb_v, frames = self.lsb_v, self._collect(self.seconds)[:, np.array(self.nodes) - 1]
         begin_v, end_v = (steady_voltage(half, lsb_v) for half in np.array_split(frames, 2))
         change_v = np.abs(end_v - begin_v)
         moving = change_v > MOVED * lsb_v  # False for a node that was not heard
@@ -168,7 +153,7 @@ class LoadSession:
         silent = np.isnan(voltage_v)
         groups = {"not heard": silent}
         if before_v is not None:
-            moved = np.abs(voltage_v - before_v) > MOVED * self.skin.config.adc.lsb_v
+            moved = np.abs(voltage_v - before_v) > MOVED * self.lsb_v
             parts.append(f"{np.count_nonzero(moved)} of {len(self.nodes)} nodes moved")
             groups = {"not moved": ~moved & ~silent, "not heard": silent}
         for what, where in groups.items():

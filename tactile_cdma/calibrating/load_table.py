@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import difflib
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -97,13 +98,9 @@ def read_table(path: Path, area_m2: float | None = None) -> Table:
     columns = dict(zip(headings, np.array(rows).T, strict=True))
     if "force" in headings:
         if "pressure" in headings:
-            raise CalibrationError(
-                f"{path}: there are both force and pressure; which of the two is meant?"
-            )
+            raise CalibrationError(f"{path}: both force and pressure are there: which is meant?")
         if area_m2 is None:
-            raise CalibrationError(
-                f"{path}: forces become pressures by the area they act on: give --area-mm2"
-            )
+            raise CalibrationError(f"{path}: forces need the area they act on: give --area-mm2")
         headings["pressure"], columns["pressure"] = headings["force"], columns["force"]
         factors["pressure"] = 1 / area_m2
     columns = {kind: column * factors[kind] for kind, column in columns.items()}
@@ -140,14 +137,12 @@ def _headings(cells: list[str]) -> dict[str, str]:
 
 def _unknown(cell: str, kind: str) -> str:
     """What is wrong with a heading."""
-    try:
+    with suppress(ValueError):
         float(cell.replace(",", "."))
         return (
             f"{cell} where a heading should be; name quantities and units in the first line, "
             "as in node,pressure_kpa,voltage_v"
         )
-    except ValueError:
-        pass
     known = [kind + unit for kind, units in UNITS.items() for unit in units]
     if kind in UNITS:
         units = ", ".join(heading for heading in known if heading.startswith(kind))

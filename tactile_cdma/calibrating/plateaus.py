@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A reference's pressure over time beside a skin's voltages → points, where both stood still."""
+"""Points from a reference recorded beside a skin: plateaus of the load, offset of the clocks."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _OVERLAP = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Reference(LoadFile):
-    """What a reference sensor said: m readings at rising times.
+    """Readings of a reference sensor: m of them, at rising times.
 
     t_s, pressure_pa: (m,) float64. node: (m,) int64, the node that was loaded; None: all alike.
     line: (m,) int64, of the file.
@@ -57,7 +57,7 @@ class Reference(LoadFile):
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What the nodes of a skin measured.
+    """Readings of a skin's nodes.
 
     t_s: (f,) float64, device time, s. voltage_v: (f, n) float32, V, NaN where a node had no valid
     reading.
@@ -69,7 +69,7 @@ class Recording:
 
 @dataclass(frozen=True, slots=True)
 class ClockOffset:
-    """offset_s: to add to the reference's times for the recording's, s. error_s: how sure that is.
+    """offset_s: recording's time minus the reference's, s. error_s: its uncertainty, ±s.
 
     match: correlation of the two at this offset.
     """
@@ -99,8 +99,8 @@ def plateau_points(
 ) -> LoadPoints:
     """One point for every node on every plateau of the reference.
 
-    offset_s: see ClockOffset. settle_s: so long after a load came to rest its readings are left
-    out, for the sensor creeps; the load has to rest for longer than that.
+    offset_s: see ClockOffset. settle_s: readings that are left out after a load came to rest,
+    because the sensor creeps, s; the load has to rest for longer.
     Raises CalibrationError where there are too few plateaus.
     """
     everyone = np.arange(1, recording.voltage_v.shape[1] + 1)
@@ -145,11 +145,10 @@ def steady_voltage(voltage_v: NDArray[np.float32], lsb_v: float) -> Floats:
 
 
 def find_offset(reference: Reference, recording: Recording, curve: PressureCurve) -> ClockOffset:
-    """The offset of the two clocks at which the skin feels what the reference says.
+    """Find the offset of the two clocks: where reference and mean pressure correlate best.
 
-    curve: what is known of the sensors so far; it makes pressures of voltages that are roughly
-    right, or a part of the loads could match another one better than itself. Reference and mean
-    pressure of all nodes are correlated on one raster at every offset.
+    curve: roughly that of the sensors: on a wrong scale, a part of the loads could match another
+    part better than itself. All offsets of one raster are tried.
     Raises CalibrationError where they match nowhere, or in several places.
     """
     longest_s = max(float(t_s[-1] - t_s[0]) for t_s in (reference.t_s, recording.t_s))
@@ -196,10 +195,10 @@ def _plateaus(reference: Reference) -> list[tuple[int, int]]:
 
 
 def _mean_pressure(voltage_v: NDArray[np.float32], curve: PressureCurve) -> Floats:
-    """Mean over the nodes heard of what they felt, (f,) Pa, roughly.
+    """Rough mean pressure of the nodes heard, (f,) Pa.
 
-    Every node's highest voltage is taken for that without a load, and the curve's last piece goes
-    on below its end, so that a curve that is somewhat wrong still tells heavy loads apart.
+    Every node's highest voltage counts as unloaded, and the curve's last piece is extrapolated, so
+    that a curve that is somewhat wrong still tells heavy loads apart.
     """
     voltage_v = voltage_v[:, np.isfinite(voltage_v).any(axis=0)]
     heard = np.isfinite(voltage_v)
@@ -247,8 +246,7 @@ def _match(load: Floats, felt: Floats) -> tuple[NDArray[np.int64], Floats, Float
 
 def _hill(heights: Floats, top: int) -> tuple[int, int]:
     """First and last index of the hill about its top, down to where it has lost a tenth."""
-    foot = heights[top] - 0.1
-    left, right = np.flatnonzero(heights[:top] < foot), np.flatnonzero(heights[top:] < foot)
-    first = int(left[-1]) + 1 if len(left) else 0
-    last = top + int(right[0]) - 1 if len(right) else len(heights) - 1
-    return first, last
+    below = np.flatnonzero(heights < heights[top] - 0.1)
+    place = int(np.searchsorted(below, top))
+    edges = np.concatenate(([-1], below, [len(heights)])).tolist()
+    return edges[place] + 1, edges[place + 1] - 1

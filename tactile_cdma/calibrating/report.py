@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a fit of a skin's curves is worth: in words, as key=value, and as a picture."""
+"""Reports the quality of a skin's fit: in words, as key=value, and as a picture."""
 
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -104,9 +105,9 @@ def describe(fit: SkinFit) -> str:
 
 def _refusals(refused: Mapping[int, str]) -> list[str]:
     """A line for each reason, with the nodes that share it."""
-    nodes_of: dict[str, list[int]] = {}
+    nodes_of = defaultdict[str, list[int]](list)
     for node, reason in refused.items():
-        nodes_of.setdefault(reason, []).append(node)
+        nodes_of[reason].append(node)
     lines = [f"  {listed(nodes, 'node')}: no curve: {reason}" for reason, nodes in nodes_of.items()]
     if (more := len(lines) - _MOST_REFUSALS) > 0:
         lines[_MOST_REFUSALS:] = [f"  and {more} reasons more"]
@@ -202,9 +203,8 @@ def _draw_curves(fit: SkinFit, axes: Any) -> None:
         (shown & ~fit.outlier, "k.", "points"),
         (shown & fit.outlier, "rx", "outliers"),
     ):
-        if mask.any():
-            pressure_kpa, volts = fit.points.pressure_pa[mask] / 1e3, fit.points.voltage_v[mask]
-            axes.plot(pressure_kpa, volts, style, ms=3, label=label)
+        pressure_kpa, volts = fit.points.pressure_pa[mask] / 1e3, fit.points.voltage_v[mask]
+        axes.plot(pressure_kpa, volts, style, ms=3, label=label)
     of = f" of {len(fit.curves)}" if len(drawn) < len(fit.curves) else ""
     title = f"curves of {len(drawn)}{of} nodes"
     axes.set(xlabel="pressure / kPa", ylabel="voltage / V", title=title)

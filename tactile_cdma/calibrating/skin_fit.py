@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The points of a whole skin → a curve for every node, or the reason why there is none."""
+"""Fits a curve to every node of a skin, or says why a node has none."""
 
 from __future__ import annotations
 
@@ -27,6 +27,8 @@ MOST_OUTLIERS = 0.2
 """Share of a node's points; chosen: with more it is not clear which of them are right."""
 MOST_NOISE = 0.1
 """Noise from point to point as a share of a curve's fall; chosen. Hysteresis is no noise."""
+POINTS_AT_ONCE = 50_000
+"""Points fitted together; chosen: keeps the arrays within a cache or two."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +60,8 @@ class SkinFit:
 def fit_skin(points: LoadPoints, nodes: int, adc: AdcScale, pieces: int = 2) -> SkinFit:
     """Fit the curves of nodes 1…nodes.
 
-    Raises CalibrationError where the voltages of most nodes rise with the pressure. All else that
-    is wrong is wrong with single nodes, and in `refused`.
+    Raises CalibrationError where the voltages of most nodes rise with the pressure. Problems of
+    single nodes are in `refused`.
     """
     # At an end of its range the converter says "this or more", which is no value to fit.
     usable = points.voltage_v < adc.vref_v - 1.5 * adc.lsb_v
@@ -77,8 +79,9 @@ def fit_skin(points: LoadPoints, nodes: int, adc: AdcScale, pieces: int = 2) -> 
     result = SkinFit(
         points, adc, pieces, {}, refused, residual_v, residual_pa, piece > 0, piece, {}, {}
     )
-    if good:
-        _fit_nodes(result, good)
+    size = max(1, POINTS_AT_ONCE // max(map(len, good.values()), default=1))
+    for i in range(0, len(good), size):
+        _fit_nodes(result, dict(list(good.items())[i : i + size]))
     return replace(result, refused=dict(sorted(refused.items())))
 
 
@@ -215,7 +218,7 @@ def _loop_v(pressure_pa: Floats, residual_v: Floats) -> float:
     """Widest difference between unloading and loading at one load, V; NaN where none came twice.
 
     pressure_pa, residual_v: (m,), in the order in which they were taken. Residuals of loads that
-    were reached from below and from above are compared, so that equal loads need not be the same.
+    were reached from above are compared with those interpolated between loads from below.
     """
     direction = directions(pressure_pa)
     up, down = direction >= 0, direction < 0

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
@@ -23,6 +24,8 @@ class Schedule:
     clock stands until something is asked for, and then steps to when that is due.
     started_s: when the stream began, s; later by the duration of frames lost since.
     report_s: when the next report is due. born_s: host time of power-up, s.
+    streaming: between start and stop. hurried: streaming, and packets are made as they are asked
+    for.
     """
 
     def __init__(self, clock: Callable[[], float], speed: float) -> None:
@@ -30,24 +33,13 @@ class Schedule:
         self.host_clock, self._speed = clock, speed
         self.born_s = self._host_s = clock()
         self.now_s = self.started_s = self.report_s = 0.0
-        self._steps: Iterator[_Step] | None = None
-        self._next = _Step(0.0)
-
-    @property
-    def streaming(self) -> bool:
-        """Between start and stop."""
-        return self._steps is not None
-
-    @property
-    def hurried(self) -> bool:
-        """Whether packets are made as they are asked for."""
-        return self._speed == 0 and self.streaming
+        self.streaming = self.hurried = False
+        self._steps: Iterator[_Step] = iter(())
+        self._next = _Step(math.inf)
 
     @property
     def due_s(self) -> float:
         """When something is due next."""
-        if self._steps is None:
-            return self.report_s
         return min(self.report_s, self.started_s + self._next.due_s)
 
     @property
@@ -68,10 +60,12 @@ class Schedule:
         self._steps = _steps(blocks, _PREPARE_S if self._speed else 0.0)
         self._next = next(self._steps)
         self.started_s = self.now_s
+        self.streaming, self.hurried = True, self._speed == 0
 
     def stop(self) -> None:
         """End the stream."""
-        self._steps = None
+        self._next = _Step(math.inf)
+        self.streaming = self.hurried = False
 
     def skip(self, seconds: float) -> None:
         """Let the stream stand still for so long; no more than one report of that time is due."""
@@ -80,7 +74,6 @@ class Schedule:
 
     def take(self) -> Block | None:
         """What is due next of the stream: a packet, or nothing but computing the next ones."""
-        assert self._steps is not None, "only a stream has something due besides reports"
         step, self._next = self._next, next(self._steps)
         return step.block
 

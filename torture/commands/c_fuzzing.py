@@ -39,7 +39,7 @@ class Fuzzed:
 
 
 def best_kind() -> Kind:
-    """LibFuzzer if this machine has it."""
+    """Choose libFuzzer if this machine has it."""
     if shutil.which("clang") is None:
         return "standalone"
     asked = subprocess.run(["clang", "-print-runtime-dir"], capture_output=True, text=True)

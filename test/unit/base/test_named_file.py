@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Files that somebody names: what could keep a reader waiting, or fill its memory, is refused."""
+"""Files named by a user: what could block a reader or fill its memory is refused."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_a_file_is_read_up_to_its_limit(tmp_path: Path) -> None:
         read_named(path, 1 << 20)
 
 
-def test_what_is_no_regular_file_is_refused_without_waiting(tmp_path: Path) -> None:
+def test_pipes_devices_and_folders_are_refused_without_waiting(tmp_path: Path) -> None:
     pipe, link = tmp_path / "pipe", tmp_path / "link"
     os.mkfifo(pipe)
     link.symlink_to("/dev/zero")

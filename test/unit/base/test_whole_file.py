@@ -22,7 +22,7 @@ def test_a_file_is_made_and_replaced(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("umask", "mode"), [(0o022, 0o644), (0o077, 0o600), (0o002, 0o664)])
-def test_a_new_file_is_for_whom_the_umask_says(tmp_path: Path, umask: int, mode: int) -> None:
+def test_a_new_file_has_the_permissions_of_the_umask(tmp_path: Path, umask: int, mode: int) -> None:
     path, before = tmp_path / "file.txt", os.umask(umask)
     try:
         replace_file(path, "text")
@@ -42,7 +42,7 @@ def test_a_private_file_stays_private_from_the_first_byte(tmp_path: Path) -> Non
     assert path.stat().st_mode & 0o777 == 0o600
 
 
-def test_a_link_stays_one(tmp_path: Path) -> None:
+def test_a_link_keeps_pointing_to_the_replaced_file(tmp_path: Path) -> None:
     target, link = tmp_path / "palm.yaml", tmp_path / "current.yaml"
     target.write_text("old")
     link.symlink_to(target)
@@ -51,7 +51,7 @@ def test_a_link_stays_one(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("step", ["fsync", "replace"])
-def test_what_fails_leaves_the_old_file(
+def test_a_failed_write_leaves_the_old_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
     path = tmp_path / "file.txt"
@@ -67,7 +67,7 @@ def test_what_fails_leaves_the_old_file(
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_what_does_not_fit_leaves_the_old_file(tmp_path: Path) -> None:
+def test_a_write_beyond_the_size_limit_leaves_the_old_file(tmp_path: Path) -> None:
     path = tmp_path / "file.txt"
     path.write_text("old")
     program = (
@@ -89,7 +89,7 @@ def test_a_missing_folder_is_an_error(tmp_path: Path) -> None:
         replace_file(tmp_path / "none" / "file.txt", "new")
 
 
-def test_what_is_no_file_stays_what_it_is(tmp_path: Path) -> None:
+def test_what_is_not_a_regular_file_is_not_replaced(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     for path in (pipe, tmp_path):

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""tactile-cdma calibrate: from loads to a file that the driver takes, by all three ways."""
+"""tactile-cdma calibrate: from a table, a capture or live loads to a file for the driver."""
 
 import re
 import subprocess
@@ -37,7 +37,7 @@ NODES = 16
 
 
 def write_loads(path: Path, bad_node: int | None = None) -> dict[int, PressureCurve]:
-    """Points of 16 nodes, all different; the bad one doesn't feel the load."""
+    """Points of 16 nodes with different curves; the bad one does not feel the load."""
     rng = np.random.default_rng(4)
     curves = {
         node: PressureCurve.two_stage(
@@ -230,7 +230,7 @@ def test_a_reference_beside_a_capture(
 
 @dataclass
 class Press:
-    """What presses on all taxels of a simulated skin, alike. moving_pa_s: how fast it changes."""
+    """The same pressure on all taxels of a simulated skin. moving_pa_s: its rate of change."""
 
     pressure_pa: float = 0.0
     moving_pa_s: float = 0.0
@@ -241,7 +241,7 @@ class Press:
 
 @contextmanager
 def pressed_skin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Path, Press]]:
-    """A digitizer behind a real tty whose skin feels what the test presses."""
+    """A digitizer behind a real tty, and the pressure on its skin, for the test to set."""
     press, stop, ready = Press(), threading.Event(), threading.Event()
     monkeypatch.setitem(SCENES, "all", press)
     options = SimOptions(scene="all", threshold=1, heartbeat=10)
@@ -284,7 +284,7 @@ def dialogue(*arguments: object) -> Iterator[subprocess.Popen[str]]:
 
 
 def hear(process: subprocess.Popen[str], end: str) -> str:
-    """What the program says, up to this."""
+    """The program's output up to this text."""
     assert process.stdout is not None
     said = ""
     while not said.endswith(end):
@@ -295,7 +295,7 @@ def hear(process: subprocess.Popen[str], end: str) -> str:
 
 
 def rest(process: subprocess.Popen[str]) -> str:
-    """What the program says until it ends; there is no more input.
+    """The program's output until it ends, without further input.
 
     Not communicate(), which passes over what read() has already taken from the pipe.
     """
@@ -343,7 +343,7 @@ def test_step_by_step_on_a_live_skin(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 def take(process: subprocess.Popen[str], text: str = "") -> str:
-    """Answer until the load, which takes a moment to pass through the tty, is taken."""
+    """Answer until the load is taken: it needs a moment to pass through the tty."""
     time.sleep(0.25)
     answer(process, text)
     while "not taken" in (said := hear(process, "\n")):

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""tactile-cdma calibrate --rising and --dynamics: from two recordings to pressures to rely on."""
+"""tactile-cdma calibrate --rising and --dynamics: two recordings teach curves and dynamics."""
 
 import sys
 from collections.abc import Callable
@@ -42,7 +42,7 @@ BEHIND_S = 500.0
 
 
 def unseen(t_s: float, skin: Skin) -> np.ndarray:
-    """Loads that were in no recording: from one random turn to the next, some are held."""
+    """Loads that are in neither recording: from one random turn to the next, some held."""
     rng = np.random.default_rng(11)
     turns_s = np.cumsum(rng.uniform(0.3, 2.5, 60))
     loads = rng.uniform(0, 130e3, 60)
@@ -52,7 +52,7 @@ def unseen(t_s: float, skin: Skin) -> np.ndarray:
 
 
 def reference(path: Path, scene: Callable[[float, Skin], np.ndarray], end_s: float) -> Path:
-    """What a sensor beside the skin says 50 times a second, by a clock of its own."""
+    """Readings of a reference sensor, 50 per second, with a clock of its own."""
     one = Skin(np.zeros((1, 2)), 1e-3)
     times_s = np.arange(0.5, end_s, 0.02)
     rows = [f"{t - BEHIND_S:.3f},{scene(t, one)[0] / 1e3:.4f}" for t in times_s.tolist()]
@@ -109,7 +109,7 @@ def test_what_two_recordings_teach_holds_for_loads_never_seen(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Only by the commands and the driver's parameters; the references' clock is another one."""
+    """By commands and driver parameters alone; the reference has another clock."""
     output = tmp_path / "skin.yaml"
     capsys.readouterr()
     assert calibrate(*cycles_of(folder, curves), "-o", output) == 0
@@ -144,7 +144,7 @@ def test_what_two_recordings_teach_holds_for_loads_never_seen(
 def test_rising_loads_alone_count(
     folder: Path, curves: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Falling ones read more, so that a curve through both lies above that of rising ones."""
+    """Falling loads read more, so a curve through both branches lies above that of rising loads."""
     both = tmp_path / "both.yaml"
     options = ["--capture", folder / "steps.raw", "--settle", 1, "--allow-missing"]
     assert calibrate(folder / "steps.csv", *options, "-o", both) == 0

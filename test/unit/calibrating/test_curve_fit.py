@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Fits of curves: exact without noise, near the quantisation limit with it, unbent by outliers."""
+"""Curve fits: exact without noise, near the quantisation limit, not bent by outliers."""
 
 import math
 
@@ -71,7 +71,7 @@ def test_without_noise_the_curve_is_found_exactly(curve: PressureCurve) -> None:
 
 
 def test_three_stages_are_found_exactly() -> None:
-    """More knees are found one after the other, so where none is hidden by another."""
+    """Knees are added one at a time: each shows before the next one is known."""
     curve = PressureCurve((0.0, 30e3, 80e3, RANGE_PA), (3.2, 1.9, 1.1, 0.8))
     found = fit(curve.voltage(LOADS_PA)[None, :], 3)
     assert found.corner_pa[0] == pytest.approx(curve.pressure_pa, rel=1e-6, abs=1e-3)
@@ -110,7 +110,7 @@ def test_gross_outliers_do_not_bend_it(outliers: int) -> None:
 
 
 def test_sensors_do_not_touch_each_other() -> None:
-    """Many at once, of different numbers of points, give what each gives alone."""
+    """Sensors with different numbers of points, fitted together, give the same as alone."""
     truth = sensors(6, 7)
     voltage_v = quantised(voltages(truth))
     for row in range(6):

@@ -143,7 +143,7 @@ def test_files_that_are_no_tables(path: Path) -> None:
 
 
 def test_rising_loads_are_those_above_the_one_before() -> None:
-    """Of each node by itself; what is held goes on as it came, a jitter is no change."""
+    """Per node; a held load keeps the direction of the step to it, and jitter is no change."""
     loads_pa = np.array([0, 10, 20, 20.05, 15, 15, 30, 0, 0, 5]) * 1e3
     node = np.repeat([2, 1], len(loads_pa))
     both_pa = np.concatenate([loads_pa, loads_pa[::-1]])

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A reference beside a recording: where both stand still, and by how much their clocks differ."""
+"""A reference beside a recording: plateaus of the load, and the offset of the two clocks."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from tactile_cdma.readings.calibration import AdcScale, PressureCurve
 ADC = AdcScale()
 CURVE = PressureCurve.two_stage(v0_v=3.0)
 KNOWN = PressureCurve.two_stage(v0_v=3.2, knee_pa=45e3, stage1_v_per_pa=0.03e-3)
-"""What is taken for the curve before it is calibrated."""
+"""The curve that is assumed before calibration."""
 FRAME_S = 0.0128
 LEVELS_PA = np.array([0, 20, 40, 60, 90, 140, 75, 30, 0]) * 1e3
 DWELL_S, RAMP_S = 4.0, 0.5

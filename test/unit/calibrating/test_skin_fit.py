@@ -40,7 +40,7 @@ def read(loads_pa: np.ndarray, curve: PressureCurve = CURVE) -> np.ndarray:
 
 
 def fit_with(volts: np.ndarray, loads_pa: np.ndarray = LOADS_PA, pieces: int = 2) -> SkinFit:
-    """Node 2 gives these voltages, the two others what they should."""
+    """Fit a skin whose node 2 gives these voltages, and whose other nodes are right."""
     good = read(loads_pa)
     points = points_of(loads_pa, {1: good, 2: volts, 3: good})
     return fit_skin(points, NODES, ADC, pieces)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""When a driver that was left behind leaves something out."""
+"""When a driver that is too slow discards buffered input."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ STEP_S = 0.05
 
 
 def looks(waiting: list[int], ages_s: list[float]) -> list[bool]:
-    """What is said at looks every STEP_S."""
+    """The verdicts at looks every STEP_S."""
     backlog = Backlog(PERIOD_S)
     pairs = enumerate(zip(waiting, ages_s, strict=True))
     return [backlog.observe(count, age_s, i * STEP_S) for i, (count, age_s) in pairs]

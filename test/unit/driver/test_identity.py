@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which digitizer is taken: ids as people write them, and what is said to the wrong board."""
+"""Which digitizer is accepted: ids as people write them, and what the wrong board is sent."""
 
 from __future__ import annotations
 

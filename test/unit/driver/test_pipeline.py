@@ -157,7 +157,7 @@ def test_a_restarted_digitizer_is_followed() -> None:
 
 
 def in_the_middle(change: dict[str, int]) -> tuple[Pipeline, list[TactileFrame]]:
-    """What comes of a stream in which the 21st frame claims another place."""
+    """Decodes a stream in which the 21st frame claims another place."""
     config = SkinConfig.of({"samples_per_chip": 1})
     packets = PacketParser().feed(stream(config, "sim://?scene=all&heartbeat=40", 60))
     marks = [i for i, p in enumerate(packets) if isinstance(p, Samples) and p.sync]

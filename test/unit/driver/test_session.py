@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The conversation with a digitizer: when it is asked again, and what is said if nothing comes."""
+"""The conversation with a digitizer: when it is asked again, and what is reported if it fails."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_a_digitizer_that_is_reset_in_the_handshake_is_started_soon() -> None:
 
 
 class Line:
-    """A pipeline and a session that hear what a test says, at times that it says."""
+    """A pipeline and a session that receive given packets at given times."""
 
     def __init__(self) -> None:
         self.pipeline, self.session = Pipeline(CONFIG), Session(CONFIG)
@@ -51,7 +51,7 @@ class Line:
         self.session.open()
 
     def hears(self, now_s: float, *packets: Packet) -> bool:
-        """Whether it is asked to stream on hearing this."""
+        """Whether the digitizer is asked to stream after these packets."""
         self.pipeline.feed(b"".join(map(self._writer.encode, packets)), now_s)
         return bool(self.session.watch(self.pipeline, now_s))
 

@@ -103,6 +103,7 @@ def test_a_long_loss_waits_for_a_second_packet(beyond: int) -> None:
         ({"index": 0, "gap": MAX_GAP - 1}, Step.RESTART),
         ({"index": 0, "gap": MAX_GAP}, Step.RESET),
         ({"index": 0, "gap": -100}, Step.RESET),
+        ({"index": 0, "late_us": -COUNT_US}, Step.RESET),  # no later than the packet before
         ({"index": 0, "late_us": -1_000_000}, Step.RESET),
         ({"late_us": 60_000}, Step.RESTART),
         ({"late_us": -60_000}, Step.RESET),

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a driver measures of itself, and what is made of it."""
+"""What a driver measures of itself, and the findings drawn from it."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Slow:
 
 
 def driven(slow: Slow, url: str, frames: int) -> Window:
-    """What was measured while so many frames came."""
+    """What was measured while this many frames arrived."""
     with Driver(CONFIG, url, 2_000_000, slow.take, lambda problem: None) as driver:
         deadline = time.monotonic() + 20
         while len(slow.frames) < frames:

@@ -255,7 +255,7 @@ def test_other_files_are_refused(path: Path) -> None:
         ("just words", "it must be keys with values"),
         ("a: 1", "the file has no 'schema'"),
         (text[: text.index("curves")], "the file has no 'curves'"),
-        ("a: &a [x, x]\nb: [*a, *a]\n", "line 2: anchors and aliases (& and *) are not taken"),
+        ("a: &a [x, x]\nb: [*a, *a]\n", "line 2: anchors and aliases (& and *) are not supported"),
         (text.replace("schema", "# schema"), "the file has no 'schema'"),
     ):
         path.write_text(content)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Ports by USB serial number, and the command that tells which digitizer is where.
+"""Ports by USB serial number, and the command that lists ports with their digitizers.
 
-Boards are virtual digitizers on real ttys; only the kernel's list of USB devices is made up.
+Boards are virtual digitizers on real ttys; only the list of USB devices is faked.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def kernel(monkeypatch: pytest.MonkeyPatch) -> Kernel:
 
 @pytest.fixture(scope="module")
 def boards() -> Iterator[dict[int, str]]:
-    """Ports of boards 1 and 2, which report twenty times a second."""
+    """Ports of boards 1 and 2, which send INFO twenty times a second."""
     with plugged(board(1, "speed=20")) as first, plugged(board(2, "speed=20")) as second:
         yield {1: first, 2: second}
 
@@ -72,7 +72,7 @@ def test_a_renumbered_board_is_found_again(kernel: Kernel, boards: dict[int, str
 def test_none_and_several_are_refused_with_what_is_there(kernel: Kernel) -> None:
     kernel[:] = [("/dev/ttyACM0", "A1"), ("/dev/ttyUSB0", None), ("/dev/ttyACM1", "A10")]
     ports = serial_ports()
-    assert find_usb("usb://A1", ports) == "/dev/ttyACM0"  # and not A10, which begins with it
+    assert find_usb("usb://A1", ports) == "/dev/ttyACM0"  # not A10, of which it is a prefix
     with pytest.raises(PortError) as none:
         find_usb("usb://A", ports)
     for device, number in kernel:

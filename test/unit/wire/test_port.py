@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reading ports: all that is there, in order, and a clear error when the other end goes."""
+"""Ports: every byte arrives in order, and a lost or unusable port is a clear error."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def read_all(port: Port, size: int) -> list[bytes]:
     parts: list[bytes] = []
     while sum(map(len, parts)) < size:
         data, _ = port.read()
-        assert data, "it was sent and must come"
+        assert data, "the bytes were sent and must arrive"
         parts.append(data)
     return parts
 
@@ -104,7 +104,7 @@ def test_a_socket_whose_other_end_is_closed_is_lost() -> None:
         ("socket://localhost:1", "refused"),
     ],
 )
-def test_what_is_no_port_is_told_in_words(url: str, message: str) -> None:
+def test_a_port_that_cannot_be_opened_is_an_error_with_its_cause(url: str, message: str) -> None:
     with pytest.raises(PortError, match=message):
         Port(url, 115_200)
 
@@ -119,11 +119,11 @@ def test_time_is_taken_after_the_bytes_came() -> None:
         assert len(set(times)) == 3
 
 
-def test_what_waits_in_a_port_is_told_and_a_lost_port_is_an_error() -> None:
+def test_waiting_bytes_are_counted_and_a_closed_port_is_an_error() -> None:
     with pty_port() as (file, port):
         assert port.waiting == 0
         file.write(SENT[:1000])
-        deadline = time.monotonic() + 5  # the kernel carries them over in its own time
+        deadline = time.monotonic() + 5  # the kernel delivers them later
         while port.waiting < 1000 and time.monotonic() < deadline:
             time.sleep(0.001)
         assert port.waiting == 1000
@@ -146,7 +146,7 @@ def test_a_device_is_away_while_it_cannot_be_opened(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not hasattr(socket, "TCP_USER_TIMEOUT"), reason="Linux tells TCP how long")
 def test_a_host_that_acknowledges_nothing_is_given_up() -> None:
-    """By the kernel, which fails the read then; else it would go on for a quarter of an hour."""
+    """The kernel then fails the read; by default it would retry for a quarter of an hour."""
     with socket_port() as (_, port):
         own = socket.fromfd(port._serial.fileno(), socket.AF_INET, socket.SOCK_STREAM)
         with own:
@@ -154,7 +154,7 @@ def test_a_host_that_acknowledges_nothing_is_given_up() -> None:
     assert given_up_ms == HOST_GONE_S * 1e3
 
 
-def test_what_is_skipped_is_counted_and_what_comes_later_is_read() -> None:
+def test_skipped_bytes_are_counted_and_later_ones_are_read() -> None:
     with pty_port() as (file, port):
         assert port.skip() == 0
         file.write(SENT[:3000])
@@ -169,7 +169,7 @@ def test_what_is_skipped_is_counted_and_what_comes_later_is_read() -> None:
             port.skip()
 
 
-def test_what_waits_in_a_port_without_a_file_is_skipped_too() -> None:
+def test_bytes_waiting_in_a_virtual_port_are_skipped_too() -> None:
     with Port("sim://?speed=0", 0) as port:
         port.write(PacketWriter().encode(Start()))
         while port.waiting < 1000:
@@ -178,7 +178,7 @@ def test_what_waits_in_a_port_without_a_file_is_skipped_too() -> None:
 
 
 @pytest.mark.parametrize("kind", ["spy", "SPY"])
-def test_a_port_never_writes_a_file_of_its_url_s_choosing(tmp_path: Path, kind: str) -> None:
+def test_a_url_cannot_make_a_port_write_a_file(tmp_path: Path, kind: str) -> None:
     path = tmp_path / "mine"
     path.write_text("kept")
     with pytest.raises(PortError, match="would write a file"):

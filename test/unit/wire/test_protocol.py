@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Packets ↔ bytes: round trips, any split of the bytes, any corruption, the shared vectors."""
+"""Packets ↔ bytes: round trips, chunking, corruption, sequence numbers, the shared vectors."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def test_what_is_encoded_is_parsed(first: int, packets: list[Packet]) -> None:
 
 
 def plain(packet: Received) -> dict[str, Any]:
-    """Fields with their types visible, which comparison of packets ignores."""
+    """Fields by name: their repr shows types, which comparison ignores."""
     return {name: value for name, value in asdict(packet).items() if name != "sequence"}
 
 
@@ -415,7 +415,7 @@ def test_counters_are_a_snapshot() -> None:
     assert (before.packets, parser.counters.packets) == (0, 1)
 
 
-# Bodies that are intact and yet not what this version knows
+# Bodies with a correct CRC that this version cannot use
 
 
 def body(type_byte: int, payload: bytes, sequence: int = 0) -> bytes:
@@ -515,7 +515,7 @@ def test_lost_packets_follow_from_the_sequence() -> None:
 
 @given(st.data())
 def test_what_is_skipped_is_lost_and_not_broken(data: st.DataObject) -> None:
-    """From anywhere in one packet to anywhere in a later one; what is cut is lost as a whole."""
+    """Bytes are skipped from within one packet to within a later one; cut packets are lost."""
     writer = PacketWriter()
     sent = [writer.encode(Stop()) for _ in range(8)]
     ends = np.cumsum([len(packet) for packet in sent])
@@ -538,14 +538,14 @@ def test_restarts_are_no_losses() -> None:
 
 
 def test_commands_that_come_again_are_passed_on_again() -> None:
-    """Every host numbers them from 0, and most have no contents that could differ."""
+    """Every host numbers them from 0, and most have no payload that could differ."""
     assert lost_and_jumps(5, 6, 6, 7) == (0, 1)
     assert lost_and_jumps(5, 7, 6, 8) == (2, 1)
     assert len(parse(body(PacketType.START, b"", 2) * 3)[0]) == 3
 
 
 def numbered(*sequences: int, uptime_us: int = 0) -> bytes:
-    """Samples of these sequences, which tell one digitizer from another by their times."""
+    """Samples with these sequence numbers; uptime_us makes those of two digitizers differ."""
     counts = np.zeros(1, np.int16)
     return b"".join(PacketWriter(s).encode(Samples(uptime_us + s, 0, counts)) for s in sequences)
 
@@ -581,7 +581,7 @@ def test_a_restart_is_not_taken_for_a_repetition() -> None:
     assert (counters.repeated_packets, counters.lost_packets, counters.jumps) == (0, 0, 1)
 
 
-def test_what_is_said_after_a_reset_as_it_was_before_is_passed_on() -> None:
+def test_packets_that_a_reset_digitizer_sends_again_are_passed_on() -> None:
     greeting = [PacketWriter(s).encode(Status(0)) for s in range(2)]
     parser = PacketParser()
     parser.feed(b"".join(greeting) + numbered(*range(2, 90)))
@@ -591,7 +591,7 @@ def test_what_is_said_after_a_reset_as_it_was_before_is_passed_on() -> None:
     assert (counters.repeated_packets, counters.lost_packets, counters.jumps) == (2, 0, 1)
 
 
-def test_nothing_counts_as_repeated_where_packets_come_again_by_intention() -> None:
+def test_nothing_counts_as_repeated_where_repetition_is_intended() -> None:
     parser = PacketParser(most_repeated=0)
     assert len(parser.feed(numbered(*range(20)) * 3)) == 60
     assert (parser.counters.repeated_packets, parser.counters.jumps) == (0, 2)
