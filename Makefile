@@ -60,7 +60,7 @@ view: view-setup $(if $(filter-out 0,$(FIRMWARE)),firmware)
 	@"$(BIN)/python" tools/run.py --port "$(PORT)" --params "$(PARAMS)" --firmware "$(FIRMWARE)" --patches "$(PATCHES)" --rerun $(if $(filter-out 0,$(WEB)),web,window)
 
 check: lint
-	@"$(BIN)/python" -m pytest -n 2 --dist loadgroup -q -m "not slow" $(CORE:%=test/unit/%)
+	@"$(BIN)/python" -m pytest -n 2 --dist loadgroup -q -m "not slow" --hypothesis-profile quick $(CORE:%=test/unit/%)
 
 test: lint fuzz-packages
 	@"$(BIN)/python" tools/firmware_tools.py

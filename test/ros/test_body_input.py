@@ -206,7 +206,7 @@ def test_frames_that_go_round_are_said_and_come_right_again(world: World) -> Non
         world.mount(0.0, parent="a", child="joint")
         world.a.touch()
 
-    wait(world, lambda: "circle" in world.said.get("/a/skin", ""), round_and_round)
+    wait(world, lambda: "cycle" in world.said.get("/a/skin", ""), round_and_round)
     assert "/a/skin" in world.contacts[-1].absent
     wait(
         world,
