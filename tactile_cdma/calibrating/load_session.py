@@ -13,14 +13,14 @@ from pathlib import Path
 from typing import TextIO
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..base.arrays import Floats, Floats32
 from ..base.errors import CalibrationError, PortError
 from ..base.listing import listed
 from ..driver.driver import Driver
 from ..driver.pipeline import TactileFrame
 from .load_points import HEADING, point_lines
-from .plateaus import LEAST_FRAMES, Floats, steady_voltage
+from .plateaus import LEAST_FRAMES, steady_voltage
 
 PATIENCE_S = 5.0
 """Wait for a frame before a step is given up, s; chosen: ports open in one or two."""
@@ -110,13 +110,13 @@ class LoadSession:
                     return value
             print(f"{answer!r} is no pressure in kPa", flush=True)
 
-    def _collect(self, seconds: float) -> NDArray[np.float32]:
+    def _collect(self, seconds: float) -> Floats32:
         """Voltages of the frames of the next seconds, (f, n) V, NaN where a node is not heard.
 
         Raises PortError, with the driver's reason, where too few frames come.
         """
         begin_s = time.monotonic()
-        deadline_s, rows = begin_s + seconds + PATIENCE_S, list[NDArray[np.float32]]()
+        deadline_s, rows = begin_s + seconds + PATIENCE_S, list[Floats32]()
         while time.monotonic() < deadline_s:
             with suppress(queue.Empty):
                 frame = self.frames.get(timeout=0.1)

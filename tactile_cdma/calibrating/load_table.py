@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.arrays import Floats
 from ..base.errors import CalibrationError
 
 MOST_BYTES = 256 << 20
@@ -53,7 +54,7 @@ class Table(LoadFile):
     """
 
     path: Path
-    columns: dict[str, NDArray[np.float64]]
+    columns: dict[str, Floats]
     headings: dict[str, str]
     factors: dict[str, float]
     line: NDArray[np.int64]

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import SpecError
 
 LEAST_SHARE = 0.1
@@ -166,7 +167,7 @@ class Hysteresis:
         np.maximum(value, 0, out=value)  # an inverse that missed an earlier load could go below
         return np.asarray(self._scale_pa * (np.exp(value) - 1))
 
-    def forget(self, sensors: NDArray[np.bool_]) -> None:
+    def forget(self, sensors: Bools) -> None:
         """Restart the sensors of a mask (n,) as if their pressures had only risen."""
         self._plays.positions[:, sensors] = 0
 
@@ -177,14 +178,14 @@ class Lag:
     def __init__(self, rise_s: NDArray[Any], fall_s: NDArray[Any]) -> None:
         """rise_s, fall_s: (n,) time constants, s, above 0."""
         self._rise_s, self._fall_s = rise_s, fall_s
-        self._delayed_pa: NDArray[np.float64] | None = None
+        self._delayed_pa: Floats | None = None
 
     @classmethod
     def of(cls, dynamics: Dynamics) -> Lag:
         """The same lag for all sensors."""
         return cls(np.array([dynamics.rise_s]), np.array([dynamics.fall_s]))
 
-    def update(self, pressure_pa: NDArray[np.float64], passed_s: float) -> NDArray[np.float64]:
+    def update(self, pressure_pa: Floats, passed_s: float) -> Floats:
         """Lagged pressures (n,), Pa, after these pressures (n,), Pa, were applied for passed_s.
 
         The first pressures count as applied since ever.
@@ -221,9 +222,7 @@ class Compensator:
         self._settled = False
         self._last_s = math.inf
 
-    def update(
-        self, pressure_pa: NDArray[np.float32], valid: NDArray[np.bool_], t_s: float
-    ) -> NDArray[np.float32]:
+    def update(self, pressure_pa: Floats32, valid: Bools, t_s: float) -> Floats32:
         """True pressures (n,) float32, Pa, from static ones (n,) float32, Pa, at t_s (s).
 
         valid: (n,) bool. Sensors without a finite reading give NaN and start over afterwards; all
@@ -254,7 +253,7 @@ class Compensator:
             return True
         return False
 
-    def _lead(self, delayed_pa: NDArray[np.float32], passed_s: float) -> NDArray[np.float32]:
+    def _lead(self, delayed_pa: Floats32, passed_s: float) -> Floats32:
         """Pressures before the lag. Masks are used as factors, which is quicker than selecting."""
         followed_pa, rising = self._followed_pa, self._rising
         np.minimum(followed_pa, delayed_pa, out=followed_pa)
@@ -269,7 +268,7 @@ class Compensator:
         share = _approached(self._rise_s / self._most_gain, passed_s)
         answer = _approached(self._rise_s, passed_s)
         gain = share / answer if answer > 0 else self._most_gain
-        result: NDArray[np.float32] = (np.float32(gain) - 1) * ahead_pa
+        result: Floats32 = (np.float32(gain) - 1) * ahead_pa
         result *= rising
         result += delayed_pa
         ahead_pa *= np.float32(share)
@@ -277,7 +276,7 @@ class Compensator:
         np.minimum(result, self._range_pa, out=result)
         return result
 
-    def _forget(self, sensors: NDArray[np.bool_]) -> None:
+    def _forget(self, sensors: Bools) -> None:
         self._hysteresis.forget(sensors)
         self._followed_pa[sensors] = np.inf
         self._rising[sensors] = False

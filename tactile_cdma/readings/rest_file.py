@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
+from ..base.arrays import Floats32
 from ..base.errors import RestError
 from ..base.marked_yaml import Mapping, read_marked
 from ..base.named_file import expanded
@@ -45,8 +45,8 @@ class RestState:
     curves: str
     written: str
     tared: str
-    rest_v: NDArray[np.float32] | None
-    drift_v: NDArray[np.float32] | None
+    rest_v: Floats32 | None
+    drift_v: Floats32 | None
 
     def misfit(self, skin: str, simulated: bool, nodes: int, curves: str) -> str | None:
         """Why this is not the state of such a skin, or None. An empty name fits every name."""
@@ -153,7 +153,7 @@ def _text(file: Mapping, name: str) -> str:
     return "" if file[name].content == "" else file[name].text(name)
 
 
-def _array(file: Mapping, name: str, nodes: int) -> NDArray[np.float32] | None:
+def _array(file: Mapping, name: str, nodes: int) -> Floats32 | None:
     if file[name].is_null:
         return None
     values = file[name].items(name)
@@ -166,5 +166,5 @@ def _array(file: Mapping, name: str, nodes: int) -> NDArray[np.float32] | None:
     return np.array(numbers, dtype=np.float32)
 
 
-def _numbers(values: NDArray[np.float32] | None) -> list[float] | None:
+def _numbers(values: Floats32 | None) -> list[float] | None:
     return None if values is None else np.round(values.astype(np.float64), _DIGITS).tolist()

@@ -5,8 +5,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..base.arrays import Bools, Floats32, Indices
 from ..base.errors import RestError
 from ..base.listing import listed
 from ..places.layout import Layout
@@ -26,7 +26,7 @@ def take_tare(
     layout: Layout,
     lsb_v: float,
     contact_pa: float,
-    awaited: NDArray[np.bool_],
+    awaited: Bools,
     force: bool = False,
 ) -> list[int]:
     """Make the median of the last second the zero of every node with valid readings.
@@ -66,7 +66,7 @@ def take_tare(
     return unheard
 
 
-def _refuse_early(numbers: NDArray[np.intp]) -> None:
+def _refuse_early(numbers: Indices) -> None:
     """Raises RestError if there are nodes: they would be left with another zero."""
     if not len(numbers):
         return
@@ -76,13 +76,7 @@ def _refuse_early(numbers: NDArray[np.intp]) -> None:
     )
 
 
-def _refuse(
-    state: str,
-    nodes: NDArray[np.bool_],
-    pressure_pa: NDArray[np.float32],
-    layout: Layout,
-    remedy: str,
-) -> None:
+def _refuse(state: str, nodes: Bools, pressure_pa: Floats32, layout: Layout, remedy: str) -> None:
     """Raises RestError if there are nodes, naming the most loaded first."""
     numbers = np.flatnonzero(nodes)
     if not len(numbers):

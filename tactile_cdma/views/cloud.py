@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.arrays import Floats32
 from ..places.poses import Pose
 from .heatmap import SCALE_RGB, scale_steps
 
@@ -35,12 +36,7 @@ _PACKED_RGB = SCALE_RGB.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], dtype
 class Cloud:
     """The points of one skin, alone or as a patch of a body; constant fields are filled in once."""
 
-    def __init__(
-        self,
-        positions_m: NDArray[np.float32],
-        normals: NDArray[np.float32],
-        patch: int | None = None,
-    ) -> None:
+    def __init__(self, positions_m: Floats32, normals: Floats32, patch: int | None = None) -> None:
         """positions_m, normals: (t, 3), m and unit vectors. patch: its index in a body."""
         self._places = positions_m.astype(np.float64), normals.astype(np.float64)
         self._points = np.zeros(len(positions_m), dtype=POINT if patch is None else BODY_POINT)
@@ -54,7 +50,7 @@ class Cloud:
         return len(self._points)
 
     def points(
-        self, pressure_pa: NDArray[np.float32], max_pa: float, pose: Pose | None = None
+        self, pressure_pa: Floats32, max_pa: float, pose: Pose | None = None
     ) -> NDArray[np.void]:
         """(m,) POINT or, of a patch, BODY_POINT: the taxels with a reading.
 
@@ -86,6 +82,6 @@ def _plain(points: NDArray[np.void]) -> NDArray[np.void]:
     return points.view(np.dtype((np.void, points.itemsize)))
 
 
-def packed_colours(pressure_pa: NDArray[np.float32], max_pa: float) -> NDArray[np.uint32]:
+def packed_colours(pressure_pa: Floats32, max_pa: float) -> NDArray[np.uint32]:
     """One colour per taxel, (t,) uint32 0x00RRGGBB, on a fixed scale 0…max_pa; grey where NaN."""
     return _PACKED_RGB[scale_steps(pressure_pa, max_pa)]
