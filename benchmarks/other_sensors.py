@@ -30,7 +30,7 @@ class Paper:
 
     def __init__(self, sensors: int) -> None:
         self._lag = Lag.of(PAPER_DYNAMICS)
-        self._hysteresis = Hysteresis.of(PAPER_DYNAMICS, sensors)
+        self._hysteresis = Hysteresis(PAPER_DYNAMICS, sensors)
 
     def __call__(self, pressure_pa: Floats, passed_s: float) -> Floats:
         return self._hysteresis.update(self._lag.update(pressure_pa, passed_s))

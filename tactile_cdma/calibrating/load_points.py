@@ -22,8 +22,6 @@ NOISE = 0.01
 """How far below 0 an unloaded reference may read, as a share of the largest load; chosen."""
 _CHANGE = 0.005
 """Change of a load, as a share of the largest, that is none; chosen: a reference's noise."""
-_SHOWN = 8
-"""Lines that are named."""
 
 
 @dataclass(frozen=True, eq=False)

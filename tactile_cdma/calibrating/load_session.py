@@ -17,6 +17,7 @@ import numpy as np
 from ..base.arrays import Floats, Floats32
 from ..base.errors import CalibrationError, PortError
 from ..base.listing import listed
+from ..base.named_file import naming
 from ..driver.driver import Driver
 from ..driver.pipeline import TactileFrame
 from .load_points import HEADING, point_lines
@@ -49,22 +50,20 @@ class LoadSession:
         Raises CalibrationError where the file exists already, is another kind of table or cannot be
         written, or no load was taken; PortError where the skin is not heard.
         """
-        try:
-            with path.open("a+" if append else "x+", encoding="utf-8", errors="replace") as file:
-                try:
-                    _go_on(file)
-                    taken = self._take(file, steps_kpa)
-                finally:
-                    if not file.tell() and path.is_file():
-                        path.unlink()
-        except FileExistsError:
+        if path.exists() and not append:
             raise CalibrationError(
                 f"{path}: exists already; --append goes on with it, without a port it is fitted"
-            ) from None
-        except PortError:
-            raise
-        except OSError as error:
-            raise CalibrationError(f"{path}: {error.strerror}") from None
+            )
+        with (
+            naming(path, CalibrationError),
+            path.open("a+" if append else "x+", encoding="utf-8", errors="replace") as file,
+        ):
+            try:
+                _go_on(file)
+                taken = self._take(file, steps_kpa)
+            finally:
+                if not file.tell() and path.is_file():
+                    path.unlink()
         if not taken:
             raise CalibrationError("no load was taken")
         return taken

@@ -129,36 +129,22 @@ class Hysteresis:
     """A Prandtl–Ishlinskii operator for n sensors; it starts as if pressures had only risen."""
 
     def __init__(
-        self,
-        widths: NDArray[Any],
-        weights: NDArray[Any],
-        scale_pa: float,
-        sensors: int,
-        dtype: DTypeLike = np.float64,
+        self, dynamics: Dynamics, sensors: int, dtype: DTypeLike = np.float64, inverse: bool = False
     ) -> None:
-        """widths, weights: (j,), those of the plays."""
-        self._plays = Plays(widths, sensors, dtype)
-        self._weights = np.asarray(weights, dtype=dtype)
-        kind = self._weights.dtype.type
-        self._share, self._scale_pa = kind(1.0 - np.sum(weights)), kind(scale_pa)
-
-    @classmethod
-    def of(cls, dynamics: Dynamics, sensors: int, dtype: DTypeLike = np.float64) -> Hysteresis:
-        """The operator of the sensors."""
-        widths, weights = np.array(dynamics.widths), np.array(dynamics.weights)
-        return cls(widths, weights, dynamics.scale_pa, sensors, dtype)
-
-    @classmethod
-    def undoing(cls, dynamics: Dynamics, sensors: int, dtype: DTypeLike = np.float64) -> Hysteresis:
-        """The inverse operator; its weights are negative.
+        """inverse: undo the sensors' hysteresis; the weights of this operator are negative.
 
         K. Kuhnen, "Modeling, identification and compensation of complex hysteretic
         nonlinearities: a modified Prandtl–Ishlinskii approach", Eur. J. Control 9 (2003), 407–418.
         """
         widths, weights = np.array(dynamics.widths), np.array(dynamics.weights)
-        slopes = dynamics.share + np.append(0.0, np.cumsum(weights))  # along a loop, turn by turn
-        own_widths = np.cumsum(slopes[:-1] * np.diff(widths, prepend=0.0))
-        return cls(own_widths, np.diff(1.0 / slopes), dynamics.scale_pa, sensors, dtype)
+        if inverse:
+            slopes = dynamics.share + np.append(0.0, np.cumsum(weights))  # of a loop, turn by turn
+            widths = np.cumsum(slopes[:-1] * np.diff(widths, prepend=0.0))
+            weights = np.diff(1.0 / slopes)
+        self._plays = Plays(widths, sensors, dtype)
+        self._weights = np.asarray(weights, dtype=dtype)
+        kind = self._weights.dtype.type
+        self._share, self._scale_pa = kind(1.0 - np.sum(weights)), kind(dynamics.scale_pa)
 
     def update(self, pressure_pa: NDArray[Any]) -> NDArray[Any]:
         """Output pressures (n,), Pa, ≥ 0, for input pressures (n,), Pa, ≥ 0; whatever the time."""
@@ -215,7 +201,7 @@ class Compensator:
         """range_pa: (n,), highest pressures, Pa."""
         sensors = len(range_pa)
         self._range_pa = range_pa.astype(np.float32)
-        self._hysteresis = Hysteresis.undoing(dynamics, sensors, np.float32)
+        self._hysteresis = Hysteresis(dynamics, sensors, np.float32, inverse=True)
         self._rise_s, self._most_gain = dynamics.rise_s, dynamics.most_gain
         self._followed_pa = np.full(sensors, np.inf, dtype=np.float32)  # the filter's state
         self._rising = np.zeros(sensors, dtype=bool)

@@ -102,7 +102,7 @@ class Sensor:
         self._lag, self._hysteresis = None, None
         if model.dynamics is not None:
             self._lag = Lag.of(model.dynamics)
-            self._hysteresis = Hysteresis.of(model.dynamics, nodes)
+            self._hysteresis = Hysteresis(model.dynamics, nodes)
         self._rng = np.random.default_rng([model.seed, nodes, 2])
         self._warming_v = model.warming_v * self._rng.uniform(0.5, 1.0, nodes)
         self._last_s: float | None = None

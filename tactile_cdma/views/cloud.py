@@ -13,19 +13,8 @@ from ..base.arrays import Floats32
 from ..places.poses import Pose
 from .heatmap import SCALE_RGB, scale_steps
 
-POINT = np.dtype(
-    [
-        ("x", "<f4"),
-        ("y", "<f4"),
-        ("z", "<f4"),
-        ("normal_x", "<f4"),
-        ("normal_y", "<f4"),
-        ("normal_z", "<f4"),
-        ("pressure", "<f4"),
-        ("rgb", "<u4"),
-        ("taxel", "<u4"),
-    ]
-)
+_FLOATS = ("x", "y", "z", "normal_x", "normal_y", "normal_z", "pressure")
+POINT = np.dtype([*((name, "<f4") for name in _FLOATS), ("rgb", "<u4"), ("taxel", "<u4")])
 """One point: position (m), unit normal out of the skin, pressure (Pa), colour 0x00RRGGBB, index of
 the taxel."""
 BODY_POINT = np.dtype([*POINT.descr, ("patch", "<u4")])
