@@ -186,7 +186,6 @@ def _write(
 def _checked_files(arguments: argparse.Namespace) -> Path:
     """The file of loads. Options and files that cannot be meant are refused before anything."""
     output, loads = arguments.output, arguments.loads
-    arguments.png = arguments.png or output.with_suffix(".png")
     if loads is None:
         if not arguments.port:
             raise CalibrationError("which loads? Give a CSV file, or --port to take them now")
@@ -194,6 +193,7 @@ def _checked_files(arguments: argparse.Namespace) -> Path:
     if arguments.port:
         _check_writable(loads, True)
     _check_writable(output, arguments.force, loads, arguments.capture)
+    arguments.png = arguments.png or output.with_suffix(".png")
     inputs = (loads, arguments.capture, arguments.dynamics)
     _check_writable(arguments.png, True, *inputs, output)
     return Path(loads)

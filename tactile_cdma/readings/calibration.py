@@ -136,11 +136,6 @@ class Curves:
             np.array([column(curve.voltage_v) for curve in curves]).T,
         )
 
-    @classmethod
-    def uniform(cls, curve: PressureCurve, count: int) -> Curves:
-        """The same curve for all sensors."""
-        return cls.of([curve] * count)
-
     def __len__(self) -> int:
         return int(self.pressure_pa.shape[1])
 
@@ -222,7 +217,7 @@ class Calibration:
     @classmethod
     def default(cls, curve: PressureCurve, nodes: int) -> Calibration:
         """The same curve for all nodes."""
-        return cls(Curves.uniform(curve, nodes), np.zeros(nodes, dtype=bool))
+        return cls(Curves.of([curve] * nodes), np.zeros(nodes, dtype=bool))
 
     @classmethod
     def of_nodes(

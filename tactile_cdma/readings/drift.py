@@ -87,7 +87,8 @@ class DriftTracker:
         self._deviation_v = deviation_v
         near = valid & (np.abs(deviation_v) < BAND_LSB * self._lsb_v)
         resting = self._untouched(voltage_v, near, valid, passed_s)
-        resting &= ~self._in_contact(valid & ~near & (reading_pa > self.rules.release_pa))
+        pressed = valid & ~near & (reading_pa > self.rules.release_pa)
+        resting[self._beside[pressed]] = False
         np.copyto(self._away_s, t_s, where=~resting)
         stray = valid & ~near & (reading_pa < self.rules.contact_pa)
         np.copyto(self._stray_s, t_s, where=stray & ~self._stray)
@@ -115,12 +116,6 @@ class DriftTracker:
         back = (behind_v > band_v) | (np.abs(self._deviation_v) < CLOSE_LSB * self._lsb_v)
         self._touched = valid & np.where(home, self._touched & ~back, True)
         return np.asarray(home & ~self._touched)
-
-    def _in_contact(self, pressed: Bools) -> Bools:
-        """(n,) bool, the pressed nodes and those beside them."""
-        contact = pressed.copy()
-        contact[self._beside[np.flatnonzero(pressed)]] = True
-        return contact
 
     def _slowly(self, passed_s: float) -> tuple[np.float32, np.float32]:
         """Greatest changes of a voltage that are no jump, down and up, V."""

@@ -161,15 +161,10 @@ class Hysteresis:
 class Lag:
     """A first-order lag of n sensors, with separate time constants for rise and fall."""
 
-    def __init__(self, rise_s: NDArray[Any], fall_s: NDArray[Any]) -> None:
-        """rise_s, fall_s: (n,) time constants, s, above 0."""
+    def __init__(self, rise_s: float | Floats, fall_s: float | Floats) -> None:
+        """rise_s, fall_s: time constants, s, above 0; of all sensors, or (n,)."""
         self._rise_s, self._fall_s = rise_s, fall_s
         self._delayed_pa: Floats | None = None
-
-    @classmethod
-    def of(cls, dynamics: Dynamics) -> Lag:
-        """The same lag for all sensors."""
-        return cls(np.array([dynamics.rise_s]), np.array([dynamics.fall_s]))
 
     def update(self, pressure_pa: Floats, passed_s: float) -> Floats:
         """Lagged pressures (n,), Pa, after these pressures (n,), Pa, were applied for passed_s.

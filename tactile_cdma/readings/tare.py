@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..base.arrays import Bools, Floats32, Indices
+from ..base.arrays import Bools, Floats32
 from ..base.errors import RestError
 from ..base.listing import listed
 from ..places.layout import Layout
@@ -48,7 +48,11 @@ def take_tare(
     if not valid.any():
         raise RestError("not tared: no node has a valid reading; is the skin powered?")
     if not force:
-        _refuse_early(np.flatnonzero(~valid & (awaited | baseline.ever_valid)) + 1)
+        if early := (np.flatnonzero(~valid & (awaited | baseline.ever_valid)) + 1).tolist():
+            raise RestError(  # they would be left with another zero
+                f"not tared: not yet heard for {LOOKS * LOOK_S:g} s: {listed(early, 'node')}; "
+                "try again, or tare the others with force: true"
+            )
         above_pa = pressure_pa - baseline.tare_pa
         moving = valid & (baseline.span_v > MOVING_LSB * lsb_v)
         _refuse("moving", moving, above_pa, layout, "wait until nothing moves them")
@@ -64,16 +68,6 @@ def take_tare(
     baseline.rest_v = np.where(valid, rest_v - above_v, before_v)
     unheard: list[int] = (np.flatnonzero(~valid) + 1).tolist()
     return unheard
-
-
-def _refuse_early(numbers: Indices) -> None:
-    """Raises RestError if there are nodes: they would be left with another zero."""
-    if not len(numbers):
-        return
-    raise RestError(
-        f"not tared: not yet heard for {LOOKS * LOOK_S:g} s: {listed(numbers.tolist(), 'node')}; "
-        "try again, or tare the others with force: true"
-    )
 
 
 def _refuse(state: str, nodes: Bools, pressure_pa: Floats32, layout: Layout, remedy: str) -> None:

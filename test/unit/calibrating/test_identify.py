@@ -134,7 +134,7 @@ def test_missing_readings_are_left_out(record: Record, found: Identified) -> Non
 
 
 def synthetic(t_s: np.ndarray, reference_pa: np.ndarray, dynamics: Dynamics) -> np.ndarray:
-    lag, hysteresis = Lag.of(dynamics), Hysteresis(dynamics, 1)
+    lag, hysteresis = Lag(dynamics.rise_s, dynamics.fall_s), Hysteresis(dynamics, 1)
     steps = np.diff(t_s, prepend=t_s[0])
     return np.array(
         [

@@ -103,7 +103,7 @@ def test_the_lag_is_the_same_in_steps_of_any_size(
 
 
 def test_the_lag_is_an_exponential_of_either_kind() -> None:
-    lag = Lag.of(PAPER_DYNAMICS)
+    lag = Lag(PAPER_DYNAMICS.rise_s, PAPER_DYNAMICS.fall_s)
     assert np.all(lag.update(np.zeros(3), 0.0) == 0)
     assert lag.update(np.full(3, 1e3), PAPER_DYNAMICS.rise_s) == pytest.approx(
         1e3 * (1 - math.exp(-1))
@@ -145,7 +145,7 @@ def compensated(
 
 
 def distorted(dynamics: Dynamics, path_pa: np.ndarray, step_s: float) -> np.ndarray:
-    lag, hysteresis = Lag.of(dynamics), Hysteresis(dynamics, path_pa.shape[1])
+    lag, hysteresis = Lag(dynamics.rise_s, dynamics.fall_s), Hysteresis(dynamics, path_pa.shape[1])
     return np.array([hysteresis.update(lag.update(row, step_s)) for row in path_pa])
 
 
