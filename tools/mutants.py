@@ -147,7 +147,7 @@ def survives(copied: Path, tests: list[str]) -> bool:
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "2", "--dist", "loadgroup"]
     try:
         run = subprocess.run(
-            [*command, "-m", "not slow", *tests],
+            [*command, "-m", "not slow", "--hypothesis-profile", "quick", *tests],
             cwd=copied,
             capture_output=True,
             timeout=TIMEOUT_S,

@@ -13,6 +13,7 @@ import math
 
 import numpy as np
 
+from ..base.arrays import Floats32
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
 from ..framing.fit import MAX_SPREAD, word_floor
@@ -115,7 +116,7 @@ class NodeRecogniser:
             return REJECTED
         volts = (frame.volts - line.level_v).astype(np.float32)
         values = decorrelator.estimate(volts)
-        level = np.abs(values)
+        level: Floats32 = np.abs(values)
         amplitude = level.mean(axis=0)
         if line.is_silent(amplitude):
             return line.silent(frame.start, line.sample_power(frame.volts))

@@ -213,7 +213,8 @@ def read_words(chips: Floats32, spec: FrameSpec) -> WordFit:
     """Words of each candidate: chips (c, k, N) float32, V."""
     rows, bits = correlate(chips, spec.book), np.float32(spec.line_bits)
     signed = rows[..., spec.node_slice]
-    mean = np.abs(signed).sum(axis=1) / bits
+    level: Floats32 = np.abs(signed)
+    mean = level.sum(axis=1) / bits
     active = mean > word_floor(mean, spec)
     amplitude = mean * active
     word_power = np.einsum("cn,cn->c", amplitude, amplitude)

@@ -119,7 +119,7 @@ def decode(
     likely even word) and is doubtful.
     """
     values, noise = levels.values, levels.noise_v
-    level = np.abs(values)
+    level: Floats32 = np.abs(values)
     amplitude = level.sum(axis=0) * np.float32(1 / spec.line_bits)
     if swing_v is None:
         swing_v = spec.node_swing_v

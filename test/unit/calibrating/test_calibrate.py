@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded import record
+from simulated import record
 
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig

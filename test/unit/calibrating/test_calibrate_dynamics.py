@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded import record
+from simulated import record
 
 from tactile_cdma.base.errors import CalibrationError
 from tactile_cdma.calibrating.dynamics_fit import find_dynamics

@@ -43,6 +43,7 @@ def errors(clocks: NodeClocks, true: NodeClocks) -> np.ndarray:
     return clocks.displacement(at) - true.displacement(at)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("same_words", [False, True])
 def test_wrong_clocks_are_corrected_and_drift_is_followed(same_words: bool) -> None:
     rng, true = np.random.default_rng(1), drawn(0)

@@ -62,6 +62,7 @@ class Bench:
         return right / (last * self.config.spec.nodes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("nodes", [16, 40])
 def test_words_are_right_after_a_roll_call_and_not_before(nodes: int) -> None:
     chip_us = 50.0 if nodes == 16 else 25.0
@@ -93,6 +94,7 @@ def test_clocks_near_enough_stay_with_plain_correlation() -> None:
     assert bench.right(15) == 1.0
 
 
+@pytest.mark.slow
 def test_clocks_that_drift_are_followed() -> None:
     """A few chips per second and frame end: far beyond what the first roll call has measured."""
     bench = Bench(f"sim://?scene=all&threshold=0{OWN}&drift=0.00005")

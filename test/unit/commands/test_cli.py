@@ -12,7 +12,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from scope import scope_capture
+from simulated import scope_capture
 
 from tactile_cdma.commands.cli import main
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scope import scope_capture
+from simulated import scope_capture
 
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.commands.cli import main

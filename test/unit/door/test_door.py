@@ -74,6 +74,7 @@ def test_examples_of_the_docstrings_run() -> None:
     assert (result.failed, result.attempted > 3) == (0, True)
 
 
+@pytest.mark.slow
 def test_examples_of_the_page_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     page = ROOT / "docs" / "python.md"
     text = page.read_text(encoding="utf-8").replace("```", "")
@@ -101,6 +102,7 @@ def test_live_frames_come_in_order_with_all_that_a_program_wants() -> None:
     assert np.isnan(last.pressure_pa).sum() == np.count_nonzero(last.status & Status.STALE)
 
 
+@pytest.mark.slow
 def test_any_split_of_the_bytes_gives_the_same_frames(recording: Path) -> None:
     frames = decoded(recording)
     assert len(frames) > 60
@@ -108,6 +110,7 @@ def test_any_split_of_the_bytes_gives_the_same_frames(recording: Path) -> None:
     assert_same(decoded(recording, 211), frames)
 
 
+@pytest.mark.slow
 def test_a_replay_gives_every_frame_to_a_slow_program_and_ends(
     recording: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -167,6 +170,7 @@ def test_tare_takes_off_what_a_resting_skin_reads_and_refuses_a_pressed_one() ->
             skin.tare()
 
 
+@pytest.mark.slow
 def test_a_replay_can_be_tared_while_it_waits_for_the_program(
     recording: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -38,6 +38,7 @@ def test_wild_arrivals_do_not_bend_the_rate() -> None:
     assert clock.to_host(20.0) == pytest.approx(20.0, abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stall_s", [0.1, 1.0, 3.0, 10.0])
 @pytest.mark.parametrize("age_s", [5.0, 20.0])
 @pytest.mark.parametrize("drift", [0.0, 100e-6, -100e-6])

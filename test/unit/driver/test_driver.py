@@ -363,6 +363,7 @@ def test_simulated_port_is_found_by_pyserial_itself() -> None:
         assert PacketParser().feed(port.read(8000))
 
 
+@pytest.mark.slow
 def test_calls_between_frames_cost_none() -> None:
     """Tares, and calibrations read anew, from another thread, as fast as they get in."""
     watch, calls = Watch(), 0

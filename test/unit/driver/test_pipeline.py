@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from simulated_stream import configuration, run, stream
+from simulated import configuration, run, stream
 
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
@@ -63,6 +63,7 @@ CONFIGS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", ["moving", "all", "presses"])
 @pytest.mark.parametrize("name", CONFIGS)
 def test_every_word_that_is_sent_is_read(name: str, scene: str) -> None:
@@ -107,6 +108,7 @@ def test_chunking_is_invisible(name: str, chunk: int) -> None:
         assert np.array_equal(a.readings.status, b.readings.status)
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None)
 @given(st.sampled_from(["line, 4 samples per chip", "gap"]), st.integers(0, 2**32 - 1))
 def test_corrupted_bytes_cost_frames_but_give_no_false_ones(name: str, seed: int) -> None:
@@ -329,6 +331,7 @@ def test_garbage_gives_nothing(data: bytes) -> None:
     assert Pipeline(SkinConfig.of({})).feed(data, 0.0) == []
 
 
+@pytest.mark.slow
 def test_compensated_pressures_follow_rising_and_falling_loads() -> None:
     """From the nodes' lagging, hysteretic sensors through the wire to the true pressure."""
     url = "sim://?scene=cycles&sensor=paper"

@@ -166,6 +166,7 @@ def events(config: SkinConfig) -> st.SearchStrategy[Event]:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SKINS)
 @settings(max_examples=4)
 @given(data=st.data())

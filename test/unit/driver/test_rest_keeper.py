@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from simulated_stream import configuration
+from simulated import configuration
 
 from tactile_cdma.base.errors import RestError
 from tactile_cdma.config.parameters import PARAMETERS

@@ -59,6 +59,7 @@ def decoded(config: SkinConfig, received: list[object]) -> tuple[Pipeline, list[
     return pipeline, [f for p in received for f in pipeline.feed(writer.encode(p), 0.0)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", ["press", "idle"])
 @pytest.mark.parametrize("name", CONFIGS)
 def test_the_host_reads_the_same_with_and_without_the_silence(name: str, scene: str) -> None:

@@ -54,6 +54,7 @@ def marked(
     return wire
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [4.0, 8.0, 8.13])
 @pytest.mark.parametrize("stretch", [0.0, 0.004, 0.06, 0.11])
 @pytest.mark.parametrize("name", SPECS)
@@ -75,6 +76,7 @@ def test_a_marked_frame_comes_three_chips_after_its_end() -> None:
     assert len(timing.feed(SampleBlock(end, volts[end : end + 3 * 8 + 2]))) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SPECS)
 @pytest.mark.parametrize("rate", [4.0, 8.13])
 def test_stretched_marked_frames_are_right_or_rejected(name: str, rate: float) -> None:

@@ -11,7 +11,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from simulated_stream import run, stream
+from simulated import run, stream
 
 from tactile_cdma.base.errors import LayoutError, SpecError
 from tactile_cdma.config.skin_config import SkinConfig

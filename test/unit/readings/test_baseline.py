@@ -215,6 +215,7 @@ def test_a_voltage_above_the_curve_is_tared_too() -> None:
     assert np.allclose(chain.update(lighter_v, valid, 1.1)[0], 500, atol=1)
 
 
+@pytest.mark.slow
 def test_the_highest_code_is_no_pressure_where_rest_lies_above_it() -> None:
     """3.3 V of 3.3 V reads as code 1023 at most: "so much or more"; the next codes are as ever."""
     patch = Patch()
@@ -229,6 +230,7 @@ def test_the_highest_code_is_no_pressure_where_rest_lies_above_it() -> None:
     assert np.array_equal(hours_later.pressure_pa, light)
 
 
+@pytest.mark.slow
 def test_drift_below_the_top_is_given_back_at_the_top() -> None:
     """The rest fell by three counts, was tared there, and has come back."""
     patch = Patch(v0_v=1023 * ADC.lsb_v)
@@ -242,6 +244,7 @@ def test_drift_below_the_top_is_given_back_at_the_top() -> None:
     assert (patch.taxels.baseline.drift_v < 0.05 * ADC.lsb_v).all()
 
 
+@pytest.mark.slow
 def test_drift_of_a_node_that_rests_above_the_top_is_followed_once_it_is_tared() -> None:
     """Code 1022 may be drift, or 0.2 kPa: that is not for the driver to say."""
     patch = Patch()

@@ -226,6 +226,7 @@ def errors(
     return np.array(of_force), np.array(of_centre)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("profile", [hertz, soft])
 @pytest.mark.parametrize("pitches", [2.5, 4.0])
 @pytest.mark.parametrize("peak_kpa", [8.0, 20.0, 45.0, 120.0])  # the last two: up to stage two
@@ -245,6 +246,7 @@ def test_force_and_centre_for_taxels_that_sense_at_a_point(peak_kpa: float) -> N
     assert of_centre.max() < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("profile", [hertz, soft])
 @pytest.mark.parametrize("pitches", [1.5, 2.5, 4.0])
 @pytest.mark.parametrize("averaging", [False, True])

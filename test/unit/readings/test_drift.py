@@ -80,6 +80,7 @@ def test_a_resting_node_comes_to_read_nothing() -> None:
     assert np.allclose(codes_v + rig.baseline.drift_v, REST_V, atol=0.02 * ADC.lsb_v)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("settled", [True, False])
 def test_hours_of_steady_contact_are_not_swallowed(settled: bool) -> None:
     """From two counts of load on, at any place of the rest between two codes.
@@ -104,6 +105,7 @@ def test_hours_of_steady_contact_are_not_swallowed(settled: bool) -> None:
     assert np.abs(after[-1]).max() < 0.02 * LSB_PA
 
 
+@pytest.mark.slow
 def test_flickering_codes_do_not_let_a_light_contact_slip_away() -> None:
     """Noise of a third of a count: codes flicker, most where the rest is between two of them."""
     rng = np.random.default_rng(1)
@@ -122,6 +124,7 @@ def test_flickering_codes_do_not_let_a_light_contact_slip_away() -> None:
     assert np.abs(held - begun).max() < 0.5 * LSB_PA
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pa_per_min", [-50.0, -10.0, 10.0, 50.0])
 def test_drift_slower_than_the_limit_is_followed(pa_per_min: float) -> None:
     """Within a count, which is all that a word can tell, over an hour: up to 30 counts of drift."""
@@ -298,6 +301,7 @@ def test_nobody_is_a_stray_for_not_being_looked_at() -> None:
     assert rig.tracker.strays_lsb(rig.t_s) == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dynamics", [None, PAPER_DYNAMICS], ids=["static", "compensated"])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_frames_that_are_skipped_while_steady_change_nothing(

@@ -199,6 +199,7 @@ def test_whatever_comes_in_the_result_stays_in_the_range(
         assert np.all((found[known] >= 0) & (found[known] <= np.float32(RANGE_PA)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step_s", [1e-4, 0.0128, 0.1])
 @pytest.mark.parametrize("most_gain", [1.0, 4.0, 20.0])
 def test_noise_grows_no_more_than_promised(most_gain: float, step_s: float) -> None:
@@ -237,6 +238,7 @@ def test_no_disturbance_grows_beyond_its_bound() -> None:
         assert 0.6 * bound < peak < 1.01 * bound
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("period_s", "lost", "removed"),
     [(0.0128, 0.5, 0.65), (0.02, 0.1, 0.7), (0.3, 0.1, 0.1)],

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded import record
 from rosbags.highlevel import AnyReader
+from simulated import record
 
 from tactile_cdma.base.errors import CaptureError
 from tactile_cdma.commands.cli import main

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scope import scope_capture
+from simulated import scope_capture
 
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import FrameSpec

@@ -327,6 +327,7 @@ PIECES = st.one_of(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(st.lists(PIECES, max_size=6), st.data())
 def test_chunks_are_invisible(pieces: list[Packet | bytes], data: st.DataObject) -> None:

@@ -109,6 +109,7 @@ def test_close_decisions_are_flagged() -> None:
     assert decode(separate(noisy.astype(np.float32), spec), spec).doubtful.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("nodes", [16, 256, 1024])
 def test_a_discharge_within_one_bit_passes_no_wrong_word_for_a_good_one(nodes: int) -> None:
     """It fades over many chips, turns a few nodes' levels, and leaves most others nearly as is."""

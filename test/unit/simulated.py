@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""What simulated skins send: raw captures, an oscilloscope's view of the line, streams of bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_cdma.code.encode import frame_levels, line_chips
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.config.parameters import GAP
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.driver.session import Session
+from tactile_cdma.sim.channel import Channel, first_sample, point_samples
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.wire._protocol import SyncMode
+from tactile_cdma.wire.messages import Configure, FrameLayout, GetInfo, Samples, Start
+from tactile_cdma.wire.packets import PacketParser, PacketWriter
+
+
+def record(path: Path, options: SimOptions, seconds: float) -> None:
+    """What tactile-cdma record writes in so many seconds of the skin's time."""
+    clock = _Clock()
+    digitizer = VirtualDigitizer(options, clock)
+    digitizer.receive(Session(SkinConfig.of({})).open())
+    with path.open("wb") as file:
+        while clock.now_s < seconds:
+            clock.now_s += 0.02
+            digitizer.advance()
+            file.write(digitizer.take(1 << 20))
+    assert digitizer.packets_dropped == 0
+
+
+@dataclass
+class _Clock:
+    now_s: float = 0.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def scope_capture(
+    spec: FrameSpec,
+    frames: Sequence[tuple[NDArray[np.int64], NDArray[np.bool_]]],
+    rate_hz: float,
+    channel: Channel | None = None,
+    lead_s: float = 1e-3,
+    seed: int = 0,
+) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    """What an oscilloscope on the line records of some frames, as in the paper's experiments.
+
+    frames: (codes, active) of each frame, (n,) each. lead_s: recorded before the first frame, s.
+    Returns time_s (m,) float64, 0 at the first sample, and volts (m,) float32.
+    """
+    channel = channel or Channel()
+    volts = []
+    first = 0
+    for number, (codes, active) in enumerate(frames):
+        start_s = lead_s + number * spec.frame_period_s
+        stop = int(first_sample(start_s + spec.frame_period_s, rate_hz))
+        rng = np.random.default_rng([seed, number])
+        edges_s = start_s + channel.edges(spec, rng)
+        levels = frame_levels(line_chips(spec, codes, active), spec)
+        line_v = point_samples(levels, edges_s, rate_hz, first, stop)
+        volts.append(channel.volts(channel.digitize(line_v, spec, rng), spec))
+        first = stop
+    return np.arange(first) / rate_hz, np.concatenate(volts)
+
+
+def configuration(config: SkinConfig) -> Configure:
+    """What the driver would ask of the digitizer."""
+    return Configure(
+        FrameLayout.of(config.spec, config.samples_per_chip),
+        SyncMode.NONE if config.timing == GAP else SyncMode.DRIVE,
+        config.samples_per_chip == 1,
+    )
+
+
+def stream(config: SkinConfig, url: str, frames: int) -> bytes:
+    """What a digitizer sends for so many frames after being configured and started."""
+    digitizer = VirtualDigitizer(SimOptions.from_url(f"{url}&speed=0"), clock=lambda: 0.0)
+    writer = PacketWriter()
+    for command in (configuration(config), GetInfo(), Start()):
+        digitizer.receive(writer.encode(command))
+    end_s = frames * config.spec.frame_period_s
+    data, parser, now_s = b"", PacketParser(), 0.0
+    while now_s < end_s:
+        digitizer.advance(4096)
+        chunk = digitizer.take(4096)
+        for packet in parser.feed(chunk):
+            if isinstance(packet, Samples):
+                now_s = packet.device_time_us * 1e-6
+        data += chunk
+    return data
+
+
+def run(config: SkinConfig, data: bytes, chunk: int | None = None) -> list[TactileFrame]:
+    pipeline = Pipeline(config)
+    chunk = chunk or len(data)
+    return [
+        frame
+        for start in range(0, len(data), chunk)
+        for frame in pipeline.feed(data[start : start + chunk], start * 1e-6)
+    ]
