@@ -78,6 +78,17 @@ def test_block_elimination_is_regularised_least_squares(
     assert np.allclose(modelled, A @ words.ravel(), atol=1e-4)
 
 
+def test_the_line_of_unipolar_nodes_has_the_pedestal_of_all_that_speak() -> None:
+    """Nodes that put 0 or A on the line raise its level by half of each one's swing."""
+    spec, clocks = FrameSpec(nodes=11, order=12, bits=8, drive=UNIPOLAR), clocks_of(11, 0.5, 0.002)
+    decorrelator = Decorrelator(spec, clocks, Sampling(2.0))
+    A = dense(spec, clocks, Sampling(2.0), decorrelator.samples)
+    words = np.random.default_rng(0).normal(size=(8, 12))
+    words[:, 11] = np.abs(words[:, :11]).sum(axis=1)
+    modelled = decorrelator.line(words[:, :11].astype(np.float32))
+    assert np.allclose(modelled, A @ words.ravel(), atol=1e-4)
+
+
 @pytest.mark.parametrize(
     ("nodes", "order", "delay", "rate"),
     [(15, 16, 0.5, 0.003), (31, 64, 0.5, 0.01), (63, 64, 0.0, 0.01)],
