@@ -18,6 +18,7 @@ import numpy as np
 
 from ..base.errors import CalibrationError, CaptureError
 from ..base.listing import listed
+from ..base.named_file import naming
 from ..config.arguments import add_skin_options, finite, given, positive
 from ..config.parameters import BY_NAME, Value
 from ..config.skin_config import SkinConfig
@@ -116,7 +117,8 @@ def _run(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
         values["skin"] = arguments.skin
     area_m2 = arguments.area_mm2 and arguments.area_mm2 * 1e-6
     if arguments.capture:
-        config = SkinConfig.of(_described(arguments.capture) | values)
+        with naming(arguments.capture, CaptureError):
+            config = SkinConfig.of(described_parameters(arguments.capture) | values)
         reference = read_reference(loads, config.spec.nodes, area_m2)
         if arguments.dynamics:
             return _add_dynamics(arguments, config, reference)
@@ -173,17 +175,12 @@ def _write(
     results: dict[str, str],
     draw: Callable[[Path], None],
 ) -> int:
-    output, picture = arguments.output, _picture(arguments)
+    output, picture = arguments.output, arguments.png
     results["identity"] = write_content(output, content)
     draw(picture)
     print(f"written: {output}, {picture}")
     print(" ".join(f"{key}={value}" for key, value in results.items()))
     return 0
-
-
-def _picture(arguments: argparse.Namespace) -> Path:
-    path: Path = arguments.png or arguments.output.with_suffix(".png")
-    return path
 
 
 def _checked_files(arguments: argparse.Namespace) -> Path:
@@ -196,8 +193,9 @@ def _checked_files(arguments: argparse.Namespace) -> Path:
     if arguments.port:
         _check_writable(loads, True)
     _check_writable(output, arguments.force, loads, arguments.capture)
+    arguments.png = arguments.png or output.with_suffix(".png")
     inputs = (loads, arguments.capture, arguments.dynamics)
-    _check_writable(_picture(arguments), True, *inputs, output)
+    _check_writable(arguments.png, True, *inputs, output)
     return Path(loads)
 
 
@@ -245,13 +243,6 @@ def _check_scipy() -> None:
             f"--dynamics needs scipy ({error}): sudo apt install python3-scipy, or "
             "pip install 'tactile_cdma[calibrate]'"
         ) from None
-
-
-def _described(capture: Path) -> dict[str, Value]:
-    try:
-        return described_parameters(capture)
-    except OSError as error:
-        raise CaptureError(f"{capture}: {error.strerror}") from None
 
 
 def _beside_capture(
