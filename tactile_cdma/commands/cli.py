@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The command `tactile-cdma`: decode, record, simulate, set up hardware; all without ROS."""
+"""The command `tactile-cdma`: decode, record, simulate, set up hardware, without ROS."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from . import amplifier, decode, export, info, layout, node, ports, record, simu
 SUBCOMMANDS: dict[str, tuple[ModuleType, str]] = {
     "decode": (decode, "decode a recording or an oscilloscope capture"),
     "record": (record, "write the bytes of a port to a file"),
-    "info": (info, "what a recording holds, and whether it is intact"),
-    "export": (export, "frames of a recording as NPZ, CSV or a rosbag2 folder"),
-    "simulate": (simulate, "a virtual digitizer behind a real tty"),
-    "node": (node, "what a sensing node's EEPROM has to hold"),
-    "amplifier": (amplifier, "the parts between nodes and digitizer"),
+    "info": (info, "describe a recording and check that it is intact"),
+    "export": (export, "write a recording's frames as NPZ, CSV or a rosbag2 folder"),
+    "simulate": (simulate, "run a virtual digitizer behind a real tty"),
+    "node": (node, "write or read the EEPROM contents of sensing nodes"),
+    "amplifier": (amplifier, "choose the parts between nodes and digitizer"),
     "ports": (ports, "list serial ports and the digitizers on them"),
-    "doctor": (doctor, "check this installation, or a port, and say what is wrong"),
-    "layout": (layout, "check a layout file, draw it with its numbers"),
+    "doctor": (doctor, "check this installation or a port, and report problems"),
+    "layout": (layout, "check a layout file and draw it with node numbers"),
     "calibrate": (calibrate, "fit the nodes' curves to known loads"),
 }
 """Subcommands: module and help text. A module has add_arguments(parser), and run(arguments), which

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The subcommand `tactile-cdma export`: a recording's frames for other programs."""
+"""The subcommand `tactile-cdma export`: writes a recording's frames for other programs."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="OUT.npz: numpy arrays; OUT.csv: a row per frame, and OUT.taxels.csv",
     )
     parser.add_argument(
-        "--bag", action="store_true", help="OUT is a new folder: a bag of tactile and info, MCAP"
+        "--bag", action="store_true", help="OUT is a new folder: a bag (MCAP) of tactile and info"
     )
-    parser.add_argument("--force", action="store_true", help="overwrite a file")
+    parser.add_argument("--force", action="store_true", help="overwrite existing files")
     add_skin_options(parser)
 
 

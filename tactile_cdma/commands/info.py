@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The subcommand `tactile-cdma info`: what a recording holds, and whether it is intact."""
+"""The subcommand `tactile-cdma info`: describes a recording and checks that it is intact."""
 
 from __future__ import annotations
 

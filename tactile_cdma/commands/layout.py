@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--params",
         type=Path,
         metavar="FILE",
-        help="ROS 2 parameter file of its skin, to check the layout against",
+        help="ROS 2 parameter file of the skin, to check the layout against",
     )
 
 

@@ -18,9 +18,9 @@ from ..sim.pty import serve
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand."""
     parser.add_argument("--pty", action="store_true", required=True, help="serve on a pty")
-    parser.add_argument("--link", type=Path, help="also make a symbolic link to the tty")
-    parser.add_argument("--seconds", type=positive, help="end after so long; else on Ctrl-C")
-    text = "options as in a port: 'sim://?scene=press&seed=1'"
+    parser.add_argument("--link", type=Path, help="also create a symbolic link to the tty")
+    parser.add_argument("--seconds", type=positive, help="duration [s] (until Ctrl-C)")
+    text = "port with options: 'sim://?scene=press&seed=1'"
     parser.add_argument("url", nargs="?", default=SIMULATION, help=text)
 
 
