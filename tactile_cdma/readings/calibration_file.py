@@ -19,6 +19,7 @@ import yaml
 from ..base.errors import CalibrationError, SpecError
 from ..base.listing import listed
 from ..base.marked_yaml import Mapping, Marked, read_marked
+from ..base.named_file import naming
 from ..base.whole_file import replace_file
 from .calibration import AdcScale, Calibration, PressureCurve
 from .dynamics import LIMITS, MOST_WIDTH, Dynamics
@@ -150,7 +151,8 @@ def write_calibration(
 
 def write_content(path: Path, content: CalibrationContent) -> str:
     """Write content atomically; returns its identity. Raises as write_calibration."""
-    _replace(path, _text(content))
+    with naming(path, CalibrationError, "cannot be written"):
+        replace_file(path, _text(content))
     return content.identity
 
 
@@ -165,7 +167,8 @@ def seal_calibration(path: Path) -> str:
     text, found = _IDENTITY.subn(line, path.read_text(encoding="utf-8"), count=1)
     if not found:
         raise file.refuse("no line begins with 'identity: …': write one, with any text")
-    _replace(path, text)
+    with naming(path, CalibrationError, "cannot be written"):
+        replace_file(path, text)
     return content.identity
 
 
@@ -296,10 +299,3 @@ def _text(content: CalibrationContent) -> str:
 def _entries(dynamics: Dynamics) -> dict[str, float | list[float]]:
     """The fields in types that YAML and JSON can write."""
     return {name: np.array(value, float).tolist() for name, value in asdict(dynamics).items()}
-
-
-def _replace(path: Path, text: str) -> None:
-    try:
-        replace_file(path, text)
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot be written: {error.strerror}") from None
