@@ -2,7 +2,7 @@
 
 #include "cobs.h"
 
-#define FULL 255 /* length of a block that no zero ends */
+#define FULL 255 /* code of a block of 254 bytes that no zero follows */
 
 static size_t after(const struct cobs_encoder *encoder, size_t place)
 {
@@ -29,7 +29,7 @@ void cobs_begin(struct cobs_encoder *encoder, uint8_t *ring, size_t size, size_t
     open_block(encoder);
 }
 
-/* Copies up to `most` bytes, but no zero; returns how many. This is where a stream's time goes. */
+/* Copies up to `most` bytes, stopping at a zero; returns their number. The hot loop of a stream. */
 static size_t copy_until_zero(uint8_t *to, const uint8_t *from, size_t most)
 {
     size_t i = 0;
@@ -46,7 +46,7 @@ void cobs_put(struct cobs_encoder *encoder, const void *bytes, size_t size)
     const uint8_t *from = bytes, *end = from + size;
 
     while (from != end) {
-        if (encoder->length == FULL) { /* only now: where the data end here, nothing follows */
+        if (encoder->length == FULL) { /* not earlier: data that end here need no further block */
             close_block(encoder);
             open_block(encoder);
         }

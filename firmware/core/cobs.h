@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* COBS: bytes without any zero, so that a zero can end a packet. See docs/protocol.md.
+/* COBS (consistent overhead byte stuffing): encodes bytes so that none is zero and a zero can end a
+ * packet. See docs/protocol.md.
  *
- * Both directions work on the way: the encoder in a ring of bytes, the decoder byte by byte. So a
- * packet of any length needs no memory of its own.
+ * The encoder writes straight into a ring, the decoder works byte by byte, so neither buffers a
+ * packet.
  */
 #ifndef TACTILE_COBS_H
 #define TACTILE_COBS_H
@@ -12,32 +13,32 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* Most bytes that `size` ≥ 1 bytes become. */
+/* Upper bound of the encoded size of `size` ≥ 1 bytes. */
 #define COBS_MAX(size) ((size) + ((size) + 253) / 254)
 
 struct cobs_encoder {
     uint8_t *ring;
     size_t size;   /* of the ring */
-    size_t next;   /* where the next byte goes */
-    size_t block;  /* where the length of the open block goes */
+    size_t next;   /* place of the next byte */
+    size_t block;  /* place of the open block's length */
     size_t length; /* of the open block so far, 1…255 */
 };
 
-/* From place `begin` of a ring on. There must be room for all that comes. */
+/* Starts at place `begin` of a ring. The caller sees to it that there is room. */
 void cobs_begin(struct cobs_encoder *encoder, uint8_t *ring, size_t size, size_t begin);
 void cobs_put(struct cobs_encoder *encoder, const void *bytes, size_t size);
-/* Ends the data, with a zero. Returns where in the ring the next packet may begin. */
+/* Ends the data with a zero. Returns the place at which the next packet may begin. */
 size_t cobs_end(struct cobs_encoder *encoder);
 
-/* All zero at the start of a run of bytes. */
+/* Zero-initialised at the start of each packet. */
 struct cobs_decoder {
-    uint8_t left; /* bytes of the open block to come */
-    bool zero;    /* another block would come after a zero */
+    uint8_t left; /* bytes still to come in the open block */
+    bool zero;    /* a further block decodes to a zero first */
 };
 
-/* The next byte, none of them zero. Returns whether it gave a byte of data, `decoded`. */
+/* Takes the next byte, which is not zero. Returns true if it yields a data byte, then in *decoded. */
 bool cobs_decode(struct cobs_decoder *decoder, uint8_t byte, uint8_t *decoded);
-/* Whether the bytes so far are COBS. */
+/* Whether the bytes so far are a complete COBS encoding. */
 bool cobs_whole(const struct cobs_decoder *decoder);
 
 #endif

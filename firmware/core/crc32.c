@@ -16,7 +16,7 @@ static inline uint32_t shift_byte(uint32_t crc, uint8_t byte)
 
 #else
 
-/* A byte's entry is the XOR of those of its bits, so eight numbers make the table. */
+/* The CRC is linear: a byte's entry is the XOR of the entries of its set bits. */
 #define ENTRY(byte)                                                                       \
     (((byte) & 0x01 ? 0x77073096u : 0u) ^ ((byte) & 0x02 ? 0xEE0E612Cu : 0u) ^            \
      ((byte) & 0x04 ? 0x076DC419u : 0u) ^ ((byte) & 0x08 ? 0x0EDB8832u : 0u) ^            \

@@ -7,12 +7,12 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* The CRC of any bytes that are followed by their own CRC, low byte first. */
+/* CRC of any data followed by their own CRC, low byte first. */
 #define CRC32_RESIDUE 0x2144DF1Cu
 
-/* The CRC of some bytes and `size` more; crc: of those before, 0 where there are none.
+/* Continues a CRC over `size` bytes. crc: of the bytes before, 0 at the start.
  *
- * With CRC32_SMALL defined, crc32.c does without its table: a tenth of the speed, but no kilobyte. */
+ * With CRC32_SMALL defined, crc32.c shifts bit by bit and needs no 1 kB table; it is slower. */
 uint32_t crc32_update(uint32_t crc, const void *bytes, size_t size);
 
 #endif

@@ -4,10 +4,11 @@
 
 #include <string.h>
 
-#define COMMANDS 0x80 /* types from here on are the host's */
-#define ANSWERS 512   /* of STREAM_RESERVE: bytes that reports leave to answers */
+#define COMMANDS 0x80 /* packet types from here on are commands of the host */
+/* Bytes of STREAM_RESERVE that reports leave to answers. Chosen: five ACKs with INFO, 87 bytes each. */
+#define ANSWERS 512
 
-_Static_assert(ANSWERS < STREAM_RESERVE, "reports have room where samples have none");
+_Static_assert(ANSWERS < STREAM_RESERVE, "reports have room when samples have none");
 
 static void report(struct dg *dg, uint8_t type, const void *payload, size_t size, size_t reserve)
 {
@@ -91,7 +92,7 @@ static enum tp_result call_roll(struct dg *dg)
     return TP_RESULT_OK;
 }
 
-/* Does what the packet that was just read says. */
+/* Executes the command just read. */
 static enum tp_result obey(struct dg *dg)
 {
     uint8_t type = dg->reader.header.type;
@@ -152,14 +153,14 @@ void dg_init(struct dg *dg, const struct dg_board *board, uint8_t *output, size_
 
 void dg_receive(struct dg *dg, const uint8_t *bytes, size_t size, uint64_t now_us)
 {
-    dg_time(dg, now_us); /* what was due before comes first */
+    dg_time(dg, now_us); /* reports that were due come first */
     for (size_t i = 0; i < size; i++) {
         if (!packet_read(&dg->reader, bytes[i]))
             continue;
         if (dg->reader.header.type >= COMMANDS)
             answer(dg);
         else
-            dg->reader.errors++; /* as from a line that echoes */
+            dg->reader.errors++; /* a packet of a digitizer, as an echoing line returns */
     }
 }
 

@@ -2,7 +2,8 @@
 
 #include "discipline.h"
 
-/* Long division: a node needs it twice in its life, and has no other use for a 64-bit one. */
+/* Long division in place of the 64-bit library division, which would cost flash for two uses at
+ * power-up. */
 static struct discipline_ratio ratio(uint64_t part, uint64_t whole)
 {
     struct discipline_ratio result = {.share = 0, .shift = 0};
@@ -47,6 +48,9 @@ void discipline_init(struct discipline *d, const struct tp_node_record *record,
     follow(d, d->nominal);
 }
 
+#define NOMINAL_SHIFT 3 /* 1/8: RC oscillators are up to 10 % off by the data sheet, and drift */
+#define DRIFT_SHIFT 9   /* 1/512 from one period to another. Chosen: far above a clock's drift */
+
 /* Whether two periods differ by no more than 2^-shift of the second one. */
 static bool like(uint32_t period, uint32_t other, uint8_t shift)
 {
@@ -58,9 +62,9 @@ bool discipline_period(struct discipline *d, uint32_t ticks)
     uint32_t last = d->last;
 
     d->last = ticks;
-    if (!like(ticks, d->nominal, 3))
+    if (!like(ticks, d->nominal, NOMINAL_SHIFT))
         return false;
-    if (last && !like(ticks, last, 9) && !like(ticks, d->period, 9))
+    if (last && !like(ticks, last, DRIFT_SHIFT) && !like(ticks, d->period, DRIFT_SHIFT))
         return false;
     d->period = ticks;
     if (d->follows)

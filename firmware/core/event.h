@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* When a node talks.
+/* Decides in which frames a node transmits.
  *
- * While its code is farther than a threshold from the code at rest, or from the one that it sent
- * last (so a release is told, too); once in a heartbeat, at a turn of its own; and, during a roll
- * call, in its own frame and in no other. tactile_cdma/sim/nodes.py does the same.
+ * It transmits while its code differs by more than a threshold from the code at rest or from the
+ * code last sent (so that a release is reported too), once per heartbeat at a turn of its own, and,
+ * during a roll call, in its own frame only. tactile_cdma/sim/nodes.py has the same rules.
  */
 #ifndef TACTILE_EVENT_H
 #define TACTILE_EVENT_H
@@ -19,26 +19,26 @@ struct event {
     uint16_t rest;
     uint16_t last_sent;
     uint16_t heartbeat;
-    uint16_t to_heartbeat;   /* frames; 0: the next one */
-    uint16_t turn;           /* frames of a roll call before this node's */
+    uint16_t to_heartbeat;   /* frames to the next heartbeat; 0: the next frame */
+    uint16_t turn;           /* frames of a roll call before this node's own */
     uint16_t nodes;
-    uint16_t called;         /* frames of a roll call that have begun; `nodes`: none is going on */
+    uint16_t called;         /* frames of the roll call begun so far; `nodes`: no roll call */
 };
 
-/* rest: code at rest, learnt or the record's. */
+/* rest: code at rest, learnt or from the record. */
 void event_init(struct event *e, const struct tp_node_record *record, uint16_t rest);
 
-/* Whether the node talks in the next frame, if its code is `code` and no roll call begins. */
+/* Whether the node transmits in the next frame, given its code and that no roll call begins. */
 bool event_talks(const struct event *e, uint16_t code);
 
-/* Whether it talks if a roll call does begin. */
+/* Whether it transmits in a frame that begins a roll call. */
 static inline bool event_talks_first(const struct event *e)
 {
     return e->turn == 0;
 }
 
-/* A frame has begun, heard or not, and with it a roll call, or not. spoke: whether this node says
- * `code` in it. */
+/* Counts a frame, whether or not its pulse was heard. call: it begins a roll call. spoke: this node
+ * transmits `code` in it. */
 void event_frame(struct event *e, bool call, bool spoke, uint16_t code);
 
 #endif

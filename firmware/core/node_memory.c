@@ -5,7 +5,7 @@
 #include "crc32.h"
 #include "frame.h"
 
-/* Every order that a record may have; a corrupt one could say anything. */
+/* Largest order that a record may have: bounds the bytes read before the CRC is known to be right. */
 #define MAX_ORDER 4096u
 
 static bool intact(const struct tp_node_record *record, node_memory_reader *read)

@@ -14,7 +14,7 @@ void packet_writer_init(struct packet_writer *writer, uint8_t *ring, size_t size
     memset(writer, 0, sizeof *writer);
     writer->ring = ring;
     writer->size = size;
-    ring[0] = 0; /* ends whatever was on the line before */
+    ring[0] = 0; /* ends whatever bytes the host received before */
     writer->used = 1;
 }
 
@@ -45,7 +45,7 @@ void packet_close(struct packet_writer *writer)
 {
     cobs_put(&writer->cobs, &writer->crc, CRC_SIZE);
     size_t end = cobs_end(&writer->cobs);
-    /* A packet has bytes: a ring that now ends where it begins is full. */
+    /* A packet is never empty: if end equals begin, the ring is full. */
     writer->used = end > writer->begin ? end - writer->begin : end + writer->size - writer->begin;
 }
 
@@ -76,7 +76,7 @@ static void take(struct packet_reader *reader, uint8_t byte)
         reader->payload[place - sizeof reader->header] = byte;
 }
 
-/* Whether the run of bytes that a zero has ended is a packet; anything else is one error. */
+/* Whether the run of bytes ended by a zero is a packet; if not, it counts as one error. */
 static bool finish(struct packet_reader *reader)
 {
     if (reader->run == 0)
@@ -102,7 +102,7 @@ bool packet_read(struct packet_reader *reader, uint8_t byte)
         return whole;
     }
     if (reader->run > LONGEST_RUN)
-        return false; /* too long for a packet: up to the next zero */
+        return false; /* too long for a packet: ignored up to the next zero */
     reader->run++;
     if (cobs_decode(&reader->cobs, byte, &decoded))
         take(reader, decoded);

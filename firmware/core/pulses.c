@@ -9,7 +9,7 @@ void pulses_begin(struct pulses *pulses, const struct setup *setup)
     pulses->setup = setup;
     pulses->mark = setup->first_mark;
     pulses->frame = pulses->chip = pulses->turns = 0;
-    __asm__ volatile("" ::: "memory"); /* an interrupt may come right after the next line */
+    __asm__ volatile("" ::: "memory"); /* an interrupt may use the above once `on` is set */
     pulses->on = setup->marked;
 }
 
@@ -17,7 +17,7 @@ void pulses_end(struct pulses *pulses)
 {
     pulses->on = false;
     pulses->call_asked = false;
-    __asm__ volatile("" ::: "memory"); /* the setup is changed only now */
+    __asm__ volatile("" ::: "memory"); /* the caller may change the setup from here on */
 }
 
 void pulses_call(struct pulses *pulses)

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* When the sync line pulses: before every frame, and before every restart of the nodes in it.
+/* Schedules the pulses of the sync line: one before every frame and every restart within it.
  *
- * The one part of the digitizer that an interrupt may call, between any two instructions of the
- * rest. What both touch is a flag, or a word that only one of them writes.
+ * An interrupt may call pulses_next at any time. It shares with the rest only flags, and words that
+ * one side alone writes.
  */
 #ifndef TACTILE_PULSES_H
 #define TACTILE_PULSES_H
@@ -13,34 +13,35 @@
 
 #include "setup.h"
 
-#define PULSES_AHEAD 32 /* frames by which pulses may be ahead of the samples */
+#define PULSES_AHEAD 32 /* frames that pulses may be ahead of the samples: bits of `called` */
 
 /* A pulse on the sync line. */
 struct dg_pulse {
-    uint64_t tick; /* of its rising edge, in the stream */
+    uint64_t tick; /* of the stream, at its rising edge */
     uint8_t units; /* its length, in TP_SYNC_UNIT_US: TP_SYNC_FRAME, _CALL or _RESTART */
 };
 
 struct pulses {
     volatile bool on;
-    volatile bool call_asked;     /* and not yet begun */
-    volatile uint32_t called;     /* bit f: frame f, modulo PULSES_AHEAD, is of a roll call */
+    volatile bool call_asked;     /* … and no frame of it has begun */
+    volatile uint32_t called;     /* bit f % PULSES_AHEAD: frame f belongs to a roll call */
     const struct setup *setup;
-    uint64_t mark;                /* tick of the frame that pulses are given out for */
+    uint64_t mark;                /* tick at which the present frame begins */
     uint32_t frame;               /* its number */
-    uint32_t chip;                /* that the next pulse announces */
-    uint32_t turns;               /* frames of a roll call to come */
+    uint32_t chip;                /* the chip that the next pulse announces */
+    uint32_t turns;               /* frames left of the roll call */
 };
 
-/* From the stream's first frame on. The setup must last as long as they are on. */
+/* Starts at the stream's first frame. The setup must not change until pulses_end. */
 void pulses_begin(struct pulses *pulses, const struct setup *setup);
 void pulses_end(struct pulses *pulses);
 
-/* A roll call, with the next frame that no pulse was given out for; pulses_end forgets it. */
+/* Asks for a roll call from the next frame without a pulse on; pulses_end cancels it. */
 void pulses_call(struct pulses *pulses);
-/* Whether a frame is of one; its pulse was given out. */
+/* Whether a frame, whose pulse pulses_next has returned, belongs to a roll call. */
 bool pulses_called(const struct pulses *pulses, uint32_t frame);
 
+/* Takes the next pulse; false if pulses are off. */
 bool pulses_next(struct pulses *pulses, struct dg_pulse *pulse);
 
 #endif

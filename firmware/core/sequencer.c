@@ -6,7 +6,7 @@ void sequencer_init(struct sequencer *s, const struct tp_node_record *record, co
 {
     s->row = row;
     s->order = record->order;
-    /* a frame has at most 11 · 4096 chips */
+    /* a frame has at most 11 · 4096 = 45,056 chips, fewer than UINT16_MAX */
     s->slot_chips = record->resync_chips ? record->resync_chips : UINT16_MAX;
     s->negative = record->sign < 0;
     s->code_bits = record->bits;

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* From a word and a code row to chips, one after the other.
+/* Turns a word and a code row into a sequence of chips.
  *
- * An interrupt asks for every chip, so they come in runs: up to 8 chips of the row that lie in one
- * octet, one bit and one sub-slot. Within a run a chip costs a shift and a decrement; between runs
- * nothing is divided or multiplied, either. When the chips are due is for the caller to know; it is
- * told where guards lie.
+ * An interrupt steps through them, so they are held in runs: up to 8 chips within one octet of the
+ * row, one bit and one sub-slot. A step within a run costs a shift and a decrement; a step to the
+ * next run needs no division or multiplication. The caller times the chips; sequencer_step tells it
+ * where guards lie.
  */
 #ifndef TACTILE_SEQUENCER_H
 #define TACTILE_SEQUENCER_H
@@ -18,36 +18,36 @@
 
 /* What follows a chip. */
 enum sequencer_next {
-    SEQUENCER_CHIP,    /* the next one */
-    SEQUENCER_GUARD,   /* a guard; after it the next one */
-    SEQUENCER_END,     /* nothing: the word is over */
+    SEQUENCER_CHIP,    /* the next chip */
+    SEQUENCER_GUARD,   /* a guard, then the next chip */
+    SEQUENCER_END,     /* the word is over */
 };
 
 struct sequencer {
     const uint8_t *row;    /* chips of a bit, least significant first, 1 for + */
     uint16_t order;        /* chips per bit */
-    uint16_t slot_chips;   /* between guards; more than a frame has, where there are none */
+    uint16_t slot_chips;   /* chips between guards; without guards more than a frame has */
     bool negative;         /* sign of the row */
-    uint8_t code_bits;     /* of a word */
-    uint8_t parity;        /* 1: and one more bit, so that its ones are even */
+    uint8_t code_bits;     /* of a word, without parity */
+    uint8_t parity;        /* 1: a further bit makes the number of ones even */
 
-    uint8_t chips;         /* of the run, the present one lowest: 1 for high */
-    uint8_t run_left;      /* chips of the run, with the present one */
-    uint8_t run;           /* … and when it began */
-    uint8_t octet_left;    /* so many were left of the octet then, … */
+    uint8_t chips;         /* of the run, the present one in bit 0: 1 for high */
+    uint8_t run_left;      /* chips left of the run, including the present one */
+    uint8_t run;           /* chips of the run when it began, … */
+    uint8_t octet_left;    /* … and chips then left of the octet, … */
     uint16_t bit_left;     /* … of the bit … */
     uint16_t slot_left;    /* … and of the sub-slot */
-    const uint8_t *octet;  /* of the row: the next one */
-    uint16_t word;         /* bits to be sent, the present one on top */
-    uint8_t bits_left;     /* with the present one */
+    const uint8_t *octet;  /* the row's next octet */
+    uint16_t word;         /* bits to send, the present one in bit 15 */
+    uint8_t bits_left;     /* including the present one */
 };
 
 void sequencer_init(struct sequencer *s, const struct tp_node_record *record, const uint8_t *row);
 
-/* Goes to the first chip of a word. code: its lowest bits count. */
+/* Goes to the first chip of a word, the lowest code_bits of `code`. */
 void sequencer_start(struct sequencer *s, uint16_t code);
 
-/* From a run's last chip to the next run. */
+/* Goes from a run's last chip to the next run. */
 enum sequencer_next sequencer_turn(struct sequencer *s);
 
 /* Whether the present chip is high. */
@@ -56,7 +56,7 @@ static inline bool sequencer_level(const struct sequencer *s)
     return s->chips & 1u;
 }
 
-/* Goes to the next chip, and tells what lies between. */
+/* Goes to the next chip; returns what lies between. */
 static inline enum sequencer_next sequencer_step(struct sequencer *s)
 {
     if (--s->run_left == 0)

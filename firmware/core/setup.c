@@ -21,7 +21,7 @@ const struct tp_configure setup_default = {
     .sync_mode = TP_SYNC_MODE_DRIVE,
 };
 
-/* In thousandths of a tick. */
+/* Chip duration in thousandths of a tick. */
 static uint64_t chip_length(const struct setup *setup)
 {
     return (uint64_t)setup->asked.frame.chip_ns * setup->ticks_per_us;
@@ -37,7 +37,7 @@ uint64_t setup_chip_place(const struct setup *setup, uint32_t chip)
     return place(setup, chip) * chip_length(setup);
 }
 
-/* Whether frames follow each other with time for every pulse of the sync line. */
+/* Whether a frame fits its period, and successive pulses of the sync line are two leads apart. */
 static bool timely(const struct setup *setup)
 {
     const struct tp_frame_layout *frame = &setup->asked.frame;
@@ -58,7 +58,8 @@ static bool timely(const struct setup *setup)
     return between_ns >= 2 * LEAD_US * 1000ull;
 }
 
-/* Raw samples: so many per chip, to the nearest tick. */
+/* Raw samples: the sampling period is rounded to a whole tick. Refused if that makes samples_per_chip
+ * of them differ from a chip by more than 1 % (chosen). */
 static bool sample_raw(struct setup *setup, const struct dg_board *board)
 {
     uint64_t chip = chip_length(setup);
@@ -74,7 +75,7 @@ static bool sample_raw(struct setup *setup, const struct dg_board *board)
     return true;
 }
 
-/* Means of chips: of as many samples as the converter can take evenly. */
+/* Means of chips: averages as many evenly spaced samples as the converter can take. */
 static bool sample_means(struct setup *setup, const struct dg_board *board)
 {
     uint64_t chip_ticks = chip_length(setup) / STRIDE_MILLI;
@@ -110,7 +111,7 @@ bool setup_make(struct setup *setup, const struct dg_board *board,
 
     new.marked = asked->sync_mode != TP_SYNC_MODE_NONE;
     if (new.marked)
-        new.asked.sync_mode = TP_SYNC_MODE_DRIVE; /* taken for HEAR, too */
+        new.asked.sync_mode = TP_SYNC_MODE_DRIVE; /* HEAR, too, is answered by driving the line */
     new.chips = frame_line_bits(frame->bits, frame->parity) * frame->order;
     if (!timely(&new))
         return false;

@@ -28,7 +28,7 @@ static bool alike(const struct stream *stream)
     return stream->high - stream->low <= (int32_t)stream->setup->quiet_counts;
 }
 
-/* Widens low and high to some words; stops caring once they are too far apart. */
+/* Updates low and high with some words, unless they are already too far apart for QUIET. */
 static void measure(struct stream *stream, uint32_t first, uint32_t end)
 {
     int32_t low = stream->low, high = stream->high;
@@ -44,7 +44,7 @@ static void measure(struct stream *stream, uint32_t first, uint32_t end)
     stream->high = high;
 }
 
-/* Nearest µs to an instant: a tick of the stream and thousandths more. */
+/* Instant in µs, rounded: `tick` of the stream plus thousandths of a tick. */
 static uint64_t time_us(const struct stream *stream, uint64_t tick, uint64_t thousandths)
 {
     uint32_t ticks_per_us = stream->setup->ticks_per_us;
@@ -107,10 +107,10 @@ static void send_samples(struct stream *stream, uint32_t size)
     }
 }
 
-/* Sends what stands for the words, or lets it wait for the packet after it. */
+/* Sends QUIET in place of the words; wait: delays it until the next packet. */
 static void leave_out(struct stream *stream, uint32_t size, bool wait)
 {
-    int32_t sum = 0; /* below 2³¹ for 2¹³ words of 16 bits */
+    int32_t sum = 0; /* |sum| ≤ 2¹³ words · 2¹⁵ < 2³¹ */
     uint64_t squares = 0;
 
     for (uint32_t i = 0; i < size; i++) {
@@ -132,7 +132,7 @@ static void leave_out(struct stream *stream, uint32_t size, bool wait)
         send_quiet(stream);
 }
 
-/* Whether QUIET may stand for the words in progress: a whole frame, or any of a raw gap. */
+/* Whether the words in progress may be sent as QUIET: a whole frame, or any part of a raw gap. */
 static bool may_be_quiet(const struct stream *stream)
 {
     if (stream->setup->quiet_counts == 0)
@@ -143,7 +143,7 @@ static bool may_be_quiet(const struct stream *stream)
     return stream->index == stream->mark_index && stream->held == whole;
 }
 
-/* The words in progress make a packet. Returns whether it was QUIET. */
+/* Sends the words in progress as a packet. Returns whether it was QUIET. */
 static bool send_words(struct stream *stream)
 {
     uint32_t size = stream->held;
@@ -160,7 +160,7 @@ static bool send_words(struct stream *stream)
     return quiet;
 }
 
-/* A gap turns out not to be quiet altogether: its words go into packets as those of any gap. */
+/* The gap is not quiet throughout: sends the words held in packets of the usual size. */
 static void wait_no_more(struct stream *stream)
 {
     uint32_t all = stream->held, first = 0;
@@ -211,7 +211,7 @@ static void begin_guard(struct stream *stream)
     stream->slot_left = stream->setup->asked.frame.resync_chips;
 }
 
-/* The mark is here: the next sample is the first of a frame. */
+/* The next sample is the first of a frame. */
 static void begin_frame(struct stream *stream)
 {
     const struct setup *setup = stream->setup;
@@ -312,7 +312,7 @@ void stream_begin(struct stream *stream, const struct setup *setup, uint64_t sta
     stream->setup = setup;
     stream->start_us = start_us;
     stream->phase = setup->period.sample / 2;
-    stream->mark = setup->first_mark - setup->period_ticks; /* as if there had been one before */
+    stream->mark = setup->first_mark - setup->period_ticks; /* of a frame before the first */
     stream->frame = UINT32_MAX;
     stream->mark_index = UINT64_MAX;
     stream->index = 0;

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* Stretches of time among equally spaced samples, exactly and without division.
+/* Counts the samples in successive intervals of time, exactly and without division.
  *
- * Times are counted in thousandths of a tick of the sampling clock, in which every time of the
- * protocol is whole. Stretches that follow each other are walked through: of each it is known how
- * many samples are taken in it, and how far behind its end the next sample is, its phase.
+ * Times are in thousandths of a tick of the sampling clock, in which every time of the protocol is an
+ * integer. Each step gives the number of samples in an interval and the phase: the time from the
+ * interval's end to the next sample.
  */
 #ifndef TACTILE_STRIDE_H
 #define TACTILE_STRIDE_H
@@ -15,9 +15,9 @@
 #define STRIDE_MILLI 1000u /* thousandths in a tick */
 
 struct stride {
-    uint64_t samples; /* sample periods in it, whole ones … */
-    uint32_t rest;    /* … and what is left over */
-    uint32_t sample;  /* a sample period */
+    uint64_t samples; /* whole sample periods in the interval … */
+    uint32_t rest;    /* … and the remainder */
+    uint32_t sample;  /* sample period */
 };
 
 static inline struct stride stride_of(uint64_t length, uint32_t sample)
@@ -27,8 +27,8 @@ static inline struct stride stride_of(uint64_t length, uint32_t sample)
     return stride;
 }
 
-/* Number of samples in the stretch. phase, from its begin to its first sample, below a sample
- * period, becomes that of the stretch after it. */
+/* Returns the number of samples in the interval. phase: time from its beginning to its first sample,
+ * less than a sample period; becomes that of the next interval. */
 static inline uint64_t stride_walk(const struct stride *stride, uint32_t *phase)
 {
     bool one_more = *phase < stride->rest;

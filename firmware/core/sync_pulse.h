@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* What a pulse of the sync line says: its length in units of TP_SYNC_UNIT_US. */
+/* Decodes the length of a pulse on the sync line, in units of TP_SYNC_UNIT_US. */
 #ifndef TACTILE_SYNC_PULSE_H
 #define TACTILE_SYNC_PULSE_H
 
@@ -10,9 +10,9 @@
 
 #define SYNC_PULSE_GLITCH 0u
 
-/* TP_SYNC_RESTART, TP_SYNC_FRAME or TP_SYNC_CALL: the length rounded to units, so clocks may be some
- * 14 % off; anything shorter or longer is a glitch. unit_ticks: a constant that divides 256, so
- * that an AVR takes a byte for a quotient. */
+/* Rounds a length to TP_SYNC_RESTART, TP_SYNC_FRAME or TP_SYNC_CALL units, so clocks may be about 14 %
+ * off; anything shorter or longer is SYNC_PULSE_GLITCH. unit_ticks: a constant that divides 256, so
+ * that an AVR divides by taking the upper byte. */
 static inline uint8_t sync_pulse_units(uint32_t ticks, uint16_t unit_ticks)
 {
     if (ticks >= TP_SYNC_CALL * unit_ticks + unit_ticks / 2u)

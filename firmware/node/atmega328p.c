@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include "board.h"
+#include "node_board.h"
 #include "doze.h"
 
 #include <avr/power.h>
@@ -23,7 +23,7 @@ ISR(TIMER1_COMPB_vect)
 
 void board_init(void)
 {
-    /* after its own reset the watchdog goes on, in its shortest period */
+    /* after a watchdog reset the watchdog runs on with its shortest period */
     MCUSR = 0;
     wdt_enable(WDTO_250MS);
     clock_prescale_set(clock_div_1);
@@ -31,7 +31,7 @@ void board_init(void)
     PRR = _BV(PRTWI) | _BV(PRTIM2) | _BV(PRTIM0) | _BV(PRSPI) | _BV(PRUSART0);
     ACSR = _BV(ACD);
     DIDR0 = _BV(ADC0D);
-    /* pins that lead nowhere are pulled up, so that they don't float */
+    /* unconnected pins are pulled up, so that they don't float */
     PORTB = (uint8_t)~(_BV(BOARD_LINE) | _BV(BOARD_SYNC));
     PORTC = (uint8_t)~_BV(PC0);
     PORTD = (uint8_t)~_BV(BOARD_LED);
@@ -40,7 +40,7 @@ void board_init(void)
     TCCR1B = _BV(CS10);
     TIMSK1 = _BV(TOIE1);
     ADMUX = _BV(REFS0); /* AVcc is the reference, channel 0 */
-    /* sleep is idle, as it is after a reset: timer and capture go on */
+    /* sleep mode stays idle, the reset value: timer and capture run on */
 }
 
 uint32_t board_now(void)
@@ -56,13 +56,13 @@ void board_sleep(uint32_t when, const volatile uint8_t *event)
 {
     rang = false;
     ATOMIC_BLOCK (ATOMIC_RESTORESTATE) {
-        OCR1B = (uint16_t)when; /* further than 65,536 ticks away it rings too early, that is all */
+        OCR1B = (uint16_t)when; /* more than 65,536 ticks ahead it rings early, which is allowed */
         TIFR1 = _BV(OCF1B);
         TIMSK1 |= _BV(OCIE1B);
     }
     if ((int32_t)(when - board_now()) <= 0)
         rang = true; /* too late for the alarm */
-    /* what else wakes us, every chip for one, must not cost more than this */
+    /* other interrupts wake the CPU too, once per chip: this loop keeps their cost low */
     for (;;) {
         cli();
         if (rang || *event)

@@ -3,8 +3,8 @@
 /* ATmega328P at 8 MHz (crystal), 3.3 V: sync on PB0 (ICP1), line on PB1 (OC1A), sensor on PC0 (ADC0),
  * LED on PD7.
  *
- * Timer1 counts cycles. It captures the edges of the sync line and makes those of the line, so that
- * no interrupt's latency is in them. Fuses: crystal, no division by 8, brown-out at 2.7 V,
+ * Timer1 counts cycles. It captures edges of the sync line and generates those of the analog line, so
+ * neither contains interrupt latency. Fuses: crystal, no division by 8, brown-out at 2.7 V,
  * EEPROM kept when the chip is erased (low 0xFD, high 0xD1, extended 0xFD).
  */
 #ifndef NODE_ATMEGA328P_H
@@ -19,8 +19,8 @@
 #define BOARD_MATCH_vect TIMER1_COMPA_vect
 #define BOARD_SYNC_vect TIMER1_CAPT_vect
 
-#define BOARD_ORDER 4096
-#define BOARD_CHIP_NS 35000u
+#define BOARD_ORDER 4096     /* 512 bytes of the 1 kB EEPROM, and of the 2 kB RAM */
+#define BOARD_CHIP_NS 35000u /* shortest that test_node_image.py runs without a wrong edge */
 
 #define BOARD_LINE PB1
 #define BOARD_SYNC PB0
@@ -35,7 +35,7 @@ static BOARD_INLINE uint32_t board_time(uint16_t count)
     uint16_t overflows = board_overflows;
 
     if (TIFR1 & _BV(TOV1) && count < 0x8000u)
-        overflows++; /* its interrupt is still to come */
+        overflows++; /* its interrupt is pending */
     return (uint32_t)overflows << 16 | count;
 }
 
@@ -95,7 +95,8 @@ static BOARD_INLINE void board_sync_off(void)
     TIMSK1 &= (uint8_t)~_BV(ICIE1);
 }
 
-/* Ticks of the shortest pulse, by a clock that is off. In time, we look 13 µs after it began. */
+/* Ticks: 7/8 of the shortest pulse, so that a node's clock may be 1/8 off. The interrupt normally looks
+ * 13 µs after the rising edge. */
 #define BOARD_LATE_LOOK (TP_SYNC_UNIT_US * BOARD_TICKS_PER_US * 7u / 8u)
 
 static BOARD_INLINE bool board_sync_edge(uint32_t *when)
@@ -106,7 +107,7 @@ static BOARD_INLINE bool board_sync_edge(uint32_t *when)
     TCCR1B = rising ? _BV(CS10) : _BV(CS10) | _BV(ICES1);
     TIFR1 = _BV(ICF1); /* changing the edge may look like one */
     if (rising && !(PINB & _BV(BOARD_SYNC)) && !(TIFR1 & _BV(ICF1))) {
-        /* fallen before we could look: a glitch, but for a short pulse that found us busy */
+        /* already low: a glitch, unless another interrupt delayed this one beyond a restart pulse */
         TCCR1B = _BV(CS10) | _BV(ICES1);
         return (uint16_t)(TCNT1 - (uint16_t)*when) >= BOARD_LATE_LOOK;
     }

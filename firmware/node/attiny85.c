@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include "board.h"
+#include "node_board.h"
 #include "doze.h"
 
 #include <avr/power.h>
@@ -11,7 +11,7 @@ uint32_t board_ticks;
 uint16_t board_match_here, board_match_at;
 bool board_match_high;
 
-/* Longest sleep, in ticks: half a turn of Timer0, of which board_now must miss none. */
+/* Longest sleep, ticks: half a turn of Timer0, since board_now must see every turn. */
 #define NAP_TICKS 0x4000
 
 static volatile bool rang; /* the alarm */
@@ -21,7 +21,7 @@ ISR(TIMER0_COMPA_vect)
     rang = true;
 }
 
-/* Notes time and level before anything else; talk.c goes on from there. */
+/* Reads time and level in its first instructions, then jumps to the interrupt of talk.c. */
 ISR(INT0_vect, ISR_NAKED)
 {
     __asm__ volatile("push r24                \n\t"
@@ -37,7 +37,7 @@ ISR(INT0_vect, ISR_NAKED)
 
 void board_init(void)
 {
-    /* after its own reset the watchdog goes on, in its shortest period */
+    /* after a watchdog reset the watchdog runs on with its shortest period */
     MCUSR = 0;
     wdt_enable(WDTO_250MS);
     clock_prescale_set(clock_div_1);
@@ -45,11 +45,11 @@ void board_init(void)
     PRR = _BV(PRUSI);
     ACSR = _BV(ACD);
     DIDR0 = _BV(ADC3D);
-    PORTB = _BV(PB0); /* leads nowhere, so it is pulled up */
+    PORTB = _BV(PB0); /* unconnected, so pulled up */
     DDRB = _BV(BOARD_LED);
 
     MCUCR = _BV(ISC00); /* INT0 at any edge; sleep is idle */
-    GTCCR = _BV(PSR0); /* it has been counting since power-up */
+    GTCCR = _BV(PSR0); /* the prescaler has been counting since power-up */
     TCCR0B = _BV(CS02);
     TCCR1 = BOARD_COUNTING;
     ADMUX = _BV(MUX1) | _BV(MUX0); /* Vcc is the reference, channel 3 */
@@ -73,18 +73,18 @@ void board_sleep(uint32_t when, const volatile uint8_t *event)
 {
     uint32_t now = board_now();
 
-    /* so what wakes it isn't near a pulse that it goes to sleep for */
+    /* bounded from now on, so that the alarm does not ring near the pulse that the node waits for */
     if ((int32_t)(when - now) > NAP_TICKS)
         when = now + NAP_TICKS;
     rang = false;
     ATOMIC_BLOCK (ATOMIC_RESTORESTATE) {
-        OCR0A = (uint8_t)(when >> 7); /* rings up to 32 µs late */
+        OCR0A = (uint8_t)(when >> 7); /* rings up to 32 µs late: one count of Timer0 */
         TIFR = _BV(OCF0A);
         TIMSK |= _BV(OCIE0A);
     }
     if ((int32_t)(when - board_now()) <= 128)
-        rang = true; /* Timer0 may be there already: too late for the alarm */
-    /* what else wakes us, every chip for one, must not cost more than this */
+        rang = true; /* Timer0 may already have matched: too late for the alarm */
+    /* other interrupts wake the CPU too, once per chip: this loop keeps their cost low */
     for (;;) {
         cli();
         if (rang || *event)

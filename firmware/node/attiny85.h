@@ -3,10 +3,10 @@
 /* ATtiny85 at 8 MHz (its RC oscillator, up to 10 % off): sync on PB2 (INT0), line on PB1 (OC1A), sensor
  * on PB3 (ADC3), LED on PB4.
  *
- * Timer1 counts pairs of cycles and makes the edges of the line; with its 8 bits it wraps every 64 µs.
- * Timer0, started with it, counts 256 cycles at a time and says which wrap it is. There is no capture:
- * an edge of the sync line is timed by the first instructions of its interrupt, always as many cycles
- * later if the processor sleeps, as it does when a pulse is due: nothing wakes it by itself then.
+ * Timer1 counts pairs of cycles and generates the edges of the line; its 8 bits wrap every 64 µs.
+ * Timer0, started with it, counts 256 cycles at a time and tells the wraps apart. There is no capture
+ * unit: the first instructions of the interrupt time an edge of the sync line. Their delay is constant
+ * if the processor sleeps, as it does when a pulse is due.
  *
  * Fuses: no division by 8, brown-out at 2.7 V, EEPROM kept when the chip is erased
  * (low 0xE2, high 0xD5, extended 0xFF).
@@ -21,10 +21,10 @@
 
 #define BOARD_TICKS_PER_US 4u
 #define BOARD_MATCH_vect TIMER1_COMPA_vect
-#define BOARD_SYNC_vect __vector_sync_edge /* called by INT0's, see attiny85.c */
+#define BOARD_SYNC_vect __vector_sync_edge /* INT0's interrupt jumps to it, see attiny85.c */
 
-#define BOARD_ORDER 1024
-#define BOARD_CHIP_NS 40000u
+#define BOARD_ORDER 1024     /* 128 bytes of the 512 bytes of EEPROM, and of RAM */
+#define BOARD_CHIP_NS 40000u /* shortest that test_node_image.py runs without a wrong edge */
 
 #define BOARD_LINE PB1
 #define BOARD_SYNC PB2
@@ -36,16 +36,16 @@
  * instructions. (The pin's synchroniser takes 2 or 3 more, as an ATmega328P's does.) */
 #define BOARD_SYNC_LATENCY 6u
 
-/* Longest way to a match, in ticks; longer ones are gone in pieces, of which none is short enough to
- * be over before it has begun. */
+/* Longest time to a match, ticks, below Timer1's 256. Longer times are divided into steps of at least
+ * half of this, so that no match is past before it is set. */
 #define BOARD_MATCH_REACH 240u
 
 #define BOARD_COUNTING _BV(CS11) /* of TCCR1: a tick is 2 cycles */
 
-/* Ticks up to Timer0's last wrap, or the one before: board_now sees to it. An interrupt for it would
- * delay that of a pulse. */
+/* Ticks at Timer0's last wrap, or the one before. board_now updates it, because an interrupt for it
+ * could delay that of a pulse. */
 extern uint32_t board_ticks;
-/* What a match on the way has to know. */
+/* State of a match that is reached in steps. */
 extern uint16_t board_match_here, board_match_at;
 extern bool board_match_high;
 
@@ -56,11 +56,11 @@ static BOARD_INLINE uint32_t board_time(uint8_t count)
     uint8_t wraps = TCNT0;
 
     if (TIFR & _BV(TOV0)) {
-        coarse += 0x8000u; /* not seen to yet */
-        wraps = TCNT0;     /* it may have been read before the wrap */
+        coarse += 0x8000u; /* not yet counted by board_now */
+        wraps = TCNT0;     /* the first reading may be of before the wrap */
     }
     coarse += (uint16_t)wraps << 7;
-    /* Timer1 is right in its 8 bits, and 0 to 128 ticks ahead of Timer0: 64, to tell its wraps */
+    /* Timer1 gives the low 8 bits; it is 0 to 128 ticks ahead of Timer0, so adding 64 tells its wraps */
     return coarse + 64u + (int8_t)(uint8_t)(count - (uint8_t)coarse - 64u);
 }
 
@@ -82,7 +82,7 @@ static BOARD_INLINE bool board_match_step(void)
     uint8_t from = (uint8_t)board_match_here;
     board_match_here += step;
     OCR1A = (uint8_t)(board_match_here - 1u);
-    /* the count that we see is up to a tick old, and it takes as long until Timer1 knows of OCR1A */
+    /* the count read is up to a tick old, and OCR1A takes up to a tick to reach Timer1 */
     return (uint8_t)(TCNT1 - from) < (uint8_t)(step - 3u);
 }
 
@@ -152,8 +152,8 @@ static BOARD_INLINE bool board_sync_fell(uint16_t rise, uint16_t *length)
     return !(PINB & _BV(BOARD_SYNC));
 }
 
-/* Some 20 µs after the rising edge, or later: a pulse that is over by then is taken for the shortest
- * one, be it noise of 2 to 8 µs. */
+/* Looks 20 µs or more after the rising edge: a pulse that is over by then counts as a restart pulse,
+ * even if it is noise of 2 to 8 µs. */
 static BOARD_INLINE bool board_sync_over(uint16_t rise, bool short_is_due, uint16_t *length)
 {
     const uint8_t unit = TP_SYNC_UNIT_US * BOARD_TICKS_PER_US;

@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* What both microcontrollers do alike: the converter, the LED, the EEPROM. */
-#include "board.h"
+/* The part common to both microcontrollers: converter, LED, EEPROM. */
+#include "node_board.h"
 #include "doze.h"
 
 #include <avr/eeprom.h>
 
 EMPTY_INTERRUPT(ADC_vect)
 
-/* One conversion, asleep: 8 MHz / 64 = 125 kHz. */
+/* One conversion, asleep. Its clock is 8 MHz / 64 = 125 kHz; the data sheet asks for 50 to 200 kHz. */
 static uint16_t convert(void)
 {
     ADCSRA = _BV(ADEN) | _BV(ADSC) | _BV(ADIE) | _BV(ADPS2) | _BV(ADPS1);
@@ -26,7 +26,7 @@ uint16_t board_measure(void)
 {
     uint16_t reading;
 
-    convert(); /* the first one after the converter was off is not good */
+    convert(); /* the first conversion after power-on of the converter is inaccurate: discarded */
     reading = convert();
     ADCSRA = 0;
     return reading;

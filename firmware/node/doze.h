@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* Sleep that no interrupt can be missed by. */
+/* Sleeps without missing an interrupt. */
 #ifndef NODE_DOZE_H
 #define NODE_DOZE_H
 
 #include <avr/interrupt.h>
 #include <avr/sleep.h>
 
-/* Until an interrupt, also one that is waiting already. Interrupts are off before, and on after. */
+/* Sleeps until an interrupt; returns at once if one is pending. Turns interrupts, off before, on. */
 static inline void doze(void)
 {
     sleep_enable();

@@ -1,24 +1,24 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* A sensing node. Once per frame, as late as is safe before the next sync pulse, it measures and plans
- * what to say; then it sleeps, and talk.c says it in interrupts. */
+/* A sensing node. Once per frame, shortly before the next sync pulse, it reads the sensor and plans the
+ * next frame; then it sleeps while the interrupts of talk.c transmit. */
 #include <avr/interrupt.h>
 #include <avr/wdt.h>
 
-#include "board.h"
+#include "node_board.h"
 #include "discipline.h"
 #include "event.h"
 #include "node_memory.h"
 #include "talk.h"
 
 #define MS (1000ul * BOARD_TICKS_PER_US)
-/* So long before the next pulse the reading begins. Two conversions take 310 µs; a new clock, the plan,
- * and what may interrupt them, do with the rest. */
+/* Time from the start of the reading to the next pulse, µs: two conversions take 310 µs; the rest,
+ * chosen, is for clock, plan and interrupts. */
 #define MEASURING_US 800u
-#define REST_READINGS 8
+#define REST_READINGS 8 /* averaged to learn the code at rest. Chosen */
 
-/* The frame is over before the reading begins; a restart's pulse, 64 µs ahead of its sub-slot, begins
- * after the line was released. */
+/* measuring_us: the reading, and 100 µs for the frame to end before it. restart_us: a restart's pulse
+ * begins 64 µs before its sub-slot, and the line must be released by then. */
 static const struct node_limits limits = {
     .order = BOARD_ORDER, .chip_ns = BOARD_CHIP_NS, .measuring_us = 900, .restart_us = 96};
 
@@ -27,13 +27,13 @@ static uint8_t row[BOARD_ORDER / 8];
 static struct discipline clock;
 static struct event event;
 
-static uint32_t mark;      /* when the present frame's pulse began, or should have */
-static bool heard;         /* … and that it did */
+static uint32_t mark;      /* when the present frame's pulse began, or was due */
+static bool heard;         /* … and whether it came */
 static bool ever_heard;
-static bool clock_known;   /* good enough to talk by */
+static bool clock_known;   /* accurate enough to transmit */
 static uint16_t code;      /* of the plan */
 
-/* Waits until a frame begins (true) or a time is there. The watchdog is content while time goes on. */
+/* Waits until a frame begins (returns true) or a time comes. Feeds the watchdog while time advances. */
 static bool wait(uint32_t until)
 {
     uint32_t now = board_now(), fed = now - 1;
@@ -64,7 +64,7 @@ static uint16_t learnt_rest(void)
     return sum / REST_READINGS;
 }
 
-/* Never talks, and says why: as many blinks as the fault's number, again and again. */
+/* Stays silent for ever and blinks the fault's number. */
 static void blink(enum node_memory_fault fault)
 {
     for (;;) {
@@ -97,8 +97,7 @@ static void frame_began(void)
     event_frame(&event, frame.units == TP_SYNC_CALL, frame.spoke, code);
 }
 
-/* The pulse was not heard, or there is none: the frame is counted all the same, so that turns are kept,
- * and the next one is measured for. */
+/* No pulse came: counts the frame all the same, so that heartbeats and roll calls keep their turns. */
 static void frame_missed(void)
 {
     mark += clock.period;
@@ -128,7 +127,7 @@ int main(void)
             frame_began();
         else
             frame_missed();
-        /* a pulse before its time is a frame, too, though one without us */
+        /* an early pulse begins a frame, too, but this node has no plan for it and stays silent */
         while (wait(mark + clock.period - MEASURING_US * (uint32_t)BOARD_TICKS_PER_US))
             frame_began();
     }

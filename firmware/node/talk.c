@@ -4,48 +4,49 @@
 
 #include <util/atomic.h>
 
-#include "board.h"
+#include "node_board.h"
 #include "sequencer.h"
 #include "sync_pulse.h"
 
 #define UNIT_TICKS (TP_SYNC_UNIT_US * BOARD_TICKS_PER_US)
 #define LONGEST_PULSE_TICKS (TP_SYNC_CALL * UNIT_TICKS + UNIT_TICKS / 2u)
-/* The interrupt that ends a sub-slot comes so long before its end: others may be running,
- * and what follows is worked out. */
+/* The interrupt that ends a sub-slot comes this long before its end, because another interrupt may be
+ * running and the next sub-slot is prepared in it. Chosen. */
 #define RELEASE_LEAD_TICKS (46u * BOARD_TICKS_PER_US)
-/* A last chip shorter than this is waited for by the interrupt that began it. */
+/* If the last chip is shorter than this, the interrupt at its beginning waits for its end: the release
+ * lead above and the time of one more interrupt. Chosen. */
 #define SHORT_CHIP_TICKS (60u * BOARD_TICKS_PER_US)
 
 enum state {
     SILENT,    /* the line is released */
-    TALKING,   /* chips follow each other */
-    LAST,      /* a sub-slot's last chip is on the line */
+    TALKING,   /* a chip is on the line, and another follows */
+    LAST,      /* the last chip of a sub-slot is on the line */
     PAUSED,    /* the line is released until a restart pulse */
 };
 
 static struct sequencer sequencer;
 static volatile uint8_t state;
 
-static uint32_t edge_q16;          /* time of the last edge plus ½, of its 32 bits the 16 lowest, · 2¹⁶ */
+static uint32_t edge_q16;          /* (time of the last edge + ½) · 2¹⁶ modulo 2³² */
 static uint32_t chip_q16, lead_q16;
 static bool chips_are_short;
 
-/* End of the last chip that is planned: when, what follows (enum sequencer_next), and how high that
- * is. The timer is told of it when the chip begins. */
+/* End of the chip planned last: its time, what follows (enum sequencer_next), and the level of that.
+ * The timer is set to it when the chip begins. */
 static uint16_t next_edge;
 static uint8_t next;
 static bool next_level;
 
-static volatile uint8_t plan;      /* pulses that the node answers with its word: bit per length */
+static volatile uint8_t plan;      /* pulses that begin a transmission: bit per length in units */
 
-static uint32_t rise;              /* when the sync line's present pulse began */
-static bool high;                  /* whether there is one */
-static bool may_frame;             /* whether it is time for a frame pulse */
-static uint32_t earliest;          /* ticks from a frame's pulse to the next one's, at least */
+static uint32_t rise;              /* when the present pulse of the sync line began */
+static bool high;                  /* whether the sync line is high */
+static bool may_frame;             /* whether a frame pulse can come now */
+static uint32_t earliest;          /* least ticks from a frame's pulse to the next */
 static uint32_t slot_rise;         /* when the pulse of the present sub-slot began */
-static uint32_t restart_earliest;  /* ticks from there to the next one's, at least … */
+static uint32_t restart_earliest;  /* least ticks from there to the next restart … */
 static uint32_t restart_width;     /* … and how much later it may be */
-static uint16_t slot_places;       /* chips from a sub-slot to the next; 0: there is only one */
+static uint16_t slot_places;       /* chips from one sub-slot to the next, guard included; 0: only one */
 static uint8_t guard_chips;
 
 static struct talk_frame frame;
@@ -59,14 +60,14 @@ static BOARD_INLINE void fall_silent(void)
     board_sync_on();
 }
 
-/* What follows the chip that the sequencer is at. */
+/* Goes to the next chip of the sequencer. */
 static BOARD_INLINE void step(void)
 {
     next = sequencer_step(&sequencer);
     next_level = sequencer_level(&sequencer);
 }
 
-/* The line, released, has the level that a sub-slot begins with. */
+/* Sets the latch, while the line is released, to a sub-slot's first level. */
 static void get_ready(void)
 {
     board_latch(sequencer_level(&sequencer));
@@ -78,7 +79,7 @@ static void end_slot(void)
     bool pauses = next == SEQUENCER_GUARD, level = sequencer_level(&sequencer);
 
     if (pauses)
-        step(); /* now: after the slot, the restart's pulse may be 16 µs away */
+        step(); /* now, because the restart's pulse may follow 16 µs after the slot */
     if (board_ticks_until(next_edge) >= BOARD_SPIN_TICKS)
         board_spin(next_edge);
     fall_silent();
@@ -88,7 +89,7 @@ static void end_slot(void)
     }
 }
 
-/* A sub-slot's last chip has begun, or its end is near. Out of the way of all other chips. */
+/* A sub-slot's last chip has begun, or its end is near. Not inlined: keeps the common path short. */
 static __attribute__((noinline)) void last_chip(void)
 {
     bool ends = state == LAST || chips_are_short;
@@ -98,8 +99,7 @@ static __attribute__((noinline)) void last_chip(void)
         end_slot();
 }
 
-/* A chip has begun. The timer is told first of what follows; then there is time to work out what
- * follows that. */
+/* A chip has begun: sets the timer for the next one first, then prepares the one after that. */
 static BOARD_INLINE void chip_began(void)
 {
     if (next != SEQUENCER_CHIP) {
@@ -109,7 +109,7 @@ static BOARD_INLINE void chip_began(void)
         next_edge = (uint16_t)(edge_q16 >> 16);
         step();
     } else {
-        fall_silent(); /* too late: rather than say something else */
+        fall_silent(); /* too late: silence is better than a wrong word */
     }
 }
 
@@ -123,7 +123,7 @@ ISR(BOARD_MATCH_vect)
         last_chip();
 }
 
-/* The first chip's time, should the present pulse be one for us. */
+/* Prepares the first chip after the present pulse; returns its time. */
 static BOARD_INLINE uint16_t aim(void)
 {
     uint32_t start_q16 = (rise << 16) + lead_q16 + 0x8000u;
@@ -135,7 +135,7 @@ static BOARD_INLINE uint16_t aim(void)
     return start;
 }
 
-/* It is one. */
+/* Begins a sub-slot at a time near ahead. False if it is too late for that. */
 static BOARD_INLINE bool begin_slot(uint16_t start)
 {
     if (board_ticks_until(start) < BOARD_SPIN_TICKS)
@@ -150,7 +150,7 @@ static BOARD_INLINE bool begin_slot(uint16_t start)
     return true;
 }
 
-/* Pulses of these lengths are ours, if they begin now: bit per length. */
+/* Lengths of a pulse beginning now that this node answers: bit per length in units. */
 static BOARD_INLINE uint8_t answers(void)
 {
     if (state == PAUSED && rise - slot_rise - restart_earliest <= restart_width)
@@ -170,8 +170,8 @@ static BOARD_INLINE void pulse_ended(uint8_t units, bool spoke)
     }
 }
 
-/* After a roll call's pulse there are 16 µs to the first chip, less than another interrupt would take:
- * who might have to speak waits for the pulse's end, with all but that settled. */
+/* From the end of a roll call's pulse to the first chip it is 16 µs, less than another interrupt takes.
+ * So a node that may have to transmit waits here for the pulse's end, with everything prepared. */
 ISR(BOARD_SYNC_vect)
 {
     uint32_t when;
@@ -194,7 +194,7 @@ ISR(BOARD_SYNC_vect)
     start = aim();
     while (!over) {
         if (board_ticks_since((uint16_t)rise) >= LONGEST_PULSE_TICKS)
-            return; /* its end will be an interrupt, and no more */
+            return; /* too long; its falling edge will be an interrupt */
         over = board_sync_fell((uint16_t)rise, &length);
     }
     units = sync_pulse_units(length, UNIT_TICKS);
@@ -226,7 +226,7 @@ void talk_plan(const struct discipline *clock, uint16_t code, bool talks, bool t
     chip_q16 = clock->chip_q16;
     chips_are_short = chip_q16 >> 16 < SHORT_CHIP_TICKS;
     lead_q16 = clock->lead_q16;
-    /* what a guard is there for is clocks that are off by as much */
+    /* a guard allows for clocks that are off by as much */
     restart_earliest = slot_ticks - guard_ticks;
     restart_width = 2u * guard_ticks;
     get_ready();
@@ -239,7 +239,7 @@ void talk_stop(void)
 {
     ATOMIC_BLOCK (ATOMIC_RESTORESTATE) {
         plan = 0;
-        /* Else it is silent and listens: a pulse on the line just now must not lose its end. */
+        /* if silent already, it listens: do not restart that, or the end of a present pulse is lost */
         if (state == TALKING || state == LAST)
             fall_silent();
         state = SILENT;

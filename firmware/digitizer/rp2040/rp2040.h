@@ -35,7 +35,6 @@ struct moment {
 /* sampler: ADC to DMA to a ring in RAM */
 #define SAMPLER_MIN_TICKS 96u
 #define SAMPLER_MAX_TICKS 65536u
-#define SAMPLER_CHUNK 256u
 void sampler_init(void);
 /* Starts sampling, and the PWM, which sync_prepare has set up. Returns the stream's tick at which
  * the PWM began to count; sets *moment to one soon after. */
@@ -57,12 +56,13 @@ void sync_stop(void);
 bool sync_failed(void);
 void sync_interrupt(void);
 
-/* uart: UART0, 2 Mbaud, 8N1 */
+/* uart: UART0, 2 Mbaud, 8N1. From here on to usb_cancel, functions are those of struct dg_link. */
 void uart_init(void);
+bool uart_ready(void);
 size_t uart_read(uint8_t *bytes, size_t size);
-/* Bytes must stay where they are while uart_sending(). */
 void uart_send(const uint8_t *bytes, size_t size);
 bool uart_sending(void);
+size_t uart_cancel(void);
 void uart_interrupt(void);
 void uart_sent_interrupt(void);
 

@@ -3,7 +3,7 @@ RP2040_DIR := digitizer/rp2040
 RP2040_OUT := $(BUILD)/rp2040
 RP2040_CC := arm-none-eabi-gcc
 RP2040_FLAGS := -mcpu=cortex-m0plus -mthumb -O2 -g -ffunction-sections -fdata-sections
-RP2040_CORE := digitizer setup stream pulses packet cobs crc32
+RP2040_CORE := loop digitizer setup stream pulses packet cobs crc32
 RP2040_OBJECTS := $(RP2040_CORE:%=$(RP2040_OUT)/core/%.o) \
     $(patsubst $(RP2040_DIR)/%.c,$(RP2040_OUT)/%.o,$(wildcard $(RP2040_DIR)/*.c)) \
     $(RP2040_OUT)/boot2.o

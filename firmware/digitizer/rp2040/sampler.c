@@ -158,7 +158,7 @@ size_t sampler_take(const uint16_t **samples, uint32_t *lost)
     *samples = ring + place;
     if (waiting > RING_SIZE - place)
         waiting = RING_SIZE - place;
-    return waiting < SAMPLER_CHUNK ? waiting : SAMPLER_CHUNK;
+    return waiting < DG_CHUNK ? waiting : DG_CHUNK;
 }
 
 void sampler_done(size_t size)

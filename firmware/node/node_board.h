@@ -1,0 +1,96 @@
+// SPDX-License-Identifier: Apache-2.0
+
+/* Functions and constants that each microcontroller supplies to main.c and talk.c.
+ *
+ * Time is a running count of BOARD_TICKS_PER_US; its low 16 bits suffice for edges less than 65,536
+ * ticks away. The output has a latch, which a timer match sets to a level at an exact time, and a
+ * switch, the pin's direction, which connects the latch to the line or releases it.
+ */
+#ifndef NODE_NODE_BOARD_H
+#define NODE_NODE_BOARD_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+/* Inlined because cycles are counted after board_spin, and because a call makes an interrupt save all
+ * registers. */
+#define BOARD_INLINE inline __attribute__((always_inline))
+
+/* For main.c; interrupts are on. */
+
+/* Called first after a reset: sets up clocks, pins, timers and the watchdog. */
+void board_init(void);
+uint32_t board_now(void);
+/* Sleeps until `when` or until *event is not 0. May return early. */
+void board_sleep(uint32_t when, const volatile uint8_t *event);
+/* Ratio of the sensor's voltage to the supply, in 1/1024. */
+uint16_t board_measure(void);
+void board_led(bool on);
+uint8_t board_memory_byte(uint16_t address);
+
+/* For talk.c; inline, interrupts are off. The microcontroller's header also defines
+ *
+ *   BOARD_TICKS_PER_US   a power of two
+ *   BOARD_ORDER          longest code row, chips
+ *   BOARD_CHIP_NS        shortest chip that the interrupts can keep up with
+ *   BOARD_MATCH_vect     interrupt of the latch's match
+ *   BOARD_SYNC_vect      interrupt of the sync line's edges
+ *   BOARD_SPIN_TICKS     shortest time to an edge that board_spin can wait for
+ *   BOARD_LINE           pin of the line, on port B
+ *   BOARD_LED, BOARD_LED_PORT    for avr.c
+ */
+
+/* Sets the latch to a level when the timer reaches `at`. False if it is too late for that. */
+static BOARD_INLINE bool board_match(bool high, uint16_t at);
+/* In the match's interrupt: whether this is the match asked for, not an intermediate one. */
+static BOARD_INLINE bool board_match_is_last(void);
+/* The level that the next match sets. */
+static BOARD_INLINE bool board_match_level(void);
+/* Sets the match to just before `at`: at `at` its flag is set, and nearly a full turn of the timer is
+ * left to the next match. */
+static BOARD_INLINE void board_match_past(uint16_t at);
+/* Enables interrupts at matches, from the next one on. */
+static BOARD_INLINE void board_matches_on(void);
+static BOARD_INLINE void board_matches_off(void);
+/* Sets the latch to a level at once, and the level of the next match. */
+static BOARD_INLINE void board_latch(bool high);
+
+/* The switch; defined below. */
+static BOARD_INLINE void board_drive(void);
+static BOARD_INLINE void board_release(void);
+/* Ticks until a time nearby, and since one. */
+static BOARD_INLINE int16_t board_ticks_until(uint16_t at);
+static BOARD_INLINE uint16_t board_ticks_since(uint16_t then);
+/* Waits so that board_drive or board_release right after it takes effect exactly at `at`. */
+static BOARD_INLINE void board_spin(uint16_t at);
+
+/* Enables interrupts at edges of the sync line, from the next one on. */
+static BOARD_INLINE void board_sync_on(void);
+static BOARD_INLINE void board_sync_off(void);
+/* In that interrupt: whether the edge is a rising one; sets *when to its time. */
+static BOARD_INLINE bool board_sync_edge(uint32_t *when);
+/* Whether a pulse that began at `rise` is over; sets *length, ticks: board_sync_over at the first look,
+ * board_sync_fell after that. A pulse that ended too early to be measured counts as a restart pulse
+ * if one is due. */
+static BOARD_INLINE bool board_sync_over(uint16_t rise, bool short_is_due, uint16_t *length);
+static BOARD_INLINE bool board_sync_fell(uint16_t rise, uint16_t *length);
+
+#if defined(__AVR_ATmega328P__)
+#include "atmega328p.h"
+#elif defined(__AVR_ATtiny85__)
+#include "attiny85.h"
+#else
+#error "no such board"
+#endif
+
+static BOARD_INLINE void board_drive(void)
+{
+    DDRB |= _BV(BOARD_LINE);
+}
+
+static BOARD_INLINE void board_release(void)
+{
+    DDRB &= (uint8_t)~_BV(BOARD_LINE);
+}
+
+#endif
