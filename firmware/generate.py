@@ -153,11 +153,8 @@ def python_tables(definition: Definition) -> str:
         "    allowed: range | type[IntEnum] | type[bool] | None = None",
         "",
         "",
-        *(
-            f"{name.upper()} = range({wire.limits[0]}, {wire.limits[1] + 1})"
-            for name, wire in SCALARS.items()
-            if wire.limits and name != "bool"
-        ),
+        "U8, U16, U32, U64 = (range(2**bits) for bits in (8, 16, 32, 64))",
+        "I8, I16, I64 = (range(-(2**bits), 2**bits) for bits in (7, 15, 63))",
         "",
         "# fmt: off",
         "FIELDS: dict[str, tuple[Field, ...]] = {",

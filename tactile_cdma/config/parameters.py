@@ -9,12 +9,12 @@ from it, and parameter files are checked against it. docs/parameters.md is gener
 from __future__ import annotations
 
 import difflib
-import math
 import re
 import reprlib
 from array import array
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -73,39 +73,27 @@ class Parameter:
             )
         assert isinstance(value, bool | int | float | str | tuple)
         if isinstance(value, tuple):
-            return self._check_elements(value)
+            assert isinstance(self.default, tuple)
+            if len(value) != len(self.default):
+                raise ParameterError(
+                    f"{self.name} is {_shown(value)}; it must be {len(self.default)} numbers"
+                )
+            element = partial(replace, self, default=0.0)
+            checked: Any = [element(name=f"{self.name}[{i}]").check(v) for i, v in enumerate(value)]
+            return tuple(checked)
         if self.choices and value not in self.choices:
             raise ParameterError(
                 f"{self.name} is {_shown(value)}; it must be one of "
                 + ", ".join(str(choice) for choice in self.choices)
             )
-        if not isinstance(value, str | bool):
-            self._check_limits(self.name, value)
+        if self.limits and not isinstance(value, str | bool):
+            low, high = self.limits
+            if not low <= value <= high:  # NaN is not, either
+                unit = f" {self.unit}" if self.unit else ""
+                raise ParameterError(
+                    f"{self.name} is {value:g}{unit}; it must lie within {low:g}…{high:g}{unit}"
+                )
         return value
-
-    def _check_elements(self, values: tuple[object, ...]) -> tuple[float, ...]:
-        assert isinstance(self.default, tuple)
-        if len(values) != len(self.default):
-            raise ParameterError(
-                f"{self.name} is {_shown(list(values))}; it must be {len(self.default)} numbers"
-            )
-        elements = []
-        for i, value in enumerate(values):
-            if type(value) is not float and type(value) is not int:
-                raise ParameterError(f"{self.name}[{i}] must be a number, got {_shown(value)}")
-            self._check_limits(f"{self.name}[{i}]", value)
-            elements.append(float(value))
-        return tuple(elements)
-
-    def _check_limits(self, name: str, value: float) -> None:
-        if self.limits is None:
-            return
-        low, high = self.limits
-        if not (math.isfinite(value) and low <= value <= high):
-            unit = f" {self.unit}" if self.unit else ""
-            raise ParameterError(
-                f"{name} is {value:g}{unit}; it must lie within {low:g}…{high:g}{unit}"
-            )
 
 
 _KIND_NAMES = {

@@ -82,13 +82,8 @@ class Field(NamedTuple):
     allowed: range | type[IntEnum] | type[bool] | None = None
 
 
-U8 = range(0, 256)
-U16 = range(0, 65536)
-U32 = range(0, 4294967296)
-U64 = range(0, 18446744073709551616)
-I8 = range(-128, 128)
-I16 = range(-32768, 32768)
-I64 = range(-9223372036854775808, 9223372036854775808)
+U8, U16, U32, U64 = (range(2**bits) for bits in (8, 16, 32, 64))
+I8, I16, I64 = (range(-(2**bits), 2**bits) for bits in (7, 15, 63))
 
 # fmt: off
 FIELDS: dict[str, tuple[Field, ...]] = {
