@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The digitizer's C core as Python objects: its board, its clock and its line are the test's."""
+"""The digitizer's C core as Python objects, with board, clock and line supplied by the test."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Nodes' images under test: a sync line to order, and what their pins should do."""
+"""Node images under test: a scripted sync line, and the expected pin levels."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The core built for other machines: byte for byte what it is here, and what it costs there."""
+"""The core built for other machines: identical bytes, and its cost in instructions."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The C core under any input: what was found stays mended, and the harnesses do find faults."""
+"""The C core under any input: past finds stay fixed, and the harnesses detect planted faults."""
 
 from __future__ import annotations
 

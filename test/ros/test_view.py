@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Viewers: names of patches, complaints of the driver, a terminal without colours."""
+"""Viewers: names of patches, error messages of the driver, a terminal without colours."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""tactile-cdma calibrate --rising and --dynamics: two recordings teach curves and dynamics."""
+"""tactile-cdma calibrate --rising and --dynamics: curves and dynamics from two recordings."""
 
 import sys
 from collections.abc import Callable

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The file of tare and drift: what is written is read, what is no such file is refused."""
+"""The file of tare and drift: written content is read back; other files are refused."""
 
 import os
 import stat
