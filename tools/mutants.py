@@ -100,12 +100,22 @@ def operators(path: Path) -> list[tuple[ast.AST, str, int]]:
 
 
 def _operators(tree: ast.AST) -> Iterator[tuple[ast.AST, str, int]]:
+    hints = {id(part) for node in ast.walk(tree) for part in _of_hints(node)}
     for node in ast.walk(tree):
+        if id(node) in hints:
+            continue
         if isinstance(node, ast.BoolOp | ast.BinOp | ast.AugAssign | ast.UnaryOp):
             if type(node.op) in SWAPS:
                 yield node, "op", 0
         elif isinstance(node, ast.Compare):
             yield from ((node, "ops", i) for i, op in enumerate(node.ops) if type(op) in SWAPS)
+
+
+def _of_hints(node: ast.AST) -> Iterator[ast.AST]:
+    """All that stands in a type hint, where | is no operator."""
+    for field in ("annotation", "returns"):
+        if (hint := getattr(node, field, None)) is not None:
+            yield from ast.walk(hint)
 
 
 def mutate(path: Path, index: int, copied: Path) -> tuple[int, str]:
