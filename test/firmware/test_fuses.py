@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The fuse bytes in firmware/README.md are made of the fuses that they are said to be."""
+"""The fuse bytes in firmware/README.md match the fuses named beside them."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The C core under any input: what was found stays mended, and the harnesses do find faults."""
+"""The C core under arbitrary input: past findings stay fixed, and the harnesses detect faults."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ DEFECTS = {  # file; what is there; what is there instead; what must be found
 
 @pytest.mark.parametrize("name", harnesses())
 def test_kept_cases_and_mutants_of_them(name: str) -> None:
-    """By any compiler: where there is no clang, too."""
+    """By any compiler, so that it works without clang."""
     need("cc")
     build("fuzz-standalone")
     found = fuzz(BUILD / "fuzz" / "standalone" / name, "standalone", 200, 1, SECONDS, HANG_S)
