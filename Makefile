@@ -1,23 +1,23 @@
-# make run     simulated skin and viewer; PORT=/dev/ttyACM0 for a real one, PARAMS=file, SECONDS=n to end
+# make run     simulated skin and viewer; PORT=/dev/ttyACM0 for a real one, PARAMS=file, SECONDS=n to stop after n s
 #              PATCHES=config/body.yaml: a body of many patches
-#              FIRMWARE=1: the emulated skin, real firmware on its nodes and in its digitizer
+#              FIRMWARE=1: the emulated skin, with real firmware on its nodes and in its digitizer
 # make view    the same in the Rerun viewer, which it installs; WEB=1: in a browser
-# make check   lint and the core's tests, under a minute: the loop to work in
+# make check   lint and the core's tests, in less than a minute; use it while you work
 # make test    lint and all tests
-# make mutants the unit tests against wrong operators in the modules changed SINCE=HEAD~1; COUNT=24
-# make firmware         the images of nodes and digitizer, in firmware/build
-# make firmware-test    runs them in emulators, 16 nodes on one wire; the last line counts
-# make firmware-figures what they take: share of time awake, load of the digitizer
-# make setup   the environment in .venv only; everything else does this first
+# make mutants wrong operators in the modules changed SINCE=HEAD~1: lists those that no unit test detects; COUNT=24
+# make firmware         build the images of nodes and digitizer, in firmware/build
+# make firmware-test    run them in emulators, 16 nodes on one wire; the last line has the counts
+# make firmware-figures measure them: share of time awake, load of the digitizer
+# make setup   only create the environment in .venv; all other targets do this first
 # make bench-error, -speed, -skip, -timing, -scale, -ros, -crest, -pressure, -contact, -pictures,
 #              -stuck, -body
-#              QUICK=1: within 40 s each, into build/benchmarks; else up to 7 min, into docs/img
-# make torture faults of every kind, against the truth; SEED=n, ONLY="line day"
-#              QUICK=1: within 50 s, else within 30 min; docs/reliability.md tells of the last one
+#              up to 7 min each, writes docs/img; QUICK=1: less than 40 s each, writes build/benchmarks
+# make torture faults of every kind, results compared with the truth; SEED=n, ONLY="line day"
+#              up to 30 min; QUICK=1: 50 s; docs/reliability.md has the results of the last full run
 # make soak    the driver node in real time for SECONDS=3600
-# make fuzz    hostile inputs to all that reads: COUNT=1000000 for Python, and for each C harness
-# make audit   known advisories for what is installed, bounds and locks of what is required
-# make lint    ruff and mypy;  make clean: remove .venv and what tests leave
+# make fuzz    hostile inputs to every reader of data: COUNT=1000000 for Python and for each C harness
+# make audit   known advisories for installed packages; upper bounds and lock files of requirements
+# make lint    ruff, mypy and import-linter;  make clean: remove .venv and build products
 # DISTRO=kilted with any of these: ROS 2 Kilted instead of Jazzy, in .venv-kilted
 
 PYTHON ?= python3
@@ -34,7 +34,7 @@ SEED ?= 1
 COUNT ?= 1000000
 SINCE ?= HEAD~1
 PYTEST ?= -n 4 --dist loadgroup
-# What `make check` tests: bytes to frames, and what they are read with.
+# Folders that `make check` tests: from bytes to frames.
 CORE = base code places wire words framing clocks readings config views driver door
 export LC_ALL ?= C.UTF-8
 
@@ -43,7 +43,7 @@ BIN = $(VENV)/bin
 .PHONY: help run check test mutants lint setup bench-setup view view-setup torture soak fuzz fuzz-setup fuzz-packages audit audit-packages clean firmware firmware-test firmware-figures firmware-tools
 
 help:
-	@sed -n 's/^# //p' Makefile
+	@sed -n '/^$$/q; s/^# //p' Makefile
 
 setup:
 	@command -v $(PYTHON) >/dev/null || { echo "setup: error: no $(PYTHON); apt install python3-venv"; exit 1; }
@@ -107,7 +107,7 @@ fuzz: fuzz-setup
 	@$(MAKE) --no-print-directory -s -C firmware fuzz COUNT=$(COUNT) SEED=$(SEED)
 
 fuzz-setup: fuzz-packages
-	@# What coverage guides needs tools, and what is emulated must be built, before time is counted.
+	@# Install the tools of coverage-guided fuzzing and build the emulated images before the clock starts.
 	@"$(BIN)/python" tools/firmware_tools.py --fuzz
 	@$(MAKE) --no-print-directory -s -k -C firmware fuzz-harnesses replay-native node sim || true
 

@@ -211,7 +211,7 @@ def rim(report: Report) -> None:
 
 def frames(nodes: int, scene: str) -> list[Readings]:
     """Readings of a skin in a scene, frame by frame."""
-    skin, curves = SimOptions().skin(nodes), Curves.uniform(CONFIG.curve, nodes)
+    skin, curves = SimOptions().skin(nodes), Curves.of([CONFIG.curve] * nodes)
     status, result = np.zeros(nodes, dtype=np.uint8), []
     for t_s in np.arange(64) * 20e-3:
         code = CONFIG.adc.code(curves.voltage(SCENES[scene](t_s, skin)))

@@ -70,7 +70,7 @@ class Feeling:
 
     def __init__(self, curves: Curves | None = None) -> None:
         """curves: of the sensors and of their calibration; None: the default."""
-        self.curves = curves or Curves.uniform(CONFIG.curve, NODES)
+        self.curves = curves or Curves.of([CONFIG.curve] * NODES)
         self.taxels = Pipeline(CONFIG).taxels
         self.taxels.calibrate(Calibration(self.curves, np.zeros(NODES, dtype=bool)))
         self._health = NodeHealth(CONFIG.spec)

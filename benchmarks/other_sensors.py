@@ -29,8 +29,8 @@ class Paper:
     """Lag and Prandtl–Ishlinskii plays, as the compensation assumes."""
 
     def __init__(self, sensors: int) -> None:
-        self._lag = Lag.of(PAPER_DYNAMICS)
-        self._hysteresis = Hysteresis.of(PAPER_DYNAMICS, sensors)
+        self._lag = Lag(PAPER_DYNAMICS.rise_s, PAPER_DYNAMICS.fall_s)
+        self._hysteresis = Hysteresis(PAPER_DYNAMICS, sensors)
 
     def __call__(self, pressure_pa: Floats, passed_s: float) -> Floats:
         return self._hysteresis.update(self._lag.update(pressure_pa, passed_s))
@@ -47,7 +47,7 @@ class Relays:
     """Share of the reading that relays make; the rest follows at once."""
 
     def __init__(self, sensors: int) -> None:
-        self._lag = Lag.of(PAPER_DYNAMICS)
+        self._lag = Lag(PAPER_DYNAMICS.rise_s, PAPER_DYNAMICS.fall_s)
         levels_pa = (np.arange(self.LEVELS) + 0.5) * HIGHEST_PA / self.LEVELS
         up, down = np.tril_indices(self.LEVELS)
         self._up_pa, self._down_pa = levels_pa[up, None], levels_pa[down, None]

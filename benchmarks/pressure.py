@@ -410,7 +410,7 @@ def frames(chain: PressureChain) -> Callable[[], object]:
 
 def contacts_of(tracker: ContactTracker, layout: Layout) -> Callable[[], object]:
     """Returns a function that finds the contacts of one frame of the same skin."""
-    curves = Curves.uniform(PressureCurve.two_stage(), BIG)
+    curves = Curves.of([PressureCurve.two_stage()] * BIG)
     status = np.zeros(BIG, dtype=np.uint8)
     readings = [Readings(curves.pressure(v), v, status) for v in pressed_skin()]
     number = 0

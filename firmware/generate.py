@@ -153,16 +153,27 @@ def python_tables(definition: Definition) -> str:
         "    allowed: range | type[IntEnum] | type[bool] | None = None",
         "",
         "",
+        "U8, U16, U32, U64 = (range(2**bits) for bits in (8, 16, 32, 64))",
+        "I8, I16, I64 = (range(-(2**bits), 2**bits) for bits in (7, 15, 63))",
+        "",
+        "# fmt: off",
         "FIELDS: dict[str, tuple[Field, ...]] = {",
     ]
     for name, message in messages(definition).items():
-        if not message["fields"]:
-            lines.append(f'    "{name}": (),')
-            continue
-        lines.append(f'    "{name}": (')
-        lines += [f"        {python_field(definition, field)}," for field in message["fields"]]
-        lines.append("    ),")
-    return "\n".join([*lines, "}", ""])
+        fields = [f"{python_field(definition, field)}," for field in message["fields"]]
+        lines += filled([f'    "{name}": (', *fields], " " * 8, "),")
+    return "\n".join([*lines, "}", "# fmt: on", ""])
+
+
+def filled(parts: list[str], indent: str, end: str) -> Iterator[str]:
+    """Lines of at most 100 characters that hold these parts, the first one opening them."""
+    line, separator = parts[0], ""
+    for part in parts[1:]:
+        if len(line) + len(separator) + len(part) + len(end) > 100:
+            yield line
+            line, separator = indent, ""
+        line, separator = line + separator + part, " "
+    yield line + end
 
 
 def python_field(definition: Definition, field: Definition) -> str:
@@ -173,9 +184,11 @@ def python_field(definition: Definition, field: Definition) -> str:
     allowed = ""
     if type_name in definition["enums"] or type_name == "bool":
         allowed = f", {type_name}"
-    elif wire.limits:
-        low, high = field.get("range", wire.limits)
+    elif "range" in field:
+        low, high = field["range"]
         allowed = f", range({low}, {high + 1})"
+    elif wire.limits:
+        allowed = f", {type_name.upper()}"
     return f'Field("{name}", "{wire.code}"{allowed})'
 
 

@@ -2,9 +2,9 @@
 
 """Starts the driver of one skin patch: `ros2 launch tactile_cdma skin.launch.py sim:=true`.
 
-Or those of a body of many patches, and the node that combines what they publish:
-`ros2 launch tactile_cdma skin.launch.py patches:=config/body.yaml`. Drivers configure and activate
-themselves, so plain nodes need no help from launch.
+With `patches`, starts the drivers of a body of many patches and the node that combines their
+contacts: `ros2 launch tactile_cdma skin.launch.py patches:=config/body.yaml`. Drivers configure and
+activate themselves, so plain `Node` actions suffice.
 """
 
 from collections.abc import Mapping
@@ -33,7 +33,7 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             "params_file",
             default_value=PARAMS,
-            description="parameters of the driver",
+            description="ROS 2 parameter file of the driver",
         ),
         DeclareLaunchArgument(
             "port",
@@ -44,12 +44,12 @@ def generate_launch_description() -> LaunchDescription:
             "sim",
             default_value="false",
             choices=["true", "false"],
-            description="use the simulated skin, port sim://",
+            description="use the simulated skin (port sim://)",
         ),
         DeclareLaunchArgument(
             "namespace",
             default_value="",
-            description="put before the node's name: left gives /left/skin/tactile",
+            description="namespace of the node: left gives /left/skin/tactile",
         ),
         DeclareLaunchArgument(
             "frame_id",
@@ -65,18 +65,18 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             "patches",
             default_value="",
-            description="body file: many patches, each of which has the arguments above in there",
+            description="body file of many patches; it replaces the arguments above, except rviz",
         ),
         DeclareLaunchArgument(
             "only",
             default_value="",
-            description="start these patches of the body file, as left_palm,right_palm; empty: all",
+            description="patches of the body file to start: left_palm,right_palm; empty: all",
         ),
         DeclareLaunchArgument(
             "body",
             default_value="true",
             choices=["true", "false"],
-            description="of many patches, also start the node that gathers what they publish",
+            description="with patches: also start the node that combines their contacts",
         ),
     ]
     return LaunchDescription([*arguments, OpaqueFunction(function=start)])
@@ -94,7 +94,7 @@ def start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
 def one_patch(get: dict[str, str]) -> list[LaunchDescriptionEntity]:
     """Return the driver of a single patch."""
     if get["only"]:
-        raise RuntimeError("only chooses from a body file: name that, too, by patches:=…")
+        raise RuntimeError("only selects patches of a body file: also set patches:=…")
     overrides = {"port": get["port"], "frame_id": get["frame_id"]}
     # options stay, as in port:=sim://?scene=hand
     if get["sim"] == "true" and not overrides["port"].startswith("sim://"):
@@ -104,11 +104,11 @@ def one_patch(get: dict[str, str]) -> list[LaunchDescriptionEntity]:
 
 
 def whole_body(get: dict[str, str]) -> list[LaunchDescriptionEntity]:
-    """Return the drivers of a body's patches, restarted when they die, and the body's node."""
+    """Return the drivers of a body's patches and the body's node; all are restarted if they die."""
     given = [name for name in OF_ONE_PATCH if get[name]] + ["sim"] * (get["sim"] == "true")
     given += ["params_file"] * (get["params_file"] != PARAMS)
     if given:
-        raise RuntimeError(f"{given[0]} is of one patch: with patches:=… the body file says it")
+        raise RuntimeError(f"{given[0]} is for a single patch; the body file sets it")
     path = Path(get["patches"]).expanduser().absolute()
     try:
         patches = read_body(path).only(get["only"])
@@ -155,7 +155,7 @@ def driver(
 
 
 def rviz(get: dict[str, str]) -> LaunchDescriptionEntity:
-    """Return rviz2 with our displays, or a remark if it is not installed."""
+    """Return rviz2 with our displays, or a log message if it is not installed."""
     try:
         get_package_prefix("rviz2")
     except PackageNotFoundError:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The public door: live frames of a skin (Skin) and bytes to frames (Decoder), both without ROS.
+"""The public interface: live frames of a skin (Skin), bytes to frames (Decoder), without ROS.
 
 `import tactile_cdma` offers what stands here; docs/python.md shows how to use it.
 """

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Digitizers behind real ttys, and what a computer with USB ports would say of these."""
+"""Digitizers behind real ttys, and the USB descriptions that a computer would report for them."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What every test runs under: a ROS domain and home of its own, no deadlines, signals as usual."""
+"""Environment of every test: its own ROS domain and home, no deadlines, default signals."""
 
 from __future__ import annotations
 

@@ -83,8 +83,8 @@ class Marked:
         self, what: str, low: float, high: float, unit: str = "", least: int = 0, most: int = 64
     ) -> list[float]:
         """A list of least to most finite numbers, each within low…high, both inclusive."""
-        entries = self.items(what, least, most)
-        return [entry.number(f"a number in {what}", low, high, unit) for entry in entries]
+        entries = enumerate(self.items(what, least, most), 1)
+        return [entry.number(f"number {i} of {what}", low, high, unit) for i, entry in entries]
 
     def text(self, what: str) -> str:
         """A scalar's text."""

@@ -18,6 +18,7 @@ import numpy as np
 
 from ..base.errors import CalibrationError, CaptureError
 from ..base.listing import listed
+from ..base.named_file import naming
 from ..config.arguments import add_skin_options, finite, given, positive
 from ..config.parameters import BY_NAME, Value
 from ..config.skin_config import SkinConfig
@@ -64,44 +65,44 @@ def add_to(commands: Any) -> None:
         metavar="LOADS.csv",
         help="points (node,pressure_kpa,voltage_v); with --capture the reference's readings "
         "(time_s,pressure_kpa and, if not all nodes are loaded alike, node); with --port the "
-        "file that the points are kept in",
+        "file in which the points are stored",
     )
     parser.add_argument("-o", "--output", **file, help="calibration file to write")
-    parser.add_argument("--png", **file, help="picture (beside the output)")
+    parser.add_argument("--png", **file, help="picture (next to the output)")
     parser.add_argument("--force", action="store_true", help="overwrite the output")
-    parser.add_argument("--skin", help="name of this very skin (the parameter skin)")
+    parser.add_argument("--skin", help="name of this individual skin (the parameter skin)")
     parser.add_argument(
-        "--pieces", type=int, choices=range(1, 9), default=2, help="of every curve (%(default)s)"
+        "--pieces", type=int, choices=range(1, 9), default=2, help="pieces per curve (%(default)s)"
     )
     parser.add_argument(
-        "--rising", action="store_true", help="use rising loads only: for a skin to be compensated"
+        "--rising", action="store_true", help="use rising loads only, for a skin with compensation"
     )
     parser.add_argument(
-        "--allow-missing", action="store_true", help="accept nodes without a sound curve"
+        "--allow-missing", action="store_true", help="accept nodes without a valid curve"
     )
-    parser.add_argument("--area-mm2", type=positive, metavar="MM2", help="area under a force_n")
+    parser.add_argument("--area-mm2", type=positive, metavar="MM2", help="area of a force_n")
     parser.add_argument("--seal", **file, help="accept a calibration file edited by hand")
     capture = parser.add_argument_group("loads beside a capture")
     capture.add_argument("--capture", type=Path, metavar="RAW", help="from tactile-cdma record")
     capture.add_argument(
-        "--offset", type=finite, help="device time minus the reference's time [s] (found)"
+        "--offset", type=finite, help="device time minus reference time [s] (found by matching)"
     )
     capture.add_argument(  # the paper's sensor takes 0.74 s
-        "--settle", type=positive, default=2.0, help="left out of every load at first [s] (2)"
+        "--settle", type=positive, default=2.0, help="ignored at the start of each load [s] (2)"
     )
     capture.add_argument(
-        "--dynamics", **file, help="calibration file to add lag and hysteresis, seen in cycles, to"
+        "--dynamics", **file, help="calibration file to which lag and hysteresis are added"
     )
     live = parser.add_argument_group("loads taken step by step")
     live.add_argument("--port", help="pyserial URL of the digitizer")
     live.add_argument("--baud", type=int, default=BY_NAME["baud"].default)
     live.add_argument("--steps", type=_steps, default=(), metavar="0,10,…", help="loads [kPa]")
-    live.add_argument("--node", type=int, help="the one that is loaded (all, alike)")
+    live.add_argument("--node", type=int, help="the only node that is loaded (all nodes alike)")
     live.add_argument(
-        "--seconds", type=positive, default=1.0, help="for which a load is measured [s] (1)"
+        "--seconds", type=positive, default=1.0, help="duration of each measurement [s] (1)"
     )
-    live.add_argument("--append", action="store_true", help="go on with a file of points")
-    add_skin_options(parser, "what a capture says, else the driver's")
+    live.add_argument("--append", action="store_true", help="add to an existing file of points")
+    add_skin_options(parser, "as described by the capture, else the driver's")
     parser.set_defaults(run=partial(_run, parser))
 
 
@@ -116,7 +117,8 @@ def _run(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
         values["skin"] = arguments.skin
     area_m2 = arguments.area_mm2 and arguments.area_mm2 * 1e-6
     if arguments.capture:
-        config = SkinConfig.of(_described(arguments.capture) | values)
+        with naming(arguments.capture, CaptureError):
+            config = SkinConfig.of(described_parameters(arguments.capture) | values)
         reference = read_reference(loads, config.spec.nodes, area_m2)
         if arguments.dynamics:
             return _add_dynamics(arguments, config, reference)
@@ -173,17 +175,12 @@ def _write(
     results: dict[str, str],
     draw: Callable[[Path], None],
 ) -> int:
-    output, picture = arguments.output, _picture(arguments)
+    output, picture = arguments.output, arguments.png
     results["identity"] = write_content(output, content)
     draw(picture)
     print(f"written: {output}, {picture}")
     print(" ".join(f"{key}={value}" for key, value in results.items()))
     return 0
-
-
-def _picture(arguments: argparse.Namespace) -> Path:
-    path: Path = arguments.png or arguments.output.with_suffix(".png")
-    return path
 
 
 def _checked_files(arguments: argparse.Namespace) -> Path:
@@ -196,8 +193,9 @@ def _checked_files(arguments: argparse.Namespace) -> Path:
     if arguments.port:
         _check_writable(loads, True)
     _check_writable(output, arguments.force, loads, arguments.capture)
+    arguments.png = arguments.png or output.with_suffix(".png")
     inputs = (loads, arguments.capture, arguments.dynamics)
-    _check_writable(_picture(arguments), True, *inputs, output)
+    _check_writable(arguments.png, True, *inputs, output)
     return Path(loads)
 
 
@@ -245,13 +243,6 @@ def _check_scipy() -> None:
             f"--dynamics needs scipy ({error}): sudo apt install python3-scipy, or "
             "pip install 'tactile_cdma[calibrate]'"
         ) from None
-
-
-def _described(capture: Path) -> dict[str, Value]:
-    try:
-        return described_parameters(capture)
-    except OSError as error:
-        raise CaptureError(f"{capture}: {error.strerror}") from None
 
 
 def _beside_capture(

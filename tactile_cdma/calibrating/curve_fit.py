@@ -18,10 +18,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from ..base.arrays import Bools, Floats
+
 LEAST_LEVELS = 3
 """Different loads that every piece needs: two give its line, one more tells how well it fits."""
 LEVEL = 0.005
@@ -55,9 +54,9 @@ class Fit:
     corner_pa: Floats
     corner_v: Floats
     residual_v: Floats
-    used: Mask
+    used: Bools
     sigma_v: Floats
-    knee_found: Mask
+    knee_found: Bools
 
     def sensor(self, index: int, points: int) -> Fit:
         """The fit of one sensor to its first points, without the axis n."""
@@ -116,19 +115,19 @@ class _Points:
 
     x: Floats
     y: Floats
-    given: Mask
+    given: Bools
     places: Floats
     noise_v: float
 
-    def solve(self, knees: Floats, weight: Floats | Mask) -> tuple[Floats, Floats]:
+    def solve(self, knees: Floats, weight: Floats | Bools) -> tuple[Floats, Floats]:
         """Weighted least squares for knees (n, k): coefficients (n, 2 + k), residuals (n, m) V."""
         return _solve(_design(self.x, knees), self.y, weight)
 
-    def squares(self, knees: Floats, used: Mask) -> Floats:
+    def squares(self, knees: Floats, used: Bools) -> Floats:
         """Least sum of squares over the points used, (n,) V²."""
         return np.asarray(np.square(self.solve(knees, used)[1]).sum(axis=1, where=used))
 
-    def variance(self, knees: Floats, used: Mask) -> Floats:
+    def variance(self, knees: Floats, used: Bools) -> Floats:
         """Variance of the points used about the fit, (n,) V²."""
         freedom = used.sum(axis=1) - 2 - 2 * knees.shape[1]
         return np.asarray(self.squares(knees, used) / np.maximum(freedom, 1))
@@ -140,7 +139,7 @@ class _Points:
         best = np.argmin(costs, axis=0)
         return np.sort(np.array(trials)[best, np.arange(len(best))], axis=1)
 
-    def settle(self, knees: Floats, spacing: Floats | float) -> tuple[Floats, Mask]:
+    def settle(self, knees: Floats, spacing: Floats | float) -> tuple[Floats, Bools]:
         """Knees of the least squares fit near these, and the points that are no outliers.
 
         What is an outlier follows first from the spread about the start, whose knees are off by up
@@ -176,7 +175,7 @@ class _Points:
         good = np.take_along_axis(size, place[:, None], axis=1)[:, 0]
         return np.asarray(np.maximum(good / _GOOD_SIGMAS, self.noise_v))
 
-    def _descend(self, knees: Floats, used: Mask, limit_v: Floats) -> tuple[Floats, Mask]:
+    def _descend(self, knees: Floats, used: Bools, limit_v: Floats) -> tuple[Floats, Bools]:
         """Gauss–Newton steps in the knees; a step that does not help is halved."""
         used, cost = self._trim(knees, used, limit_v)
         low, high = self.places[0][:, None], self.places[-1][:, None]
@@ -190,7 +189,7 @@ class _Points:
             damping = np.where(better, 1.0, damping / 2)
         return knees, used
 
-    def _trim(self, knees: Floats, used: Mask, limit_v: Floats) -> tuple[Mask, Floats]:
+    def _trim(self, knees: Floats, used: Bools, limit_v: Floats) -> tuple[Bools, Floats]:
         """Points within limit_v, (n, 1), of the fit to those used; and the sum of squares.
 
         In this sum, (n, 1) V², points farther off count as limit_v.
@@ -201,7 +200,7 @@ class _Points:
         cut = np.minimum(off_v, limit_v, where=self.given, out=np.zeros_like(off_v))
         return used, np.square(cut).sum(axis=1, keepdims=True)
 
-    def _step(self, knees: Floats, used: Mask) -> Floats:
+    def _step(self, knees: Floats, used: Bools) -> Floats:
         """How far the knees are off, to first order: (n, k)."""
         beyond = -(self.x[:, :, None] > knees[:, None, :]).astype(float)
         design = np.concatenate((_design(self.x, knees), beyond), axis=2)
@@ -215,7 +214,7 @@ def _design(x: Floats, knees: Floats) -> Floats:
     return np.concatenate((np.ones((*x.shape, 1)), x[:, :, None], hinges), axis=2)
 
 
-def _solve(design: Floats, y: Floats, weight: Floats | Mask) -> tuple[Floats, Floats]:
+def _solve(design: Floats, y: Floats, weight: Floats | Bools) -> tuple[Floats, Floats]:
     """Weighted least squares of n sensors: coefficients (n, p) and residuals (n, m)."""
     weighted = (design * weight[:, :, None]).transpose(0, 2, 1)
     normal = weighted @ design

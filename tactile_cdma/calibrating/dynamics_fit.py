@@ -7,8 +7,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..base.arrays import Bools
 from ..base.errors import CalibrationError
 from ..readings.calibration import Calibration
 from .identify import Identified, identify
@@ -49,7 +49,7 @@ def find_dynamics(
         raise reference.refusal(str(error)) from None
 
 
-def _check(reference: Reference, recording: Recording, within: NDArray[np.bool_]) -> None:
+def _check(reference: Reference, recording: Recording, within: Bools) -> None:
     if reference.node is not None:
         raise reference.refusal(
             "there is a column node, but dynamics are those of all nodes: load all alike and leave "

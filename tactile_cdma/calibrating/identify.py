@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.arrays import Floats, Floats32
 from ..base.errors import CalibrationError
 from ..readings.dynamics import Compensator, Dynamics, Lag, Plays
 
-Floats = NDArray[np.float64]
 WIDTHS = (0.03, 0.06, 0.1, 0.15, 0.22, 0.32, 0.45, 0.65, 0.9, 1.3)
 """Widths of the plays, on the logarithmic axis: chosen to span 3 % of a load to more than half."""
 MOST_WEIGHT = 0.75
@@ -85,10 +85,7 @@ class Identified:
 
 
 def identify(
-    t_s: Floats,
-    reference_pa: Floats,
-    pressure_pa: NDArray[np.floating],
-    uncertain_s: float = 0.0,
+    t_s: Floats, reference_pa: Floats, pressure_pa: NDArray[np.floating], uncertain_s: float = 0.0
 ) -> Identified:
     """Identify the dynamics that all sensors of a skin share; needs scipy.
 
@@ -211,9 +208,7 @@ def _search(record: _Record) -> tuple[Dynamics, float]:
     return Dynamics(rise_s, fall_s, WIDTHS, weights, SCALE_PA), record.uncertain_s * late
 
 
-def _compensated(
-    dynamics: Dynamics, t_s: Floats, pressure_pa: NDArray[np.floating]
-) -> NDArray[np.float32]:
+def _compensated(dynamics: Dynamics, t_s: Floats, pressure_pa: NDArray[np.floating]) -> Floats32:
     everywhere = np.ones(pressure_pa.shape[1], dtype=bool)
     # The bound of the range is not to help.
     compensator = Compensator(dynamics, everywhere * 2.0 * np.nanmax(pressure_pa))

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.arrays import Bools, Floats, Indices
 from ..base.listing import listed
 from .load_table import Table, read_table
 
@@ -21,8 +22,6 @@ NOISE = 0.01
 """How far below 0 an unloaded reference may read, as a share of the largest load; chosen."""
 _CHANGE = 0.005
 """Change of a load, as a share of the largest, that is none; chosen: a reference's noise."""
-_SHOWN = 8
-"""Lines that are named."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,15 +33,15 @@ class LoadPoints:
     """
 
     node: NDArray[np.int64]
-    pressure_pa: NDArray[np.float64]
-    voltage_v: NDArray[np.float64]
+    pressure_pa: Floats
+    voltage_v: Floats
     line: NDArray[np.int64]
     source: str
 
     def __len__(self) -> int:
         return len(self.node)
 
-    def by_node(self, nodes: int) -> dict[int, NDArray[np.intp]]:
+    def by_node(self, nodes: int) -> dict[int, Indices]:
         """The rows of each of the nodes 1…nodes, in the order in which they were taken."""
         order = np.argsort(self.node, kind="stable")
         ends = np.searchsorted(self.node[order], np.arange(1, nodes + 2))
@@ -56,7 +55,7 @@ class LoadPoints:
         columns = ("node", "pressure_pa", "voltage_v", "line")
         return replace(self, **{name: getattr(self, name)[kept] for name in columns})
 
-    def lines(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> str:
+    def lines(self, rows: Indices | Bools) -> str:
         """Where points come from, in words: "lines 3, 5, 9"."""
         return listed(sorted(set(self.line[rows].tolist())), "line")
 
@@ -90,7 +89,7 @@ def read_points(path: Path, nodes: int, vref_v: float, area_m2: float | None = N
     return LoadPoints(node_numbers(table, nodes), pressure_pa, voltage_v, table.line, path.name)
 
 
-def directions(pressure_pa: NDArray[np.float64]) -> NDArray[np.float64]:
+def directions(pressure_pa: Floats) -> Floats:
     """How loads (m,) of one node were reached, in their order: 1 from below, −1 from above.
 
     A load that is held keeps the direction that it came from; 0 for the first.
@@ -114,7 +113,7 @@ def _check_swapped(table: Table, vref_v: float) -> None:
         )
 
 
-def pressures(table: Table) -> NDArray[np.float64]:
+def pressures(table: Table) -> Floats:
     """The column pressure, Pa; noise of an unloaded reference below 0 becomes 0.
 
     Raises CalibrationError for pressures that are negative or in another unit than the heading's.
@@ -146,7 +145,7 @@ def node_numbers(table: Table, nodes: int) -> NDArray[np.int64]:
     return column.astype(np.int64)
 
 
-def point_lines(nodes: list[int], pressure_pa: float, voltage_v: NDArray[np.float64]) -> str:
+def point_lines(nodes: list[int], pressure_pa: float, voltage_v: Floats) -> str:
     """Lines of a CSV below HEADING: the voltages (n,) of nodes under one load, without NaN."""
     return "".join(
         f"{node},{pressure_pa / 1e3:.9g},{volts:.6f}\n"

@@ -13,14 +13,15 @@ from pathlib import Path
 from typing import TextIO
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..base.arrays import Floats, Floats32
 from ..base.errors import CalibrationError, PortError
 from ..base.listing import listed
+from ..base.named_file import naming
 from ..driver.driver import Driver
 from ..driver.pipeline import TactileFrame
 from .load_points import HEADING, point_lines
-from .plateaus import LEAST_FRAMES, Floats, steady_voltage
+from .plateaus import LEAST_FRAMES, steady_voltage
 
 PATIENCE_S = 5.0
 """Wait for a frame before a step is given up, s; chosen: ports open in one or two."""
@@ -49,22 +50,20 @@ class LoadSession:
         Raises CalibrationError where the file exists already, is another kind of table or cannot be
         written, or no load was taken; PortError where the skin is not heard.
         """
-        try:
-            with path.open("a+" if append else "x+", encoding="utf-8", errors="replace") as file:
-                try:
-                    _go_on(file)
-                    taken = self._take(file, steps_kpa)
-                finally:
-                    if not file.tell() and path.is_file():
-                        path.unlink()
-        except FileExistsError:
+        if path.exists() and not append:
             raise CalibrationError(
                 f"{path}: exists already; --append goes on with it, without a port it is fitted"
-            ) from None
-        except PortError:
-            raise
-        except OSError as error:
-            raise CalibrationError(f"{path}: {error.strerror}") from None
+            )
+        with (
+            naming(path, CalibrationError),
+            path.open("a+" if append else "x+", encoding="utf-8", errors="replace") as file,
+        ):
+            try:
+                _go_on(file)
+                taken = self._take(file, steps_kpa)
+            finally:
+                if not file.tell() and path.is_file():
+                    path.unlink()
         if not taken:
             raise CalibrationError("no load was taken")
         return taken
@@ -110,13 +109,13 @@ class LoadSession:
                     return value
             print(f"{answer!r} is no pressure in kPa", flush=True)
 
-    def _collect(self, seconds: float) -> NDArray[np.float32]:
+    def _collect(self, seconds: float) -> Floats32:
         """Voltages of the frames of the next seconds, (f, n) V, NaN where a node is not heard.
 
         Raises PortError, with the driver's reason, where too few frames come.
         """
         begin_s = time.monotonic()
-        deadline_s, rows = begin_s + seconds + PATIENCE_S, list[NDArray[np.float32]]()
+        deadline_s, rows = begin_s + seconds + PATIENCE_S, list[Floats32]()
         while time.monotonic() < deadline_s:
             with suppress(queue.Empty):
                 frame = self.frames.get(timeout=0.1)

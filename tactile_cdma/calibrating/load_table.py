@@ -12,7 +12,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.arrays import Floats
 from ..base.errors import CalibrationError
+from ..base.named_file import naming
 
 MOST_BYTES = 256 << 20
 """Size of a table, bytes; chosen: minutes of a reference at kHz, and far from filling a memory."""
@@ -53,7 +55,7 @@ class Table(LoadFile):
     """
 
     path: Path
-    columns: dict[str, NDArray[np.float64]]
+    columns: dict[str, Floats]
     headings: dict[str, str]
     factors: dict[str, float]
     line: NDArray[np.int64]
@@ -109,14 +111,12 @@ def read_table(path: Path, area_m2: float | None = None) -> Table:
 
 def _text(path: Path) -> str:
     """All of a file, without asking for its size first: a pipe has none to tell."""
+    with naming(path, CalibrationError), path.open("rb") as file:
+        raw = file.read(MOST_BYTES + 1)
+    if len(raw) > MOST_BYTES:
+        raise CalibrationError(f"{path}: more than {MOST_BYTES >> 20} MB; is this a table?")
     try:
-        with path.open("rb") as file:
-            raw = file.read(MOST_BYTES + 1)
-        if len(raw) > MOST_BYTES:
-            raise CalibrationError(f"{path}: more than {MOST_BYTES >> 20} MB; is this a table?")
         return raw.decode("utf-8-sig")
-    except OSError as error:
-        raise CalibrationError(f"{path}: {error.strerror}") from None
     except UnicodeDecodeError:
         raise CalibrationError(f"{path}: not a text file in UTF-8") from None
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..base.errors import CalibrationError
+from ..base.named_file import naming
 
 
 @contextmanager
@@ -22,7 +23,5 @@ def picture(path: Path, widths: Sequence[float]) -> Iterator[Any]:
 
     figure = Figure(figsize=(15, 4.5), layout="constrained")
     yield figure.subplots(1, len(widths), width_ratios=widths)
-    try:
+    with naming(path, CalibrationError):
         figure.savefig(path, format="png", dpi=110)
-    except OSError as error:
-        raise CalibrationError(f"{path}: {error.strerror}") from None

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.arrays import Floats, Floats32
 from ..readings.calibration import AdcScale, PressureCurve
 from .load_points import LoadPoints, node_numbers, pressures
 from .load_table import LoadFile, read_table
 
-Floats = NDArray[np.float64]
 STEADY = 0.005
 """A load stands still within ± this share of the largest; chosen: a controller's ripple."""
 LEAST_FRAMES = 5
@@ -64,7 +64,7 @@ class Recording:
     """
 
     t_s: Floats
-    voltage_v: NDArray[np.float32]
+    voltage_v: Floats32
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +127,7 @@ def plateau_points(
     return LoadPoints(node, pressures_pa, volts, line, reference.path.name)
 
 
-def steady_voltage(voltage_v: NDArray[np.float32], lsb_v: float) -> Floats:
+def steady_voltage(voltage_v: Floats32, lsb_v: float) -> Floats:
     """Voltages of nodes while nothing changes: (f, n) frames → (n,) V, NaN for a node not heard.
 
     The mean of what lies near the median: outliers do not count, and where noise makes the code
@@ -194,7 +194,7 @@ def _plateaus(reference: Reference) -> list[tuple[int, int]]:
     return found
 
 
-def _mean_pressure(voltage_v: NDArray[np.float32], curve: PressureCurve) -> Floats:
+def _mean_pressure(voltage_v: Floats32, curve: PressureCurve) -> Floats:
     """Rough mean pressure of the nodes heard, (f,) Pa.
 
     Every node's highest voltage counts as unloaded, and the curve's last piece is extrapolated, so

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from ..base.arrays import Floats
 from ..base.listing import listed
 from ..readings.calibration import PressureCurve
-from .curve_fit import Floats
 from .picture import picture
 from .skin_fit import SkinFit
 

@@ -11,10 +11,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.arrays import Bools, Floats, Indices
 from ..base.errors import CalibrationError
 from ..readings.calibration import AdcScale, PressureCurve
 from ..readings.calibration_file import HEADROOM
-from .curve_fit import LEAST_LEVELS, Fit, Floats, Mask, fit_curves, levels_of
+from .curve_fit import LEAST_LEVELS, Fit, fit_curves, levels_of
 from .load_points import LoadPoints, directions
 
 FIRST_LOAD = 0.25
@@ -51,7 +52,7 @@ class SkinFit:
     refused: dict[int, str]
     residual_v: Floats
     residual_pa: Floats
-    outlier: Mask
+    outlier: Bools
     piece: NDArray[np.int64]
     sigma_v: dict[int, float]
     loop: dict[int, float]
@@ -68,7 +69,7 @@ def fit_skin(points: LoadPoints, nodes: int, adc: AdcScale, pieces: int = 2) -> 
     usable &= points.voltage_v > 0.5 * adc.lsb_v
     rows = points.by_node(nodes)
     _check_direction(points, rows, adc)
-    good, refused = dict[int, NDArray[np.intp]](), dict[int, str]()
+    good, refused = dict[int, Indices](), dict[int, str]()
     for node, own in rows.items():
         if reason := _unfit(points, own, usable, adc, pieces):
             refused[node] = reason
@@ -85,7 +86,7 @@ def fit_skin(points: LoadPoints, nodes: int, adc: AdcScale, pieces: int = 2) -> 
     return replace(result, refused=dict(sorted(refused.items())))
 
 
-def _fit_nodes(result: SkinFit, rows: dict[int, NDArray[np.intp]]) -> None:
+def _fit_nodes(result: SkinFit, rows: dict[int, Indices]) -> None:
     """Enter curves of the nodes that have these rows, or why they have none."""
     points, adc = result.points, result.adc
     pressure_pa = np.full((len(rows), max(map(len, rows.values()))), np.nan)
@@ -111,7 +112,7 @@ def _fit_nodes(result: SkinFit, rows: dict[int, NDArray[np.intp]]) -> None:
         result.loop[node] = loop_v / float(corner_v[0] - corner_v[-1])
 
 
-def _check_direction(points: LoadPoints, rows: dict[int, NDArray[np.intp]], adc: AdcScale) -> None:
+def _check_direction(points: LoadPoints, rows: dict[int, Indices], adc: AdcScale) -> None:
     falls_v = [fall_v for own in rows.values() if np.isfinite(fall_v := _fall_v(points, own))]
     rises = np.count_nonzero(np.array(falls_v) < -LEAST_FALL * adc.lsb_v)
     if rises > 0.5 * len(falls_v):
@@ -122,7 +123,7 @@ def _check_direction(points: LoadPoints, rows: dict[int, NDArray[np.intp]], adc:
         )
 
 
-def _fall_v(points: LoadPoints, own: NDArray[np.intp]) -> float:
+def _fall_v(points: LoadPoints, own: Indices) -> float:
     """From the lighter to the heavier half of a node's loads, V; NaN where all are the same.
 
     By medians: single outliers do not turn its sign.
@@ -135,7 +136,7 @@ def _fall_v(points: LoadPoints, own: NDArray[np.intp]) -> float:
 
 
 def _unfit(
-    points: LoadPoints, own: NDArray[np.intp], usable: Mask, adc: AdcScale, pieces: int
+    points: LoadPoints, own: Indices, usable: Bools, adc: AdcScale, pieces: int
 ) -> str | None:
     """Why a node's points cannot be fitted, or None."""
     if not len(own):
@@ -173,7 +174,7 @@ def _unfit(
     return None
 
 
-def _unsound(points: LoadPoints, own: NDArray[np.intp], fit: Fit, adc: AdcScale) -> str | None:
+def _unsound(points: LoadPoints, own: Indices, fit: Fit, adc: AdcScale) -> str | None:
     """Why the best fit to a node's rows is none to rely on, or None."""
     corner_pa, corner_v, used = fit.corner_pa, fit.corner_v, fit.used
     if np.count_nonzero(~used) > MOST_OUTLIERS * len(own):

@@ -46,11 +46,6 @@ class NodeTiming(MarkedTiming):
         self.clocks = ClockKeeper(spec, Sampling(line.chip), background)
         super().__init__(line, NodeRecogniser(line, self.clocks))
 
-    @property
-    def rest_known(self) -> bool:
-        """Whether a gap has shown the line at rest."""
-        return self.line.level_known
-
 
 class NodeRecogniser:
     """A Recogniser that listens to roll calls and takes frames apart by the nodes' clocks."""

@@ -129,19 +129,28 @@ class Paley:
 
     @cached_property
     def _character(self) -> NDArray[np.int8]:
-        """χ of every element, (q,) int8."""
+        """χ of every element, (q,) int8.
+
+        Elements are polynomials modulo one of degree m: the first that makes a field, in which
+        x² = y² for x = ±y only, so that there are (q + 1)/2 squares. With divisors of zero,
+        (x − y)·(x + y) = 0 has other solutions, and there are fewer.
+        """
         p, m = self.p, self.m
         weights = p ** np.arange(m)
         digits = np.arange(self.q)[:, None] // weights % p
-        modulus = _irreducible(p, m)
-        squares = np.zeros((self.q, 2 * m - 1), dtype=np.int64)
+        products = np.zeros((self.q, 2 * m - 1), dtype=np.int64)
         for i, j in product(range(m), repeat=2):
-            squares[:, i + j] += digits[:, i] * digits[:, j]
-        for top in range(2 * m - 2, m - 1, -1):  # x^m ≡ −(modulus without its leading term)
-            squares[:, top - m : top] -= squares[:, top : top + 1] * modulus[:m]
-            squares %= p
+            products[:, i + j] += digits[:, i] * digits[:, j]
+        for modulus in product(range(1, p), *[range(p)] * (m - 1)):  # without its leading term
+            rest = products.copy()
+            for top in range(2 * m - 2, m - 1, -1):  # x^m ≡ −modulus
+                rest[:, top - m : top] -= rest[:, top : top + 1] * modulus
+                rest %= p
+            squares = np.unique(rest[:, :m] % p @ weights)
+            if 2 * squares.size == self.q + 1:
+                break
         character = np.full(self.q, -1, dtype=np.int8)
-        character[squares[:, :m] % p @ weights] = 1
+        character[squares] = 1
         character[0] = 0
         return character
 
@@ -170,27 +179,3 @@ def _smooth(least: int) -> int:
     """The smallest 2ᵃ·3ᵇ·5ᶜ from `least` on: lengths that an FFT likes."""
     lengths = range(least, 2 * least + 1)  # 30ᵉ is a multiple of a smooth length for large e
     return next(length for length in lengths if pow(30, length.bit_length(), length) == 0)
-
-
-def _irreducible(p: int, m: int) -> NDArray[np.int64]:
-    """The first monic irreducible polynomial of degree m over GF(p): m + 1 rising coefficients."""
-    for low in product(range(p), repeat=m):
-        candidate = np.array([*low, 1])
-        divisors = (
-            np.array([*rest, 1])
-            for d in range(1, m // 2 + 1)
-            for rest in product(range(p), repeat=d)
-        )
-        if all(_remainder(candidate, divisor, p).any() for divisor in divisors):
-            return candidate
-    raise AssertionError("an irreducible polynomial exists for every degree")
-
-
-def _remainder(
-    dividend: NDArray[np.int64], divisor: NDArray[np.int64], p: int
-) -> NDArray[np.int64]:
-    """Remainder of a division by a monic polynomial over GF(p), rising coefficients."""
-    rest, degree = dividend.copy(), len(divisor) - 1
-    for top in range(len(rest) - 1, degree - 1, -1):
-        rest[top - degree : top + 1] = (rest[top - degree : top + 1] - rest[top] * divisor) % p
-    return rest[:degree]

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The subcommand `tactile-cdma amplifier`: parts of the analog front end, and what they do."""
+"""The subcommand `tactile-cdma amplifier`: parts of the analog front end and their effect."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ SCENE_STEP_S = 0.37
 
 def add_to(commands: Any) -> None:
     """Add the subcommand to the command line."""
-    parser = commands.add_parser("amplifier", help="the parts between nodes and digitizer")
+    parser = commands.add_parser("amplifier", help="choose the parts between nodes and digitizer")
     parser.add_argument("--json", action="store_true", help="as one JSON object")
     for name, kind, default, text in (
-        ("--supply", float, 3.3, "of nodes and amplifier [V] (3.3)"),
+        ("--supply", float, 3.3, "supply of nodes and amplifier [V] (3.3)"),
         ("--adc-volts", float, 3.3, "range of the digitizer's converter [V] (3.3)"),
-        ("--adc-bits", int, 12, "its resolution [bit] (12)"),
-        ("--active", float, 1.0, "largest share of nodes that talk at once (1)"),
+        ("--adc-bits", int, 12, "resolution of the digitizer's converter [bit] (12)"),
+        ("--active", float, 1.0, "largest share of nodes that transmit at once (1)"),
     ):
         parser.add_argument(name, type=kind, default=default, help=text)
-    add_skin_options(parser, "the driver's; the frame period plays no part")
+    add_skin_options(parser, "the driver's; the frame period has no effect")
     parser.set_defaults(run=run)
 
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The command `tactile-cdma`: decode, record, simulate, set up hardware; all without ROS."""
+"""The command `tactile-cdma`: decode, record, simulate, set up hardware, without ROS."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The subcommand `tactile-cdma decode`: the words in a recording or an oscilloscope capture."""
+"""The subcommand `tactile-cdma decode`: prints the words of a recording or oscilloscope capture."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The subcommand `tactile-cdma export`: a recording's frames for other programs."""
+"""The subcommand `tactile-cdma export`: writes a recording's frames for other programs."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from ..recording.recording_file import is_recording
 def add_to(commands: Any) -> None:
     """Add the subcommand to the command line."""
     parser = commands.add_parser(
-        "export", help="frames of a recording as NPZ, CSV or a rosbag2 folder"
+        "export", help="write a recording's frames as NPZ, CSV or a rosbag2 folder"
     )
     parser.add_argument("file", type=Path, help="recording, or raw bytes of a port")
     parser.add_argument(
@@ -38,9 +38,9 @@ def add_to(commands: Any) -> None:
         help="OUT.npz: numpy arrays; OUT.csv: a row per frame, and OUT.taxels.csv",
     )
     parser.add_argument(
-        "--bag", action="store_true", help="OUT is a new folder: a bag of tactile and info, MCAP"
+        "--bag", action="store_true", help="OUT is a new folder: a bag (MCAP) of tactile and info"
     )
-    parser.add_argument("--force", action="store_true", help="overwrite a file")
+    parser.add_argument("--force", action="store_true", help="overwrite existing files")
     add_skin_options(parser)
     parser.set_defaults(run=run)
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The subcommand `tactile-cdma info`: what a recording holds, and whether it is intact."""
+"""The subcommand `tactile-cdma info`: describes a recording and checks that it is intact."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ..recording.recording_file import describe, is_recording, survey
 
 def add_to(commands: Any) -> None:
     """Add the subcommand to the command line."""
-    parser = commands.add_parser("info", help="what a recording holds, and whether it is intact")
+    parser = commands.add_parser("info", help="describe a recording and check that it is intact")
     parser.add_argument("file", type=Path, help="recording")
     add_skin_options(parser)
     parser.set_defaults(run=run)

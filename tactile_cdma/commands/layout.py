@@ -22,14 +22,14 @@ from .layout_picture import draw_layout
 
 def add_to(commands: Any) -> None:
     """Add the subcommand to the command line."""
-    parser = commands.add_parser("layout", help="check a layout file, draw it with its numbers")
+    parser = commands.add_parser("layout", help="check a layout file and draw it with node numbers")
     parser.add_argument("file", type=Path, help="layout file")
     parser.add_argument("--png", type=Path, metavar="OUT", help="also write a picture")
     parser.add_argument(
         "--params",
         type=Path,
         metavar="FILE",
-        help="ROS 2 parameter file of its skin, to check the layout against",
+        help="ROS 2 parameter file of the skin, to check the layout against",
     )
     parser.set_defaults(run=run)
 

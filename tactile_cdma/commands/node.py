@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The subcommand `tactile-cdma node`: EEPROMs of sensing nodes, as files and into the node."""
+"""The subcommand `tactile-cdma node`: writes and reads the EEPROM contents of sensing nodes."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ ALL = "all"
 
 def add_to(commands: Any) -> None:
     """Add the subcommand to the command line."""
-    parser = commands.add_parser("node", help="what a sensing node's EEPROM has to hold")
+    parser = commands.add_parser("node", help="write or read the EEPROM contents of sensing nodes")
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--node", type=_node_number, metavar="NUMBER", help="1, 2, … or all")
-    what.add_argument("--read", type=Path, metavar="FILE", help="print what such a file says")
+    what.add_argument("--read", type=Path, metavar="FILE", help="print the contents of such a file")
     parser.add_argument(
         "-o",
         "--output",
@@ -38,21 +38,21 @@ def add_to(commands: Any) -> None:
         "--threshold",
         type=int,
         default=1,
-        help="the node talks while its code is farther than this from rest or from what it sent "
+        help="the node transmits while its code is more than this from rest or from what it sent "
         "last; 0: always [LSB] (1)",
     )
     parser.add_argument(
-        "--heartbeat", type=int, help="and once in so many frames; 0: never (as many as take 1 s)"
+        "--heartbeat", type=int, help="transmit at least every so many frames; 0: never (1 s)"
     )
-    parser.add_argument("--rest", type=int, help="code at rest (learnt after power-up)")
+    parser.add_argument("--rest", type=int, help="code at rest (measured after power-up)")
     parser.add_argument(
         "--no-discipline",
         action="store_false",
         dest="discipline",
-        help="the node's own clock times its chips; they do not follow the sync edges",
+        help="time chips by the node's own clock only, not corrected by the sync edges",
     )
     parser.add_argument(
-        "--programmer", metavar="NAME", help="also write it to the node, by avrdude: usbasp, …"
+        "--programmer", metavar="NAME", help="also write it to the node by avrdude: usbasp, …"
     )
     add_skin_options(parser, "the driver's")
     parser.set_defaults(run=run)

@@ -42,8 +42,8 @@ def add_to(commands: Any) -> None:
         "to; nothing is sent to a device that does not speak our protocol, and a port that another "
         "program has open is left alone. Boards that reset when their port is opened will reset.",
     )
-    parser.add_argument("port", nargs="*", help="only these; device paths or pyserial URLs")
-    parser.add_argument("--list", action="store_true", help="open none of them")
+    parser.add_argument("port", nargs="*", help="device paths or pyserial URLs (all serial ports)")
+    parser.add_argument("--list", action="store_true", help="list the ports without opening them")
     parser.add_argument("--baud", type=int, default=BY_NAME["baud"].default)
     parser.add_argument("--json", action="store_true", help="as a JSON array")
     parser.set_defaults(run=run)

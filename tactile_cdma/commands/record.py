@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The subcommand `tactile-cdma record`: the bytes of a port, with their times, in a file."""
+"""The subcommand `tactile-cdma record`: writes the bytes of a port, with their times, to a file."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ def add_to(commands: Any) -> None:
     parser = commands.add_parser("record", help="write the bytes of a port to a file")
     parser.add_argument("port", help="pyserial URL: /dev/ttyACM0, sim://?scene=press, …")
     parser.add_argument("file", type=Path, help="recording, usually named *.skin")
-    parser.add_argument("--seconds", type=positive, help="end after so long; else on Ctrl-C")
+    parser.add_argument("--seconds", type=positive, help="duration [s] (until Ctrl-C)")
     parser.add_argument("--baud", type=int, default=BY_NAME["baud"].default)
-    parser.add_argument("--force", action="store_true", help="overwrite the file")
+    parser.add_argument("--force", action="store_true", help="overwrite an existing file")
     add_skin_options(parser)
     parser.set_defaults(run=run)
 

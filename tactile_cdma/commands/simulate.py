@@ -18,11 +18,11 @@ from ..sim.pty import serve
 
 def add_to(commands: Any) -> None:
     """Add the subcommand to the command line."""
-    parser = commands.add_parser("simulate", help="a virtual digitizer behind a real tty")
+    parser = commands.add_parser("simulate", help="run a virtual digitizer behind a real tty")
     parser.add_argument("--pty", action="store_true", required=True, help="serve on a pty")
-    parser.add_argument("--link", type=Path, help="also make a symbolic link to the tty")
-    parser.add_argument("--seconds", type=positive, help="end after so long; else on Ctrl-C")
-    text = "options as in a port: 'sim://?scene=press&seed=1'"
+    parser.add_argument("--link", type=Path, help="also create a symbolic link to the tty")
+    parser.add_argument("--seconds", type=positive, help="duration [s] (until Ctrl-C)")
+    text = "port with options: 'sim://?scene=press&seed=1'"
     parser.add_argument("url", nargs="?", default=SIMULATION, help=text)
     parser.set_defaults(run=run)
 

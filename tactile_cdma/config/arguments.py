@@ -20,7 +20,7 @@ _NAMES = (
 
 def add_skin_options(
     parser: argparse.ArgumentParser,
-    default: str = "what a raw capture says, else the driver's; amplitude: learnt",
+    default: str = "as described by the recording, else the driver's; amplitude: estimated",
 ) -> None:
     """Add the skin's parameters as options; default: help text on where missing ones come from."""
     group = parser.add_argument_group(f"the skin (default: {default})")

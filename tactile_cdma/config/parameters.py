@@ -9,12 +9,11 @@ from it, and parameter files are checked against it. docs/parameters.md is gener
 from __future__ import annotations
 
 import difflib
-import math
 import re
 import reprlib
 from array import array
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -79,8 +78,13 @@ class Parameter:
                 f"{self.name} is {_shown(value)}; it must be one of "
                 + ", ".join(str(choice) for choice in self.choices)
             )
-        if not isinstance(value, str | bool):
-            self._check_limits(self.name, value)
+        if self.limits and not isinstance(value, str | bool):
+            low, high = self.limits
+            if not low <= value <= high:  # NaN is not, either
+                unit = f" {self.unit}" if self.unit else ""
+                raise ParameterError(
+                    f"{self.name} is {value:g}{unit}; it must lie within {low:g}…{high:g}{unit}"
+                )
         return value
 
     def _check_elements(self, values: tuple[object, ...]) -> tuple[float, ...]:
@@ -89,23 +93,11 @@ class Parameter:
             raise ParameterError(
                 f"{self.name} is {_shown(list(values))}; it must be {len(self.default)} numbers"
             )
-        elements = []
-        for i, value in enumerate(values):
-            if type(value) is not float and type(value) is not int:
-                raise ParameterError(f"{self.name}[{i}] must be a number, got {_shown(value)}")
-            self._check_limits(f"{self.name}[{i}]", value)
-            elements.append(float(value))
+        elements: Any = [
+            replace(self, name=f"{self.name}[{i}]", default=0.0).check(value)
+            for i, value in enumerate(values)
+        ]
         return tuple(elements)
-
-    def _check_limits(self, name: str, value: float) -> None:
-        if self.limits is None:
-            return
-        low, high = self.limits
-        if not (math.isfinite(value) and low <= value <= high):
-            unit = f" {self.unit}" if self.unit else ""
-            raise ParameterError(
-                f"{name} is {value:g}{unit}; it must lie within {low:g}…{high:g}{unit}"
-            )
 
 
 _KIND_NAMES = {

@@ -1,3 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""`tactile-cdma doctor`: is this installation, or this port, sound, and if not, what to do."""
+"""`tactile-cdma doctor`: checks an installation or a port, and says how to fix what is wrong."""

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The doctor by itself, python -m tactile_cdma.doctor: also where packages of ours are missing."""
+"""`python -m tactile_cdma.doctor`: runs even if packages that tactile_cdma needs are missing."""
 
 import sys
 

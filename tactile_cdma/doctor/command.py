@@ -15,7 +15,7 @@ from .installation import installation
 from .report import Check, exit_code, line, problem, summary
 
 TEXT = (
-    "Checks this installation and, where one is named, a port with its digitizer and skin. "
+    "Checks this installation or, if a port is given, the port with its digitizer and skin. "
     "Exit code 1 if there is a problem."
 )
 
@@ -26,7 +26,7 @@ MOST_SECONDS = 600.0
 def add_to(commands: Any) -> None:
     """Add the subcommand to the command line."""
     parser = commands.add_parser(
-        "doctor", help="check this installation, or a port, and say what is wrong", description=TEXT
+        "doctor", help="check this installation or a port, and report problems", description=TEXT
     )
     _add_arguments(parser)
     parser.set_defaults(run=run)
@@ -46,11 +46,11 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a port to examine instead of the installation: /dev/ttyACM0, usb://SERIAL, sim://, …",
     )
     parser.add_argument(
-        "--params", type=Path, metavar="FILE", help="ROS 2 parameter file of the driver, to compare"
+        "--params", type=Path, metavar="FILE", help="the driver's ROS 2 parameter file, to compare"
     )
-    parser.add_argument("--baud", type=int, help="baud rate (that of the parameters)")
+    parser.add_argument("--baud", type=int, help="baud rate (as in the parameters)")
     parser.add_argument(
-        "--seconds", type=_seconds, default=3.0, help="listen to the skin for so long (3)"
+        "--seconds", type=_seconds, default=3.0, help="time to listen to the skin [s] (3)"
     )
     parser.add_argument("--json", action="store_true", help="as a JSON array")
 

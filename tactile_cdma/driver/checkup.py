@@ -107,16 +107,14 @@ def nodes(pipeline: Pipeline, stuck: list[int], window: Window) -> Iterator[Find
         text = "frames arrive, but no node was heard: is the skin powered, is threshold too high?"
         yield Finding(text, Level.ERROR, event=True)
         return
-    for numbers, text in (
-        (dead, "never heard: {}; check supply and wiring, or mask them in the layout"),
-        (
-            stale,
-            "fell silent: {}; check supply and wiring; stale_after_s must be longer than the "
-            "nodes' heartbeat",
-        ),
-        *((health.nodes(state), text) for state, text in UNSOUND.items()),
-        (stuck, "stuck while all nodes around them move: {}; check sensor and converter"),
-    ):
+    unsound = {
+        "never heard: {}; check supply and wiring, or mask them in the layout": dead,
+        "fell silent: {}; check supply and wiring; stale_after_s must be longer than the nodes' "
+        "heartbeat": stale,
+        **{text: health.nodes(state) for state, text in UNSOUND.items()},
+        "stuck while all nodes around them move: {}; check sensor and converter": stuck,
+    }
+    for text, numbers in unsound.items():
         if numbers:
             yield Finding(text.format(listed(numbers, "node")), event=True, key=text)
     node, rho = weakest(pipeline, window)
@@ -138,52 +136,30 @@ def link(pipeline: Pipeline, window: Window) -> Iterator[Finding]:
     """The way from the digitizer to here: bytes, packets, and its clock."""
     rises = window.rises
     stream, packets, digitizer = rises.stream, rises.packets, rises.digitizer or Status(uptime_us=0)
-    for rise, text in (
-        (
-            digitizer.sync_faults,
-            "sync edges came late or not at all: the digitizer cannot keep up; lower "
-            "samples_per_chip, or make chip_us longer",
-        ),
-        (digitizer.samples_lost, "the digitizer loses samples: ask for fewer samples_per_chip"),
-        (
-            digitizer.packets_dropped,
-            "the link or this computer is too slow for the digitizer's packets",
-        ),
-        (digitizer.command_errors, "commands reach the digitizer broken: check cable and baud"),
-        (
-            stream.skipped_bytes,
-            "this computer does not keep up: bytes that waited too long were skipped; close other "
-            "programs, or ask for fewer samples_per_chip",
-        ),
-        (
-            packets.lost_packets,
-            "packets are missing: the link, or this computer, drops bytes; check the cable",
-        ),
-        (
-            packets.jumps,
-            "the digitizer restarts packet numbering: does its supply reset it, or do two programs "
-            "read it?",
-        ),
-        (
-            packets.repeated_packets,
-            "packets come twice or out of order: what lies between here and the digitizer?",
-        ),
-        (stream.restarts, "the digitizer restarted: check its supply"),
-        (
-            packets.resyncs,
-            "bytes arrive that are no packets: is baud right, is another program on the port?",
-        ),
-        (
-            packets.malformed,
-            "packets do not fit the protocol: update the digitizer's firmware or this driver",
-        ),
-        (
-            stream.implausible_packets,
-            "packets have impossible contents: update the digitizer's firmware",
-        ),
-    ):
-        if rise:
-            yield Finding(text, event=True)
+    happened = {
+        "sync edges came late or not at all: the digitizer cannot keep up; lower "
+        "samples_per_chip, or make chip_us longer": digitizer.sync_faults,
+        "the digitizer loses samples: ask for fewer samples_per_chip": digitizer.samples_lost,
+        "the link or this computer is too slow for the digitizer's "
+        "packets": digitizer.packets_dropped,
+        "commands reach the digitizer broken: check cable and baud": digitizer.command_errors,
+        "this computer does not keep up: bytes that waited too long were skipped; close other "
+        "programs, or ask for fewer samples_per_chip": stream.skipped_bytes,
+        "packets are missing: the link, or this computer, drops bytes; check the "
+        "cable": packets.lost_packets,
+        "the digitizer restarts packet numbering: does its supply reset it, or do two programs "
+        "read it?": packets.jumps,
+        "packets come twice or out of order: what lies between here and the "
+        "digitizer?": packets.repeated_packets,
+        "the digitizer restarted: check its supply": stream.restarts,
+        "bytes arrive that are no packets: is baud right, is another program on the "
+        "port?": packets.resyncs,
+        "packets do not fit the protocol: update the digitizer's firmware or this "
+        "driver": packets.malformed,
+        "packets have impossible contents: update the digitizer's "
+        "firmware": stream.implausible_packets,
+    }
+    yield from (Finding(text, event=True) for text, rise in happened.items() if rise)
     if broken := packets.crc_errors + packets.framing_errors:
         share = broken / (broken + packets.packets)
         key, level = ("noisy", Level.WARN) if share < BROKEN_SHARE else ("useless", Level.ERROR)

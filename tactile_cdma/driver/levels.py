@@ -46,7 +46,7 @@ class LevelDecoder:
     @property
     def can_call_roll(self) -> bool:
         """Whether a roll call can be evaluated: frames are marked and raw, the rest is known."""
-        return isinstance(self.timing, NodeTiming) and self.timing.rest_known
+        return isinstance(self.timing, NodeTiming) and self.timing.line.level_known
 
     def feed(self, place: Place) -> list[FrameLevels]:
         """The frames that a packet completes."""

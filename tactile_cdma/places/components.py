@@ -5,10 +5,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from ..base.arrays import Indices
 
 
-def connected(taxels: NDArray[np.intp], beside: NDArray[np.intp]) -> NDArray[np.intp]:
+def connected(taxels: Indices, beside: Indices) -> Indices:
     """Label the connected components of some taxels: (k,), 0…c − 1 in the order of first taxels.
 
     taxels: (k,) int, rising. beside: (m, t) int, the neighbours of all t taxels, one column per

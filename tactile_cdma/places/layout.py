@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.arrays import Indices
 from ..base.errors import SpecError
 from .layout_shapes import Surface, plane
 from .proximity import beside
@@ -86,7 +87,7 @@ class Layout(Surface):
         return max((int(self.nodes.max()), *self.unplaced))
 
     @cached_property
-    def source(self) -> NDArray[np.intp] | None:
+    def source(self) -> Indices | None:
         """(t,) index of each taxel's node in arrays of all nodes; −1: no node.
 
         None if taxel i has node i + 1 and every node has a taxel: arrays need no reordering.

@@ -12,8 +12,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..base.arrays import Floats
 from ..base.errors import LayoutError, SpecError
 from ..base.marked_yaml import Mapping, Marked, read_marked
 from .layout import Layout
@@ -151,9 +151,7 @@ def _pitch_m(content: Mapping) -> float:
     return content.number("pitch_mm", _LEAST_MM, _MOST_PITCH_MM, "mm") * 1e-3
 
 
-def _pitch_of_list_m(
-    content: Mapping, positions_m: NDArray[np.float64], normals: NDArray[np.float64]
-) -> float:
+def _pitch_of_list_m(content: Mapping, positions_m: Floats, normals: Floats) -> float:
     """The pitch as given, or else the median distance from a taxel to its nearest neighbour."""
     if content.get("pitch_mm"):
         return _pitch_m(content)
@@ -171,7 +169,7 @@ def _pitch_of_list_m(
     return distance_m
 
 
-def _check_same_place(positions_m: NDArray[np.float64], places: list[Place]) -> None:
+def _check_same_place(positions_m: Floats, places: list[Place]) -> None:
     _, first, which = np.unique(positions_m, axis=0, return_index=True, return_inverse=True)
     earlier = first[which.ravel()]
     again = np.flatnonzero(earlier != np.arange(len(places)))

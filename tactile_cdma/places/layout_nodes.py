@@ -18,7 +18,6 @@ from ..base.marked_yaml import Mapping, Marked
 
 MOST_TAXELS = 65_535
 """Largest count that TactileSkinInfo can hold: 16 bits."""
-"""Nodes that a message lists, at most."""
 
 
 @dataclass(frozen=True, slots=True)

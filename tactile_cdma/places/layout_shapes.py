@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.arrays import Floats, Floats32
 from ..base.errors import SpecError
 
 OVERLAP = 0.25
@@ -36,13 +37,13 @@ class Surface:
         times this area.
     """
 
-    flat_m: NDArray[np.float32]
-    positions_m: NDArray[np.float32]
-    normals: NDArray[np.float32]
-    areas_m2: NDArray[np.float32]
+    flat_m: Floats32
+    positions_m: Floats32
+    normals: Floats32
+    areas_m2: Floats32
 
     @classmethod
-    def of(cls, *arrays: NDArray[np.float64]) -> Surface:
+    def of(cls, *arrays: Floats) -> Surface:
         """From arrays in the order of the fields, of any float type."""
         return cls(*(np.array(values, dtype=np.float32) for values in arrays))
 
@@ -98,9 +99,7 @@ def sphere(rows: int, columns: int, pitch_m: float, radius_m: float) -> Surface:
     return Surface.of(flat_m, positions_m, normals, _sphere_areas_m2(flat_m, pitch_m, radius_m))
 
 
-def seen_from_outside(
-    positions_m: NDArray[np.floating], normals: NDArray[np.floating]
-) -> NDArray[np.float64]:
+def seen_from_outside(positions_m: NDArray[np.floating], normals: NDArray[np.floating]) -> Floats:
     """Positions projected along the mean normal, (t, 2), m; along z where the normals cancel out.
 
     x points to the right as closely as the direction of view allows.
@@ -116,16 +115,14 @@ def seen_from_outside(
     return np.asarray(positions_m @ np.stack([right, np.cross(out, right)], axis=1))
 
 
-def _grid(rows: int, columns: int, pitch_m: float) -> NDArray[np.float64]:
+def _grid(rows: int, columns: int, pitch_m: float) -> Floats:
     """Row-major positions of a flat grid about its centre, (rows · columns, 2), m."""
     y, x = np.mgrid[:rows, :columns].astype(np.float64)
     centred = np.stack([x.ravel() - (columns - 1) / 2, (rows - 1) / 2 - y.ravel()], axis=1)
     return np.asarray(centred * pitch_m)
 
 
-def _sphere_areas_m2(
-    flat_m: NDArray[np.float64], pitch_m: float, radius_m: float
-) -> NDArray[np.float64]:
+def _sphere_areas_m2(flat_m: Floats, pitch_m: float, radius_m: float) -> Floats:
     """Areas on the sphere of the square cells around flat positions: the integral of sin(c)/c."""
     at, weight = np.polynomial.legendre.leggauss(_QUADRATURE)
     x, y = flat_m.T[:, :, None] + at * pitch_m / 2  # (t, _QUADRATURE) each
@@ -134,6 +131,6 @@ def _sphere_areas_m2(
     return np.asarray(areas * (pitch_m / 2) ** 2)
 
 
-def _sinc(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+def _sinc(angle: Floats) -> Floats:
     """sin(c)/c."""
     return np.asarray(np.sinc(angle / np.pi))

@@ -5,15 +5,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..base.arrays import Floats, Floats32
 from .layout import Layout
 
 CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, -1), (1, 1), (-1, 1))
 """Corners of a taxel's two triangles, in half edges right and up; anticlockwise from outside."""
 
 
-def taxel_squares(layout: Layout) -> NDArray[np.float32]:
+def taxel_squares(layout: Layout) -> Floats32:
     """Two triangles per taxel, (t, 6, 3) float32, corners in m, anticlockwise seen from outside.
 
     Each square has its taxel's area. On a plane neighbouring squares meet; on a cylinder they are
@@ -27,7 +27,7 @@ def taxel_squares(layout: Layout) -> NDArray[np.float32]:
     return np.asarray(layout.positions_m[:, None] + corners_m, dtype=np.float32)
 
 
-def tangents(normals: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def tangents(normals: Floats32) -> tuple[Floats, Floats]:
     """Right and up on the surface, (t, 3) float64 each, unit vectors; right × up is the normal.
 
     normals: (t, 3), unit vectors. Right and up are x and y, rotated as z is the shortest way to the

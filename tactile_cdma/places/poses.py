@@ -9,9 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from ..base.arrays import Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,13 +44,8 @@ class Pose:
         if not (length > 0 and math.isfinite(length)):
             raise ValueError(f"not a rotation: quaternion {tuple(xyzw)}")
         x, y, z, w = np.asarray(xyzw, dtype=np.float64) / length
-        rotation = np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-                [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-                [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-            ]
-        )
+        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])  # cross @ p is (x, y, z) × p
+        rotation = np.eye(3) + 2 * (w * cross + cross @ cross)
         return cls(rotation, np.array(xyz_m, dtype=np.float64))
 
     @property

@@ -9,6 +9,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.arrays import Floats, Indices
 from ..base.errors import SpecError
 
 MOST_CANDIDATES = 1 << 22
@@ -24,7 +25,7 @@ for the rounding of float32 normals."""
 
 def beside(
     positions_m: NDArray[np.floating], normals: NDArray[np.floating], radius_m: float
-) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
+) -> tuple[Indices, Indices, Floats]:
     """All pairs of positions within radius_m of each other whose normals are at most 90° apart.
 
     positions_m, normals: (t, 3), m and unit vectors. Returns the indices of the first and second
@@ -62,9 +63,7 @@ def usual_distance_m(
     return None
 
 
-def _candidates(
-    cells: NDArray[np.int64], radius_m: float
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _candidates(cells: NDArray[np.int64], radius_m: float) -> tuple[Indices, Indices]:
     """Pairs of positions in the same cell or in adjacent ones."""
     strides = np.array([1 << (_CELL_BITS * axis) for axis in range(3)])
     keys = cells @ strides

@@ -4,10 +4,12 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from ..base.arrays import Bools, Floats32
 
 LOOK_S = 0.125
 """Interval of the looks at the skin for tare and drift, s; chosen: rare enough to cost nothing."""
@@ -42,11 +44,8 @@ class Baseline:
     def __init__(self, nodes: int) -> None:
         self.tare_pa = np.zeros(nodes, dtype=np.float32)
         self.drift_v = np.zeros(nodes, dtype=np.float32)
-        self.rest_v: NDArray[np.float32] | None = None
-        self._looks = 0
-        self._voltage_v = np.zeros((LOOKS, nodes), dtype=np.float32)
-        self._pressure_pa = np.zeros((LOOKS, nodes), dtype=np.float32)
-        self._valid = np.zeros((LOOKS, nodes), dtype=bool)
+        self.rest_v: Floats32 | None = None
+        self._looks = deque[tuple[Floats32, Floats32, Bools]](maxlen=LOOKS)
 
     def clear(self) -> None:
         """Forget tare and drift, and the looks taken while they were in force."""
@@ -62,48 +61,41 @@ class Baseline:
 
     def forget(self) -> None:
         """Forget the looks: they are too old."""
-        self._looks = 0
+        self._looks.clear()
 
-    def look(
-        self,
-        voltage_v: NDArray[np.float32],
-        pressure_pa: NDArray[np.float32],
-        valid: NDArray[np.bool_],
-    ) -> None:
+    def look(self, voltage_v: Floats32, pressure_pa: Floats32, valid: Bools) -> None:
         """Remember what the skin reads now, for the next LOOKS looks.
 
         voltage_v: (n,) V, without drift_v. pressure_pa: (n,) Pa, before the tare. valid: (n,) bool.
         """
-        at = self._looks % LOOKS
-        self._voltage_v[at], self._pressure_pa[at], self._valid[at] = voltage_v, pressure_pa, valid
-        self._looks += 1
+        self._looks.append((voltage_v.copy(), pressure_pa.copy(), valid.copy()))
 
     @property
     def seen(self) -> bool:
         """Whether the skin has been looked at often enough for a tare."""
-        return self._looks >= LOOKS
+        return len(self._looks) == LOOKS
 
     @property
-    def valid(self) -> NDArray[np.bool_]:
+    def valid(self) -> Bools:
         """(n,) bool, nodes with a valid reading in every one of the last looks."""
-        return np.asarray(self._valid.all(axis=0))
+        return np.asarray(np.all([valid for *_, valid in self._looks], axis=0))
 
     @property
-    def ever_valid(self) -> NDArray[np.bool_]:
+    def ever_valid(self) -> Bools:
         """(n,) bool, nodes with a valid reading in any of the last looks."""
-        return np.asarray(self._valid.any(axis=0))
+        return np.asarray(np.any([valid for *_, valid in self._looks], axis=0))
 
     @property
-    def voltage_v(self) -> NDArray[np.float32]:
+    def voltage_v(self) -> Floats32:
         """(n,) float32, V, median of the last looks, without drift_v."""
-        return np.asarray(np.median(self._voltage_v, axis=0))
+        return np.asarray(np.median([volts for volts, *_ in self._looks], axis=0))
 
     @property
-    def pressure_pa(self) -> NDArray[np.float32]:
+    def pressure_pa(self) -> Floats32:
         """(n,) float32, Pa, median of the last looks, before the tare."""
-        return np.asarray(np.median(self._pressure_pa, axis=0))
+        return np.asarray(np.median([pressure for _, pressure, _ in self._looks], axis=0))
 
     @property
-    def span_v(self) -> NDArray[np.float32]:
+    def span_v(self) -> Floats32:
         """(n,) float32, V, by how much the voltages of the last looks differ."""
-        return np.asarray(np.ptp(self._voltage_v, axis=0))
+        return np.asarray(np.ptp([volts for volts, *_ in self._looks], axis=0))

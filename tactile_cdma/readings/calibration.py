@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import SpecError
 from .dynamics import Dynamics
 
@@ -31,7 +32,7 @@ class AdcScale:
         """One count (LSB), V."""
         return self.vref_v / (1 << self.bits)
 
-    def voltage(self, code: ArrayLike) -> NDArray[np.float64]:
+    def voltage(self, code: ArrayLike) -> Floats:
         """ADC codes to V."""
         return np.asarray(code, dtype=np.float64) * self.lsb_v
 
@@ -101,11 +102,11 @@ class PressureCurve:
             )
         return cls((0.0, knee_pa, range_pa), (v0_v, knee_v, end_v))
 
-    def voltage(self, pressure_pa: ArrayLike) -> NDArray[np.float64]:
+    def voltage(self, pressure_pa: ArrayLike) -> Floats:
         """Pa to V, clamped to the curve's ends."""
         return np.interp(np.asarray(pressure_pa, np.float64), self.pressure_pa, self.voltage_v)
 
-    def pressure(self, voltage_v: ArrayLike) -> NDArray[np.float64]:
+    def pressure(self, voltage_v: ArrayLike) -> Floats:
         """V to Pa, clamped to the curve's ends."""
         volts = np.asarray(voltage_v, np.float64)
         return np.interp(volts, self.voltage_v[::-1], self.pressure_pa[::-1])
@@ -119,8 +120,8 @@ class Curves:
         with fewer corners repeats its last one.
     """
 
-    pressure_pa: NDArray[np.float64]
-    voltage_v: NDArray[np.float64]
+    pressure_pa: Floats
+    voltage_v: Floats
 
     @classmethod
     def of(cls, curves: Sequence[PressureCurve]) -> Curves:
@@ -134,11 +135,6 @@ class Curves:
             np.array([column(curve.pressure_pa) for curve in curves]).T,
             np.array([column(curve.voltage_v) for curve in curves]).T,
         )
-
-    @classmethod
-    def uniform(cls, curve: PressureCurve, count: int) -> Curves:
-        """The same curve for all sensors."""
-        return cls.of([curve] * count)
 
     def __len__(self) -> int:
         return int(self.pressure_pa.shape[1])
@@ -156,11 +152,11 @@ class Curves:
         return PressureCurve(tuple(pressure_pa[new].tolist()), tuple(voltage_v[new].tolist()))
 
     @property
-    def range_pa(self) -> NDArray[np.float64]:
+    def range_pa(self) -> Floats:
         """(n,) highest pressure of each curve, Pa."""
         return np.asarray(self.pressure_pa[-1])
 
-    def pressure(self, voltage_v: NDArray[np.float32]) -> NDArray[np.float32]:
+    def pressure(self, voltage_v: Floats32) -> Floats32:
         """V to Pa, (n,) float32 both, clamped to each curve's ends.
 
         Every piece adds its gain times the part of the voltage drop that lies within it, so no
@@ -174,7 +170,7 @@ class Curves:
             result += fall_v
         return result
 
-    def voltage(self, pressure_pa: ArrayLike) -> NDArray[np.float64]:
+    def voltage(self, pressure_pa: ArrayLike) -> Floats:
         """Pa to V, (n,) float64, clamped to each curve's ends."""
         pressure = np.broadcast_to(np.asarray(pressure_pa, dtype=np.float64), (len(self),))
         result = np.array(self.voltage_v[0])
@@ -185,16 +181,16 @@ class Curves:
             result += np.clip((pressure - low_pa) / width_pa, 0.0, 1.0) * (high_v - low_v)
         return result
 
-    def saturated(self, voltage_v: NDArray[np.float32]) -> NDArray[np.bool_]:
+    def saturated(self, voltage_v: Floats32) -> Bools:
         """(n,) bool, voltages beyond the end of the range, whose pressure is clamped."""
         return np.asarray(voltage_v < self._end_v)
 
     @cached_property
-    def _end_v(self) -> NDArray[np.float32]:
+    def _end_v(self) -> Floats32:
         return np.asarray(self.voltage_v[-1], dtype=np.float32)
 
     @cached_property
-    def _pieces(self) -> list[tuple[NDArray[np.float32], ...]]:
+    def _pieces(self) -> list[tuple[Floats32, ...]]:
         """Per piece: its start (V), its width (V) and its gain (Pa/V), (n,) each."""
         width_v = -np.diff(self.voltage_v, axis=0)
         gain = np.diff(self.pressure_pa, axis=0) / np.where(width_v > 0, width_v, 1.0)
@@ -214,14 +210,14 @@ class Calibration:
     """
 
     curves: Curves
-    uncalibrated: NDArray[np.bool_]
+    uncalibrated: Bools
     identity: str = ""
     dynamics: Dynamics | None = None
 
     @classmethod
     def default(cls, curve: PressureCurve, nodes: int) -> Calibration:
         """The same curve for all nodes."""
-        return cls(Curves.uniform(curve, nodes), np.zeros(nodes, dtype=bool))
+        return cls(Curves.of([curve] * nodes), np.zeros(nodes, dtype=bool))
 
     @classmethod
     def of_nodes(

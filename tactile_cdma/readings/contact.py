@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.arrays import Bools, Floats, Floats32, Indices
 from ..base.errors import SpecError
 from ..places.components import connected
 from ..places.layout import Layout
@@ -62,28 +63,28 @@ class Contacts:
     """
 
     ids: NDArray[np.int64]
-    age_s: NDArray[np.float64]
-    load_n: NDArray[np.float64]
-    position_m: NDArray[np.float64]
-    force_n: NDArray[np.float64]
-    torque_nm: NDArray[np.float64]
-    area_m2: NDArray[np.float64]
-    pressure_max_pa: NDArray[np.float32]
-    saturated: NDArray[np.bool_]
-    velocity_m_s: NDArray[np.float64]
-    force_rate_n_s: NDArray[np.float64]
-    taxels: list[NDArray[np.intp]]
+    age_s: Floats
+    load_n: Floats
+    position_m: Floats
+    force_n: Floats
+    torque_nm: Floats
+    area_m2: Floats
+    pressure_max_pa: Floats32
+    saturated: Bools
+    velocity_m_s: Floats
+    force_rate_n_s: Floats
+    taxels: list[Indices]
 
     def __len__(self) -> int:
         return len(self.ids)
 
     @property
-    def normals(self) -> NDArray[np.float64]:
+    def normals(self) -> Floats:
         """(c, 3) unit vectors out of the skin, the taxels' normals weighted by their forces."""
         return -self.force_n / _length(self.force_n)[:, None]
 
     @property
-    def centre_m(self) -> NDArray[np.float64]:
+    def centre_m(self) -> Floats:
         """(3,) centre of pressure of all contacts, m; NaN if there are none."""
         if not len(self):
             return np.full(3, np.nan)
@@ -176,7 +177,7 @@ class ContactTracker:
             taxels=np.split(taxels, starts[1:]),
         )
 
-    def _touched(self, pressure_pa: NDArray[np.float32]) -> tuple[NDArray[np.intp], ...]:
+    def _touched(self, pressure_pa: Floats32) -> tuple[Indices, ...]:
         """The taxels in contact, contact by contact, the strongest contact first.
 
         Returns the taxels, (k,), rising within each contact; the index of each taxel's contact,
@@ -199,7 +200,7 @@ class ContactTracker:
         kept = starts[-1]  # what is not a contact yet comes last
         return taxels[order[:kept]], places[:kept], starts[:-1]
 
-    def _rim(self, pressure_pa: NDArray[np.float32]) -> tuple[NDArray[np.intp], ...]:
+    def _rim(self, pressure_pa: Floats32) -> tuple[Indices, ...]:
         """Pressed taxels adjacent to contacts, and the indices of these contacts."""
         weak = ((pressure_pa > RIM * self._used.release_pa) & (self._place < 0)).nonzero()[0]
         place = self._place[self._beside[:, weak]].max(axis=0)
@@ -207,7 +208,7 @@ class ContactTracker:
         return weak[beside], place[beside]
 
 
-def _moments(layout: Layout) -> NDArray[np.float64]:
+def _moments(layout: Layout) -> Floats:
     """(t, 10) float64: load, load·position, force and torque per pascal on each taxel.
 
     Force and torque along the normal, thus of the skin on the touching object.
@@ -217,9 +218,7 @@ def _moments(layout: Layout) -> NDArray[np.float64]:
     return np.hstack([area, area * places, area * normals, area * np.cross(places, normals)])
 
 
-def _origins(
-    places: NDArray[np.intp], labels: NDArray[np.intp], before: int, count: int
-) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+def _origins(places: Indices, labels: Indices, before: int, count: int) -> tuple[Indices, Bools]:
     """Match the present contacts with those of the frame before.
 
     places: (k,) index of every touched taxel's contact in the frame before, which had `before` of
@@ -244,13 +243,13 @@ def _origins(
 
 
 def _motion(
-    position_m: NDArray[np.float64],
-    force_n: NDArray[np.float64],
+    position_m: Floats,
+    force_n: Floats,
     last: Contacts,
-    origin: NDArray[np.intp],
-    torn: NDArray[np.bool_],
+    origin: Indices,
+    torn: Bools,
     passed_s: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats]:
     """Velocities (c, 3), m/s, and force rates (c,), N/s: low-pass filtered differences of frames.
 
     Contacts that merged or split keep their rates. The force of a new contact rises from zero.
@@ -290,7 +289,7 @@ def _decay(passed_s: float) -> float:
     return math.exp(-passed_s / SMOOTHING_S)
 
 
-def _length(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def _length(vectors: Floats) -> Floats:
     """Lengths (c,) of vectors (c, 3), at least the smallest float, to be divided by."""
     return np.asarray(np.maximum(np.sqrt(np.square(vectors).sum(axis=1)), _TINY))
 

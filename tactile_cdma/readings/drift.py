@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.arrays import Bools, Floats32
 from ..places.layout import Layout
 from .baseline import Baseline, RestRules
 from .calibration import Curves
@@ -47,7 +48,7 @@ class DriftTracker:
         self._beside = beside
         nodes = len(beside)
         self._curves: Curves | None = None
-        self._tared_v: NDArray[np.float32] | None = None
+        self._tared_v: Floats32 | None = None
         self._rest_v = self._slope = np.zeros(nodes, dtype=np.float32)
         self._deviation_v = np.zeros(nodes, dtype=np.float32)
         self._usual_v = np.full(nodes, np.inf, dtype=np.float32)  # where it lately was at rest
@@ -68,9 +69,9 @@ class DriftTracker:
         self,
         baseline: Baseline,
         curves: Curves,
-        voltage_v: NDArray[np.float32],
-        reading_pa: NDArray[np.float32],
-        valid: NDArray[np.bool_],
+        voltage_v: Floats32,
+        reading_pa: Floats32,
+        valid: Bools,
         t_s: float,
     ) -> None:
         """Move the baseline's drift up to device time t_s, s.
@@ -86,7 +87,8 @@ class DriftTracker:
         self._deviation_v = deviation_v
         near = valid & (np.abs(deviation_v) < BAND_LSB * self._lsb_v)
         resting = self._untouched(voltage_v, near, valid, passed_s)
-        resting &= ~self._in_contact(valid & ~near & (reading_pa > self.rules.release_pa))
+        pressed = valid & ~near & (reading_pa > self.rules.release_pa)
+        resting[self._beside[pressed]] = False
         np.copyto(self._away_s, t_s, where=~resting)
         stray = valid & ~near & (reading_pa < self.rules.contact_pa)
         np.copyto(self._stray_s, t_s, where=stray & ~self._stray)
@@ -102,13 +104,7 @@ class DriftTracker:
         change_v = np.clip(voltage_v - self._usual_v, *self._slowly(passed_s)) * resting
         self._usual_v += change_v
 
-    def _untouched(
-        self,
-        voltage_v: NDArray[np.float32],
-        near: NDArray[np.bool_],
-        valid: NDArray[np.bool_],
-        passed_s: float,
-    ) -> NDArray[np.bool_]:
+    def _untouched(self, voltage_v: Floats32, near: Bools, valid: Bools, passed_s: float) -> Bools:
         """(n,) bool, nodes near rest that were not touched since they last rested."""
         band_v = np.float32(BAND_LSB * self._lsb_v)
         np.copyto(self._trail_v, voltage_v, where=np.isinf(self._trail_v))
@@ -120,12 +116,6 @@ class DriftTracker:
         back = (behind_v > band_v) | (np.abs(self._deviation_v) < CLOSE_LSB * self._lsb_v)
         self._touched = valid & np.where(home, self._touched & ~back, True)
         return np.asarray(home & ~self._touched)
-
-    def _in_contact(self, pressed: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(n,) bool, the pressed nodes and those beside them."""
-        contact = pressed.copy()
-        contact[self._beside[np.flatnonzero(pressed)]] = True
-        return contact
 
     def _slowly(self, passed_s: float) -> tuple[np.float32, np.float32]:
         """Greatest changes of a voltage that are no jump, down and up, V."""

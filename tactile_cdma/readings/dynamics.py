@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import SpecError
 
 LEAST_SHARE = 0.1
@@ -128,36 +129,22 @@ class Hysteresis:
     """A Prandtl–Ishlinskii operator for n sensors; it starts as if pressures had only risen."""
 
     def __init__(
-        self,
-        widths: NDArray[Any],
-        weights: NDArray[Any],
-        scale_pa: float,
-        sensors: int,
-        dtype: DTypeLike = np.float64,
+        self, dynamics: Dynamics, sensors: int, dtype: DTypeLike = np.float64, inverse: bool = False
     ) -> None:
-        """widths, weights: (j,), those of the plays."""
-        self._plays = Plays(widths, sensors, dtype)
-        self._weights = np.asarray(weights, dtype=dtype)
-        kind = self._weights.dtype.type
-        self._share, self._scale_pa = kind(1.0 - np.sum(weights)), kind(scale_pa)
-
-    @classmethod
-    def of(cls, dynamics: Dynamics, sensors: int, dtype: DTypeLike = np.float64) -> Hysteresis:
-        """The operator of the sensors."""
-        widths, weights = np.array(dynamics.widths), np.array(dynamics.weights)
-        return cls(widths, weights, dynamics.scale_pa, sensors, dtype)
-
-    @classmethod
-    def undoing(cls, dynamics: Dynamics, sensors: int, dtype: DTypeLike = np.float64) -> Hysteresis:
-        """The inverse operator; its weights are negative.
+        """inverse: undo the sensors' hysteresis; the weights of this operator are negative.
 
         K. Kuhnen, "Modeling, identification and compensation of complex hysteretic
         nonlinearities: a modified Prandtl–Ishlinskii approach", Eur. J. Control 9 (2003), 407–418.
         """
         widths, weights = np.array(dynamics.widths), np.array(dynamics.weights)
-        slopes = dynamics.share + np.append(0.0, np.cumsum(weights))  # along a loop, turn by turn
-        own_widths = np.cumsum(slopes[:-1] * np.diff(widths, prepend=0.0))
-        return cls(own_widths, np.diff(1.0 / slopes), dynamics.scale_pa, sensors, dtype)
+        if inverse:
+            slopes = dynamics.share + np.append(0.0, np.cumsum(weights))  # of a loop, turn by turn
+            widths = np.cumsum(slopes[:-1] * np.diff(widths, prepend=0.0))
+            weights = np.diff(1.0 / slopes)
+        self._plays = Plays(widths, sensors, dtype)
+        self._weights = np.asarray(weights, dtype=dtype)
+        kind = self._weights.dtype.type
+        self._share, self._scale_pa = kind(1.0 - np.sum(weights)), kind(dynamics.scale_pa)
 
     def update(self, pressure_pa: NDArray[Any]) -> NDArray[Any]:
         """Output pressures (n,), Pa, ≥ 0, for input pressures (n,), Pa, ≥ 0; whatever the time."""
@@ -166,7 +153,7 @@ class Hysteresis:
         np.maximum(value, 0, out=value)  # an inverse that missed an earlier load could go below
         return np.asarray(self._scale_pa * (np.exp(value) - 1))
 
-    def forget(self, sensors: NDArray[np.bool_]) -> None:
+    def forget(self, sensors: Bools) -> None:
         """Restart the sensors of a mask (n,) as if their pressures had only risen."""
         self._plays.positions[:, sensors] = 0
 
@@ -174,17 +161,12 @@ class Hysteresis:
 class Lag:
     """A first-order lag of n sensors, with separate time constants for rise and fall."""
 
-    def __init__(self, rise_s: NDArray[Any], fall_s: NDArray[Any]) -> None:
-        """rise_s, fall_s: (n,) time constants, s, above 0."""
+    def __init__(self, rise_s: float | Floats, fall_s: float | Floats) -> None:
+        """rise_s, fall_s: time constants, s, above 0; of all sensors, or (n,)."""
         self._rise_s, self._fall_s = rise_s, fall_s
-        self._delayed_pa: NDArray[np.float64] | None = None
+        self._delayed_pa: Floats | None = None
 
-    @classmethod
-    def of(cls, dynamics: Dynamics) -> Lag:
-        """The same lag for all sensors."""
-        return cls(np.array([dynamics.rise_s]), np.array([dynamics.fall_s]))
-
-    def update(self, pressure_pa: NDArray[np.float64], passed_s: float) -> NDArray[np.float64]:
+    def update(self, pressure_pa: Floats, passed_s: float) -> Floats:
         """Lagged pressures (n,), Pa, after these pressures (n,), Pa, were applied for passed_s.
 
         The first pressures count as applied since ever.
@@ -214,16 +196,14 @@ class Compensator:
         """range_pa: (n,), highest pressures, Pa."""
         sensors = len(range_pa)
         self._range_pa = range_pa.astype(np.float32)
-        self._hysteresis = Hysteresis.undoing(dynamics, sensors, np.float32)
+        self._hysteresis = Hysteresis(dynamics, sensors, np.float32, inverse=True)
         self._rise_s, self._most_gain = dynamics.rise_s, dynamics.most_gain
         self._followed_pa = np.full(sensors, np.inf, dtype=np.float32)  # the filter's state
         self._rising = np.zeros(sensors, dtype=bool)
         self._settled = False
         self._last_s = math.inf
 
-    def update(
-        self, pressure_pa: NDArray[np.float32], valid: NDArray[np.bool_], t_s: float
-    ) -> NDArray[np.float32]:
+    def update(self, pressure_pa: Floats32, valid: Bools, t_s: float) -> Floats32:
         """True pressures (n,) float32, Pa, from static ones (n,) float32, Pa, at t_s (s).
 
         valid: (n,) bool. Sensors without a finite reading give NaN and start over afterwards; all
@@ -254,7 +234,7 @@ class Compensator:
             return True
         return False
 
-    def _lead(self, delayed_pa: NDArray[np.float32], passed_s: float) -> NDArray[np.float32]:
+    def _lead(self, delayed_pa: Floats32, passed_s: float) -> Floats32:
         """Pressures before the lag. Masks are used as factors, which is quicker than selecting."""
         followed_pa, rising = self._followed_pa, self._rising
         np.minimum(followed_pa, delayed_pa, out=followed_pa)
@@ -269,7 +249,7 @@ class Compensator:
         share = _approached(self._rise_s / self._most_gain, passed_s)
         answer = _approached(self._rise_s, passed_s)
         gain = share / answer if answer > 0 else self._most_gain
-        result: NDArray[np.float32] = (np.float32(gain) - 1) * ahead_pa
+        result: Floats32 = (np.float32(gain) - 1) * ahead_pa
         result *= rising
         result += delayed_pa
         ahead_pa *= np.float32(share)
@@ -277,7 +257,7 @@ class Compensator:
         np.minimum(result, self._range_pa, out=result)
         return result
 
-    def _forget(self, sensors: NDArray[np.bool_]) -> None:
+    def _forget(self, sensors: Bools) -> None:
         self._hysteresis.forget(sensors)
         self._followed_pa[sensors] = np.inf
         self._rising[sensors] = False

@@ -4,9 +4,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ..base.arrays import Bools, Floats32
 from .baseline import LOOK_S, Baseline
 from .calibration import Calibration
 from .drift import DriftTracker
@@ -36,9 +34,7 @@ class PressureChain:
         self._looked_s: float | None = None
         self._moved = False
 
-    def update(
-        self, voltage_v: NDArray[np.float32], valid: NDArray[np.bool_], t_s: float
-    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    def update(self, voltage_v: Floats32, valid: Bools, t_s: float) -> tuple[Floats32, Bools]:
         """Pressures (n,) float32, Pa, and which are beyond the sensor's range, (n,) bool.
 
         voltage_v: (n,) float32, V. valid: (n,) bool, nodes whose voltage is a reading. t_s: device

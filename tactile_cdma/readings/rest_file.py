@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
+from ..base.arrays import Floats32
 from ..base.errors import RestError
 from ..base.marked_yaml import Mapping, read_marked
 from ..base.named_file import expanded
@@ -45,8 +45,8 @@ class RestState:
     curves: str
     written: str
     tared: str
-    rest_v: NDArray[np.float32] | None
-    drift_v: NDArray[np.float32] | None
+    rest_v: Floats32 | None
+    drift_v: Floats32 | None
 
     def misfit(self, skin: str, simulated: bool, nodes: int, curves: str) -> str | None:
         """Why this is not the state of such a skin, or None. An empty name fits every name."""
@@ -127,20 +127,14 @@ def read_rest(path: Path) -> RestState | None:
     if not os.path.lexists(path):
         return None
     file = read_marked(path, RestError).mapping("the file")
-    schema, version = file.get("schema"), file.get("version")
-    if schema is None or schema.content != SCHEMA:
-        raise file.value.refuse(f"not a file of tare and drift: its schema is not {SCHEMA}")
-    if version is None or version.content != str(VERSION):
-        raise file.value.refuse(
-            f"its version is not {VERSION}, the one that is read: was it written by another driver?"
-        )
+    file.check_schema(SCHEMA, VERSION)
     nodes = file["nodes"].whole("nodes", 1, 65_535)
     return RestState(
         nodes=nodes,
-        simulated=_text(file, "simulated") == _YES,
+        simulated=file.text("simulated") == _YES,
         rest_v=_array(file, "rest_v", nodes),
         drift_v=_array(file, "drift_v", nodes),
-        **{name: _text(file, name) for name in _TEXTS},
+        **{name: file.text(name) for name in _TEXTS},
     )
 
 
@@ -149,22 +143,12 @@ _YES, _NO = "yes", "no"
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # 10 times as fast, where available
 
 
-def _text(file: Mapping, name: str) -> str:
-    return "" if file[name].content == "" else file[name].text(name)
-
-
-def _array(file: Mapping, name: str, nodes: int) -> NDArray[np.float32] | None:
+def _array(file: Mapping, name: str, nodes: int) -> Floats32 | None:
     if file[name].is_null:
         return None
-    values = file[name].items(name)
-    if len(values) != nodes:
-        raise file[name].refuse(f"{name} must hold a number for each of {nodes} nodes, or null")
-    numbers = [
-        value.number(f"{name} of node {number}", -_MOST_V, _MOST_V, "V")
-        for number, value in enumerate(values, start=1)
-    ]
+    numbers = file[name].numbers(name, -_MOST_V, _MOST_V, "V", nodes, nodes)
     return np.array(numbers, dtype=np.float32)
 
 
-def _numbers(values: NDArray[np.float32] | None) -> list[float] | None:
+def _numbers(values: Floats32 | None) -> list[float] | None:
     return None if values is None else np.round(values.astype(np.float64), _DIGITS).tolist()

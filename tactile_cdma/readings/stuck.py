@@ -18,8 +18,8 @@ p₁² + p₂² ≤ p₃², so p₁ + p₂ − p₃ − 2·(p₃ − p₁) < 0; 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..base.arrays import Bools, Floats32, Indices
 from ..places.layout import Layout
 from ..places.mesh import tangents
 from .taxels import Readings, Status
@@ -41,9 +41,6 @@ SWINGS = 3
 bench-stuck for false alarms and delays."""
 _RIDGE = 1e-3
 """Regularisation of the plane for neighbours on one line, in squared pitches."""
-
-Floats = NDArray[np.float32]
-Bools = NDArray[np.bool_]
 
 
 class StuckNodes:
@@ -103,7 +100,7 @@ class StuckNodes:
         self._rising[moved] = False
         self._low_pa[moved], self._high_pa[moved] = np.inf, -np.inf
 
-    def _expected(self, readings: Readings, contact_pa: float) -> Floats:
+    def _expected(self, readings: Readings, contact_pa: float) -> Floats32:
         """(t,) pressure expected from the neighbours, Pa; NaN: no expectation."""
         pressure_pa = readings.pressure_pa
         sound = np.isfinite(pressure_pa) & (self._swings < SWINGS)
@@ -140,7 +137,7 @@ class StuckNodes:
         self._enough[at], self._inner[at] = count >= LEAST_NEIGHBOURS, inner
         self._may_rest[at] = np.where(inner, UNMOVED, 0)
 
-    def _count(self, expected_pa: Floats, swing_pa: np.float32) -> None:
+    def _count(self, expected_pa: Floats32, swing_pa: np.float32) -> None:
         """Track the expectation and count its swings."""
         np.fmin(self._low_pa, expected_pa, out=self._low_pa)
         np.fmax(self._high_pa, expected_pa, out=self._high_pa)
@@ -152,7 +149,7 @@ class StuckNodes:
         np.copyto(self._high_pa, expected_pa, where=up)
         np.copyto(self._low_pa, expected_pa, where=down)
 
-    def _plane_weights(self, heard: Bools, at: NDArray[np.intp]) -> Floats:
+    def _plane_weights(self, heard: Bools, at: Indices) -> Floats32:
         """(m, k) weights of the neighbours' pressures that give the plane's value at k taxels."""
         offsets = self._offsets[:, :, at] * heard
         rows = np.concatenate((heard[None].astype(np.float32), offsets))
@@ -160,11 +157,11 @@ class StuckNodes:
         normal += np.diag(np.array([1e-6, _RIDGE, _RIDGE], dtype=np.float32))
         first = np.zeros((len(normal), 3, 1), dtype=np.float32)
         first[:, 0] = 1
-        weights: Floats = np.einsum("imt,ti->mt", rows, np.linalg.solve(normal, first)[..., 0])
+        weights: Floats32 = np.einsum("imt,ti->mt", rows, np.linalg.solve(normal, first)[..., 0])
         return weights
 
 
-def _offsets(layout: Layout) -> Floats:
+def _offsets(layout: Layout) -> Floats32:
     """(2, m, t) float32, the neighbours' positions in each taxel's tangent plane, in pitches."""
     apart = (layout.positions_m[layout.neighbours] - layout.positions_m[:, None]) / layout.pitch_m
     offsets = np.einsum("tmx,dtx->dmt", apart, np.stack(tangents(layout.normals)))

@@ -5,8 +5,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..base.arrays import Bools, Floats32
 from ..base.errors import RestError
 from ..base.listing import listed
 from ..places.layout import Layout
@@ -26,7 +26,7 @@ def take_tare(
     layout: Layout,
     lsb_v: float,
     contact_pa: float,
-    awaited: NDArray[np.bool_],
+    awaited: Bools,
     force: bool = False,
 ) -> list[int]:
     """Make the median of the last second the zero of every node with valid readings.
@@ -48,7 +48,11 @@ def take_tare(
     if not valid.any():
         raise RestError("not tared: no node has a valid reading; is the skin powered?")
     if not force:
-        _refuse_early(np.flatnonzero(~valid & (awaited | baseline.ever_valid)) + 1)
+        if early := (np.flatnonzero(~valid & (awaited | baseline.ever_valid)) + 1).tolist():
+            raise RestError(  # they would be left with another zero
+                f"not tared: not yet heard for {LOOKS * LOOK_S:g} s: {listed(early, 'node')}; "
+                "try again, or tare the others with force: true"
+            )
         above_pa = pressure_pa - baseline.tare_pa
         moving = valid & (baseline.span_v > MOVING_LSB * lsb_v)
         _refuse("moving", moving, above_pa, layout, "wait until nothing moves them")
@@ -66,23 +70,7 @@ def take_tare(
     return unheard
 
 
-def _refuse_early(numbers: NDArray[np.intp]) -> None:
-    """Raises RestError if there are nodes: they would be left with another zero."""
-    if not len(numbers):
-        return
-    raise RestError(
-        f"not tared: not yet heard for {LOOKS * LOOK_S:g} s: {listed(numbers.tolist(), 'node')}; "
-        "try again, or tare the others with force: true"
-    )
-
-
-def _refuse(
-    state: str,
-    nodes: NDArray[np.bool_],
-    pressure_pa: NDArray[np.float32],
-    layout: Layout,
-    remedy: str,
-) -> None:
+def _refuse(state: str, nodes: Bools, pressure_pa: Floats32, layout: Layout, remedy: str) -> None:
     """Raises RestError if there are nodes, naming the most loaded first."""
     numbers = np.flatnonzero(nodes)
     if not len(numbers):

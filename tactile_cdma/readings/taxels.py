@@ -10,6 +10,7 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.arrays import Bools, Floats32
 from ..places.layout import Layout
 from ..words.decode import Words
 from ..words.health import NodeHealth, NodeState
@@ -43,8 +44,8 @@ class Readings:
     Treat the arrays as read-only: frames without new words share them.
     """
 
-    pressure_pa: NDArray[np.float32]
-    voltage_v: NDArray[np.float32]
+    pressure_pa: Floats32
+    voltage_v: Floats32
     status: NDArray[np.uint8]
 
 
@@ -61,12 +62,7 @@ class Taxels:
     """
 
     def __init__(
-        self,
-        nodes: int,
-        adc: AdcScale,
-        chain: PressureChain,
-        layout: Layout,
-        stale_after_s: float,
+        self, nodes: int, adc: AdcScale, chain: PressureChain, layout: Layout, stale_after_s: float
     ) -> None:
         self.chain = chain
         self._layout = layout
@@ -133,11 +129,7 @@ class Taxels:
         self.refresh()
         return [number for number in unheard if not self._masked[number - 1]]
 
-    def restore(
-        self,
-        rest_v: NDArray[np.float32] | None = None,
-        drift_v: NDArray[np.float32] | None = None,
-    ) -> None:
+    def restore(self, rest_v: Floats32 | None = None, drift_v: Floats32 | None = None) -> None:
         """Restore tare and drift, (n,) float32, V, each as in Baseline; None: no tare, no drift.
 
         The tare is the curves' pressure at rest_v; a compensator that has seen no load agrees.
@@ -186,7 +178,7 @@ class Taxels:
         """Let a silent frame read as the last one did, if it does; see PressureChain.try_hold."""
         return t_device <= self._stale_from_s and self.chain.try_hold(t_device)
 
-    def _read(self, spoke: NDArray[np.bool_], t_device: float, health: NodeHealth) -> Readings:
+    def _read(self, spoke: Bools, t_device: float, health: NodeHealth) -> Readings:
         voltage_v = self._voltage_of[self._codes]
         status = self._flags | ~spoke * _SILENT | _FLAGS_OF[health.state]
         invalid = health.invalid | self._masked
@@ -205,7 +197,7 @@ class Taxels:
             pressure_pa[invalid] = voltage_v[invalid] = np.nan
         return self._placed(Readings(pressure_pa, voltage_v, status))
 
-    def _at_least(self, voltage_v: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _at_least(self, voltage_v: Floats32) -> Floats32:
         """Voltages with those at the highest code raised to the curve's start, if that is higher.
 
         The highest code means this voltage or more: such a node is at rest.

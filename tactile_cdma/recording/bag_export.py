@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rosbags.interfaces import (
     Qos,
     QosDurability,
@@ -24,6 +23,7 @@ from rosbags.typesys.store import Typestore
 from ..base.errors import CaptureError
 from ..config.skin_config import SkinConfig
 from ..driver.pipeline import TactileFrame
+from .message_fields import array_fields, info_fields
 from .message_types import PACKAGE, message_types
 
 TOPIC, INFO_TOPIC = "/skin/tactile", "/skin/info"
@@ -56,13 +56,18 @@ def write_bag(
     where it cannot be written.
     """
     types, count = message_types(), 0
+    no_values = np.zeros(0, dtype=np.float32)
+    about = info_fields(config, INFO_ID, np.asarray, types.types["geometry_msgs/msg/Point32"])
+    about |= {"tare": no_values, "drift": no_values}
     try:
         with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-            kinds = [f"{PACKAGE}/msg/{name}" for name in ("TactileSkinInfo", "TactileArray")]
             info, array = (
-                writer.add_connection(topic, kind, typestore=types, offered_qos_profiles=[qos])
-                for topic, kind, qos in zip(
-                    (INFO_TOPIC, TOPIC), kinds, (_LATCHED, _SENSOR_DATA), strict=True
+                writer.add_connection(
+                    topic, f"{PACKAGE}/msg/{kind}", typestore=types, offered_qos_profiles=[qos]
+                )
+                for topic, kind, qos in (
+                    (INFO_TOPIC, "TactileSkinInfo", _LATCHED),
+                    (TOPIC, "TactileArray", _SENSOR_DATA),
                 )
             )
             for frame, wall_s in frames:
@@ -70,11 +75,13 @@ def write_bag(
                     raise CaptureError(f"{wall_s:g} s: the recording computer's clock was wrong")
                 stamp_ns = round(wall_s * 1e9)
                 header = _header(types, stamp_ns, frame_id)
+                messages = [(array, array_fields(frame, config.layout, INFO_ID, np.asarray, True))]
                 if not count:
-                    message = _skin_info(types, config, header)
-                    writer.write(info, stamp_ns, types.serialize_cdr(message, info.msgtype))
-                message = _tactile_array(types, config, header, frame)
-                writer.write(array, stamp_ns, types.serialize_cdr(message, array.msgtype))
+                    messages.insert(0, (info, about))
+                for connection, fields in messages:
+                    message = types.types[connection.msgtype](header=header, **fields)
+                    data = types.serialize_cdr(message, connection.msgtype)
+                    writer.write(connection, stamp_ns, data)
                 count += 1
     except WriterError as error:
         raise CaptureError(str(error)) from None
@@ -85,51 +92,3 @@ def _header(types: Typestore, stamp_ns: int, frame_id: str) -> Any:
     seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
     stamp = types.types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
     return types.types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id)
-
-
-def _tactile_array(types: Typestore, config: SkinConfig, header: Any, frame: TactileFrame) -> Any:
-    readings = frame.readings
-    return types.types[f"{PACKAGE}/msg/TactileArray"](
-        header=header,
-        sequence=frame.sequence,
-        device_time_us=max(0, round(frame.t_middle * 1e6)),
-        info_id=INFO_ID,
-        height=config.layout.rows,
-        width=config.layout.columns,
-        pressure=readings.pressure_pa,
-        voltage=readings.voltage_v,
-        status=readings.status,
-        noise_rms=frame.words.noise_rms_v,
-    )
-
-
-def _skin_info(types: Typestore, config: SkinConfig, header: Any) -> Any:
-    """As from a driver without tare or drift."""
-    spec, layout = config.spec, config.layout
-    code_rows = np.append(spec.rows, 0)  # 0 for a taxel without a node
-    none = np.zeros(0, dtype=np.float32)
-    return types.types[f"{PACKAGE}/msg/TactileSkinInfo"](
-        header=header,
-        info_id=INFO_ID,
-        nodes=spec.nodes,
-        height=layout.rows,
-        width=layout.columns,
-        positions=_points(types, layout.positions_m),
-        normals=_points(types, layout.normals),
-        area=layout.areas_m2.astype(np.float32),
-        node=layout.nodes.astype(np.uint16),
-        code_row=code_rows[layout.nodes - 1].astype(np.uint32),
-        code_order=spec.order,
-        bits=spec.bits,
-        frame_period=spec.frame_period_s,
-        pressure_min=0.0,
-        pressure_max=float(config.calibration.curves.range_pa.max()),
-        calibration_id=config.calibration.identity,
-        tare=none,
-        drift=none,
-    )
-
-
-def _points(types: Typestore, places: NDArray[np.floating]) -> list[Any]:
-    point = types.types["geometry_msgs/msg/Point32"]
-    return [point(x=x, y=y, z=z) for x, y, z in places.tolist()]

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
@@ -22,15 +22,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.utilities import remove_ros_args
 from rclpy.validate_full_topic_name import validate_full_topic_name
-from rosbags.interfaces import (
-    Connection,
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
+from rosbags.interfaces import Connection, Qos, QosTime
 from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 
 from ..base.errors import ParameterError, TactileError
@@ -110,39 +102,30 @@ def _matching(offered: Sequence[QoSProfile]) -> QoSProfile:
 
 
 def _noted(profile: QoSProfile) -> Qos:
-    """A publisher's profile as bags have it; rclpy and rosbags number policies alike, as rmw."""
-    return Qos(
-        history=QosHistory(int(profile.history)),
-        depth=profile.depth,
-        reliability=QosReliability(int(profile.reliability)),
-        durability=QosDurability(int(profile.durability)),
-        deadline=_time(profile.deadline),
-        lifespan=_time(profile.lifespan),
-        liveliness=QosLiveliness(int(profile.liveliness)),
-        liveliness_lease_duration=_time(profile.liveliness_lease_duration),
-        avoid_ros_namespace_conventions=profile.avoid_ros_namespace_conventions,
-    )
-
-
-def _time(duration: Duration) -> QosTime:
-    return QosTime(*divmod(duration.nanoseconds, 1_000_000_000))
+    """A publisher's profile as bags have it; rclpy and rosbags name and number policies alike."""
+    fields: dict[str, Any] = {}
+    for name, kind in get_type_hints(Qos).items():
+        value = getattr(profile, name)
+        if isinstance(value, Duration):
+            fields[name] = QosTime(*divmod(value.nanoseconds, 1_000_000_000))
+        else:
+            fields[name] = kind(value)
+    return Qos(**fields)
 
 
 def _topics(arguments: argparse.Namespace) -> list[str]:
-    if arguments.topics:
-        return ["/" + topic.lstrip("/") for topic in arguments.topics]
+    """Full names of what to record; raises ParameterError for one that no topic can have."""
     names = DATA + (PICTURES if arguments.all else ())
     nodes = ["/" + node.strip("/") for node in arguments.node or ["skin"]]
-    return [f"{node}/{name}" for node in nodes for name in names] + list(SHARED)
-
-
-def _check(topics: Iterable[str]) -> None:
-    """Raises ParameterError for a name that no topic can have."""
+    topics = [f"{node}/{name}" for node in nodes for name in names] + list(SHARED)
+    if arguments.topics:
+        topics = ["/" + topic.lstrip("/") for topic in arguments.topics]
     for topic in topics:
         try:
             validate_full_topic_name(topic)
         except InvalidTopicNameException:
             raise ParameterError(f"{topic!r} is no name that a topic can have") from None
+    return topics
 
 
 def _arguments() -> argparse.Namespace:
@@ -163,17 +146,16 @@ def _arguments() -> argparse.Namespace:
 def main() -> int:
     """Record until interrupted; returns the exit code, 1 if nothing came or writing failed."""
     arguments = _arguments()
-    topics = _topics(arguments)
     full = False
     try:
-        _check(topics)
+        topics = _topics(arguments)
         with (
             Writer(arguments.folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer,
             viewing(lambda: BagRecorder(writer, topics), arguments.seconds) as program,
         ):
             print(f"recording into {arguments.folder}, Ctrl-C ends", flush=True)
             while not full and program.spin(LOOK_S):
-                full = _is_full(arguments.folder)
+                full = shutil.disk_usage(arguments.folder).free < RESERVED_BYTES
     except OSError as error:  # a quota, perhaps
         reason = f"{error.strerror}; `mcap recover` gives what it holds so far"
         print(f"skin_bag: {arguments.folder}: {reason}", file=sys.stderr)
@@ -190,11 +172,6 @@ def main() -> int:
         room = f"less than {RESERVED_BYTES >> 20} MB are left on the disk"
         print(f"skin_bag: {arguments.folder}: ended here, whole: {room}", file=sys.stderr)
     return 0 if recorder.counts and not full else 1
-
-
-def _is_full(folder: Path) -> bool:
-    """Whether the disk has hardly more room than the end of the bag takes."""
-    return shutil.disk_usage(folder).free < RESERVED_BYTES
 
 
 if __name__ == "__main__":

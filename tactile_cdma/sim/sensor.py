@@ -77,7 +77,7 @@ class SensorModel:
         rest has half as much, and only downwards: a node's converter sees nothing above.
         """
         if not self.mismatch:
-            return Curves.uniform(self.curve, nodes)
+            return Curves.of([self.curve] * nodes)
         rng = np.random.default_rng([self.seed, nodes, 1])
         corner_pa = np.array(self.curve.pressure_pa)
         falls = np.diff(self.curve.voltage_v) / np.diff(corner_pa)
@@ -101,8 +101,8 @@ class Sensor:
         self._model, self._curves = model, model.curves(nodes)
         self._lag, self._hysteresis = None, None
         if model.dynamics is not None:
-            self._lag = Lag.of(model.dynamics)
-            self._hysteresis = Hysteresis.of(model.dynamics, nodes)
+            self._lag = Lag(model.dynamics.rise_s, model.dynamics.fall_s)
+            self._hysteresis = Hysteresis(model.dynamics, nodes)
         self._rng = np.random.default_rng([model.seed, nodes, 2])
         self._warming_v = model.warming_v * self._rng.uniform(0.5, 1.0, nodes)
         self._last_s: float | None = None

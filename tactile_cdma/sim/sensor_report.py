@@ -77,7 +77,7 @@ def matching(load_kpa: float) -> float:
 
 def add_to(commands: Any) -> None:
     """Add the subcommand to the command line."""
-    parser = commands.add_parser("sensor", help="the simulated sensor beside the paper's")
+    parser = commands.add_parser("sensor", help="compare the simulated sensor with the paper's")
     parser.set_defaults(run=run)
 
 

@@ -9,22 +9,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.arrays import Floats32
 from ..places.poses import Pose
 from .heatmap import SCALE_RGB, scale_steps
 
-POINT = np.dtype(
-    [
-        ("x", "<f4"),
-        ("y", "<f4"),
-        ("z", "<f4"),
-        ("normal_x", "<f4"),
-        ("normal_y", "<f4"),
-        ("normal_z", "<f4"),
-        ("pressure", "<f4"),
-        ("rgb", "<u4"),
-        ("taxel", "<u4"),
-    ]
-)
+_FLOATS = ("x", "y", "z", "normal_x", "normal_y", "normal_z", "pressure")
+POINT = np.dtype([*((name, "<f4") for name in _FLOATS), ("rgb", "<u4"), ("taxel", "<u4")])
 """One point: position (m), unit normal out of the skin, pressure (Pa), colour 0x00RRGGBB, index of
 the taxel."""
 BODY_POINT = np.dtype([*POINT.descr, ("patch", "<u4")])
@@ -35,12 +25,7 @@ _PACKED_RGB = SCALE_RGB.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], dtype
 class Cloud:
     """The points of one skin, alone or as a patch of a body; constant fields are filled in once."""
 
-    def __init__(
-        self,
-        positions_m: NDArray[np.float32],
-        normals: NDArray[np.float32],
-        patch: int | None = None,
-    ) -> None:
+    def __init__(self, positions_m: Floats32, normals: Floats32, patch: int | None = None) -> None:
         """positions_m, normals: (t, 3), m and unit vectors. patch: its index in a body."""
         self._places = positions_m.astype(np.float64), normals.astype(np.float64)
         self._points = np.zeros(len(positions_m), dtype=POINT if patch is None else BODY_POINT)
@@ -54,7 +39,7 @@ class Cloud:
         return len(self._points)
 
     def points(
-        self, pressure_pa: NDArray[np.float32], max_pa: float, pose: Pose | None = None
+        self, pressure_pa: Floats32, max_pa: float, pose: Pose | None = None
     ) -> NDArray[np.void]:
         """(m,) POINT or, of a patch, BODY_POINT: the taxels with a reading.
 
@@ -86,6 +71,6 @@ def _plain(points: NDArray[np.void]) -> NDArray[np.void]:
     return points.view(np.dtype((np.void, points.itemsize)))
 
 
-def packed_colours(pressure_pa: NDArray[np.float32], max_pa: float) -> NDArray[np.uint32]:
+def packed_colours(pressure_pa: Floats32, max_pa: float) -> NDArray[np.uint32]:
     """One colour per taxel, (t,) uint32 0x00RRGGBB, on a fixed scale 0…max_pa; grey where NaN."""
     return _PACKED_RGB[scale_steps(pressure_pa, max_pa)]

@@ -9,6 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.arrays import Floats32
 from ..places.layout import Layout
 
 _STOPS = (
@@ -33,21 +34,19 @@ SCALE_RGB = np.vstack([np.stack(_CHANNELS, axis=1).round(), [NO_READING_RGB]]).a
 _NO_TAXEL = np.array([NO_TAXEL_RGB], dtype=np.uint8)
 
 
-def scale_steps(pressure_pa: NDArray[np.float32], max_pa: float) -> NDArray[np.int16]:
+def scale_steps(pressure_pa: Floats32, max_pa: float) -> NDArray[np.int16]:
     """(n,) int16, each taxel's row in SCALE_RGB on a fixed scale 0…max_pa; the last for NaN."""
     with np.errstate(invalid="ignore"):
         step = np.clip(pressure_pa * (255 / max_pa), 0, 255).astype(np.int16)
     return np.where(np.isnan(pressure_pa), np.int16(256), step)
 
 
-def colours(pressure_pa: NDArray[np.float32], max_pa: float) -> NDArray[np.uint8]:
+def colours(pressure_pa: Floats32, max_pa: float) -> NDArray[np.uint8]:
     """One colour per taxel, (n, 3) uint8 RGB, on a fixed scale 0…max_pa; grey for NaN."""
     return SCALE_RGB[scale_steps(pressure_pa, max_pa)]
 
 
-def heatmap(
-    pressure_pa: NDArray[np.float32], layout: Layout, max_pa: float, pixels: int
-) -> NDArray[np.uint8]:
+def heatmap(pressure_pa: Floats32, layout: Layout, max_pa: float, pixels: int) -> NDArray[np.uint8]:
     """The unrolled skin as a picture, (height, width, 3) uint8 RGB, row 0 on top.
 
     pressure_pa: (t,) float32, Pa. pixels: edge length of a square of one pitch, reduced if the
@@ -61,7 +60,7 @@ def heatmap(
     return paint[raster].repeat(edge, axis=1).repeat(edge, axis=0)
 
 
-def pressure_raster(pressure_pa: NDArray[np.float32], layout: Layout) -> NDArray[np.float32]:
+def pressure_raster(pressure_pa: Floats32, layout: Layout) -> Floats32:
     """The unrolled skin's pressures, (h, w) float32, Pa, one per cell of the layout's raster.
 
     pressure_pa: (t,) float32, Pa. NaN where there is no taxel, or a taxel without a reading.

@@ -7,7 +7,8 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
+
+from ..base.arrays import Floats
 
 
 class History:
@@ -23,7 +24,7 @@ class History:
         while now_s - self._values[0][0] > self.span_s:
             self._values.popleft()
 
-    def bins(self, now_s: float, count: int) -> NDArray[np.float64]:
+    def bins(self, now_s: float, count: int) -> Floats:
         """(count,) the maximum in each of count equal parts of the span; NaN: no value.
 
         The last part ends now. Maxima keep short peaks visible.

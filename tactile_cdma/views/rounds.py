@@ -37,11 +37,8 @@ class Rounds:
 
     def present(self, senders: Iterable[str], now_s: float) -> list[str]:
         """The senders that are present, in the given order."""
-        return [name for name in senders if self.silence_s(name, now_s) <= self.silent_after_s]
-
-    def silence_s(self, sender: str, now_s: float) -> float:
-        """Time since a sender was last heard, s; infinite if never."""
-        return now_s - self._heard_s.get(sender, -math.inf)
+        heard_s = self._heard_s
+        return [n for n in senders if now_s - heard_s.get(n, -math.inf) <= self.silent_after_s]
 
     def forget(self) -> None:
         """Start over, with no sender heard."""

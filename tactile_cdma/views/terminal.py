@@ -19,6 +19,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.arrays import Bools, Floats32
 from ..readings.taxels import Status
 from .heatmap import NO_TAXEL_RGB, colours
 
@@ -68,13 +69,13 @@ class Reading:
     raster: (h, w) int32, as Layout.raster. nodes: (t,) int32, 1-based; 0: none.
     """
 
-    pressure_pa: NDArray[np.float32]
+    pressure_pa: Floats32
     status: NDArray[np.uint8]
     raster: NDArray[np.int32]
     nodes: NDArray[np.int32]
 
     @property
-    def in_service(self) -> NDArray[np.bool_]:
+    def in_service(self) -> Bools:
         """(t,) taxels with a node that the layout does not mask."""
         return np.asarray(self.status & Status.MASKED == 0)
 

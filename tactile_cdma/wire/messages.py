@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import SpecError
-from ..code.frame import BIPOLAR, UNIPOLAR, FrameSpec
+from ..code.frame import FrameSpec
 from ._protocol import (
     FIELDS,
     FLAG_CALLED,
@@ -102,38 +102,26 @@ class FrameLayout(Message):
     def of(cls, spec: FrameSpec, samples_per_chip: int) -> FrameLayout:
         """The layout of a spec. Raises SpecError where the wire's integers cannot express it."""
         return cls(
-            nodes=spec.nodes,
-            bits=spec.bits,
-            order=spec.order,
             chip_ns=_whole("chip_s", spec.chip_s, 10**9, "nanoseconds"),
             frame_period_us=_whole("frame_period_s", spec.frame_period_s, 10**6, "microseconds"),
-            first_row=spec.first_row,
             sign_seed=spec.sign_seed or 0,
             natural_signs=spec.sign_seed is None,
-            drive=Drive.UNIPOLAR if spec.drive == UNIPOLAR else Drive.BIPOLAR,
+            drive=Drive[spec.drive.upper()],
             polarity=Polarity(spec.polarity),
             samples_per_chip=samples_per_chip,
-            parity=spec.parity,
-            resync_chips=spec.resync_chips,
-            guard_chips=spec.guard_chips,
+            **{name: getattr(spec, name) for name in _AS_IN_SPEC},
         )
 
     def spec(self, amplitude_v: float | None = None) -> FrameSpec:
         """The FrameSpec of this layout. Raises SpecError for a combination that cannot work."""
         return FrameSpec(
-            nodes=self.nodes,
-            bits=self.bits,
-            order=self.order,
             chip_s=self.chip_ns / 10**9,  # rounds once, as the literal 50e-6 does
             frame_period_s=self.frame_period_us / 10**6,
-            first_row=self.first_row,
             sign_seed=None if self.natural_signs else self.sign_seed,
-            drive=UNIPOLAR if self.drive == Drive.UNIPOLAR else BIPOLAR,
+            drive=self.drive.name.lower(),
             polarity=int(self.polarity),
             amplitude_v=amplitude_v,
-            parity=self.parity,
-            resync_chips=self.resync_chips,
-            guard_chips=self.guard_chips,
+            **{name: getattr(self, name) for name in _AS_IN_SPEC},
         )
 
 
@@ -218,10 +206,10 @@ class Stretch(Packet):
                 "must lie within 0…2⁶⁴−1"
             )
 
-    def _head(self) -> tuple[int, int, int]:
-        """The fields that begin either packet: device_time_us, first_index, flags."""
-        flags = FLAG_SYNC * self.sync | FLAG_OVERRUN * self.overrun | FLAG_CALLED * self.called
-        return self.device_time_us, self.first_index, flags
+    @property
+    def flags(self) -> int:
+        """The marks as bits."""
+        return FLAG_SYNC * self.sync | FLAG_OVERRUN * self.overrun | FLAG_CALLED * self.called
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -247,26 +235,19 @@ class Samples(Stretch):
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Samples):
             return NotImplemented
-        return self._head() == other._head() and np.array_equal(self.counts, other.counts)
+        same = [*self._values()] == [*other._values()]
+        return same and np.array_equal(self.counts, other.counts)
 
     def pack(self) -> bytes:
         words = (self.counts ^ _SAMPLE_MASK).astype(_WORD, copy=False)
-        return WIRE["Samples"].pack(*self._head()) + words.tobytes()
+        return Stretch.pack(self) + words.tobytes()
 
     @classmethod
     def unpack(cls, data: bytes, sequence: int = 0) -> Self:
         head = WIRE["Samples"]
         time_us, index, flags = head.unpack_from(data)
         words = np.frombuffer(data[head.size :], _WORD)  # a copy: XOR is slow at odd addresses
-        return cls(
-            time_us,
-            index,
-            words ^ _SAMPLE_MASK,
-            sync=bool(flags & FLAG_SYNC),
-            overrun=bool(flags & FLAG_OVERRUN),
-            called=bool(flags & FLAG_CALLED),
-            sequence=sequence,
-        )
+        return cls(time_us, index, words ^ _SAMPLE_MASK, sequence=sequence, **_MARKS[flags])
 
 
 @dataclass(frozen=True, slots=True)
@@ -314,23 +295,10 @@ class Quiet(Stretch):
         """Variance of the counts."""
         return (self.count * self.sum_of_squares - self.sum**2) / self.count**2
 
-    def pack(self) -> bytes:
-        return WIRE["Quiet"].pack(*self._head(), self.count, self.sum, self.sum_of_squares)
-
     @classmethod
     def unpack(cls, data: bytes, sequence: int = 0) -> Self:
         time_us, index, flags, count, total, squares = WIRE["Quiet"].unpack(data)
-        return cls(
-            time_us,
-            index,
-            count,
-            total,
-            squares,
-            sync=bool(flags & FLAG_SYNC),
-            overrun=bool(flags & FLAG_OVERRUN),
-            called=bool(flags & FLAG_CALLED),
-            sequence=sequence,
-        )
+        return cls(time_us, index, count, total, squares, sequence=sequence, **_MARKS[flags])
 
 
 @dataclass(frozen=True, slots=True)
@@ -490,6 +458,11 @@ PACKETS: dict[int, type[Packet]] = {
     for kind in (Info, Samples, Quiet, Status, Ack, GetInfo, Start, Stop, Configure, RollCall)
 }
 """Packets by the first byte of their body."""
+_AS_IN_SPEC = ("nodes", "bits", "order", "first_row", "parity", "resync_chips", "guard_chips")
+"""Fields of FrameLayout that are those of FrameSpec."""
+_FLAGS = {"sync": FLAG_SYNC, "overrun": FLAG_OVERRUN, "called": FLAG_CALLED}
+_MARKS = [{name: bool(flags & bit) for name, bit in _FLAGS.items()} for flags in range(256)]
+"""The marks of a stretch by its flags."""
 _SAMPLE_MASK = np.int16(SAMPLE_XOR)
 _INT16 = np.dtype(np.int16)
 _WORD = np.dtype("<i2")

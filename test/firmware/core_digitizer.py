@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The digitizer's C core as Python objects; the test supplies its board, clock and line."""
+"""The digitizer's C core as Python objects, with board, clock and line supplied by the test."""
 
 from __future__ import annotations
 

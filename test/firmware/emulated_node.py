@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Nodes' images under test: drives their sync line, computes the expected edges of their pins."""
+"""Node images under test: a scripted sync line, and the expected pin levels."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""From the converter's counts to words: the real decoder reads the C core's output."""
+"""From the converter's counts to words: the real decoder reads the C core's packets."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The core built for other machines: same bytes as here, and its cost in instructions."""
+"""The core built for other machines: identical bytes, and its cost in instructions."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Samples → packets in C, against the virtual digitizer and the rules in exact fractions."""
+"""Samples → packets in C, compared with the virtual digitizer and the rules in exact fractions."""
 
 from __future__ import annotations
 

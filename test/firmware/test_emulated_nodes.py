@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The emulated nodes against the data sheets: small programs, whose timing is known, on both MCUs.
+"""The emulated nodes compared with the data sheets: small programs of known timing on both MCUs.
 
 An ATmega328P and an ATtiny85 run at 8 MHz, 125 ns a cycle, unless a test says otherwise.
 """

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The fuse bytes in firmware/README.md match the fuses named beside them."""
+"""The fuse bytes in firmware/README.md match the fuses named there."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The C core under arbitrary input: past findings stay fixed, and the harnesses detect faults."""
+"""The C core under any input: past finds stay fixed, and the harnesses detect planted faults."""
 
 from __future__ import annotations
 

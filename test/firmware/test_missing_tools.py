@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Without the firmware's toolchains its tests are skipped and name what is missing."""
+"""A machine without the firmware's toolchains: tests are skipped and name what is missing."""
 
 from __future__ import annotations
 

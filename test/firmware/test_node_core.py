@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A sensing node's core in C against the host: memory, chips, rules, clock and sync pulses."""
+"""A sensing node's C core compared with the host: memory, chips, rules, clock, sync pulses."""
 
 from __future__ import annotations
 

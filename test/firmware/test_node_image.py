@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The nodes' images, emulated: every edge of their pins against the host's encoder."""
+"""The nodes' images, emulated: pin edges compared with the host's encoder."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Host and firmware agree on a node's memory, and on what a node can do."""
+"""Host and firmware agree on a node's memory and its limits."""
 
 from __future__ import annotations
 

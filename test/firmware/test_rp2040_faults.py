@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The RP2040's firmware when something goes wrong: on its links, with its samples, in its CPU."""
+"""The RP2040's firmware under faults of its links, its samples and its CPU."""
 
 from __future__ import annotations
 

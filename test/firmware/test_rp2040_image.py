@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The RP2040's image: what the boot ROM and a bootloader make of it."""
+"""The RP2040's image as the boot ROM and a bootloader read it."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The core's tests once more, with every access and every sum in C watched."""
+"""The core's tests again, under the compiler's sanitizers."""
 
 from __future__ import annotations
 

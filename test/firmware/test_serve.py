@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The emulated skin in the host's time."""
+"""The emulated skin in real time."""
 
 from __future__ import annotations
 

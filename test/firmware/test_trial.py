@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""`make firmware-test`: sixteen nodes that differ, pressed and decoded; and that it can fail."""
+"""`make firmware-test`: sixteen different nodes, pressed and decoded; it must be able to fail."""
 
 from __future__ import annotations
 

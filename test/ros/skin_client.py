@@ -21,9 +21,8 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image
 
 from tactile_cdma.msg import TactileArray, TactileSkinInfo
-from tactile_cdma.ros.common.qos import LATCHED
+from tactile_cdma.ros.common.qos import LATCHED, QUEUE
 from tactile_cdma.ros.driver.node import SkinNode
-from tactile_cdma.ros.viewers.view import QUEUE
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import serve

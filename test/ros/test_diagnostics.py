@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What /diagnostics says about a driver in trouble, over real DDS."""
+"""/diagnostics of a driver with faults, over real DDS."""
 
 from __future__ import annotations
 

@@ -140,10 +140,10 @@ def test_a_computer_may_have_a_share_of_the_body() -> None:
     [
         ({"patches": "none.yaml"}, "none.yaml: No such file"),
         ({"patches": str(BODY_FILE), "only": "nose"}, "no patch 'nose' to start; there are chest"),
-        ({"patches": str(BODY_FILE), "port": "/dev/x"}, "port is of one patch"),
-        ({"patches": str(BODY_FILE), "sim": "true"}, "sim is of one patch"),
-        ({"patches": str(BODY_FILE), "params_file": "a.yaml"}, "params_file is of one patch"),
-        ({"only": "left_palm"}, "only chooses from a body file"),
+        ({"patches": str(BODY_FILE), "port": "/dev/x"}, "port is for a single patch"),
+        ({"patches": str(BODY_FILE), "sim": "true"}, "sim is for a single patch"),
+        ({"patches": str(BODY_FILE), "params_file": "a.yaml"}, "params_file is for a single patch"),
+        ({"only": "left_palm"}, "only selects patches of a body file"),
     ],
 )
 def test_what_cannot_be_launched_is_one_error(arguments: dict[str, str], message: str) -> None:

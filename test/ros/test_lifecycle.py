@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Transitions in any order, with ports that come and go: nothing is left behind."""
+"""Transitions in any order, with ports that come and go: nothing is left over."""
 
 from __future__ import annotations
 

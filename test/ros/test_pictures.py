@@ -139,8 +139,8 @@ def test_each_picture_is_drawn_only_while_somebody_looks_at_it() -> None:
         pictures = node._pictures
         wait_for(lambda: pictures._timer.timer_period_ns == round(LOOK_S * 1e9))
         drawn: list[str] = []
-        for name, draw in pictures._drawings.of.items():
-            pictures._drawings.of[name] = noted(drawn, name, draw)
+        for name, draw in pictures._drawings.items():
+            pictures._drawings[name] = noted(drawn, name, draw)
         markers: list[Any] = []
         kind, topic = TOPICS["markers"], "/skin/markers"
         subscription = client.create_subscription(kind, topic, markers.append, PICTURE)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a user starts: the driver and the viewer as processes of their own."""
+"""The driver and the viewer as a user starts them, in separate processes."""
 
 from __future__ import annotations
 

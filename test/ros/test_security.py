@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The driver as an ordinary user: what it opens, and what SROS 2 must allow it."""
+"""The driver as an ordinary user: what it opens, and the permissions that SROS 2 must give it."""
 
 from __future__ import annotations
 

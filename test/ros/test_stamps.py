@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Stamps follow every change of ROS time and keep the distances between moments."""
+"""Stamps follow every change of ROS time and keep the intervals between frames."""
 
 from __future__ import annotations
 

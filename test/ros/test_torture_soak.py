@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Some cycles of the soak, in real time; and its judge finds planted defects."""
+"""Some cycles of the soak in real time; its judge must find planted defects."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Viewers: names of patches, complaints of the driver, a terminal without colours."""
+"""Viewers: names of patches, error messages of the driver, a terminal without colours."""
 
 from __future__ import annotations
 
@@ -26,9 +26,10 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from skin_client import running, wait_for
 from tactile_cdma.msg import TactileArray
 from tactile_cdma.ros.common.process import Viewing
+from tactile_cdma.ros.common.qos import QUEUE
 from tactile_cdma.ros.viewers.complaints import MOST_ENTRIES, Complaints
 from tactile_cdma.ros.viewers.patches import full_name
-from tactile_cdma.ros.viewers.view import QUEUE, Viewer, look_for
+from tactile_cdma.ros.viewers.view import Viewer, look_for
 
 pytestmark = pytest.mark.ros
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The whole life of a driver, watched from inside: what it opened, wrote, started, as JSON.
+"""The whole life of a driver, observed from inside: what it opened, wrote and started, as JSON.
 
 Run as a program: watched_life.py PORT CALIBRATION. The hook sees what Python does; what C++ does,
 DDS above all, is seen in /proc while everything is open.

@@ -36,7 +36,7 @@ from ..common.transforms import TransformListener
 from .contacts import body_contacts
 from .parameters import body_setup, declared
 from .patch_feed import PatchFeed
-from .report import PatchState, body_status
+from .report import body_status
 
 NODE_NAME = "body"
 TICK_S = 0.2
@@ -51,7 +51,7 @@ class BodyNode(Node):
     def __init__(self, **node_options: Any) -> None:
         """Raises TactileError for wrong parameters."""
         super().__init__(NODE_NAME, **node_options)
-        self._setup = body_setup(self)
+        patches, self._values = body_setup(self)
         self._contacts = self._publisher(TactileContacts, "~/contacts", RELIABLE)
         self._wrench = self._publisher(WrenchStamped, "~/wrench", RELIABLE)
         self._points = self._publisher(PointCloud2, "~/points", PICTURE)
@@ -59,11 +59,11 @@ class BodyNode(Node):
         self._gate = Gate(self, self._publish_points)
         self._feeds = {
             name: PatchFeed(self, name, index, self._take_contacts, self._gate)
-            for index, name in enumerate(self._setup.patches)
+            for index, name in enumerate(patches)
         }
         self._transforms = TransformListener(self)
         self._faults: dict[str, str] = {}  # why a patch's frame is not known in the body's
-        self._rounds = Rounds(self._setup.stale_after_s)
+        self._rounds = Rounds(self._values["stale_after_s"])
         self._published_s = 0.0  # when contacts were, or would have been, last published
         self._sequence = 0
         self._drawn: list[PatchFeed] = []  # patches that the last points are of
@@ -72,14 +72,13 @@ class BodyNode(Node):
         self.create_timer(TICK_S, self._tick, clock=steady)
         self.create_timer(REPORT_S, self._report, clock=steady)
         self._points_timer = self.create_timer(
-            1.0 / self._setup.visual_rate_hz, self._ask_for_points, clock=steady
+            1.0 / self._values["visual_rate_hz"], self._ask_for_points, clock=steady
         )
         self._points_timer.cancel()  # until somebody asks
 
     def _publisher(self, kind: Any, topic: str, qos: QoSProfile) -> Publisher:
-        declare = partial(declared, self)
         return self.create_publisher(
-            kind, topic, offered(qos, self.resolve_topic_name(topic), declare)
+            kind, topic, offered(qos, self, topic, partial(declared, self))
         )
 
     def _tick(self) -> None:
@@ -101,13 +100,13 @@ class BodyNode(Node):
         if not contacts:
             self._rounds.forget()
             self._published_s = now_s
-        elif now_s - self._published_s > self._setup.stale_after_s:
+        elif now_s - self._published_s > self._values["stale_after_s"]:
             self._publish_contacts(now_s)
 
     def _pose(self, feed: PatchFeed, frame_id: str) -> Pose | None:
         """The pose of a patch's frame in the body's; None, noting the fault, if unknown."""
         try:
-            pose = self._transforms.tree.pose(self._setup.frame_id, frame_id)
+            pose = self._transforms.tree.pose(self._values["frame_id"], frame_id)
         except TransformError as error:
             self._faults[feed.node_name] = str(error)
             return None
@@ -147,7 +146,7 @@ class BodyNode(Node):
     def _header(self, stamps: list[Time]) -> Header:
         """A header with the newest stamp; with the present time if there is none."""
         newest = max(stamps, key=nanoseconds) if stamps else self.get_clock().now().to_msg()
-        return Header(stamp=newest, frame_id=self._setup.frame_id)
+        return Header(stamp=newest, frame_id=self._values["frame_id"])
 
     # Points
 
@@ -161,7 +160,7 @@ class BodyNode(Node):
         present = [
             feed
             for feed in self._feeds.values()
-            if feed.silent_s(now_s) <= self._setup.stale_after_s
+            if feed.silent_s(now_s) <= self._values["stale_after_s"]
         ]
         is_new = any(feed.is_new for feed in present) or present != self._drawn
         if not self._are_points_due or not is_new:
@@ -170,7 +169,7 @@ class BodyNode(Node):
         for feed in present:
             feed.is_new = False
             pose = self._pose(feed, feed.array.header.frame_id) if feed.array else None
-            cloud = feed.points(self._setup.colour_max_pa, pose) if pose else None
+            cloud = feed.points(self._values["colour_max_kpa"] * 1e3, pose) if pose else None
             if feed.array and cloud is not None:
                 stamps.append(feed.array.header.stamp)
                 clouds.append(cloud)
@@ -179,23 +178,10 @@ class BodyNode(Node):
     # Diagnostics
 
     def _report(self) -> None:
-        now_s = time.monotonic()
-        patches = [
-            PatchState(
-                name=name,
-                has_driver=feed.has_driver,
-                followed=feed.is_followed,
-                silent_s=feed.silent_s(now_s),
-                late_s=feed.late_s(),
-                rate_hz=feed.rate_hz(now_s),
-                fault=self._faults.get(name, ""),
-            )
-            for name, feed in self._feeds.items()
-        ]
-        status = body_status(self.get_fully_qualified_name(), patches, self._setup.stale_after_s)
-        message = DiagnosticArray(status=[status])
-        message.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(message)
+        name, stale_after_s = self.get_fully_qualified_name(), self._values["stale_after_s"]
+        status = body_status(name, self._feeds, self._faults, stale_after_s, time.monotonic())
+        header = Header(stamp=self.get_clock().now().to_msg())
+        self._diagnostics.publish(DiagnosticArray(header=header, status=[status]))
 
 
 def main() -> int:

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from ...base.errors import ParameterError
 from ...config.body_file import read_body
-from ...config.parameters import BY_NAME, Parameter, Value
+from ...config.parameters import BY_NAME, Parameter, Value, Values
 
 _TABLE = (
     Parameter("body_file", "", "body file with the patches' names and frame_id; empty: patches"),
@@ -27,43 +26,26 @@ _TABLE = (
 _PATCHES = "patches"
 
 
-@dataclass(frozen=True, slots=True)
-class BodySetup:
-    """The parameters' values. patches: fully qualified names of the drivers' nodes."""
-
-    patches: tuple[str, ...]
-    frame_id: str
-    stale_after_s: float
-    visual_rate_hz: float
-    colour_max_pa: float
-
-
-def body_setup(node: Node) -> BodySetup:
+def body_setup(node: Node) -> tuple[tuple[str, ...], Values]:
     """Declare and read the parameters, which cannot change later.
 
-    Raises ParameterError for a wrong one, BodyError for a body file that cannot be used.
+    Returns the fully qualified names of the drivers' nodes, and the values of the others. Raises
+    ParameterError for a wrong one, BodyError for a body file that cannot be used.
     """
     values = {parameter.name: declared(node, parameter) for parameter in _TABLE}
     patches = _names(
         _declare(node, _PATCHES, [""], "names of the drivers' nodes, as /left_palm/skin")
     )
-    frame_id = str(values["frame_id"])
     if values["body_file"]:
         if patches:
             raise ParameterError("body_file and patches are both given: leave one of them out")
-        body = read_body(Path(str(values["body_file"])).expanduser())
-        patches, frame_id = tuple(patch.node for patch in body.patches), body.frame_id
+        body = read_body(Path(values["body_file"]).expanduser())
+        patches, values["frame_id"] = tuple(patch.node for patch in body.patches), body.frame_id
     if not patches:
         raise ParameterError(
             "no patches to gather: give body_file:=body.yaml or patches:=[/left_palm/skin]"
         )
-    return BodySetup(
-        patches,
-        frame_id,
-        float(values["stale_after_s"]),
-        float(values["visual_rate_hz"]),
-        float(values["colour_max_kpa"]) * 1e3,
-    )
+    return patches, values
 
 
 def declared(node: Node, parameter: Parameter) -> Any:

@@ -7,15 +7,12 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from numpy.typing import NDArray
-from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.subscription import Subscription
 from std_msgs.msg import Header
 
 from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
@@ -23,6 +20,7 @@ from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 from ...places.poses import Pose
 from ...views.cloud import Cloud
 from ..common.convert import nanoseconds, rows
+from ..common.following import Following
 from ..common.gate import Gate
 from ..common.qos import LATCHED
 
@@ -51,10 +49,16 @@ class PatchFeed:
         self._late_s = math.inf
         self._counted, self._reported_s = 0, -math.inf
         self._node, self._index, self._on_contacts = node, index, on_contacts
-        self._gate = gate
         self._cloud: tuple[int, Cloud] | None = None
-        self._for_contacts: list[Subscription] = []
-        self._for_points: list[Subscription] = []
+        self._for_contacts = Following(
+            node, (TactileContacts, f"{node_name}/contacts", self._take_contacts, FRESH)
+        )
+        self._for_points = Following(
+            node,
+            (TactileSkinInfo, f"{node_name}/info", self._take_info, LATCHED),
+            (TactileArray, f"{node_name}/tactile", self._take_array, LATEST),
+            group=gate,
+        )
 
     @property
     def is_followed(self) -> bool:
@@ -92,20 +96,11 @@ class PatchFeed:
 
     def follow(self, contacts: bool, points: bool) -> None:
         """Subscribe to what the body's contacts and points need, and to nothing else."""
-        if contacts and not self._for_contacts:
-            self._for_contacts = [
-                self._subscribe(TactileContacts, "contacts", self._take_contacts, FRESH)
-            ]
-        elif not contacts and self._for_contacts:
-            self._drop(self._for_contacts)
+        self._for_contacts.follow(contacts)
+        self._for_points.follow(points)
+        if not contacts:
             self.contacts = None
-        if points and not self._for_points:
-            self._for_points = [
-                self._subscribe(TactileSkinInfo, "info", self._take_info, LATCHED),
-                self._subscribe(TactileArray, "tactile", self._take_array, LATEST, self._gate),
-            ]
-        elif not points and self._for_points:
-            self._drop(self._for_points)
+        if not points:
             self.array = self._cloud = None
             self.is_new = False
 
@@ -122,22 +117,6 @@ class PatchFeed:
             return None
         pressure_pa = np.frombuffer(self.array.pressure, dtype=np.float32)
         return cloud.points(pressure_pa, max_pa, pose)
-
-    def _subscribe(
-        self,
-        kind: Any,
-        topic: str,
-        take: Callable[[Any], None],
-        qos: QoSProfile,
-        group: CallbackGroup | None = None,
-    ) -> Subscription:
-        full_name = f"{self.node_name}/{topic}"
-        return self._node.create_subscription(kind, full_name, take, qos, callback_group=group)
-
-    def _drop(self, subscriptions: list[Subscription]) -> None:
-        for subscription in subscriptions:
-            self._node.destroy_subscription(subscription)
-        subscriptions.clear()
 
     def _hear(self, header: Header) -> None:
         if nanoseconds(header.stamp) > nanoseconds(self._stamp):  # once per frame, not per topic

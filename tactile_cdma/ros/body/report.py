@@ -4,69 +4,60 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from ...base.listing import listed
 from ..common.convert import diagnostic
+from .patch_feed import PatchFeed
 
 CLOCKS_APART_S = 0.5
 """A message of this age, s, or from so far in the future, means clocks that disagree; chosen above
 every delay of transport."""
 
 
-@dataclass(frozen=True, slots=True)
-class PatchState:
-    """How one patch is received.
+def body_status(
+    name: str,
+    feeds: Mapping[str, PatchFeed],
+    faults: Mapping[str, str],
+    stale_after_s: float,
+    now_s: float,
+) -> DiagnosticStatus:
+    """The entry `<node>: patches`.
 
-    has_driver: somebody publishes its topics. followed: it is subscribed to. silent_s: time since
-    its last message, s. late_s: least age of a message on arrival, s. rate_hz: of its messages.
-    fault: why its frame is unknown in the body's; empty: it is known.
+    name: fully qualified name of the body node. faults: why a patch's frame is unknown in the
+    body's, by patch.
     """
-
-    name: str
-    has_driver: bool
-    followed: bool
-    silent_s: float
-    late_s: float
-    rate_hz: float
-    fault: str
-
-    def complaint(self, stale_after_s: float) -> str:
-        """What is wrong and what to do; empty if nothing is, or nobody subscribes."""
-        if not self.followed:
-            return ""
-        if self.silent_s > stale_after_s and not self.has_driver:
-            return "no driver: does it run, in this ROS domain, on a computer that is discovered?"
-        if self.silent_s > stale_after_s:
-            return "its driver is there, but silent: its own entries here say why"
-        if self.fault:
-            return self.fault
-        if abs(self.late_s) > CLOCKS_APART_S:
-            return (
-                f"its stamps are {self.late_s:+.1f} s off this computer's clock: have both "
-                "computers follow one time server, or is this one too busy?"
-            )
-        return ""
-
-
-def body_status(name: str, patches: Sequence[PatchState], stale_after_s: float) -> DiagnosticStatus:
-    """The entry `<node>: patches`. name: fully qualified name of the body node."""
-    complaints = {patch.name: patch.complaint(stale_after_s) for patch in patches}
-    wrong = [patch for patch, complaint in complaints.items() if complaint]
-    level, text = DiagnosticStatus.OK, f"all {len(patches)} patches are there"
+    judged = {
+        patch: _judged(feed, faults.get(patch, ""), stale_after_s, now_s)
+        for patch, feed in feeds.items()
+    }
+    wrong = {patch: complaint for patch, (complaint, _) in judged.items() if complaint}
+    level, text = DiagnosticStatus.OK, f"all {len(feeds)} patches are there"
     if wrong:
-        level = DiagnosticStatus.ERROR if len(wrong) == len(patches) else DiagnosticStatus.WARN
-        text = f"{listed(wrong)}: {complaints[wrong[0]]}"
-    elif not any(patch.followed for patch in patches):
+        level = DiagnosticStatus.ERROR if len(wrong) == len(feeds) else DiagnosticStatus.WARN
+        text = f"{listed(list(wrong))}: {next(iter(wrong.values()))}"
+    elif not any(feed.is_followed for feed in feeds.values()):
         text = "nobody subscribes to the body's topics"
-    values = {patch.name: complaints[patch.name] or _in_order(patch) for patch in patches}
+    values = {patch: complaint or state for patch, (complaint, state) in judged.items()}
     return diagnostic(f"{name.lstrip('/')}: patches", level, text, values)
 
 
-def _in_order(patch: PatchState) -> str:
-    if patch.followed:
-        return f"{patch.rate_hz:.1f} Hz"
-    return "its driver is there" if patch.has_driver else "its driver was not seen yet"
+def _judged(feed: PatchFeed, fault: str, stale_after_s: float, now_s: float) -> tuple[str, str]:
+    """What is wrong and what to do, empty if nothing is; and what a patch in order shows."""
+    silent = feed.silent_s(now_s) > stale_after_s
+    late_s, rate_hz = feed.late_s(), feed.rate_hz(now_s)
+    if not feed.is_followed:
+        return "", "its driver is there" if feed.has_driver else "its driver was not seen yet"
+    complaint = fault
+    if silent and not feed.has_driver:
+        complaint = "no driver: does it run, in this ROS domain, on a computer that is discovered?"
+    elif silent:
+        complaint = "its driver is there, but silent: its own entries here say why"
+    elif not fault and abs(late_s) > CLOCKS_APART_S:
+        complaint = (
+            f"its stamps are {late_s:+.1f} s off this computer's clock: have both computers "
+            "follow one time server, or is this one too busy?"
+        )
+    return complaint, f"{rate_hz:.1f} Hz"

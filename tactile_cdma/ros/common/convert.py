@@ -21,6 +21,7 @@ from ...config.skin_config import SkinConfig
 from ...driver.pipeline import TactileFrame
 from ...places.layout import Layout
 from ...readings.baseline import Baseline
+from ...recording.message_fields import array_fields, info_fields
 
 
 def ros_array(values: NDArray[np.generic]) -> array[float] | array[int]:
@@ -51,47 +52,19 @@ def tactile_array(
     frame: TactileFrame, layout: Layout, header: Header, info_id: int, with_voltage: bool
 ) -> TactileArray:
     """One frame as the message that a manipulation stack subscribes to."""
-    readings = frame.readings
-    return TactileArray(
-        header=header,
-        sequence=frame.sequence,
-        device_time_us=max(0, round(frame.t_middle * 1e6)),
-        info_id=info_id,
-        height=layout.rows,
-        width=layout.columns,
-        pressure=ros_array(readings.pressure_pa),
-        voltage=ros_array(readings.voltage_v if with_voltage else readings.voltage_v[:0]),
-        status=ros_array(readings.status),
-        noise_rms=frame.words.noise_rms_v,
-    )
+    fields = array_fields(frame, layout, info_id, ros_array, with_voltage)
+    return TactileArray(header=header, **fields)
 
 
 def skin_info(
     config: SkinConfig, baseline: Baseline, header: Header, info_id: int
 ) -> TactileSkinInfo:
     """What frames are read with: the layout, its nodes, calibration, tare and drift."""
-    spec, layout = config.spec, config.layout
-    message = TactileSkinInfo()
-    message.header = header
-    message.info_id = info_id
-    message.nodes = spec.nodes
-    message.height, message.width = layout.rows, layout.columns
-    message.positions = [_point32(place) for place in layout.positions_m]
-    message.normals = [_point32(normal) for normal in layout.normals]
-    message.area = ros_array(layout.areas_m2)
-    message.node = ros_array(layout.nodes.astype(np.uint16))
-    code_rows = np.append(spec.rows, 0)  # 0 for a taxel without a node
-    message.code_row = ros_array(code_rows[layout.nodes - 1].astype(np.uint32))
-    message.code_order = spec.order
-    message.bits = spec.bits
-    message.frame_period = spec.frame_period_s
-    message.pressure_min = 0.0
-    message.pressure_max = float(config.calibration.curves.range_pa.max())
-    message.calibration_id = config.calibration.identity
+    message = TactileSkinInfo(header=header, **info_fields(config, info_id, ros_array, Point32))
     if baseline.tared:
-        message.tare = by_taxel(layout, baseline.tare_pa)
+        message.tare = by_taxel(config.layout, baseline.tare_pa)
     if baseline.drift_v.any():
-        message.drift = by_taxel(layout, baseline.drift_v)
+        message.drift = by_taxel(config.layout, baseline.drift_v)
     return message
 
 
@@ -154,8 +127,3 @@ def vector(values: NDArray[np.floating]) -> Vector3:
     """A vector from an array, (3,)."""
     x, y, z = values.tolist()
     return Vector3(x=x, y=y, z=z)
-
-
-def _point32(place: NDArray[np.floating]) -> Point32:
-    x, y, z = place.tolist()
-    return Point32(x=x, y=y, z=z)

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import copy
 
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from ...config.parameters import Parameter, Value
@@ -26,6 +27,8 @@ RELIABLE = QoSProfile(depth=10)
 """For small messages that rviz and controllers may both subscribe to."""
 PICTURE = QoSProfile(depth=2, reliability=ReliabilityPolicy.RELIABLE)
 """For pictures; the depth is small because only the newest matters."""
+QUEUE = QoSProfile(depth=256, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""For viewers that count frames: some 3 s of them, at the default rate, may wait. Chosen."""
 QOS_OVERRIDES = "qos_overrides."
 _POLICIES = {
     "history": HistoryPolicy,
@@ -39,13 +42,14 @@ _MOST_DEPTH = 1 << 20
 """Greatest depth that is accepted; chosen beyond every use, within what the middleware takes."""
 
 
-def offered(profile: QoSProfile, topic: str, declare: Callable[[Parameter], Value]) -> QoSProfile:
-    """A publisher's profile with its overrides.
+def offered(
+    profile: QoSProfile, node: Node, topic: str, declare: Callable[[Parameter], Value]
+) -> QoSProfile:
+    """The profile of a node's publisher with its overrides.
 
-    topic: its full name. declare: declares a parameter that cannot change after the node's start,
-    and returns its value.
+    declare: declares a parameter that cannot change after the node's start; returns its value.
     """
-    result = copy(profile)
+    result, topic = copy(profile), node.resolve_topic_name(topic)
     prefix, text = f"{QOS_OVERRIDES}{topic}.publisher.", f"of the publisher of {topic}"
     for name, policy in _POLICIES.items():
         choices = tuple(p.name.lower() for p in policy if p.name not in _NOT_FOR_PUBLISHERS)

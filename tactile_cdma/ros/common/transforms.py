@@ -6,12 +6,12 @@ from __future__ import annotations
 
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.subscription import Subscription
 from tf2_msgs.msg import TFMessage
 
 from ...base.errors import TransformError
 from ...places.poses import Pose
 from ...places.tf_tree import TfTree
+from .following import Following
 
 QUEUE = 100
 """Depth of the subscriptions; the same as in tf2."""
@@ -26,19 +26,11 @@ class TransformListener:
     def __init__(self, node: Node) -> None:
         self.tree = TfTree()
         self._node = node
-        self._subscriptions: list[Subscription] = []
-
-    def follow(self, asked: bool) -> None:
-        """Subscribe while the tree is asked for."""
-        if asked and not self._subscriptions:
-            self._subscriptions = [
-                self._node.create_subscription(TFMessage, topic, self._take, qos)
-                for topic, qos in (("/tf_static", STATIC), ("/tf", QoSProfile(depth=QUEUE)))
-            ]
-        elif not asked:
-            for subscription in self._subscriptions:
-                self._node.destroy_subscription(subscription)
-            self._subscriptions = []
+        self.follow = Following(
+            node,
+            (TFMessage, "/tf_static", self._take, STATIC),
+            (TFMessage, "/tf", self._take, QoSProfile(depth=QUEUE)),
+        ).follow
 
     def _take(self, message: TFMessage) -> None:
         for stamped in message.transforms:

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from ...base.listing import listed
 from ...driver import checkup
 from ...driver.driver import WAITING, Driver
-from ...driver.findings import Finding, Level, Settling, worst
+from ...driver.findings import Level, Settling, worst
 from ...driver.pipeline import Pipeline, TactileFrame
 from ...driver.vitals import Window
 from ...wire.identity import shown_id
@@ -36,15 +36,19 @@ class SkinReport:
         """node: fully qualified name of the node."""
         self._prefix = node.lstrip("/")
         self._hardware_id = ""
+        self._start_over()
+
+    def _start_over(self) -> None:
         self._settling = {entry: Settling() for entry in ENTRIES}
         self._receiving = False  # at the last report
 
     def inactive(self, failure: str) -> list[DiagnosticStatus]:
         """The entries while no driver runs. failure: why it could not be started, or empty."""
-        self._settling = {entry: Settling() for entry in ENTRIES}
-        level = Level.ERROR if failure else Level.STALE
-        first = self._entry(STREAM, level, failure or "not active", {})
-        return [first] + [self._entry(e, Level.STALE, "not active", {}) for e in ENTRIES[1:]]
+        self._start_over()
+        judged = dict.fromkeys(ENTRIES, (Level.STALE, "not active"))
+        if failure:
+            judged[STREAM] = (Level.ERROR, failure)
+        return self._entries(judged, {})
 
     def of(
         self, driver: Driver, latest: TactileFrame | None, tared: str, drivers: int
@@ -62,39 +66,43 @@ class SkinReport:
             STREAM: _stream_values(pipeline, window),
             NODES: {**_node_values(driver, window), "tared": tared or "not"},
             LINK: {"port": driver.url, **_link_values(driver, window)},
-            HOST: {**_host_values(window), "drivers of this name": drivers},
+            HOST: {
+                "CPU of the process (%)": f"{100 * window.process_share:.1f}",
+                "CPU of the driver's thread (%)": f"{100 * window.thread_share:.1f}",
+                "drivers of this name": drivers,
+            },
         }
-        if driver.problem:
-            return self._without_frames(driver.problem, values)
-        # The first report of a stream would complain of a second that frames fill only in part.
-        started, self._receiving = not self._receiving, True
-        found: dict[str, Callable[[], Iterable[Finding]]] = {
-            STREAM: lambda: () if started else checkup.stream(pipeline, window, latest),
-            NODES: lambda: checkup.nodes(pipeline, driver.stuck.nodes, window),
-            LINK: lambda: () if started else checkup.link(pipeline, window),
-            HOST: lambda: checkup.host(window, drivers),
+        if driver.problem:  # which leaves nodes and link unknown
+            self._start_over()
+            level = Level.WARN if driver.problem == WAITING else Level.ERROR
+            judged = dict.fromkeys(ENTRIES, (Level.STALE, NO_FRAMES))
+            judged |= {STREAM: (level, driver.problem), HOST: (Level.OK, "ok")}
+            return self._entries(judged, values)
+        found = {
+            STREAM: checkup.stream(pipeline, window, latest),
+            NODES: checkup.nodes(pipeline, driver.stuck.nodes, window),
+            LINK: checkup.link(pipeline, window),
+            HOST: checkup.host(window, drivers),
         }
-        clocks = pipeline.clocks
-        calling = clocks is not None and clocks.busy
-        good = {STREAM: "roll call: measuring the nodes' clocks" if calling else "receiving"}
+        if not self._receiving:  # it would complain of a second that frames fill only in part
+            found[STREAM] = found[LINK] = iter(())
+        self._receiving = True
+        judged = {entry: worst(self._settling[entry].settle(found[entry])) for entry in ENTRIES}
+        level, text = judged[STREAM]
+        calling = pipeline.clocks is not None and pipeline.clocks.busy
+        good = "roll call: measuring the nodes' clocks" if calling else "receiving"
+        judged[STREAM] = level, text or good
+        return self._entries(judged, values)
+
+    def _entries(
+        self, judged: Mapping[str, tuple[Level, str]], values: Mapping[str, Values]
+    ) -> list[DiagnosticStatus]:
         entries = []
-        for entry in ENTRIES:
-            level, text = worst(self._settling[entry].settle(found[entry]()))
-            entries.append(self._entry(entry, level, text or good.get(entry, "ok"), values[entry]))
+        for entry, (level, text) in judged.items():
+            name, said = f"{self._prefix}: {entry}", values.get(entry, {})
+            status = diagnostic(name, bytes([level]), text or "ok", said, self._hardware_id)
+            entries.append(status)
         return entries
-
-    def _without_frames(self, problem: str, values: Mapping[str, Values]) -> list[DiagnosticStatus]:
-        """The entries while the stream has a problem, which leaves nodes and link unknown."""
-        self._receiving = False
-        self._settling = {entry: Settling() for entry in ENTRIES}
-        level = Level.WARN if problem == WAITING else Level.ERROR
-        first = self._entry(STREAM, level, problem, values[STREAM])
-        others = [self._entry(e, Level.STALE, NO_FRAMES, values[e]) for e in (NODES, LINK)]
-        return [first, *others, self._entry(HOST, Level.OK, "ok", values[HOST])]
-
-    def _entry(self, entry: str, level: Level, text: str, values: Values) -> DiagnosticStatus:
-        name = f"{self._prefix}: {entry}"
-        return diagnostic(name, bytes([level]), text, values, self._hardware_id)
 
 
 def _stream_values(pipeline: Pipeline, window: Window) -> Values:
@@ -163,13 +171,6 @@ def _link_values(driver: Driver, window: Window) -> Values:
         "backlog (bytes)": window.backlog_bytes,
         "digitizer clock drift (ppm)": _number(driver.pipeline.timeline.clock.drift_ppm, 1),
         **{name: count for name, count in window.totals.named().items() if name not in _OF_STREAM},
-    }
-
-
-def _host_values(window: Window) -> Values:
-    return {
-        "CPU of the process (%)": f"{100 * window.process_share:.1f}",
-        "CPU of the driver's thread (%)": f"{100 * window.thread_share:.1f}",
     }
 
 

@@ -4,20 +4,21 @@
 
 from __future__ import annotations
 
+from geometry_msgs.msg import WrenchStamped
 from rclpy.lifecycle import LifecycleNode
 from rclpy.qos import qos_profile_sensor_data
 from std_msgs.msg import Header
 
-from tactile_cdma.msg import TactileArray, TactileSkinInfo
+from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 
 from ...config.parameters import Values
 from ...config.skin_config import SkinConfig
 from ...driver.pipeline import TactileFrame
 from ...readings.baseline import Baseline
-from ...readings.contact import ContactThresholds
+from ...readings.contact import ContactThresholds, ContactTracker
 from ..common.convert import skin_info, tactile_array
-from ..common.qos import LATCHED
-from .contacts import ContactPublishers
+from ..common.qos import LATCHED, RELIABLE
+from .contacts import contacts_message, wrench_of
 from .stamps import Stamps
 
 
@@ -27,23 +28,27 @@ class FramePublishers:
     def __init__(self, node: LifecycleNode, live: Values, stamps: Stamps) -> None:
         """live: the parameters' present values, kept by the node."""
         self._live, self._stamps = live, stamps
-        self._array = node.create_lifecycle_publisher(
-            TactileArray, "~/tactile", qos_profile_sensor_data
-        )
-        self._info = node.create_lifecycle_publisher(TactileSkinInfo, "~/info", LATCHED)
-        self._contacts = ContactPublishers(node)
+        create = node.create_lifecycle_publisher
+        self._array = create(TactileArray, "~/tactile", qos_profile_sensor_data)
+        self._info = create(TactileSkinInfo, "~/info", LATCHED)
+        self._wrench = create(WrenchStamped, "~/wrench", RELIABLE)
+        self._contacts = create(TactileContacts, "~/contacts", RELIABLE)
+        self._patch = node.get_fully_qualified_name()
+        self._tracker: ContactTracker | None = None
         self._info_id = 0
         self._silence_due_s = 0.0  # device time from which a frame without words is published again
         self.topic = self._array.topic_name
 
     def start(self, config: SkinConfig) -> None:
-        """Prepare for the frames of a stream."""
+        """Prepare for the frames of a stream; no id of a contact is used twice in a node's life."""
         self._layout = config.layout
-        self._contacts.start(config.layout, config.contact)
+        first_id = self._tracker.next_id if self._tracker else 1
+        self._tracker = ContactTracker(config.layout, config.contact, first_id)
 
     def change(self, thresholds: ContactThresholds) -> None:
         """Find contacts by other thresholds from the next frame on."""
-        self._contacts.change(thresholds)
+        if self._tracker:
+            self._tracker.thresholds = thresholds
 
     def publish_info(self, config: SkinConfig, baseline: Baseline) -> None:
         """Publish what frames from now on are read with; call it between frames."""
@@ -56,16 +61,29 @@ class FramePublishers:
         Runs in the driver's thread: from a decoded frame to the wire it is one publish. Several
         messages share the header, which nobody changes once it is published.
         """
-        array_asked = self._array.get_subscription_count() > 0
+        assert self._tracker is not None
+        array, wrench, contacts = (
+            publisher.get_subscription_count() > 0
+            for publisher in (self._array, self._wrench, self._contacts)
+        )
         header = None
-        if self._is_news(frame) and (array_asked or self._contacts.asked):
+        if self._is_news(frame) and (array or wrench or contacts):
             header = self._stamps.rising(frame.t_host)
-        if header and array_asked:
+        if header and array:
             with_voltage = bool(self._live["publish_voltage"])
             self._array.publish(
                 tactile_array(frame, self._layout, header, self._info_id, with_voltage)
             )
-        self._contacts.take(frame, header, self._info_id)
+        if not (wrench or contacts):
+            self._tracker.forget()
+            return header
+        found = self._tracker.update(frame.readings, frame.t_middle)
+        if header and wrench:
+            self._wrench.publish(WrenchStamped(header=header, wrench=wrench_of(found)))
+        if header and contacts:
+            self._contacts.publish(
+                contacts_message(found, self._patch, header, frame.sequence, self._info_id)
+            )
         return header
 
     def _is_news(self, frame: TactileFrame) -> bool:

@@ -16,6 +16,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecyclePublisher, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSProfile
+from std_msgs.msg import Header
 
 from ...base.errors import ParameterError, TactileError
 from ...config.body_file import NODE_NAME
@@ -235,9 +236,8 @@ class SkinNode(ManagedNode):
             drivers = self.count_publishers(self._frames.topic)
             entries = self._report.of(self._driver, self._latest, self._rest.tared, drivers)
             self._rest.tick()
-        message = DiagnosticArray(status=entries)
-        message.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics_publisher.publish(message)
+        header = Header(stamp=self.get_clock().now().to_msg())
+        self._diagnostics_publisher.publish(DiagnosticArray(header=header, status=entries))
 
     def _log_problem(self, problem: str | None) -> None:
         if problem is None or problem == WAITING:

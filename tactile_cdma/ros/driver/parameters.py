@@ -62,9 +62,7 @@ class NodeParameters:
 
     def offered(self, profile: QoSProfile, topic: str) -> QoSProfile:
         """The QoS of a topic's publisher: the profile, with its qos_overrides."""
-        return offered(
-            profile, self._node.resolve_topic_name(topic), lambda p: self._declare(p, True)
-        )
+        return offered(profile, self._node, topic, lambda p: self._declare(p, True))
 
     def check_all_taken(self) -> None:
         """Warn of qos_overrides without a publisher; call it when all publishers exist."""

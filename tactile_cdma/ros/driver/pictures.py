@@ -4,9 +4,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import Image, PointCloud2
@@ -16,7 +18,7 @@ from visualization_msgs.msg import MarkerArray
 from ...config.parameters import Values
 from ...config.skin_config import SkinConfig, contact_thresholds
 from ...driver.pipeline import TactileFrame
-from ...readings.contact import ContactThresholds, ContactTracker
+from ...readings.contact import ContactTracker
 from ...views.cloud import Cloud
 from ...views.heatmap import heatmap, pressure_raster
 from ..common.convert import image, point_cloud
@@ -29,6 +31,7 @@ TOPICS = {
     "points": PointCloud2,
     "markers": MarkerArray,
 }
+Drawings = Mapping[str, Callable[[TactileFrame, Header], Any]]
 LOOK_S = 0.25
 """Interval of checks for subscribers, s, while there are none: a turn of rclpy's executor takes
 about 1 ms."""
@@ -63,7 +66,10 @@ class Pictures:
 
     def start(self, config: SkinConfig) -> None:
         """Prepare for the frames of a stream."""
-        self._drawings = Drawings(config, self._live)
+        # Contacts are followed from picture to picture: those of ~/contacts exist only while
+        # somebody subscribes to them, in the driver's thread, which this spares.
+        self._tracker = ContactTracker(config.layout, config.contact)
+        self._drawings = _drawings(config, self._live, self._tracker)
         self._turn_every(_period_s(self._live))
 
     def stop(self) -> None:
@@ -81,7 +87,7 @@ class Pictures:
     def change(self, values: Values) -> None:
         """Use other values of parameters; all of them, and they fit each other."""
         if self._drawings is not None:
-            self._drawings.change(contact_thresholds(values))
+            self._tracker.thresholds = contact_thresholds(values)
             if _period_s(values) != _period_s(self._live):  # a timer that is reset comes late
                 self._turn_every(_period_s(values))
 
@@ -104,54 +110,36 @@ class Pictures:
         self._drawn = frame
         header = header or self._header_at(frame.t_host)
         for topic in topics:
-            self._publishers[topic].publish(self._drawings.of[topic](frame, header))
+            self._publishers[topic].publish(self._drawings[topic](frame, header))
 
 
-class Drawings:
-    """Draws the frames of one skin; `of` has a function of frame and header for every topic.
+def _drawings(config: SkinConfig, live: Values, tracker: ContactTracker) -> Drawings:
+    """How a skin's frame becomes the message of each topic, by the live parameters."""
+    layout, skin = config.layout, SkinMarkers(config.layout)
+    cloud = Cloud(layout.positions_m, layout.normals)
 
-    Markers follow contacts here, from picture to picture: those of ~/contacts exist only while
-    somebody subscribes to them, in the driver's thread, which this spares.
-    """
+    def seen(frame: TactileFrame) -> tuple[NDArray[np.float32], float]:
+        """Pressures, and the top of the colour scale, Pa."""
+        return frame.readings.pressure_pa, float(live["colour_max_kpa"]) * 1e3
 
-    def __init__(self, config: SkinConfig, live: Values) -> None:
-        self.of: dict[str, Callable[[TactileFrame, Header], Any]] = {
-            "heatmap": self._heatmap,
-            "pressure_image": self._pressure_image,
-            "points": self._points,
-            "markers": self._markers,
-        }
-        self._live, self._layout = live, config.layout
-        self._frame_period_s = config.spec.frame_period_s
-        self._cloud = Cloud(config.layout.positions_m, config.layout.normals)
-        self._skin = SkinMarkers(config.layout)
-        self._tracker = ContactTracker(config.layout, config.contact)
+    def markers(frame: TactileFrame, header: Header) -> MarkerArray:
+        contacts = tracker.update(frame.readings, frame.t_middle)
+        fade_s = FADE_PERIODS * max(_period_s(live), config.spec.frame_period_s)
+        return skin.markers(*seen(frame), contacts, header, max(LEAST_FADE_S, fade_s))
 
-    def change(self, thresholds: ContactThresholds) -> None:
-        """Find contacts by other thresholds from the next picture on."""
-        self._tracker.thresholds = thresholds
+    def colours(frame: TactileFrame, header: Header) -> Image:
+        pressure_pa, max_pa = seen(frame)
+        picture = heatmap(pressure_pa, layout, max_pa, int(live["heatmap_pixels"]))
+        return image(picture, "rgb8", header)
 
-    @property
-    def _max_pa(self) -> float:
-        return float(self._live["colour_max_kpa"]) * 1e3
-
-    def _heatmap(self, frame: TactileFrame, header: Header) -> Image:
-        pressure_pa, pixels = frame.readings.pressure_pa, int(self._live["heatmap_pixels"])
-        return image(heatmap(pressure_pa, self._layout, self._max_pa, pixels), "rgb8", header)
-
-    def _pressure_image(self, frame: TactileFrame, header: Header) -> Image:
-        return image(pressure_raster(frame.readings.pressure_pa, self._layout), "32FC1", header)
-
-    def _points(self, frame: TactileFrame, header: Header) -> PointCloud2:
-        return point_cloud(self._cloud.points(frame.readings.pressure_pa, self._max_pa), header)
-
-    def _markers(self, frame: TactileFrame, header: Header) -> MarkerArray:
-        contacts = self._tracker.update(frame.readings, frame.t_middle)
-        period_s = max(_period_s(self._live), self._frame_period_s)
-        fade_s = max(LEAST_FADE_S, FADE_PERIODS * period_s)
-        return self._skin.markers(
-            frame.readings.pressure_pa, self._max_pa, contacts, header, fade_s
-        )
+    return {
+        "heatmap": colours,
+        "pressure_image": lambda frame, header: image(
+            pressure_raster(frame.readings.pressure_pa, layout), "32FC1", header
+        ),
+        "points": lambda frame, header: point_cloud(cloud.points(*seen(frame)), header),
+        "markers": markers,
+    }
 
 
 def _period_s(values: Values) -> float:

@@ -48,7 +48,7 @@ class BodyViewer(Node):
     @property
     def complaint(self) -> str:
         """What the body's node complains of; empty: nothing."""
-        return next((entry.message for entry in self._complaints.worst_first()), "")
+        return self._complaints.worst
 
 
 def line(message: TactileContacts | None, rate_hz: float, complaint: str) -> str:

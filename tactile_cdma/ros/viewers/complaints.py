@@ -50,3 +50,8 @@ class Complaints:
         """The entries that are not OK, the worst first."""
         bad = [status for status in self._entries.values() if status.level != DiagnosticStatus.OK]
         return sorted(bad, key=lambda status: -_BADNESS.index(status.level))
+
+    @property
+    def worst(self) -> str:
+        """The text of the worst entry; empty if all are OK."""
+        return next((status.message for status in self.worst_first()), "")

@@ -9,28 +9,26 @@ import select
 import sys
 import termios
 import tty
-from types import TracebackType
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 
-class Keys:
-    """Within its context stdin, a terminal, delivers keys at once and does not echo them."""
+@contextmanager
+def typed_keys() -> Iterator[Callable[[], str]]:
+    """Have stdin, a terminal, deliver keys at once and not echo them.
 
-    def __enter__(self) -> Keys:
-        self._stdin = sys.stdin.fileno()
-        self._before = termios.tcgetattr(self._stdin)
-        tty.setcbreak(self._stdin)  # Ctrl-C still interrupts
-        return self
+    Yields a function that returns the keys pressed since its last call.
+    """
+    stdin = sys.stdin.fileno()
+    before = termios.tcgetattr(stdin)
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        termios.tcsetattr(self._stdin, termios.TCSADRAIN, self._before)
-
-    def read(self) -> str:
-        """The keys pressed since the last call."""
-        if not select.select([self._stdin], [], [], 0)[0]:
+    def read() -> str:
+        if not select.select([stdin], [], [], 0)[0]:
             return ""
-        return os.read(self._stdin, 64).decode("ascii", errors="ignore")
+        return os.read(stdin, 64).decode("ascii", errors="ignore")
+
+    tty.setcbreak(stdin)  # Ctrl-C still interrupts
+    try:
+        yield read
+    finally:
+        termios.tcsetattr(stdin, termios.TCSADRAIN, before)

@@ -9,20 +9,33 @@ newest frame at each flush().
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from numpy.typing import NDArray
+
+from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 
 from ...places.layout import Layout
 from ...places.mesh import taxel_squares
 from ...places.poses import Pose
 from ...views.heatmap import colours, heatmap
+from ..common.convert import nanoseconds, rows
+from .complaints import Complaints
+from .patches import layout_of
 
 STAMP, DEVICE_TIME = "stamp", "device_time"
+_TEXT_LEVELS = {
+    DiagnosticStatus.OK: "INFO",
+    DiagnosticStatus.WARN: "WARN",
+    DiagnosticStatus.STALE: "WARN",
+    DiagnosticStatus.ERROR: "ERROR",
+}
 SHOWN_S = 20.0
 """Time that curves show, s; chosen."""
 HALF_LENGTH_N = 5.0
@@ -48,10 +61,15 @@ PATCH_RGB = (
 
 
 class PatchScene:
-    """Logs one patch under its path. index: number of the patch, which gives its colour."""
+    """Logs one patch under its path. index: number of the patch, which gives its colour.
+
+    picture_px: height and width of its picture, once it has a layout.
+    """
 
     def __init__(self, recording: rr.RecordingStream, path: str, index: int, max_pa: float) -> None:
         self.path = path
+        self.frame_id = ""  # of the layout; empty: none came yet
+        self._complaints = Complaints(path)
         self._rgb = PATCH_RGB[index % len(PATCH_RGB)]
         self._recording = recording
         self._max_pa = max_pa
@@ -65,9 +83,11 @@ class PatchScene:
         self._curves: dict[str, list[tuple[int, int, float]]] = defaultdict(list)
         self._slots: dict[int, int] = {}  # numbers of the present contacts' curves, by id
 
-    def place(self, layout: Layout) -> None:
-        """Set the geometry for the frames that follow."""
-        self._layout, self._pressure_pa = layout, None
+    def place(self, message: TactileSkinInfo) -> None:
+        """Take the geometry for the frames that follow."""
+        self._layout = layout = layout_of(message)
+        self._pressure_pa = None
+        self.frame_id = message.header.frame_id
         self._extent_m = float(np.ptp(layout.positions_m, axis=0).max()) + layout.pitch_m
         corners_m = taxel_squares(layout)[layout.nodes > 0].reshape(-1, 3)
         # Without normals there is no shading, which would change the colours of the scale.
@@ -76,6 +96,8 @@ class PatchScene:
             triangle_indices=np.arange(len(corners_m)).reshape(-1, 3),
         )
         self._recording.log(f"{self.path}/surface", surface, static=True)
+        no_pressure_pa = np.zeros(len(layout), dtype=np.float32)
+        self.picture_px = heatmap(no_pressure_pa, layout, self._max_pa, PIXELS).shape[:2]
         for entity, width in (("force", 2.5), ("peak", 1.5)):
             self._style(entity, self.path, width)
 
@@ -85,60 +107,46 @@ class PatchScene:
         assert self._layout is not None
         return self.pose.apply(self._layout.positions_m.astype(np.float64))
 
-    @property
-    def picture_px(self) -> tuple[int, int]:
-        """Height and width of its picture."""
-        assert self._layout is not None
-        taxels = np.zeros(len(self._layout), dtype=np.float32)
-        height, width, _ = heatmap(taxels, self._layout, self._max_pa, PIXELS).shape
-        return height, width
-
-    def take_frame(self, stamp_ns: int, device_us: int, pressure_pa: NDArray[np.float32]) -> None:
-        """Take a frame's pressures, (t,) float32, Pa; ignored if they do not fit the layout."""
-        if self._layout is None or len(pressure_pa) != len(self._layout):
+    def take_frame(self, message: TactileArray) -> None:
+        """Take a frame's pressures; ignored if they do not fit the layout."""
+        if self._layout is None or len(message.pressure) != len(self._layout):
             return
-        self._now = (stamp_ns, device_us)
-        self._pressure_pa = pressure_pa
-        peak_kpa = float(np.fmax.reduce(pressure_pa)) * 1e-3
-        self._curves["peak"].append((stamp_ns, device_us, peak_kpa))
+        self._now = nanoseconds(message.header.stamp), message.device_time_us
+        self._pressure_pa = np.array(message.pressure, dtype=np.float32)
+        self._extend("peak", self._now, float(np.fmax.reduce(self._pressure_pa)) * 1e-3)
 
-    def take_contacts(
-        self,
-        stamp_ns: int,
-        ids: list[int],
-        position_m: NDArray[np.float64],
-        force_n: NDArray[np.float64],
-    ) -> None:
-        """Take a frame's contacts. position_m, force_n: (c, 3).
+    def take_contacts(self, message: TactileContacts) -> None:
+        """Take a frame's contacts.
 
         A contact's curve has the least free number, so there are no more curves than contacts at
         once.
         """
         if self._layout is None:
             return
-        device_us = self._now[1]
-        size_n = np.linalg.norm(force_n, axis=1)
-        resultant_n = float(np.linalg.norm(force_n.sum(axis=0)))
-        self._curves["force"].append((stamp_ns, device_us, resultant_n))
-        ended = [contact for contact in self._slots if contact not in ids]
-        for contact in ended:
-            slot = self._slots.pop(contact)
-            self._curves[f"force/contact_{slot}"].append((stamp_ns, device_us, float("nan")))
-        for contact, newtons in zip(ids, size_n.tolist(), strict=True):
-            if contact not in self._slots:
-                taken = set(self._slots.values())
-                slot = next(n for n in range(1, len(taken) + 2) if n not in taken)
-                self._slots[contact] = slot
-                self._style(f"force/contact_{slot}", f"contact {slot}", 1.0)
-            slot = self._slots[contact]
-            self._curves[f"force/contact_{slot}"].append((stamp_ns, device_us, newtons))
+        now = nanoseconds(message.header.stamp), self._now[1]
+        position_m = rows([contact.position for contact in message.contacts])
+        force_n = rows([contact.force for contact in message.contacts])
         self._contacts = (position_m, force_n)
+        self._extend("force", now, float(np.linalg.norm(force_n.sum(axis=0))))
+        sizes_n = np.linalg.norm(force_n, axis=1).tolist()
+        present = dict(zip((contact.id for contact in message.contacts), sizes_n, strict=True))
+        for ended in self._slots.keys() - present.keys():
+            self._extend(f"force/contact_{self._slots.pop(ended)}", now, math.nan)
+        for contact, newtons in present.items():
+            if contact not in self._slots:
+                free = set(range(1, len(self._slots) + 2)).difference(self._slots.values())
+                self._slots[contact] = slot = min(free)
+                self._style(f"force/contact_{slot}", f"contact {slot}", 1.0)
+            self._extend(f"force/contact_{self._slots[contact]}", now, newtons)
 
-    def complain(self, stamp_ns: int, level: str, text: str) -> None:
-        """Log an entry of the driver's diagnostics. level: as in rr.TextLogLevel."""
-        self._recording.reset_time()
-        self._recording.set_time(STAMP, timestamp=np.datetime64(stamp_ns, "ns"))
-        self._recording.log(f"{self.path}/diagnostics", rr.TextLog(text, level=level))
+    def take_diagnostics(self, message: DiagnosticArray) -> None:
+        """Log what has changed in the entries of the driver."""
+        for entry in self._complaints.take(message):
+            text = rr.TextLog(f"{entry.name}: {entry.message}", level=_TEXT_LEVELS[entry.level])
+            self._recording.reset_time()
+            stamp = np.datetime64(nanoseconds(message.header.stamp), "ns")
+            self._recording.set_time(STAMP, timestamp=stamp)
+            self._recording.log(f"{self.path}/diagnostics", text)
 
     def flush(self) -> None:
         """Log what came since the last call."""
@@ -181,6 +189,9 @@ class PatchScene:
     def _style(self, curve: str, name: str, width: float) -> None:
         style = rr.SeriesLines(names=name, widths=width, colors=self._rgb)
         self._recording.log(f"{self.path}/{curve}", style, static=True)
+
+    def _extend(self, curve: str, now: tuple[int, int], value: float) -> None:
+        self._curves[curve].append((*now, value))
 
     def _log_curve(self, path: str, values: list[tuple[int, int, float]]) -> None:
         stamp_ns, device_us, value = zip(*values, strict=True)

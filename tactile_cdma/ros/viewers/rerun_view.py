@@ -10,24 +10,20 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from functools import partial
 from pathlib import Path
 
-import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
 from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 
 from ...base.errors import TransformError
-from ..common.convert import nanoseconds, rows
+from ...config.arguments import positive
 from ..common.process import viewing
-from ..common.qos import LATCHED
+from ..common.qos import LATCHED, QUEUE
 from ..common.transforms import COMPLAINT_S, TransformListener
-from .complaints import Complaints
-from .patches import ARRAY_TOPIC, full_name, layout_of
-from .view import QUEUE
+from .patches import ARRAY_TOPIC, full_name
 
 try:
     import rerun as rr
@@ -45,12 +41,6 @@ BLUEPRINT_S = 2.0
 patches that start together make one."""
 WEB_PORT = 9090
 """The port that Rerun's web viewer has by default."""
-_TEXT_LEVELS = {
-    DiagnosticStatus.OK: "INFO",
-    DiagnosticStatus.WARN: "WARN",
-    DiagnosticStatus.STALE: "WARN",
-    DiagnosticStatus.ERROR: "ERROR",
-}
 
 
 class RerunView(Node):
@@ -61,8 +51,7 @@ class RerunView(Node):
         self._recording = recording
         self._max_pa = max_pa
         self._scenes: dict[str, PatchScene] = {}
-        self._frames: dict[PatchScene, str] = {}  # of their geometry
-        self._roots: dict[PatchScene, str] = {}  # those they hang from
+        self._roots: dict[PatchScene, str] = {}  # the frames that theirs hang from
         self._shown: dict[PatchScene, str] = {}  # the same, as the viewer is laid out for
         self._transforms = TransformListener(self)
         self._transforms.follow(True)
@@ -85,29 +74,23 @@ class RerunView(Node):
         path = patch.strip("/")
         scene = PatchScene(self._recording, path, len(self._scenes), self._max_pa)
         self._scenes[path] = scene
-        complaints = Complaints(path)
-        subscriptions = (
-            (TactileSkinInfo, f"{patch}/info", partial(self._place, scene), LATCHED),
-            (TactileArray, f"{patch}/{ARRAY_TOPIC}", partial(_take_frame, scene), QUEUE),
-            (TactileContacts, f"{patch}/contacts", partial(_take_contacts, scene), QUEUE),
-            (DiagnosticArray, "/diagnostics", partial(_complain, scene, complaints), 10),
-        )
-        for kind, topic, callback, qos in subscriptions:
-            self.create_subscription(kind, topic, callback, qos)
+        for kind, topic, take, qos in (
+            (TactileSkinInfo, f"{patch}/info", scene.place, LATCHED),
+            (TactileArray, f"{patch}/{ARRAY_TOPIC}", scene.take_frame, QUEUE),
+            (TactileContacts, f"{patch}/contacts", scene.take_contacts, QUEUE),
+            (DiagnosticArray, "/diagnostics", scene.take_diagnostics, 10),
+        ):
+            self.create_subscription(kind, topic, take, qos)
         self.get_logger().info(f"watching {patch}")
-
-    def _place(self, scene: PatchScene, info: TactileSkinInfo) -> None:
-        scene.place(layout_of(info))
-        self._frames[scene] = info.header.frame_id
 
     def flush(self) -> None:
         """Log what came since the last call, every patch where its frame is now."""
-        for scene, frame in self._frames.items():
-            try:
-                self._roots[scene], scene.pose = self._transforms.tree.root(frame)
-            except TransformError as error:
-                self.get_logger().warning(str(error), throttle_duration_sec=COMPLAINT_S)
         for scene in self._scenes.values():
+            if scene.frame_id:
+                try:
+                    self._roots[scene], scene.pose = self._transforms.tree.root(scene.frame_id)
+                except TransformError as error:
+                    self.get_logger().warning(str(error), throttle_duration_sec=COMPLAINT_S)
             scene.flush()
 
     def show(self) -> None:
@@ -117,38 +100,16 @@ class RerunView(Node):
             self._recording.send_blueprint(blueprint(self._shown))
 
 
-def _take_frame(scene: PatchScene, message: TactileArray) -> None:
-    pressure_pa = np.array(message.pressure, dtype=np.float32)
-    scene.take_frame(nanoseconds(message.header.stamp), message.device_time_us, pressure_pa)
-
-
-def _take_contacts(scene: PatchScene, message: TactileContacts) -> None:
-    scene.take_contacts(
-        nanoseconds(message.header.stamp),
-        [contact.id for contact in message.contacts],
-        rows([contact.position for contact in message.contacts]),
-        rows([contact.force for contact in message.contacts]),
-    )
-
-
-def _complain(scene: PatchScene, complaints: Complaints, message: DiagnosticArray) -> None:
-    for entry in complaints.take(message):
-        text = f"{entry.name}: {entry.message}"
-        scene.complain(nanoseconds(message.header.stamp), _TEXT_LEVELS[entry.level], text)
-
-
 def main() -> int:
     """Show until interrupted."""
     parser = argparse.ArgumentParser(prog="skin_rerun", description=__doc__)
     parser.add_argument("--patches", default="", help="left_palm,/arm/skin; default: all there are")
-    parser.add_argument("--max-kpa", type=float, default=140.0, help="top of the colour scale")
+    parser.add_argument("--max-kpa", type=positive, default=140.0, help="top of the colour scale")
     parser.add_argument("--memory", default="1GB", help="the oldest is dropped above this")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--web", action="store_true", help="in a browser")
     where.add_argument("--save", metavar="FILE.rrd", help="to be opened later, with `rerun`")
     arguments = parser.parse_args(remove_ros_args(sys.argv)[1:])
-    if not arguments.max_kpa > 0:
-        parser.error(f"--max-kpa is {arguments.max_kpa:g}; it must be above 0")
     patches = [full_name(name) for name in arguments.patches.split(",") if name]
     recording = rr.RecordingStream("tactile_cdma")
     try:

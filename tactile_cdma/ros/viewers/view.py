@@ -20,19 +20,19 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
 from rclpy.node import Node
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.utilities import remove_ros_args
 
 from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
+from ...config.arguments import positive
 from ...places.layout import Layout
 from ...views.history import History
 from ...views.terminal import Look, Numbers, Reading, scale, screen, sparkline, status_lines
 from ..common.convert import nanoseconds
 from ..common.process import Viewing, viewing
-from ..common.qos import LATCHED
+from ..common.qos import LATCHED, QUEUE
 from .complaints import LEVELS, Complaints
-from .keys import Keys
+from .keys import typed_keys
 from .patches import full_name, layout_of
 from .tally import Tally, summary
 
@@ -46,9 +46,6 @@ RIVALS_S = 0.5
 """Interval of checks for a second driver; chosen."""
 COMPLAINTS = 3
 """Complaints of the driver that are shown, the worst first: few, to leave room for the skin."""
-QUEUE = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST, depth=256, reliability=ReliabilityPolicy.BEST_EFFORT
-)
 LEAST_SCALE_PA, MOST_SCALE_PA = 100.0, 1e8
 KEY_HELP = "n numbers   h force/peak   + - scale   q ends"
 _HOME, _CLEAR_BELOW, _CLEAR_LINE = "\x1b[H", "\x1b[J", "\x1b[K"
@@ -80,8 +77,7 @@ class Viewer(Node):
     @property
     def complaint(self) -> str:
         """The worst known of the driver: that there are two, or what its diagnostics say."""
-        entries = self.complaints.worst_first()
-        return self.rivals or next((entry.message for entry in entries), "")
+        return self.rivals or self.complaints.worst
 
     def _count_drivers(self) -> None:
         drivers, self.rivals = self.count_publishers(self._topic), ""
@@ -162,8 +158,8 @@ def live(program: Viewing[Viewer], look: Look) -> None:
     viewer, of_force = program.node, True
     sys.stdout.write(_ENTER)
     try:
-        with Keys() as keys:
-            while program.spin(DRAW_PERIOD_S) and "q" not in (pressed := keys.read()):
+        with typed_keys() as keys:
+            while program.spin(DRAW_PERIOD_S) and "q" not in (pressed := keys()):
                 for key in pressed:
                     look, of_force = _obey(key, look, of_force)
                 picture = f"{_HOME}waiting for the first frame ...{_CLEAR_LINE}\n"
@@ -234,10 +230,8 @@ def main() -> int:
     parser.add_argument("patch", nargs="?", default="skin", help="left_palm, or /left_palm/skin")
     parser.add_argument("--topic", help="TactileArray topic, instead of a patch")
     parser.add_argument("--seconds", type=float, help="print a line per second for so long")
-    parser.add_argument("--max-kpa", type=float, default=140.0, help="top of the colour scale")
+    parser.add_argument("--max-kpa", type=positive, default=140.0, help="top of the colour scale")
     arguments = parser.parse_args(remove_ros_args(sys.argv)[1:])
-    if not arguments.max_kpa > 0:
-        parser.error(f"--max-kpa is {arguments.max_kpa:g}; it must be above 0")
     topic = arguments.topic or f"{full_name(arguments.patch)}/tactile"
     terminal = sys.stdin.isatty() and sys.stdout.isatty()
     drawable = terminal and os.environ.get("TERM", "dumb") != "dumb"

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Files named by a user: what could block a reader or fill its memory is refused."""
+"""Files named by a user: those that could block a reader or fill its memory are refused."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Files are replaced whole, or not touched."""
+"""Files are replaced atomically or left unchanged."""
 
 import os
 import subprocess

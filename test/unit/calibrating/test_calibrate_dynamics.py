@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""tactile-cdma calibrate --rising and --dynamics: two recordings teach curves and dynamics."""
+"""tactile-cdma calibrate --rising and --dynamics: curves and dynamics from two recordings."""
 
 import sys
 from collections.abc import Callable
@@ -212,7 +212,7 @@ def test_an_offset_that_is_too_far_off_is_refused(late_s: float, sure: bool) -> 
     t_s = 0.02 * np.arange(1500)
     load_pa = 50e3 * (1 - np.cos(2 * t_s)) * (0.6 + 0.4 * np.sin(0.3 * t_s))
     curve = PressureCurve.two_stage()
-    lag = Lag.of(PAPER_DYNAMICS)
+    lag = Lag(PAPER_DYNAMICS.rise_s, PAPER_DYNAMICS.fall_s)
     felt_pa = np.array([lag.update(load_pa[[i]], 0.02) for i in range(1500)])
     volts = curve.voltage(felt_pa).astype(np.float32)
     reference = Reference(Path("cycles.csv"), t_s + late_s, load_pa, None, np.arange(1500) + 2)

@@ -82,7 +82,7 @@ def test_the_dynamics_of_the_sensor_are_found(found: Identified) -> None:
     paths_pa = np.array([[120e3, 60e3, 20e3, 80e3, 50e3]]).T
     loops = []
     for dynamics in (PAPER_DYNAMICS, found.dynamics):
-        hysteresis = Hysteresis.of(dynamics, 1)
+        hysteresis = Hysteresis(dynamics, 1)
         loops.append(np.array([hysteresis.update(row) for row in paths_pa]))
     np.testing.assert_allclose(loops[1] - paths_pa, loops[0] - paths_pa, atol=500)
 
@@ -134,7 +134,7 @@ def test_missing_readings_are_left_out(record: Record, found: Identified) -> Non
 
 
 def synthetic(t_s: np.ndarray, reference_pa: np.ndarray, dynamics: Dynamics) -> np.ndarray:
-    lag, hysteresis = Lag.of(dynamics), Hysteresis.of(dynamics, 1)
+    lag, hysteresis = Lag(dynamics.rise_s, dynamics.fall_s), Hysteresis(dynamics, 1)
     steps = np.diff(t_s, prepend=t_s[0])
     return np.array(
         [

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A skin's points become curves, or reasons; one bad node does not stop the others."""
+"""Curves, or reasons for refusal, from a skin's points; one bad node does not stop the others."""
 
 import math
 import re

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Clocks that drift are followed from ordinary frames, and nothing else moves them."""
+"""Drifting clocks are tracked on ordinary frames, and nothing else changes the estimate."""
 
 import numpy as np
 import pytest

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The decorrelator against dense least squares, and what it promises about noise."""
+"""The decorrelator compared with dense least squares, and its bound on noise."""
 
 import numpy as np
 import pytest

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A node's clock from a frame in which it speaks alone."""
+"""A node's clock from a frame in which it transmits alone."""
 
 import tracemalloc
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""FrameSpec: derived quantities and refusals; the encoder against the definition."""
+"""FrameSpec: derived quantities and refusals; the encoder compared with the definition."""
 
 import numpy as np
 import pytest

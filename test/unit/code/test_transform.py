@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Fast correlation: equal to the matrix product for orders of every kind, and how exactly."""
+"""Fast correlation equals the matrix product for orders of every kind, within a stated error."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The command line: record, decode, simulate, and its complaints."""
+"""The command line: record, decode, simulate, and error messages."""
 
 import json
 import os

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""tactile-cdma doctor as its user meets it, on ports that are sound and on ports that are not."""
+"""tactile-cdma doctor from the command line, on sound and on faulty ports."""
 
 from __future__ import annotations
 

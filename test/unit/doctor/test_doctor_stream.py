@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the doctor reads from a stream: each fault is made by changing what is on the line."""
+"""The doctor's findings in a stream; each fault is produced by changing the bytes on the line."""
 
 from __future__ import annotations
 

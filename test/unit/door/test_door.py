@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The public door: live frames, bytes to frames, errors, and the examples of its documents."""
+"""The public interface: live frames, bytes to frames, errors, the examples of its documents."""
 
 from __future__ import annotations
 

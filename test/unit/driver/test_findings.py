@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Findings stand long enough to be read, and no single odd second makes a level flap."""
+"""Findings stay long enough to be read, and one odd second does not change a level."""
 
 from __future__ import annotations
 

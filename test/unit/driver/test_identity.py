@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which digitizer is accepted: ids as people write them, and what the wrong board is sent."""
+"""Which digitizer is accepted: spellings of an id, and what is sent to the wrong board."""
 
 from __future__ import annotations
 

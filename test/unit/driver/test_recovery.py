@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Whatever happened on a line: once it is sound, frames come again by themselves, and are right.
+"""Recovery: after any fault on the line, correct frames resume without intervention.
 
 A session and a pipeline talk to a virtual digitizer over a line of bytes, in virtual time, while
 both ends and all between them misbehave in any order.

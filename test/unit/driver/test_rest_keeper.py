@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tare, drift and calibration over the runs of one skin; the simulated digitizer needs no time."""
+"""Tare, drift and calibration across restarts of one skin, in simulated time."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The conversation with a digitizer: when it is asked again, and what is reported if it fails."""
+"""The conversation with a digitizer: when commands are repeated, what is reported on failure."""
 
 from __future__ import annotations
 

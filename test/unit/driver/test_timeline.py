@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the timeline makes of packets of samples: continuation, loss, restart, reset, nonsense."""
+"""How the timeline classifies packets of samples: continuation, loss, restart, reset, invalid."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a driver measures of itself, and the findings drawn from it."""
+"""A driver's measurements of itself, and the findings drawn from them."""
 
 from __future__ import annotations
 

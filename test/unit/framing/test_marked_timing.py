@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The stream of marked frames, with a recogniser that does as it is told."""
+"""The stream of marked frames, with a scripted recogniser."""
 
 import numpy as np
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The digitizer leaves out only what the decoder would have found silent."""
+"""The digitizer leaves out only frames that the decoder would have found silent."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The analog front end: its resistors obey Kirchhoff, its estimates the code book."""
+"""The analog front end: resistors checked by Kirchhoff's laws, estimates by the code book."""
 
 from __future__ import annotations
 

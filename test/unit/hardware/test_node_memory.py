@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A node's EEPROM: what is written reads back, what a node cannot do is refused by name."""
+"""A node's EEPROM: contents read back as written; settings that a node cannot use are refused."""
 
 from __future__ import annotations
 

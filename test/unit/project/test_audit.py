@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""`make audit`: what it says of this repository, and of what must not be."""
+"""`make audit`: its verdict on this repository, and on requirements that it must refuse."""
 
 from __future__ import annotations
 

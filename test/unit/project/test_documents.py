@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Documents hang together: every link leads somewhere, and the README stays short."""
+"""Documents: every link has a target, and the README stays short."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What `make firmware-tools` says where the RP2040's emulator cannot be had."""
+"""The message of `make firmware-tools` if the RP2040's emulator cannot be installed."""
 
 from __future__ import annotations
 

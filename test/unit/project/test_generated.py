@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What firmware/generate.py writes is up to date, and its --check would tell if it weren't."""
+"""The files that firmware/generate.py writes are up to date, and its --check detects stale ones."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The environment's own tool: what it stamps must not depend on where it is called from."""
+"""tools/setup_env.py: its stamps must not depend on the working directory."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tare: what it takes for zero, when it is refused, and what silent and unheard nodes do."""
+"""Tare: the zero that it sets, when it is refused, and its effect on silent and unheard nodes."""
 
 from dataclasses import replace
 

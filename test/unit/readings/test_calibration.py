@@ -60,7 +60,7 @@ def test_outside_the_range_is_clamped_and_flagged() -> None:
     beyond = CURVE.voltage_v[-1] - 0.01
     assert CURVE.pressure(beyond) == 140e3
     volts = np.array([beyond, CURVE.voltage_v[-1], 3.0], dtype=np.float32)
-    assert Curves.uniform(CURVE, 3).saturated(volts).tolist() == [True, False, False]
+    assert Curves.of([CURVE] * 3).saturated(volts).tolist() == [True, False, False]
     assert CURVE.pressure(3.4) == 0
 
 
@@ -121,7 +121,7 @@ def test_float32_is_fine_enough_for_every_converter(bits: int) -> None:
     scale, curve = AdcScale(bits, 5.0), PressureCurve.two_stage(v0_v=5.0)
     voltage_v = scale.voltage(np.arange(1 << bits))
     exact_pa = curve.pressure(voltage_v)
-    read_pa = Curves.uniform(curve, 1 << bits).pressure(voltage_v.astype(np.float32))
+    read_pa = Curves.of([curve] * (1 << bits)).pressure(voltage_v.astype(np.float32))
     for stage, slope in ((exact_pa < 50e3, 0.033e-3), (exact_pa >= 50e3, 0.0059e-3)):
         error_pa = np.sqrt(np.mean(np.square(read_pa - exact_pa)[stage]))
         assert error_pa < 0.01 * scale.lsb_v / slope / np.sqrt(12)

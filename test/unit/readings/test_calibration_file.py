@@ -95,7 +95,7 @@ def test_integers_are_accepted_as_numbers(path: Path) -> None:
         ("rise_s: 0.085", "rise_s: 0", "rise_s is 0; it must lie within 1e-06…60"),
         ("rise_s: 0.085", "rise_s: soon", "rise_s is 'soon'; it must be a number"),
         ("rise_s: 0.085", "ris_s: 0.085", "unknown key 'ris_s' in dynamics; did you mean 'rise_s'"),
-        ("weights: [0.1, 0.2]", "weights: [0.1, -0.2]", "a number in weights is -0.2"),
+        ("weights: [0.1, 0.2]", "weights: [0.1, -0.2]", "number 2 of weights is -0.2"),
         (
             "weights: [0.1, 0.2]",
             f"weights: {[0.01] * 65}",

@@ -44,9 +44,9 @@ def run(operator: Hysteresis, path_pa: np.ndarray) -> np.ndarray:
 
 @given(any_dynamics(), paths_pa)
 def test_the_inverse_undoes_hysteresis_exactly(dynamics: Dynamics, path_pa: np.ndarray) -> None:
-    apparent_pa = run(Hysteresis.of(dynamics, 3), path_pa)
+    apparent_pa = run(Hysteresis(dynamics, 3), path_pa)
     np.testing.assert_allclose(
-        run(Hysteresis.undoing(dynamics, 3), apparent_pa), path_pa, rtol=1e-8, atol=1e-5
+        run(Hysteresis(dynamics, 3, inverse=True), apparent_pa), path_pa, rtol=1e-8, atol=1e-5
     )
 
 
@@ -54,7 +54,7 @@ def test_the_inverse_undoes_hysteresis_exactly(dynamics: Dynamics, path_pa: np.n
 def test_rising_loads_read_what_the_curve_says_and_falling_ones_no_less(
     dynamics: Dynamics, path_pa: np.ndarray
 ) -> None:
-    apparent_pa = run(Hysteresis.of(dynamics, 3), path_pa)
+    apparent_pa = run(Hysteresis(dynamics, 3), path_pa)
     assert np.all(apparent_pa >= path_pa * (1 - 1e-9) - 1e-6)
     highest = path_pa >= np.maximum.accumulate(path_pa, axis=0)
     np.testing.assert_allclose(apparent_pa[highest], path_pa[highest], rtol=1e-9, atol=1e-6)
@@ -68,15 +68,15 @@ def test_hysteresis_depends_on_turns_but_not_on_time(
     middles_pa = path_pa.copy()
     middles_pa[1:] = (path_pa[1:] + path_pa[:-1]) / 2
     finer = np.stack((middles_pa, path_pa, path_pa), axis=1).reshape(-1, 3)
-    whole = run(Hysteresis.of(dynamics, 3), path_pa)
-    split = run(Hysteresis.of(dynamics, 3), finer)
+    whole = run(Hysteresis(dynamics, 3), path_pa)
+    split = run(Hysteresis(dynamics, 3), finer)
     np.testing.assert_allclose(split[1::3], whole, rtol=1e-9, atol=1e-6)
     assert np.array_equal(split[2::3], split[1::3])
 
 
 def test_loops_open_with_the_load() -> None:
     """The gap after a full turn is (P + scale)·(e^Σw·width − 1), proportional to the load."""
-    hysteresis = Hysteresis.of(PAPER_DYNAMICS, 3)
+    hysteresis = Hysteresis(PAPER_DYNAMICS, 3)
     loads_pa = np.array([20e3, 40e3, 60e3])
     hysteresis.update(3 * loads_pa)
     opened = math.exp(np.dot(PAPER_DYNAMICS.widths, PAPER_DYNAMICS.weights)) - 1
@@ -103,7 +103,7 @@ def test_the_lag_is_the_same_in_steps_of_any_size(
 
 
 def test_the_lag_is_an_exponential_of_either_kind() -> None:
-    lag = Lag.of(PAPER_DYNAMICS)
+    lag = Lag(PAPER_DYNAMICS.rise_s, PAPER_DYNAMICS.fall_s)
     assert np.all(lag.update(np.zeros(3), 0.0) == 0)
     assert lag.update(np.full(3, 1e3), PAPER_DYNAMICS.rise_s) == pytest.approx(
         1e3 * (1 - math.exp(-1))
@@ -145,7 +145,7 @@ def compensated(
 
 
 def distorted(dynamics: Dynamics, path_pa: np.ndarray, step_s: float) -> np.ndarray:
-    lag, hysteresis = Lag.of(dynamics), Hysteresis.of(dynamics, path_pa.shape[1])
+    lag, hysteresis = Lag(dynamics.rise_s, dynamics.fall_s), Hysteresis(dynamics, path_pa.shape[1])
     return np.array([hysteresis.update(lag.update(row, step_s)) for row in path_pa])
 
 

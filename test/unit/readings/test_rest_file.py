@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The file of tare and drift: what is written is read, what is no such file is refused."""
+"""The file of tare and drift: written content is read back; other files are refused."""
 
 import os
 import stat
@@ -149,19 +149,19 @@ GOOD = {
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ({"schema": "something/else"}, "its schema is not tactile_cdma/rest"),
-        ({"version": 2}, "its version is not 1"),
-        ({"version": None}, "its version is not 1"),
+        ({"schema": "something/else"}, "it must be 'tactile_cdma/rest'"),
+        ({"version": 2}, "version is 2; this program reads version 1"),
+        ({"version": None}, "version is empty; it must be a whole number"),
         ({"nodes": "x"}, "line 4: nodes is 'x'; it must be a whole number"),
         ({"nodes": True}, "nodes is 'true'"),
         ({"skin": [5]}, "skin is a list; it must be text"),
-        ({"rest_v": [1.0]}, "rest_v must hold a number for each of 2 nodes"),
+        ({"rest_v": [1.0]}, "rest_v has 1 entries; it must have 2"),
         ({"rest_v": "12"}, "rest_v is '12'; it must be a list"),
-        ({"rest_v": [1.0, "x"]}, "rest_v of node 2 is 'x'"),
-        ({"rest_v": [True, 1.0]}, "rest_v of node 1 is 'true'"),
-        ({"rest_v": [1.0, float("nan")]}, "rest_v of node 2 is .nan"),
-        ({"rest_v": [10**400, 1.0]}, "rest_v of node 1 is"),
-        ({"drift_v": [0.0, 101.0]}, "drift_v of node 2 is 101; it must lie within -100…100 V"),
+        ({"rest_v": [1.0, "x"]}, "number 2 of rest_v is 'x'"),
+        ({"rest_v": [True, 1.0]}, "number 1 of rest_v is 'true'"),
+        ({"rest_v": [1.0, float("nan")]}, "number 2 of rest_v is .nan"),
+        ({"rest_v": [10**400, 1.0]}, "number 1 of rest_v is"),
+        ({"drift_v": [0.0, 101.0]}, "number 2 of drift_v is 101; it must lie within -100…100 V"),
     ],
 )
 def test_damaged_content_is_refused_with_the_file_and_the_cause(

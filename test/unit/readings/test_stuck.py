@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Nodes whose value does not change while those around them do."""
+"""Nodes whose value does not change while their neighbours' values do."""
 
 from __future__ import annotations
 

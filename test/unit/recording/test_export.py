@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Recordings exported: what other programs load is what the decoder found."""
+"""Exported recordings: other programs load the values that the decoder found."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The container: whatever happens to a file, it gives what was written, and losses count."""
+"""The recording container: from a damaged file, intact data is read and losses are counted."""
 
 from __future__ import annotations
 

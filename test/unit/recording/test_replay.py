@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Recordings replayed as ports: the same decoder makes the same of them at every speed."""
+"""Recordings replayed as ports give the same frames at every speed."""
 
 from __future__ import annotations
 

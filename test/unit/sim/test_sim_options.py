@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The simulator's URL: what it accepts, refuses, and makes of a host's wishes."""
+"""The simulator's URL: accepted and refused options, and how CONFIGURE changes them."""
 
 import re
 from pathlib import Path

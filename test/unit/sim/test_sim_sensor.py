@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The simulated sensor: the paper's figures, and everything that is wrong with real ones."""
+"""The simulated sensor: the paper's figures, and the imperfections of real sensors."""
 
 from itertools import islice
 from pathlib import Path

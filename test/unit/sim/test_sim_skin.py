@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Scenes and sensing nodes: who is pressed, and who talks when."""
+"""Scenes and sensing nodes: which taxels are pressed, and which nodes transmit when."""
 
 from itertools import islice
 

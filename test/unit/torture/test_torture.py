@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What finds the driver's faults must find them: the oracle and the sums of `make torture`."""
+"""The oracle and the sums of `make torture` detect planted defects."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The campaign on the firmware: it passes on what is sound, and finds what is not."""
+"""The campaign on the firmware passes sound firmware and finds planted defects."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The campaign that unplugs, resets and stalls: a slice of it, and whether it finds defects."""
+"""A short run of the campaign of unplugging, resets and stalls; the defects it must find."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The accelerated day: a slice of it is good, and what it looks for is found."""
+"""A short run of the accelerated day, and the defects that it must find."""
 
 from __future__ import annotations
 

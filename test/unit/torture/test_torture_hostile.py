@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A slice of the campaign against hostile bytes; and what it must find, it finds."""
+"""A short run of the campaign with hostile bytes, and the defects that it must find."""
 
 from __future__ import annotations
 

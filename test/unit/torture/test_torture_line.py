@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The campaign "line": what does harm, what keeps account of it, what finds a driver's faults."""
+"""The campaign "line": its corruption, its account of the damage, and the defects it must find."""
 
 from __future__ import annotations
 

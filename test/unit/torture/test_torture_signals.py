@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What finds broken nodes and lines must find what the driver makes wrong of them."""
+"""The campaign on broken nodes and lines must find wrong results of the driver."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""How sure a word is, and what many of them say of their node."""
+"""Doubt about single words, and the health of a node from many words."""
 
 from dataclasses import replace
 

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The fields of our messages, for the two libraries that make them: rclpy and rosbags."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config.skin_config import SkinConfig
+from ..driver.pipeline import TactileFrame
+from ..places.layout import Layout
+
+AsField = Callable[[NDArray[np.generic]], Any]
+"""Converts an array to what the library's messages hold."""
+
+
+def array_fields(
+    frame: TactileFrame, layout: Layout, info_id: int, as_field: AsField, with_voltage: bool
+) -> dict[str, Any]:
+    """The fields of TactileArray for one frame, but for the header."""
+    readings = frame.readings
+    return {
+        "sequence": frame.sequence,
+        "device_time_us": max(0, round(frame.t_middle * 1e6)),
+        "info_id": info_id,
+        "height": layout.rows,
+        "width": layout.columns,
+        "pressure": as_field(readings.pressure_pa),
+        "voltage": as_field(readings.voltage_v if with_voltage else readings.voltage_v[:0]),
+        "status": as_field(readings.status),
+        "noise_rms": frame.words.noise_rms_v,
+    }
+
+
+def info_fields(
+    config: SkinConfig, info_id: int, as_field: AsField, point: Callable[..., Any]
+) -> dict[str, Any]:
+    """The fields of TactileSkinInfo, but for the header, tare and drift. point: makes a Point32."""
+    spec, layout = config.spec, config.layout
+    code_rows = np.append(spec.rows, 0)  # 0 for a taxel without a node
+    return {
+        "info_id": info_id,
+        "nodes": spec.nodes,
+        "height": layout.rows,
+        "width": layout.columns,
+        "positions": [point(x=x, y=y, z=z) for x, y, z in layout.positions_m.tolist()],
+        "normals": [point(x=x, y=y, z=z) for x, y, z in layout.normals.tolist()],
+        "area": as_field(layout.areas_m2.astype(np.float32)),
+        "node": as_field(layout.nodes.astype(np.uint16)),
+        "code_row": as_field(code_rows[layout.nodes - 1].astype(np.uint32)),
+        "code_order": spec.order,
+        "bits": spec.bits,
+        "frame_period": spec.frame_period_s,
+        "pressure_min": 0.0,
+        "pressure_max": float(config.calibration.curves.range_pa.max()),
+        "calibration_id": config.calibration.identity,
+    }
