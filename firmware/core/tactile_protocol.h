@@ -55,7 +55,7 @@
 enum tp_sync_mode {
     TP_SYNC_MODE_NONE = 0, /* there is none; the host finds frames in the waveform */
     TP_SYNC_MODE_DRIVE = 1, /* the digitizer drives the sync line */
-    TP_SYNC_MODE_HEAR = 2, /* the digitizer hears a sync line that something else drives */
+    TP_SYNC_MODE_HEAR = 2, /* the digitizer hears a sync line that another device drives */
 };
 
 /* Levels of a chip on the line. */
@@ -95,13 +95,13 @@ struct __attribute__((packed)) tp_frame_layout {
     uint8_t bits; /* word length */
     uint32_t order; /* chips per bit */
     uint32_t chip_ns; /* ns: nominal chip duration */
-    uint32_t frame_period_us; /* µs: from one frame's first chip to the next one's */
+    uint32_t frame_period_us; /* µs: from the first chip of a frame to that of the next */
     uint16_t first_row; /* code row of the first node */
     uint32_t sign_seed; /* seed of the row signs */
     uint8_t natural_signs; /* 1: all rows have sign +1, the seed is ignored */
     uint8_t drive; /* levels of a chip */
     int8_t polarity; /* sense of the amplifier */
-    uint16_t samples_per_chip; /* samples per chip; if integrated, the least number averaged into one word */
+    uint16_t samples_per_chip; /* samples per chip; if integrated, the minimum number averaged into one word */
     uint8_t parity; /* 1: every word is followed by a bit that makes its ones even */
     uint16_t resync_chips; /* chips between restarts of the nodes at a sync edge; 0: restart at the frame's first chip only */
     uint8_t guard_chips; /* pause before each such restart, in chips */
@@ -134,7 +134,7 @@ struct __attribute__((packed)) tp_node_record {
     uint8_t parity; /* 1: every word is followed by a bit that makes its ones even */
     uint16_t order; /* chips per bit */
     uint32_t chip_ns; /* ns: nominal chip duration */
-    uint32_t frame_period_us; /* µs: from one frame's first chip to the next one's */
+    uint32_t frame_period_us; /* µs: from the first chip of a frame to that of the next */
     uint16_t resync_chips; /* chips between restarts at a sync edge; 0: never */
     uint8_t guard_chips; /* pause before each such restart, in chips */
     uint8_t discipline; /* 1: chip times follow the period of the sync edges */
@@ -279,7 +279,7 @@ struct __attribute__((packed)) tp_configure {
     struct tp_frame_layout frame; /* layout of the frame */
     uint8_t sync_mode; /* source of the frame marks */
     uint8_t integrated; /* 0: raw samples, 1: one mean value per chip */
-    uint32_t quiet_uv; /* µV: largest difference of two samples within what is sent as QUIET; 0: never send it */
+    uint32_t quiet_uv; /* µV: largest difference between samples that are sent as QUIET; 0: never send it */
 };
 TP_ASSERT_AT(tp_configure, frame, 0);
 TP_ASSERT_AT(tp_configure, sync_mode, 30);

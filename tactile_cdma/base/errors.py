@@ -76,3 +76,10 @@ class RestError(TactileError):
 
 class TransformError(TactileError, LookupError):
     """Coordinate frames that are not connected, or that form a cycle."""
+
+
+def check_limits(name: str, value: float, low: float, high: float, cause: str = "") -> None:
+    """Raises SpecError, naming value, limits and cause, for a value beyond the limits, or NaN."""
+    if not low <= value <= high:
+        limits = f"{low:.10g}…{high:.10g}" + (f": {cause}" if cause else "")
+        raise SpecError(f"{name} is {value:.10g}; it must lie within {limits}")

@@ -52,11 +52,11 @@ def expanded(text: str) -> Path:
 
 
 @contextmanager
-def naming(path: Path, kind: type[TactileError]) -> Iterator[None]:
-    """Turn an OSError into `kind`, with the file's name before the reason."""
+def naming(path: Path, kind: type[TactileError], failure: str = "") -> Iterator[None]:
+    """Turn an OSError into `kind`: the file's name, what has failed, the reason."""
     try:
         yield
     except TactileError:  # a PortError is an OSError as well
         raise
     except OSError as error:
-        raise kind(f"{path}: {error.strerror}") from None
+        raise kind(": ".join(filter(None, (str(path), failure, error.strerror)))) from None

@@ -9,7 +9,6 @@ import math
 import sys
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
@@ -52,11 +51,9 @@ MISLED_S = 0.3
 the time constant of the paper's sensor."""
 
 
-def add_to(commands: Any) -> None:
-    """Add the command to those of the program (what argparse's add_subparsers returns)."""
-    parser = commands.add_parser(
-        "calibrate", help="fit the nodes' curves to known loads", description=__doc__
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the subcommand."""
+    parser.description = __doc__
     file: dict[str, Any] = {"type": Path, "metavar": "FILE"}
     parser.add_argument(
         "loads",
@@ -103,14 +100,14 @@ def add_to(commands: Any) -> None:
     )
     live.add_argument("--append", action="store_true", help="add to an existing file of points")
     add_skin_options(parser, "as described by the capture, else the driver's")
-    parser.set_defaults(run=partial(_run, parser))
 
 
-def _run(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
+    """Fit, take loads, or seal a file; returns the exit code."""
     if arguments.seal:
         print(f"identity={seal_calibration(arguments.seal)}")
         return 0
-    _check_options(parser, arguments)
+    _check_options(arguments)
     loads = _checked_files(arguments)
     values = given(arguments) | NODE_ORDER
     if arguments.skin is not None:
@@ -211,11 +208,12 @@ def _check_writable(path: Path, force: bool, *others: Path | None) -> None:
         raise CalibrationError(f"{path}: there is no such folder")
 
 
-def _check_options(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
+def _check_options(arguments: argparse.Namespace) -> None:
     """Raise CalibrationError for options that are missing or do not go with each other."""
 
     def changed(names: Iterable[str]) -> list[str]:
-        return [name for name in names if getattr(arguments, name) != parser.get_default(name)]
+        default = arguments.parser.get_default
+        return [name for name in names if getattr(arguments, name) != default(name)]
 
     if arguments.output is None:
         raise CalibrationError("-o is missing: the calibration file to write")

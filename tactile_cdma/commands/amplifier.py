@@ -36,9 +36,8 @@ SCENE_STEP_S = 0.37
 """s; chosen, so that FRAMES of them span a period of most scenes."""
 
 
-def add_to(commands: Any) -> None:
-    """Add the subcommand to the command line."""
-    parser = commands.add_parser("amplifier", help="choose the parts between nodes and digitizer")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the subcommand."""
     parser.add_argument("--json", action="store_true", help="as one JSON object")
     for name, kind, default, text in (
         ("--supply", float, 3.3, "supply of nodes and amplifier [V] (3.3)"),
@@ -48,7 +47,6 @@ def add_to(commands: Any) -> None:
     ):
         parser.add_argument(name, type=kind, default=default, help=text)
     add_skin_options(parser, "the driver's; the frame period has no effect")
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -9,19 +9,29 @@ import io
 import signal
 import sys
 from collections.abc import Sequence
+from types import ModuleType
 
 from .. import __version__
 from ..base.errors import TactileError
 from ..calibrating import command as calibrate
 from ..doctor import command as doctor
-from ..sim import sensor_report
 from . import amplifier, decode, export, info, layout, node, ports, record, simulate
 
-SUBCOMMANDS = (
-    *(decode, record, info, export, simulate, node, amplifier),
-    *(ports, doctor, layout, calibrate, sensor_report),
-)
-"""Each has add_to(commands), which adds its parser, and run(arguments), its work."""
+SUBCOMMANDS: dict[str, tuple[ModuleType, str]] = {
+    "decode": (decode, "decode a recording or an oscilloscope capture"),
+    "record": (record, "write the bytes of a port to a file"),
+    "info": (info, "describe a recording and check that it is intact"),
+    "export": (export, "write a recording's frames as NPZ, CSV or a rosbag2 folder"),
+    "simulate": (simulate, "run a virtual digitizer behind a real tty"),
+    "node": (node, "write or read the EEPROM contents of sensing nodes"),
+    "amplifier": (amplifier, "choose the parts between nodes and digitizer"),
+    "ports": (ports, "list serial ports and the digitizers on them"),
+    "doctor": (doctor, "check this installation or a port, and report problems"),
+    "layout": (layout, "check a layout file and draw it with node numbers"),
+    "calibrate": (calibrate, "fit the nodes' curves to known loads"),
+}
+"""Subcommands: module and help text. A module has add_arguments(parser), and run(arguments), which
+returns the exit code."""
 INTERRUPTED = 128 + signal.SIGINT
 """The exit code that shells know."""
 
@@ -33,8 +43,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="tactile-cdma", description=__doc__)
     parser.add_argument("--version", action="version", version=__version__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for subcommand in SUBCOMMANDS:
-        subcommand.add_to(commands)
+    for name, (module, text) in SUBCOMMANDS.items():
+        subcommand = commands.add_parser(name, help=text)
+        subcommand.set_defaults(run=module.run, parser=subcommand)
+        module.add_arguments(subcommand)
     arguments = parser.parse_args(argv)
     try:
         code: int = arguments.run(arguments)

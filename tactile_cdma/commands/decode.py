@@ -23,14 +23,12 @@ from ..recording.offline import RawCapture, decode_scope
 from ..words.decode import Words
 
 
-def add_to(commands: Any) -> None:
-    """Add the subcommand to the command line."""
-    parser = commands.add_parser("decode", help="decode a recording or an oscilloscope capture")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the subcommand."""
     text = "recording, raw bytes of a port, or CSV of time in s and voltage in V"
     parser.add_argument("file", type=Path, help=text)
     parser.add_argument("--json", action="store_true", help="one JSON object per frame")
     add_skin_options(parser)
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

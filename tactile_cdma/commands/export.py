@@ -9,7 +9,6 @@ import sys
 from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
-from typing import Any
 
 from .. import __version__
 from ..base.errors import CaptureError
@@ -23,11 +22,8 @@ from ..recording.offline import RawCapture
 from ..recording.recording_file import is_recording
 
 
-def add_to(commands: Any) -> None:
-    """Add the subcommand to the command line."""
-    parser = commands.add_parser(
-        "export", help="write a recording's frames as NPZ, CSV or a rosbag2 folder"
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the subcommand."""
     parser.add_argument("file", type=Path, help="recording, or raw bytes of a port")
     parser.add_argument(
         "-o",
@@ -42,7 +38,6 @@ def add_to(commands: Any) -> None:
     )
     parser.add_argument("--force", action="store_true", help="overwrite existing files")
     add_skin_options(parser)
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -7,7 +7,6 @@ from __future__ import annotations
 import argparse
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 from ..base.errors import CaptureError, TactileError
 from ..base.plain_text import plain
@@ -18,12 +17,10 @@ from ..recording.offline import RawCapture
 from ..recording.recording_file import describe, is_recording, survey
 
 
-def add_to(commands: Any) -> None:
-    """Add the subcommand to the command line."""
-    parser = commands.add_parser("info", help="describe a recording and check that it is intact")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the subcommand."""
     parser.add_argument("file", type=Path, help="recording")
     add_skin_options(parser)
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,9 +19,8 @@ from ..places.layout_nodes import Wiring
 from .layout_picture import draw_layout
 
 
-def add_to(commands: Any) -> None:
-    """Add the subcommand to the command line."""
-    parser = commands.add_parser("layout", help="check a layout file and draw it with node numbers")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the subcommand."""
     parser.add_argument("file", type=Path, help="layout file")
     parser.add_argument("--png", type=Path, metavar="OUT", help="also write a picture")
     parser.add_argument(
@@ -31,7 +29,6 @@ def add_to(commands: Any) -> None:
         metavar="FILE",
         help="ROS 2 parameter file of the skin, to check the layout against",
     )
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

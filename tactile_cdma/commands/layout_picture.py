@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..base.errors import LayoutError
+from ..base.named_file import naming
 from ..places.layout import Layout
 
 _INCHES_PER_PITCH = 0.6
@@ -59,10 +60,8 @@ def draw_layout(layout: Layout, path: Path, first_row: int) -> None:
     heading = f"{layout.name}, {layout.pitch_m * 1e3:.3g} mm pitch, seen from outside"
     numbers = "taxel, n: node, r: code row" if labelled else "too many taxels for numbers"
     figure.text(0.1 / width, 1 - 0.1 / height, f"{heading}\n{numbers}", va="top")
-    try:
+    with naming(path, LayoutError):
         figure.savefig(path, format="png", metadata={"Software": None})
-    except OSError as error:
-        raise LayoutError(f"{path}: {error.strerror}") from None
 
 
 def _colours(layout: Layout) -> Any:

@@ -8,7 +8,6 @@ import argparse
 import shlex
 import sys
 from pathlib import Path
-from typing import Any
 
 from ..base.errors import SpecError
 from ..config.arguments import add_skin_options, given
@@ -20,9 +19,8 @@ ALL = "all"
 """Instead of a node's number."""
 
 
-def add_to(commands: Any) -> None:
-    """Add the subcommand to the command line."""
-    parser = commands.add_parser("node", help="write or read the EEPROM contents of sensing nodes")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the subcommand."""
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--node", type=_node_number, metavar="NUMBER", help="1, 2, … or all")
     what.add_argument("--read", type=Path, metavar="FILE", help="print the contents of such a file")
@@ -55,7 +53,6 @@ def add_to(commands: Any) -> None:
         "--programmer", metavar="NAME", help="also write it to the node by avrdude: usbasp, …"
     )
     add_skin_options(parser, "the driver's")
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -33,20 +33,17 @@ class Answer:
     reason: str = ""
 
 
-def add_to(commands: Any) -> None:
-    """Add the subcommand to the command line."""
-    parser = commands.add_parser(
-        "ports",
-        help="list serial ports and the digitizers on them",
-        description="Lists serial ports and the digitizers on them. Ports are opened and listened "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the subcommand."""
+    parser.description = (
+        "Lists serial ports and the digitizers on them. Ports are opened and listened "
         "to; nothing is sent to a device that does not speak our protocol, and a port that another "
-        "program has open is left alone. Boards that reset when their port is opened will reset.",
+        "program has open is left alone. Boards that reset when their port is opened will reset."
     )
     parser.add_argument("port", nargs="*", help="device paths or pyserial URLs (all serial ports)")
     parser.add_argument("--list", action="store_true", help="list the ports without opening them")
     parser.add_argument("--baud", type=int, default=BY_NAME["baud"].default)
     parser.add_argument("--json", action="store_true", help="as a JSON array")
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

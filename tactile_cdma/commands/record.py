@@ -9,7 +9,6 @@ import sys
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 from ..base.errors import CaptureError, PortError
 from ..base.interrupt import stop_event
@@ -25,16 +24,14 @@ from ..wire.packets import PacketParser, diagnose
 from ..wire.port import Port
 
 
-def add_to(commands: Any) -> None:
-    """Add the subcommand to the command line."""
-    parser = commands.add_parser("record", help="write the bytes of a port to a file")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the subcommand."""
     parser.add_argument("port", help="pyserial URL: /dev/ttyACM0, sim://?scene=press, …")
     parser.add_argument("file", type=Path, help="recording, usually named *.skin")
     parser.add_argument("--seconds", type=positive, help="duration [s] (until Ctrl-C)")
     parser.add_argument("--baud", type=int, default=BY_NAME["baud"].default)
     parser.add_argument("--force", action="store_true", help="overwrite an existing file")
     add_skin_options(parser)
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from ..base.interrupt import stop_event
 from ..config.arguments import positive
@@ -16,15 +15,13 @@ from ..sim.options import SimOptions
 from ..sim.pty import serve
 
 
-def add_to(commands: Any) -> None:
-    """Add the subcommand to the command line."""
-    parser = commands.add_parser("simulate", help="run a virtual digitizer behind a real tty")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the subcommand."""
     parser.add_argument("--pty", action="store_true", required=True, help="serve on a pty")
     parser.add_argument("--link", type=Path, help="also create a symbolic link to the tty")
     parser.add_argument("--seconds", type=positive, help="duration [s] (until Ctrl-C)")
     text = "port with options: 'sim://?scene=press&seed=1'"
     parser.add_argument("url", nargs="?", default=SIMULATION, help=text)
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -14,6 +14,7 @@ import reprlib
 from array import array
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +73,14 @@ class Parameter:
             )
         assert isinstance(value, bool | int | float | str | tuple)
         if isinstance(value, tuple):
-            return self._check_elements(value)
+            assert isinstance(self.default, tuple)
+            if len(value) != len(self.default):
+                raise ParameterError(
+                    f"{self.name} is {_shown(value)}; it must be {len(self.default)} numbers"
+                )
+            element = partial(replace, self, default=0.0)
+            checked: Any = [element(name=f"{self.name}[{i}]").check(v) for i, v in enumerate(value)]
+            return tuple(checked)
         if self.choices and value not in self.choices:
             raise ParameterError(
                 f"{self.name} is {_shown(value)}; it must be one of "
@@ -86,18 +94,6 @@ class Parameter:
                     f"{self.name} is {value:g}{unit}; it must lie within {low:g}…{high:g}{unit}"
                 )
         return value
-
-    def _check_elements(self, values: tuple[object, ...]) -> tuple[float, ...]:
-        assert isinstance(self.default, tuple)
-        if len(values) != len(self.default):
-            raise ParameterError(
-                f"{self.name} is {_shown(list(values))}; it must be {len(self.default)} numbers"
-            )
-        elements: Any = [
-            replace(self, name=f"{self.name}[{i}]", default=0.0).check(value)
-            for i, value in enumerate(values)
-        ]
-        return tuple(elements)
 
 
 _KIND_NAMES = {

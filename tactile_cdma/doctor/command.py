@@ -9,7 +9,6 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from .installation import installation
 from .report import Check, exit_code, line, problem, summary
@@ -23,23 +22,16 @@ MOST_SECONDS = 600.0
 """Longest examination, s; chosen, its bytes are held in memory."""
 
 
-def add_to(commands: Any) -> None:
-    """Add the subcommand to the command line."""
-    parser = commands.add_parser(
-        "doctor", help="check this installation or a port, and report problems", description=TEXT
-    )
-    _add_arguments(parser)
-    parser.set_defaults(run=run)
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """The doctor by itself; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m tactile_cdma.doctor", description=TEXT)
-    _add_arguments(parser)
+    parser = argparse.ArgumentParser(prog="python -m tactile_cdma.doctor")
+    add_arguments(parser)
     return run(parser.parse_args(argv))
 
 
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the subcommand."""
+    parser.description = TEXT
     parser.add_argument(
         "port",
         nargs="?",

@@ -10,7 +10,6 @@ import os
 import platform
 import pwd
 import re
-import resource
 import shutil
 import subprocess
 import sys
@@ -32,8 +31,6 @@ PORTS = "fast*_port*[0-9]"
 """Names of the segments in which Fast DDS receives messages, one per DDS port."""
 UNFINISHED_S = 2.0
 """Age, s, at which a segment should have its size: it gets it microseconds after its name."""
-LEAST_FILES = 256
-"""Open files per process. Chosen: a driver with its DDS takes about 40."""
 ROS_TIMEOUT_S = 60.0
 """For the checks of ROS 2, s; chosen, several times what they take on a slow computer."""
 
@@ -47,7 +44,6 @@ def installation() -> Iterator[Check]:
     yield from udev_rule(root)
     yield from modem_manager(root)
     yield from shared_memory(root / "dev/shm")
-    yield from open_files()
     yield from clock()
     yield from ros()
 
@@ -209,15 +205,6 @@ def _is_unfinished(path: Path) -> bool:
     except OSError:  # removed just now
         return False
     return seen.st_size == 0 and time.time() - seen.st_mtime > UNFINISHED_S
-
-
-def open_files() -> Iterator[Check]:
-    """The limit of open files of a process."""
-    limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if 0 <= limit < LEAST_FILES:
-        yield warning("open files", f"at most {limit} in a process: ulimit -n 1024")
-    else:
-        yield ok("open files", f"at most {limit} in a process" if limit >= 0 else "no limit")
 
 
 def clock() -> Iterator[Check]:

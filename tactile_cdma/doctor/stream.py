@@ -185,8 +185,8 @@ def _amplitude(measured_v: float, config: SkinConfig) -> Iterator[Check]:
     if expected_v is None:
         return
     stated_mv = (config.spec.amplitude_v or 0.0) * 1e3
-    looks_mv = stated_mv * measured_v / expected_v
     ratio = measured_v / expected_v
+    looks_mv = stated_mv * ratio
     if abs(ratio - 1) <= OTHER_AMPLITUDE:
         yield ok("amplitude_mv", f"{stated_mv:g}, measured {looks_mv:.0f}")
         return

@@ -53,15 +53,10 @@ class LevelDecoder:
         if place.step is not Step.CONTINUES:
             self.timing.reset()
         info, packet = self._info, place.packet
+        marks = packet.sync, packet.called
         if isinstance(packet, Samples):
             volts = info.volts(packet.counts)
-            return self.timing.feed(SampleBlock(place.index, volts, packet.sync, packet.called))
-        block = QuietBlock(
-            place.index,
-            packet.count,
-            (packet.mean - info.zero_count) * info.volts_per_count,
-            packet.variance * info.volts_per_count**2,
-            packet.sync,
-            packet.called,
-        )
-        return self.timing.quiet(block)
+            return self.timing.feed(SampleBlock(place.index, volts, *marks))
+        mean_v = (packet.mean - info.zero_count) * info.volts_per_count
+        variance_v2 = packet.variance * info.volts_per_count**2
+        return self.timing.quiet(QuietBlock(place.index, packet.count, mean_v, variance_v2, *marks))

@@ -197,10 +197,7 @@ class RestKeeper:
     def _read(self) -> None:
         config = self.config
         self._kept = self._store.read(
-            config.skin,
-            self._simulated,
-            config.spec.nodes,
-            config.calibration.curves.checksum,
+            config.skin, self._simulated, config.spec.nodes, config.calibration.curves.checksum
         )
         self.tared = self._kept.tared if self._kept else ""
 

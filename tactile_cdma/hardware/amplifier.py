@@ -25,7 +25,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ..base.errors import SpecError
+from ..base.errors import SpecError, check_limits
 from ..code.frame import BIPOLAR, DEFAULT_AMPLITUDE_V, FrameSpec
 
 CREST = 5.5
@@ -157,10 +157,10 @@ def design(
 
     Raises SpecError, naming value, limit and cause.
     """
-    _check("supply_v", supply_v, 1.8, 5.5, "what nodes and amplifiers of this kind stand")
-    _check("adc_volts", adc_volts, 0.1, 10.0, "what converters have")
-    _check("adc_bits", adc_bits, 4, 24, "what converters have")
-    _check("active", active, 1e-6, 1.0, "it is a share of the nodes")
+    check_limits("supply_v", supply_v, 1.8, 5.5, "what nodes and amplifiers of this kind stand")
+    check_limits("adc_volts", adc_volts, 0.1, 10.0, "what converters have")
+    check_limits("adc_bits", adc_bits, 4, 24, "what converters have")
+    check_limits("active", active, 1e-6, 1.0, "it is a share of the nodes")
     if spec.drive != BIPOLAR:
         raise SpecError(f"drive is {spec.drive!r}, but nodes that rest at mid-supply are {BIPOLAR}")
     rest_v = supply_v / 2
@@ -241,8 +241,3 @@ def _above(value: float) -> float:
 def _decade(value: float) -> float:
     """Factor to the two digits of a series, for values about this one."""
     return float(10.0 ** (math.floor(math.log10(value * EXACT)) - 1))
-
-
-def _check(name: str, value: float, low: float, high: float, cause: str) -> None:
-    if not low <= value <= high:
-        raise SpecError(f"{name} is {value:g}; it must lie within {low:g}…{high:g}: {cause}")

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.errors import NodeMemoryError, SpecError
+from ..base.errors import NodeMemoryError, SpecError, check_limits
 from ..code.frame import FrameSpec
 from ..config.parameters import LINE
 from ..wire._protocol import FIELDS, NODE_LEARN_REST, NODE_MAGIC, NODE_VERSION, Polarity
@@ -105,23 +105,21 @@ def node_memory(
     """
     if mcu not in MCUS:
         raise SpecError(f"mcu is {mcu!r}; it must be one of {', '.join(MCUS)}")
-    _check("node", node, 1, spec.nodes, "nodes are counted from 1")
-    _check("threshold", threshold, 0, 2**spec.bits - 1, f"codes have {spec.bits} bits")
+    check_limits("node", node, 1, spec.nodes, "nodes are counted from 1")
+    check_limits("threshold", threshold, 0, 2**spec.bits - 1, f"codes have {spec.bits} bits")
     if heartbeat is None:
         heartbeat = usual_heartbeat(spec.frame_period_s)
-    _check("heartbeat", heartbeat, *_limits("heartbeat"), "a node counts frames in 16 bits")
+    check_limits("heartbeat", heartbeat, *_limits("heartbeat"), "a node counts frames in 16 bits")
     if rest is not None:
-        _check("rest", rest, 0, 2**spec.bits - 1, f"codes have {spec.bits} bits")
-    _check("bits", spec.bits, *_limits("bits"), "a node's converter has 10 bits")
-    _check("order", spec.order, 1, MCUS[mcu].order, f"the {mcu} holds no longer code row")
+        check_limits("rest", rest, 0, 2**spec.bits - 1, f"codes have {spec.bits} bits")
+    check_limits("bits", spec.bits, *_limits("bits"), "a node's converter has 10 bits")
+    check_limits("order", spec.order, 1, MCUS[mcu].order, f"the {mcu} holds no longer code row")
     layout = FrameLayout.of(spec, samples_per_chip=1)  # whole nanoseconds and microseconds
     longest = _limits("chip_ns")[1]
-    _check("chip_ns", layout.chip_ns, MCUS[mcu].chip_ns, longest, f"the {mcu} runs at 8 MHz")
-    _check(
-        "frame_period_us",
-        layout.frame_period_us,
-        *_limits("frame_period_us"),
-        "a node times the sync edges",
+    check_limits("chip_ns", layout.chip_ns, MCUS[mcu].chip_ns, longest, f"the {mcu} runs at 8 MHz")
+    period_us = layout.frame_period_us
+    check_limits(
+        "frame_period_us", period_us, *_limits("frame_period_us"), "a node times the sync edges"
     )
     gap_s = spec.frame_period_s - spec.frame_s
     if gap_s < MEASURING_S * (1 - 1e-9):  # rounding of the difference
@@ -239,8 +237,3 @@ def _limits(name: str) -> tuple[int, int]:
     allowed = next(field.allowed for field in FIELDS["NodeRecord"] if field.name == name)
     assert isinstance(allowed, range), "only integers are asked for"
     return allowed[0], allowed[-1]
-
-
-def _check(name: str, value: int, low: int, high: int, cause: str) -> None:
-    if not low <= value <= high:
-        raise SpecError(f"{name} is {value}; it must lie within {low}…{high}: {cause}")

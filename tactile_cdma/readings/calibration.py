@@ -8,6 +8,7 @@ import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -174,9 +175,8 @@ class Curves:
         """Pa to V, (n,) float64, clamped to each curve's ends."""
         pressure = np.broadcast_to(np.asarray(pressure_pa, dtype=np.float64), (len(self),))
         result = np.array(self.voltage_v[0])
-        for low_pa, high_pa, low_v, high_v in zip(
-            self.pressure_pa, self.pressure_pa[1:], self.voltage_v, self.voltage_v[1:], strict=False
-        ):
+        corners = zip(self.pressure_pa, self.voltage_v, strict=True)
+        for (low_pa, low_v), (high_pa, high_v) in pairwise(corners):
             width_pa = np.where(high_pa > low_pa, high_pa - low_pa, 1.0)
             result += np.clip((pressure - low_pa) / width_pa, 0.0, 1.0) * (high_v - low_v)
         return result

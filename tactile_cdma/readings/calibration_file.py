@@ -19,6 +19,7 @@ import yaml
 from ..base.errors import CalibrationError, SpecError
 from ..base.listing import listed
 from ..base.marked_yaml import Mapping, Marked, read_marked
+from ..base.named_file import naming
 from ..base.whole_file import replace_file
 from .calibration import AdcScale, Calibration, PressureCurve
 from .dynamics import LIMITS, MOST_WIDTH, Dynamics
@@ -77,14 +78,17 @@ class CalibrationContent:
         return [node for node in range(1, self.nodes + 1) if node not in self.curves]
 
     @property
+    def made_for(self) -> dict[str, str | int | float]:
+        """What a skin must agree with, by key of the file."""
+        bits, vref_v = self.adc.bits, self.adc.vref_v
+        return {"skin": self.skin, "nodes": self.nodes, "bits": bits, "vref_v": vref_v}
+
+    @property
     def identity(self) -> str:
         """Twelve digits of the SHA-256 of everything that determines readings."""
         canonical = json.dumps(
             {
-                "skin": self.skin,
-                "nodes": self.nodes,
-                "bits": self.adc.bits,
-                "vref_v": self.adc.vref_v,
+                **self.made_for,
                 "curves": {
                     str(node): [curve.pressure_pa, curve.voltage_v]
                     for node, curve in self.curves.items()
@@ -118,12 +122,8 @@ def read_content(path: Path, nodes: int, adc: AdcScale, skin: str = "") -> Calib
     file = read_marked(path, CalibrationError)
     content, identity = _parse(file)
     root = file.mapping("the file")
-    for name, theirs, ours in (
-        ("skin", content.skin, skin or content.skin),
-        ("nodes", content.nodes, nodes),
-        ("bits", content.adc.bits, adc.bits),
-        ("vref_v", content.adc.vref_v, adc.vref_v),
-    ):
+    wanted = replace(content, skin=skin or content.skin, nodes=nodes, adc=adc).made_for
+    for (name, theirs), ours in zip(content.made_for.items(), wanted.values(), strict=True):
         if theirs != ours:
             raise root[name].refuse(
                 f"made for {name} {theirs or 'without a name'}, this skin has {name} {ours}: "
@@ -150,7 +150,8 @@ def write_calibration(
 
 def write_content(path: Path, content: CalibrationContent) -> str:
     """Write content atomically; returns its identity. Raises as write_calibration."""
-    _replace(path, _text(content))
+    with naming(path, CalibrationError, "cannot be written"):
+        replace_file(path, _text(content))
     return content.identity
 
 
@@ -165,7 +166,8 @@ def seal_calibration(path: Path) -> str:
     text, found = _IDENTITY.subn(line, path.read_text(encoding="utf-8"), count=1)
     if not found:
         raise file.refuse("no line begins with 'identity: …': write one, with any text")
-    _replace(path, text)
+    with naming(path, CalibrationError, "cannot be written"):
+        replace_file(path, text)
     return content.identity
 
 
@@ -271,10 +273,7 @@ def _text(content: CalibrationContent) -> str:
         "schema": SCHEMA,
         "version": VERSION,
         "identity": content.identity,
-        "skin": content.skin,
-        "nodes": content.nodes,
-        "bits": content.adc.bits,
-        "vref_v": content.adc.vref_v,
+        **content.made_for,
         "units": UNITS,
         "made": {
             "at": datetime.now().astimezone().isoformat(timespec="seconds"),
@@ -296,10 +295,3 @@ def _text(content: CalibrationContent) -> str:
 def _entries(dynamics: Dynamics) -> dict[str, float | list[float]]:
     """The fields in types that YAML and JSON can write."""
     return {name: np.array(value, float).tolist() for name, value in asdict(dynamics).items()}
-
-
-def _replace(path: Path, text: str) -> None:
-    try:
-        replace_file(path, text)
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot be written: {error.strerror}") from None

@@ -14,7 +14,7 @@ import yaml
 from ..base.arrays import Floats32
 from ..base.errors import RestError
 from ..base.marked_yaml import Mapping, read_marked
-from ..base.named_file import expanded
+from ..base.named_file import expanded, naming
 from ..base.whole_file import replace_file
 
 SCHEMA = "tactile_cdma/rest"
@@ -95,13 +95,11 @@ def write_rest(path: Path, state: RestState) -> None:
         "drift_v": _numbers(state.drift_v),
     }
     text = _HEAD + yaml.dump(content, Dumper=_DUMPER, sort_keys=False, allow_unicode=True)
-    try:
+    with naming(path, RestError, "tare and drift are not kept"):
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_symlink():  # its target is not ours
             path.unlink()
         replace_file(path, text)
-    except OSError as error:
-        raise RestError(f"{path}: tare and drift are not kept: {error.strerror}") from None
 
 
 def set_aside(path: Path) -> Path | None:
@@ -110,12 +108,11 @@ def set_aside(path: Path) -> Path | None:
     Raises RestError.
     """
     aside = path.with_name(f"{path.name}.old")
-    try:
-        os.replace(path, aside)
-    except (FileNotFoundError, NotADirectoryError):
-        return None
-    except OSError as error:
-        raise RestError(f"{path}: cannot be set aside: {error.strerror}") from None
+    with naming(path, RestError, "cannot be set aside"):
+        try:
+            os.replace(path, aside)
+        except (FileNotFoundError, NotADirectoryError):
+            return None
     return aside
 
 

@@ -47,26 +47,22 @@ class BagRecorder(Node):
     """Writes every message of some topics into a bag.
 
     Subscribes to a topic once somebody publishes it, with the best QoS that all its publishers
-    offer. counts: messages by topic.
+    offer. counts: messages by topic. missing: topics that
+    nobody has published so far.
     """
 
     def __init__(self, writer: Writer, topics: Iterable[str]) -> None:
         super().__init__("skin_bag")
         self.counts: Counter[str] = Counter()
-        self._writer, self._missing = writer, list(dict.fromkeys(topics))
+        self._writer, self.missing = writer, list(dict.fromkeys(topics))
         self._types = message_types()
         self.create_timer(LOOK_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._look()
 
-    @property
-    def missing(self) -> tuple[str, ...]:
-        """Topics that nobody has published so far."""
-        return tuple(self._missing)
-
     def _look(self) -> None:
-        for topic in tuple(self._missing):
+        for topic in tuple(self.missing):
             if offers := self.get_publishers_info_by_topic(topic):
-                self._missing.remove(topic)
+                self.missing.remove(topic)
                 self._record(topic, offers)
 
     def _record(self, topic: str, offers: Sequence[Any]) -> None:

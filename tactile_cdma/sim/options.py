@@ -79,6 +79,7 @@ class SimOptions:
     Raises SpecError, naming option, value and limits, for a bad value or combination.
     """
 
+    # fmt: off
     scene: str = _option("moving", "what touches the skin", "", None, (*SCENES, *LOADS))
     nodes: int | None = None
     bits: int | None = None
@@ -95,54 +96,44 @@ class SimOptions:
     samples_per_chip: int | None = None
     timing: str | None = None
     integrated: bool | None = None
-    amplitude_mv: float = _option(
-        DEFAULT_AMPLITUDE_V * 1e3, "level of one node on the digitized line", "mV", (1e-3, 1e5)
-    )
+    amplitude_mv: float = _option(DEFAULT_AMPLITUDE_V * 1e3,
+        "level of one node on the digitized line", "mV", (1e-3, 1e5))
     noise: float = _option(0.005, "noise of one sample, rms", "V", (0.0, 100.0))
     offset: float = _option(0.0, "level of the silent line", "V", (-100.0, 100.0))
-    stretch: float = _option(
-        0.0, "frames last up to this share longer, at random", "", (0.0, MAX_STRETCH)
-    )
-    jitter: float = _option(
-        0.0, "largest displacement of a chip's edge, in chips", "", (0.0, MAX_JITTER)
-    )
-    clock_spread: float = _option(
-        0.0, "largest error of a node's own clock", "", (0.0, LARGEST_RATE_ERROR)
-    )
-    delay_spread: float = _option(
-        0.0, "largest delay of a node after the sync edge", "chips", (0.0, LARGEST_DELAY)
-    )
+    stretch: float = _option(0.0,
+        "frames last up to this share longer, at random", "", (0.0, MAX_STRETCH))
+    jitter: float = _option(0.0,
+        "largest displacement of a chip's edge, in chips", "", (0.0, MAX_JITTER))
+    clock_spread: float = _option(0.0,
+        "largest error of a node's own clock", "", (0.0, LARGEST_RATE_ERROR))
+    delay_spread: float = _option(0.0,
+        "largest delay of a node after the sync edge", "chips", (0.0, LARGEST_DELAY))
     drift: float = _option(0.0, "fastest change of a node's clock error", "1/s", (0.0, 5e-5))
-    sensor: str = _option(
-        IDEAL, "ideal: the curve alone; paper: lag and hysteresis too", "", None, (IDEAL, PAPER)
-    )
-    hysteresis: float = _option(
-        1.0, "factor to the loops of sensor 'paper'", "", (0.0, MOST_HYSTERESIS)
-    )
+    sensor: str = _option(IDEAL,
+        "ideal: the curve alone; paper: lag and hysteresis too", "", None, (IDEAL, PAPER))
+    hysteresis: float = _option(1.0,
+        "factor to the loops of sensor 'paper'", "", (0.0, MOST_HYSTERESIS))
     mismatch: float = _option(0.0, "spread of the taxels' curves, rms", "", (0.0, MOST_MISMATCH))
-    warming: float = _option(
-        0.0, "largest drift of a sensor's voltage, over minutes", "mV", (0.0, 1e3)
-    )
+    warming: float = _option(0.0,
+        "largest drift of a sensor's voltage, over minutes", "mV", (0.0, 1e3))
     sensor_noise: float = _option(0.0, "noise at a node's converter, rms", "V", (0.0, 1.0))
     dead: str = _option("", "nodes that never send: 3,17")
     stuck: str = _option("", "nodes that always measure the same: 3,17")
-    rail: float = _option(
-        0.0, "amplifier's rails about the offset; 0: out of reach", "V", (0.0, 1e4)
-    )
+    rail: float = _option(0.0,
+        "amplifier's rails about the offset; 0: out of reach", "V", (0.0, 1e4))
     adc_bits: int = _option(12, "resolution of the digitizer", "bit", (4, 16))
     threshold: int = _option(1, "change that makes a node talk; 0: always", "LSB", (0, 65_535))
-    heartbeat: int = _option(
-        78, "a node talks at least once in so many frames; 0: never", "", (0, 65_535)
-    )
-    start_phase: float = _option(
-        0.0, "share of the first frame's period that has passed at START", "", (0, 0.99)
-    )
+    heartbeat: int = _option(78,
+        "a node talks at least once in so many frames; 0: never", "", (0, 65_535))
+    start_phase: float = _option(0.0,
+        "share of the first frame's period that has passed at START", "", (0, 0.99))
     seed: int = _option(0, "of everything random", "", (0, 2**32 - 1))
     speed: float = _option(1.0, "pace; 1: real time, 0: as fast as it is read", "", (0.0, 1000.0))
     rows: int = _option(0, "taxel rows; 0: as square as fits", "", (0, 4_096))
     columns: int = _option(0, "taxel columns; 0: as square as fits", "", (0, 4_096))
     pitch_mm: float = _option(7.0, "distance of neighbouring taxels", "mm", (0.01, 1_000.0))
     layout: str = _option("", "layout file of the skin; empty: rows, columns, pitch_mm")
+    # fmt: on
 
     def __post_init__(self) -> None:
         for option in OPTIONS:

@@ -26,9 +26,7 @@ from ...recording.message_fields import array_fields, info_fields
 
 def ros_array(values: NDArray[np.generic]) -> array[float] | array[int]:
     """An ndarray as array.array, which message fields take without a look at every element."""
-    result: array[float] = array(_TYPE_CODES[values.dtype.str[1:]])
-    result.frombytes(np.ascontiguousarray(values).tobytes())
-    return result
+    return array(values.dtype.char, values.tobytes())
 
 
 def _bytes(values: NDArray[np.generic]) -> array[int]:
@@ -43,9 +41,6 @@ def by_taxel(layout: Layout, of_node: NDArray[np.float32]) -> array[float] | arr
     if layout.source is None:
         return ros_array(of_node)
     return ros_array(np.where(layout.source < 0, np.float32(0), of_node[layout.source]))
-
-
-_TYPE_CODES = {"f4": "f", "u1": "B", "u2": "H", "u4": "I"}
 
 
 def tactile_array(

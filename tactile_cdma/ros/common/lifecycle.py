@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable
-from functools import partial, wraps
+from functools import wraps
 from typing import Any
 
 from lifecycle_msgs.srv import ChangeState
@@ -43,29 +43,22 @@ class ManagedNode(LifecycleNode):
             super().__init__(name, **node_options)
         except ValueError as error:
             raise ParameterError(f"a parameter has no value, or an empty list ({error})") from error
-        # In rclpy a transition that is impossible in the present state ends the executor.
-        self._service_change_state.callback = partial(
-            _refuse_impossible, self, self._service_change_state.callback
-        )
+        self._change_state = self._service_change_state.callback
+        self._service_change_state.callback = self._refuse_impossible
+
+    def _refuse_impossible(
+        self, request: ChangeState.Request, response: ChangeState.Response
+    ) -> ChangeState.Response:
+        """Answer a request; in rclpy one that is impossible in this state ends the executor."""
+        try:
+            return self._change_state(request, response)
+        except RCLError:
+            name = request.transition.label or request.transition.id
+            self.get_logger().error(f"transition {name} is not possible now")
+            response.success = False
+            return response
 
     def destroy_node(self) -> None:
         """End the lifecycle's services too: rclpy leaves them to the garbage collector."""
         super().destroy_node()
         self._state_machine.destroy_when_not_in_use()
-
-
-def _refuse_impossible(
-    node: LifecycleNode,
-    change_state: Callable[[ChangeState.Request, ChangeState.Response], ChangeState.Response],
-    request: ChangeState.Request,
-    response: ChangeState.Response,
-) -> ChangeState.Response:
-    """Answer a change_state request, with a refusal if the present state does not allow it."""
-    try:
-        return change_state(request, response)
-    except RCLError:
-        node.get_logger().error(
-            f"transition {request.transition.label or request.transition.id} is not possible now"
-        )
-        response.success = False
-        return response

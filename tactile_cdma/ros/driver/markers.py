@@ -7,9 +7,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from builtin_interfaces.msg import Duration
 from geometry_msgs.msg import Pose, Vector3
 from numpy.typing import NDArray
+from rclpy.duration import Duration
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -61,12 +61,8 @@ class SkinMarkers:
         pressure_pa: (t,) float32, Pa; colours are on the scale 0…max_pa. lifetime_s: time after
         which markers vanish that no message renews, as when the skin is no longer read.
         """
-        seconds, part = divmod(lifetime_s, 1)
-        common = {
-            "header": header,
-            "lifetime": Duration(sec=int(seconds), nanosec=int(part * 1e9)),
-            "color": CONTACT_COLOUR,
-        }
+        lifetime = Duration(seconds=lifetime_s).to_msg()
+        common = {"header": header, "lifetime": lifetime, "color": CONTACT_COLOUR}
         markers = [self._surface(pressure_pa, max_pa, common)] if self._corners else []
         ids = contacts.ids.tolist()
         markers += [

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
+from geometry_msgs.msg import Quaternion, Transform, TransformStamped
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -14,6 +14,7 @@ from tf2_msgs.msg import TFMessage
 from ...base.errors import SpecError
 from ...config.parameters import Values
 from ...places.poses import Pose
+from ..common.convert import vector
 
 TF_STATIC = "/tf_static"
 
@@ -25,17 +26,14 @@ class Mount:
         self._node, self._profile = node, profile
         self._publisher: Publisher | None = None
 
-    def configure(self, transform: TransformStamped | None) -> None:
+    def show(self, transform: TransformStamped | None) -> None:
         """Publish where the skin is; None: it is not mounted on another frame."""
-        if transform is not None:
+        if transform is None:
+            return
+        if self._publisher is None:
             self._publisher = self._node.create_publisher(TFMessage, TF_STATIC, self._profile)
-            self.change(transform)
-
-    def change(self, transform: TransformStamped | None) -> None:
-        """Publish another place of the skin on its parent."""
-        if transform is not None and self._publisher is not None:
-            transform.header.stamp = self._node.get_clock().now().to_msg()
-            self._publisher.publish(TFMessage(transforms=[transform]))
+        transform.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(TFMessage(transforms=[transform]))
 
     def release(self) -> None:
         """Offer the transform no longer; those who received it keep it, as usual in tf."""
@@ -58,11 +56,10 @@ def transform_of(values: Values) -> TransformStamped | None:
         if not values[name] or values[name].startswith("/"):
             raise SpecError(f"{name} is {values[name]!r}: tf wants a name, without a leading slash")
     pose = Pose.of_rpy(values["mount_xyz_m"], values["mount_rpy_rad"])
-    (x, y, z), (qx, qy, qz, qw) = pose.translation_m.tolist(), pose.quaternion.tolist()
+    translation = vector(pose.translation_m)
+    rotation = Quaternion(**dict(zip("xyzw", pose.quaternion.tolist(), strict=True)))
     return TransformStamped(
         header=Header(frame_id=parent),
         child_frame_id=child,
-        transform=Transform(
-            translation=Vector3(x=x, y=y, z=z), rotation=Quaternion(x=qx, y=qy, z=qz, w=qw)
-        ),
+        transform=Transform(translation=translation, rotation=rotation),
     )

@@ -110,7 +110,7 @@ class SkinNode(ManagedNode):
                 config = recalibrated(config, values)
             self._rest.adjust(config)
             self._frames.change(config.contact)
-            self._mount.change(transform_of(values))
+            self._mount.show(transform_of(values))
         elif not self._declared.faults:
             # Several parameters may have to change one by one: a combination that is impossible
             # is refused by configure, and only announced here.
@@ -142,7 +142,7 @@ class SkinNode(ManagedNode):
             return TransitionCallbackReturn.FAILURE
         self._last_failure, self._declared.fixed = "", True
         self._rest = RestKeeper(config, url, path, self.get_logger(), self._publish_info)
-        self._mount.configure(transform)
+        self._mount.show(transform)
         return super().on_configure(state)
 
     @reported

@@ -115,8 +115,13 @@ class NodeParameters:
         before = dict(self.faults)
         try:
             new = check_values(given)
-            if self.fixed:
-                self._check_fixed(new)
+            fixed = [n for n, v in new.items() if not BY_NAME[n].live and v != self.values[n]]
+            if self.fixed and fixed:
+                raise ParameterError(
+                    f"{', '.join(fixed)} cannot change while configured: deactivate and clean "
+                    f"up first (ros2 lifecycle set {self._node.get_fully_qualified_name()} "
+                    "deactivate, then cleanup)"
+                )
             for name in new:
                 self.faults.pop(name, None)
             if new:
@@ -126,16 +131,6 @@ class NodeParameters:
             return SetParametersResult(successful=False, reason=str(error))
         self.values.update(new)
         return SetParametersResult(successful=True)
-
-    def _check_fixed(self, new: Values) -> None:
-        """Raises ParameterError for changes that require the node to be configured again."""
-        fixed = [n for n, v in new.items() if not BY_NAME[n].live and v != self.values[n]]
-        if fixed:
-            raise ParameterError(
-                f"{', '.join(fixed)} cannot change while configured: deactivate and clean "
-                f"up first (ros2 lifecycle set {self._node.get_fully_qualified_name()} "
-                "deactivate, then cleanup)"
-            )
 
 
 def _descriptor(parameter: Parameter, read_only: bool) -> ParameterDescriptor:

@@ -30,9 +30,9 @@ class RestServices:
         try:
             if keeper is None:
                 raise RestError("not tared: the skin is not active; activate the node first")
+            response.message = "tare and drift are forgotten"
             if request.clear:
                 keeper.clear()
-                response.message = "tare and drift are forgotten"
             else:
                 response.message = str(keeper.tare(request.force))
             response.success = True

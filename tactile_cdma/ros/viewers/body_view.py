@@ -22,6 +22,7 @@ from ..common.process import Viewing, viewing
 from ..common.qos import RELIABLE
 from .complaints import Complaints
 from .patches import NODE_NAME
+from .tally import Tally
 
 LINE_S = 1.0
 MOST_NAMED = 2
@@ -35,15 +36,13 @@ class BodyViewer(Node):
         super().__init__("body_viewer")
         self.latest: TactileContacts | None = None
         self._complaints = Complaints(body.strip("/"))
-        self.received = self.lost = 0
+        self.tally = Tally()
         self.create_subscription(TactileContacts, f"{body}/contacts", self._take, RELIABLE)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._complaints.take, 10)
 
     def _take(self, message: TactileContacts) -> None:
-        if self.latest is not None:
-            self.lost += max(0, message.sequence - self.latest.sequence - 1)
         self.latest = message
-        self.received += 1
+        self.tally.add(message.info_id, message.sequence, 0.0, time.monotonic())
 
     @property
     def complaint(self) -> str:
@@ -87,12 +86,12 @@ def _length(vector: Vector3) -> float:
 
 
 def _report(program: Viewing[BodyViewer], seconds: float) -> None:
-    viewer, before = program.node, 0
+    viewer = program.node
     end_s = time.monotonic() + seconds
     while (left_s := end_s - time.monotonic()) > 0 and program.spin(min(LINE_S, left_s)):
         if left_s < LINE_S:
             return
-        rate_hz, before = (viewer.received - before) / LINE_S, viewer.received
+        rate_hz = viewer.tally.rate_hz(time.monotonic())
         print(line(viewer.latest, rate_hz, viewer.complaint), flush=True)
 
 
@@ -110,7 +109,7 @@ def main() -> int:
         reason = viewer.complaint or "does the node body run?"
         print(f"no message on {arguments.body}/contacts: {reason}", file=sys.stderr)
     absent = len(latest.absent) if latest else 0
-    print(f"received={viewer.received} lost={viewer.lost} absent={absent}")
+    print(f"received={viewer.tally.received} lost={viewer.tally.lost} absent={absent}")
     return 0 if latest else 1
 
 

@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
 
 from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
@@ -26,16 +26,12 @@ from ...places.mesh import taxel_squares
 from ...places.poses import Pose
 from ...views.heatmap import colours, heatmap
 from ..common.convert import nanoseconds, rows
-from .complaints import Complaints
+from .complaints import LEVELS, Complaints
 from .patches import layout_of
 
 STAMP, DEVICE_TIME = "stamp", "device_time"
-_TEXT_LEVELS = {
-    DiagnosticStatus.OK: "INFO",
-    DiagnosticStatus.WARN: "WARN",
-    DiagnosticStatus.STALE: "WARN",
-    DiagnosticStatus.ERROR: "ERROR",
-}
+_TEXT_LEVELS = {"OK": "INFO", "STALE": "WARN"}
+"""Rerun's words for levels of diagnostics, where they differ."""
 SHOWN_S = 20.0
 """Time that curves show, s; chosen."""
 HALF_LENGTH_N = 5.0
@@ -91,10 +87,8 @@ class PatchScene:
         self._extent_m = float(np.ptp(layout.positions_m, axis=0).max()) + layout.pitch_m
         corners_m = taxel_squares(layout)[layout.nodes > 0].reshape(-1, 3)
         # Without normals there is no shading, which would change the colours of the scale.
-        surface = rr.Mesh3D(
-            vertex_positions=corners_m,
-            triangle_indices=np.arange(len(corners_m)).reshape(-1, 3),
-        )
+        triangles = np.arange(len(corners_m)).reshape(-1, 3)
+        surface = rr.Mesh3D(vertex_positions=corners_m, triangle_indices=triangles)
         self._recording.log(f"{self.path}/surface", surface, static=True)
         no_pressure_pa = np.zeros(len(layout), dtype=np.float32)
         self.picture_px = heatmap(no_pressure_pa, layout, self._max_pa, PIXELS).shape[:2]
@@ -142,7 +136,8 @@ class PatchScene:
     def take_diagnostics(self, message: DiagnosticArray) -> None:
         """Log what has changed in the entries of the driver."""
         for entry in self._complaints.take(message):
-            text = rr.TextLog(f"{entry.name}: {entry.message}", level=_TEXT_LEVELS[entry.level])
+            level = _TEXT_LEVELS.get(LEVELS[entry.level], LEVELS[entry.level])
+            text = rr.TextLog(f"{entry.name}: {entry.message}", level=level)
             self._recording.reset_time()
             stamp = np.datetime64(nanoseconds(message.header.stamp), "ns")
             self._recording.set_time(STAMP, timestamp=stamp)
@@ -175,12 +170,11 @@ class PatchScene:
     def _arrows(self, position_m: NDArray[np.float64], force_n: NDArray[np.float64]) -> rr.Arrows3D:
         """An arrow per contact, longer for more force."""
         size_n = np.linalg.norm(force_n, axis=1)
-        extent_m = self._extent_m
-        vectors_m = force_n * (extent_m / 2 / (size_n + HALF_LENGTH_N))[:, None]
+        vectors_m = force_n * (self._extent_m / 2 / (size_n + HALF_LENGTH_N))[:, None]
         return rr.Arrows3D(
             origins=position_m - vectors_m,  # outside the skin: forces point into it
             vectors=vectors_m,
-            radii=extent_m / 80,
+            radii=self._extent_m / 80,
             colors=self._rgb,
             labels=[f"{newtons:.1f} N" for newtons in size_n],
             show_labels=True,

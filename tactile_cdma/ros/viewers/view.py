@@ -80,10 +80,9 @@ class Viewer(Node):
         return self.rivals or self.complaints.worst
 
     def _count_drivers(self) -> None:
-        drivers, self.rivals = self.count_publishers(self._topic), ""
-        if drivers > 1:
-            self.rivals = f"{drivers} drivers publish {self._topic}: "
-            self.rivals += "end one, or set another ROS_DOMAIN_ID"
+        drivers = self.count_publishers(self._topic)
+        text = f"{drivers} drivers publish {self._topic}: end one, or set another ROS_DOMAIN_ID"
+        self.rivals = text if drivers > 1 else ""
 
     def _inform(self, message: TactileSkinInfo) -> None:
         self.layout = layout_of(message)

@@ -1,18 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The subcommand `tactile-cdma sensor`: figures of the simulated sensor beside the paper's."""
+"""Figures of the simulated sensor beside those of the paper (Liu et al., section IV.A).
+
+Prints the table of docs/sensor.md, the same in QUICK runs, and writes no files.
+"""
 
 from __future__ import annotations
 
-import argparse
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .sensor import MOST_HYSTERESIS, PAPER, Sensor, SensorModel
+from tactile_cdma.sim.sensor import MOST_HYSTERESIS, PAPER, Sensor, SensorModel
 
 SENSITIVITY_V_PER_KPA = (-0.033, -0.0059)
 RESPONSE_S, RECOVERY_S = 0.740, 0.024
@@ -75,20 +76,8 @@ def matching(load_kpa: float) -> float:
     return option
 
 
-def add_to(commands: Any) -> None:
-    """Add the subcommand to the command line."""
-    parser = commands.add_parser("sensor", help="compare the simulated sensor with the paper's")
-    parser.set_defaults(run=run)
-
-
-def run(_arguments: argparse.Namespace) -> int:
-    """Print the table; returns the exit code."""
-    print(describe())
-    return 0
-
-
 def describe() -> str:
-    """The table that the command prints."""
+    """The table that is printed."""
     figures = measure(SensorModel(kind=PAPER))
     lines = [("", "paper", "simulated", "")]
     stages = zip(SENSITIVITY_V_PER_KPA, figures.sensitivity_v_per_kpa, strict=True)
@@ -144,3 +133,7 @@ def _run(
     return np.array(
         [sensor.step(row, index * step_s) for index, row in enumerate(pressure_kpa * 1e3)]
     )
+
+
+if __name__ == "__main__":
+    print(describe())
