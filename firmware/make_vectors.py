@@ -2,8 +2,8 @@
 
 """Test vectors shared by C and Python, made with the Python implementation.
 
-They pin the wire format: a change shows in their diff. They cannot show that it is right; for that
-the tests derive some of them by other means.
+They pin the wire format: a change shows in their diff. They do not prove it right; the tests derive
+some of them by other means.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ COBS = (  # examples of the literature, then blocks around 254 bytes
 
 CODE_ORDERS = (1, 2, 4, 12, 16, 20, 28, 36, 64, 144)
 LONG_ORDERS = {1024: (1, 512, 1023), 1040: (1, 519, 1039)}
-"""Orders too large to be written whole, and the rows that are."""
+"""Orders too large to be written in full, and the rows that are written."""
 SIGN_SEEDS = (0, 1, 2, 0xDEADBEEF, 0xFFFFFFFF)
 SIGN_ROWS = (*range(32), 1023, 4095, 65_534, 65_535)
 

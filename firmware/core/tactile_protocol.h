@@ -53,7 +53,7 @@
 
 /* Where the mark of a frame's first sample comes from. */
 enum tp_sync_mode {
-    TP_SYNC_MODE_NONE = 0, /* nowhere; the host finds frames in the waveform */
+    TP_SYNC_MODE_NONE = 0, /* there is none; the host finds frames in the waveform */
     TP_SYNC_MODE_DRIVE = 1, /* the digitizer drives the sync line */
     TP_SYNC_MODE_HEAR = 2, /* the digitizer hears a sync line that another device drives */
 };
@@ -83,7 +83,7 @@ enum tp_result {
 /* Starts the body of every packet. */
 struct __attribute__((packed)) tp_header {
     uint8_t type; /* packet type */
-    uint16_t sequence; /* counts every packet its sender made; wraps */
+    uint16_t sequence; /* number of the packet, counted by its sender; wraps */
 };
 TP_ASSERT_AT(tp_header, type, 0);
 TP_ASSERT_AT(tp_header, sequence, 1);
@@ -124,11 +124,11 @@ _Static_assert(sizeof(struct tp_frame_layout) == 30, "size of tp_frame_layout");
 
 /* Begins a node's EEPROM. Chips follow: order bits, least significant first, 1 for +1; then CRC-32. */
 struct __attribute__((packed)) tp_node_record {
-    uint32_t magic; /* marks such a record */
-    uint8_t version; /* of the record */
+    uint32_t magic; /* marks a node's record */
+    uint8_t version; /* version of the record */
     uint16_t node; /* number of this node; its turn in a roll call */
     uint16_t nodes; /* number of nodes */
-    uint16_t row; /* code row; informative */
+    uint16_t row; /* code row; for information, its chips follow */
     int8_t sign; /* sign of the row */
     uint8_t bits; /* word length */
     uint8_t parity; /* 1: every word is followed by a bit that makes its ones even */
@@ -190,7 +190,7 @@ struct __attribute__((packed)) tp_info {
     uint8_t firmware_major; /* firmware version */
     uint8_t firmware_minor; /* firmware version */
     uint8_t digitizer_id[8]; /* unique per board */
-    uint64_t sample_rate_uhz; /* µHz: rate of the words in SAMPLES, so of chips if integrated */
+    uint64_t sample_rate_uhz; /* µHz: rate of the words in SAMPLES; if integrated, of chips */
     float volts_per_count; /* V: one count */
     int16_t zero_count; /* count: reading at 0 V */
     int16_t min_count; /* count: lower rail of the ADC */
@@ -250,7 +250,7 @@ struct __attribute__((packed)) tp_status {
     uint32_t samples_lost; /* samples lost to overruns since power-up */
     uint32_t packets_dropped; /* packets numbered but never sent since power-up */
     uint32_t commands_refused; /* commands acknowledged with a result other than OK */
-    uint32_t command_errors; /* packets received that were broken (no COBS, wrong CRC, too long) or no commands (an echo) */
+    uint32_t command_errors; /* packets received that were broken (bad COBS, wrong CRC, too long) or not commands (an echo) */
     uint32_t sync_faults; /* sync edges late or missing */
     uint8_t streaming; /* between START and STOP */
 };

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* For every harness: reading an input, and telling what is wrong. */
+/* Shared by all harnesses: reads an input and reports faults. */
 #ifndef FUZZ_FUZZ_H
 #define FUZZ_FUZZ_H
 
@@ -10,7 +10,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* A fuzzed input, read number by number; after its end all are 0. */
+/* A fuzzed input, read number by number; beyond its end all numbers are 0. */
 
 struct input {
     const uint8_t *bytes;
@@ -53,8 +53,8 @@ static inline uint32_t input_u32(struct input *input)
     return (uint32_t)input_number(input, 4);
 }
 
-/* What the firmware must do: a harness that finds otherwise says what kind of fault that is, as the
- * sums of `make torture` have them, and ends. */
+/* Asserts what the firmware must do: on a fault the harness prints its kind, as in the sums of
+ * `make torture`, and aborts. */
 
 enum fault { WRONG_VALUE, UNCOUNTED_LOSS };
 

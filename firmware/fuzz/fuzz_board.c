@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* The emulated skin's digitizer, with nobody on its line: bytes of a host that come, and are read, at
- * any time, over a link of any speed. */
+/* The emulated skin's digitizer without nodes: a host sends and reads bytes at any time, over a link of
+ * any speed. */
 #include "virtual_board.h"
 
 #include "reference.h"
 #include "digitizer.h"
 
-#define MOST_NS 60000000 /* of an input */
+#define MOST_NS 60000000 /* simulated time per input. Chosen: bounds the run time */
 #define REST_V 1.65
 
 static const struct dg_board as_emulated = {
@@ -28,7 +28,7 @@ struct bench {
     uint32_t missing; /* packets, then */
 };
 
-/* A line at rest, of which nothing is lost but what was dropped. */
+/* The line is at rest, and no samples are lost except in dropped packets. */
 static void hear_samples(void *context, const struct line_packet *packet, uint64_t place)
 {
     struct bench *bench = context;

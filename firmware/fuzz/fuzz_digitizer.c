@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* A digitizer whose host, samples and time are the input's: commands of every kind, also broken ones,
- * amid a running stream; losses; a host that reads when it likes. */
+/* A digitizer whose host, samples and time come from the input: commands of every kind, broken ones
+ * included, during a stream; lost samples; a host that reads at any time. */
 #include "digitizer.h"
 
 #include <stdlib.h>
 
 #include "reference.h"
 
-#define MOST_SAMPLES 12000 /* of an input */
+#define MOST_SAMPLES 12000 /* per input. Chosen: bounds the run time */
 #define MOST_SESSIONS 16
 #define MOST_AT_ONCE 1024
 
@@ -44,7 +44,7 @@ static struct session *present(struct bench *bench)
     return bench->host.running ? &bench->sessions[bench->begun - 1] : NULL;
 }
 
-/* Everything of a stream that was sent to its end was heard, unless something is missing. */
+/* All of a completed stream has been received, unless packets are missing. */
 static void check_end(const struct bench *bench, const struct session *session)
 {
     if (session->whole && bench->host.missing == session->missing)
@@ -77,7 +77,7 @@ static void begin_session(struct bench *bench)
     dg_begin(&bench->dg, start_us);
 }
 
-/* What is to be done */
+/* Actions */
 
 static void send(struct bench *bench, size_t most)
 {
@@ -141,7 +141,7 @@ static void ask_pulses(struct bench *bench, unsigned more)
     }
 }
 
-/* At rest, rising, or anything. */
+/* Counts at rest, rising, or arbitrary. */
 static void sample(struct bench *bench, uint16_t *counts, size_t size)
 {
     uint8_t shape = input_u8(&bench->input);
@@ -156,7 +156,7 @@ static void sample(struct bench *bench, uint16_t *counts, size_t size)
     }
 }
 
-/* Samples, or their loss, as far as pulses were given out; then pulses again. */
+/* Samples, or their loss, up to the pulses taken so far; then further pulses. */
 static void take_samples(struct bench *bench, bool lost)
 {
     uint16_t counts[MOST_AT_ONCE];
@@ -187,7 +187,7 @@ static void pass_time(struct bench *bench)
     dg_time(&bench->dg, bench->now_us);
 }
 
-/* As a board does that was late with a pulse. */
+/* Does what a board does after a missed pulse. */
 static void begin_again(struct bench *bench)
 {
     struct session *session = present(bench);

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* Bytes as they come, through the core's reader and through a plain one; and packets of any size from
- * the core's writer, wherever its ring ends. */
+/* Arbitrary bytes through the core's reader and a reference reader; packets of any size from the core's
+ * writer, across any end of its ring. */
 #include "packet.h"
 #include "reference.h"
 
 #define MOST_ROOM 3000
 
-/* What the core finds in bytes must be what is there. */
+/* The core must find the same packets as the reference. */
 static void read(const uint8_t *bytes, size_t size)
 {
     static uint8_t body[FRAMING_MAX_RUN];
@@ -36,7 +36,7 @@ static void read(const uint8_t *bytes, size_t size)
     }
 }
 
-/* Takes all that lies in the ring; it must be this packet, or nothing if there is none. */
+/* Takes the content of the ring, which must be this packet, or empty without one. */
 static void take(struct packet_writer *writer, const uint8_t *wire, size_t size)
 {
     const uint8_t *bytes;
@@ -83,7 +83,7 @@ static void write(struct input *input)
     free(ring);
 }
 
-/* The input's first byte says what is done with the others. */
+/* The input's first byte selects the test. */
 int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
 {
     static uint8_t wire[TP_MAX_PACKET], body[MOST_ROOM + 16];

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* A sensing node whose memory, sync pulses and readings are the input's: what it believes, what it
- * says, and that it takes its turns. */
+/* A sensing node whose memory, sync pulses and readings come from the input: checks which of them it
+ * accepts, what it transmits, and in which frames. */
 #include <stdlib.h>
 
 #include "discipline.h"
@@ -26,7 +26,7 @@ static uint8_t read_memory(uint16_t address)
     return memory[address];
 }
 
-/* Of a node that can mostly do what it says. */
+/* The record of a node, mostly a valid one. */
 static struct tp_node_record record_of(struct input *input)
 {
     uint8_t flags = input_u8(input);
@@ -79,7 +79,7 @@ static void write_memory(struct input *input)
     memcpy(memory + size, &crc, sizeof crc);
 }
 
-/* What a good memory must have. */
+/* Conditions that an accepted memory must meet. */
 static void check_record(const struct tp_node_record *record)
 {
     size_t size = sizeof *record + (record->order + 7u) / 8;
@@ -95,7 +95,7 @@ static void check_record(const struct tp_node_record *record)
     MUST(used_ns + 964000 <= record->frame_period_us * 1000ull, WRONG_VALUE);
 }
 
-/* Every chip of a word, by the definition of a frame. */
+/* Compares every chip of a word with the definition of a frame. */
 static void check_chips(const struct tp_node_record *record, const uint8_t *row, uint16_t code)
 {
     struct sequencer sequencer;
@@ -125,8 +125,8 @@ static uint32_t apart(uint32_t a, uint32_t b)
     return a > b ? a - b : b - a;
 }
 
-/* Pulses at any distance: what is believed is within an eighth of a frame period, and chips are made
- * of nothing else. */
+/* Pulses at any distance: accepted periods are within 1/8 of the nominal one, and chip times follow
+ * from accepted periods only. */
 static void check_clock(struct discipline *clock, const struct tp_node_record *record, uint32_t ticks)
 {
     uint32_t nominal = record->frame_period_us * TICKS_PER_US, before = clock->period;
@@ -147,8 +147,8 @@ static bool pressed(const struct event *event, uint16_t code)
            apart(code, event->last_sent) > event->threshold;
 }
 
-/* Frames with and without roll calls: the node speaks in its turn of a roll call and in no other, when
- * it is pressed, and once in a heartbeat. */
+/* Frames with and without roll calls: in a roll call the node transmits in its own turn only; otherwise
+ * while it is pressed, and once per heartbeat. */
 static void check_turns(struct input *input, const struct tp_node_record *record)
 {
     struct discipline clock;
@@ -176,7 +176,7 @@ static void check_turns(struct input *input, const struct tp_node_record *record
     }
 }
 
-/* A pulse of any length says what its nearest length says, within half a unit, or nothing. */
+/* A pulse of any length counts as the nearest valid length within half a unit, else as a glitch. */
 static void check_pulse(uint32_t ticks)
 {
     uint8_t units = sync_pulse_units(ticks, UNIT_TICKS);

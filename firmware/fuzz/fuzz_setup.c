@@ -1,12 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* Any CONFIGURE for any board: whether it is taken, and what follows from it, is as exact arithmetic
- * has it. */
+/* Any CONFIGURE for any board: its acceptance and the derived settings match exact arithmetic. */
 #include "setup.h"
 
 #include "reference.h"
 
-/* A board that can do what every digitizer is set to at power-up, as board.h wants. */
+/* A board for which setup_default is possible, as board.h requires. */
 static struct dg_board board_of(struct input *input)
 {
     static const uint16_t ticks_per_us[] = {8, 48, 64, 125, 133, 1000};

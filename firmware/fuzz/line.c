@@ -7,7 +7,7 @@
 
 
 #define LEAD_US (TP_SYNC_LEAD * TP_SYNC_UNIT_US)
-#define NOT_YET (-2) /* a word whose samples are not all taken */
+#define NOT_YET (-2) /* a word whose samples have not all been taken */
 #define NO_FRAME UINT64_MAX
 
 void line_init(struct line *line, const struct settings *settings, uint64_t start_us)

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* A second implementation of docs/protocol.md, written for plainness, that the core is compared
- * with: packets, settings, samples, and the host of a digitizer. */
+/* A second, simple implementation of docs/protocol.md to compare the core with: packets, settings,
+ * samples, and the host of a digitizer. */
 #ifndef FUZZ_REFERENCE_H
 #define FUZZ_REFERENCE_H
 
@@ -16,15 +16,14 @@
 
 /* ---- framing.c ------------------------------------------------------------------------------- */
 
-/* Packets ↔ bytes a second time, from docs/protocol.md and as plainly as can be: what the core's
- * framing is held against. */
+/* Encodes and decodes packets as simply as possible. */
 
 #define FRAMING_MAX_RUN (TP_MAX_PACKET - 1)
 
 uint32_t framing_crc(const uint8_t *bytes, size_t size);
 
-/* The packet in a run of bytes between two zeros. body: room for FRAMING_MAX_RUN bytes; gets header
- * and payload. Returns their size, or 0 where the run is no packet. */
+/* Decodes a run of bytes between two zeros. body: room for FRAMING_MAX_RUN bytes; receives header and
+ * payload. Returns their size, or 0 if the run is not a packet. */
 size_t framing_unwrap(const uint8_t *run, size_t size, uint8_t *body);
 
 /* A body with its CRC, COBS and delimiter. wire: room for TP_MAX_PACKET bytes; body: for 4 more than
@@ -33,7 +32,7 @@ size_t framing_wrap(uint8_t *body, size_t size, uint8_t *wire);
 
 /* ---- commands.c ------------------------------------------------------------------------------ */
 
-/* Commands made of an input: whole packets, whatever they say. */
+/* Commands made from an input: whole packets with valid or invalid content. */
 
 #define COMMANDS_MAX 1024 /* bytes on the wire, of two */
 
@@ -46,7 +45,7 @@ size_t commands_configure(struct input *input, const struct dg_board *board, uin
 
 /* ---- settings.c ------------------------------------------------------------------------------ */
 
-/* What a CONFIGURE means by docs/protocol.md, in exact numbers of 128 bits. */
+/* The meaning of CONFIGURE by docs/protocol.md, in exact 128-bit numbers. */
 
 __extension__ typedef __int128 wide;
 
@@ -60,14 +59,14 @@ struct settings {
     uint32_t quiet_counts;
 };
 
-/* What the digitizer has to answer. settings: what holds then, if that is OK. */
+/* The result that the digitizer must return. settings: those in force if it is OK. */
 enum tp_result settings_of(struct settings *settings, const struct dg_board *board,
                            const struct tp_configure *asked);
 
-/* When a chip of a frame begins, after its mark. */
+/* Start of a chip, from the frame's mark. */
 wide settings_chip(const struct settings *settings, uint32_t chip);
 
-/* Number of the first sample that is taken at or after a time. */
+/* Number of the first sample at or after a time. */
 uint64_t settings_sample(const struct settings *settings, wide time);
 
 /* First sample of frame number `frame`. */
@@ -78,7 +77,7 @@ uint64_t settings_us(const struct settings *settings, wide time);
 
 /* ---- line.c ---------------------------------------------------------------------------------- */
 
-/* What a stream's samples were, and what therefore the packets must say that tell of them. */
+/* Records a stream's samples and checks the packets that report them. */
 
 struct line {
     struct settings settings;
@@ -120,17 +119,17 @@ uint64_t line_ahead(const struct line *line);
 
 /* The next packet. dropped: whether packets before it were dropped. */
 void line_check(struct line *line, const struct line_packet *packet, bool dropped);
-/* The stream was sent to its end, and nothing was dropped. */
+/* The stream was sent completely, and nothing was dropped. */
 void line_check_end(const struct line *line);
-/* Words that could not be made for want of samples, so far. */
+/* Number of words so far that are missing because samples were lost. */
 uint32_t line_lost(const struct line *line);
 
 /* ---- host.c ---------------------------------------------------------------------------------- */
 
-/* The host of a digitizer that is fuzzed: knows what must be answered to the bytes that it sends, and
- * holds against it what comes back. */
+/* The host of a fuzzed digitizer: knows the answers due to the bytes that it sends and compares them
+ * with those received. */
 
-/* An ACK that must come. */
+/* An ACK that is due. */
 struct host_answer {
     struct tp_ack ack;
     bool info;                /* and INFO after it … */
@@ -152,7 +151,7 @@ struct host {
     uint32_t refused, errors;
     struct host_run sent;
 
-    struct host_answer *answers; /* that must come, in their order */
+    struct host_answer *answers; /* due, in this order */
     size_t answers_size, answered;
     struct host_run heard;
     uint64_t heard_size;    /* bytes, zeros too */
@@ -163,7 +162,7 @@ struct host {
     bool info_due;
     struct tp_status status; /* the latest */
 
-    /* Is told of all samples. place: of the packet among the bytes heard. */
+    /* Called with all packets of samples. place: offset of the packet in the bytes received. */
     void (*samples)(void *context, const struct line_packet *packet, uint64_t place);
     void *context;
 };
@@ -171,11 +170,11 @@ struct host {
 void host_init(struct host *host, const struct dg_board *board);
 void host_free(struct host *host);
 
-/* Bytes that the digitizer gets. */
+/* Notes bytes sent to the digitizer. */
 void host_sends(struct host *host, const uint8_t *bytes, size_t size);
-/* Bytes that it has sent. */
+/* Checks bytes received from it. */
 void host_hears(struct host *host, const uint8_t *bytes, size_t size);
-/* All that it has sent was heard, and after all else a STATUS. */
+/* Everything it sent has been received, a STATUS last. */
 void host_check_end(const struct host *host);
 
 #endif

@@ -28,8 +28,8 @@ static wide place(const struct tp_frame_layout *frame, wide chip)
     return frame->resync_chips ? chip + chip / frame->resync_chips * frame->guard_chips : chip;
 }
 
-/* Whether frames don't overlap, nor their pulses: one has to be over before the next begins, and each
- * announces what comes a lead later. */
+/* Whether neither frames nor their pulses overlap: each pulse has to end before the next begins, and
+ * announces what comes one lead later. */
 static bool timely(const struct settings *settings)
 {
     const struct tp_frame_layout *frame = &settings->asked.frame;

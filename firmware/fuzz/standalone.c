@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* Runs a harness where there is no libFuzzer:
+/* Runs a harness without libFuzzer:
  *
  *     HARNESS [-runs=N] [-seed=N] [-max_total_time=S] FILE-OR-FOLDER …
  *
- * The files, then N mutants of them, as many as S seconds allow. It knows nothing of coverage: it
- * shows that what was found once stays mended, and little more. */
+ * Runs the files, then N mutants of them, or as many as S seconds allow. It is not guided by coverage:
+ * it shows that past findings stay fixed, and little more. */
 #include <dirent.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -89,7 +89,7 @@ static void move(struct file *file, size_t from, size_t to)
     file->size = to + size;
 }
 
-/* One thing is changed: a bit, a byte, some are cut out, put in, or taken from another file. */
+/* Makes one change: flips a bit, sets a byte, or removes, inserts or copies bytes from another file. */
 static void mutate(struct file *file, const struct corpus *corpus)
 {
     size_t place = random_number(file->size + 1), size = 1 + random_number(8);

@@ -18,12 +18,12 @@
 #include <simavr/sim_elf.h>
 #include <simavr/sim_interrupts.h>
 
-#define RESPONSE_CYCLES 4 /* of an interrupt, and once more out of sleep */
+#define RESPONSE_CYCLES 4 /* to an interrupt, and as many again out of sleep */
 #define CODES 1024        /* of the converter */
 /* simavr's converter gives ⌊mV · 1023 / supply in mV⌋: with this supply, mV are codes */
 #define SUPPLY_OF_CODES 1023
 
-/* Where a node's parts are connected, and registers that simavr doesn't name. */
+/* A microcontroller's pins, and registers that simavr doesn't name. */
 struct wiring {
     const char *mcu;
     uint8_t sync_pin, out_pin; /* of port B */
@@ -43,7 +43,7 @@ static const struct wiring wirings[] = {
      {.reg = 0x4C, .bit = 0, .mask = 1}, {.reg = 0x55, .bit = 5, .mask = 1}, {.reg = 0x55, .bit = 3, .mask = 3}},
 };
 
-/* A register whose writes are seen: what simavr does with them, or NULL. */
+/* A register whose writes are observed, with simavr's own handler or NULL. */
 struct tap {
     struct avr_node *node;
     avr_io_write_t write;
@@ -84,7 +84,7 @@ struct avr_node {
 
 static avr_cycle_count_t cycle_at(const struct avr_node *node, int64_t t_ns)
 {
-    /* the first clock edge that isn't earlier */
+    /* the first clock edge at or after it */
     __int128 scaled = (__int128)(t_ns - node->start_ns) * node->clock_mhz;
     return scaled <= 0 ? 0 : (avr_cycle_count_t)((scaled + 999999999999) / 1000000000000);
 }
@@ -102,7 +102,7 @@ static void log_edge(struct avr_node *node, int8_t level)
     int64_t t_ns = time_of(node, node->avr->cycle);
     struct pin_edge *last = node->size ? &node->edges[node->size - 1] : NULL;
 
-    if (last && last->t_ns == t_ns) { /* what lasted no time didn't happen */
+    if (last && last->t_ns == t_ns) { /* a level of zero duration is no edge */
         node->size--;
         last = node->size ? last - 1 : NULL;
     }
@@ -144,7 +144,7 @@ static void on_compare(avr_irq_t *irq, uint32_t value, void *param)
         match(node);
 }
 
-/* The last instruction's writes reach the pin. */
+/* Applies the last instruction's writes to the pin. */
 static void settle_pin(struct avr_node *node)
 {
     uint8_t *data = node->avr->data;
@@ -191,7 +191,7 @@ static void tap(struct avr_node *node, int which, avr_io_addr_t address)
     node->avr->io[io].w.param = &node->taps[which];
 }
 
-/* A prescaler runs by itself: a timer that is put to it first counts when it gets to its end. */
+/* A prescaler runs freely: a timer connected to it first counts at the prescaler's next wrap. */
 static void prescaled_write(avr_t *avr, avr_io_addr_t address, uint8_t value, void *param)
 {
     struct tap *tap = param;
@@ -206,8 +206,8 @@ static void prescaled_write(avr_t *avr, avr_io_addr_t address, uint8_t value, vo
     avr->cycle = now;
 }
 
-/* simavr leaves a cleared interrupt in its queue, and queues it again when it is raised again: a
- * queue that is full loses others for ever. */
+/* simavr leaves a cleared interrupt in its queue and queues it again when it is raised again; a full
+ * queue loses other interrupts for ever. */
 static void clear_interrupt(avr_t *avr, avr_int_vector_t *vector)
 {
     avr_int_pending_t *queue = &avr->interrupts.pending;
@@ -273,7 +273,7 @@ static void *peripheral(avr_t *avr, const char *kind, char name)
     return NULL;
 }
 
-/* Where the sync line is without having got there by an edge. */
+/* Sets the sync pin's level without an edge. */
 static void show_sync_level(struct avr_node *node)
 {
     node->port->io.irq[node->wiring->sync_pin].value = node->sync_level;
@@ -281,7 +281,7 @@ static void show_sync_level(struct avr_node *node)
         node->avr->data[node->port->r_pin] |= (uint8_t)(1u << node->wiring->sync_pin);
 }
 
-/* After each reset: what simavr connects by itself and shouldn't, and what it forgets. */
+/* After each reset: undoes connections that simavr makes by itself, restores what it forgets. */
 static void after_reset(struct avr_node *node)
 {
     avr_extint_set_strict_lvl_trig(node->avr, 0, 0);
@@ -316,7 +316,7 @@ static void prepare(struct avr_node *node)
         node->prescaled = peripheral(avr, "timer", '0');
         tap(node, TAP_CLOCK, node->prescaled->cs[0].reg);
         avr->io[AVR_DATA_TO_IO(node->prescaled->cs[0].reg)].w.c = prescaled_write;
-        /* where it is at power-up is anybody's guess */
+        /* its phase at power-up is arbitrary: it has run since time 0 */
         node->prescaler = -(int64_t)((__int128)node->start_ns * node->clock_mhz / 1000000000000);
     }
     avr_irq_register_notify(&node->timer->io.irq[TIMER_IRQ_OUT_COMP + AVR_TIMER_COMPA],
@@ -334,7 +334,7 @@ static const struct sync_edge *next_edge(const struct avr_node *node)
     return next < node->sync->size ? &node->sync->edges[next] : NULL;
 }
 
-/* When the next edge of the sync line comes. */
+/* Determines the cycle of the sync line's next edge. */
 static void look_ahead(struct avr_node *node)
 {
     const struct sync_edge *edge = next_edge(node);
@@ -342,7 +342,7 @@ static void look_ahead(struct avr_node *node)
     node->sync_cycle = edge ? cycle_at(node, edge->t_ns) : UINT64_MAX;
 }
 
-/* Edges until power-up are nothing but the level that the node finds. */
+/* Of edges before power-up only the resulting level counts. */
 static void skip_past(struct avr_node *node)
 {
     for (const struct sync_edge *edge; (edge = next_edge(node)) && edge->t_ns <= node->start_ns;
@@ -366,7 +366,7 @@ static avr_cycle_count_t next_event(const struct avr_node *node)
     return timer && timer->when < node->sync_cycle ? timer->when : node->sync_cycle;
 }
 
-/* Everything that is due by now, each at its own cycle. */
+/* Processes all events due by now, each at its own cycle. */
 static void process_events(struct avr_node *node)
 {
     avr_t *avr = node->avr;
@@ -385,8 +385,8 @@ static void process_events(struct avr_node *node)
     avr->cycle = now;
 }
 
-/* Instructions, until one reaches the next event, changes when that is, touches the output pin,
- * lets interrupts in or sleeps. (simavr leaves its loop where a timer is set: its limit is 1.) */
+/* Runs instructions until one reaches the next event, changes its time, touches the output pin, allows
+ * interrupts or sleeps. (simavr leaves its loop when a timer is set: its limit is 1.) */
 static void run_instructions(struct avr_node *node, avr_cycle_count_t event)
 {
     avr_t *avr = node->avr;
@@ -413,12 +413,12 @@ static void respond(struct avr_node *node, bool slept)
 
 static void reset_by_watchdog(struct avr_node *node)
 {
-    node->avr->run(node->avr); /* puts simavr's own back */
+    node->avr->run(node->avr); /* also restores simavr's own `run` */
     node->counters.watchdog_resets++;
     after_reset(node);
 }
 
-/* What has happened by now. */
+/* Applies what has happened by now. */
 static void catch_up(struct avr_node *node)
 {
     process_events(node);
@@ -455,11 +455,11 @@ void node_run(struct avr_node *node, int64_t t_ns)
     catch_up(node);
 }
 
-/* What is connected to it */
+/* Connections */
 
 void node_sense(struct avr_node *node, double volts)
 {
-    double code = floor(volts / node->supply_v * CODES + 0.5); /* ideal: 0 to 1 at half a count */
+    double code = floor(volts / node->supply_v * CODES + 0.5); /* ideal: code 1 begins at half a count */
     uint32_t clipped = code <= 0 ? 0 : code >= CODES - 1 ? CODES - 1 : (uint32_t)code;
 
     avr_raise_irq(avr_io_getirq(node->avr, AVR_IOCTL_ADC_GETIRQ,
@@ -522,7 +522,7 @@ static const struct wiring *wiring_of(const char *mcu)
     return NULL;
 }
 
-/* What keeps an image out of this AVR; NULL: nothing. */
+/* Loads an image; returns the reason if it cannot be loaded, else NULL. */
 static const char *load(avr_t *avr, const char *image)
 {
     elf_firmware_t firmware = {0};

@@ -2,8 +2,8 @@
 
 /* A sensing node that runs its real image: an AVR under simavr, on the skin's time axis.
  *
- * Time is in ns and common to all nodes; each counts it by a clock of its own. simavr 1.6 is exact
- * per instruction but not at its pins, so what matters there is done here, by the data sheets:
+ * Time is in ns and common to all nodes; each has a clock of its own. simavr 1.6 is exact per
+ * instruction but not at its pins, so the following is done here, according to the data sheets:
  *
  *   - Timers and edges of the sync line act at their own cycle, not after the instruction that they
  *     fall into, or one cycle late out of sleep.
@@ -40,40 +40,40 @@ struct pin_edge {
 struct node_counters {
     uint64_t cycles_awake, cycles_asleep;
     uint32_t watchdog_resets;
-    uint32_t deep_sleeps; /* in another mode than idle: the emulation is not valid there */
+    uint32_t deep_sleeps; /* in a mode other than idle, for which the emulation is not valid */
     uint32_t pull_ups;    /* times that the output pin was released into its pull-up */
     uint32_t faults;      /* errors that simavr reports: bad addresses, bad opcodes, a crash */
 };
 
-/* What a node is. */
+/* Description of a node. */
 struct node_plan {
     const char *image, *mcu;
-    const uint8_t *memory; /* what its EEPROM begins with; the rest is blank */
+    const uint8_t *memory; /* beginning of its EEPROM; the rest is blank */
     size_t memory_size;
     double clock_hz;
     double supply_v;
-    double gain;      /* of the amplifier's input that it is connected to */
+    double gain;      /* of its input of the amplifier */
     int64_t start_ns; /* when it is powered up */
 };
 
 struct avr_node;
 
-/* NULL where something is wrong; `error` then says what. */
+/* Returns NULL on failure, with the reason in `error`. */
 struct avr_node *node_create(const struct node_plan *plan, const struct sync_line *sync,
                              char *error, size_t error_size);
 void node_free(struct avr_node *node);
 
-/* Run to a time; edges of the sync line before it must be known. */
+/* Runs to a time; edges of the sync line before it must have been announced. */
 void node_run(struct avr_node *node, int64_t t_ns);
 
-/* Voltage at the sensor. */
+/* Sets the voltage at the sensor. */
 void node_sense(struct avr_node *node, double volts);
-/* Edges of the sync line that it has seen, or slept through before power-up. */
+/* Number of edges of the sync line that it has seen, or that came before power-up. */
 uint64_t node_seen(const struct avr_node *node);
 
 /* Edges of the output pin, in order; the pin was at `before` until the first. */
 size_t node_edges(const struct avr_node *node, const struct pin_edge **edges, int8_t *before);
-/* Forget edges before a time. */
+/* Forgets edges before a time. */
 void node_forget(struct avr_node *node, int64_t t_ns);
 
 bool node_led(const struct avr_node *node);

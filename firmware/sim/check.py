@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Presses the emulated skin and counts what goes wrong: `make firmware-test`.
+"""Press the emulated skin and count errors: `make firmware-test`.
 
     node images (AVR, simavr) → pins → analog line → digitizer → packets → the driver's pipeline
 
 with nodes whose clocks differ by ±2 % and supplies by ±3 %, a moving contact, and every node
-talking in every frame. The digitizer is the core on a virtual board, then the RP2040's image.
+transmitting in every frame. The digitizer is the core on a virtual board, then the RP2040's image.
 """
 
 from __future__ import annotations
@@ -30,11 +30,13 @@ from trial import Trial, edge_errors, press_and_decode
 
 PARAMS = Path(__file__).resolve().parents[2] / "config" / "wired_skin.yaml"
 FRAMES = 300
+"""Per trial. Chosen: seconds of emulation."""
 HISTORY_S = 60.0
+"""Longer than a trial lasts: the edges of all its frames are compared."""
 
 
 def on_virtual_board(config: SkinConfig, mcu: str, frames: int) -> tuple[Trial, str]:
-    """Nodes of one kind on the core's virtual board; also what was measured at their pins."""
+    """Trial of nodes of one kind on the core's virtual board, and the errors at their pins."""
     nodes = reference_nodes(config, mcu=mcu, threshold=0)
     with EmulatedSkin(nodes, reference_amplifier(config), history_s=HISTORY_S) as skin:
         trial = press(skin, skin, config, frames)
@@ -42,7 +44,7 @@ def on_virtual_board(config: SkinConfig, mcu: str, frames: int) -> tuple[Trial, 
 
 
 def on_rp2040(config: SkinConfig, frames: int) -> tuple[Trial, str]:
-    """Nodes on the RP2040's image, with a host at its USB port; edges against those of its pin."""
+    """Trial of nodes on the RP2040's image with a USB host; edges relate to its sync pin."""
     nodes = reference_nodes(config, threshold=0)
     with Rp2040Skin(nodes, reference_amplifier(config)) as skin:
         trial = press(skin, skin, config, frames)
@@ -55,7 +57,7 @@ def on_rp2040(config: SkinConfig, frames: int) -> tuple[Trial, str]:
 
 
 def edges(nodes: EmulatedNodes, config: SkinConfig, words: dict[int, NDArray[np.int32]]) -> str:
-    """Largest error of an edge, and largest change of it from one edge to the next."""
+    """Largest error of an edge, and largest change of the error from one edge to the next, µs."""
     errors_us = [errors / 1e3 for errors in edge_errors(nodes, config.spec, words)]
     edge_us = max(np.abs(errors).max() for errors in errors_us)
     jitter_us = max(np.abs(np.diff(errors)).max() for errors in errors_us)
@@ -63,13 +65,13 @@ def edges(nodes: EmulatedNodes, config: SkinConfig, words: dict[int, NDArray[np.
 
 
 def press(nodes: EmulatedNodes, digitizer: Digitized, config: SkinConfig, frames: int) -> Trial:
-    """A contact that moves over the skin."""
+    """Trial with a contact that moves over the skin."""
     skin = PressedSkin(config, SCENES["moving"], nodes, digitizer)
     return press_and_decode(skin, config, frames)
 
 
 def main() -> int:
-    """Print a line per trial and the sums last; the exit code tells whether all was right."""
+    """Print a line per trial and the sums last; exit code 1 on any error."""
     config = SkinConfig.of(read_file(PARAMS))
     trials = []
     plan: dict[str, Callable[[], tuple[Trial, str]]] = {
@@ -91,7 +93,7 @@ def main() -> int:
             f"({time.monotonic() - begin:.0f} s)",
             flush=True,
         )
-    # Every node was to talk in every frame: one that was silent is wrong, too.
+    # Every node has to transmit in every frame, so a silent one is wrong, too.
     frames, wrong = sum(t.frames for t in trials), sum(t.wrong + t.silent for t in trials)
     lost_samples = sum(t.lost_samples for t in trials)
     print(f"frames={frames} wrong={wrong} lost_samples={lost_samples}")

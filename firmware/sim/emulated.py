@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The emulated skin: sensing nodes that run their real images, on one analog line (skin.h).
+"""The emulated skin: sensing nodes that run their real images on one analog line (skin.h).
 
-EmulatedNodes is the nodes, the sync line that they hear and the line that they drive; EmulatedSkin
-has a digitizer as well: the firmware's core on a virtual board (virtual_board.h). Times are in ns
-from power-up of the whole skin, and common to all, whatever their clocks.
+EmulatedNodes has the nodes, their sync line and the analog line; EmulatedSkin adds a digitizer: the
+firmware's core on a virtual board (virtual_board.h). Times are in ns from power-up of the skin, the
+same for all nodes whatever their clocks.
 """
 
 from __future__ import annotations
@@ -37,23 +37,22 @@ LIBRARY = Path(__file__).resolve().parents[1] / "build" / "sim" / "libskin.so"
 EDGE = np.dtype([("t_ns", "<i8"), ("level", "i1")], align=True)
 """A change of an output pin: level is +1 high, −1 low, 0 released."""
 _MIN_RUN_NS = 10_000_000
-"""Without history: so long is run at a time, before edges are forgotten."""
+"""Least time run before old edges are dropped, ns. Chosen: a frame or so."""
 _AVR = 83
 """e_machine of an ELF image for the AVR."""
 
 
 class EmulationError(Exception):
-    """What was asked for cannot be emulated."""
+    """The emulation that was asked for is not possible."""
 
 
 @dataclass(frozen=True, slots=True)
 class Node:
     """A sensing node.
 
-    image: its firmware, an ELF file. mcu: "atmega328p" or "attiny85". memory: what its EEPROM
-    begins with. clock_hz: of its oscillator; 1 % above 8 MHz is a node that is 1 % fast.
-    supply_v: V. gain: of the amplifier's input that it is connected to; the node's level on the
-    line is gain · supply_v / 2. start_ns: when it is powered up.
+    image: its firmware, an ELF file. mcu: "atmega328p" or "attiny85". memory: the beginning of its
+    EEPROM. clock_hz: true frequency of its nominal 8 MHz oscillator. supply_v: V. gain: of its
+    input of the amplifier; its level on the line is gain · supply_v / 2. start_ns: power-up.
     """
 
     image: Path
@@ -69,7 +68,7 @@ class Node:
 class Amplifier:
     """Sums the nodes: offset_v ± the sum of their levels + noise, clipped at the rails, in V.
 
-    polarity: −1 where it inverts. noise_v: standard deviation, independent from sample to sample.
+    polarity: −1 if it inverts. noise_v: standard deviation, independent from sample to sample.
     """
 
     offset_v: float = 1.65
@@ -105,7 +104,7 @@ class _Plan(ctypes.Structure):
 
 
 class NodeCounters(ctypes.Structure):
-    """What a node did since power-up; struct node_counters says more."""
+    """What a node did since power-up; see struct node_counters."""
 
     cycles_awake: int
     cycles_asleep: int
@@ -189,7 +188,7 @@ class EmulatedNodes:
             self._library.node_sense(self._node(node), value)
 
     def sync(self, t_ns: int, level: bool) -> None:
-        """Announce an edge of the sync line: in order, and none in the past."""
+        """Announce an edge of the sync line. Edges are in order, none is in the past."""
         if not self._library.skin_sync(self._skin, t_ns, level):
             raise EmulationError(
                 f"an edge of the sync line at {t_ns} ns is before the last one or in the past"
@@ -214,7 +213,7 @@ class EmulatedNodes:
         return np.frombuffer(ctypes.string_at(edges, size * EDGE.itemsize) if size else b"", EDGE)
 
     def forget(self, t_ns: int) -> None:
-        """Forget edges before a time; the line cannot be looked at before it any more."""
+        """Forget edges before a time; `volts` cannot go back beyond it."""
         self._library.skin_forget(self._skin, t_ns)
 
     def led(self, node: int) -> bool:
@@ -237,8 +236,8 @@ class EmulatedNodes:
 class EmulatedSkin(EmulatedNodes):
     """Nodes and the digitizer that drives their sync line and samples their line.
 
-    clock_error: of the digitizer's oscillator; 0.01 is 1 % fast. link_rate: bytes per second that
-    the host gets; 0: all at once. history_s: so far back edges and the line are known.
+    clock_error: relative error of the digitizer's oscillator; 0.01 is 1 % fast. link_rate: bytes/s
+    to the host; 0: unlimited. history_s: how far back edges and the line are kept.
     """
 
     def __init__(

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the images take, for docs/firmware.md: `make firmware-figures`."""
+"""Measure time awake and load of the images, for docs/firmware.md: `make firmware-figures`."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ LINKS = {  # name: chip, s; samples per chip; whether over USB
 
 
 def share_awake(config: SkinConfig, mcu: str, threshold: int) -> float:
-    """Mean share of the time that nodes at rest are awake; threshold 0: they talk all the same."""
+    """Mean share of time that nodes at rest are awake; threshold 0: they transmit nevertheless."""
     nodes = reference_nodes(config, mcu=mcu, threshold=threshold, heartbeat=0)
     with EmulatedSkin(nodes, reference_amplifier(config)) as skin:
         skin.press([node.supply_v for node in nodes])
@@ -48,7 +48,7 @@ def share_awake(config: SkinConfig, mcu: str, threshold: int) -> float:
 
 
 def digitizer(chip_s: float, samples_per_chip: int, usb: bool) -> tuple[float, int, int]:
-    """Load of the RP2040 while it streams; samples that came, and that were lost or dropped."""
+    """CPU load of the RP2040 while streaming; samples received; samples lost, packets dropped."""
     spec = FrameSpec(chip_s=chip_s, frame_period_s=round(1.2 * 200 * chip_s, 6))
     commands = Configure(FrameLayout.of(spec, samples_per_chip)), Start()
     parser, writer = PacketParser(), PacketWriter()

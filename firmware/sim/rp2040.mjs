@@ -1,4 +1,4 @@
-// Runs the digitizer's image in an emulated RP2040, as the slave of a parent process.
+// Runs the digitizer's image in an emulated RP2040, controlled by a parent process.
 //
 //     node rp2040.mjs digitizer.bin flash-id
 //
@@ -11,26 +11,25 @@
 //     'R' time             run until then; answered by 'D'
 //     'U' bytes            to UART0, from now on, at its speed
 //     'S' bytes            to USB
-//     'H' u8               USB cable: 0 unplugged, 1 plugged in but nobody reads, 2 read
-//     'C'                  the USB host clears a halt of the device's bulk IN endpoint
-//     'T' f64              the CPU stands still for so many ns
-//     'M' f64              DMA takes no samples from the ADC for so many ns
-//     'A' u16…             counts of the line: of the conversion asked for, and of those after it
+//     'H' u8               USB host: 0 unplugged, 1 plugged in but not reading, 2 reading
+//     'C'                  the USB host clears the halt of the device's bulk IN endpoint
+//     'T' f64              stall the CPU for this many ns
+//     'M' f64              DMA takes no samples from the ADC for this many ns
+//     'A' u16…             counts of the line, for the conversion asked for and those after it
 //
 // and gets
 //
-//     'D' time, f64        it has run until then; cycles that the CPU was awake, in all
+//     'D' time, f64        it has run until then; cycles awake of the CPU since power-up
 //     'P' time, u8, u8     a pin (16: sync, 25: LED) is now low (0) or high (1)
-//     'U' time, bytes      UART0 has sent them; the last one just then
+//     'U' time, bytes      UART0 has sent them, the last one at that time
 //     'S' time, bytes      USB likewise
 //     'I' JSON             a USB host has configured the device: its descriptors
-//     'A' time, f64, time  a conversion begins; others follow in steps of so many ns; the sync line
-//                          does not change before the second time. To be answered by 'A' with at
-//                          least one count
-//     'X' text             the end: an error
+//     'A' time, f64, time  a conversion begins; others follow every f64 ns; the sync line does not
+//                          change before the second time. Answer with 'A' and at least one count
+//     'X' text             an error, which ends the emulator
 //
-// All that happens before a time is told before it: an answer to 'A' may depend on all edges of the
-// sync line before that conversion, and hold for conversions until the line can next change.
+// Messages come in order of time: an answer to 'A' may depend on all edges of the sync line before that
+// conversion, and may cover the conversions until the line can next change.
 
 import { readFileSync, readSync, writeSync } from 'node:fs';
 
@@ -39,7 +38,7 @@ const PINS = [16, 25];
 
 let pending = Buffer.alloc(0);
 
-// The next message of the parent. Ends the process where the parent has gone.
+// The next message of the parent. Exits if the parent has gone.
 function receive() {
   const chunk = Buffer.alloc(65536);
   for (;;) {
@@ -74,7 +73,7 @@ function float(value) {
   return bytes;
 }
 
-// Counts that the parent gave in advance, and the conversion that the first of them is of.
+// Counts given in advance by the parent, in reverse order, and the time of the next one's conversion.
 let counts = [];
 let expected = 0;
 

@@ -8,9 +8,9 @@
         board.run(0.5)
         packets = parser.feed(board.read_uart())
 
-Time is that of the chip, from power-up on, in seconds where nothing else is said. It passes in
-`run` alone; `line` and `on_sync` are called from there. All that happens before a time is told
-before it, so a line may depend on every sync edge before the instants that it is asked for.
+Time is the chip's, in seconds since power-up unless stated otherwise. It advances only in `run`,
+which calls `line` and `on_sync` in order of time, so a line may depend on every sync edge before
+the instants that it is asked for.
 """
 
 from __future__ import annotations
@@ -30,25 +30,25 @@ from numpy.typing import NDArray
 
 HERE = Path(__file__).resolve().parent
 CPU_HZ = 96e6
-"""As the firmware sets it (clocks.c)."""
+"""clk_sys, as clocks.c sets it."""
 PIN_SYNC = 16
 PIN_LED = 25
 MAX_COUNTS = 4096
-"""Counts of the line per question."""
+"""Most counts of the line per request."""
 
 Line = Callable[[NDArray[np.float64]], NDArray[np.uint16]]
 """The ADC's counts, (m,) uint16, at times (m,) float64, ns. No sync edge lies between the times."""
 SyncEdge = Callable[[float, bool], None]
-"""A change of the sync line: when, in ns; whether to high."""
+"""Called with an edge of the sync line: its time in ns, and whether it rises."""
 
 
 class EmulatorError(RuntimeError):
-    """The emulator is not installed, could not go on, or was used wrongly."""
+    """The emulator is not installed, failed, or was used wrongly."""
 
 
 @dataclass(frozen=True, slots=True)
 class UsbDevice:
-    """What the device has told a USB host; `strings` by index, None where there is none."""
+    """The device's USB descriptors; `strings` by index, None if there is none."""
 
     device: bytes
     configuration: bytes
@@ -59,8 +59,8 @@ class Rp2040:
     """The chip with its flash, a line at its ADC and hosts at UART and USB.
 
     image: the flash's content, a .bin file.
-    line: what the ADC converts.
-    on_sync: told of every edge of the sync line.
+    line: gives the ADC's counts.
+    on_sync: called with every edge of the sync line.
     flash_id: the flash's unique number, 8 bytes.
     """
 
@@ -86,10 +86,10 @@ class Rp2040:
         self._now_ns = 0.0
         self._until_ns = 0.0
         self.cycles = 0.0
-        """That the CPU was awake, since power-up."""
+        """Cycles that the CPU was awake since power-up."""
         self.led = False
         self.usb_device: UsbDevice | None = None
-        """Set when a host has configured the device, which takes some 30 ms."""
+        """Set when a host has configured the device, after about 30 ms."""
         self._process = subprocess.Popen(
             [node, str(HERE / "rp2040.mjs"), str(image), flash_id.hex()],
             stdin=subprocess.PIPE,
@@ -109,7 +109,7 @@ class Rp2040:
         self.close()
 
     def close(self) -> None:
-        """Ends the emulator."""
+        """End the emulator."""
         assert self._process.stdin is not None and self._process.stdout is not None
         self._process.stdin.close()
         self._process.stdout.close()
@@ -126,54 +126,54 @@ class Rp2040:
         return self.cycles / (self.now * CPU_HZ)
 
     def run(self, until: float) -> None:
-        """Lets time pass, to `until` s."""
+        """Advance to a time, s."""
         self._until_ns = until * 1e9
         self._send(b"R", struct.pack("<d", self._until_ns))
         while self._handle(*self._receive()) != "D":
             pass
 
     def write_uart(self, data: bytes) -> None:
-        """Sends to UART0, from now on, at its speed."""
+        """Send bytes to UART0 at its speed."""
         self._send(b"U", data)
 
     def read_uart(self) -> bytes:
-        """All that UART0 has sent since the last call."""
+        """Bytes sent by UART0 since the last call."""
         data = bytes(self._uart)
         self._uart.clear()
         return data
 
     def plug_usb(self, reading: bool = True) -> None:
-        """A USB host; one that is not `reading` takes nothing from the device."""
+        """Plug in a USB host. If not `reading`, it takes no data from the device."""
         self._send(b"H", bytes([2 if reading else 1]))
 
     def clear_usb_halt(self) -> None:
-        """The USB host clears a halt of the endpoint that it reads, though there is none."""
+        """Have the USB host clear the halt of the endpoint that it reads, halted or not."""
         self._send(b"C", b"")
 
     def unplug_usb(self) -> None:
-        """The USB host goes away."""
+        """Unplug the USB host."""
         self._send(b"H", bytes([0]))
 
     def write_usb(self, data: bytes) -> None:
-        """Sends to the USB device."""
+        """Send bytes to the USB device."""
         self._send(b"S", data)
 
     def read_usb(self) -> bytes:
-        """All that the USB host has read since the last call."""
+        """Bytes that the USB host has read since the last call."""
         data = bytes(self._usb)
         self._usb.clear()
         return data
 
     def stall(self, seconds: float) -> None:
-        """The CPU stands still from now on, while all around it goes on."""
+        """Stall the CPU for a time, while everything else continues."""
         self._send(b"T", struct.pack("<d", seconds * 1e9))
 
     def hold_samples(self, seconds: float) -> None:
-        """From now on no sample gets from the ADC's FIFO to memory."""
+        """Keep samples in the ADC's FIFO from reaching memory for a time."""
         self._send(b"M", struct.pack("<d", seconds * 1e9))
 
     def _handle(self, kind: str, payload: bytes) -> str:
-        """Takes note of a message; returns its type."""
+        """Process a message; return its type."""
         if kind == "A":
             self._answer(*struct.unpack("<3d", payload))
         elif kind == "U":
@@ -197,7 +197,7 @@ class Rp2040:
         return kind
 
     def _answer(self, now_ns: float, period_ns: float, stays_ns: float) -> None:
-        """The line's counts at a conversion and at those that follow before it may change."""
+        """Send the line's counts at a conversion and at those before the sync line may change."""
         ahead = (min(stays_ns, self._until_ns) - now_ns) // period_ns
         times = now_ns + period_ns * np.arange(min(max(ahead, 1), MAX_COUNTS))
         counts = np.asarray(self._line(times))
@@ -210,7 +210,7 @@ class Rp2040:
         try:
             self._process.stdin.write(kind + struct.pack("<I", len(payload)) + payload)
         except BrokenPipeError:
-            while True:  # until it says why
+            while True:  # until it gives the reason
                 self._handle(*self._receive())
 
     def _receive(self) -> tuple[str, bytes]:
@@ -230,7 +230,7 @@ class Rp2040:
 
 
 def _device(told: dict[str, list[int] | list[list[int] | None]]) -> UsbDevice:
-    """What the device told, from the emulator's JSON."""
+    """The device's descriptors from the emulator's JSON."""
     strings = tuple(
         None if string is None else bytes(string)[2:].decode("utf-16-le")
         for string in told["strings"]

@@ -1,10 +1,10 @@
-// An RP2040 as rp2040js emulates it, put right where it differs from the chip in something that the
-// digitizer depends on. Each change says what the emulator does.
+// An RP2040 as rp2040js emulates it, corrected where the digitizer depends on a difference from the chip.
+// Each correction says what the emulator does.
 
 import { RP2040 } from 'rp2040js';
 
 const FLASH_BOOT_STAGE = 256;
-const BOOT_STAGE_ADDRESS = 0x20041f00; // where the boot ROM puts it
+const BOOT_STAGE_ADDRESS = 0x20041f00; // where the boot ROM loads it
 const PSM_ALL_BUT_OSCILLATORS = 0x1fffc;
 const RESET_ADC = 1 << 0;
 const RESET_PWM = 1 << 14;
@@ -15,16 +15,16 @@ const UART_BAUD = 2e6;
 const UART_FIFO = 32;
 const UART_CR = 0x30;
 const UART_DMACR = 0x48;
-const INTERRUPT_CYCLES = 15 + 13; // entry and return, which the emulator does in none
+const INTERRUPT_CYCLES = 15 + 13; // entry and return, which take no time in the emulator
 
 export class Chip {
-  // image: of the flash. flashId: its unique number, 8 bytes. line: time in ns → ADC count.
-  // uartByte: called with every byte that UART0 has sent, when its stop bit ends.
+  // image: content of the flash. flashId: its unique number, 8 bytes. line: time in ns → ADC count.
+  // uartByte: called with every byte that UART0 sends, at the end of its stop bit.
   constructor({ image, flashId, line, uartByte }) {
     this.rp2040 = new RP2040();
     this.clock = this.rp2040.clock;
     this.rp2040.logger = new Logger();
-    this.cycles = 0; // that the CPU was not asleep
+    this.cycles = 0; // in which the CPU was awake
     this.stalledUntil = 0;
     this.rp2040.flash.set(image);
     this.#countInterruptCycles();
@@ -46,12 +46,12 @@ export class Chip {
     return this.clock.nanos;
   }
 
-  // Nothing but the CPU's instructions takes time, and there are none while it sleeps.
+  // Advances by instructions of the CPU or, while it sleeps, from alarm to alarm.
   run(until) {
     const { clock, rp2040 } = this;
     const { core } = rp2040;
     while (clock.nanosCounter < until) {
-      // The emulator sleeps over an interrupt that came after the last look and before WFI.
+      // The emulator misses an interrupt that comes between its last check and WFI.
       if (core.waiting && core.pendingInterrupts & core.enabledInterrupts) core.waiting = false;
       if (core.waiting || clock.nanosCounter < this.stalledUntil) {
         const end = core.waiting ? until : Math.min(until, this.stalledUntil);
@@ -68,12 +68,12 @@ export class Chip {
     }
   }
 
-  // A CPU that does nothing for so long, while everything around it goes on.
+  // Stalls the CPU, while everything else continues.
   stall(ns) {
     this.stalledUntil = this.now + ns;
   }
 
-  // For so long no sample gets from the ADC's FIFO to the DMA.
+  // Keeps the DMA from taking samples out of the ADC's FIFO for a time.
   holdSamples(ns) {
     const { adc, dma } = this.rp2040;
     const update = adc.updateDMA;
@@ -87,8 +87,7 @@ export class Chip {
       .schedule(ns);
   }
 
-  // The sync line will not change before this time: it does so with PWM 0, which has taken over
-  // its present period's length and pulse.
+  // Time before which the sync line will not change: that of PWM 0's next event in its present period.
   get syncStaysUntil() {
     const { timer, alarmA, alarmBottom } = this.rp2040.pwm.channels[0];
     if (!timer.enable) return this.now;
@@ -102,7 +101,7 @@ export class Chip {
     });
   }
 
-  // There is no boot ROM: this is what it does. The image's boot stage does the rest.
+  // Does what the boot ROM does, which is not emulated; the image's boot stage does the rest.
   #boot() {
     const { core, sram, flash } = this.rp2040;
     sram.set(flash.subarray(0, FLASH_BOOT_STAGE), BOOT_STAGE_ADDRESS - 0x20000000);
@@ -120,8 +119,8 @@ export class Chip {
     };
   }
 
-  // Emulated RESETS reset nothing; a conversion in progress, old samples or half a pulse would
-  // get into the next stream.
+  // Emulated RESETS reset nothing, so a conversion in progress, old samples or half a pulse would
+  // reach the next stream.
   #resetBlocks() {
     const { adc, pwm, peripherals } = this.rp2040;
     const resets = peripherals[0x4000c];
@@ -145,7 +144,7 @@ export class Chip {
     };
   }
 
-  // An emulated slice begins to count when its divider is set, enabled or not.
+  // An emulated slice starts counting when its divider is set, even if it is not enabled.
   #stopPwm() {
     const slice = this.rp2040.pwm.channels[0];
     const write = slice.writeRegister.bind(slice);
@@ -155,15 +154,15 @@ export class Chip {
     };
   }
 
-  // Emulated DMA ends a transfer at once, but doesn't know the register that tells when.
+  // Emulated DMA aborts a transfer at once, but lacks the register that shows the end of it.
   #abortDma() {
     const { dma } = this.rp2040;
     const read = dma.readUint32.bind(dma);
     dma.readUint32 = (offset) => (offset === DMA_CHAN_ABORT ? 0 : read(offset));
   }
 
-  // The emulator's own pacing is right: a conversion takes its 96 clocks, the next one begins
-  // 1 + DIV.INT clocks after the one before.
+  // The emulator's pacing is correct: a conversion takes 96 clocks, and the next one begins
+  // 1 + DIV.INT clocks after the previous one.
   #connectLine(line) {
     const { adc } = this.rp2040;
     adc.onADCRead = (channel) => {
@@ -174,8 +173,8 @@ export class Chip {
     };
   }
 
-  // The emulated SSI reads zeros, and the pins of the flash don't exist. Here is a flash chip that
-  // knows one command.
+  // The emulated SSI reads zeros and has no flash pins. This is a flash chip with one command: read
+  // unique number.
   #connectFlash(flashId) {
     const { peripherals } = this.rp2040;
     const ssi = peripherals[0x18000];
@@ -192,14 +191,14 @@ export class Chip {
     };
     ssi.writeUint32 = (offset, value) => {
       if (offset !== 0x60) return write(offset, value);
-      const place = received.push(value & 0xff) - 6; // after the command and 4 bytes of nothing
+      const place = received.push(value & 0xff) - 6; // after the command and 4 dummy bytes
       answer.push(selected && received[0] === 0x4b && place >= 0 ? flashId[place] : 0);
     };
     ssi.readUint32 = (offset) => (offset === 0x60 ? answer.shift() : read(offset));
   }
 
-  // Emulated bytes leave the UART at once, and DMA may always write the next. Here they wait in its
-  // FIFO for their turn on the wire.
+  // Emulated bytes leave the UART at once, and DMA may always write the next. Here they wait in the FIFO
+  // and take their time on the wire.
   #paceUart(uartByte) {
     const uart = this.rp2040.uart[0];
     const { dma } = this.rp2040;

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Emulated nodes on the RP2040's image: `EmulatedSkin` with a real digitizer's firmware."""
+"""Emulated nodes with the RP2040's image: an `EmulatedSkin` with a digitizer's real firmware."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ COUNTS = 4096
 class Rp2040Skin(EmulatedNodes):
     """Nodes and the RP2040 that drives their sync line and samples their line.
 
-    The host is at its USB port.
+    The host is connected by USB.
     """
 
     def __init__(self, nodes: Sequence[Node], amplifier: Amplifier | None = None) -> None:
@@ -29,7 +29,7 @@ class Rp2040Skin(EmulatedNodes):
         super().__init__(nodes, amplifier)
         self.chip.plug_usb()
         self.pulses_ns: list[int] = []
-        """When the pulses began that came from the sync pin."""
+        """Times of the rising edges of the sync pin."""
 
     def close(self) -> None:
         """End the emulator, free the nodes. May be called twice."""
@@ -60,7 +60,7 @@ class Rp2040Skin(EmulatedNodes):
         self.sync(round(t_ns), level)
 
     def _counts(self, times_ns: NDArray[np.float64]) -> NDArray[np.uint16]:
-        """What the ADC makes of the line at evenly spaced times."""
+        """The ADC's counts of the line at evenly spaced times."""
         super().run(int(times_ns[-1]) + 1)
         step_ns = times_ns[1] - times_ns[0] if len(times_ns) > 1 else 0.0
         volts = self.volts(times_ns[0], step_ns, len(times_ns))

@@ -1,6 +1,6 @@
-// A USB host at the emulated controller: enumerates the device as Linux does, then reads and writes
-// its two bulk endpoints. It stands in for the emulator's own transfers, which deliver at once
-// whatever the host does, and don't look at data toggles.
+// A USB host for the emulated controller: enumerates the device as Linux does, then reads and writes its
+// two bulk endpoints. It replaces the emulator's own transfers, which deliver at once whatever the host
+// does and ignore data toggles.
 //
 // One transaction at a time is on the bus; 64 bytes take 1/19 ms, as full speed allows.
 
@@ -11,7 +11,7 @@ const STALL = 1 << 11;
 const AVAILABLE = 1 << 10;
 const LENGTH = 0x3ff;
 const PACKET = 64;
-const TRANSFER = 128; // what Linux' CDC ACM driver reads at a time
+const TRANSFER = 128; // bytes that Linux' CDC ACM driver reads at a time
 const IN = 0;
 const OUT = 1;
 const TRANSACTION_NS = (bytes) => ((bytes + 15) * 8000) / 12;
@@ -26,9 +26,9 @@ const setup = (type, request, value, index, length) => [
 ];
 
 export class UsbHost {
-  // received: called with the bytes of every transfer from the device, which ends when it is full or
-  // with a packet that is not.
-  // enumerated: called with what the device tells about itself.
+  // received: called with the bytes of every transfer from the device; a transfer ends when it is full
+  // or with a short packet.
+  // enumerated: called with the device's descriptors.
   constructor(chip, { received, enumerated }) {
     this.chip = chip;
     this.usb = chip.rp2040.usbCtrl;
@@ -67,7 +67,7 @@ export class UsbHost {
     this.#serve();
   }
 
-  // What some hosts do when a program opens the port.
+  // Clears the halt of the bulk IN endpoint, as some hosts do when a program opens the port.
   clearHalt() {
     this.script = this.#clearHalt();
     this.#advance();
@@ -84,7 +84,7 @@ export class UsbHost {
     this.#advance();
   }
 
-  // Goes on with the enumeration: it yields the ns to wait, or a transaction of endpoint 0.
+  // Continues the enumeration, which yields the ns to wait or a transaction of endpoint 0.
   #advance(result) {
     const { value, done } = this.script.next(result);
     this.wanted = null;
@@ -128,7 +128,7 @@ export class UsbHost {
     yield 10e6;
   }
 
-  // A control transfer with data from the device: its bytes, or null where it refuses.
+  // A control transfer with data from the device: its bytes, or null if the device stalls.
   *#read(packet) {
     const asked = packet[6] | (packet[7] << 8);
     const bytes = [];
@@ -166,7 +166,7 @@ export class UsbHost {
     if (wanted.setup) {
       this.#start(8, () => {
         this.#check(this.usb.addrEndp & 0x7f, this.address, 'device address');
-        this.usb.epStallArm = 0; // all that a SETUP does to the buffers of endpoint 0
+        this.usb.epStallArm = 0; // the only effect of a SETUP on the buffers of endpoint 0
         this.usb.sendSetupPacket(Uint8Array.from(wanted.setup));
         this.#advance();
       });
@@ -217,7 +217,7 @@ export class UsbHost {
     this.done.schedule(TRANSACTION_NS(size));
   }
 
-  // What the controller does when a buffer was sent or filled.
+  // Does what the controller does when a buffer has been sent or filled.
   #complete(endpoint, direction, bytes, buffer) {
     let control = this.#control(endpoint, direction) & ~AVAILABLE;
     if (direction === OUT) {

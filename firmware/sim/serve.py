@@ -3,7 +3,7 @@
 """The emulated skin behind a tty, live: `make run FIRMWARE=1`.
 
 Node images run under simavr, their pins add up on the analog line, and the digitizer's core samples
-it; bytes leave through a pseudo-terminal in the host's time.
+it; bytes leave through a pseudo-terminal in real time.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from tactile_cdma.sim.pty import serve
 from tactile_cdma.sim.scene import SCENES
 
 STEP_S = 2e-3
-"""The emulation goes on in such steps, and so do bytes."""
+"""Step of the emulation, s. Chosen: small against a frame of 8 ms."""
 MOST_LAG_S = 0.1
-"""An emulation that falls farther behind the host's clock lets it go."""
+"""An emulation that falls farther behind the host's clock, s, does not catch up. Chosen."""
 SLOW = (
-    "serve.py: this machine emulates so many nodes slower than they are: "
-    "fewer frames come than should, and their age says nothing"
+    "serve.py: this machine is too slow to emulate this many nodes in real time: "
+    "the frame rate is too low, and the age of frames is meaningless"
 )
 
 
 class LiveSkin:
-    """An emulated skin in the host's time: a `tactile_cdma.sim.pty.Digitizer`."""
+    """An emulated skin in real time: a `tactile_cdma.sim.pty.Digitizer`."""
 
     def __init__(self, skin: PressedSkin, clock: Callable[[], float] = time.monotonic) -> None:
         self._skin, self._clock = skin, clock
@@ -61,14 +61,14 @@ class LiveSkin:
         return max(0.0, STEP_S - lag_s)
 
     def take(self, size: int) -> bytes:
-        """Give away at most `size` bytes for the host."""
+        """Take at most `size` bytes for the host."""
         data = bytes(self._output[:size])
         del self._output[:size]
         return data
 
 
 def main() -> int:
-    """Serve until SIGINT or SIGTERM; says where on stdout when ready."""
+    """Serve until SIGINT or SIGTERM; print the tty's path when ready."""
     parser = argparse.ArgumentParser(description="The emulated skin behind a tty.")
     parser.add_argument("--params", type=Path, required=True, help="ROS 2 parameter file")
     parser.add_argument("--scene", choices=SCENES, default="moving", help="what touches it")

@@ -8,7 +8,7 @@
 
 struct member {
     struct avr_node *node;
-    double swing_nv; /* at the amplifier's output, per level; whole, so that sums are exact */
+    double swing_nv; /* nV at the amplifier's output per level; an integer, so that sums are exact */
 };
 
 struct skin {
@@ -16,7 +16,7 @@ struct skin {
     struct sync_line sync;
     struct member *members;
     size_t size;
-    int64_t now_ns; /* nodes have run to it */
+    int64_t now_ns; /* time to which nodes have run */
     uint64_t random;
     double spare; /* of a pair of normal deviates; NaN: none */
 };
@@ -135,7 +135,7 @@ static size_t find_edge(const struct pin_edge *edges, size_t size, double t_ns)
     return low;
 }
 
-/* Adds a member's steps to those of the line: how much each sample lies above the one before. */
+/* Adds a member's steps to the line's: the difference of each sample from the one before. */
 static void add_steps(const struct member *member, double t_ns, double step_ns, double *nv,
                       size_t size)
 {

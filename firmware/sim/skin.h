@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* The emulated skin: nodes, the sync line that they hear and the analog line that they share.
+/* The emulated skin: nodes, their sync line and the analog line that they share.
  *
  *     volts(t) = offset + polarity · Σ gain · level(t) · supply / 2  + noise, clipped at the rails
  *
@@ -24,19 +24,19 @@ struct skin;
 struct skin *skin_create(const struct amplifier *amplifier);
 void skin_free(struct skin *skin);
 
-/* Returns the node's number, or −1 and says why. */
+/* Returns the node's number, or −1 with the reason in `error`. */
 int skin_add(struct skin *skin, const struct node_plan *plan, char *error, size_t error_size);
 struct avr_node *skin_node(struct skin *skin, int node);
 
-/* An edge of the sync line. False where it is before the last one, or nodes have run past it. */
+/* Announces an edge of the sync line. False if it precedes the last one or nodes have run past it. */
 bool skin_sync(struct skin *skin, int64_t t_ns, bool level);
 
-/* Run all nodes to a time. */
+/* Runs all nodes to a time. */
 void skin_run(struct skin *skin, int64_t t_ns);
-/* Forget what happened before a time. */
+/* Forgets edges before a time. */
 void skin_forget(struct skin *skin, int64_t t_ns);
 
-/* The line at `size` instants from t_ns on. */
+/* Voltage of the line at `size` instants from t_ns on, step_ns apart. */
 void skin_volts(struct skin *skin, double t_ns, double step_ns, double *volts, size_t size);
 
 #endif

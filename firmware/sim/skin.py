@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The skin of config/wired_skin.yaml, emulated: nodes that differ, pressed by a scene."""
+"""The emulated skin of config/wired_skin.yaml: nodes with tolerances, pressed by a scene."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ IMAGES = Path(__file__).resolve().parents[1] / "build" / "node"
 SUPPLY_V = 3.3
 CLOCK_HZ = 8e6
 NOISE_V = 2e-3
-"""Of one sample on the line."""
+"""Standard deviation of one sample on the line, V. Chosen: 2.5 counts of the converter."""
 
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """How the nodes differ, each drawn evenly between ± these shares.
+    """Tolerances of the nodes, uniform within ± these relative errors.
 
-    clock: of the oscillators. supply: of the supplies, and with them of the levels on the line.
+    clock: of the oscillators. supply: of the supplies, and so of the levels on the line.
     """
 
     clock: float = 0.02
@@ -48,13 +48,13 @@ def reference_nodes(
 ) -> list[Node]:
     """The nodes of a skin, each with the memory that `tactile-cdma node` would give it.
 
-    The extremes of the spread of clocks are among them. Raises SpecError for parameters that leave
-    something open.
+    The slowest and the fastest clock of the spread are included. Raises SpecError if the parameters
+    leave the amplitude open.
     """
     spec, spread = config.spec, spread or Spread()
     if spec.amplitude_v is None:
         raise SpecError(
-            "amplitude_mv is 0, learnt from every frame: an emulated skin has to be given it"
+            "amplitude_mv is 0 (learnt from every frame): an emulated skin needs a value"
         )
     check_timing(config.timing)
     rng = np.random.default_rng(spread.seed)
@@ -86,7 +86,7 @@ def reference_amplifier(config: SkinConfig) -> Amplifier:
 
 
 class Digitized(Protocol):
-    """Nodes with a digitizer, whichever way that is emulated."""
+    """Nodes with a digitizer, however that is emulated."""
 
     @property
     def now_ns(self) -> int:
@@ -103,9 +103,9 @@ class Digitized(Protocol):
 
 
 class PressedSkin:
-    """An emulated skin under a scene. Pressures stay as they are for a frame period at a time.
+    """An emulated skin under a scene. Pressures are constant for a frame period at a time.
 
-    phase_ns: pressures change so long after a multiple of the frame period.
+    phase_ns: time from a multiple of the frame period to the change of pressures.
     """
 
     def __init__(
@@ -127,7 +127,7 @@ class PressedSkin:
         return self._digitizer.now_ns
 
     def run(self, t_ns: int) -> None:
-        """Run to a time, pressing on the way."""
+        """Run to a time, changing the pressures on the way."""
         while self._next_ns <= t_ns:
             self._digitizer.run(self._next_ns)
             self._press()
@@ -142,7 +142,7 @@ class PressedSkin:
         return self._digitizer.read()
 
     def codes(self, t_ns: int) -> NDArray[np.int64]:
-        """What ideal converters make of the sensors' voltages at a time: (n,) codes."""
+        """Codes of ideal converters for the sensors' voltages at a time: (n,)."""
         return self._codes[bisect_right(self._pressed_ns, t_ns) - 1]
 
     def _press(self) -> None:
@@ -150,7 +150,7 @@ class PressedSkin:
         volts = config.curve.voltage(self._scene(self.now_ns * 1e-9, self._place))
         self._pressed_ns.append(self.now_ns)
         self._codes.append(config.adc.code(volts))
-        # Sensor and converter share a node's supply: what the code says is their ratio.
+        # Sensor and converter share a node's supply: the code is the ratio.
         self._nodes.press(volts / config.adc.vref_v * self._supplies_v)
         period_ns = round(config.spec.frame_period_s * 1e9)
         periods = (self.now_ns - self.phase_ns) // period_ns + 1

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* The sync line: its edges, past and announced, in order. Every node reads it at its own pace. */
+/* The sync line's edges, past and announced, in order. Every node reads them at its own pace. */
 #ifndef SYNC_LINE_H
 #define SYNC_LINE_H
 
@@ -16,7 +16,7 @@ struct sync_edge {
 struct sync_line {
     struct sync_edge *edges;
     size_t size, capacity;
-    uint64_t dropped; /* edges before edges[0]: those that all nodes have seen */
+    uint64_t dropped; /* edges removed before edges[0], because all nodes have seen them */
 };
 
 #endif

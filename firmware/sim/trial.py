@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""An emulated skin against the driver: what was pressed, what its pipeline makes of the bytes."""
+"""Press an emulated skin and compare the driver's frames with what was pressed."""
 
 from __future__ import annotations
 
@@ -21,22 +21,21 @@ from tactile_cdma.wire.packets import PacketParser
 
 STEP_NS = 20_000_000
 SETTLING = 16
-"""First frames, which don't count: nodes measure the sync edges' period and their code at rest."""
+"""First frames, not counted: nodes measure the sync period and their code at rest. Chosen."""
 PATIENCE_NS = 3_000_000_000
-"""Without a frame for so long a trial is over."""
+"""A trial ends when no frame has come for this long, ns. Chosen."""
 BEFORE_MARK_NS = 200_000
-"""So long before a frame its nodes have measured."""
+"""Nodes have measured by this time before a frame, ns: they begin 0.8 ms before its pulse."""
 MOST_WRONG_LSB = 1
 
 
 @dataclass
 class Trial:
-    """What came of a trial.
+    """Result of a trial.
 
-    wrong: nodes' codes that were more than one LSB off or missing, over all frames.
-    silent: times that a node did not talk.
-    words: what every frame's nodes said, (n,) codes, by the time at which its first chip should
-    have begun, ns.
+    wrong: number of codes that were missing or more than one LSB off, over all frames.
+    silent: number of times that a node did not transmit.
+    words: codes of every frame, (n,), by the nominal time of its first chip, ns.
     """
 
     wrong: int = 0
@@ -46,12 +45,12 @@ class Trial:
 
     @property
     def frames(self) -> int:
-        """Frames that counted."""
+        """Number of frames counted."""
         return len(self.words)
 
 
 def press_and_decode(skin: PressedSkin, config: SkinConfig, frames: int) -> Trial:
-    """Run until so many frames were decoded, or none comes any more."""
+    """Run until this many frames have been decoded, or none has come for PATIENCE_NS."""
     trial, marks = Trial(), Marks(config)
     pipeline, parser = Pipeline(config, background=False), PacketParser()
     skin.write(Session(config).open())
@@ -63,7 +62,7 @@ def press_and_decode(skin: PressedSkin, config: SkinConfig, frames: int) -> Tria
             marks.take(packet)
         for frame in pipeline.feed(data, skin.now_ns * 1e-9):
             last_ns, mark_ns = skin.now_ns, marks.nearest(frame)
-            # From now on pressures change in the middle of frames, while nodes don't measure.
+            # From now on pressures change in the middle of frames, when nodes don't measure.
             skin.phase_ns = mark_ns + round(config.spec.frame_s * 0.5e9)
             if settling:
                 settling -= 1
@@ -82,7 +81,7 @@ def _wrong(frame: TactileFrame, truth: NDArray[np.int64], config: SkinConfig) ->
 
 
 class Marks:
-    """When frames should begin, by what the digitizer says of its samples; to the µs."""
+    """Nominal start times of frames, from the digitizer's packets; exact to 1 µs."""
 
     def __init__(self, config: SkinConfig) -> None:
         self._sample_us = config.spec.chip_s * 1e6 / config.samples_per_chip
@@ -90,7 +89,7 @@ class Marks:
         self._marks_ns: list[int] = []
 
     def take(self, packet: object) -> None:
-        """Look at a packet."""
+        """Take note of a packet."""
         if not isinstance(packet, Samples | Quiet):
             return
         if packet.first_index == 0:  # taken half a period after the stream's start
@@ -107,10 +106,10 @@ class Marks:
 def edge_errors(
     nodes: EmulatedNodes, spec: FrameSpec, words: dict[int, NDArray[np.int32]]
 ) -> list[NDArray[np.float64]]:
-    """How far the edges of the nodes' pins are from where they should be: an array per burst, ns.
+    """Errors of the edges at the nodes' pins: an array per node and frame, ns.
 
-    words: as a Trial has them. Silent nodes have no edges. Raises AssertionError where edges are
-    missing or too many.
+    words: as in Trial. Silent nodes have no edges. Raises AssertionError if edges are missing or
+    there are too many.
     """
     chip_ns, errors = spec.chip_s * 1e9, []
     for node in range(spec.nodes):

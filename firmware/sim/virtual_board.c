@@ -12,7 +12,7 @@
 #define TICKS_PER_US 48
 #define COUNTS 4096
 #define FULL_SCALE_V 3.3
-#define BLOCK 1024         /* samples that are handed over at once */
+#define BLOCK 1024         /* most samples passed on at once */
 #define OUTPUT_SIZE 65536
 
 struct virtual_board {
@@ -25,12 +25,12 @@ struct virtual_board {
     int64_t now_ns;
     double tick_ns;
 
-    uint64_t start_tick, taken; /* of the stream: its start; samples handed over */
+    uint64_t start_tick, taken; /* of the stream: its start; samples passed on */
     bool pulse_known;
     struct dg_pulse pulse; /* the next one */
 
-    double link_rate, link_room; /* bytes per second; bytes that may be sent now */
-    uint8_t *received;           /* by the host, and not yet read */
+    double link_rate, link_room; /* bytes/s; bytes that may be sent now */
+    uint8_t *received;           /* by the host and not yet read */
     size_t received_size, received_capacity;
 };
 
@@ -87,7 +87,7 @@ size_t board_read(struct virtual_board *board, uint8_t *bytes, size_t size)
     if (size > board->received_size)
         size = board->received_size;
     if (!size)
-        return 0; /* there may be no memory to copy from, either */
+        return 0; /* `received` may be NULL */
     memcpy(bytes, board->received, size);
     board->received_size -= size;
     memmove(board->received, board->received + size, board->received_size);
@@ -99,7 +99,7 @@ static double stream_ns(const struct virtual_board *board, uint64_t tick)
     return (double)(board->start_tick + tick) * board->tick_ns;
 }
 
-/* Pulses that begin before a time. */
+/* Announces the pulses that begin before a time. */
 static void announce_pulses(struct virtual_board *board, int64_t end_ns)
 {
     while (board->dg.running) {
@@ -119,7 +119,7 @@ static void announce_pulses(struct virtual_board *board, int64_t end_ns)
     }
 }
 
-/* Samples whose instants lie before now. */
+/* Passes on the samples whose instants lie before now. */
 static void take_samples(struct virtual_board *board)
 {
     uint32_t ticks = board->dg.ticks_per_sample;
@@ -154,7 +154,7 @@ static void receive(struct virtual_board *board, const uint8_t *bytes, size_t si
     board->received_size += size;
 }
 
-/* What the link carries in one step. */
+/* Sends what the link carries in one step. */
 static void send(struct virtual_board *board)
 {
     const uint8_t *bytes;
@@ -170,7 +170,7 @@ static void send(struct virtual_board *board)
         dg_sent(&board->dg, size);
         board->link_room -= (double)size;
     }
-    board->link_room = 0; /* an idle link saves nothing up */
+    board->link_room = 0; /* an idle link accumulates no credit */
 }
 
 void board_run(struct virtual_board *board, int64_t t_ns)

@@ -29,9 +29,9 @@ COMPILERS = {
     "rp2040": "arm-none-eabi-gcc",
     "replay-arm": "arm-none-eabi-gcc",
 }
-"""What a target of firmware/Makefile takes besides the host's compiler."""
+"""Compilers that targets of firmware/Makefile need besides the host's."""
 SANITIZED = "TACTILE_SANITIZE"
-"""Environment variable: set where the core is built with sanitizers (test_sanitizers.py)."""
+"""Environment variable, set if the core is to be built with sanitizers (test_sanitizers.py)."""
 
 
 def need(tool: str) -> str:
@@ -63,7 +63,7 @@ def core(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
 
 @pytest.fixture(scope="session")
 def built() -> Callable[[str], Path]:
-    """Has make build a target of firmware/Makefile; returns firmware/build.
+    """Have make build a target of firmware/Makefile; returns firmware/build.
 
     Skips the test where the machine lacks what that takes.
     """
@@ -84,7 +84,7 @@ def built() -> Callable[[str], Path]:
 
 @pytest.fixture(scope="session")
 def rp2040_image(built: Callable[[str], Path]) -> Path:
-    """The RP2040's image, where there is an emulator to run it."""
+    """The RP2040's image; skips the test without its compiler or its emulator."""
     need("arm-none-eabi-gcc")
     need("node")
     if not (FIRMWARE / "sim" / "node_modules" / "rp2040js").is_dir():

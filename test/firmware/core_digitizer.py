@@ -53,7 +53,7 @@ class _Pulse(ctypes.Structure):
 
 @dataclass(frozen=True)
 class Pulse:
-    """A pulse on the sync line: when it rises, in ticks of the stream, and its length in units."""
+    """A pulse on the sync line: its rising edge in ticks of the stream, its length in units."""
 
     tick: int
     units: int
@@ -65,7 +65,7 @@ class Pulse:
 
 
 class CoreDigitizer:
-    """The C core with everything around it: whatever it says is parsed by the host's parser."""
+    """The C core with its surroundings; the host's parser parses its output."""
 
     def __init__(
         self,
@@ -84,9 +84,9 @@ class CoreDigitizer:
         self._shim = core.shim_new(byref(self.board), self.output_size, capacity, now_us)
         self.parser, self.writer = PacketParser(), PacketWriter()
         self.events: list[tuple[str, bytes]] = []
-        """All that was done to it, as events of digitizer/replay."""
+        """All calls so far, as events of digitizer/replay."""
         self.given = b""
-        """What came of it: pulses and bytes to be sent, in the order of asking."""
+        """Their results: pulses and bytes sent, in the order of the calls."""
 
     def close(self) -> None:
         self._core.shim_free(self._shim)
@@ -103,14 +103,14 @@ class CoreDigitizer:
         self._core.shim_set_sequence(self._shim, sequence)
 
     def receive(self, data: bytes) -> None:
-        """Bytes from the host; starts the stream anew where that is what they ask for."""
+        """Deliver bytes from the host; restart the stream if they ask for it."""
         self.events.append(("r", data))
         self._core.dg_receive(self._shim, data, len(data), self.now_us)
         if self._core.dg_restarted(self._shim) and self.running:
             self._core.dg_begin(self._shim, self.now_us)
 
     def send(self, *commands: Command) -> None:
-        """Commands from the host, back to back."""
+        """Deliver commands from the host, back to back."""
         self.receive(b"".join(self.writer.encode(command) for command in commands))
 
     def samples(self, counts: NDArray[Any]) -> None:
@@ -134,7 +134,7 @@ class CoreDigitizer:
         self._core.dg_sync_fault(self._shim)
 
     def pulses(self, count: int) -> list[Pulse]:
-        """The next pulses; fewer where there are no more."""
+        """The next pulses, at most as many as asked for."""
         self.events.append(("p", struct.pack("<I", count)))
         pulses: list[Pulse] = []
         pulse = _Pulse()
@@ -144,7 +144,7 @@ class CoreDigitizer:
         return pulses
 
     def take(self, most: int = 1 << 30) -> bytes:
-        """Bytes of the output, as the line would take them: in as many goes as the ring wants."""
+        """Take bytes of the output, in as many pieces as the ring gives."""
         self.events.append(("o", struct.pack("<I", most)))
         taken = b""
         start = POINTER(c_uint8)()
@@ -157,7 +157,7 @@ class CoreDigitizer:
         return taken
 
     def packets(self) -> list[Packet]:
-        """What it has said since the last call; everything must be intact."""
+        """Packets sent since the last call; all must be intact."""
         received = self.parser.feed(self.take())
         seen = self.parser.counters
         assert not seen.crc_errors + seen.framing_errors + seen.malformed + seen.unknown

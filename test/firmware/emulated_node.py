@@ -23,11 +23,11 @@ UNIT_NS, LEAD_NS = 16_000, 64_000
 RESTART, FRAME, CALL = 1, 2, 3
 VREF = 3.3
 POWER_UP_NS = 20_000_000
-"""The first frame pulse comes so long after power-up."""
+"""Time from power-up to the first frame pulse."""
 MEASURED_NS = 950_000
-"""So long before a frame a node is done with the last one, and has not measured yet."""
+"""Time before a frame at which a node has ended the last one and not yet measured."""
 CLOCK_KNOWN = 2
-"""Frames that a node listens to before it talks: it measures its clock by their pulses."""
+"""Frames in which a node measures its clock before it transmits."""
 
 
 @dataclass
@@ -40,11 +40,11 @@ class Bench:
 
     @property
     def period_ns(self) -> int:
-        """From one frame to the next."""
+        """Frame period."""
         return round(self.spec.frame_period_s * 1e9)
 
     def pulse(self, rise_ns: int, length_ns: int = FRAME * UNIT_NS) -> None:
-        """A pulse of any length at any time."""
+        """Send a pulse of any length at any time."""
         self.skin.sync(rise_ns, True)
         self.skin.sync(rise_ns + length_ns, False)
 
@@ -65,7 +65,7 @@ class Bench:
         return start
 
     def heard(self, node: int, start_ns: int) -> NDArray[np.void]:
-        """What a node's pin did in the frame that began at a time."""
+        """Edges of a node's pin in the frame that began at a time."""
         edges = self.skin.edges(node)
         inside = (edges["t_ns"] >= start_ns - LEAD_NS) & (
             edges["t_ns"] < start_ns + self.period_ns - LEAD_NS
@@ -81,7 +81,7 @@ def slots(spec: FrameSpec) -> int:
 def expected(
     spec: FrameSpec, node: int, code: int, start_ns: int, chip_ns: float | None = None
 ) -> NDArray[np.void]:
-    """Edges of a node's pin (EDGE), by what the host's own encoder says; node counts from 0.
+    """Expected edges of a node's pin (EDGE) by the host's encoder; node counts from 0.
 
     chip_ns: duration of a chip by the node's clock, within each sub-slot.
     """
@@ -104,7 +104,7 @@ def expected(
 
 
 def volts(code: int, bits: int) -> float:
-    """A sensor's voltage in the middle of a code, which is the first bits of the converter's 10."""
+    """A sensor's voltage in the middle of a code, the first bits of the converter's 10."""
     return ((code + 0.5) / (1 << bits) - 0.5 / 1024) * VREF
 
 

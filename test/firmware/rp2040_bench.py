@@ -31,10 +31,10 @@ UART, USB = "uart", "usb"
 FLASH_ID = bytes.fromhex("e661640843123456")
 LEAD_NS = SYNC_LEAD * SYNC_UNIT_US * 1000
 READY_S = 0.05
-"""By then a USB host that was there from the beginning has configured the device."""
+"""By this time, s, a USB host present since power-up has configured the device."""
 TICK_NS = 1000 / 48
 TIME_NS = 1100
-"""Most that device_time_us is wrong: the stream's start and the place in it are whole µs."""
+"""Largest error of device_time_us: the stream's start and the place in it are whole µs."""
 
 
 def sine(times_ns: NDArray[np.float64]) -> NDArray[Any]:
@@ -43,12 +43,12 @@ def sine(times_ns: NDArray[np.float64]) -> NDArray[Any]:
 
 
 def ramp(times_ns: NDArray[np.float64]) -> NDArray[Any]:
-    """One count more every 3 µs: all of the range, over and over."""
+    """A sawtooth over the whole range: one count more every 3 µs."""
     return times_ns // 3000 % 4096
 
 
 class Bench:
-    """A board, what it has said, and what its ADC was given.
+    """A board, the packets it has sent, and the counts its ADC was given.
 
     link: "uart" or "usb", where the host is. shape: the line's counts at times in ns.
     """
@@ -64,7 +64,7 @@ class Bench:
         self.parser, self.writer = PacketParser(), PacketWriter()
         self.packets: list[Packet] = []
         self.edges: list[tuple[float, bool]] = []
-        """Of the sync line: when, in ns; whether to high."""
+        """Edges of the sync line: time in ns, whether rising."""
         self._parts: list[tuple[NDArray[np.float64], NDArray[np.uint16]]] = []
         self.board = Rp2040(
             image, self._line, lambda t_ns, high: self.edges.append((t_ns, high)), flash_id
@@ -90,24 +90,24 @@ class Bench:
 
     @property
     def times_ns(self) -> NDArray[np.float64]:
-        """When the conversions of the latest stream began; a few may be yet to come."""
+        """Start times of the latest stream's conversions; a few may lie ahead."""
         return np.concatenate([times for times, _ in self._parts])
 
     @property
     def counts(self) -> NDArray[np.uint16]:
-        """What they gave."""
+        """Their counts."""
         return np.concatenate([counts for _, counts in self._parts])
 
     def write(self, data: bytes) -> None:
-        """Bytes from the host."""
+        """Deliver bytes from the host."""
         (self.board.write_usb if self.link == USB else self.board.write_uart)(data)
 
     def send(self, *commands: Command) -> None:
-        """Commands from the host, back to back, after a delimiter."""
+        """Deliver commands from the host, back to back, after a delimiter."""
         self.write(b"\0" + b"".join(self.writer.encode(command) for command in commands))
 
     def run(self, seconds: float) -> list[Packet]:
-        """Lets time pass. Returns the packets that came meanwhile; all must be intact."""
+        """Let time pass; return the packets received meanwhile, which must be intact."""
         self.board.run(self.board.now + seconds)
         received = self.parser.feed(self.read())
         seen = self.parser.counters
@@ -116,23 +116,23 @@ class Bench:
         return received  # type: ignore[return-value]
 
     def read(self) -> bytes:
-        """What came since the last time."""
+        """Packets received since the last call."""
         return self.board.read_usb() if self.link == USB else self.board.read_uart()
 
     def run_deaf(self, seconds: float) -> None:
-        """Lets time pass, but nobody listens. All packets until now are forgotten."""
+        """Let time pass and ignore the output; discard all packets so far."""
         self.board.run(self.board.now + seconds)
         self.read()
         self.packets.clear()
 
     def listen_again(self, seconds: float) -> None:
-        """As run, but begins at the first whole packet."""
+        """Like run, but begin at the first whole packet."""
         self.board.run(self.board.now + seconds)
         data = self.read()
         self.packets += self.parser.feed(data[data.index(b"\0") :])  # type: ignore[arg-type]
 
     def stream(self, asked: Configure | FrameLayout, seconds: float) -> None:
-        """Configures and starts, and lets time pass."""
+        """Configure, start and let time pass."""
         asked = Configure(asked) if isinstance(asked, FrameLayout) else asked
         self.send(asked, Start())
         self.run(seconds)
@@ -154,13 +154,13 @@ class Bench:
 
     @property
     def pulses(self) -> list[tuple[float, float]]:
-        """Pulses of the sync line: when they rise, in ns, and how long they are."""
+        """Pulses of the sync line: rising edges and lengths, ns."""
         assert [high for _, high in self.edges] == [True, False] * (len(self.edges) // 2)
         times = [t_ns for t_ns, _ in self.edges]
         return [(up, down - up) for up, down in zip(times[::2], times[1::2], strict=True)]
 
     def check(self, packets: list[Samples | Quiet]) -> int:
-        """Whether packets of the latest stream say what the line was, and when.
+        """Check that packets of the latest stream have the line's counts at the right times.
 
         Returns how many samples they speak of.
         """

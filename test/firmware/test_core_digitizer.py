@@ -55,7 +55,7 @@ def digitizer(core: ctypes.CDLL) -> Iterator[CoreDigitizer]:
 
 
 def awake(digitizer: CoreDigitizer) -> CoreDigitizer:
-    """After what it says at power-up."""
+    """A digitizer whose reports of power-up have been read."""
     digitizer.time(0)
     assert [type(packet) for packet in digitizer.packets()] == [Info, Status]
     return digitizer
@@ -448,7 +448,7 @@ def test_there_are_no_pulses_where_there_is_no_stream_or_no_mark(core: ctypes.CD
 
 
 def called_frames(digitizer: CoreDigitizer, frames: int) -> list[bool]:
-    """Whether the next frames are called; their pulses are given out."""
+    """Whether the next frames belong to a roll call; takes their pulses."""
     digitizer.samples(np.zeros(frames * 1024))
     return [p.called for p in of_kind(digitizer.packets(), Samples) if p.sync]
 
@@ -545,7 +545,7 @@ def test_packets_without_room_are_dropped_whole_and_told_of(core: ctypes.CDLL) -
 
 
 def test_a_host_that_was_away_for_long_is_answered(core: ctypes.CDLL) -> None:
-    """The reports of each second don't use up all the room that samples leave."""
+    """Reports leave room for answers when samples have filled the ring."""
     digitizer = CoreDigitizer(core, capacity=900, output=6000)
     digitizer.send(Start())
     digitizer.samples(np.arange(20 * 1024) % 4096)

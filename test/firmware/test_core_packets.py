@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""CRC-32, COBS and packets in C: shared vectors, the host's parser as judge, any bytes at all."""
+"""CRC-32, COBS and packets in C, against shared vectors, the host's parser and arbitrary bytes."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def crc_of(lib: ctypes.CDLL, *pieces: bytes) -> int:
 
 
 def cobs_in_ring(lib: ctypes.CDLL, content: bytes, piece: int = MOST, begin: int = 0) -> bytes:
-    """COBS and delimiter, by an encoder in a ring of exactly the size that it may need."""
+    """COBS and delimiter, encoded in a ring of exactly the largest size needed."""
     size = len(content) + -(-len(content) // 254) + 1
     begin %= size
     ring = (c_uint8 * size)(*[0xEE] * size)
@@ -76,7 +76,7 @@ def write(
     spare: int = 0,
     begin: int = 0,
 ) -> bytes:
-    """The bytes of a packet, by a writer whose ring has `spare` bytes more than the largest one."""
+    """A packet's bytes from a writer whose ring exceeds the largest packet by `spare` bytes."""
     raw = 3 + len(payload) + 4
     room = raw + -(-raw // 254) + 1 + spare
     wire = (c_uint8 * (room + 1))()
@@ -85,7 +85,7 @@ def write(
 
 
 def read_all(lib: ctypes.CDLL, data: bytes, piece: int = MOST) -> tuple[list[Read], int]:
-    """What a reader finds in bytes that come in pieces, and how many errors it counts."""
+    """Packets and errors that a reader finds in bytes delivered in pieces."""
     reader, packets = lib.shim_reader_new(), []
     whole, kind, sequence = c_bool(), c_uint8(), c_uint16()
     payload = (c_uint8 * KEPT)()

@@ -23,7 +23,7 @@ from tactile_cdma.wire.messages import Configure, FrameLayout, GetInfo, Start
 def line_counts(
     config: SkinConfig, frames: list[NDArray[np.int64]], first_us: float, rate_hz: float
 ) -> NDArray[np.uint16]:
-    """What a 12-bit converter sees of frames whose nodes all speak, and some more."""
+    """Counts of a 12-bit converter for frames in which all nodes transmit, and half a period."""
     spec = config.spec
     size = int((first_us * 1e-6 + (len(frames) + 0.5) * spec.frame_period_s) * rate_hz)
     volts = np.zeros(size)

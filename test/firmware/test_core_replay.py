@@ -27,7 +27,7 @@ INSTRUCTIONS_PER_SAMPLE = 60
 
 
 def script(digitizer: CoreDigitizer) -> bytes:
-    """What was done to a digitizer, for digitizer/replay."""
+    """Calls to a digitizer, for digitizer/replay."""
     start = struct.pack("<QII", 0, digitizer.output_size, digitizer.capacity)
     return (
         start
@@ -39,7 +39,7 @@ def script(digitizer: CoreDigitizer) -> bytes:
 
 
 def busy_day(core: ctypes.CDLL) -> CoreDigitizer:
-    """A digitizer that has been through everything."""
+    """A digitizer on which every function has been called."""
     digitizer, rng = CoreDigitizer(core, capacity=1000, output=40_000), np.random.default_rng(1)
     digitizer.time(0)
     layouts = [
@@ -76,7 +76,7 @@ def busy_day(core: ctypes.CDLL) -> CoreDigitizer:
 
 
 def replayed(command: list[str | Path], digitizer: CoreDigitizer, tmp_path: Path) -> bytes:
-    """What a replay sends; prepared to be told file names after its command."""
+    """Output of a replay whose command takes file names last."""
     (tmp_path / "events").write_bytes(script(digitizer))
     run(*command, cwd=tmp_path)
     return (tmp_path / "output").read_bytes()

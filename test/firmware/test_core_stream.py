@@ -42,19 +42,19 @@ START_US = 5_000_000
 
 
 def place(packet: Samples | Quiet, index: int, time_us: int) -> Samples | Quiet:
-    """A packet as it would be so many samples and µs later."""
+    """The packet, later by this many samples and µs."""
     moved = {"first_index": packet.first_index + index}
     return replace(packet, device_time_us=packet.device_time_us + time_us, **moved)
 
 
 def of_line(packets: list[Packet]) -> list[Samples | Quiet]:
-    """The packets of samples; nothing but reports may be beside them."""
+    """The packets of samples; all others must be reports."""
     assert all(isinstance(packet, Samples | Quiet | Ack | Info | Status) for packet in packets)
     return [packet for packet in packets if isinstance(packet, Samples | Quiet)]
 
 
 def configured(core: ctypes.CDLL, asked: Configure, **more: object) -> CoreDigitizer:
-    """A digitizer that streams, told at START_US what to do."""
+    """A digitizer that streams, commanded at START_US."""
     digitizer = CoreDigitizer(core, now_us=START_US, **{"output": 1 << 23, **more})  # type: ignore[arg-type]
     digitizer.send(asked, Start())
     acks = [packet for packet in digitizer.packets() if isinstance(packet, Ack)]
@@ -209,7 +209,7 @@ def test_a_stream_that_the_board_ends_is_sent_to_its_end(
 
 @dataclass(frozen=True)
 class Rules:
-    """What docs/protocol.md says of a line at 48 ticks per µs, for one set-up."""
+    """Packets by docs/protocol.md for one set-up, at 48 ticks per µs, in exact fractions."""
 
     asked: Configure
     ticks_per_sample: int
@@ -229,7 +229,7 @@ class Rules:
 
     @property
     def places(self) -> list[int]:
-        """When chips begin, in chips after the mark."""
+        """Starts of the chips, in chips after the mark."""
         frame = self.frame
         chips = range((frame.bits + frame.parity) * frame.order)
         if not frame.resync_chips:

@@ -20,7 +20,7 @@ AVR = (
     CORE,
     NODE,
 )
-"""What a node is built with and of, and avr-libc's macros that look like no C."""
+"""Definitions and headers of a node's build, and avr-libc's macros that cppcheck cannot parse."""
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,7 @@ HALF_US = 6  # half a sample's period of 12.5 µs, in whole µs
 
 
 class Host:
-    """Talks with a skin's digitizer and keeps what it says."""
+    """Sends commands to a skin's digitizer and keeps its packets."""
 
     def __init__(self, skin: EmulatedSkin) -> None:
         self.skin = skin

@@ -25,7 +25,7 @@ from tactile_cdma.wire.packets import PacketParser, PacketWriter
 MS = 1_000_000
 NODES, GAIN, SUPPLY_V = 16, 0.05, 3.3
 LISTENING = 4
-"""Frames from a stream's first one in which nodes measure the period, rather than talk."""
+"""First frames of a stream, in which nodes measure the period and do not transmit."""
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def config(**values: object) -> SkinConfig:
 
 
 def skin_of(images: Path, config: SkinConfig, clocks: np.ndarray, threshold: int = 0) -> list[Node]:
-    """Nodes of either kind, with clocks off by these shares; they know their code at rest."""
+    """Nodes of either kind with these relative clock errors and a known code at rest."""
     nodes = []
     for number, error in enumerate(clocks, start=1):
         mcu = ("atmega328p", "attiny85")[number % 2]

@@ -83,7 +83,7 @@ def driven(port: Path) -> Iterator[Client]:
 
 
 def mark_ns(message: Any) -> int:
-    """When the first chip of a message's frame began, on the skin's clock."""
+    """Start of the first chip of a message's frame, on the skin's clock."""
     return int(message.device_time_us) * 1000 - round(CONFIG.spec.frame_s * 0.5e9)
 
 
@@ -98,7 +98,7 @@ def off_lsb(client: Client, skin: PressedSkin, first: int) -> np.ndarray:
 
 
 def phase_lock(client: Client, skin: PressedSkin) -> int:
-    """Have pressures change while nodes talk, not while they measure; returns the first frame."""
+    """Have pressures change while nodes transmit, not while they measure; returns the first."""
     wait_for(lambda: len(client.arrays) > 5, 30)
     skin.phase_ns = mark_ns(client.arrays[-1]) + round(CONFIG.spec.frame_s * 0.5e9)
     return len(client.arrays) + 10

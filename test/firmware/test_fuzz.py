@@ -38,7 +38,7 @@ DEFECTS = {  # file; what is there; what is there instead; what must be found
 
 @pytest.mark.parametrize("name", harnesses())
 def test_kept_cases_and_mutants_of_them(name: str) -> None:
-    """By any compiler: where there is no clang, too."""
+    """By any compiler, so that it works without clang."""
     need("cc")
     build("fuzz-standalone")
     found = fuzz(BUILD / "fuzz" / "standalone" / name, "standalone", 200, 1, SECONDS, HANG_S)

@@ -52,7 +52,7 @@ def load(core: ctypes.CDLL, memory: bytes, order: int = 4096) -> tuple[int, byte
 
 
 def record_of(**changes: int) -> bytes:
-    """The memory of a good node with other values in its record, be they allowed or not."""
+    """A good node's memory with other values, valid or not, in its record."""
     record, chips = read_node_memory(node_memory(SPEC, 2))
     values = {**asdict(record), **changes}
     row = np.packbits(np.resize(chips > 0, values["order"]), bitorder="little")
@@ -62,7 +62,7 @@ def record_of(**changes: int) -> bytes:
 
 @st.composite
 def specs(draw: st.DrawFn) -> FrameSpec:
-    """Frames of every shape that a node may be asked for; nodes reach from row 0 to the last."""
+    """Frames of every shape that a node supports; nodes use rows from 0 to the last."""
     order = draw(st.sampled_from(ORDERS))
     first_row = draw(st.integers(0, order - 1))
     resync = draw(st.one_of(st.just(0), st.integers(1, 4000)))
@@ -161,7 +161,7 @@ def test_row_that_is_too_long_for_the_board(core: ctypes.CDLL) -> None:
 def talks(
     core: ctypes.CDLL, memory: bytes, rest: int, codes: NDArray[np.int64], frames: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """In which frames the node talks."""
+    """Frames in which the node transmits."""
     result = np.zeros(len(codes), np.uint8)
     core.shim_events(
         memory[:RECORD_BYTES],
@@ -185,7 +185,7 @@ def talks(
 def test_rules_are_those_of_the_simulator(
     core: ctypes.CDLL, nodes: int, threshold: int, heartbeat: int, seed: int, called: set[int]
 ) -> None:
-    """Random presses and roll calls, 60 frames: who talks when."""
+    """60 frames with random presses and roll calls: who transmits when."""
     spec = FrameSpec(nodes=nodes, order=16)
     rng = np.random.default_rng(seed)
     # stays, steps and drifts, so that every rule gets to decide
@@ -219,7 +219,7 @@ def test_rules_are_those_of_the_simulator(
 
 
 def test_missed_frames_keep_turns(core: ctypes.CDLL) -> None:
-    """Heartbeat and roll call go by frames that were, not by those that were heard."""
+    """Heartbeat and roll call count all frames, not only those whose pulse was heard."""
     memory = node_memory(SPEC, 3, threshold=1000, heartbeat=8)  # turn 4, third in a roll call
     codes = np.full(40, 500)
     began = np.full(40, FRAME)
@@ -300,7 +300,7 @@ def test_only_credible_periods_count(
 
 @pytest.mark.parametrize("unit_ticks", [64, 128])
 def test_pulses(core: ctypes.CDLL, unit_ticks: int) -> None:
-    """Rounded to units; 1, 2 and 3 mean something."""
+    """Lengths are rounded to units; 1, 2 and 3 are valid."""
     core.shim_pulse.restype = ctypes.c_uint8
     for ticks in [*range(0, 6 * unit_ticks), 65_536, 65_536 + 2 * unit_ticks, 2**32 - 1]:
         units = int(ticks / unit_ticks + 0.5)

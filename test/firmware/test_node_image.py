@@ -35,7 +35,7 @@ from tactile_cdma.hardware.node_memory import MCUS, node_memory
 EDGE_NS = 280
 """Largest error of an edge: two cycles at 7.2 MHz, or an ATtiny85's tick."""
 AWAKE_NS = 500
-"""… of a node that was not asleep when the pulse came: it came unexpected."""
+"""… of a node that was awake when an unexpected pulse came."""
 BUSY_NS = 7_500
 """… of an ATtiny85 whose alarm rings just before a restart pulse."""
 SPEC = FrameSpec(nodes=4, order=16)
@@ -88,7 +88,7 @@ def assert_says(
     *,
     most_ns: int = EDGE_NS,
 ) -> None:
-    """The pin of a node, of this number from 1, said a code in the frame that began then."""
+    """Check that a node, numbered from 1, transmitted a code in the frame begun at a time."""
     heard = bench.heard(node, start_ns)
     wanted = expected(bench.spec, number - 1, code, start_ns)
     np.testing.assert_array_equal(heard["level"], wanted["level"])
@@ -98,12 +98,12 @@ def assert_says(
 
 
 def is_silent(bench: Bench, start_ns: int, node: int = 0) -> bool:
-    """Whether the pin was released all the frame through."""
+    """Whether the pin stayed released for the whole frame."""
     return len(bench.heard(node, start_ns)) == 0
 
 
 def listen(bench: Bench) -> int:
-    """The frames before the node knows its clock; returns the number of the next one."""
+    """Run the frames in which the node learns its clock; return the number of the next one."""
     for number in range(CLOCK_KNOWN):
         assert is_silent(bench, bench.frame(number))
     return CLOCK_KNOWN

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* Counts instructions, where a machine can: QEMU run with -icount shift=0. */
+/* Counts instructions in QEMU run with -icount shift=0; elsewhere the count is 0. */
 #ifndef REPLAY_INSTRUCTIONS_H
 #define REPLAY_INSTRUCTIONS_H
 

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* The digitizer on recorded events: what it would send, on any machine that this is built for.
+/* Runs the digitizer's core on recorded events and writes what it sends, on any machine.
  *
  *     replay EVENTS OUTPUT
  *
- * EVENTS begins with struct start; then comes one event after the other: struct event and `size`
- * bytes. OUTPUT gets the pulses and the bytes sent, in the order in which they are asked for. How
- * many samples there were, and what they cost where that can be told, is printed.
+ * EVENTS is a struct start followed by events, each a struct event and `size` bytes. OUTPUT receives
+ * the pulses and the bytes sent, in the order in which events ask for them. Prints the number of
+ * samples and, where they can be counted, the instructions spent on them.
  */
 #include <stdio.h>
 #include <stdlib.h>
@@ -31,8 +31,8 @@ enum kind {
     SAMPLES = 's', /* u16 counts */
     LOST = 'l',    /* u32: number of samples */
     TIME = 't',    /* u64: µs */
-    PULSES = 'p',  /* u32: number of pulses that are asked for */
-    SEND = 'o',    /* u32: bytes at most that are sent */
+    PULSES = 'p',  /* u32: number of pulses to take */
+    SEND = 'o',    /* u32: most bytes to send */
 };
 
 static union {

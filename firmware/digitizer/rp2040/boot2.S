@@ -1,6 +1,6 @@
-/* The second stage: the boot ROM loads the first 256 bytes of the flash, checks their CRC (made by
- * image.py) and calls them. Here the flash is set up for plain serial reads (command 03h), which
- * every chip knows and which are fast enough: code is copied to RAM before it runs. */
+/* Second boot stage: the boot ROM loads the first 256 bytes of the flash, checks their CRC (made by
+ * image.py) and calls them. They set the flash up for plain serial reads (command 03h), which every
+ * flash chip supports and which are fast enough, because code is copied to RAM before it runs. */
     .syntax unified
     .cpu cortex-m0plus
     .thumb

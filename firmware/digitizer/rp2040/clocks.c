@@ -2,14 +2,14 @@
 
 /* Clocks, watchdog and time.
  *
- * clk_sys is 96 MHz, not the usual 125: the PWM then counts, with a whole divider, the same 48 MHz
- * that the ADC counts, so sync pulses lie on the sampling clock's ticks exactly.
+ * clk_sys is 96 MHz, not the usual 125 MHz, so that the PWM with an integer divider counts the same
+ * 48 MHz as the ADC. Sync pulses then fall exactly on ticks of the sampling clock.
  */
 #include "registers.h"
 #include "rp2040.h"
 
 #define CRYSTAL_MHZ 12u
-#define WATCHDOG_US 500000u
+#define WATCHDOG_US 500000u /* chosen: half of the time after which sampler.c loses its place */
 
 static volatile uint32_t tick_us;
 
@@ -27,14 +27,15 @@ static void pll_start(volatile struct pll *pll, uint32_t reset, uint32_t fbdiv, 
 
 void clocks_init(void)
 {
-    XOSC->startup = 64 * 47; /* · 256 periods: 64 ms, which some boards' crystals take */
+    /* · 256 periods of 12 MHz = 64 ms: 64 times the data sheet's 1 ms, for slow crystals */
+    XOSC->startup = 64 * 47;
     XOSC->ctrl = XOSC_ENABLE_1_15MHZ;
     while (!(XOSC->status & XOSC_STABLE))
         ;
     CLK_REF->ctrl = CLK_REF_XOSC;
     while (!(CLK_REF->selected & 1u << CLK_REF_XOSC))
         ;
-    CLK_SYS->ctrl = 0; /* clk_ref, while its PLL is set up */
+    CLK_SYS->ctrl = 0; /* clk_ref while the PLL is set up */
     while (!(CLK_SYS->selected & 1u))
         ;
     pll_start(PLL_SYS, RESET_PLL_SYS, 120, PLL_PRIM(5, 3)); /* 1440 MHz / 15 = 96 MHz */
@@ -50,8 +51,8 @@ void clocks_init(void)
     CLK_ADC->ctrl = CLK_ENABLE; /* … here */
 
     reset_blocks(RESET_TIMER | RESET_IO_BANK0 | RESET_PADS_BANK0 | RESET_DMA);
-    WATCHDOG->tick = CRYSTAL_MHZ | WATCHDOG_TICK_ENABLE; /* 1 µs; the timer's tick, too */
-    PSM->wdsel = PSM_ALL_BUT_OSCILLATORS; /* what the watchdog resets */
+    WATCHDOG->tick = CRYSTAL_MHZ | WATCHDOG_TICK_ENABLE; /* 1 µs; also the timer's tick */
+    PSM->wdsel = PSM_ALL_BUT_OSCILLATORS; /* blocks that the watchdog resets */
     watchdog_feed();
     WATCHDOG->ctrl = WATCHDOG_ENABLE;
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* The flash's unique number, which stands for the board: the RP2040 itself has none. */
+/* Reads the flash chip's unique number, used as the board's id: the RP2040 itself has none. */
 #include "registers.h"
 #include "rp2040.h"
 
@@ -8,7 +8,7 @@
 #define DUMMY_BYTES 4u
 #define ID_BYTES 8u
 
-/* The flash is not read as memory meanwhile: all code is in RAM. */
+/* The flash cannot be read as memory meanwhile; all code is in RAM. */
 void flash_id(uint8_t id[ID_BYTES])
 {
     uint32_t ctrlr0 = SSI->ctrlr0;
@@ -18,7 +18,7 @@ void flash_id(uint8_t id[ID_BYTES])
     SSI->ctrlr0 = SSI_CTRLR0_8_BITS;
     SSI->ssienr = 1;
     IO_QSPI->gpio[IO_QSPI_SS].ctrl = IO_OUTOVER_LOW;
-    for (size_t i = 0; i < 1 + DUMMY_BYTES + ID_BYTES; i++) { /* its FIFOs hold 16 */
+    for (size_t i = 0; i < 1 + DUMMY_BYTES + ID_BYTES; i++) { /* 13 bytes; the FIFOs hold 16 */
         SSI->dr0 = i ? 0 : READ_UNIQUE_ID;
         while (!(SSI->sr & SSI_SR_RFNE))
             ;
@@ -33,5 +33,5 @@ void flash_id(uint8_t id[ID_BYTES])
     SSI->ctrlr0 = ctrlr0;
     SSI->ssienr = 1;
     for (size_t i = 0; all_ones == 0xff && i < ID_BYTES; i++)
-        id[i] = 0; /* nothing answers */
+        id[i] = 0; /* no answer */
 }

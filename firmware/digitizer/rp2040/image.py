@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Makes an RP2040's flash image from what the linker made: boot stage with its CRC, and UF2.
+"""Make an RP2040's flash image from the linker's output: add the boot stage's CRC, pack it as UF2.
 
 python image.py linked.bin digitizer.bin digitizer.uf2
 """
@@ -13,7 +13,7 @@ from pathlib import Path
 
 FLASH = 0x10000000
 BOOT2_SIZE = 256
-"""Bytes that the boot ROM loads and checks; the last four are the CRC of the others."""
+"""Bytes that the boot ROM loads and checks; the last four are the CRC of the rest."""
 UF2_PAYLOAD = 256
 UF2_MAGIC = (0x0A324655, 0x9E5D5157, 0x0AB16F30)
 UF2_HAS_FAMILY = 0x2000
@@ -21,7 +21,7 @@ RP2040_FAMILY = 0xE48BFF56
 
 
 def boot_crc(data: bytes) -> int:
-    """The boot ROM's CRC-32: as of IEEE 802.3, but neither reflected nor inverted at the end."""
+    """The boot ROM's CRC-32: that of IEEE 802.3, but not reflected and not inverted at the end."""
     crc = 0xFFFFFFFF
     for byte in data:
         crc ^= byte << 24
@@ -31,7 +31,7 @@ def boot_crc(data: bytes) -> int:
 
 
 def with_boot_crc(image: bytes) -> bytes:
-    """The image, the CRC of its boot stage filled in. Raises ValueError where there is no room."""
+    """The image with its boot stage's CRC. ValueError if the boot stage leaves no room."""
     body = image[: BOOT2_SIZE - 4]
     if any(image[BOOT2_SIZE - 4 : BOOT2_SIZE]):
         raise ValueError(f"the boot stage is longer than {BOOT2_SIZE - 4} bytes")
@@ -39,7 +39,7 @@ def with_boot_crc(image: bytes) -> bytes:
 
 
 def uf2(image: bytes, address: int = FLASH) -> bytes:
-    """The image as a file that can be copied to the board's USB drive."""
+    """The image as a UF2 file, which can be copied to the board's USB drive."""
     pieces = [image[i : i + UF2_PAYLOAD] for i in range(0, len(image), UF2_PAYLOAD)]
     first, second, last = UF2_MAGIC
     return b"".join(

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* The registers of the RP2040 that the digitizer uses, under the names of its datasheet. */
+/* Registers of the RP2040 that the digitizer uses, named as in its data sheet. */
 #ifndef RP2040_REGISTERS_H
 #define RP2040_REGISTERS_H
 
@@ -32,7 +32,7 @@ struct resets { uint32_t reset, wdsel, done; };
 #define RESET_UART0 (1u << 22)
 #define RESET_USBCTRL (1u << 24)
 
-/* Puts blocks into their state of power-up, and out of reset. */
+/* Resets blocks to their state at power-up. */
 static inline void reset_blocks(uint32_t blocks)
 {
     set_bits(&RESETS->reset, blocks);
@@ -48,7 +48,7 @@ struct clock { uint32_t ctrl, div, selected; };
 #define CLK_USB BLOCK(clock, 0x40008054u)
 #define CLK_ADC BLOCK(clock, 0x40008060u)
 #define CLK_REF_XOSC 2u
-#define CLK_SYS_AUX 1u  /* whose default is PLL_SYS */
+#define CLK_SYS_AUX 1u  /* PLL_SYS by default */
 #define CLK_ENABLE (1u << 11)
 #define CLK_DIV_1 (1u << 8)
 
@@ -90,7 +90,6 @@ struct io { struct { uint32_t status, ctrl; } gpio[30]; };
 #define IO_SIO 5u
 #define IO_OUTOVER_LOW (2u << 8)
 
-
 struct pads { uint32_t voltage_select, gpio[30]; };
 #define PADS_BANK0 BLOCK(pads, 0x4001c000u)
 #define PAD_PULL_UP (1u << 3)
@@ -123,7 +122,7 @@ struct adc { uint32_t cs, result, fcs, fifo, div; };
 #define ADC_FCS_EMPTY (1u << 8)
 #define ADC_FCS_OVER (1u << 11)
 #define ADC_FCS_THRESH_1 (1u << 24)
-#define ADC_CONVERSION 96u /* clocks that a conversion takes */
+#define ADC_CONVERSION 96u /* duration of a conversion, ADC clocks */
 
 struct pwm {
     struct { uint32_t csr, div, ctr, cc, top; } slice[8];
@@ -177,7 +176,7 @@ struct usb {
 #define USB_INT_BUS_RESET (1u << 12)
 #define USB_INT_SETUP_REQ (1u << 16)
 
-/* The USB controller's memory: [0] is of IN, [1] of OUT; ep_ctrl[n] is endpoint n + 1's. */
+/* The USB controller's memory: index [0] is IN, [1] is OUT; ep_ctrl[n] belongs to endpoint n + 1. */
 struct usb_dpram {
     uint32_t setup[2], ep_ctrl[15][2], buf_ctrl[16][2], ep0[16], ep0_second[16], data[];
 };
@@ -191,7 +190,7 @@ struct usb_dpram {
 #define USB_BUF_AVAILABLE (1u << 10)
 #define USB_BUF_LENGTH 0x3ffu
 
-/* The Cortex-M0+'s own. */
+/* Registers of the Cortex-M0+. */
 #define NVIC_ISER (*(volatile uint32_t *)0xe000e100u)
 #define VTOR (*(volatile uint32_t *)0xe000ed08u)
 enum { IRQ_TIMER_0 = 0, IRQ_PWM_WRAP = 4, IRQ_USBCTRL = 5, IRQ_DMA_0 = 11, IRQ_UART0 = 20 };

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* The parts of this board; each has a source file of its name.
+/* The parts of this board, each in the source file of its name.
  *
- * Interrupts move bytes and pulses, main() does the rest: it sleeps until one of them wakes it.
+ * Interrupts move bytes and set up pulses; main() does the rest and sleeps until one of them wakes it.
  */
 #ifndef RP2040_H
 #define RP2040_H
@@ -22,37 +22,34 @@ enum dma { DMA_SAMPLES_A, DMA_SAMPLES_B, DMA_UART };
 void clocks_init(void);
 void watchdog_feed(void);
 uint64_t time_us(void);
-/* Wakes main() so often. */
+/* Wakes main() every `us` µs. */
 void tick_every(uint32_t us);
 void tick_interrupt(void);
 
-/* A moment on two clocks: the stream's ticks, and µs since power-up. */
+/* The same moment on two clocks: ticks of the stream, and µs since power-up. */
 struct moment {
     uint32_t tick;
     uint64_t us;
 };
 
-/* sampler: ADC to DMA to a ring in RAM */
+/* sampler: ADC through DMA into a ring in RAM. take, done and pause are those of struct dg_hardware. */
 #define SAMPLER_MIN_TICKS 96u
 #define SAMPLER_MAX_TICKS 65536u
 void sampler_init(void);
-/* Starts sampling, and the PWM, which sync_prepare has set up. Returns the stream's tick at which
- * the PWM began to count; sets *moment to one soon after. */
+/* Starts sampling and the PWM, which sync_prepare has set up. Returns the stream's tick at which the
+ * PWM began to count; sets *moment to a moment shortly after. */
 uint32_t sampler_start(uint32_t ticks_per_sample, struct moment *moment);
-/* No further samples; those taken are still there. */
 void sampler_pause(void);
 void sampler_stop(void);
-/* The next samples, at most a chunk of them; sets *lost to the number of those before them that
- * could not be kept. sampler_done: so many are no longer needed. */
 size_t sampler_take(const uint16_t **samples, uint32_t *lost);
 void sampler_done(size_t size);
 
-/* sync: pulses on the sync line, placed to the tick by the PWM */
+/* sync: pulses on the sync line, placed exactly by the PWM */
 void sync_prepare(void);
-/* Makes the pulses of dg. begin: the tick at which the PWM began to count. */
+/* Starts making the pulses of dg. begin: the tick at which the PWM began to count. */
 void sync_start(struct dg *dg, uint32_t begin, const struct moment *moment);
 void sync_stop(void);
-/* A pulse could not be made in time, and none has come since. */
+/* A pulse could not be made in time; pulses have stopped. */
 bool sync_failed(void);
 void sync_interrupt(void);
 
@@ -69,11 +66,10 @@ void uart_sent_interrupt(void);
 /* usb: a CDC ACM device */
 void usb_init(const uint8_t id[8]);
 size_t usb_read(uint8_t *bytes, size_t size);
-/* Bytes must stay where they are while usb_sending(). None: that nothing follows for now, which the
- * host's driver waits to hear. */
+/* Size 0 sends an empty packet, if needed: it tells the host's driver that nothing follows for now. */
 void usb_send(const uint8_t *bytes, size_t size);
 bool usb_sending(void);
-/* Sends no more; returns how many bytes the controller has not got. A packet that it has stays there. */
+/* A packet that the controller already has stays there. */
 size_t usb_cancel(void);
 /* A host has configured the device. */
 bool usb_ready(void);
@@ -82,7 +78,7 @@ void usb_interrupt(void);
 /* flash_id: the flash's unique number; zeros where it has none */
 void flash_id(uint8_t id[8]);
 
-/* main: something happened that main() has to see to */
+/* main: wakes main(), because an interrupt has left it work */
 void wake(void);
 
 #endif

@@ -1,31 +1,32 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* ADC to RAM without the CPU: the converter runs by itself, and two DMA channels take turns to write
- * its results into one ring; each hands over to the other for ever.
+/* Samples the ADC into RAM without the CPU: the converter runs freely, and two DMA channels, each of
+ * which starts the other when it ends, write its results into one ring.
  */
 #include "registers.h"
 #include "rp2040.h"
 
-#define RING_BITS 15 /* of bytes: the longest ring that DMA can wrap */
+#define RING_BITS 15 /* 2¹⁵ bytes: the longest ring that DMA can wrap */
 #define RING_SIZE (1u << RING_BITS >> 1)
-#define KEPT (RING_SIZE - RING_SIZE / 4) /* what is older may be written over while it is read */
+/* Samples that may wait. Older ones could be overwritten while they are read; the quarter is chosen. */
+#define KEPT (RING_SIZE - RING_SIZE / 4)
 
-/* Samples per turn of a DMA channel. A multiple of the ring, so that each channel begins where the
- * other ended. Of the writer's position, two turns are known: at 500 kS/s they last 1.05 s, longer
- * than the watchdog lets the reader be away. */
+/* Samples per turn of a DMA channel: a multiple of the ring, so that each channel begins where the
+ * other ended. The writer's position is known modulo two turns, which last 1.05 s at 500 kS/s: longer
+ * than the watchdog lets the reader pause. */
 #define TURN (1u << 18)
 #define POSITION (2 * TURN - 1)
 
-/* From the end of the first conversion to the PWM's start, in ticks: the result passes to the FIFO,
- * the CPU sees it there and writes one register. */
+/* Ticks from the end of the first conversion to the PWM's start: the result enters the FIFO, the CPU
+ * sees it and writes one register. Estimated from these cycles; no board has been measured. */
 #define START_TICKS 7u
 
 __attribute__((section(".ring"), aligned(1u << RING_BITS))) static uint16_t ring[RING_SIZE];
 static struct moment begin;
 static uint32_t ticks_per_sample;
 static uint32_t read_position;
-static bool overflowed;  /* the FIFO; and it is not yet known what that has cost */
-static uint32_t skipped; /* conversions whose results did not come to the ring */
+static bool overflowed;  /* the FIFO has, and the loss is not yet counted */
+static uint32_t skipped; /* conversions whose results never reached the ring */
 
 void sampler_init(void)
 {
@@ -50,15 +51,15 @@ uint32_t sampler_start(uint32_t ticks, struct moment *moment)
     DMA_CHANNEL(DMA_SAMPLES_B)->al1_ctrl = channel | DMA_CHAIN_TO(DMA_SAMPLES_A);
     DMA_CHANNEL(DMA_SAMPLES_A)->ctrl_trig = channel | DMA_CHAIN_TO(DMA_SAMPLES_B);
 
-    /* The PWM starts when the first result is seen, which tells when its conversion began without
-     * relying on how soon the ADC does what it is told. */
+    /* The PWM starts when the first result is seen: so the start of its conversion is known, however
+     * long the ADC took to start. */
     interrupts_off();
-    ADC->div = (ticks - 1) << 8; /* just now: the divider starts anew with it */
+    ADC->div = (ticks - 1) << 8; /* now: this restarts the divider */
     ADC->cs = ADC_CS_EN | ADC_CS_START_MANY;
     while (ADC->fcs & ADC_FCS_EMPTY)
         ;
     PWM->slice[0].csr = PWM_CSR_EN;
-    ADC->fcs = ADC_FCS_EN | ADC_FCS_THRESH_1 | ADC_FCS_DREQ; /* soon: the FIFO holds 4 */
+    ADC->fcs = ADC_FCS_EN | ADC_FCS_THRESH_1 | ADC_FCS_DREQ; /* at once: the FIFO holds only 4 results */
     uint32_t us = TIMER->timerawl;
     while (TIMER->timerawl == us)
         ;
@@ -66,7 +67,7 @@ uint32_t sampler_start(uint32_t ticks, struct moment *moment)
     moment->us = time_us();
     interrupts_on();
 
-    /* a sample is taken in the middle of its period: the first, half a period after tick 0 */
+    /* a sample is taken in the middle of its period: the first one half a period after tick 0 */
     uint32_t pwm_tick = ticks / 2 + ADC_CONVERSION + START_TICKS;
     moment->tick = pwm_tick + counted;
     begin = *moment;
@@ -84,14 +85,14 @@ void sampler_pause(void)
 void sampler_stop(void)
 {
     reset_blocks(RESET_ADC);
-    DMA_CHANNEL(DMA_SAMPLES_A)->al1_ctrl = 0; /* or the end of one would start the other */
+    DMA_CHANNEL(DMA_SAMPLES_A)->al1_ctrl = 0; /* else the end of one starts the other */
     DMA_CHANNEL(DMA_SAMPLES_B)->al1_ctrl = 0;
     DMA->chan_abort = 1u << DMA_SAMPLES_A | 1u << DMA_SAMPLES_B;
     while (DMA->chan_abort)
         ;
 }
 
-/* How many samples DMA has written. Between two turns, for some clocks, neither channel is busy. */
+/* Samples written by DMA, modulo two turns. Between turns, neither channel is busy for some clocks. */
 static uint32_t position(void)
 {
     for (;;) {
@@ -102,21 +103,21 @@ static uint32_t position(void)
     }
 }
 
-/* After the FIFO has overflowed: how many results this has cost is known from the time. Where in
- * between they are missing is not, so all since the last look are lost. Returns how many; 0 while
- * the FIFO is not empty. */
+/* After an overflow of the FIFO: derives the number of missing results from the time. Their positions
+ * are unknown, so all samples since the last look count as lost. Returns their number; 0 while the
+ * FIFO is not empty. */
 static uint32_t count_lost(void)
 {
     uint32_t us, written, rest;
     uint64_t ticks;
     bool drained;
 
-    do { /* until the time, just known, is far from a conversion's end */
+    do { /* until the time, known to 1 µs, is clear of a conversion's end */
         interrupts_off();
         us = TIMER->timerawl;
         while (TIMER->timerawl == us)
             ;
-        drained = ADC->fcs & ADC_FCS_EMPTY; /* before the position, which else may lack the last */
+        drained = ADC->fcs & ADC_FCS_EMPTY; /* before the position, else that may lack the last */
         written = position();
         ticks = (time_us() - begin.us) * TICKS_PER_US + begin.tick;
         interrupts_on();
@@ -139,7 +140,7 @@ size_t sampler_take(const uint16_t **samples, uint32_t *lost)
     uint32_t written = position();
 
     *lost = 0;
-    if (ADC->fcs & ADC_FCS_OVER) { /* looked at after the position: all before that is whole */
+    if (ADC->fcs & ADC_FCS_OVER) { /* read after the position: everything before that is intact */
         ADC->fcs = ADC_FCS_EN | ADC_FCS_THRESH_1 | ADC_FCS_DREQ | ADC_FCS_OVER;
         overflowed = true;
     }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* From the second stage to main(): the image goes to RAM, and everything runs there. */
+/* Start-up after the second boot stage: copies the image to RAM and runs main() there. */
 #include <stddef.h>
 #include <stdint.h>
 
@@ -12,7 +12,7 @@ int main(void);
 
 typedef void (*vector)(void);
 
-/* A fault: nothing can be trusted, so the watchdog starts all anew. */
+/* A fault: waits for the watchdog to reset the chip. */
 static void hang(void)
 {
     for (;;)
@@ -26,7 +26,8 @@ static inline size_t words(const uint32_t *begin, const uint32_t *end)
 
 __attribute__((section(".flash"), noreturn)) void reset(void)
 {
-    volatile uint32_t *image = image_start, *bss = bss_start; /* else memcpy is called: in RAM */
+    /* volatile: else the compiler calls memcpy, which is not in RAM yet */
+    volatile uint32_t *image = image_start, *bss = bss_start;
 
     for (size_t i = 0; i < words(image_start, image_end); i++)
         image[i] = image_load[i];

@@ -1,27 +1,27 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* Sync pulses, made by PWM slice 0: one of its periods is one interval of the sync line, which may
- * begin with a pulse. It counts the ADC's ticks, and takes over the next period's length and pulse
- * when one ends; so an interrupt has a whole interval's time to say what comes after the running
- * one, and none of its latency is in the pulses. Long intervals are made of several periods.
+/* Makes the sync pulses by PWM slice 0: each of its periods is an interval of the sync line that may
+ * begin with a pulse. It counts the ADC's ticks and loads the next period's length and pulse when one
+ * ends, so an interrupt has a whole period to program the next, and its latency does not delay the
+ * pulses. Long intervals consist of several periods.
  */
 #include "registers.h"
 #include "rp2040.h"
 
 #define SYS_PER_TICK 2u
-#define FIRST_TICKS 6000u /* of the first period, which ends long before the first pulse */
-#define MAX_TICKS 65536u  /* of a period */
-#define SPARE_TICKS (2 * TICKS_PER_US) /* the time is known to 1 µs */
+#define FIRST_TICKS 6000u /* first period, 125 µs; the first pulse comes 936 µs or more after tick 0 */
+#define MAX_TICKS 65536u  /* longest period: 16 bits */
+#define SPARE_TICKS (2 * TICKS_PER_US) /* 2 µs: the time is known to 1 µs */
 #define SLICE_0 1u
 
 static struct dg *source;
 static struct moment begin;
-static struct dg_pulse pulse; /* the next that is not programmed */
+static struct dg_pulse pulse; /* the next pulse not yet programmed */
 static bool pulse_left;
-static uint64_t running_end, programmed_end; /* of the running and of the programmed period */
+static uint64_t running_end, programmed_end; /* ticks: ends of the running and programmed periods */
 static volatile bool failed;
 
-/* Puts the line low; a restarted slice counts from 0. */
+/* Sets the line low and resets the slice, which then counts from 0. */
 void sync_stop(void)
 {
     IO_BANK0->gpio[PIN_SYNC].ctrl = IO_SIO;
@@ -40,11 +40,11 @@ void sync_prepare(void)
     IO_BANK0->gpio[PIN_SYNC].ctrl = IO_PWM;
 }
 
-/* Says what comes after the programmed period. */
+/* Programs the period after the programmed one. */
 static void program_next(void)
 {
     uint32_t high = 0;
-    uint64_t left = MAX_TICKS; /* to the next pulse, if there is one */
+    uint64_t left = MAX_TICKS; /* ticks to the next pulse */
 
     if (pulse_left && pulse.tick == programmed_end) {
         high = pulse.units * TP_SYNC_UNIT_US * TICKS_PER_US;
@@ -54,13 +54,13 @@ static void program_next(void)
         left = pulse.tick - programmed_end;
     uint32_t length = (uint32_t)(left > 2 * MAX_TICKS ? MAX_TICKS : left);
     if (length > MAX_TICKS)
-        length /= 2; /* no short period at the end */
+        length /= 2; /* two equal periods: the last is never short */
     PWM->slice[0].cc = high;
     PWM->slice[0].top = length - 1;
     running_end = programmed_end;
     programmed_end += length;
 
-    /* of 32 bits, the difference is right */
+    /* modulo 2³²: the difference is right */
     uint32_t now = begin.tick + (TIMER->timerawl - (uint32_t)begin.us) * TICKS_PER_US;
     if ((int32_t)((uint32_t)running_end - now) < (int32_t)SPARE_TICKS) {
         failed = true;

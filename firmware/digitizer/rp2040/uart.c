@@ -30,7 +30,7 @@ void uart_interrupt(void)
 {
     while (!(UART0->fr & UART_FR_RXFE)) {
         uint8_t byte = (uint8_t)UART0->dr;
-        byte_ring_put(&received, &byte, 1); /* if full: its packet is broken, which is counted */
+        byte_ring_put(&received, &byte, 1); /* a byte without room: a broken packet, which is counted */
     }
     UART0->icr = UART_INT_RX_TIMEOUT;
     wake();
@@ -43,7 +43,7 @@ size_t uart_read(uint8_t *bytes, size_t size)
 
 bool uart_ready(void)
 {
-    return true; /* whether anybody listens, a UART cannot tell */
+    return true; /* a UART cannot tell whether a host listens */
 }
 
 void uart_send(const uint8_t *bytes, size_t size)
@@ -64,7 +64,7 @@ bool uart_sending(void)
 
 size_t uart_cancel(void)
 {
-    return 0; /* DMA sends the rest, whether anybody listens or not */
+    return 0; /* DMA sends the rest in any case */
 }
 
 void uart_sent_interrupt(void)

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* A USB CDC ACM device: bytes both ways, in bulk packets. Line coding and DTR are taken note of by
- * nobody: what the host reads are packets, which need neither.
+/* A USB CDC ACM device: bytes both ways in bulk packets. Line coding and DTR are accepted and ignored.
  */
 #include "byte_ring.h"
 #include "registers.h"
@@ -19,7 +18,7 @@ struct setup_packet {
     uint16_t value, index, length;
 };
 
-/* Buffers in the controller's memory, as offsets from its beginning. */
+/* Buffers in the controller's memory, as offsets from its start. */
 #define EP0_BUFFER 0x100u
 #define NOTIFY_BUFFER 0x180u
 #define IN_BUFFER 0x1c0u
@@ -27,17 +26,17 @@ struct setup_packet {
 
 static struct byte_ring received;
 static uint8_t serial[8];
-static uint32_t next_data1[3][2]; /* data toggle of every endpoint's next packet */
+static uint32_t next_data1[3][2]; /* data toggle of each endpoint's next packet */
 static volatile bool configured, receiving, sending;
 static bool armed; /* a bulk packet waits for the host to take it */
 static const uint8_t *to_send;
 static size_t to_send_left;
-static bool sent_full; /* the last packet was */
+static bool sent_full; /* whether the last packet was full */
 
-/* of the control transfer in progress */
+/* The control transfer in progress. */
 static const uint8_t *reply;
 static size_t reply_left;
-static bool reply_zero; /* ends with an empty packet */
+static bool reply_zero; /* it ends with an empty packet */
 static uint8_t new_address;
 
 static volatile uint32_t *memory(uint32_t offset)
@@ -67,7 +66,7 @@ static void copy_out(uint8_t *bytes, uint32_t offset, size_t size)
         bytes[i] = (uint8_t)(*memory(offset + (i & ~3u)) >> 8 * (i & 3u));
 }
 
-/* Gives the controller a buffer: full for IN, to be filled for OUT. */
+/* Gives the controller a buffer: a full one for IN, an empty one for OUT. */
 static void hand_over(uint32_t endpoint, enum direction direction, uint32_t bits)
 {
     volatile uint32_t *control = &USB_DPRAM->buf_ctrl[endpoint][direction];
@@ -76,7 +75,7 @@ static void hand_over(uint32_t endpoint, enum direction direction, uint32_t bits
     bits |= *data1;
     *data1 ^= USB_BUF_DATA1;
     *control = bits;
-    /* clk_usb must have seen the rest before it sees this: 5 of its cycles, 10 of ours */
+    /* AVAILABLE must reach clk_usb after the other bits: wait 5 of its cycles, 10 of clk_sys */
     __asm__ volatile(".rept 10\n nop\n .endr" ::: "memory");
     *control = bits | USB_BUF_AVAILABLE;
 }
@@ -94,12 +93,12 @@ static void control_receive(void)
 
 static void control_stall(void)
 {
-    USB->ep_stall_arm = 3; /* of endpoint 0, both directions */
+    USB->ep_stall_arm = 3; /* endpoint 0, both directions */
     USB_DPRAM->buf_ctrl[EP_CONTROL][DIR_IN] = USB_BUF_STALL;
     USB_DPRAM->buf_ctrl[EP_CONTROL][DIR_OUT] = USB_BUF_STALL;
 }
 
-/* The next packet of a reply; after its last one, the host's empty packet is waited for. */
+/* Sends the next packet of a reply; after the last one, waits for the host's empty packet. */
 static void reply_next(void)
 {
     if (!reply_left && !reply_zero) {
@@ -165,7 +164,7 @@ static void reply_descriptor(const struct setup_packet *setup)
     case USB_STRING:
         reply_string(setup);
         break;
-    default: /* the device qualifier, among others: there is no high speed */
+    default: /* among them the device qualifier: there is no high speed */
         control_stall();
     }
 }
@@ -192,7 +191,7 @@ static void packet_taken(void)
         sending = false;
 }
 
-/* Ready for a bulk packet from the host, if there is room for it; else the host has to wait. */
+/* Accepts a bulk packet from the host if there is room for it; otherwise the host has to wait. */
 static void receive_next(void)
 {
     receiving = byte_ring_room(&received) >= USB_PACKET;
@@ -200,7 +199,7 @@ static void receive_next(void)
         hand_over(EP_DATA, DIR_OUT, USB_PACKET);
 }
 
-/* What is left to be sent was for somebody else, the packet that the controller holds, too. */
+/* Discards what was left to send, including the packet in the controller: it was for another host. */
 static void set_configuration(uint8_t configuration)
 {
     for (uint32_t endpoint = EP_NOTIFY; endpoint <= EP_DATA; endpoint++) {
@@ -216,8 +215,8 @@ static void set_configuration(uint8_t configuration)
         receive_next();
 }
 
-/* A halted endpoint's toggle starts anew; its packet, if any, has not been taken and stays. Some
- * hosts do this whenever a program opens the port. */
+/* Resets a halted endpoint's data toggle; keeps its packet, which the host has not taken. Some hosts do
+ * this whenever a program opens the port. */
 static void clear_halt(const struct setup_packet *setup)
 {
     uint32_t endpoint = setup->index & 15u;
@@ -233,12 +232,12 @@ static void clear_halt(const struct setup_packet *setup)
                                                    USB_BUF_LENGTH));
 }
 
-/* Requests without data, and those whose data come first: false for what is not known. */
+/* Handles requests without data; false if the request is unknown. */
 static bool obey(const struct setup_packet *setup)
 {
     switch (setup->request_type << 8 | setup->request) {
     case TO_DEVICE << 8 | SET_ADDRESS:
-        new_address = (uint8_t)setup->value; /* holds when this was acknowledged */
+        new_address = (uint8_t)setup->value; /* takes effect once this request is acknowledged */
         break;
     case TO_DEVICE << 8 | SET_CONFIGURATION:
         set_configuration((uint8_t)setup->value);
@@ -296,7 +295,7 @@ static void control_request(void)
     }
 }
 
-/* The host has taken, or filled, a buffer. */
+/* The host has read or filled a buffer. */
 static void buffer_done(uint32_t endpoint, enum direction direction)
 {
     uint32_t size = USB_DPRAM->buf_ctrl[endpoint][direction] & USB_BUF_LENGTH;
@@ -313,7 +312,7 @@ static void buffer_done(uint32_t endpoint, enum direction direction)
         if (reply)
             reply = NULL; /* the end of a reply */
         else
-            control_send(NULL, 0); /* of data from the host, which nobody needs */
+            control_send(NULL, 0); /* acknowledges data, which are ignored */
     } else if (direction == DIR_IN) {
         packet_taken();
     } else {
@@ -330,10 +329,10 @@ void usb_interrupt(void)
     if (status & USB_INT_BUS_RESET) {
         USB->sie_status = USB_SIE_STATUS_BUS_RESET;
         USB->addr_endp[0] = 0;
-        USB->buff_status = ~0u; /* of before */
+        USB->buff_status = ~0u; /* of transfers before the reset */
         set_configuration(0);
     }
-    if (status & USB_INT_BUFF_STATUS) { /* before the next request: it ends the one before */
+    if (status & USB_INT_BUFF_STATUS) { /* before a new request, because it completes the previous one */
         uint32_t done = USB->buff_status;
         for (uint32_t i = 0; i < 2 * (EP_DATA + 1); i++) {
             if (done & 1u << i) {
@@ -345,7 +344,7 @@ void usb_interrupt(void)
     if (status & USB_INT_SETUP_REQ) {
         USB->sie_status = USB_SIE_STATUS_SETUP_REC;
         for (uint32_t direction = DIR_IN; direction <= DIR_OUT; direction++)
-            USB_DPRAM->buf_ctrl[EP_CONTROL][direction] = 0; /* of a request that was given up */
+            USB_DPRAM->buf_ctrl[EP_CONTROL][direction] = 0; /* of an abandoned request */
         reply = NULL;
         control_request();
     }
@@ -390,7 +389,7 @@ size_t usb_read(uint8_t *bytes, size_t size)
 
 void usb_send(const uint8_t *bytes, size_t size)
 {
-    interrupts_off(); /* a reset of the bus ends all sending */
+    interrupts_off(); /* a bus reset would end all sending */
     if (configured && (size || (sent_full && !armed))) {
         to_send = bytes;
         to_send_left = size;

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* What the device tells about itself. */
+/* USB descriptors of the device. */
 #ifndef RP2040_USB_DESCRIPTORS_H
 #define RP2040_USB_DESCRIPTORS_H
 
 #include <stdint.h>
 
-#define USB_PACKET 64 /* bytes, of every endpoint but the notifications' */
+#define USB_PACKET 64 /* bytes per packet, except for notifications */
 
 enum usb_endpoint { EP_CONTROL, EP_NOTIFY, EP_DATA };
 enum usb_type { USB_CONTROL, USB_ISOCHRONOUS, USB_BULK, USB_INTERRUPT };
@@ -19,9 +19,9 @@ enum usb_string { USB_LANGUAGES, USB_MANUFACTURER, USB_PRODUCT, USB_SERIAL };
 
 static const uint8_t device_descriptor[] = {
     18, USB_DEVICE, LE16(0x0200),
-    0xef, 2, 1,                   /* several functions, told apart by association */
+    0xef, 2, 1,                   /* several functions with association descriptors */
     USB_PACKET,
-    LE16(0x1209), LE16(0x0001),   /* pid.codes' number for tests: get one before selling boards */
+    LE16(0x1209), LE16(0x0001),   /* pid.codes, for tests: get your own before selling boards */
     LE16(0x0100), USB_MANUFACTURER, USB_PRODUCT, USB_SERIAL,
     1,
 };
