@@ -103,15 +103,16 @@ Specimen: TypeAlias = "Callable[..., Node]"
 
 @pytest.fixture(scope="session")
 def specimen(tmp_path_factory: pytest.TempPathFactory, emulator: None) -> Specimen:
-    """Compiles a program of test/firmware/avr for an MCU; returns the node that runs it."""
+    """Compiles a program of specimens.c for an MCU; returns the node that runs it."""
     folder = tmp_path_factory.mktemp("avr")
 
     def build(name: str, mcu: str = "atmega328p", *options: str) -> Node:
         image = folder / f"{name}-{mcu}{''.join(options)}.elf"
         if not image.exists():
             warn = ("-std=gnu99", "-Wall", "-Wextra", "-Werror", "-Os")
-            source = Path(__file__).parent / "avr" / f"{name}.c"
-            run(need("avr-gcc"), f"-mmcu={mcu}", *warn, *options, source, "-o", image)
+            choice = (f"-mmcu={mcu}", f"-DSPECIMEN_{name}", *options)
+            source = Path(__file__).with_name("specimens.c")
+            run(need("avr-gcc"), *choice, *warn, source, "-o", image)
         return Node(image, mcu)
 
     return build
