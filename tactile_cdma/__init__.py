@@ -10,43 +10,51 @@ from importlib import import_module
 from pkgutil import extend_path
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from .base.errors import TactileError
-    from .readings.taxels import Status
-    from .skin import Decoder, Frame, Skin, read_parameters, read_recording
+from .base.errors import (
+    CalibrationError,
+    CaptureError,
+    ParameterError,
+    PortError,
+    RecordingEndError,
+    RestError,
+    SpecError,
+    TactileError,
+)
 
 __all__ = [
+    "CalibrationError",
+    "CaptureError",
     "Decoder",
     "Frame",
+    "ParameterError",
+    "PortError",
+    "RecordingEndError",
+    "RestError",
     "Skin",
+    "SpecError",
     "Status",
     "TactileError",
     "read_parameters",
     "read_recording",
 ]
 
-_HOMES = {
-    "Decoder": ".skin",
-    "Frame": ".skin",
-    "Skin": ".skin",
-    "Status": ".readings.taxels",
-    "TactileError": ".base.errors",
-    "read_parameters": ".skin",
-    "read_recording": ".skin",
-}
-
 # The messages that a build generates lie beside the installed package, not in a checkout.
 __path__ = extend_path(__path__, __name__)
 
 __version__ = "0.1.0"
 
+if TYPE_CHECKING:
+    from .readings.taxels import Status
+    from .skin import Decoder, Frame, Skin, read_parameters, read_recording
+else:
 
-def __getattr__(name: str) -> Any:
-    """Load a public name when it is first used: `tactile-cdma doctor` runs without numpy."""
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name], __name__), name)
+    def __getattr__(name: str) -> Any:
+        """Load what needs numpy when it is first used: `tactile-cdma doctor` runs without."""
+        if name not in __all__:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        home = ".readings.taxels" if name == "Status" else ".skin"
+        return getattr(import_module(home, __name__), name)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return [*__all__, *(name for name in globals() if name.startswith("__"))]

@@ -7,19 +7,23 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
+import weakref
 from collections import deque
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
-from os import PathLike
+from os import PathLike, fspath
 from pathlib import Path
 from types import TracebackType
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .base.errors import PortError, RecordingEndError, RestError
+from .base.errors import ParameterError, PortError, RecordingEndError, RestError
 from .config.parameters import BY_NAME, REPLAY, Value, Values, check_values, read_file
 from .config.skin_config import SkinConfig
 from .driver.driver import WAITING, Driver
@@ -33,11 +37,15 @@ BUFFER_S = 1.0
 TIMEOUT_S = 5.0
 """Without a frame for longer, s, something is wrong: a port opens and its digitizer starts within
 2 s (driver.RETRY_S)."""
+Setting: TypeAlias = Value | list[float]
+"""A parameter's value."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """One decoded frame of a skin with t taxels and n nodes. Treat the arrays as read-only.
+    """One decoded frame of a skin with t taxels and n nodes.
+
+    The arrays are read-only: copy one to change it.
 
     sequence: counts frame periods on the wire; a step of more than 1 means lost frames.
     t_host: middle of the frame on the host's monotonic clock (time.monotonic), s.
@@ -79,29 +87,32 @@ class Skin:
 
     port: a device path, `usb://SERIAL`, `replay://FILE`, `sim://` or any other pyserial URL.
     parameters: by the names, units and limits of docs/parameters.md, as nodes=64 or chip_us=50.0.
-    timeout_s: without a frame for longer, PortError is raised with the likely cause; None: wait
-    forever. A port that is lost is opened again by itself meanwhile.
+    timeout_s: PortError is raised, with the likely cause, after this time without a frame, and
+    after two frame periods at least; None: wait forever. A port that is lost is meanwhile reopened
+    automatically.
 
     Frames wait for the program for up to BUFFER_S; then the oldest is dropped (`dropped`). Frames
     of a recording are never dropped: its replay waits for the program.
 
-    Raises ParameterError or SpecError for wrong parameters, PortError from open() for a port that
-    cannot be opened.
+    Raises ParameterError, SpecError or CalibrationError for wrong parameters or files, PortError
+    from open() for a port that cannot be opened.
     """
 
     def __init__(
-        self, port: str, *, timeout_s: float | None = TIMEOUT_S, **parameters: Value
+        self, port: str, *, timeout_s: float | None = TIMEOUT_S, **parameters: Setting
     ) -> None:
-        values: Values = check_values({"port": port, **parameters})
-        self.config = SkinConfig.of(values)
-        self.port, self.timeout_s = port, timeout_s
-        self.dropped = 0
+        values: Values = _checked({"port": port, **parameters})
+        if timeout_s is not None and not (isinstance(timeout_s, float | int) and timeout_s > 0):
+            raise ParameterError(f"timeout_s is {timeout_s!r}; it must be above 0 s, or None")
+        self.config, self.port, self.timeout_s = SkinConfig.of(values), values["port"], timeout_s
         self._baud: int = values.get("baud", BY_NAME["baud"].default)
-        self._most = max(2, round(BUFFER_S / self.config.spec.frame_period_s))
-        self._frames: deque[TactileFrame] = deque()
-        self._changed = threading.Condition()
+        self._opening = threading.Lock()  # one thread opens, closes or tares
+        self._inbox = _Inbox(self.config, self.port)
         self._driver: Driver | None = None
-        self._drain = False  # frames are taken however many wait, so that the driver's lock is free
+        self._end: weakref.finalize[..., Skin] | None = None
+
+    def __repr__(self) -> str:
+        return f"Skin({self.port!r})"
 
     @property
     def layout(self) -> Layout:
@@ -109,26 +120,36 @@ class Skin:
         return self.config.layout
 
     @property
+    def dropped(self) -> int:
+        """Frames dropped since the port was opened, because the program was too slow."""
+        return self._inbox.dropped
+
+    @property
     def problem(self) -> str | None:
-        """Why no frames come just now, in one sentence; None while they do."""
-        return self._running().problem
+        """Why no frames arrive at the moment, in one sentence; None while they do."""
+        driver = self._running()
+        return None if self._inbox.frames else driver.problem
 
     def open(self) -> Skin:
-        """Open the port and begin to decode; raises PortError where the port cannot be opened."""
-        if self._driver is None:
-            port = Port(self.port, self._baud)
-            self._frames.clear()
-            self._driver = Driver(self.config, self.port, self._baud, self._take, self._wake)
-            self._driver.start(port)
+        """Open the port and begin to decode; raises PortError if the port cannot be opened."""
+        with self._opening:
+            if self._driver is None:
+                port = Port(self.port, self._baud)
+                inbox = self._inbox = _Inbox(self.config, self.port)
+                driver = Driver(self.config, self.port, self._baud, inbox.take, inbox.wake)
+                # Nothing of the driver refers to this object, so that one that is forgotten, and
+                # the interpreter's exit, end the stream as well.
+                self._end = weakref.finalize(self, _end, driver, inbox)
+                self._driver = driver
+                driver.start(port)
         return self
 
     def close(self) -> None:
-        """Stop the digitizer, close the port; frames that wait are given up."""
-        driver, self._driver = self._driver, None
-        self._wake()
-        if driver is not None:
-            driver.stop()
-        self._frames.clear()
+        """Stop the digitizer and close the port; frames that wait are discarded."""
+        with self._opening:
+            self._driver = None
+            if self._end is not None:
+                self._end()
 
     def __enter__(self) -> Skin:
         return self.open()
@@ -153,84 +174,121 @@ class Skin:
     def read(self) -> Frame:
         """The next frame in order, waited for.
 
-        Raises PortError after timeout_s without one, RecordingEndError at a recording's end.
+        Raises PortError after timeout_s without one, RecordingEndError at the end of a recording.
         """
-        with self._changed:
-            self._await_frame()
-            frame = self._frames.popleft()
-            self._changed.notify_all()
-        return _frame(frame, self.layout)
+        with self._awaited() as frames:
+            return _frame(frames.popleft(), self.layout)
 
     def newest(self) -> Frame:
-        """The newest frame that was not returned yet, waited for; older ones are passed over.
+        """The newest frame that was not returned yet, waited for; older ones are skipped.
 
         Raises as read().
         """
-        with self._changed:
-            self._await_frame()
-            frame = self._frames[-1]
-            self._frames.clear()
-            self._changed.notify_all()
-        return _frame(frame, self.layout)
+        with self._awaited() as frames:
+            newest = frames[-1]
+            frames.clear()
+            return _frame(newest, self.layout)
 
     def tare(self, force: bool = False) -> NDArray[np.float32]:
-        """Take what the skin reads now for zero, until the skin is closed.
+        """Take the present reading as zero until the skin is closed.
 
-        Returns the pressure taken off, (t,) float32, Pa. force: even under load. Raises RestError
-        where no frames arrive, and without force where something touches or moves the skin.
+        Returns the pressure taken off, (t,) float32, Pa. force: even under load. The next frame
+        that is returned has the tare; a replay is decoded up to BUFFER_S ahead of the program, and
+        is tared there. Raises RestError if no frames arrive and, without force, while something
+        touches or moves the skin; PortError if the skin is not open.
         """
-        driver = self._running()
-        if driver.problem not in (None, WAITING):  # the first frames may be on their way
-            raise RestError(f"not tared: no frames arrive: {driver.problem}")
-        with self._changed:
-            self._drain = True
-            self._changed.notify_all()
-        try:
-            with driver.between_frames() as pipeline:
+        with self._opening:
+            driver, inbox = self._running(), self._inbox
+            if driver.problem not in (None, WAITING):  # the first frames may be on their way
+                raise RestError(f"not tared: no frames arrive: {driver.problem}")
+            with inbox.unbounded(), driver.between_frames() as pipeline:
                 taxels = pipeline.taxels
                 taxels.tare(pipeline.config.rest.contact_pa, force)
                 tare_pa = taxels.baseline.tare_pa.copy()
-        finally:
-            self._drain = False
+                if not inbox.lossless:
+                    inbox.frames.clear()
         source = self.layout.source
         if source is None:
             return tare_pa
         return np.where(source < 0, np.float32(0), tare_pa[source])
 
     def _running(self) -> Driver:
-        if self._driver is None:
+        if (driver := self._driver) is None:
             raise PortError(f"{self.port}: not open; use `with Skin(...) as skin:` or skin.open()")
-        return self._driver
+        return driver
 
-    def _await_frame(self) -> None:
-        """Wait for a frame, holding the condition's lock."""
-        waited_from_s = time.monotonic()
-        while (driver := self._running()) and not self._frames:
-            if driver.ended:
-                raise RecordingEndError(f"{self.port}: {driver.problem}")
-            waited_s = time.monotonic() - waited_from_s
-            if self.timeout_s is not None and waited_s >= self.timeout_s:
-                reason = driver.problem or "the stream has stopped"
-                raise PortError(f"{self.port}: no frame for {self.timeout_s:g} s: {reason}")
-            self._changed.wait(0.1)  # the driver's thread may end without a word
+    @contextmanager
+    def _awaited(self) -> Iterator[deque[TactileFrame]]:
+        """The frames that wait, at least one, while none is added."""
+        self._running()
+        inbox, begun_s = self._inbox, time.monotonic()
+        limit_s = math.inf
+        if self.timeout_s is not None:
+            limit_s = max(self.timeout_s, 2 * self.config.spec.frame_period_s)
+        with inbox.changed:
+            while not inbox.frames:
+                driver = self._running()
+                reason = (driver.problem or "the stream has stopped").removeprefix(f"{self.port}: ")
+                if driver.ended:
+                    raise RecordingEndError(f"{self.port}: {reason}")
+                if time.monotonic() - begun_s >= limit_s:
+                    raise PortError(f"{self.port}: no frame for {limit_s:g} s: {reason}")
+                inbox.changed.wait(0.1)  # the driver's thread may end without a word
+            yield inbox.frames
+            inbox.changed.notify_all()
 
-    def _take(self, frame: TactileFrame) -> None:
+
+class _Inbox:
+    """Frames on their way from the driver's thread to the program.
+
+    lossless: the driver waits while too many frames wait, which holds its lock; else the oldest
+    frame is dropped.
+    """
+
+    def __init__(self, config: SkinConfig, port: str) -> None:
+        self.frames: deque[TactileFrame] = deque()
+        self.changed = threading.Condition()
+        self.dropped = 0
+        self.closed = False
+        self.lossless = port.lower().startswith(REPLAY)
+        self._most = max(2, round(BUFFER_S / config.spec.frame_period_s))
+        self._unbounded = False
+
+    def take(self, frame: TactileFrame) -> None:
         """Called by the driver's thread for every frame."""
-        with self._changed:
-            while self.port.startswith(REPLAY) and len(self._frames) >= self._most:
-                if self._driver is None or self._drain:
+        with self.changed:
+            while self.lossless and len(self.frames) >= self._most:
+                if self.closed or self._unbounded:
                     break
-                self._changed.wait()
-            self._frames.append(frame)
-            if len(self._frames) > self._most and not self.port.startswith(REPLAY):
-                self._frames.popleft()
+                self.changed.wait()
+            self.frames.append(frame)
+            if len(self.frames) > self._most and not self.lossless:
+                self.frames.popleft()
                 self.dropped += 1
-            self._changed.notify_all()
+            self.changed.notify_all()
 
-    def _wake(self, problem: str | None = None) -> None:
-        """Let all who wait look again."""
-        with self._changed:
-            self._changed.notify_all()
+    def wake(self, problem: str | None = None) -> None:
+        """Let all threads that wait look again."""
+        with self.changed:
+            self.changed.notify_all()
+
+    @contextmanager
+    def unbounded(self) -> Iterator[None]:
+        """Meanwhile any number of frames is taken, so that the driver's lock becomes free."""
+        self._unbounded = True
+        self.wake()
+        try:
+            yield
+        finally:
+            self._unbounded = False
+
+
+def _end(driver: Driver, inbox: _Inbox) -> None:
+    """End a stream, whoever waits for it."""
+    inbox.closed = True
+    inbox.wake()
+    driver.stop()
+    inbox.frames.clear()
 
 
 class Decoder:
@@ -241,13 +299,13 @@ class Decoder:
     >>> decoder.feed(b"noise on the wire", t_host=0.0)
     []
 
-    parameters: as those of Skin. Any split of the bytes gives the same frames; line noise raises
-    nothing. problem: why nothing can be decoded just now, in one sentence; None while all is well.
-    Raises ParameterError or SpecError for wrong parameters.
+    parameters: as those of Skin; port and baud have no effect. Any split of the bytes gives the
+    same frames; line noise raises nothing. Raises ParameterError, SpecError or CalibrationError for
+    wrong parameters or files.
     """
 
-    def __init__(self, **parameters: Value) -> None:
-        self._pipeline = Pipeline(SkinConfig.of(parameters), background=False)
+    def __init__(self, **parameters: Setting) -> None:
+        self._pipeline = Pipeline(SkinConfig.of(_checked(parameters)), background=False)
 
     @property
     def layout(self) -> Layout:
@@ -256,32 +314,61 @@ class Decoder:
 
     @property
     def problem(self) -> str | None:
-        """Why nothing can be decoded just now, in one sentence; None while all is well."""
-        return self._pipeline.problem
+        """Why nothing can be decoded at the moment, in one sentence; None while all is well."""
+        pipeline = self._pipeline
+        if pipeline.problem is None and pipeline.digitizer.info is None:
+            counts = pipeline.packet_counts
+            return (
+                f"no description of a digitizer yet, which sends one every second: "
+                f"{counts.packets} packets in {counts.bytes} bytes so far"
+            )
+        return pipeline.problem
 
-    def feed(self, data: bytes, t_host: float) -> list[Frame]:
+    def feed(self, data: bytes | bytearray | memoryview, t_host: float) -> list[Frame]:
         """Frames that these bytes complete; t_host: when they were read, monotonic, s."""
-        return [_frame(frame, self.layout) for frame in self._pipeline.feed(data, t_host)]
+        if not math.isfinite(t_host):
+            raise ValueError(f"t_host is {t_host}; it must be a time in s, as of time.monotonic()")
+        frames = self._pipeline.feed(memoryview(data).tobytes(), t_host)
+        return [_frame(frame, self.layout) for frame in frames]
 
     def flush(self) -> list[Frame]:
         """Frames that still waited for what follows them: call it where the bytes end."""
         return [_frame(frame, self.layout) for frame in self._pipeline.flush()]
 
 
-def read_parameters(path: str | PathLike[str]) -> Mapping[str, Value]:
+def read_parameters(path: str | PathLike[str]) -> dict[str, Any]:
     """Parameters of a ROS 2 parameter file, for `Skin(**read_parameters("skin.yaml"))`.
 
-    Raises ParameterError, naming file and line, for a file that is none or has a wrong value.
+    Raises ParameterError, naming file and line, for anything else and for wrong values.
     """
     return read_file(Path(path))
 
 
 def read_recording(path: str | PathLike[str]) -> Iterator[tuple[bytes, float]]:
-    """Bytes of a recording or raw capture, and when they were read (monotonic, s), for a Decoder.
+    """Bytes of a recording, and when they were read (monotonic, s), for a Decoder.
 
-    Raises CaptureError for a file that is none, or is damaged.
+    Damaged records of a recording are skipped; `tactile-cdma info` counts them. Any other file is
+    taken as the bytes of a port, at time 0. Raises CaptureError, when the first bytes are asked
+    for, if the file cannot be read.
     """
     return read_bytes(Path(path))
+
+
+def _checked(parameters: Mapping[str, object]) -> dict[str, Value]:
+    """Parameters in their own types; paths and numpy's scalars and arrays are taken, too."""
+    plain: dict[str, object] = {}
+    for name, value in parameters.items():
+        if isinstance(value, np.generic | np.ndarray):
+            value = value.tolist()
+        plain[name] = fspath(value) if isinstance(value, PathLike) else value
+    return check_values(plain)
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """The same array, which the decoder goes on using, for a program that only reads it."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
 
 
 def _frame(frame: TactileFrame, layout: Layout) -> Frame:
@@ -290,13 +377,13 @@ def _frame(frame: TactileFrame, layout: Layout) -> Frame:
         sequence=frame.sequence,
         t_host=frame.t_host,
         t_device=frame.t_middle,
-        pressure_pa=readings.pressure_pa,
-        voltage_v=readings.voltage_v,
-        status=readings.status,
-        positions_m=layout.positions_m,
-        nodes=layout.nodes,
-        active=words.active,
-        codes=words.codes,
-        doubtful=words.doubtful,
+        pressure_pa=_read_only(readings.pressure_pa),
+        voltage_v=_read_only(readings.voltage_v),
+        status=_read_only(readings.status),
+        positions_m=_read_only(layout.positions_m),
+        nodes=_read_only(layout.nodes),
+        active=_read_only(words.active),
+        codes=_read_only(words.codes),
+        doubtful=_read_only(words.doubtful),
         noise_rms_v=words.noise_rms_v,
     )

@@ -56,7 +56,7 @@ class Driver:
         on_problem: Callable[[str | None], None],
     ) -> None:
         # A recording may be played in a loop.
-        most_repeated = 0 if url.startswith(REPLAY) else MAX_REPEATED
+        most_repeated = 0 if url.lower().startswith(REPLAY) else MAX_REPEATED
         self.pipeline = Pipeline(config, most_repeated=most_repeated)
         self.problem: str | None = None
         self.connections = 0

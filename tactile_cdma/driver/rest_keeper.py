@@ -74,8 +74,8 @@ class RestKeeper:
         """
         self.config, self.tared = config, ""
         self._log, self._on_change = log, on_change
-        self._simulated = url.startswith(SIMULATION)
-        self._store = RestStore(None if url.startswith(REPLAY) else path, log)
+        self._simulated = url.lower().startswith(SIMULATION)
+        self._store = RestStore(None if url.lower().startswith(REPLAY) else path, log)
         self._driver: Driver | None = None
         self._kept: RestState | None = None  # as last read or written; in force while inactive
         self._told_drift_v: NDArray[np.float32] | None = None
@@ -131,7 +131,11 @@ class RestKeeper:
         name = config.calibration.identity or "by default"
         self._log.info(
             f"calibration {name} is in force; tare and drift "
-            + ("stay" if stay else "went with the curves before: tare while nothing touches it")
+            + (
+                "stay"
+                if stay
+                else "were dropped with the old curves; tare again while nothing touches the skin"
+            )
         )
 
     def tick(self) -> None:

@@ -5,9 +5,12 @@
 from __future__ import annotations
 
 import doctest
+import gc
+import math
 import os
 import subprocess
 import sys
+import threading
 import time
 from itertools import islice, pairwise
 from pathlib import Path
@@ -128,6 +131,51 @@ def test_a_replay_gives_every_frame_to_a_slow_program_and_ends(
     assert len(frames) >= len(expected) - 1
 
 
+def test_a_program_cannot_change_what_the_decoder_or_the_next_frame_has() -> None:
+    with Skin("sim://?scene=idle", nodes=16) as skin:
+        frame = skin.read()
+        for name in ("pressure_pa", "status", "positions_m", "nodes", "codes"):
+            with pytest.raises(ValueError, match="read-only"):
+                getattr(frame, name)[0] = 1
+        own = frame.pressure_pa.copy()
+        own[:] = 0.0
+        assert np.isnan(skin.read().pressure_pa).any()
+
+
+def test_a_skin_that_is_forgotten_gives_its_port_back() -> None:
+    def streams() -> int:
+        return sum(thread.name.startswith("skin ") for thread in threading.enumerate())
+
+    before = streams()
+    skin = Skin("sim://", nodes=16).open()
+    skin.read()
+    assert streams() == before + 1
+    del skin
+    gc.collect()
+    assert streams() == before
+
+
+def test_a_decoder_that_cannot_decode_says_so() -> None:
+    decoder = Decoder(nodes=16)
+    decoder.feed(b"\x01garbage\x00" * 100, t_host=1.0)
+    assert decoder.problem is not None and "in 900 bytes" in decoder.problem
+    with pytest.raises(ValueError, match="t_host is nan"):
+        decoder.feed(b"", t_host=math.nan)
+    with pytest.raises(TypeError):
+        decoder.feed("text", t_host=1.0)  # type: ignore[arg-type]
+
+
+def test_replays_lose_nothing_however_their_url_is_spelt(
+    recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tactile_cdma.skin.BUFFER_S", 0.05)
+    with Skin(f"REPLAY://{recording}?speed=0") as skin:
+        skin.read()
+        time.sleep(0.3)
+        count = len(list(skin))
+        assert (skin.dropped, count > 60) == (0, True)
+
+
 def test_a_slow_program_loses_the_oldest_frames_and_is_told(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -161,8 +209,7 @@ def test_tare_takes_off_what_a_resting_skin_reads_and_refuses_a_pressed_one() ->
             except RestError as error:
                 assert "not tared" in str(error)
         assert tared is not None and tared.shape == (16,) and np.abs(tared).max() > 0
-        skin.newest()
-        assert np.nanmax(np.abs(skin.newest().pressure_pa)) < 500.0
+        assert np.nanmax(np.abs(skin.read().pressure_pa)) < 500.0  # the very next frame
     with Skin("sim://?scene=press", nodes=16) as skin:
         while np.nanmax(skin.newest().pressure_pa, initial=0.0) < 5e3:
             pass
@@ -191,6 +238,19 @@ def test_wrong_parameters_are_refused_by_name_and_limit() -> None:
         Decoder(bits=99)
     with pytest.raises(SpecError):
         Skin("sim://", nodes=16, frame_period_ms=1.0)
+    for timeout_s in (0, -1.0, math.nan, "5"):
+        with pytest.raises(ParameterError, match="timeout_s is "):
+            Skin("sim://", timeout_s=timeout_s)  # type: ignore[arg-type]
+
+
+def test_paths_and_numpy_s_numbers_are_parameters_too() -> None:
+    skin = Skin(
+        Path("/dev/ttyACM9"),  # type: ignore[arg-type]
+        nodes=np.int64(16),  # type: ignore[arg-type]
+        mount_xyz_m=[0.0, 0.0, 0.1],
+    )
+    assert skin.port == "/dev/ttyACM9"
+    assert skin.config.spec.nodes == 16
 
 
 def test_a_port_that_is_none_and_one_that_says_nothing_are_told_apart(tmp_path: Path) -> None:

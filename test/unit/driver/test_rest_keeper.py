@@ -252,7 +252,7 @@ def test_other_curves_forget_the_tare_and_keep_its_file(
     run = Run(tmp_path).activate().stream(TARE_S)
     run.keeper.tare()
     run.set(calibration_file=str(tmp_path / "steep.yaml"))
-    assert "went with the curves before" in run.log.infos[-1]
+    assert "were dropped with the old curves" in run.log.infos[-1]
     assert run.keeper.tared == "" and run.changes == 3
     assert np.allclose(run.stream(TARE_S).pressure_pa, PRELOAD_PA / 2, atol=15)
     assert not (tmp_path / f"{NAME}.old").exists()
