@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""firmware/core depends on no board: with nothing but core/ to include from, it compiles."""
+"""Checks that run no firmware: core/ depends on no board, and cppcheck finds nothing."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import pytest
-from conftest import CORE, STRICT, need, run
+from conftest import CORE, FIRMWARE, STRICT, need, run
 
 SYSTEM = {"stdbool.h", "stddef.h", "stdint.h", "string.h"}
 """All that core/ takes from a C library; of string.h, memcpy, memmove and memset."""
@@ -28,3 +28,32 @@ def test_a_core_file_compiles_with_core_as_its_only_include_path(
     source: Path, tmp_path: Path
 ) -> None:
     run(need("cc"), *STRICT, "-fsyntax-only", source, cwd=tmp_path)
+
+
+CHECKS = ("--enable=warning,performance,portability", "--error-exitcode=1", "--std=c11", "--quiet")
+IGNORED = (
+    "--suppress=missingIncludeSystem",
+    "--suppress=comparePointers:*/start.c",  # a section's begin and end, named by the linker
+)
+NODE = FIRMWARE / "node"
+AVR = (
+    "-DCRC32_SMALL",
+    "-DEMPTY_INTERRUPT(vector)=void vector(void) {}",
+    "-DATOMIC_BLOCK(state)=",
+    CORE,
+    NODE,
+)
+"""Definitions and headers of a node's build, and avr-libc's macros that cppcheck cannot parse."""
+
+
+@pytest.mark.parametrize(
+    "sources",
+    [
+        ("-i", FIRMWARE / "build", "-i", NODE, FIRMWARE),
+        ("-D__AVR_ATmega328P__", "-i", NODE / "attiny85.c", *AVR),
+        ("-D__AVR_ATtiny85__", "-i", NODE / "atmega328p.c", *AVR),
+    ],
+    ids=["digitizer", "atmega328p", "attiny85"],
+)
+def test_cppcheck_is_content(sources: tuple[str, ...]) -> None:
+    run(need("cppcheck"), *CHECKS, *IGNORED, "-I", CORE, *sources)
