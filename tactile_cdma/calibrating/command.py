@@ -287,8 +287,8 @@ def _take_loads(arguments: argparse.Namespace, path: Path, config: SkinConfig) -
         except KeyboardInterrupt:
             kept = "no load was taken"
             if path.exists():
-                kept = f"{path} has the loads taken so far: --append goes on with it, without "
-                kept += "--port it is fitted"
+                kept = f"{path} has the loads taken so far: add to it with "
+                kept += "--append, or leave out --port to fit it"
             print(f"\ntactile-cdma: interrupted; {kept}", file=sys.stderr)
             return False
     print(f"{taken} loads taken, kept in {path}")

@@ -52,7 +52,7 @@ class LoadSession:
         """
         if path.exists() and not append:
             raise CalibrationError(
-                f"{path}: exists already; --append goes on with it, without a port it is fitted"
+                f"{path}: exists already: add to it with --append, or leave out the port to fit it"
             )
         with (
             naming(path, CalibrationError),

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Code rows as the digitizer samples them, for any clock of the node."""
+"""Expected samples of a code row, given the clocks of node and digitizer."""
 
 from __future__ import annotations
 

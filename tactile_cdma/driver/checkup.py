@@ -103,7 +103,7 @@ def nodes(pipeline: Pipeline, stuck: list[int], window: Window) -> Iterator[Find
     if clocks is not None and clocks.busy:
         return
     dead, stale = taxels.dead, taxels.stale
-    if 0 < taxels.awaited == len(dead) + len(stale):
+    if 0 < taxels.in_service == len(dead) + len(stale):
         text = "frames arrive, but no node was heard: is the skin powered, is threshold too high?"
         yield Finding(text, Level.ERROR, event=True)
         return
@@ -120,13 +120,13 @@ def nodes(pipeline: Pipeline, stuck: list[int], window: Window) -> Iterator[Find
     node, rho = weakest(pipeline, window)
     if rho < LOW_RHO:
         text = (
-            f"node {node} stands out of the noise by {decibels(rho):.0f} dB only, "
-            f"{decibels(LOW_RHO):.0f} are needed: look for what disturbs the line, or raise the "
+            f"node {node} is only {decibels(rho):.0f} dB above the noise, "
+            f"{decibels(LOW_RHO):.0f} dB are needed: look for what disturbs the line, or raise the "
             "amplitude"
         )
         yield Finding(text, key="snr")
     if clocks is not None and clocks.unresolved:
-        text = f"not told from others by their clocks: {listed(clocks.unresolved, 'node')}"
+        text = f"clocks too alike to separate: {listed(clocks.unresolved, 'node')}"
         yield Finding(text, key="unresolved")
     if clocks is not None and clocks.problem:
         yield Finding(clocks.problem, key="clocks")

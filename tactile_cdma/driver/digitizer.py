@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 
 from ..config.parameters import GAP
 from ..config.skin_config import SkinConfig
-from ..framing.silence import quiet_uv
+from ..framing.quiet_limit import quiet_uv
 from ..wire._protocol import PacketType, Result, SyncMode
 from ..wire.messages import Ack, FrameLayout, Info, Status
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from ..config.parameters import GAP
 from ..config.skin_config import SkinConfig
-from ..framing.silence import quiet_uv
+from ..framing.quiet_limit import quiet_uv
 from ..wire._protocol import SyncMode
 from ..wire.messages import Configure, FrameLayout, GetInfo, Info, Packet, RollCall, Start, Stop
 from ..wire.packets import PacketWriter, diagnose

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Samples of the line in, frames out: what both kinds of timing share.
+"""Samples of the line in, frames out: what all kinds of timing share.
 
-`line_timing` is told where frames start, `gap_timing` has nothing but the waveform. Both keep
-their own samples; how the stream is cut into blocks changes nothing.
+`line_timing` is told where frames start, `gap_timing` has nothing but the waveform, and
+`clocks.node_timing` separates nodes with clocks of their own. All keep their own samples; how the
+stream is cut into blocks changes nothing.
 """
 
 from __future__ import annotations

@@ -26,14 +26,15 @@ def take_tare(
     layout: Layout,
     lsb_v: float,
     contact_pa: float,
-    awaited: Bools,
+    may_yet_speak: Bools,
     force: bool = False,
 ) -> list[int]:
     """Make the median of the last second the zero of every node with valid readings.
 
     Its pressure becomes the tare. A voltage above the start of the curve is no pressure: the excess
     becomes drift.
-    lsb_v: one count of the nodes' converters, V. awaited: (n,) bool, nodes that may yet be heard.
+    lsb_v: one count of the nodes' converters, V. may_yet_speak: (n,) bool, nodes whose
+    first word may still come.
     Returns the numbers of the nodes without valid readings, which keep the zero they had.
 
     Unless forced, raises RestError, naming the taxels, if a node moves, reads more than contact_pa
@@ -48,7 +49,7 @@ def take_tare(
     if not valid.any():
         raise RestError("not tared: no node has a valid reading; is the skin powered?")
     if not force:
-        if early := (np.flatnonzero(~valid & (awaited | baseline.ever_valid)) + 1).tolist():
+        if early := (np.flatnonzero(~valid & (may_yet_speak | baseline.ever_valid)) + 1).tolist():
             raise RestError(  # they would be left with another zero
                 f"not tared: not yet heard for {LOOKS * LOOK_S:g} s: {listed(early, 'node')}; "
                 "try again, or tare the others with force: true"

@@ -81,7 +81,7 @@ class Taxels:
         self._began_s = np.inf  # the first frame's time
 
     @property
-    def awaited(self) -> int:
+    def in_service(self) -> int:
         """Number of nodes in service."""
         return int(np.count_nonzero(~self._masked))
 
@@ -121,10 +121,10 @@ class Taxels:
     def tare(self, contact_pa: float, force: bool = False) -> list[int]:
         """Make the present readings the zero; see take_tare."""
         curves = self.chain.calibration.curves
-        begun = self.now_s - self._began_s <= self.stale_after_s
-        awaited = begun & ~self._masked
+        just_started = self.now_s - self._began_s <= self.stale_after_s
+        may_yet_speak = just_started & ~self._masked
         unheard = take_tare(
-            self.baseline, curves, self._layout, self._lsb_v, contact_pa, awaited, force
+            self.baseline, curves, self._layout, self._lsb_v, contact_pa, may_yet_speak, force
         )
         self.refresh()
         return [number for number in unheard if not self._masked[number - 1]]

@@ -1,3 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The ROS 2 side: the driver node, messages, and a viewer. Nothing else imports rclpy."""
+"""The ROS 2 side: driver node, body node, viewers, bag. Nothing else imports rclpy."""

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Judges each node by its words of many frames: sound, weak, doubled, faulty or missing."""
+"""Judges each node by its words of many frames: sound, weak, doubled, faulty, or not heard yet."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from .decode import DOUBLE_SHARE, FAINT_SHARE, LOW_MARGIN, LOW_RHO, Words
 JUDGE_FRAMES = 32
 """Frames with words in them between two verdicts. Chosen: 0.4 s at 78 Hz."""
 LEAST_WORDS = 4
-"""Words that a verdict on a node takes; afterwards they count half beside newer ones. Chosen."""
+"""Words needed for a verdict on a node; each verdict halves the weight of older words. Chosen."""
 WEAK_SHARE = 0.6
 """Share of the expected amplitude below which a node is weak. Chosen: just above
-decode.ACTIVE_SHARE, so that a node is told before its words are lost."""
+decode.ACTIVE_SHARE, so that a weak node is reported before its words are lost."""
 MOST_UNEVEN, MOST_DOUBLED, MOST_ODD = 0.5, 0.25, 0.25
 """Shares of a node's words beyond which the node is faulty (uneven words; odd parity though every
 bit is clear) or doubled. Chosen; words that are no words have odd parity in half of all cases."""

@@ -186,7 +186,7 @@ def test_a_stuck_node_is_named() -> None:
 
 
 def test_noise_drowns_the_weakest_node() -> None:
-    complaint("nodes", WARN, "stands out of the noise by", port="sim://?scene=all&noise=0.8")
+    complaint("nodes", WARN, "dB above the noise", port="sim://?scene=all&noise=0.8")
 
 
 def test_clipping_says_by_how_much() -> None:

@@ -375,7 +375,7 @@ def test_answers_are_loads_and_none_is_lost(
         kept = points.read_text()
         assert [line.split(",")[:2] for line in kept.splitlines()[1:]] == [["5", "0"], ["5", "20"]]
         with dialogue(*common) as cal:
-            assert "exists already; --append goes on with it" in rest(cal)
+            assert "exists already: add to it with --append" in rest(cal)
         press.pressure_pa = 40e3
         with dialogue(*common, "--append") as cal:
             hear(cal, "(Enter: end) ")

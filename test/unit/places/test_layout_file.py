@@ -123,7 +123,7 @@ def test_nodes_out_of_service_or_without_a_place_are_not_missed(tmp_path: Path) 
     pipeline = Pipeline(SkinConfig.of({"nodes": 4, "layout_file": str(path)}))
     pipeline.taxels.update(silent(4, 0.0), 10.0, pipeline.health)
     assert pipeline.taxels.missing == [1, 4]
-    assert pipeline.taxels.awaited == 2
+    assert pipeline.taxels.in_service == 2
 
 
 def test_the_simulator_presses_on_the_unrolled_skin(tmp_path: Path) -> None:

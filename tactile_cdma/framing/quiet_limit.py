@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""How alike samples must be for the digitizer to leave them out (packet QUIET)."""
+"""Largest spread of samples for which the digitizer may send QUIET instead of them."""
 
 from __future__ import annotations
 
