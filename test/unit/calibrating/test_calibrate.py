@@ -370,7 +370,7 @@ def test_answers_are_loads_and_none_is_lost(
             hear(cal, "(Enter: end) ")
             cal.send_signal(2)
             said = rest(cal)
-            assert "interrupted" in said and "--append goes on" in said
+            assert "interrupted" in said and "add to it with --append" in said
             assert cal.returncode == 1
         kept = points.read_text()
         assert [line.split(",")[:2] for line in kept.splitlines()[1:]] == [["5", "0"], ["5", "20"]]
