@@ -184,3 +184,9 @@ def test_a_url_cannot_make_a_port_write_a_file(tmp_path: Path, kind: str) -> Non
     with pytest.raises(PortError, match="would write a file"):
         Port(f"{kind}://loop://?file={path}", 9600)
     assert path.read_text() == "kept"
+
+
+def test_a_port_without_a_file_gives_all_that_waits_at_once() -> None:
+    with Port("loop://", 9600) as port:
+        port.write(b"all of it")
+        assert port.read()[0] == b"all of it"
