@@ -200,7 +200,7 @@ class Skin:
                 taxels.tare(pipeline.config.rest.contact_pa, force)
                 tare_pa = taxels.baseline.tare_pa.copy()
                 if not inbox.lossless:
-                    inbox.frames.clear()
+                    inbox.clear()
         source = self.layout.source
         if source is None:
             return tare_pa
@@ -266,6 +266,11 @@ class _Inbox:
         with self.changed:
             self.changed.notify_all()
 
+    def clear(self) -> None:
+        """Discard the frames that wait; never between another thread's look and its taking one."""
+        with self.changed:
+            self.frames.clear()
+
     @contextmanager
     def unbounded(self) -> Iterator[None]:
         """Meanwhile any number of frames is taken, so that the driver's lock becomes free."""
@@ -282,7 +287,7 @@ def _end(driver: Driver, inbox: _Inbox) -> None:
     inbox.closed = True
     inbox.wake()
     driver.stop()
-    inbox.frames.clear()
+    inbox.clear()
 
 
 class Decoder:
