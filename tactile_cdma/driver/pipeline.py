@@ -174,10 +174,12 @@ class Pipeline:
             return silent(spec.nodes, heard.noise_rms_v)
         words = decode(heard.levels, spec, self.config.threshold, self.health.swing_v)
         clocks_unknown = self.config.roll_call and clocks is not None and not clocks.heard
-        if heard.tied or clocks_unknown:
-            words = words.doubted()
-        if not heard.tied:
+        if clocks_unknown:
+            words = words.doubted(words.active)
+        if heard.doubtful is None:
             self.health.update(words)
+        else:
+            words = words.doubted(heard.doubtful)
         return words
 
     def _hear(self, packet: Received) -> None:

@@ -258,7 +258,7 @@ class LineRecogniser:
         if end == End.OTHER:
             return None
         self._chip = fit.chip
-        return self._line.heard(frame, fit, levels, tied=end == End.MISLED)
+        return self._line.heard(frame, fit, levels, guess=end == End.MISLED)
 
     def _refined(self, line: Line, chip: float) -> Fit:
         """Timing refined from the mark and a chip duration; unrefined if that leads astray."""

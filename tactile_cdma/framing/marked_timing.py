@@ -169,14 +169,14 @@ class MarkedLine:
         return self._decided(start, fit or self.nominal, None, math.sqrt(power / self.chip))
 
     def heard(
-        self, frame: MarkedFrame, fit: Fit, levels: NodeLevels, tied: bool = False
+        self, frame: MarkedFrame, fit: Fit, levels: NodeLevels, guess: bool = False
     ) -> Verdict:
         """A frame in which nodes spoke; rejected where most of its samples are at a rail."""
         clipped = self.clipped(frame.volts[: round(fit.end(self.spec) + 0.5)])
         if clipped > MOST_CLIPPED:
             return Verdict(over=frame.start + frame.volts.size)
         noise_rms_v = levels.noise_v * math.sqrt(self.spec.order)
-        return self._decided(frame.start, fit, levels, noise_rms_v, clipped, tied)
+        return self._decided(frame.start, fit, levels, noise_rms_v, clipped, guess)
 
     def _decided(
         self,
@@ -185,11 +185,12 @@ class MarkedLine:
         levels: NodeLevels | None,
         noise_rms_v: float,
         clipped: float = 0.0,
-        tied: bool = False,
+        guess: bool = False,
     ) -> Verdict:
         # An integrated value's index is the begin of its chip, a raw sample's its instant.
         begin = float(start) if self.integrated else start + fit.start
-        found = FrameLevels(begin, fit.chip, levels, noise_rms_v, self.level_v, clipped, tied)
+        doubtful = np.ones(self.spec.nodes, bool) if guess else None
+        found = FrameLevels(begin, fit.chip, levels, noise_rms_v, self.level_v, clipped, doubtful)
         return Verdict(found, start + math.ceil(fit.end(self.spec) + 0.5 * fit.chip))
 
 

@@ -15,7 +15,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from ..base.arrays import Floats, Floats32
+from ..base.arrays import Bools, Floats, Floats32
 from ..code.separate import NodeLevels
 
 Rails: TypeAlias = tuple[float, float] | None
@@ -80,8 +80,9 @@ class FrameLevels:
     noise_rms_v: noise of one chip's level, V; NaN where unknown.
     offset_v: the line's level in silence, V.
     clipped: share of the frame's samples at a rail, 0…1.
-    tied: the words are a guess: others, some chips away, explain the samples as well, or a node was
-        late and may be taken for another.
+    doubtful: (n,) bool, nodes whose word, or whose silence, is a guess: other frames, some chips
+        away, explain the samples as well, or a node was late and may be taken for another. None
+        where no node's is.
     """
 
     start: float
@@ -90,7 +91,7 @@ class FrameLevels:
     noise_rms_v: float
     offset_v: float
     clipped: float
-    tied: bool = False
+    doubtful: Bools | None = None
 
 
 _LEAST_STORE = 4096

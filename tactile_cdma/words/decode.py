@@ -62,8 +62,8 @@ class Words:
     amplitude_v: (n,) float32, V, mean |r| over the word's bits.
     rho: (n,) float32, amplitude over the noise of one correlation (√N·a/σ in the signal model).
     margin: (n,) float32, |r| of the word's weakest bit over its amplitude.
-    doubtful: (n,) bool, active words with a close decision in at least one bit, with a mended
-        parity, or too loud for one node.
+    doubtful: (n,) bool, words with a close decision in at least one bit, with a mended parity, or
+        too loud for one node; and nodes of which it is not certain whether they were silent.
     doubled: (n,) bool, words in which some bits have the level of two nodes or more and others a
         much lower one: more than one node speaks on their row.
     odd: (n,) bool, active words whose parity had to be mended.
@@ -90,9 +90,12 @@ class Words:
         confidence: Floats32 = np.float32(1) / (np.float32(1) + np.exp(-ratio))
         return confidence
 
-    def doubted(self) -> Words:
-        """The same words, all flagged as doubtful."""
-        return replace(self, doubtful=self.active)
+    def doubted(self, nodes: Bools) -> Words:
+        """The same words, of which those of some nodes (n,) bool are doubtful, too.
+
+        Of a silent node this says that it may have spoken.
+        """
+        return replace(self, doubtful=self.doubtful | nodes)
 
 
 def silent(nodes: int, noise_rms_v: float) -> Words:

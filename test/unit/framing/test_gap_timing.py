@@ -305,8 +305,8 @@ def test_a_first_frame_that_could_be_another_says_so(words: dict[int, int]) -> N
     wire.send(0.25 * wire.period, words)
     wire.send(1.25 * wire.period, {3: 77, 5: 801, 6: 123})
     first, second = run(GapTiming(PAPER, wire.rate_hz), wire.volts())
-    assert first.tied
-    assert not second.tied
+    assert first.doubtful is not None
+    assert second.doubtful is None
     assert words_of(second, PAPER) == wire.sent[1].words
 
 
@@ -319,9 +319,9 @@ def test_the_raster_tells_ties_apart(words: dict[int, int], silent_slots: int) -
     wire.send((1.25 + silent_slots) * wire.period, words)
     last = run(GapTiming(PAPER, wire.rate_hz), wire.volts())[-1]
     if silent_slots:
-        assert last.tied
+        assert last.doubtful is not None
     else:
-        assert not last.tied
+        assert last.doubtful is None
         assert words_of(last, PAPER) == words
 
 
