@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from ..base.errors import SpecError
 from ..clocks.clock_keeper import ClockReport
 from ..config.skin_config import SkinConfig
-from ..framing.timing import FrameLevels
+from ..framing.timing import FrameLevels, Rejections
 from ..readings.baseline import Baseline
 from ..readings.drift import DriftTracker, nodes_beside
 from ..readings.pressure import PressureChain
@@ -133,9 +133,9 @@ class Pipeline:
         return self._earlier_packets + self.parser.counters
 
     @property
-    def rejected(self) -> int:
+    def rejections(self) -> Rejections:
         """Bursts on the line that were no frame, since the digitizer described itself."""
-        return self._levels.timing.rejected if self._levels else 0
+        return self._levels.timing.rejections if self._levels else Rejections()
 
     @property
     def clocks(self) -> ClockReport | None:

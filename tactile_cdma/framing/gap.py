@@ -149,7 +149,7 @@ class GapSearch(BurstSearch):
         starts, chip durations and powers of the words, (c,) each. A frame is taken to have less
         than a bit's silent chips at either end.
         """
-        spec, span = self.spec, self.spec.span_chips
+        spec = self.spec
         low, high = self._range(burst, chip)
         low = edge + np.ceil((low - edge) / chip) * chip
         shifts = np.arange(max(1, int(np.max((high - low) / chip)) + 1))

@@ -18,16 +18,28 @@ from .burst import Burst, Quiet
 from .fit import MAX_SPREAD, Fit, Line, WordFit, even_words, lowest_power
 from .gap import GapSearch
 from .judge import Judgement
+from .limits import LIMITS
 from .raster import Expected, Raster
-from .timing import MOST_CLIPPED, FrameLevels, QuietBlock, Rails, SampleBlock, Timing, share_clipped
+from .timing import (
+    ABSURD,
+    AT_RAIL,
+    INCOMPLETE,
+    MISFIT,
+    NOT_AT_REST,
+    FrameLevels,
+    QuietBlock,
+    Rails,
+    Rejections,
+    SampleBlock,
+    Timing,
+    share_clipped,
+    silence_hidden,
+)
 
-BLIND_RHO = 2.5
-"""ρ below which words are not found reliably: with the amplitude known and noise beyond this, a
-slot without a frame counts as rejected, not as silent. Chosen; at ρ = 3 one frame in 5,000 is
-missed at order 20 (make bench-error)."""
 FORGET = 0.999
 """Factor on the power of a learnt amplitude in each silent slot. Chosen: halves it in 690 slots, 9
 s at 78 Hz."""
+
 
 class GapTiming(Timing):
     """Frames from nothing but the waveform: they stand between gaps, stretched by 0…11 %.
@@ -121,11 +133,12 @@ class GapTiming(Timing):
         volts = self._samples.take(self._cursor, end)
         bad = np.flatnonzero(np.isnan(volts))
         if bad.size:
-            self.rejected += 1
+            self.rejections += ABSURD
             self._skip_to(self._cursor + int(bad[-1]) + 1)
             return []
         candidates = self._search.quiet(volts, self._quiet)
         seen: list[Burst] = []
+        reason = INCOMPLETE
         for quiet in candidates:
             shifted = volts - quiet.level
             burst = self._first_burst(shifted, quiet)
@@ -137,12 +150,14 @@ class GapTiming(Timing):
                 return []
             if burst.first < self._search.chip:
                 continue  # no gap before it: the rest of a frame that began before the cursor
-            if frames := self._take(shifted, burst, quiet):
-                return frames
+            taken = self._take(shifted, burst, quiet)
+            if not isinstance(taken, Rejections):
+                return taken
+            reason = taken
         if all(self._may_be_noise(burst) for burst in seen):
             self._quiet = candidates[0] if candidates and not final else self._quiet
             return [] if final else self._pass_idle(end)
-        self.rejected += 1
+        self.rejections += reason
         self._failures += 1
         if self._failures == 3:  # perhaps it is the level that is wrong
             self._quiet, self._failures = None, 0
@@ -176,31 +191,31 @@ class GapTiming(Timing):
             return False
         return size < min(burst.first + self._reach, burst.last + self._bit)
 
-    def _take(self, volts: Floats, burst: Burst, quiet: Quiet) -> list[FrameLevels]:
-        """The frame that a burst is, after silent slots before it; none if it is no frame.
+    def _take(self, volts: Floats, burst: Burst, quiet: Quiet) -> list[FrameLevels] | Rejections:
+        """The frame that a burst is, after silent slots before it; or why it is no frame.
 
         volts: gap level removed.
         """
         line, spec = Line(volts), self._spec
         found = self._search.frame(line, burst, self._expected(burst))
         if found is None:
-            return []
+            return MISFIT
         fit = found.fit
         end = fit.end(spec)
         if end > volts.size + 0.5 * fit.chip:
-            return []
+            return INCOMPLETE
         inside = volts[max(0, round(fit.start)) : round(end)]
         clipped = share_clipped(inside + quiet.level, self._rails_v)
-        if clipped > MOST_CLIPPED:
-            return []
+        if clipped > LIMITS.clipped:
+            return AT_RAIL
         beside = self._search.beside(volts, fit)
         variance = beside.variance(burst.variance)
         noise = variance * self._search.half / fit.chip
         words = even_words(line, fit, spec)
         if not words.believable(MAX_SPREAD, spec, noise):
-            return []
+            return MISFIT
         if not beside.is_quiet(self._side_halves, variance, burst.power):
-            return []
+            return NOT_AT_REST
         self._quiet = quiet
         if spec.node_swing_v is None:
             self._search.least_power = lowest_power(float(words.amplitude.max()))
@@ -226,8 +241,11 @@ class GapTiming(Timing):
             levels.values[:, 0] -= np.float32(left_v)
         noise_rms_v = levels.noise_v * math.sqrt(self._spec.order)
         level_v = self._quiet.level + left_v
+        doubtful = found.doubtful
+        if clipped > LIMITS.deafened:
+            doubtful = np.ones(self._spec.nodes, bool)
         frames.append(
-            FrameLevels(fit.start, fit.chip, levels, noise_rms_v, level_v, clipped, found.doubtful)
+            FrameLevels(fit.start, fit.chip, levels, noise_rms_v, level_v, clipped, doubtful)
         )
         self._heard_one, self._failures = True, 0
         if found.decided:
@@ -251,12 +269,13 @@ class GapTiming(Timing):
         level, noise = 0.0, math.nan
         if self._quiet:  # whose variance is that of half chips
             level, noise = self._quiet.level, math.sqrt(self._quiet.variance / 2)
-        blind = self._quiet is not None and share_clipped(np.array([level]), self._rails_v) > 0
-        if swing_v := self._spec.node_swing_v:
-            blind |= noise * BLIND_RHO > swing_v * math.sqrt(self._spec.order)
+        clipped = 0.0
+        if self._quiet is not None:
+            clipped = share_clipped(np.array([level]), self._rails_v)
+        hidden = silence_hidden(clipped, noise, self._spec)
         while self._next <= until:
-            if blind:
-                self.rejected += 1
+            if hidden:
+                self.rejections += hidden
             else:
-                yield FrameLevels(self._next, self._search.chip, None, noise, level, 0.0)
+                yield FrameLevels(self._next, self._search.chip, None, noise, level, clipped)
             self._next += self._search.period

@@ -65,7 +65,7 @@ class Judge:
         """
         spec = self._spec
         earliest, latest = shifts
-        starts: Floats = fit.start + fit.chip * np.arange(earliest, latest + 1)
+        starts = fit.start + fit.chip * np.arange(earliest, latest + 1, dtype=np.float64)
         edges = np.arange(earliest, spec.span_chips + latest + 1.0)
         levels = line.means(fit.start + fit.chip * edges)
         windows = np.lib.stride_tricks.sliding_window_view(levels, spec.span_chips)
@@ -105,7 +105,8 @@ class Judge:
         power = float(np.square(levels).mean())
         variance = max(noise, left, LIMITS.distortion**2 * power, 1e-30)
         votes = np.minimum(off * np.float32(0.5 / variance), np.float32(LIMITS.vote))
-        return votes.sum(axis=1, dtype=np.float64)
+        cost: Floats = votes.sum(axis=1, dtype=np.float64)
+        return cost
 
     @staticmethod
     def _probability(cost: Floats) -> Floats:
