@@ -6,7 +6,8 @@
     python firmware/generate.py --check    writes nothing; lists stale files, exit code 1 if any
 
 Generated are the C header, the Python tables, the field tables, the code books and the example in
-docs/protocol.md, and the test vectors that C and Python share. Only this script needs pyyaml, not the firmware.
+docs/protocol.md, and the test vectors that C and Python share. Only this script needs pyyaml, not
+the firmware.
 """
 
 from __future__ import annotations
