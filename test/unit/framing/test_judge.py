@@ -89,7 +89,7 @@ def judged(volts: np.ndarray, wire: Wire, expected: Expected | None = None) -> J
 
 def sent(words: dict[int, int]) -> tuple[Wire, np.ndarray]:
     wire = Wire(PAPER, CHIP)
-    wire.send(500.0, words, stretch=0.0)
+    wire.send(500.4, words, stretch=0.0)
     return wire, wire.volts()
 
 
