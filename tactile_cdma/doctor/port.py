@@ -63,7 +63,7 @@ def _parameters(config: SkinConfig, file: str) -> Check:
     return warning(
         "parameters",
         f"{file}: stale_after_s is {config.stale_after_s:g} s, but nodes at rest speak every "
-        f"{silent_s:.3g} s unless written otherwise (tactile-cdma node --heartbeat): make it longer",
+        f"{silent_s:.3g} s unless told otherwise (tactile-cdma node --heartbeat): make it longer",
     )
 
 
