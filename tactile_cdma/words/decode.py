@@ -143,7 +143,7 @@ def decode(
     sound = SOUND_SHARE * np.minimum(expected, amplitude.max())  # two on a row are louder
     faint = (amplitude > FAINT_SHARE * expected) & (amplitude < sound)
     if faint.any():
-        left = np.abs(unexplained(values, ~faint & active, spec)).mean(axis=0)
+        left = np.abs(unexplained(levels, active & ~faint, faint, spec)).mean(axis=0)
         amplitude = np.where(faint & (left < LEAKED_SHARE * amplitude), left, amplitude)
         spoke = amplitude > np.float32(threshold) * expected
         hidden = ~spoke & (active | (amplitude > FAINT_SHARE * expected))

@@ -13,23 +13,27 @@ import numpy as np
 
 from ..base.arrays import Bools, Floats32
 from ..code.frame import FrameSpec
+from ..code.separate import NodeLevels
 from ..code.transform import correlate, spread
 
-TAPS = (1, 2, -1)
-"""Distances, in chips, from which a chip may hold a share: of a low-pass and of ringing the chips
-before, of late sampling the one after. Chosen."""
+TAPS = (1, -1)
+"""Distances, in chips, from which a chip may hold a share: behind a low-pass of the chip before,
+where samples are late of the one after. Chosen."""
 
 
-def unexplained(values: Floats32, loud: Bools, spec: FrameSpec) -> Floats32:
-    """Levels of the other nodes without what leaks from chips of the loud ones, (k, n) float32, V.
+def unexplained(levels: NodeLevels, loud: Bools, faint: Bools, spec: FrameSpec) -> Floats32:
+    """Levels of all nodes without what leaks from chips of the loud ones, (k, n) float32, V.
 
-    values: (k, n) V, levels of all nodes. loud: (n,) whose words are known to have been sent. One
-    share for each of TAPS, the same for all nodes, is fitted by least squares; the loud nodes'
-    levels are returned as they are.
+    loud: (n,) bool, nodes whose words are known to have been sent; their levels are returned as
+    they are. faint: (n,) bool, nodes in question. One share for each of TAPS, the same for all
+    nodes, is fitted by least squares to what all rows hold but those of the nodes in question, and
+    but the loud nodes' own amplitudes: leakage that explains a node shows in other rows, too.
     """
+    values = levels.values
+    signs = np.sign(values) * loud
     symbols = np.zeros((spec.line_bits, spec.order), np.float32)
-    amplitude = np.abs(values).mean(axis=0) * loud
-    symbols[:, spec.node_slice] = np.sign(values) * amplitude
+    symbols[:, spec.node_slice] = values - _uneven(values, signs)
+    symbols[:, spec.node_slice] *= loud
     chips = spread(symbols, spec.book).ravel()
     beside = np.zeros((len(TAPS), chips.size), np.float32)
     for shifted, tap in zip(beside, TAPS, strict=True):
@@ -38,8 +42,19 @@ def unexplained(values: Floats32, loud: Bools, spec: FrameSpec) -> Floats32:
         else:
             shifted[:tap] = chips[-tap:]
     rows = correlate(beside.reshape(len(TAPS), *symbols.shape), spec.book)
-    leaked = (rows[..., spec.node_slice] * ~loud).reshape(len(TAPS), -1)
-    others = (values * ~loud).ravel()
-    share = np.linalg.lstsq(leaked @ leaked.T, leaked @ others, rcond=None)[0]
-    left: Floats32 = values - (share.astype(np.float32) @ leaked).reshape(values.shape)
+    leaked = rows[..., spec.node_slice]
+    cause, effect = _uneven(leaked, signs) * ~faint, _uneven(values, signs) * ~faint
+    if levels.spare is not None:
+        cause = np.concatenate((cause, rows[..., spec.spare_rows]), axis=-1)
+        effect = np.concatenate((effect, levels.spare), axis=-1)
+    cause, effect = cause.reshape(len(TAPS), -1), effect.ravel()
+    share = np.linalg.lstsq(cause @ cause.T, cause @ effect, rcond=None)[0]
+    left: Floats32 = values - np.tensordot(share.astype(np.float32), leaked, 1) * ~loud
     return left
+
+
+def _uneven(values: Floats32, signs: Floats32) -> Floats32:
+    """What a word of one amplitude with these signs leaves over of (…, k, n) levels."""
+    amplitude = (values * signs).mean(axis=-2, keepdims=True)
+    uneven: Floats32 = values - amplitude * signs
+    return uneven
