@@ -98,9 +98,7 @@ def test_arguments_are_checked() -> None:
         actions(sim="perhaps")
 
 
-@pytest.mark.parametrize(
-    "file", ["skin.launch.py", "/opt/ws/share/tactile_cdma/launch/skin.launch.py"]
-)
+@pytest.mark.parametrize("file", ["skin.launch.py", "/opt/ws/launch/skin.launch.py"])
 def test_an_argument_that_does_not_exist_is_refused(
     file: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
