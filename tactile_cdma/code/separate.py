@@ -21,14 +21,14 @@ class NodeLevels:
         spoke, with row signs and the amplifier's polarity still applied.
     noise_v: rms noise of one value, V.
     unresolved: nodes, counted from 0, that their waveforms do not tell from some other.
-    spare: (k, s) float32, V: what the rows hold that no node uses; None where nodes are not taken
-        apart by correlation.
+    rows: (k, N) float32, V: correlations of all rows; None where nodes are not taken apart by
+        correlation.
     """
 
     values: Floats32
     noise_v: float
     unresolved: tuple[int, ...] = ()
-    spare: Floats32 | None = None
+    rows: Floats32 | None = None
 
 
 def separate(chips: Floats32, spec: FrameSpec) -> NodeLevels:
@@ -45,8 +45,8 @@ def node_levels(rows: Floats32, spec: FrameSpec) -> NodeLevels:
     spare = rows[:, spec.spare_rows]
     if spare.shape[1] >= 2:
         noise_v = float(np.sqrt(np.einsum("kr,kr->", spare, spare) / spare.size))
-        return NodeLevels(values, noise_v, spare=spare)
-    return NodeLevels(values, _noise_of_words(values), spare=spare)
+        return NodeLevels(values, noise_v, rows=rows)
+    return NodeLevels(values, _noise_of_words(values), rows=rows)
 
 
 def _noise_of_words(values: Floats32) -> float:

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..base.arrays import Bools, Floats32
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
+from .lateness import late
 from .leakage import unexplained
 
 ACTIVE_SHARE = 0.5
@@ -29,6 +30,9 @@ Chosen: spreads of sound nodes are a few percent."""
 LEAKED_SHARE = 0.5
 """Share of a word's amplitude that must be left beside what leaks from louder words for it to be a
 word. Chosen: a word that was sent keeps √(1 − 3/k) of it, 0.84 at k = 10."""
+ONE_CHIP = 0.8
+"""Share of a chip in each bit by which levels of a word may vary. Chosen: a bit whose first chip
+is that of the bit before loses 2/N of its level, in half of all bits, which varies by 1/N."""
 LOW_RHO = 5.0
 """ρ below which words are flagged: there more than 3e-6 of them hold a wrong bit, k·Q(ρ) for k =
 10."""
@@ -174,11 +178,22 @@ def decode(
     for node in levels.unresolved:
         doubtful[node] = active[node]
     doubtful |= hidden
+    if levels.rows is not None and _may_be_late(level, amplitude, active, spec):
+        are_late = late(levels, amplitude, active | hidden, spec)
+        if are_late.any():  # any silent node may be the one that spoke
+            doubtful |= are_late | ~active
     # The margin of what is not even faint says nothing, and would look like a doubt.
     margin *= amplitude > np.float32(min(threshold, FAINT_SHARE)) * expected
     codes, doubled, odd = codes * active, doubled & doubtful, odd & active
     sigma = noise * math.sqrt(spec.order)
     return Words(active, codes, amplitude, rho, margin, doubtful, doubled, odd, sigma)
+
+
+def _may_be_late(level: Floats32, amplitude: Floats32, active: Bools, spec: FrameSpec) -> bool:
+    """Whether levels of a word vary by as much as one chip of a bit makes them."""
+    power = np.square(amplitude)
+    uneven = np.einsum("kn,kn->n", level, level) / np.float32(spec.line_bits) - power
+    return bool((active & (uneven > (ONE_CHIP / spec.order) ** 2 * power)).any())
 
 
 def _are_uneven(level: Floats32, amplitude: Floats32, active: Bools) -> bool:

@@ -44,9 +44,9 @@ def unexplained(levels: NodeLevels, loud: Bools, faint: Bools, spec: FrameSpec) 
     rows = correlate(beside.reshape(len(TAPS), *symbols.shape), spec.book)
     leaked = rows[..., spec.node_slice]
     cause, effect = _uneven(leaked, signs) * ~faint, _uneven(values, signs) * ~faint
-    if levels.spare is not None:
+    if levels.rows is not None:
         cause = np.concatenate((cause, rows[..., spec.spare_rows]), axis=-1)
-        effect = np.concatenate((effect, levels.spare), axis=-1)
+        effect = np.concatenate((effect, levels.rows[:, spec.spare_rows]), axis=-1)
     cause, effect = cause.reshape(len(TAPS), -1), effect.ravel()
     share = np.linalg.lstsq(cause @ cause.T, cause @ effect, rcond=None)[0]
     left: Floats32 = values - np.tensordot(share.astype(np.float32), leaked, 1) * ~loud
