@@ -196,6 +196,8 @@ class Pipeline:
             self.health.update(words)
         else:
             words = words.doubted(heard.doubtful)
+        if words.disturbed(self.health.invalid):
+            words = words.doubted(~words.active)
         return words
 
     def _hear(self, packet: Received) -> None:

@@ -20,6 +20,7 @@ from .fit import (
     ChipEdges,
     Fit,
     Line,
+    WordFit,
     dot,
     even_words,
     integrate,
@@ -124,6 +125,8 @@ class LineRecogniser:
         chips = np.subtract(volts, self._line.level_v, dtype=np.float32)
         words = read_words(chips.reshape(1, spec.line_bits, spec.order), spec)
         if self._line.is_silent(words.amplitude[0]):
+            if self._is_astray(words):
+                return Verdict(rejected=MISFIT)
             return self._line.silent(frame, self._line.sample_power(volts))
         if words.believable(MAX_SPREAD, spec):
             return self._line.heard(frame, self._line.nominal, node_levels(words.rows[0], spec))
@@ -136,10 +139,12 @@ class LineRecogniser:
         self._restart_uses += 1
         fit = self._restarted
         words = even_words(line, fit, self._spec)
+        over = frame.start + self._line.size + math.ceil(self._line.chip)
         if self._line.is_silent(words.amplitude[0]):
             self._restart_uses = 0
+            if self._is_astray(words):
+                return Verdict(over=over, rejected=MISFIT)
             return self._faint(frame, self._chip_power(line), fit)
-        over = frame.start + self._line.size + math.ceil(self._line.chip)
         if not words.believable(MAX_SPREAD, self._spec, self._line.noise):
             return Verdict(over=over, rejected=MISFIT)
         ended = self._ended(frame, line, fit, words.rows[0], words.amplitude[0])
@@ -228,6 +233,8 @@ class LineRecogniser:
             fit = self._refined(line, self._strongest(line, stretched))
             words = even_words(line, fit, spec)
             if self._line.is_silent(words.amplitude[0]):
+                if self._is_astray(words):
+                    break
                 return self._faint(frame, power, fit)
             if not words.believable(MAX_SPREAD, spec, self._line.noise):
                 continue
@@ -235,6 +242,11 @@ class LineRecogniser:
                 return verdict
             reason = NOT_AT_REST
         return Verdict(over=frame.start + longest + math.ceil(nominal), rejected=reason)
+
+    def _is_astray(self, words: WordFit) -> bool:
+        """Whether somebody speaks on a row that no node has, as one that is late may do."""
+        spare = words.rows[0, :, self._spec.spare_rows]
+        return spare.size > 0 and not self._line.is_silent(np.abs(spare).mean(axis=0))
 
     def _faint(self, frame: MarkedFrame, power: float, fit: Fit | None = None) -> Verdict:
         """A silent frame, from the power of its chips, V²."""

@@ -30,9 +30,9 @@ Chosen: spreads of sound nodes are a few percent."""
 LEAKED_SHARE = 0.5
 """Share of a word's amplitude that must be left beside what leaks from louder words for it to be a
 word. Chosen: a word that was sent keeps √(1 − 3/k) of it, 0.84 at k = 10."""
-ONE_CHIP = 0.8
-"""Share of a chip in each bit by which levels of a word may vary. Chosen: a bit whose first chip
-is that of the bit before loses 2/N of its level, in half of all bits, which varies by 1/N."""
+HALF_A_CHIP = 0.5
+"""Energy that words may leave over in a bit without a closer look, in chips of the weakest of them.
+Chosen: a node that is half a chip late leaves about this."""
 LOW_RHO = 5.0
 """ρ below which words are flagged: there more than 3e-6 of them hold a wrong bit, k·Q(ρ) for k =
 10."""
@@ -102,6 +102,14 @@ class Words:
         confidence: Floats32 = np.float32(1) / (np.float32(1) + np.exp(-ratio))
         return confidence
 
+    def disturbed(self, broken: Bools) -> bool:
+        """Whether something is on the line that these words do not explain, nor noise.
+
+        A word that is uneven without noise may have another one on its row, of a node that is late
+        and so appears silent. broken: (n,) bool, nodes whose words are known to be uneven.
+        """
+        return bool((self.doubtful & self.active & (self.rho > CLEAR_RHO) & ~broken).any())
+
     def doubted(self, nodes: Bools) -> Words:
         """The same words, of which those of some nodes (n,) bool are doubtful, too.
 
@@ -145,13 +153,15 @@ def decode(
     active = amplitude > np.float32(threshold) * expected
     hidden = np.zeros_like(active)
     sound = SOUND_SHARE * np.minimum(expected, amplitude.max())  # two on a row are louder
-    faint = (amplitude > FAINT_SHARE * expected) & (amplitude < sound)
+    faint = (amplitude > FAINT_SHARE * expected) & ((amplitude < sound) | ~active)
     if faint.any():
         left = np.abs(unexplained(levels, active & ~faint, faint, spec)).mean(axis=0)
         amplitude = np.where(faint & (left < LEAKED_SHARE * amplitude), left, amplitude)
         spoke = amplitude > np.float32(threshold) * expected
         hidden = ~spoke & (active | (amplitude > FAINT_SHARE * expected))
-        active = spoke
+        if hidden.any():  # what weak words lack may be there, and they out of their places
+            hidden |= spoke & (amplitude < SOUND_SHARE * expected)
+        active = spoke & ~hidden
     rho = amplitude * np.float32(1 / max(noise, 1e-12))
     weakest = level.min(axis=0)
     margin = weakest / np.maximum(amplitude, np.float32(1e-30))
@@ -178,10 +188,10 @@ def decode(
     for node in levels.unresolved:
         doubtful[node] = active[node]
     doubtful |= hidden
-    if levels.rows is not None and _may_be_late(level, amplitude, active, spec):
-        are_late = late(levels, amplitude, active | hidden, spec)
-        if are_late.any():  # any silent node may be the one that spoke
-            doubtful |= are_late | ~active
+    if levels.rows is not None and active.any():
+        astray = _astray(levels, amplitude, active, spec)
+        if astray is not None:  # any silent node may be the one that spoke
+            doubtful |= astray | ~active
     # The margin of what is not even faint says nothing, and would look like a doubt.
     margin *= amplitude > np.float32(min(threshold, FAINT_SHARE)) * expected
     codes, doubled, odd = codes * active, doubled & doubtful, odd & active
@@ -189,11 +199,25 @@ def decode(
     return Words(active, codes, amplitude, rho, margin, doubtful, doubled, odd, sigma)
 
 
-def _may_be_late(level: Floats32, amplitude: Floats32, active: Bools, spec: FrameSpec) -> bool:
-    """Whether levels of a word vary by as much as one chip of a bit makes them."""
-    power = np.square(amplitude)
-    uneven = np.einsum("kn,kn->n", level, level) / np.float32(spec.line_bits) - power
-    return bool((active & (uneven > (ONE_CHIP / spec.order) ** 2 * power)).any())
+def _astray(
+    levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec
+) -> Bools | None:
+    """Words that are not in their places, (n,); None where nothing is.
+
+    They are looked for where the words leave over as much as a chip of one of them.
+    """
+    assert levels.rows is not None
+    rows = levels.rows if spec.first_row == 0 else levels.rows[:, 1:]
+    spoken = amplitude[active]
+    left = float(np.einsum("kr,kr->", rows, rows)) / spec.line_bits - float(np.square(spoken).sum())
+    least = float(spoken.min())
+    if left < HALF_A_CHIP * least * least / spec.order:
+        return None
+    are_late = late(levels, amplitude, active, spec)
+    spare = np.abs(levels.rows[:, spec.spare_rows]).mean(axis=0)
+    if are_late.any() or (spare > FAINT_SHARE * least).any():
+        return are_late
+    return None
 
 
 def _are_uneven(level: Floats32, amplitude: Floats32, active: Bools) -> bool:

