@@ -117,7 +117,7 @@ def named_nodes(options: SimOptions, nodes: int) -> Iterator[tuple[float, list[i
     sure = np.full(nodes, 100, dtype=np.float32)
     for frame in truth(options, Setup(config.spec)):
         words = Words(
-            frame.active, frame.codes.astype(np.int32), nothing, sure, nothing, no, no, no, 0.0
+            frame.active, frame.codes.astype(np.int32), nothing, sure, nothing, no, no, no, no, 0.0
         )
         pipeline.health.update(words)
         readings = pipeline.taxels.update(words, frame.start_s, pipeline.health)

@@ -196,6 +196,8 @@ class Pipeline:
             self.health.update(words)
         else:
             words = words.doubted(heard.doubtful)
+        suspect = self.health.suspect
+        words = words.doubted(suspect & words.active)
         if words.disturbed(self.health.invalid):
             words = words.doubted(~words.active)
         return words

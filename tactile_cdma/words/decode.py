@@ -79,6 +79,7 @@ class Words:
     doubled: (n,) bool, words in which some bits have the level of two nodes or more and others a
         much lower one: more than one node speaks on their row.
     odd: (n,) bool, active words whose parity had to be mended.
+    astray: (n,) bool, nodes on whose rows there may be another one's word, of a node out of time.
     noise_rms_v: σ, noise of one chip sample, V; NaN if unknown.
     """
 
@@ -90,6 +91,7 @@ class Words:
     doubtful: Bools
     doubled: Bools
     odd: Bools
+    astray: Bools
     noise_rms_v: float
 
     @property
@@ -122,7 +124,7 @@ def silent(nodes: int, noise_rms_v: float) -> Words:
     """The words of a frame in which no node spoke."""
     nothing, no = np.zeros(nodes, dtype=np.float32), np.zeros(nodes, dtype=bool)
     codes = np.zeros(nodes, dtype=np.int32)
-    return Words(no, codes, nothing, nothing, nothing, no, no, no, noise_rms_v)
+    return Words(no, codes, nothing, nothing, nothing, no, no, no, no, noise_rms_v)
 
 
 def decode(
@@ -189,19 +191,18 @@ def decode(
         doubtful[node] = active[node]
     doubtful |= hidden
     if levels.rows is not None and active.any():
-        astray = _astray(levels, amplitude, active, spec)
-        if astray is not None:  # any silent node may be the one that spoke
-            doubtful |= astray | ~active
+        late_words = _late(levels, amplitude, active, spec)
+        if late_words is not None:  # any silent node may be the one that spoke
+            hidden |= late_words
+            doubtful |= late_words | ~active
     # The margin of what is not even faint says nothing, and would look like a doubt.
     margin *= amplitude > np.float32(min(threshold, FAINT_SHARE)) * expected
     codes, doubled, odd = codes * active, doubled & doubtful, odd & active
     sigma = noise * math.sqrt(spec.order)
-    return Words(active, codes, amplitude, rho, margin, doubtful, doubled, odd, sigma)
+    return Words(active, codes, amplitude, rho, margin, doubtful, doubled, odd, hidden, sigma)
 
 
-def _astray(
-    levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec
-) -> Bools | None:
+def _late(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec) -> Bools | None:
     """Words that are not in their places, (n,); None where nothing is.
 
     They are looked for where the words leave over as much as a chip of one of them.

@@ -8,7 +8,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from ..base.arrays import Floats32
+from ..base.arrays import Bools, Floats32
 from ..code.frame import FrameSpec
 from .decode import DOUBLE_SHARE, FAINT_SHARE, LOW_MARGIN, LOW_RHO, Words
 
@@ -57,6 +57,12 @@ class NodeHealth:
         self._sums = np.zeros((5, spec.nodes), dtype=np.float32)
         self._words, self._amplitude_v, self._uneven, self._doubled, self._odd = self._sums
         self._frames = 0
+        self._suspected = np.zeros(spec.nodes, dtype=np.int32)  # for so many frames with words
+
+    @property
+    def suspect(self) -> Bools:
+        """Nodes on whose rows another one's words were lately found, (n,) bool."""
+        return self._suspected > 0
 
     def update(self, words: Words) -> None:
         """Count one frame's words."""
@@ -72,6 +78,7 @@ class NodeHealth:
             self._uneven += words.doubtful & clear & weak
             self._doubled += words.doubled
             self._odd += words.odd & clear & ~weak
+        np.maximum(self._suspected - 1, words.astray * np.int32(JUDGE_FRAMES), out=self._suspected)
         self._frames += 1
         if self._frames % JUDGE_FRAMES == 0:
             self.judge()
