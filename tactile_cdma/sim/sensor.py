@@ -39,7 +39,8 @@ class SensorModel:
     paper's loops, 0…7. mismatch: spread of the taxels' curves, rms, as a share, 0…0.1. warming_v:
     largest drift of a voltage, V. noise_v: rms, V. dead, stuck: numbers, from 1 on, of nodes that
     do not speak from dead_after_s on, s since START, and of nodes that always measure the same;
-    those beyond the skin are left out. seed: of everything random. curve: of a taxel without mismatch.
+    those beyond the skin are left out. seed: of everything random. curve: of a taxel without
+    mismatch.
     """
 
     kind: str = IDEAL
