@@ -195,9 +195,8 @@ def test_the_picture_of_a_skin_that_stops_turns_to_no_reading() -> None:
         shown = shown_by_the_viewer("no frame for", b"q", TERM="xterm", NO_COLOR="1")
         stopping.join()
     pictures = shown.split("\x1b[H")
-    before = [
-        picture for picture in pictures if "frames/s" in picture and "no frame" not in picture
-    ]
+    drawn = [picture for picture in pictures if "frames/s" in picture]
+    before = [picture for picture in drawn if "no frame for" not in picture]
     after = next(picture for picture in drawn if "no frame for" in picture)
     assert "speaking 16" in before[-1] and re.search(r"force \d+\.\d\d N", before[-1])
     assert "speaking 0" in after and "force -- N" in after
