@@ -9,8 +9,8 @@
 # make firmware-test    run them in emulators, 16 nodes on one wire; the last line has the counts
 # make firmware-figures measure them: share of time awake, load of the digitizer
 # make setup   only create the environment in .venv; all other targets do this first
-# make bench-error, -speed, -skip, -timing, -scale, -ros, -crest, -pressure, -contact, -pictures,
-#              -stuck, -body, -sensor (prints only)
+# make bench-error, -doubt, -speed, -skip, -timing, -scale, -ros, -crest, -pressure, -contact,
+#              -pictures, -stuck, -body, -sensor (prints only)
 #              up to 7 min each, writes docs/img; QUICK=1: less than 40 s each, writes build/benchmarks
 # make torture faults of every kind, results compared with the truth; SEED=n, ONLY="line day"
 #              up to 30 min; QUICK=1: 50 s; docs/reliability.md has the results of the last full run

@@ -5,8 +5,9 @@
     python firmware/generate.py            writes the files that have changed
     python firmware/generate.py --check    writes nothing; lists stale files, exit code 1 if any
 
-Generated are the C header, the Python tables, the field tables and the example in docs/protocol.md,
-and the test vectors that C and Python share. Only this script needs pyyaml, not the firmware.
+Generated are the C header, the Python tables, the field tables, the code books and the example in
+docs/protocol.md, and the test vectors that C and Python share. Only this script needs pyyaml, not
+the firmware.
 """
 
 from __future__ import annotations
@@ -83,7 +84,11 @@ def outputs() -> Iterator[tuple[str, str]]:
     make_vectors = importlib.import_module("make_vectors")  # imports the Python tables
     yield VECTORS, make_vectors.protocol_vectors()
     yield CODES, make_vectors.code_vectors()
-    examples = {"example": make_vectors.example(), "signs": make_vectors.sign_table()}
+    examples = {
+        "books": make_vectors.book_table(),
+        "signs": make_vectors.sign_table(),
+        "example": make_vectors.example(),
+    }
     yield from documents(definition, examples)
 
 

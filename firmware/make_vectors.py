@@ -194,6 +194,18 @@ def example() -> str:
     return "\n".join(["```", *lines, "", "on the wire:", *on_wire, "```", ""])
 
 
+def book_table() -> str:
+    """The code books of docs/protocol.md: factors, last row, CRC-32 of all rows."""
+    table = ["| order | factors | row N − 1 | CRC-32 |", "|--:|---|---|---|"]
+    for order in (12, 16, 20, 28, 36, 40, 52, 100, 144):
+        book = code_book(order)
+        ones = (book.matrix > 0).astype(np.uint8)
+        factors = "·".join(map(str, book.plan))
+        last = np.packbits(ones[-1]).tobytes().hex()[: order // 4]
+        table.append(f"| {order} | {factors} | `{last}` | 0x{zlib.crc32(ones.tobytes()):08x} |")
+    return "\n".join([*table, ""])
+
+
 def sign_table() -> str:
     """The row signs of docs/protocol.md."""
     rows = (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 1000, 65_535)

@@ -14,11 +14,12 @@ from ..config.parameters import BY_NAME, Value, Values, read_file
 from ..config.skin_config import SkinConfig
 from ..driver.pipeline import Pipeline
 from ..driver.session import Session
+from ..hardware.node_memory import usual_heartbeat
 from ..recording.offline import parameters_of
 from ..wire.discovery import leave_alone_if_open
 from ..wire.introduction import described_info, introduction
 from ..wire.port import Port
-from .report import Check, ok, problem
+from .report import Check, ok, problem, warning
 from .stream import Stream, judge
 
 START_S = 3.5
@@ -36,8 +37,7 @@ def examine(
     try:
         values = read_file(params) if params is not None else None
         if values is not None:
-            SkinConfig.of(values)
-            yield ok("parameters", f"{params}")
+            yield _parameters(SkinConfig.of(values), f"{params}")
     except TactileError as error:
         yield problem("parameters", str(error))
         return
@@ -52,6 +52,19 @@ def examine(
         yield problem("port", str(error))
     except TactileError as error:
         yield problem("digitizer", str(error))
+
+
+def _parameters(config: SkinConfig, file: str) -> Check:
+    """Whether nodes at rest, as they are usually written, speak before they count as stale."""
+    period_s = config.spec.frame_period_s
+    silent_s = usual_heartbeat(period_s) * period_s
+    if silent_s < config.stale_after_s:
+        return ok("parameters", file)
+    return warning(
+        "parameters",
+        f"{file}: stale_after_s is {config.stale_after_s:g} s, but nodes at rest speak every "
+        f"{silent_s:.3g} s unless told otherwise (tactile-cdma node --heartbeat): make it longer",
+    )
 
 
 def _examine(port: Port, values: dict[str, Value] | None, seconds: float) -> Iterator[Check]:

@@ -18,7 +18,7 @@ from ..driver.checkup import CLIPPED_SHARE, UNSOUND, decibels
 from ..driver.pipeline import Pipeline, TactileFrame
 from ..wire.messages import Status
 from ..wire.packets import PacketParser
-from ..words.decode import DOUBLE_SHARE, FAINT_SHARE, LOW_RHO
+from ..words.decode import ACTIVE_SHARE, DOUBLE_SHARE, FAINT_SHARE, LOW_RHO
 from ..words.health import NodeHealth, NodeState
 from .report import Check, ok, problem, warning
 
@@ -50,13 +50,14 @@ class Heard:
     """m frames of n nodes, and the verdict on the nodes.
 
     arrived_s: (m,) float64, on the host's monotonic clock. active: (m, n) bool, words that stand
-    out of the noise.
+    out of the noise. left_out_v: the digitizer sends no samples that differ by less, V.
     """
 
     frames: list[TactileFrame]
     arrived_s: NDArray[np.float64]
     active: NDArray[np.bool_]
     health: NodeHealth
+    left_out_v: float
 
     @property
     def typical_v(self) -> float:
@@ -80,9 +81,11 @@ def judge(stream: Stream, config: SkinConfig) -> Iterator[Check]:
     yield from _range(clipped)
     if not heard.active.any():
         yield problem("nodes", "frames arrive, but no node speaks: is the skin powered?")
+        yield from _left_out(heard, 0.0)
         return
     measured_v = heard.typical_v
     heard = _heard(stream, config, measured_v)
+    yield from _left_out(heard, measured_v)
     yield from _noise(heard)
     if clipped < CLIPPED_SHARE:  # amplitudes are too small in what is clipped
         yield from _amplitude(measured_v, config)
@@ -95,13 +98,16 @@ def _heard(stream: Stream, config: SkinConfig, swing_v: float | None) -> Heard:
 
     Raises PortError where that gives no frame.
     """
-    threshold = config.threshold
     spec = replace(config.spec, amplitude_v=None)
-    if swing_v is not None:
-        unipolar = config.spec.drive == UNIPOLAR
-        spec = replace(config.spec, amplitude_v=2 * swing_v if unipolar else swing_v)
-        threshold = FAINT_SHARE  # weak nodes count as heard, and are told to be weak
+    # Weak nodes count as heard once the amplitude is known, and are told to be weak.
+    threshold = config.threshold if swing_v is None else FAINT_SHARE
     pipeline = Pipeline(replace(config, spec=spec, threshold=threshold), background=False)
+    if swing_v is not None:
+        # Words are read by it, frames found without: what the digitizer leaves out was set by
+        # another amplitude, and a pipeline refuses a stream that does not fit its own.
+        unipolar = config.spec.drive == UNIPOLAR
+        measured = replace(spec, amplitude_v=2 * swing_v if unipolar else swing_v)
+        pipeline.health = NodeHealth(measured)
     frames, arrived_s = [], []
     for data, t_host in stream.chunks:
         new = pipeline.feed(data, t_host)
@@ -112,7 +118,22 @@ def _heard(stream: Stream, config: SkinConfig, swing_v: float | None) -> Heard:
         raise PortError(pipeline.problem or "no frame fits: check chip_us, order and bits")
     pipeline.health.judge(least_words=1)  # a node at rest speaks once a second only
     active = np.array([frame.words.active & (frame.words.rho > LOW_RHO) for frame in frames])
-    return Heard(frames, np.array(arrived_s), active, pipeline.health)
+    info = pipeline.digitizer.info
+    left_out_v = info.quiet_uv * 1e-6 if info else 0.0
+    return Heard(frames, np.array(arrived_s), active, pipeline.health, left_out_v)
+
+
+def _left_out(heard: Heard, swing_v: float) -> Iterator[Check]:
+    """Whether words of this amplitude, V, may be among the samples that are left out.
+
+    A word turns by twice its amplitude.
+    """
+    if heard.left_out_v > 2 * ACTIVE_SHARE * swing_v:
+        yield warning(
+            "quiet",
+            f"the digitizer leaves out what differs by less than {heard.left_out_v * 1e3:.0f} mV, "
+            "in which nodes may speak: name the parameters (--params) to examine all",
+        )
 
 
 def _link(stream: Stream) -> Iterator[Check]:

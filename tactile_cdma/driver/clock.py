@@ -73,6 +73,14 @@ class DeviceClock:
 
     def to_host(self, t_device: float) -> float:
         """Host time of a device time, s."""
+        return self._expected_s(t_device)
+
+    def lateness_s(self, t_device: float, t_host: float) -> float:
+        """How much later than expected by earlier packets one came that left at t_device, s."""
+        return t_host - self._expected_s(t_device)
+
+    def _expected_s(self, t_device: float) -> float:
+        """Host time of a device time by the packets observed so far, s."""
         if not self._fitted:
             self._fit()
         return self._origin[1] + (t_device - self._origin[0]) * self._rate
@@ -82,18 +90,30 @@ class DeviceClock:
         device, host = float(self._device[0]), float(self._host[0])
         # Differences to one observation keep the precision over weeks of device time.
         x, y = self._device[:kept] - device, self._host[:kept] - host
-        rate, limit = 1.0, 1 + MAX_RATE_ERROR
         newest = (self._count - 1 - np.arange(min(kept, RECENT))) % self._device.size
         late_s = y - x
         if not self._is_backlog[newest].any() and _is_slow(late_s, newest):
-            x, y, limit = x[newest], y[newest], np.inf
+            x, y = x[newest], y[newest]
+            rate = max(_rate_below(x, y), 1 - MAX_RATE_ERROR)
+            offset_s = float((y - rate * x).min())
         else:
-            timely = late_s - late_s.min() <= MAX_RATE_ERROR * np.ptp(x)
-            x, y = x[timely], y[timely]
-        if x.size >= RECENT:
-            rate = min(max(_rate_below(x, y), 1 - MAX_RATE_ERROR), limit)
+            rate, offset_s = line_below(x, y, RECENT)
         self._fitted = True
-        self._rate, self._origin = rate, (device, host + float((y - rate * x).min()))
+        self._rate, self._origin = rate, (device, host + offset_s)
+
+
+def line_below(x: NDArray[np.float64], y: NDArray[np.float64], fewest: int) -> tuple[float, float]:
+    """Rate and offset, s, of the line that no arrival lies below: y ≥ rate·x + offset.
+
+    x, y: (m,), s, device and host times of arrivals. fewest: timely ones from which a rate is
+    fitted; with fewer it is 1.
+    """
+    late_s = y - x
+    timely = late_s - late_s.min() <= MAX_RATE_ERROR * np.ptp(x)
+    x, y, rate = x[timely], y[timely], 1.0
+    if x.size >= fewest:
+        rate = min(max(_rate_below(x, y), 1 - MAX_RATE_ERROR), 1 + MAX_RATE_ERROR)
+    return rate, float((y - rate * x).min())
 
 
 def _is_slow(late_s: NDArray[np.float64], newest: NDArray[np.intp]) -> bool:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from ..base.errors import SpecError
@@ -19,6 +20,7 @@ from ..wire.messages import Ack, Info, OtherVersion, Quiet, Received, Samples, S
 from ..wire.packets import MAX_REPEATED, Counters, PacketParser
 from ..words.decode import Words, decode, silent
 from ..words.health import NodeHealth
+from .clock import DeviceClock
 from .digitizer import DigitizerState, contradiction
 from .levels import LevelDecoder
 from .timeline import Arrival, Step, StreamCounters, Timeline, sample_count
@@ -54,18 +56,23 @@ class Pipeline:
     """
 
     def __init__(
-        self, config: SkinConfig, background: bool = True, most_repeated: int = MAX_REPEATED
+        self,
+        config: SkinConfig,
+        background: bool = True,
+        most_repeated: int = MAX_REPEATED,
+        clocks: Callable[[], DeviceClock] = DeviceClock,
     ) -> None:
         """background: evaluate the nodes' clocks in a thread beside the stream, not at once.
 
-        Frames then depend on when that is done. most_repeated: see PacketParser.
+        Frames then depend on when that is done. most_repeated: see PacketParser. clocks: see
+        Timeline.
         """
         self.config = config
         self.counters = StreamCounters()
         self.parser = PacketParser(most_repeated)
         self.digitizer = DigitizerState()
         self.problem: str | None = None
-        self.timeline = Timeline(self.counters)
+        self.timeline = Timeline(self.counters, clocks)
         self.health = NodeHealth(config.spec)
         nodes = config.spec.nodes
         tracker = DriftTracker(config.adc.lsb_v, nodes_beside(config.layout, nodes), config.rest)
@@ -87,6 +94,15 @@ class Pipeline:
             else:
                 self._hear(packet)
         return frames
+
+    def follow(self, data: bytes, t_host: float) -> None:
+        """Follow the stream and its clock as feed does, without looking for frames."""
+        for packet in self.parser.feed(data):
+            if not isinstance(packet, (Samples, Quiet)):
+                self._hear(packet)
+            elif self._levels is not None:
+                for _ in self.timeline.accept(Arrival(packet, t_host), self._levels.pace):
+                    pass
 
     def flush(self) -> list[TactileFrame]:
         """At the end of a recording: a last frame that nothing followed."""

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import Enum, auto
 from typing import NamedTuple, TypeAlias
@@ -150,9 +150,15 @@ class Timeline:
     clock: maps device time to host time.
     """
 
-    def __init__(self, counters: StreamCounters) -> None:
-        """counters: where packets, samples and frames are counted."""
-        self.clock = DeviceClock()
+    def __init__(
+        self, counters: StreamCounters, clocks: Callable[[], DeviceClock] = DeviceClock
+    ) -> None:
+        """counters: where packets, samples and frames are counted.
+
+        clocks: makes the clock, and another one where the device's begins anew.
+        """
+        self.clock = clocks()
+        self._clocks = clocks
         self._counters = counters
         self._last: AnySamples | None = None  # accepted
         self._held: Arrival | None = None
@@ -246,12 +252,12 @@ class Timeline:
         renumbered = (packet.sequence - last.sequence) % SEQUENCES > MAX_GAP
         if self._told_reset or renumbered or packet.device_time_us <= last.device_time_us:
             return Step.RESET
-        late_s = arrival.t_host - self.clock.to_host(t_device)
+        late_s = self.clock.lateness_s(t_device, arrival.t_host)
         return Step.RESTART if -CLOCK_SLACK_S < late_s < MAX_LATE_S else Step.RESET
 
     def _begin_clock(self) -> None:
         """Forget the device's clock: the next packet is of another one."""
-        self.clock = DeviceClock()
+        self.clock = self._clocks()
         self._anchors.clear()
         self._last_start_s = None
 

@@ -20,6 +20,7 @@ from ..wire.packets import PacketParser, diagnose
 from ..words.decode import Words, decode
 from .capture import ScopeCapture, capture_notes, read_bytes
 from .recording_file import describe, is_recording
+from .whole_clock import fitted_clocks
 
 _MIN_SAMPLES_PER_CHIP = 3
 """Chosen: with fewer, one of them at an edge, a chip may have no clean sample."""
@@ -124,7 +125,14 @@ class RawCapture:
         return raw_frames(self.path, self.pipeline)
 
     def timed_frames(self) -> Iterator[tuple[TactileFrame, float]]:
-        """All frames, once, each with the Unix time of its middle, s; NaN for raw bytes."""
+        """All frames, once, each with the Unix time of its middle, s; NaN for raw bytes.
+
+        The file is read twice: the clocks are fitted to all of it before the first frame is
+        stamped.
+        """
         description = describe(self.path) if is_recording(self.path) else None
+        if description is not None:
+            clocks = fitted_clocks(self.config, read_bytes(self.path))
+            self.pipeline = Pipeline(self.config, background=False, clocks=clocks)
         for frame in self.frames():
             yield frame, description.wall_s(frame.t_host) if description else math.nan

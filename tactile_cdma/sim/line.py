@@ -27,7 +27,7 @@ def truth(
         spec,
         (SCENES | LOADS)[options.scene],
         options.skin(spec.nodes, spec.first_row),
-        options.rules,
+        options.rules(spec),
         options.sensors,
         start_phase=options.start_phase,
         roll_calls=roll_calls,

@@ -16,6 +16,7 @@ from ..code.frame import DEFAULT_AMPLITUDE_V, MAX_STRETCH, FrameSpec
 from ..config.parameters import BY_NAME, GAP, NATURAL_SIGNS, Parameter, Value
 from ..config.skin_config import user_path
 from ..config.url_options import check_option, parse_options
+from ..hardware.node_memory import usual_heartbeat
 from ..places.layout import Layout
 from ..places.layout_file import read_layout
 from ..places.layout_nodes import Wiring
@@ -27,6 +28,8 @@ from .scene import SCENES, Skin
 from .sensor import IDEAL, MOST_HYSTERESIS, MOST_MISMATCH, PAPER, SensorModel
 
 SCHEME = "sim"
+BY_THE_SECOND = -1
+"""Heartbeat of as many frames as nodes are given that were not told otherwise."""
 MOST_SAMPLES = 1 << 23
 """Samples of a frame period. Chosen, as the next one, so that computing a frame, which nothing can
 interrupt, takes a few seconds at most."""
@@ -124,8 +127,9 @@ class SimOptions:
         "amplifier's rails about the offset; 0: out of reach", "V", (0.0, 1e4))
     adc_bits: int = _option(12, "resolution of the digitizer", "bit", (4, 16))
     threshold: int = _option(1, "change that makes a node talk; 0: always", "LSB", (0, 65_535))
-    heartbeat: int = _option(78,
-        "a node talks at least once in so many frames; 0: never", "", (0, 65_535))
+    heartbeat: int = _option(BY_THE_SECOND,
+        "a node talks at least once in so many frames; 0: never, -1: about once a second",
+        "", (BY_THE_SECOND, 65_535))
     start_phase: float = _option(0.0,
         "share of the first frame's period that has passed at START", "", (0, 0.99))
     seed: int = _option(0, "of everything random", "", (0, 2**32 - 1))
@@ -186,10 +190,12 @@ class SimOptions:
             seed=self.seed,
         )
 
-    @property
-    def rules(self) -> NodeRules:
+    def rules(self, spec: FrameSpec) -> NodeRules:
         """When nodes talk."""
-        return NodeRules(self.threshold, self.heartbeat)
+        heartbeat = self.heartbeat
+        if heartbeat == BY_THE_SECOND:
+            heartbeat = usual_heartbeat(spec.frame_period_s)
+        return NodeRules(self.threshold, heartbeat)
 
     def skin(self, nodes: int, first_row: int = FrameSpec.first_row) -> Skin:
         """The taxels; raises SpecError where layout, or rows and columns, do not fit the nodes."""

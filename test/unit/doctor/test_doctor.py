@@ -135,6 +135,16 @@ def test_parameters_that_do_not_fit(
     assert said in found[subject]
 
 
+def test_nodes_that_would_go_stale_between_heartbeats(
+    doctor: Doctor, params: Callable[..., str]
+) -> None:
+    file = params("frame_period_ms: 40.0", "stale_after_s: 0.9")
+    code, found = doctor("sim://?speed=9", "--params", file, "--seconds", "0.5")
+    assert code == 0
+    assert found["parameters"].startswith("warning")
+    assert "stale_after_s is 0.9 s, but nodes at rest speak every 1 s" in found["parameters"]
+
+
 @pytest.mark.parametrize("content", [None, b"", b"\xff\xfe", b"just: yaml", b"[1"])
 def test_parameter_files_that_are_none(
     doctor: Doctor, tmp_path: Path, content: bytes | None

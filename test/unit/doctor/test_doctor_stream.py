@@ -10,28 +10,33 @@ from itertools import zip_longest
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import PortError
+from tactile_cdma.code.frame import UNIPOLAR
+from tactile_cdma.config.parameters import GAP, Value
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.doctor.report import Check, Verdict
 from tactile_cdma.doctor.stream import Stream, judge
+from tactile_cdma.driver.session import Session
 from tactile_cdma.recording.offline import parameters_of
 from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.loads import LOADS
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.wire.messages import Info, Packet, Samples, Start
+from tactile_cdma.sim.scene import SCENES
+from tactile_cdma.wire.messages import Info, Packet, Quiet, Samples
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 
 SECONDS = 0.6
 ALL_TALK = "sim://?scene=press&threshold=0&noise=0.01"
 
 
-def packets_of(url: str) -> list[Packet]:
-    """What a simulated digitizer sends in a while."""
-    now_s = 0.0
-    digitizer = VirtualDigitizer(SimOptions.from_url(url), lambda: now_s)
-    digitizer.receive(PacketWriter().encode(Start()))
+def packets_of(url: str, asked: SkinConfig | None = None) -> list[Packet]:
+    """What a simulated digitizer sends in a while. asked: how a driver has set it before."""
+    now_s, options = 0.0, SimOptions.from_url(url)
+    digitizer = VirtualDigitizer(options, lambda: now_s)
+    digitizer.receive(Session(asked).open())
     parser, packets = PacketParser(), []
     while now_s < SECONDS:
         now_s += 0.01
@@ -44,7 +49,7 @@ def stream_of(packets: list[Packet]) -> Stream:
     """The same packets on a port, each read when its samples were taken."""
     writer, t_host, chunks = PacketWriter(), 100.0, []
     for packet in packets:
-        if isinstance(packet, Samples):
+        if isinstance(packet, Samples | Quiet):
             t_host = 100.0 + packet.device_time_us * 1e-6
         chunks.append((writer.encode(packet), t_host))
     return Stream(chunks, None)
@@ -52,7 +57,7 @@ def stream_of(packets: list[Packet]) -> Stream:
 
 def checks(packets: list[Packet], **values: object) -> dict[str, list[Check]]:
     """By subject; values: parameters that are not as the digitizer says."""
-    info = next(packet for packet in packets if isinstance(packet, Info))
+    info = [packet for packet in packets if isinstance(packet, Info)][-1]
     config = SkinConfig.of({**parameters_of(info), "amplitude_mv": 300.0, **values})  # type: ignore[dict-item]
     found: dict[str, list[Check]] = {}
     for check in judge(stream_of(packets), config):
@@ -98,6 +103,65 @@ def test_a_sound_skin_has_nothing_to_complain_of(sound: list[Packet]) -> None:
     assert verdicts == {Verdict.OK}
     assert found["nodes"][0].text == "16 of 16 spoke"
     assert float(found["noise"][0].text.split()[0]) == pytest.approx(5.0, rel=0.1)  # of 4 samples
+
+
+SKINS: dict[str, dict[str, Value]] = {
+    "raw": {},
+    "chip means": {"samples_per_chip": 1},
+    "no frame marks": {"timing": GAP},
+    "unipolar": {"drive": UNIPOLAR},
+    "inverted": {"polarity": -1, "parity": True},
+    "one node": {"nodes": 1},
+    "the paper's code": {"order": 16, "first_row": 0, "sign_seed": -1},
+    "36 nodes": {"nodes": 36, "frame_period_ms": 25.0},
+}
+
+
+@settings(max_examples=24)
+@given(
+    kind=st.sampled_from(sorted(SKINS)),
+    scene=st.sampled_from([*SCENES, *LOADS]),
+    amplitude_mv=st.floats(5.0, 3000.0),
+    stated=st.floats(0.85, 1.15),
+    always=st.booleans(),
+    seed=st.integers(0, 99),
+    named=st.booleans(),
+)
+@example("raw", "idle", 280.0, 300 / 280, False, 0, False)
+@example("raw", "press", 280.0, 300 / 280, False, 0, False)
+def test_nothing_is_wrong_with_a_sound_skin(
+    kind: str,
+    scene: str,
+    amplitude_mv: float,
+    stated: float,
+    always: bool,
+    seed: int,
+    named: bool,
+) -> None:
+    """Of any amplitude, before a digitizer that a driver has set by another one.
+
+    stated: the amplitude in its parameters over the true one. named: the doctor knows them.
+    """
+    parameters = {**SKINS[kind], "amplitude_mv": stated * amplitude_mv}
+    config = SkinConfig.of(parameters)
+    url = f"sim://?scene={scene}&amplitude_mv={amplitude_mv!r}&noise={amplitude_mv / 6e4!r}"
+    packets = packets_of(f"{url}&threshold={int(not always)}&heartbeat=20&seed={seed}", config)
+    found = checks(packets, **{**parameters, "amplitude_mv": parameters["amplitude_mv"] * named})
+    wrong = [c for about in found.values() for c in about if c.verdict is not Verdict.OK]
+    assert not wrong
+    nodes = config.spec.nodes
+    assert found["nodes"][0].text == f"{nodes} of {nodes} spoke"
+
+
+def test_what_the_digitizer_leaves_out_is_told() -> None:
+    """Nodes of 50 mV hide where samples are sent only if they differ by 135 mV."""
+    strong = SkinConfig.of({"amplitude_mv": 300.0})
+    for scene in ("idle", "press"):  # nodes that speak together are sent
+        hidden = packets_of(f"sim://?scene={scene}&amplitude_mv=50&heartbeat=20", strong)
+        found = checks(hidden, amplitude_mv=0.0)
+        assert found["nodes"][0].verdict is not Verdict.OK
+        assert found["quiet"][0].verdict is Verdict.WARNING
+        assert "differs by less than 135 mV" in found["quiet"][0].text
 
 
 def test_a_node_that_says_nothing_is_named(without_5: list[Packet]) -> None:

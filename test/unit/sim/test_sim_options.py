@@ -10,6 +10,7 @@ import pytest
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.sim.loads import LOADS
+from tactile_cdma.sim.nodes import NodeRules
 from tactile_cdma.sim.options import OPTIONS, Setup, SimOptions
 from tactile_cdma.sim.scene import SCENES
 from tactile_cdma.sim.sensor import SensorModel
@@ -51,7 +52,7 @@ def test_every_option_can_be_given() -> None:
         guard_chips=1,
     )
     assert (setup.samples_per_chip, setup.sync, setup.integrated) == (8, SyncMode.DRIVE, False)
-    assert (options.rules.threshold, options.rules.heartbeat) == (3, 10)
+    assert options.rules(setup.spec) == NodeRules(threshold=3, heartbeat=10)
     assert options.sensors == SensorModel(
         kind="paper",
         hysteresis=2.0,

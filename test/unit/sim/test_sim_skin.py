@@ -2,18 +2,28 @@
 
 """Scenes and sensing nodes: which taxels are pressed, and which nodes transmit when."""
 
+from collections.abc import Iterator
 from itertools import islice
+from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from simulated import run, stream
 
 from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.config.body_file import read_body
+from tactile_cdma.config.parameters import SIMULATION, Value, read_file
+from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.readings.calibration import AdcScale, PressureCurve
+from tactile_cdma.readings.taxels import Status
 from tactile_cdma.sim.nodes import NodeFrame, NodeRules, node_frames
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import PEAK_PA, SCENES, Skin
 
 SPEC = FrameSpec()
+CONFIG = Path(__file__).resolve().parents[3] / "config"
 SECONDS = np.arange(0, 20, 0.05)
 
 
@@ -96,3 +106,56 @@ def test_heartbeats_take_turns(heartbeat: int) -> None:
 
 def test_threshold_zero_lets_every_node_talk_always() -> None:
     assert all(f.active.all() for f in frames_of({}, NodeRules(0, 0), 5))
+
+
+def shipped_skins() -> Iterator[tuple[str, dict[str, Value]]]:
+    """What every skin in the parameter and body files of config/ is called and set to."""
+    for path in sorted(CONFIG.glob("*.yaml")):
+        if "ros__parameters" in path.read_text():
+            yield path.stem, read_file(path)
+        else:
+            for patch in read_body(path).patches:
+                file = read_file(patch.params_file) if patch.params_file else {}
+                yield f"{path.stem}: {patch.name}", {**file, **patch.parameters}
+
+
+SHIPPED = dict(shipped_skins())
+
+
+def stale_after_all_spoke(config: SkinConfig, url: str, frames: int) -> float:
+    """Share of the taxels that are stale once each node had a second or a frame to speak."""
+    status = np.array([frame.readings.status for frame in run(config, stream(config, url, frames))])
+    begun = status[int(1.5 / config.spec.frame_period_s) + 1 :]
+    return float(np.mean((begun & Status.STALE) != 0))
+
+
+def test_config_has_parameter_files_and_bodies() -> None:
+    assert {"skin", "wired_skin", "body: chest", "body: right_elbow"} <= set(SHIPPED)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_no_shipped_skin_goes_stale_untouched(name: str) -> None:
+    values = SHIPPED[name]
+    config, port = SkinConfig.of(values), str(values["port"])
+    kept = port.partition("?")[2].split("&") if port.startswith(SIMULATION) else []
+    options = [option for option in kept if option and not option.startswith("scene=")]
+    options += ["scene=idle", f"amplitude_mv={config.spec.amplitude_v * 1e3}"]
+    frames = int((config.stale_after_s + 1.5) / config.spec.frame_period_s)
+    assert stale_after_all_spoke(config, f"sim://?{'&'.join(options)}", frames) == 0
+    deaf = f"sim://?{'&'.join([*options, 'heartbeat=0'])}"
+    assert stale_after_all_spoke(config, deaf, frames) > 0.9  # a taxel may have no node
+
+
+@settings(max_examples=8)
+@given(st.floats(10.5, 3000.0), st.integers(1, 16), st.floats(1.02, 1.5))
+def test_an_untouched_skin_is_not_stale_at_any_period(
+    period_ms: float, nodes: int, margin: float
+) -> None:
+    """Where stale_after_s exceeds a second and a half, and the frame period."""
+    period_s = round(period_ms, 3) * 1e-3
+    limit_s = margin * max(1.5, period_s)
+    values = {"nodes": nodes, "frame_period_ms": period_s * 1e3, "stale_after_s": limit_s}
+    config = SkinConfig.of(values)
+    frames = int(3 * limit_s / period_s) + 3
+    url = f"sim://?scene=idle&samples_per_chip=3&seed={nodes}"
+    assert stale_after_all_spoke(config, url, frames) == 0
