@@ -38,6 +38,15 @@ PYTEST ?= -n 4 --dist loadgroup
 CORE = base code places wire words framing clocks readings config views driver door
 export LC_ALL ?= C.UTF-8
 
+# Variables of the command line, without those that exist: a misspelt one would be ignored.
+VARIABLES = PYTHON DISTRO VENV PORT PARAMS PATCHES WEB SECONDS FIRMWARE ONLY SEED COUNT SINCE PYTEST QUICK LC_ALL
+UNKNOWN := $(filter-out $(VARIABLES),$(foreach v,$(.VARIABLES),$(if $(filter command%,$(origin $v)),$v)))
+MEANT = from difflib import get_close_matches as near; from sys import argv; \
+        print(*(f"; did you mean {name}?" for name in near(argv[1].upper(), argv[2:], 1)))
+ifneq ($(UNKNOWN),)
+$(error no variable $(firstword $(UNKNOWN))$(shell $(PYTHON) -c '$(MEANT)' $(firstword $(UNKNOWN)) $(VARIABLES)); there are $(VARIABLES))
+endif
+
 BIN = $(VENV)/bin
 .DEFAULT_GOAL := help
 .PHONY: help run check test mutants lint setup bench-setup view view-setup torture soak fuzz fuzz-setup fuzz-packages audit audit-packages clean firmware firmware-test firmware-figures firmware-tools

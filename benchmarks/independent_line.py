@@ -468,7 +468,7 @@ def _ramped(
 
 def _stairs(at: Floats, height: Floats, length: int, cells: int) -> Floats:
     """Mean of every cell of a line that steps by these heights at these instants; exact."""
-    cell, part = np.divmod(at * cells, 1.0)
+    cell, part = np.divmod(np.minimum(at, length) * cells, 1.0)
     cell, size = cell.astype(np.int64), length * cells + 2
     rises = np.bincount(cell, height * (1 - part), size)
     rises += np.bincount(cell + 1, height * part, size)
