@@ -201,11 +201,12 @@ class Taxels:
         """Update with one frame's words; t_device: its device time, s."""
         self.now_s, self._began_s = t_device, min(self._began_s, t_device)
         spoke = words.active
-        anybody = bool(spoke.any())
+        anybody = bool(spoke.any() or words.doubtful.any())
         if anybody:
             np.copyto(self._codes, words.codes, where=spoke)
             np.copyto(self._heard_s, t_device, where=spoke)
-            np.copyto(self._flags, words.doubtful * _LOW_SNR, where=spoke)
+            # A node that may have spoken unheard no longer holds its value for certain.
+            np.copyto(self._flags, words.doubtful * _LOW_SNR, where=spoke | words.doubtful)
         elif self._silence is not None and self._try_hold(t_device):
             return self._silence
         readings = self._read(spoke, t_device, health)
