@@ -129,7 +129,7 @@ SKINS = (
 TIMES = (
     Condition("skew 0.1 chip", Line(skew_chips=0.1)),
     Condition("skew 0.4 chip", Line(skew_chips=0.4), rough=True),
-    Condition("a node 0.3 chip late", Line(late=((2, 0.3),)), CHURN),
+    Condition("a node 0.3 chip late", Line(late=((2, 0.3),)), CHURN, rough=True),
     Condition("a node 0.6 chip late", Line(late=((2, 0.6),)), CHURN, rough=True),
     Condition(
         "a node 0.6 chip late, two nodes", Line(late=((2, 0.6),)), Talk(speakers=(2, 9)), rough=True
