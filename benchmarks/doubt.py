@@ -12,6 +12,8 @@ in time, word by word:
 - right, right but flagged: the word that was sent, without and with a flag. tied: the same with a
   flag, in a frame that is given by nothing but the waveform, where another start with other words
   gives exactly the same waveform: there a flag is due.
+- silent, silent but flagged: nodes that did not transmit and are published as silent, all of them
+  and those with a flag.
 - missed: a node transmitted, and its frame is published with the node silent, without a flag.
 - wrong flagged: another word, or one where none was, with a flag.
 - wrong not flagged, invented not flagged: the same without one; of a node that transmitted, and of
@@ -23,7 +25,8 @@ in time, word by word:
 
 A flag is what the driver publishes: a doubtful word, or a node that counts as doubled or faulty.
 Words are those sent. `unflagged` sums up missed, wrong and invented without a flag, on all lines;
-`right_flagged_share` leaves out the rough ones (`Condition.rough`), on which flags are due.
+the shares of right words and of silences that are flagged leave out the rough ones
+(`Condition.rough`), on which flags are due.
 """
 
 from __future__ import annotations
@@ -246,7 +249,11 @@ class Decoded(NamedTuple):
 
 
 class Tally(NamedTuple):
-    """Counts of words; see the module's docstring. tied: right words in frames that tie."""
+    """Counts of words; see the module's docstring.
+
+    tied: right words with a flag in frames that tie. silences, silent_flagged: of nodes that were
+    rightly published as silent, all and those with a flag.
+    """
 
     words: int = 0
     right: int = 0
@@ -259,6 +266,8 @@ class Tally(NamedTuple):
     rail_silent: int = 0
     phantom: int = 0
     tied: int = 0
+    silences: int = 0
+    silent_flagged: int = 0
 
     @property
     def unflagged(self) -> int:
@@ -267,6 +276,10 @@ class Tally(NamedTuple):
     @property
     def flagged_share(self) -> float:
         return self.flagged / max(self.right + self.flagged, 1)
+
+    @property
+    def silent_flagged_share(self) -> float:
+        return self.silent_flagged / max(self.silences, 1)
 
 
 class Job(NamedTuple):
@@ -421,6 +434,8 @@ def _count(truth: Truth, frame: Decoded | None, tie: bool) -> Tally:
         "wrong_flagged": other & flag,
         "wrong": other & active & spoke & ~flag,
         "invented": other & ~spoke & ~flag,
+        "silences": ~spoke & ~active,
+        "silent_flagged": ~spoke & ~active & flag,
     }
     return Tally(words, **{name: int(np.count_nonzero(some)) for name, some in count.items()})
 
@@ -475,7 +490,8 @@ def main() -> None:
     }
     report.table(
         ["condition", "words", "right", "right but flagged", "missed", "wrong flagged",
-         "wrong not flagged", "invented not flagged", "lost", "rail silent", "phantom", "tied"],
+         "wrong not flagged", "invented not flagged", "lost", "rail silent", "phantom", "tied",
+         "silent", "silent but flagged"],
         [[name, *tally] for name, tally in tallies.items()],
     )  # fmt: skip
     if ONLY:
@@ -491,6 +507,7 @@ def main() -> None:
         rail_silent=everything.rail_silent,
         phantom=everything.phantom,
         right_flagged_share=round(sound.flagged_share, 4),
+        silent_flagged_share=round(sound.silent_flagged_share, 4),
     )
 
 

@@ -298,7 +298,7 @@ def test_other_words_are_counted_as_what_they_are() -> None:
     decoded[1].words.active[1] = False
     decoded[2].words.active[7] = True
     tally, complaints = compare(recording, decoded, Line())
-    assert tally == Tally(words=9, right=7, missed=1, wrong=1, invented=1, phantom=1)
+    assert tally == Tally(words=9, right=7, missed=1, wrong=1, invented=1, phantom=1, silences=38)
     assert len(complaints) == 3
     assert all((truth.codes[3:] == SILENT).all() for truth in recording.frames)
 
