@@ -38,8 +38,6 @@ RECOVERY = 2
 """Frames after an episode that may still be lost."""
 SEEN = 0.75
 """Broken nodes must be flagged if frames are published after this share of an episode."""
-LINES = 64
-"""Frames whose line is kept: far more than a decoder waits for."""
 LOST_SHARE = WEAK_SHARE
 """A word of which less reached the converter cannot be held against the decoder: with less than
 that it may take a node for silent (docs/signal-model.md)."""
@@ -157,9 +155,7 @@ class Faults:
         sign, each limited to 0…1 so that a spike in one bit says nothing about the others. No
         decoder knows that much.
         """
-        spec = self.skin.config.spec
-        if (line := self._lines.get(number)) is None:
-            return 1.0
+        spec, line = self.skin.config.spec, self._lines[number]
         shape = spec.line_bits, spec.order
         word = spoken(spec, code, spec.first_row + node)[spec.places].reshape(shape)
         row = word - word.mean(axis=1, keepdims=True)
@@ -167,7 +163,7 @@ class Faults:
         return float(np.clip(shares, 0, 1).mean())
 
     def _keep_line(self, number: int, volts: NDArray[np.float32], t_s: NDArray[np.float64]) -> None:
-        """Keep the mean of every coded chip, until the frame is published or given up."""
+        """Keep the mean of every coded chip of a frame."""
         spec, volts = self.skin.config.spec, np.clip(volts, -self.rail_v, self.rail_v)
         if self.skin.timing != CHIPS:
             inside = (t_s >= self._edges_s[0]) & (t_s < self._edges_s[-1])
@@ -176,7 +172,10 @@ class Faults:
             samples = np.bincount(chip, minlength=spec.span_chips)
             volts = (sums / np.maximum(samples, 1)).astype(np.float32)[spec.places]
         self._lines[number] = volts
-        self._lines.pop(number - LINES, None)
+
+    def forget(self, until: int) -> None:
+        """Drop the lines of frames before this one."""
+        self._lines = {number: line for number, line in self._lines.items() if number >= until}
 
     def chosen(self, episode: int) -> list[tuple[int, int]]:
         """Indices of the broken nodes, each with that of a sound one."""
@@ -307,6 +306,7 @@ class Trial:
         unheard = self._unheard(true, missed & ~doubt, frame.t_middle)
         tally.unheard += int(unheard.sum())
         tally.missed += int((missed & ~doubt & ~unheard).sum())
+        self.faults.forget(number)
         self._complete[number] = not missed.any()
         np.copyto(self._codes, frame.words.codes, where=spoke)
         np.copyto(self._heard_s, frame.t_middle, where=spoke)

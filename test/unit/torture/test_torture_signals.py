@@ -12,12 +12,15 @@ import pytest
 from numpy.typing import NDArray
 
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.driver.session import Session
 from tactile_cdma.readings.taxels import Status
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
 from torture.outcome import Outcome
 from torture.signals import faulty_line, faulty_nodes
 from torture.signals import trial as signal_trial
 from torture.signals.campaign import trials
-from torture.signals.trial import CHIPS, GAP, LINE, Kind, Skin, Trial
+from torture.signals.trial import CHIPS, GAP, LINE, Faults, Kind, Skin
 
 SKIN = Skin(LINE, {}, {"threshold": 0})
 DEAD = Kind("dead", faulty_nodes.dead, length=80)
@@ -120,10 +123,15 @@ def test_what_reached_the_converter_is_known(skin: Skin) -> None:
         return np.where(off, np.float32(0), line.volts)
 
     for line, share in ((None, 1.0), (faulty_line.shorted, 0.0), (halved, 0.5)):
-        trial = Trial(Kind("", line=line, length=4), replace(skin, options={"threshold": 0}), 1)
-        trial.run(1)
-        true = trial._digitizer.truth(35)
-        shares = [trial.faults.heard_share(35, n, int(c)) for n, c in enumerate(true.codes)]
+        faults = Faults(Kind("", line=line, length=4), skin, seed=1)
+        options = SimOptions(speed=0, threshold=0)
+        digitizer = VirtualDigitizer(options, disturbance=faults)
+        digitizer.receive(Session(skin.config).open())
+        while faults.number < 35:
+            digitizer.advance()
+            digitizer.take(1 << 20)
+        codes = digitizer.truth(35).codes.tolist()
+        shares = [faults.heard_share(35, node, code) for node, code in enumerate(codes)]
         assert shares == pytest.approx([share] * 16, abs=0.05)
 
 
