@@ -9,8 +9,8 @@
 # make firmware-test    run them in emulators, 16 nodes on one wire; the last line has the counts
 # make firmware-figures measure them: share of time awake, load of the digitizer
 # make setup   only create the environment in .venv; all other targets do this first
-# make bench-error, -speed, -skip, -timing, -scale, -ros, -crest, -pressure, -contact, -pictures,
-#              -stuck, -body, -sensor (prints only)
+# make bench-error, -doubt, -speed, -skip, -timing, -scale, -ros, -crest, -pressure, -contact,
+#              -pictures, -stuck, -body, -sensor (prints only)
 #              up to 7 min each, writes docs/img; QUICK=1: less than 40 s each, writes build/benchmarks
 # make torture faults of every kind, results compared with the truth; SEED=n, ONLY="line day"
 #              up to 30 min; QUICK=1: 50 s; docs/reliability.md has the results of the last full run
@@ -37,6 +37,15 @@ PYTEST ?= -n 4 --dist loadgroup
 # Folders that `make check` tests: from bytes to frames.
 CORE = base code places wire words framing clocks readings config views driver door
 export LC_ALL ?= C.UTF-8
+
+# Variables of the command line, without those that exist: a misspelt one would be ignored.
+VARIABLES = PYTHON DISTRO VENV PORT PARAMS PATCHES WEB SECONDS FIRMWARE ONLY SEED COUNT SINCE PYTEST QUICK LC_ALL
+UNKNOWN := $(filter-out $(VARIABLES),$(foreach v,$(.VARIABLES),$(if $(filter command%,$(origin $v)),$v)))
+MEANT = from difflib import get_close_matches as near; from sys import argv; \
+        print(*(f"; did you mean {name}?" for name in near(argv[1].upper(), argv[2:], 1)))
+ifneq ($(UNKNOWN),)
+$(error no variable $(firstword $(UNKNOWN))$(shell $(PYTHON) -c '$(MEANT)' $(firstword $(UNKNOWN)) $(VARIABLES)); there are $(VARIABLES))
+endif
 
 BIN = $(VENV)/bin
 .DEFAULT_GOAL := help

@@ -137,6 +137,7 @@ def python_tables(definition: Definition) -> str:
         f"MAX_PACKET_US = {definition['max_packet_us']}",
         f"TAIL_CHIPS = {definition['tail_chips']}",
         f"MAX_GAP = {definition['max_gap']}",
+        f'SIMULATED_ID = bytes.fromhex("{definition["simulated_id"].encode().hex()}")',
         *(f"SYNC_{name.upper()} = {value}" for name, value in definition["sync"].items()),
         *(f"NODE_{name.upper()} = {value}" for name, value in definition["node_memory"].items()),
     ]
@@ -225,6 +226,8 @@ def c_header(definition: Definition) -> str:
         f"#define TP_MAX_SAMPLES {definition['max_samples']}",
         f"#define TP_MAX_PACKET_US {definition['max_packet_us']}",
         f"#define TP_TAIL_CHIPS {definition['tail_chips']}",
+        "/* first bytes of tp_info.digitizer_id wherever no board measures */",
+        f"#define TP_SIMULATED_ID {c_string(definition['simulated_id'])}",
         "",
         "/* pulses on the sync line: unit, lengths and lead in units; memory of a node */",
         *(f"#define TP_SYNC_{name.upper()} {value}u" for name, value in definition["sync"].items()),
@@ -269,6 +272,11 @@ def c_header(definition: Definition) -> str:
         "",
     ]
     return "\n".join(lines)
+
+
+def c_string(text: str) -> str:
+    """A string literal with these bytes, all of them escaped: no digit continues an escape."""
+    return '"' + "".join(f"\\{byte:03o}" for byte in text.encode()) + '"'
 
 
 def c_struct(definition: Definition, name: str, message: Definition) -> Iterator[str]:

@@ -2,11 +2,15 @@
 
 """Starts the driver of one skin patch: `ros2 launch tactile_cdma skin.launch.py sim:=true`.
 
+Without `port`, `sim` or a port in the parameter file the driver runs the simulated skin as well,
+and warns of it in its log and in /diagnostics. An argument that does not exist is an error.
+
 With `patches`, starts the drivers of a body of many patches and the node that combines their
 contacts: `ros2 launch tactile_cdma skin.launch.py patches:=config/body.yaml`. Drivers configure and
 activate themselves, so plain `Node` actions suffice.
 """
 
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -18,6 +22,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from tactile_cdma.base.errors import TactileError
+from tactile_cdma.config.arguments import check_launch_arguments, existing_params
 from tactile_cdma.config.body_file import NODE_NAME, read_body
 from tactile_cdma.config.parameters import Value
 
@@ -38,7 +43,8 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             "port",
             default_value="",
-            description="pyserial URL of the digitizer; empty: the one in params_file",
+            description="pyserial URL of the digitizer; empty: the one in params_file, or, with "
+            "a warning, the simulated skin",
         ),
         DeclareLaunchArgument(
             "sim",
@@ -79,13 +85,20 @@ def generate_launch_description() -> LaunchDescription:
             description="with patches: also start the node that combines their contacts",
         ),
     ]
-    return LaunchDescription([*arguments, OpaqueFunction(function=start)])
+    names = [argument.name for argument in arguments]
+    return LaunchDescription([*arguments, OpaqueFunction(function=start, args=[names])])
 
 
-def start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
-    """Return the nodes that the arguments ask for."""
+def start(context: LaunchContext, names: list[str]) -> list[LaunchDescriptionEntity]:
+    """Return the nodes that the arguments ask for. names: of all arguments."""
     get = context.launch_configurations
-    actions = whole_body(get) if get["patches"] else one_patch(get)
+    try:
+        # A launch file that includes this one has arguments of its own on the command line.
+        if any(Path(word).name == Path(__file__).name for word in sys.argv):
+            check_launch_arguments(sys.argv, names)
+        actions = whole_body(get) if get["patches"] else one_patch(get)
+    except TactileError as error:
+        raise RuntimeError(str(error)) from None  # launch prints it and ends
     if get["rviz"] == "true":
         actions.append(rviz(get))
     return actions
@@ -100,7 +113,8 @@ def one_patch(get: dict[str, str]) -> list[LaunchDescriptionEntity]:
     if get["sim"] == "true" and not overrides["port"].startswith("sim://"):
         overrides["port"] = "sim://"
     parameters = {name: value for name, value in overrides.items() if value}
-    return [driver(get["namespace"].strip("/"), get["params_file"], parameters)]
+    params_file = existing_params(Path(get["params_file"]).expanduser())
+    return [driver(get["namespace"].strip("/"), params_file, parameters)]
 
 
 def whole_body(get: dict[str, str]) -> list[LaunchDescriptionEntity]:
@@ -110,10 +124,7 @@ def whole_body(get: dict[str, str]) -> list[LaunchDescriptionEntity]:
     if given:
         raise RuntimeError(f"{given[0]} is for a single patch; the body file sets it")
     path = Path(get["patches"]).expanduser().absolute()
-    try:
-        patches = read_body(path).only(get["only"])
-    except TactileError as error:
-        raise RuntimeError(str(error)) from None  # launch prints it and ends
+    patches = read_body(path).only(get["only"])
     actions = [
         driver(patch.name, patch.params_file, patch.parameters, respawn=True) for patch in patches
     ]

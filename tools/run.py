@@ -20,7 +20,9 @@ from tempfile import TemporaryDirectory
 from types import FrameType
 
 from tactile_cdma.base.errors import TactileError
+from tactile_cdma.config.arguments import existing_params
 from tactile_cdma.config.body_file import Patch, read_body
+from tactile_cdma.config.parameters import unknown
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 PARAMS = CHECKOUT / "config" / "skin.yaml"
@@ -38,7 +40,9 @@ USAGE = (
 
 def main() -> int:
     """Run all; the exit code is the viewer's, or 1 if the drivers ended by themselves."""
-    parser = argparse.ArgumentParser(prog="make run", usage=USAGE, description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="make run", usage=USAGE, description=__doc__, allow_abbrev=False
+    )
     # The Makefile passes variables that were not set as empty texts.
     parser.add_argument("--port", default="", help="default: the simulated skin")
     parser.add_argument("--params", default="", help=f"default: {PARAMS.relative_to(CHECKOUT)}")
@@ -46,15 +50,18 @@ def main() -> int:
     parser.add_argument("--firmware", default="", help="1: the emulated skin is the port")
     parser.add_argument("--patches", default="", help="body file: many patches")
     parser.add_argument("--rerun", choices=("", "window", "web"), help="Rerun is the viewer")
-    arguments = parser.parse_args()
+    arguments, others = parser.parse_known_args()
+    if others:
+        parser.error(unknown(others[0].lstrip("-").partition("=")[0], vars(arguments), "argument"))
     firmware = arguments.firmware not in ("", "0")
     if firmware and arguments.port:
         parser.error(f"FIRMWARE=1 makes a port of its own; leave PORT={arguments.port} out")
     if arguments.patches and (firmware or arguments.port or arguments.params):
         parser.error("PATCHES names a body file, which says ports and parameters itself")
-    params = Path(arguments.params or (WIRED_PARAMS if firmware else PARAMS))
-    if not params.is_file():
-        parser.error(f"no parameter file {params}")
+    try:
+        params = existing_params(Path(arguments.params or (WIRED_PARAMS if firmware else PARAMS)))
+    except TactileError as error:
+        parser.error(str(error))
     # A parameter file of the user's own names the port, unless one is given besides.
     port = arguments.port or ("" if arguments.params else SIMULATION)
     terminal = sys.stdin.isatty() and sys.stdout.isatty()

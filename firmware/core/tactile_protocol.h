@@ -23,6 +23,8 @@
 #define TP_MAX_SAMPLES 8192
 #define TP_MAX_PACKET_US 3000
 #define TP_TAIL_CHIPS 3
+/* first bytes of tp_info.digitizer_id wherever no board measures */
+#define TP_SIMULATED_ID "\163\151\155\000"
 
 /* pulses on the sync line: unit, lengths and lead in units; memory of a node */
 #define TP_SYNC_UNIT_US 16u

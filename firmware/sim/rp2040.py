@@ -28,6 +28,8 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_cdma.wire._protocol import SIMULATED_ID
+
 HERE = Path(__file__).resolve().parent
 CPU_HZ = 96e6
 """clk_sys, as clocks.c sets it."""
@@ -61,7 +63,7 @@ class Rp2040:
     image: the flash's content, a .bin file.
     line: gives the ADC's counts.
     on_sync: called with every edge of the sync line.
-    flash_id: the flash's unique number, 8 bytes.
+    flash_id: the flash's unique number, 8 bytes; by default it tells that this is no board.
     """
 
     def __init__(
@@ -69,7 +71,7 @@ class Rp2040:
         image: Path,
         line: Line,
         on_sync: SyncEdge | None = None,
-        flash_id: bytes = bytes.fromhex("e661640843123456"),
+        flash_id: bytes = SIMULATED_ID + b"rp20",
     ) -> None:
         node = shutil.which("node")
         if node is None:

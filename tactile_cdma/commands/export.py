@@ -17,7 +17,7 @@ from ..config.arguments import add_skin_options, given
 from ..config.parameters import BY_NAME
 from ..driver.pipeline import TactileFrame
 from ..recording.capture import is_text
-from ..recording.frame_table import taxels_path, write_csv, write_npz
+from ..recording.frame_table import about_path, taxels_path, write_csv, write_npz
 from ..recording.offline import RawCapture
 from ..recording.recording_file import is_recording
 
@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         required=True,
         metavar="OUT",
-        help="OUT.npz: numpy arrays; OUT.csv: a row per frame, and OUT.taxels.csv",
+        help="OUT.npz: numpy arrays; OUT.csv: a row per frame, and OUT.taxels.csv, OUT.about.json",
     )
     parser.add_argument(
         "--bag", action="store_true", help="OUT is a new folder: a bag (MCAP) of tactile and info"
@@ -61,16 +61,24 @@ def run(arguments: argparse.Namespace) -> int:
 def _write(
     capture: RawCapture, frames: Iterator[tuple[TactileFrame, float]], output: Path, bag: bool
 ) -> int:
-    config, values = capture.config, capture.values
+    config, source, values = capture.config, capture.source, capture.values
     if bag:
         from ..recording.bag_export import write_bag  # slow to load, and needed here only
 
         frame_id = str(values.get("frame_id", BY_NAME["frame_id"].default))
-        return write_bag(output, frames, config, frame_id)
+        return write_bag(output, frames, config, source, frame_id)
+    about = {
+        "file": capture.path.name,
+        "origin": source.origin.name.lower(),
+        "measured_by": source.measured_by.name.lower(),
+        "skin": config.skin,
+        "digitizer_id": (source.digitizer_id or b"").hex().upper(),
+        "parameters": values,
+        "package_version": __version__,
+    }
     if output.suffix == ".npz":
-        about = {"file": capture.path.name, "parameters": values, "package_version": __version__}
         return write_npz(output, frames, config.layout, about)
-    return write_csv(output, frames, config.layout)
+    return write_csv(output, frames, config.layout, about)
 
 
 def _check(path: Path, output: Path, bag: bool, force: bool) -> None:
@@ -83,7 +91,7 @@ def _check(path: Path, output: Path, bag: bool, force: bool) -> None:
         return
     if output.suffix not in (".npz", ".csv"):
         raise CaptureError(f"{output}: name it *.npz or *.csv, or ask for a folder with --bag")
-    written = [output] if output.suffix == ".npz" else [output, taxels_path(output)]
-    for file in written:
+    beside = [] if output.suffix == ".npz" else [taxels_path(output), about_path(output)]
+    for file in [output, *beside]:
         if file.exists() and not force:
             raise CaptureError(f"{file}: exists already; --force overwrites it")

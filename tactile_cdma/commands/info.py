@@ -57,6 +57,7 @@ def _say_frames(path: Path, asked: dict[str, Value]) -> None:
         return
     for _ in capture.frames():
         pass
+    print(f"digitizer: {capture.source.digitizer}")
     pipeline = capture.pipeline
     counters, packets, spec = pipeline.counters, pipeline.parser.counters, pipeline.config.spec
     print(

@@ -7,9 +7,11 @@ from __future__ import annotations
 import argparse
 import math
 import threading
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
-from .parameters import BY_NAME, NATURAL_SIGNS, Value, read_file
+from ..base.errors import ParameterError
+from .parameters import BY_NAME, NATURAL_SIGNS, Value, read_file, unknown
 
 _NAMES = (
     *("nodes", "bits", "chip_us", "frame_period_ms", "order", "first_row", "sign_seed", "drive"),
@@ -43,6 +45,25 @@ def given(arguments: argparse.Namespace) -> dict[str, Value]:
     values = read_file(arguments.params) if arguments.params else {}
     options = {name: getattr(arguments, name) for name in _NAMES}
     return values | {name: value for name, value in options.items() if value is not None}
+
+
+def check_launch_arguments(words: Iterable[str], known: Collection[str]) -> None:
+    """Raise ParameterError for an argument `name:=value` that a launch file does not have.
+
+    `ros2 launch` itself ignores these. words: of its command line.
+    """
+    for word in words:
+        name, assignment, _ = word.partition(":=")
+        if assignment and name not in known:
+            names = ", ".join(sorted(known))
+            raise ParameterError(f"{unknown(name, known, 'launch argument')}; there are {names}")
+
+
+def existing_params(path: Path) -> Path:
+    """The path of a parameter file; raises ParameterError where there is none."""
+    if not path.is_file():
+        raise ParameterError(f"no parameter file {path}")
+    return path
 
 
 def positive(text: str) -> float:

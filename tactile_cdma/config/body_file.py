@@ -150,7 +150,7 @@ def _path(value: Marked, text: str) -> Path:
 def _claims(values: Values) -> list[tuple[str, str]]:
     """Parameters whose value no other patch may have; raises ParameterError for a wrong id."""
     claims = []
-    if not values["port"].startswith(SHARED_PORTS):
+    if values["port"] and not values["port"].startswith(SHARED_PORTS):
         claims.append(("port", values["port"]))
     if values["digitizer_id"]:
         claims.append(("digitizer_id", shown_id(parse_id(values["digitizer_id"]))))

@@ -106,9 +106,9 @@ _KIND_NAMES = {
 
 # fmt: off
 PARAMETERS: tuple[Parameter, ...] = (
-    Parameter("port", SIMULATION,
+    Parameter("port", "",
         "port of the digitizer: /dev/ttyACM0, usb://SERIAL, sim://?scene=hand, replay://FILE or "
-        "another pyserial URL"),
+        "another pyserial URL; empty: the simulated skin, with a warning"),
     Parameter("digitizer_id", "",
         "accept only the digitizer with this id (in quotes; tactile-cdma ports lists ids); "
         "empty: any"),
@@ -218,10 +218,10 @@ def check_values(values: Mapping[str, object]) -> dict[str, Value]:
     return {name: BY_NAME[name].check(value) for name, value in values.items()}
 
 
-def unknown(name: str, known: Iterable[str]) -> str:
+def unknown(name: str, known: Iterable[str], kind: str = "parameter") -> str:
     """The message for an unknown name, with the closest known one."""
-    close = difflib.get_close_matches(name, list(known), n=1)
-    return f"unknown parameter {name!r}" + (f"; did you mean {close[0]!r}?" if close else "")
+    close = difflib.get_close_matches(name.lower(), list(known), n=1)
+    return f"unknown {kind} {name!r}" + (f"; did you mean {close[0]!r}?" if close else "")
 
 
 def read_file(path: Path) -> dict[str, Value]:

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..base.errors import PortError, TactileError
-from ..config.parameters import BY_NAME, Value, Values, read_file
+from ..config.parameters import BY_NAME, SIMULATION, Value, Values, read_file
 from ..config.skin_config import SkinConfig
 from ..driver.pipeline import Pipeline
 from ..driver.session import Session
@@ -42,7 +42,7 @@ def examine(
         yield problem("parameters", str(error))
         return
     get: Values = {name: parameter.default for name, parameter in BY_NAME.items()} | (values or {})
-    url = url or get["port"]
+    url = url or get["port"] or SIMULATION
     try:
         leave_alone_if_open(url)
         with Port(url, baud or get["baud"]) as port:

@@ -16,6 +16,7 @@ from ..base.listing import listed
 from ..wire.messages import Status
 from ..words.decode import LOW_RHO
 from ..words.health import NodeState
+from .digitizer import SourceWatch
 from .findings import Finding, Level
 from .pipeline import Pipeline, TactileFrame
 from .vitals import Window
@@ -173,6 +174,14 @@ def link(pipeline: Pipeline, window: Window) -> Iterator[Finding]:
             f"the digitizer's clock is {drift_ppm:+.0f} ppm off this computer's: check its crystal"
         )
         yield Finding(text, key="drift")
+
+
+def source(watch: SourceWatch) -> Iterator[Finding]:
+    """Who measures: that it is a board, and still the same one."""
+    if unasked := watch.unasked:
+        yield Finding(unasked, event=True)
+    if exchange := watch.take_exchange():
+        yield Finding(exchange, event=True)
 
 
 def host(window: Window, drivers: int) -> Iterator[Finding]:

@@ -1,19 +1,118 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the digitizer says about itself, and whether that agrees with a skin's parameters."""
+"""What the digitizer says about itself: which one it is, and whether that fits the parameters."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from enum import IntEnum
 
-from ..config.parameters import GAP
+from ..config.parameters import GAP, REPLAY, SIMULATION
 from ..config.skin_config import SkinConfig
 from ..framing.quiet_limit import quiet_uv
 from ..wire._protocol import PacketType, Result, SyncMode
+from ..wire.identity import is_simulated, shown_id
 from ..wire.messages import Ack, FrameLayout, Info, Status
 
 MAX_SAMPLES_PER_CHIP = 1000
 """Chosen: 8 suffice for any timing, and buffers of a frame stay small at this many."""
+
+
+class Origin(IntEnum):
+    """Where readings come from; the same values as the constants of TactileSkinInfo."""
+
+    UNKNOWN = 0
+    BOARD = 1
+    SIMULATED = 2
+    REPLAYED = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A port, or a recording, and the digitizer that is heard there.
+
+    port: URL, or path of a file that is decoded. recorded: it is a recording.
+    digitizer_id: 8 bytes; None until the digitizer has introduced itself.
+    """
+
+    port: str
+    recorded: bool = False
+    digitizer_id: bytes | None = None
+
+    @property
+    def measured_by(self) -> Origin:
+        """BOARD or SIMULATED, now or when it was recorded; UNKNOWN before the introduction."""
+        if self.digitizer_id is None:
+            return Origin.UNKNOWN
+        return Origin.SIMULATED if is_simulated(self.digitizer_id) else Origin.BOARD
+
+    @property
+    def origin(self) -> Origin:
+        """REPLAYED for a recording, else as measured_by."""
+        return Origin.REPLAYED if self.recorded else self.measured_by
+
+    @property
+    def digitizer(self) -> str:
+        """The digitizer, for people."""
+        if self.digitizer_id is None:
+            return "unknown"
+        return f"{self.measured_by.name.lower()}, {shown_id(self.digitizer_id)}"
+
+    def __str__(self) -> str:
+        return f"replayed from {self.port}: {self.digitizer}" if self.recorded else self.digitizer
+
+
+class SourceWatch:
+    """Follows which digitizer is on a port, over all connections.
+
+    port: as it was given. source: as it is known now. changes: how often another digitizer took the
+    place of one.
+    """
+
+    def __init__(self, port: str) -> None:
+        """port: URL as the user gave it; empty where none was given, which is the simulator."""
+        self.port, url = port, port or SIMULATION
+        self.source = Source(url, recorded=url.lower().startswith(REPLAY))
+        self.changes = 0
+        self._exchange: str | None = None
+
+    @property
+    def unasked(self) -> str | None:
+        """A warning while readings are simulated and nobody asked for that; else None."""
+        asked = self.port.lower().startswith(SIMULATION)
+        if asked or self.source.origin != Origin.SIMULATED:
+            return None
+        if self.port:
+            return (
+                f"the readings are simulated: {self.source.port} leads to a simulator or an "
+                "emulator, not to a board"
+            )
+        return (
+            "the readings are simulated, because no port is given: set port to the digitizer's "
+            f"(tactile-cdma ports lists them), or to {SIMULATION} to ask for a simulation"
+        )
+
+    def hear(self, info: Info) -> list[str] | None:
+        """Take in a digitizer's description: None if it is the one known, else new warnings."""
+        before, found = self.source.digitizer_id, info.digitizer_id
+        if found == before:
+            return None
+        self.source = replace(self.source, digitizer_id=found)
+        warnings = [self.unasked] if self.unasked else []
+        if before is not None:
+            self.changes += 1
+            self._exchange = (
+                f"another digitizer is on {self.source.port}: {shown_id(found)}, before "
+                f"{shown_id(before)}; calibration and tare may be those of another skin. Set "
+                "digitizer_id to accept only one board"
+            )
+            warnings.append(self._exchange)
+        return warnings
+
+    def take_exchange(self) -> str | None:
+        """A warning of another digitizer, once for each; else None."""
+        exchange, self._exchange = self._exchange, None
+        return exchange
 
 
 @dataclass(slots=True)

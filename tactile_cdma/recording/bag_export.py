@@ -22,6 +22,7 @@ from rosbags.typesys.store import Typestore
 
 from ..base.errors import CaptureError
 from ..config.skin_config import SkinConfig
+from ..driver.digitizer import Source
 from ..driver.pipeline import TactileFrame
 from .message_fields import array_fields, info_fields
 from .message_types import PACKAGE, message_types
@@ -48,7 +49,11 @@ _SENSOR_DATA = _LATCHED._replace(
 
 
 def write_bag(
-    folder: Path, frames: Iterator[tuple[TactileFrame, float]], config: SkinConfig, frame_id: str
+    folder: Path,
+    frames: Iterator[tuple[TactileFrame, float]],
+    config: SkinConfig,
+    source: Source,
+    frame_id: str,
 ) -> int:
     """Every frame, and its Unix time in s, as messages of a driver called /skin; returns how many.
 
@@ -57,7 +62,8 @@ def write_bag(
     """
     types, count = message_types(), 0
     no_values = np.zeros(0, dtype=np.float32)
-    about = info_fields(config, INFO_ID, np.asarray, types.types["geometry_msgs/msg/Point32"])
+    point = types.types["geometry_msgs/msg/Point32"]
+    about = info_fields(config, source, INFO_ID, np.asarray, point)
     about |= {"tare": no_values, "drift": no_values}
     try:
         with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:

@@ -53,10 +53,10 @@ def write_npz(path: Path, frames: Frames, layout: Layout, about: Mapping[str, An
     return count
 
 
-def write_csv(path: Path, frames: Frames, layout: Layout) -> int:
-    """One row per frame, and beside it NAME.taxels.csv with one per taxel; returns how many frames.
+def write_csv(path: Path, frames: Frames, layout: Layout, about: Mapping[str, Any]) -> int:
+    """One row per frame; beside it NAME.taxels.csv, one row per taxel, and NAME.about.json.
 
-    Raises OSError.
+    Returns how many frames. Raises OSError.
     """
     count, taxels = 0, len(layout.positions_m)
     with replacing(path) as raw:
@@ -74,12 +74,19 @@ def write_csv(path: Path, frames: Frames, layout: Layout) -> int:
         file.detach()
     with replacing(taxels_path(path)) as raw:
         raw.write(_taxels(layout).encode())
+    with replacing(about_path(path)) as raw:
+        raw.write(json.dumps(about, indent=1).encode() + b"\n")
     return count
 
 
 def taxels_path(path: Path) -> Path:
     """The file of the taxels' places that goes with a CSV file."""
     return path.with_name(f"{path.stem}.taxels{path.suffix}")
+
+
+def about_path(path: Path) -> Path:
+    """The file of the metadata that goes with a CSV file."""
+    return path.with_name(f"{path.stem}.about.json")
 
 
 def _columns(frame: TactileFrame, wall_s: float) -> dict[str, Any]:

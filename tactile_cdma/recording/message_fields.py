@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..config.skin_config import SkinConfig
+from ..driver.digitizer import Source
 from ..driver.pipeline import TactileFrame
 from ..places.layout import Layout
 
@@ -37,13 +38,21 @@ def array_fields(
 
 
 def info_fields(
-    config: SkinConfig, info_id: int, as_field: AsField, point: Callable[..., Any]
+    config: SkinConfig,
+    source: Source,
+    info_id: int,
+    as_field: AsField,
+    point: Callable[..., Any],
 ) -> dict[str, Any]:
     """The fields of TactileSkinInfo, but for the header, tare and drift. point: makes a Point32."""
     spec, layout = config.spec, config.layout
     code_rows = np.append(spec.rows, 0)  # 0 for a taxel without a node
     return {
         "info_id": info_id,
+        "origin": int(source.origin),
+        "measured_by": int(source.measured_by),
+        "digitizer_id": (source.digitizer_id or b"").hex().upper(),
+        "skin": config.skin,
         "nodes": spec.nodes,
         "height": layout.rows,
         "width": layout.columns,

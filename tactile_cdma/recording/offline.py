@@ -11,6 +11,7 @@ from pathlib import Path
 from ..base.errors import CaptureError
 from ..config.parameters import GAP, LINE, NATURAL_SIGNS, Value
 from ..config.skin_config import SkinConfig
+from ..driver.digitizer import Source
 from ..driver.pipeline import Pipeline, TactileFrame
 from ..framing.gap_timing import GapTiming
 from ..framing.timing import SampleBlock
@@ -114,6 +115,12 @@ class RawCapture:
         self.path, self.values = path, offline_values(path, asked)
         self.config = SkinConfig.of(self.values)
         self.pipeline = Pipeline(self.config, background=False)
+
+    @property
+    def source(self) -> Source:
+        """Which digitizer was recorded, as far as it has been decoded."""
+        info = self.pipeline.digitizer.info
+        return Source(self.path.name, True, info.digitizer_id if info else None)
 
     @property
     def notes(self) -> tuple[str, ...]:

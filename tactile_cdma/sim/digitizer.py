@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 
 from ..base.errors import SpecError
-from ..wire._protocol import Result, SyncMode
+from ..wire._protocol import SIMULATED_ID, Result, SyncMode
 from ..wire.messages import (
     Command,
     Configure,
@@ -153,7 +153,7 @@ class VirtualDigitizer:
             sync_mode=setup.sync,
             integrated=setup.integrated,
             quiet_uv=setup.quiet_uv,
-            digitizer_id=b"sim\0" + self.options.seed.to_bytes(4, "little"),
+            digitizer_id=SIMULATED_ID + self.options.seed.to_bytes(4, "little"),
         )
 
     def truth(self, frame_number: int) -> NodeFrame:

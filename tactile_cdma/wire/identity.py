@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 
 from ..base.errors import ParameterError
+from ._protocol import SIMULATED_ID
 
 ID_BYTES = 8
 NO_ID = bytes(ID_BYTES)
@@ -36,3 +37,8 @@ def parse_id(text: str) -> bytes:
 def shown_id(digitizer_id: bytes) -> str:
     """An id for people, as in the USB serial number of the RP2040's firmware."""
     return "no id" if digitizer_id == NO_ID else digitizer_id.hex().upper()
+
+
+def is_simulated(digitizer_id: bytes) -> bool:
+    """Whether a digitizer says by its id that it is a simulator or an emulator, not a board."""
+    return digitizer_id.startswith(SIMULATED_ID)

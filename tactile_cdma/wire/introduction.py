@@ -7,7 +7,7 @@ from __future__ import annotations
 import time
 
 from ..base.errors import PortError, ProtocolError
-from .identity import shown_id
+from .identity import is_simulated, shown_id
 from .messages import GetInfo, Info, OtherVersion
 from .packets import PacketParser, PacketWriter, diagnose
 from .port import Port
@@ -40,8 +40,9 @@ def introduction(port: Port, patience_s: float = LISTEN_S) -> Info:
 def described_info(info: Info) -> str:
     """A digitizer and its settings in one line."""
     frame = info.frame
+    kind = ", simulated" if is_simulated(info.digitizer_id) else ""
     return (
-        f"{shown_id(info.digitizer_id)}, firmware {info.firmware_major}."
+        f"{shown_id(info.digitizer_id)}{kind}, firmware {info.firmware_major}."
         f"{info.firmware_minor}, set to {frame.nodes} nodes × {frame.bits} bits, order "
         f"{frame.order}, {frame.chip_ns / 1e3:g} µs chips, a frame every "
         f"{frame.frame_period_us / 1e3:g} ms"

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from boards import Board
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -23,7 +24,6 @@ from sensor_msgs.msg import Image
 from tactile_cdma.msg import TactileArray, TactileSkinInfo
 from tactile_cdma.ros.common.qos import LATCHED, QUEUE
 from tactile_cdma.ros.driver.node import SkinNode
-from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import serve
 
@@ -104,10 +104,10 @@ def _holds(condition: Callable[[], object]) -> bool:
 
 @contextmanager
 def plugged(path: Path, url: str = "sim://?scene=all") -> Iterator[None]:
-    """A virtual digitizer on a pty, linked at path."""
+    """A virtual digitizer that says it is a board, on a pty that is linked at path."""
     stop, ready, options = threading.Event(), threading.Event(), SimOptions.from_url(url)
     thread = threading.Thread(
-        target=serve, args=(lambda: VirtualDigitizer(options), path, stop, lambda _: ready.set())
+        target=serve, args=(lambda: Board(options), path, stop, lambda _: ready.set())
     )
     thread.start()
     try:

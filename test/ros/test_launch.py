@@ -98,6 +98,22 @@ def test_arguments_are_checked() -> None:
         actions(sim="perhaps")
 
 
+@pytest.mark.parametrize("file", ["skin.launch.py", "/opt/ws/launch/skin.launch.py"])
+def test_an_argument_that_does_not_exist_is_refused(
+    file: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["ros2", "launch", file, "prot:=/dev/ttyACM0"])
+    with pytest.raises(RuntimeError, match="'prot'; did you mean 'port'"):
+        actions()
+
+
+def test_arguments_of_a_launch_file_that_includes_this_one_are_its_own(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["ros2", "launch", "robot", "robot.launch.py", "prot:=x"])
+    assert driver()[2] == {}
+
+
 def test_rviz_is_started_or_its_absence_told() -> None:
     (_, extra), _ = actions(rviz="true", namespace="left")
     assert isinstance(extra, LogInfo if shutil.which("rviz2") is None else Node)
@@ -138,6 +154,7 @@ def test_a_computer_may_have_a_share_of_the_body() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        ({"params_file": "none.yaml"}, "no parameter file none.yaml"),
         ({"patches": "none.yaml"}, "none.yaml: No such file"),
         ({"patches": str(BODY_FILE), "only": "nose"}, "no patch 'nose' to start; there are chest"),
         ({"patches": str(BODY_FILE), "port": "/dev/x"}, "port is for a single patch"),

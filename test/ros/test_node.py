@@ -280,7 +280,7 @@ def test_unplugging_stops_publishing_says_so_and_replugging_resumes(tmp_path: Pa
 
 
 def test_diagnostics_report_rate_and_counts() -> None:
-    with running() as (_, client):
+    with running(port="sim://") as (_, client):
         wait_for(lambda: [s.level for s in client.diagnostics].count(DiagnosticStatus.OK) >= 3)
     values = {pair.key: pair.value for pair in client.diagnostics[-1].values}
     assert float(values["rate (Hz)"]) == pytest.approx(78.1, rel=0.3)

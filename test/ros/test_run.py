@@ -111,6 +111,30 @@ def test_a_wrong_time_is_refused_in_words_of_make(
     assert said.startswith("usage: make run")
 
 
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--prot=/dev/ttyACM0"], "unknown argument 'prot'; did you mean 'port'?"),
+        (["--par", "a.yaml"], "unknown argument 'par'"),
+        (["--params", "none.yaml"], "no parameter file none.yaml"),
+        (["touch.skin"], "unknown argument 'touch.skin'"),
+    ],
+)
+def test_what_make_run_does_not_know_is_refused(arguments: list[str], said: str) -> None:
+    done = subprocess.run([*RUN, *arguments], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2
+    assert f"make run: error: {said}" in done.stderr
+
+
+def test_a_missing_parameter_file_is_one_clear_error() -> None:
+    command = [sys.executable, "-m", "tactile_cdma.ros.driver.node", "--ros-args"]
+    done = subprocess.run(
+        [*command, "--params-file", "/nowhere.yaml"], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 1
+    assert done.stderr == "skin_driver: no parameter file /nowhere.yaml\n"
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_end_the_driver_in_order(number: signal.Signals) -> None:
     command = [

@@ -18,6 +18,7 @@ from std_msgs.msg import Header
 from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
 from ...config.skin_config import SkinConfig
+from ...driver.digitizer import Source
 from ...driver.pipeline import TactileFrame
 from ...places.layout import Layout
 from ...readings.baseline import Baseline
@@ -52,10 +53,11 @@ def tactile_array(
 
 
 def skin_info(
-    config: SkinConfig, baseline: Baseline, header: Header, info_id: int
+    config: SkinConfig, source: Source, baseline: Baseline, header: Header, info_id: int
 ) -> TactileSkinInfo:
-    """What frames are read with: the layout, its nodes, calibration, tare and drift."""
-    message = TactileSkinInfo(header=header, **info_fields(config, info_id, ros_array, Point32))
+    """What frames are read with: their source, layout, nodes, calibration, tare and drift."""
+    fields = info_fields(config, source, info_id, ros_array, Point32)
+    message = TactileSkinInfo(header=header, **fields)
     if baseline.tared:
         message.tare = by_taxel(config.layout, baseline.tare_pa)
     if baseline.drift_v.any():

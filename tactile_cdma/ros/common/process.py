@@ -11,6 +11,8 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from itertools import pairwise
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Generic, TypeVar
 
@@ -22,6 +24,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from ...base.errors import TactileError
 from ...base.interrupt import stop_event
+from ...config.arguments import existing_params
 
 WAKE_S = 0.1
 """Longest time, s, after which a program without messages notices that it is told to end."""
@@ -41,6 +44,9 @@ def run_node(make: Callable[[], Node], program: str) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, _: signals.put(number))
     try:
+        for option, value in pairwise(sys.argv):
+            if option == "--params-file":
+                existing_params(Path(value))  # rcl's own words for it are hard to understand
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
         node = make()
     except (RCLError, UnknownROSArgsError, TactileError) as error:

@@ -12,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from ...base.listing import listed
 from ...driver import checkup
+from ...driver.digitizer import SourceWatch
 from ...driver.driver import WAITING, Driver
 from ...driver.findings import Level, Settling, worst
 from ...driver.pipeline import Pipeline, TactileFrame
@@ -20,8 +21,8 @@ from ...wire.identity import shown_id
 from ...words.health import NodeState
 from ..common.convert import diagnostic
 
-STREAM, NODES, LINK, HOST = "stream", "nodes", "link", "host"
-ENTRIES = (STREAM, NODES, LINK, HOST)
+STREAM, NODES, LINK, SOURCE, HOST = "stream", "nodes", "link", "source", "host"
+ENTRIES = (STREAM, NODES, LINK, SOURCE, HOST)
 NO_FRAMES = "no frames come, see stream"
 _OF_STREAM = ("frames", "lost frames", "rejected bursts")
 """Counts shown in the entry of the stream; all others are in that of the link."""
@@ -51,12 +52,17 @@ class SkinReport:
         return self._entries(judged, {})
 
     def of(
-        self, driver: Driver, latest: TactileFrame | None, tared: str, drivers: int
+        self,
+        driver: Driver,
+        watch: SourceWatch,
+        latest: TactileFrame | None,
+        tared: str,
+        drivers: int,
     ) -> list[DiagnosticStatus]:
         """The entries of a running driver.
 
-        latest: the newest frame. tared: when, or empty. drivers: number of those that publish under
-        this node's name, itself included.
+        watch: of the driver's port. latest: the newest frame. tared: when, or empty. drivers:
+        number of those that publish under this node's name, itself included.
         """
         pipeline = driver.pipeline
         window = driver.vitals.take(pipeline)
@@ -66,6 +72,13 @@ class SkinReport:
             STREAM: _stream_values(pipeline, window),
             NODES: {**_node_values(driver, window), "tared": tared or "not"},
             LINK: {"port": driver.url, **_link_values(driver, window)},
+            SOURCE: {
+                "skin": pipeline.config.skin,
+                "digitizer": self._hardware_id,
+                "origin": watch.source.origin.name.lower(),
+                "measured by": watch.source.measured_by.name.lower(),
+                "changes of the digitizer": watch.changes,
+            },
             HOST: {
                 "CPU of the process (%)": f"{100 * window.process_share:.1f}",
                 "CPU of the driver's thread (%)": f"{100 * window.thread_share:.1f}",
@@ -82,6 +95,7 @@ class SkinReport:
             STREAM: checkup.stream(pipeline, window, latest),
             NODES: checkup.nodes(pipeline, driver.stuck.nodes, window),
             LINK: checkup.link(pipeline, window),
+            SOURCE: checkup.source(watch),
             HOST: checkup.host(window, drivers),
         }
         if not self._receiving:  # it would complain of a second that frames fill only in part
@@ -92,6 +106,8 @@ class SkinReport:
         calling = pipeline.clocks is not None and pipeline.clocks.busy
         good = "roll call: measuring the nodes' clocks" if calling else "receiving"
         judged[STREAM] = level, text or good
+        level, text = judged[SOURCE]
+        judged[SOURCE] = level, text or str(watch.source)
         return self._entries(judged, values)
 
     def _entries(

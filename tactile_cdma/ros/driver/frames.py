@@ -13,6 +13,7 @@ from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 
 from ...config.parameters import Values
 from ...config.skin_config import SkinConfig
+from ...driver.digitizer import Source
 from ...driver.pipeline import TactileFrame
 from ...readings.baseline import Baseline
 from ...readings.contact import ContactThresholds, ContactTracker
@@ -50,10 +51,10 @@ class FramePublishers:
         if self._tracker:
             self._tracker.thresholds = thresholds
 
-    def publish_info(self, config: SkinConfig, baseline: Baseline) -> None:
+    def publish_info(self, config: SkinConfig, source: Source, baseline: Baseline) -> None:
         """Publish what frames from now on are read with; call it between frames."""
         self._info_id += 1
-        self._info.publish(skin_info(config, baseline, self._stamps.now(), self._info_id))
+        self._info.publish(skin_info(config, source, baseline, self._stamps.now(), self._info_id))
 
     def publish(self, frame: TactileFrame) -> Header | None:
         """Publish a frame; returns its header, or None if nothing was due or asked for.

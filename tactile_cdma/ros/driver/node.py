@@ -22,11 +22,13 @@ from ...base.errors import ParameterError, TactileError
 from ...config.body_file import NODE_NAME
 from ...config.parameters import Values
 from ...config.skin_config import SkinConfig
+from ...driver.digitizer import SourceWatch
 from ...driver.driver import WAITING, Driver
 from ...driver.pipeline import TactileFrame
 from ...driver.rest_keeper import RestKeeper
 from ...driver.session import Session
 from ...readings.rest_file import rest_path
+from ...wire.messages import Info
 from ...wire.port import Port
 from ..common.lifecycle import ManagedNode, reported
 from ..common.process import run_node
@@ -64,6 +66,8 @@ class SkinNode(ManagedNode):
         self._port: Port | None = None  # from configure on, until the driver takes it
         self._driver: Driver | None = None  # while active
         self._latest: TactileFrame | None = None
+        self._watch: SourceWatch | None = None  # of the port that was configured last
+        self._heard: Info | None = None  # what _watch has taken in
         self._last_failure = ""
         self._declared = NodeParameters(self, self._change)
         self._live = self._declared.values
@@ -126,7 +130,8 @@ class SkinNode(ManagedNode):
     @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Check the parameters and open the port."""
-        url = str(self._live["port"])
+        watch = self._watch_of_port()
+        url = watch.source.port
         try:
             if self._declared.faults:
                 raise ParameterError("; ".join(self._declared.faults.values()))
@@ -141,6 +146,7 @@ class SkinNode(ManagedNode):
                 self.get_logger().error(f"cannot configure: {error}")
             return TransitionCallbackReturn.FAILURE
         self._last_failure, self._declared.fixed = "", True
+        self._watch = watch
         self._rest = RestKeeper(config, url, path, self.get_logger(), self._publish_info)
         self._mount.show(transform)
         return super().on_configure(state)
@@ -148,10 +154,10 @@ class SkinNode(ManagedNode):
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stream."""
-        assert self._rest is not None
+        assert self._rest is not None and self._watch is not None
         result = super().on_activate(state)
         config, spec = self._rest.config, self._rest.config.spec
-        url, baud = str(self._live["port"]), int(self._live["baud"])
+        url, baud = self._watch.source.port, int(self._live["baud"])
         self._driver = Driver(config, url, baud, self._publish_frame, self._log_problem)
         self.get_logger().info(
             f"opened {url} for {spec.nodes} nodes: order {spec.order}, "
@@ -220,21 +226,47 @@ class SkinNode(ManagedNode):
 
     # Publishing
 
+    def _watch_of_port(self) -> SourceWatch:
+        """The watch of the port that is given; it outlasts activations of the same port."""
+        port = str(self._live["port"])
+        if self._watch is None or self._watch.port != port:
+            return SourceWatch(port)
+        return self._watch
+
     def _publish_info(self) -> None:
         assert self._rest is not None and self._rest.baseline is not None
-        self._frames.publish_info(self._rest.config, self._rest.baseline)
+        assert self._watch is not None
+        if self._watch.source.digitizer_id is None:
+            return  # _hear_source makes up for it, before the first frame
+        self._frames.publish_info(self._rest.config, self._watch.source, self._rest.baseline)
 
     def _publish_frame(self, frame: TactileFrame) -> None:
         """In the driver's thread."""
+        assert self._driver is not None
+        if self._driver.pipeline.digitizer.info is not self._heard:
+            self._hear_source(self._driver.pipeline.digitizer.info)
         self._latest = frame
         self._pictures.take(frame, self._frames.publish(frame))
+
+    def _hear_source(self, info: Info | None) -> None:
+        """The digitizer has described itself, before a frame: who it is goes ahead of that."""
+        self._heard = info
+        assert self._watch is not None
+        if info is None or (warnings := self._watch.hear(info)) is None:
+            return
+        for warning in warnings:
+            self.get_logger().warning(warning)
+        self._publish_info()
 
     def _publish_diagnostics(self) -> None:
         if self._driver is None or self._rest is None:
             entries = self._report.inactive(self._last_failure)
         else:
             drivers = self.count_publishers(self._frames.topic)
-            entries = self._report.of(self._driver, self._latest, self._rest.tared, drivers)
+            assert self._watch is not None
+            entries = self._report.of(
+                self._driver, self._watch, self._latest, self._rest.tared, drivers
+            )
             self._rest.tick()
         header = Header(stamp=self.get_clock().now().to_msg())
         self._diagnostics_publisher.publish(DiagnosticArray(header=header, status=entries))

@@ -14,11 +14,49 @@ import pytest
 import yaml
 
 from tactile_cdma.base.errors import ParameterError, SpecError
-from tactile_cdma.config.parameters import PARAMETERS, check_values, read_file
+from tactile_cdma.config.arguments import check_launch_arguments
+from tactile_cdma.config.parameters import (
+    BY_NAME,
+    PARAMETERS,
+    SIMULATION,
+    check_values,
+    read_file,
+)
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.readings.calibration_file import write_calibration
 
 ROOT = Path(__file__).resolve().parents[3]
+
+
+ARGUMENTS = ["port", "params_file", "sim", "namespace"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["prot:=/dev/ttyACM0"], "unknown launch argument 'prot'; did you mean 'port'?; there are"),
+        (["sim:=true", "param_file:=a.yaml"], "did you mean 'params_file'"),
+        (["PORT:=x:=y"], "unknown launch argument 'PORT'; did you mean 'port'"),
+        (["xyz:="], "'xyz'; there are namespace, params_file, port, sim"),
+    ],
+)
+def test_a_launch_argument_that_does_not_exist_is_refused(words: list[str], message: str) -> None:
+    with pytest.raises(ParameterError) as caught:
+        check_launch_arguments(
+            ["ros2", "launch", "tactile_cdma", "skin.launch.py", *words], ARGUMENTS
+        )
+    assert message in str(caught.value)
+
+
+def test_launch_arguments_that_exist_are_taken() -> None:
+    words = ["/usr/bin/ros2", "launch", "-d", "a/skin.launch.py", "port:=socket://a:1", "sim:="]
+    check_launch_arguments(words, ARGUMENTS)
+
+
+def test_nothing_shipped_asks_for_a_simulator_without_naming_it() -> None:
+    assert BY_NAME["port"].default == ""
+    for path in (ROOT / "config").glob("*skin.yaml"):
+        assert not str(read_file(path).get("port", "")).startswith(SIMULATION)
 
 
 def test_every_default_lies_within_its_own_limits() -> None:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,13 +17,14 @@ from test_driver import Watch, wait_for
 from tactile_cdma.base.errors import ParameterError
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.digitizer import Origin, SourceWatch
 from tactile_cdma.driver.driver import Driver
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire.identity import parse_id, shown_id
-from tactile_cdma.wire.messages import Configure, GetInfo, Start, Stop
+from tactile_cdma.wire.messages import Configure, GetInfo, Info, Start, Stop
 from tactile_cdma.wire.packets import PacketParser
 
 SEPARATORS = ("", ":", "-", "_", ".", " ")
@@ -113,6 +115,51 @@ def test_a_board_that_takes_the_place_of_another_on_an_open_port_is_judged_anew(
     talk.exchange(1.5)  # until it has said who it is
     assert talk.exchange(3.0) == []
     assert board_id(6) in (talk.pipeline.problem or "")
+
+
+def introduced(number: bytes) -> Info:
+    """What a digitizer with this id says of itself."""
+    return replace(VirtualDigitizer().info(), digitizer_id=number)
+
+
+@given(ids, st.sampled_from(["/dev/ttyACM0", "replay://touch.skin", "socket://a:1"]))
+def test_simulated_is_who_says_so_whatever_the_port(number: bytes, port: str) -> None:
+    watch = SourceWatch(port)
+    assert watch.source.measured_by is Origin.UNKNOWN, "nobody has spoken"
+    assert watch.unasked is None
+    watch.hear(introduced(number))
+    simulated = number[:4] == b"sim\0"
+    assert (watch.source.measured_by is Origin.SIMULATED) == simulated
+    watch = SourceWatch(port)
+    warnings = watch.hear(introduced(b"sim\0" + number[4:]))
+    replayed = port.startswith("replay")
+    assert watch.source.measured_by is Origin.SIMULATED
+    assert watch.source.origin is (Origin.REPLAYED if replayed else Origin.SIMULATED)
+    assert warnings == ([] if replayed else [watch.unasked])
+
+
+@pytest.mark.parametrize("port", ["sim://", "SIM://?scene=hand"])
+def test_who_asks_for_the_simulator_by_name_is_not_warned(port: str) -> None:
+    watch = SourceWatch(port)
+    assert watch.hear(VirtualDigitizer().info()) == []
+    assert watch.unasked is None
+    assert watch.source.origin is Origin.SIMULATED
+
+
+def test_another_digitizer_is_told_of_once_and_the_same_one_never() -> None:
+    watch = SourceWatch("/dev/ttyACM0")
+    first, second = (introduced(b"board..%d" % number) for number in (1, 2))
+    assert watch.hear(first) == []
+    assert watch.hear(replace(first, quiet_uv=7)) is None, "the same board, set otherwise"
+    assert watch.take_exchange() is None
+    [warning] = watch.hear(second) or []
+    assert f"{shown_id(second.digitizer_id)}, before {shown_id(first.digitizer_id)}" in warning
+    assert watch.hear(second) is None
+    assert watch.take_exchange() == warning
+    assert watch.take_exchange() is None
+    assert watch.changes == 1
+    [back] = watch.hear(introduced(bytes(8))) or []
+    assert "no id, before" in back
 
 
 @pytest.fixture

@@ -17,6 +17,7 @@ from simulated import record
 from tactile_cdma.base.errors import CaptureError
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.digitizer import Source
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.recording.bag_export import write_bag
 from tactile_cdma.recording.capture import read_bytes
@@ -27,6 +28,7 @@ from tactile_cdma.sim.options import SimOptions
 
 pytestmark = pytest.mark.xdist_group("export")  # its recording is made once
 TAXELS = 16
+RECORDED = Source("touch.skin", recorded=True)
 
 
 @pytest.fixture(scope="module")
@@ -116,6 +118,27 @@ def test_a_bag_holds_the_same_and_its_definitions(
         assert message.status.tobytes() == frame.readings.status.tobytes()
 
 
+def test_every_export_says_what_was_recorded(
+    skin: tuple[Path, list[TactileFrame]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, _ = skin
+    said = {"origin": "replayed", "measured_by": "simulated", "digitizer_id": "73696D0002000000"}
+    exported(path, tmp_path / "out.csv")
+    in_csv = json.loads((tmp_path / "out.about.json").read_text())
+    in_npz = json.loads(str(np.load(exported(path, tmp_path / "out.npz"))["about"]))
+    assert in_csv == in_npz
+    assert in_csv | {"file": "touch.skin", "skin": ""} | said == in_csv
+    with AnyReader([exported(path, tmp_path / "bag", "--bag")]) as reader:
+        [connection] = [c for c in reader.connections if c.topic == "/skin/info"]
+        [(_, _, raw)] = reader.messages([connection])
+        info = reader.deserialize(raw, connection.msgtype)
+    assert (info.origin, info.measured_by) == (info.ORIGIN_REPLAYED, info.ORIGIN_SIMULATED)
+    assert info.digitizer_id == said["digitizer_id"]
+    capsys.readouterr()
+    assert main(["info", str(path)]) == 0
+    assert "digitizer: simulated, 73696D0002000000" in capsys.readouterr().out
+
+
 def test_options_of_decoding_count(skin: tuple[Path, list[TactileFrame]], tmp_path: Path) -> None:
     params = tmp_path / "skin.yaml"
     params.write_text("skin:\n  ros__parameters:\n    pitch_mm: 6.0\n    rows: 2\n    columns: 8\n")
@@ -154,7 +177,7 @@ def test_a_bag_refuses_times_that_ros_cannot_tell(
     for wall_s in (-1.0, 2.0**31):
         frames = iter([(skin[1][0], wall_s)])
         with pytest.raises(CaptureError, match="clock"):
-            write_bag(tmp_path / str(wall_s), frames, SkinConfig.of({}), "skin")
+            write_bag(tmp_path / str(wall_s), frames, SkinConfig.of({}), RECORDED, "skin")
 
 
 def test_what_cannot_be_exported_is_one_clear_error(

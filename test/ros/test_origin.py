@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a driver node says of the origin of its readings: in ~/info, in /diagnostics, in its log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+
+from boards import Board, plugged  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
+from lifecycle_msgs.msg import Transition  # noqa: E402
+
+from skin_client import Client, running, wait_for  # noqa: E402
+from tactile_cdma.commands.cli import main  # noqa: E402
+from tactile_cdma.msg import TactileSkinInfo  # noqa: E402
+from tactile_cdma.sim.digitizer import VirtualDigitizer  # noqa: E402
+from tactile_cdma.sim.options import SimOptions  # noqa: E402
+
+pytestmark = pytest.mark.ros
+OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
+BOARD, SIMULATED = TactileSkinInfo.ORIGIN_BOARD, TactileSkinInfo.ORIGIN_SIMULATED
+REPLAYED = TactileSkinInfo.ORIGIN_REPLAYED
+OPTIONS = SimOptions(scene="press", seed=3)
+SIMULATOR_ID = "73696D0003000000"
+FIRST, SECOND = "E660000000000001", "E660000000000002"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ros() -> Iterator[None]:
+    rclpy.init()
+    yield
+    rclpy.shutdown()
+
+
+def simulator() -> VirtualDigitizer:
+    return VirtualDigitizer(OPTIONS)
+
+
+def a_board(number: str) -> Callable[[], Board]:
+    return lambda: Board(OPTIONS, number)
+
+
+def told(client: Client, level: bytes, text: str) -> Callable[[], bool]:
+    """Whether the newest entry says so at this level."""
+    return lambda: client.entry("source").level == level and text in client.entry("source").message
+
+
+def origin(client: Client) -> tuple[int, int, str]:
+    info = client.infos[-1]
+    return info.origin, info.measured_by, info.digitizer_id
+
+
+def values(client: Client) -> list[str]:
+    names = ("skin", "digitizer", "origin", "measured by")
+    return [client.value("source", name) for name in names]
+
+
+def warnings(said: str) -> list[str]:
+    return [line for line in said.splitlines() if line.startswith("[WARN]")]
+
+
+def test_a_simulator_that_was_asked_for_is_named_and_no_warning(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    with running(port="sim://?seed=3", skin="palm") as (_, client):
+        wait_for(lambda: client.arrays)
+        wait_for(told(client, OK, f"simulated, {SIMULATOR_ID}"))
+        assert origin(client) == (SIMULATED, SIMULATED, SIMULATOR_ID)
+        assert client.infos[-1].skin == "palm"
+        assert values(client) == ["palm", SIMULATOR_ID, "simulated", "simulated"]
+        assert client.arrays[0].info_id == client.infos[-1].info_id, "who it is comes first"
+    assert warnings(capfd.readouterr().err) == []
+
+
+def test_a_simulation_that_nobody_asked_for_is_warned_of_once_and_for_as_long_as_it_lasts(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    with running() as (_, client):
+        wait_for(told(client, WARN, "simulated, because no port is given"))
+        assert client.change(Transition.TRANSITION_DEACTIVATE)
+        client.arrays.clear()
+        client.entries.clear()
+        assert client.change(Transition.TRANSITION_ACTIVATE)
+        wait_for(lambda: len(client.arrays) > 80)
+        wait_for(told(client, WARN, "simulated, because no port is given"))
+        assert client.infos[-1].origin == SIMULATED
+    [warning] = warnings(capfd.readouterr().err)
+    assert "set port" in warning
+
+
+def test_a_simulator_behind_a_device_path_does_not_pass_for_a_board(tmp_path: Path) -> None:
+    link = tmp_path / "ttyACM0"
+    with plugged(simulator, link), running(port=str(link)) as (_, client):
+        wait_for(told(client, WARN, f"{link} leads to a simulator"))
+        assert origin(client) == (SIMULATED, SIMULATED, SIMULATOR_ID)
+
+
+def test_another_board_on_the_port_is_told_of_once(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    link = tmp_path / "ttyACM0"
+    with running(port=str(link), autostart=False) as (_, client):
+        with plugged(a_board(FIRST), link):
+            assert client.change(Transition.TRANSITION_CONFIGURE)
+            assert client.change(Transition.TRANSITION_ACTIVATE)
+            wait_for(told(client, OK, f"board, {FIRST}"))
+            assert origin(client) == (BOARD, BOARD, FIRST)
+        with plugged(a_board(SECOND), link):
+            wait_for(told(client, WARN, f"{SECOND}, before {FIRST}"))
+            assert origin(client) == (BOARD, BOARD, SECOND)
+            wait_for(told(client, OK, f"board, {SECOND}"))
+        client.arrays.clear()
+        with plugged(a_board(SECOND), link):  # the same one again: no news
+            wait_for(lambda: len(client.arrays) > 20)
+            wait_for(told(client, OK, f"board, {SECOND}"))
+        assert client.value("source", "changes of the digitizer") == "1"
+        assert client.change(Transition.TRANSITION_DEACTIVATE)
+        client.entries.clear()
+        with plugged(a_board(FIRST), link):  # changed while the node did not look
+            assert client.change(Transition.TRANSITION_ACTIVATE)
+            wait_for(told(client, WARN, f"{FIRST}, before {SECOND}"))
+    said = warnings(capfd.readouterr().err)
+    assert len(said) == 2
+    assert f"{SECOND}, before {FIRST}" in said[0] and "Set digitizer_id" in said[0]
+
+
+def test_a_replay_says_so_and_of_what(tmp_path: Path) -> None:
+    for number, (power_up, kind) in enumerate(((a_board(FIRST), BOARD), (simulator, SIMULATED))):
+        path = tmp_path / f"{number}.skin"
+        with plugged(power_up, tmp_path / "tty") as port:
+            assert main(["record", port, str(path), "--seconds", "1", "--nodes", "16"]) == 0
+        with running(port=f"replay://{path}?loop=true") as (_, client):
+            wait_for(told(client, OK, f"replayed from replay://{path}"))
+            assert origin(client)[:2] == (REPLAYED, kind)
+            assert client.value("source", "measured by") == ("board", "simulated")[number]

@@ -1,0 +1,303 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The decoder against an independent line, and the code books against a second implementation."""
+
+from __future__ import annotations
+
+import re
+import zlib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.doubt import Tally, compare, decode, rival
+from benchmarks.independent_line import (
+    SILENT,
+    Digitizer,
+    Line,
+    Recording,
+    Skin,
+    Talk,
+    code_book,
+    render,
+    row_sign,
+)
+from tactile_cdma.base.errors import SpecError
+from tactile_cdma.code import codes
+
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "protocol.md"
+
+
+# The page, its second implementation, and the package
+
+
+def test_the_page_defines_the_books_of_the_package() -> None:
+    built = 0
+    for order in (1, 2, *range(4, 205, 4)):
+        try:
+            expected = codes.code_book(order).rows(np.arange(order))
+        except SpecError:
+            with pytest.raises(ValueError, match="no code book"):
+                code_book(order)
+            continue
+        assert np.array_equal(code_book(order), expected), order
+        built += 1
+    assert built > 40
+
+
+def test_books_are_hadamard_and_as_printed_on_the_page() -> None:
+    table = PAGE.read_text(encoding="utf-8").split("<!-- begin books -->")[1].split("<!--")[0]
+    vectors = re.findall(r"\| (\d+) \| [\d·]+ \| `(\w+)` \| (0x\w+) \|", table)
+    assert {order for order, *_ in vectors} >= {"12", "20", "28", "36", "40", "100"}
+    for text, last, crc in vectors:
+        order = int(text)
+        ones = (code_book(order) > 0).astype(np.uint8)
+        padded = np.append(ones[-1], np.zeros(-order % 8, np.uint8))
+        assert np.packbits(padded).tobytes().hex()[: len(last)] == last
+        assert zlib.crc32(ones.tobytes()) == int(crc, 16)
+        book = code_book(order).astype(int)
+        assert np.array_equal(book @ book.T, order * np.eye(order))
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2**32 - 1])
+def test_row_signs_as_printed_on_the_page(seed: int) -> None:
+    table = PAGE.read_text(encoding="utf-8").split("<!-- begin signs -->")[1].split("<!--")[0]
+    header, _, *lines = table.strip().splitlines()
+    rows = [int(text) for text in re.findall(r"r = (\d+)", header)]
+    printed = next(
+        line.split("|")[2:-1] for line in lines if line.split("|")[1].strip() == str(seed)
+    )
+    assert [{"+": 1, "−": -1}[text.strip()] for text in printed] == [
+        row_sign(row, seed) for row in rows
+    ]
+
+
+# The renderer
+
+
+FINE = Digitizer(samples_per_chip=21, adc_bits=16)
+"""A sample of every cell in which the line is computed."""
+SINGLE = Skin(nodes=1, order=2, bits=8, period_chips=64, amplitude_v=1.0)
+
+
+def line_volts(line: Line, digitizer: Digitizer = FINE, skin: Skin = SINGLE) -> Recording:
+    return render(skin, Talk(), replace(line, noise_v=0.0), digitizer, frames=3, seed=4)
+
+
+def frame_volts(recording: Recording, number: int = 0) -> np.ndarray:
+    """From a frame's mark on, until the next one's."""
+    run = recording.runs[number + 1]
+    assert run.marked
+    return run.counts * recording.digitizer.volts_per_count
+
+
+def test_chips_are_sums_of_the_nodes_waveforms() -> None:
+    skin = Skin(nodes=2, order=4, bits=8, period_chips=64, amplitude_v=1.0)
+    recording = line_volts(Line(), Digitizer(), skin)
+    for number, truth in enumerate(recording.frames):
+        volts = frame_volts(recording, number)
+        chips = skin.waveforms(truth.codes).sum(axis=0)
+        assert volts[: 4 * skin.chips] == pytest.approx(np.repeat(chips, 4), abs=1e-3)
+        assert not volts[4 * skin.chips :].any()
+
+
+def test_the_first_sample_of_a_frame_is_taken_half_a_sample_after_its_start() -> None:
+    recording = line_volts(Line(start_jitter_chips=2, slip_share=0.5), Digitizer())
+    for run, truth in zip(recording.runs[1:], recording.frames, strict=True):
+        assert run.t_chips == pytest.approx(truth.start_chips + 1 / 8)
+
+
+def test_chip_means_are_means_of_the_chips() -> None:
+    means = line_volts(Line(), Digitizer(integrated=True, samples_per_chip=8))
+    for run, truth in zip(means.runs, means.frames, strict=True):
+        assert run.counts.size == SINGLE.chips
+        volts = run.counts * means.digitizer.volts_per_count
+        assert volts == pytest.approx(SINGLE.waveforms(truth.codes)[0], abs=1e-3)
+
+
+def test_low_pass_and_high_pass_follow_their_exponentials() -> None:
+    """Row 1 of order 2 changes at every chip but the bits': the first chip is a step from 0."""
+    t_chips = (np.arange(21) + 0.5) / 21
+    clean, low, high = (
+        frame_volts(line_volts(line))[:21]
+        for line in (Line(), Line(low_pass_chips=0.4), Line(high_pass_hz=1000))
+    )
+    assert low == pytest.approx(clean * (1 - np.exp(-t_chips / 0.4)), abs=0.06)
+    assert high == pytest.approx(clean * np.exp(-2 * np.pi * 1000 * 50e-6 * t_chips), abs=0.02)
+
+
+def test_ringing_overshoots_by_its_share_after_half_a_period() -> None:
+    slow = Skin(nodes=1, order=1, bits=8, first_row=0, period_chips=64, amplitude_v=1.0)
+    volts = frame_volts(line_volts(Line(ringing=0.4, ringing_chips=0.5), skin=slow))
+    first = np.abs(volts[:21])
+    assert first.max() == pytest.approx(1.4, abs=0.02)
+    assert np.argmax(first) / 21 == pytest.approx(0.25, abs=0.06)
+
+
+def test_edges_rise_and_fall_as_ramps() -> None:
+    volts = frame_volts(line_volts(Line(rise_chips=0.5, fall_chips=1.0)))
+    first, up = volts[:21], volts[10] > 0
+    half_at = np.interp(0.5, np.abs(first), (np.arange(21) + 0.5) / 21)
+    assert half_at == pytest.approx(0.25 if up else 0.5, abs=0.03)
+
+
+def test_amplitudes_sag_spread_and_ripple() -> None:
+    sagging = np.abs(frame_volts(line_volts(Line(droop=0.5))))
+    assert sagging[[10, 21 * 8 + 10]] == pytest.approx([1.0, 0.75], abs=1e-3)
+    loud = np.abs(frame_volts(line_volts(Line(gains=((0, 1.5),)))))
+    assert loud[10] == pytest.approx(1.5, abs=1e-3)
+    rippled = line_volts(Line(ripple=0.2, ripple_hz=1000))
+    levels = np.abs(frame_volts(rippled))[10 : 21 * SINGLE.chips : 21]
+    t_s = (rippled.frames[0].start_chips + np.arange(SINGLE.chips)) * 50e-6
+    assert levels == pytest.approx(1 + 0.2 * np.sin(2 * np.pi * 1000 * t_s), abs=1e-3)
+
+
+def test_hum_impulses_jumps_and_offset_add_to_the_line() -> None:
+    nobody = Skin(nodes=1, order=2, bits=8, period_chips=4000)
+    recording = render(
+        nobody, Talk(share=0), Line(noise_v=0, hum_v=1, offset_v=2), FINE, frames=3, seed=1
+    )
+    volts = np.concatenate([run.counts for run in recording.runs]) * FINE.volts_per_count
+    assert volts.min() == pytest.approx(1, abs=1e-3)
+    assert volts.max() == pytest.approx(3, abs=1e-3)
+    for line in (Line(noise_v=0, impulses_hz=200), Line(noise_v=0, steps_hz=200, step_v=1)):
+        recording = render(nobody, Talk(share=0), line, FINE, frames=3, seed=1)
+        changes = np.diff(np.concatenate([run.counts for run in recording.runs]))
+        ups = changes[changes > 0].sum() * FINE.volts_per_count
+        # Two edges per impulse; jumps go up every other time. 6 periods of 0.2 s.
+        expected = 200 * 0.2 * len(recording.runs) * (1 if line.impulses_hz else 0.5)
+        assert ups == pytest.approx(expected, rel=0.4)
+
+
+def test_noise_of_a_chip_is_what_was_asked_for() -> None:
+    silent = Talk(share=0)
+    for digitizer in (Digitizer(), Digitizer(integrated=True, samples_per_chip=8)):
+        recording = render(Skin(), silent, Line(noise_v=0.1), digitizer, frames=20, seed=1)
+        volts = np.concatenate([run.counts for run in recording.runs]) * digitizer.volts_per_count
+        per_chip = 1 if digitizer.integrated else digitizer.samples_per_chip
+        chips = volts[: volts.size // per_chip * per_chip].reshape(-1, per_chip).mean(axis=1)
+        assert chips.std() == pytest.approx(0.1, rel=0.1)
+
+
+def test_frames_stretch_slip_and_jitter_where_the_truth_says() -> None:
+    line = Line(stretch=0.1, start_jitter_chips=3, slip_share=0.5, clock_error=0.01)
+    recording = render(Skin(), Talk(speakers=1), line, Digitizer(), frames=50, seed=1)
+    starts = np.array([truth.start_chips for truth in recording.frames])
+    chips = np.array([truth.chip for truth in recording.frames])
+    assert 1.01 <= chips.min() < 1.02
+    assert 1.1 < chips.max() <= 1.01 * 1.1
+    off = np.diff(starts) - 1.01 * Skin().period_chips
+    assert np.abs(off).max() <= 4.3  # the jitter, a slip, and rounding to samples
+    assert np.unique(np.round(off)).size > 5
+    for number, truth in enumerate(recording.frames):
+        loud = np.flatnonzero(np.abs(frame_volts(recording, number)) > 0.1)
+        assert loud[-1] / 4 == pytest.approx(truth.chip * Skin().chips, abs=0.5)
+
+
+def test_offsets_and_rails_clip_and_the_truth_says_how_much() -> None:
+    for ratio, low, high in ((0.5, 0.0, 0.05), (1.0, 0.4, 0.8), (1.5, 0.95, 1.0)):
+        recording = line_volts(Line(offset_v=6 * ratio), Digitizer(), Skin())
+        assert all(low <= truth.clipped <= high for truth in recording.frames), ratio
+
+
+def test_lost_samples_leave_holes_in_the_index() -> None:
+    lossy = Digitizer(losses_hz=50)
+    recording = render(Skin(), Talk(), Line(), lossy, frames=50, seed=1)
+    ends = [run.first_index + run.counts.size for run in recording.runs]
+    gaps = [b.first_index - end for b, end in zip(recording.runs[1:], ends, strict=False)]
+    assert min(gaps) == 0
+    assert 10 < sum(gap > 0 for gap in gaps) < 50
+    first = recording.runs[0]
+    for run in recording.runs:
+        assert run.t_chips - first.t_chips == pytest.approx(run.first_index / 4)
+
+
+def test_nodes_join_and_leave() -> None:
+    rng = np.random.default_rng(1)
+    speaks = Talk(share=0.3, stay=10).codes(Skin(nodes=50), 2000, rng) != SILENT
+    assert speaks.mean() == pytest.approx(0.3, abs=0.02)
+    changes = np.mean(speaks[1:] != speaks[:-1])
+    assert changes == pytest.approx(2 * 0.3 * 0.7 / 10, rel=0.1)
+    together = Talk(together=2, words="equal").codes(Skin(), 100, rng)
+    assert (np.sum(together != SILENT, axis=1) == 2).all()
+    assert all(len(np.unique(row[row != SILENT])) == 1 for row in together)
+    few = Talk(speakers=3).codes(Skin(), 10, rng) != SILENT
+    assert few.all(axis=0).sum() == few.any(axis=0).sum() == 3
+
+
+def test_a_rival_gives_exactly_the_same_waveform() -> None:
+    """Shifted by so many chips, with silence at its ends."""
+    found = 0
+    for order in (12, 16, 20):
+        skin = Skin(nodes=order - 1, order=order)
+        for sent in Talk(together=2, words="equal").codes(skin, 300, np.random.default_rng(2)):
+            other = rival(skin, sent)
+            if other is None:
+                continue
+            shift, words = other
+            assert not np.array_equal(words, sent)
+            mine, theirs = (
+                np.pad(skin.waveforms(some).sum(axis=0), (10 + late, 10 - late))
+                for some, late in ((sent, 0), (words, shift))
+            )
+            assert mine == pytest.approx(theirs)
+            found += 1
+    assert found > 30
+
+
+def test_the_same_seed_gives_the_same_recording() -> None:
+    line = Line(stretch=0.1, hum_v=0.1, impulses_hz=100, steps_hz=10, step_v=0.1, spread=0.1)
+    first, second, other = (
+        render(Skin(), Talk(), line, Digitizer(), frames=3, seed=seed) for seed in (1, 1, 2)
+    )
+    for run, same in zip(first.runs, second.runs, strict=True):
+        assert np.array_equal(run.counts, same.counts)
+    assert not np.array_equal(first.runs[1].counts, other.runs[1].counts)
+
+
+# The decoder, where it must be right
+
+
+@pytest.mark.parametrize(
+    "digitizer",
+    [Digitizer(), Digitizer(integrated=True, samples_per_chip=8), Digitizer(marked=False)],
+    ids=["marks", "means", "gap"],
+)
+@pytest.mark.parametrize(
+    "skin",
+    [
+        Skin(nodes=15, order=16, period_chips=208, polarity=-1),
+        Skin(first_row=0, order=16, sign_seed=None, period_chips=208),
+        Skin(drive="unipolar", sign_seed=77),
+        Skin(nodes=19, parity=True, bits=12, period_chips=340),
+        Skin(nodes=40, order=52, period_chips=680, amplitude_v=0.1),
+    ],
+    ids=["order 16", "paper", "unipolar", "parity", "order 52"],
+)
+def test_a_sound_line_is_heard_without_a_flag(skin: Skin, digitizer: Digitizer) -> None:
+    recording = render(skin, Talk(), Line(), digitizer, frames=40, seed=1)
+    tally, complaints = compare(recording, decode(recording), Line())
+    assert not complaints
+    assert tally == Tally(words=40 * skin.nodes, right=40 * skin.nodes)
+
+
+def test_words_of_a_frame_that_was_not_decoded_are_lost() -> None:
+    recording = render(Skin(), Talk(), Line(), Digitizer(), frames=4, seed=0)
+    tally, _ = compare(recording, decode(recording)[:3], Line())
+    assert (tally.right, tally.lost, tally.unflagged) == (48, 16, 0)
+
+
+def test_other_words_are_counted_as_what_they_are() -> None:
+    """The judge itself: words altered after decoding appear in their columns."""
+    talk = Talk(speakers=(0, 1, 2))
+    recording = render(Skin(), talk, Line(), Digitizer(), frames=3, seed=0)
+    decoded = decode(recording)
+    decoded[0].words.codes[0] ^= 1
+    decoded[1].words.active[1] = False
+    decoded[2].words.active[7] = True
+    tally, complaints = compare(recording, decoded, Line())
+    assert tally == Tally(words=9, right=7, missed=1, wrong=1, invented=1, phantom=1)
+    assert len(complaints) == 3
+    assert all((truth.codes[3:] == SILENT).all() for truth in recording.frames)
