@@ -9,7 +9,6 @@ import threading
 import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from pathlib import Path
 
 from serial.tools.list_ports_common import ListPortInfo
@@ -17,7 +16,6 @@ from serial.tools.list_ports_common import ListPortInfo
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import Digitizer, serve
-from tactile_cdma.wire.messages import Info
 
 
 @contextmanager
@@ -43,17 +41,6 @@ def plugged(power_up: Callable[[], Digitizer], link: Path | None = None) -> Iter
 def board(seed: int, options: str = "scene=all") -> Callable[[], VirtualDigitizer]:
     """A virtual digitizer at power-up; its id tells the seed."""
     return lambda: VirtualDigitizer(SimOptions.from_url(f"sim://?seed={seed}&{options}"))
-
-
-class Board(VirtualDigitizer):
-    """A virtual digitizer that says it is a board, with this id: for tests of what boards do."""
-
-    def __init__(self, options: SimOptions, number: str = "E66058388372A432") -> None:
-        self._number = bytes.fromhex(number)
-        super().__init__(options)
-
-    def info(self) -> Info:
-        return replace(super().info(), digitizer_id=self._number)
 
 
 def board_id(seed: int) -> str:

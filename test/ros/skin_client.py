@@ -8,10 +8,10 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from boards import Board
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -24,8 +24,21 @@ from sensor_msgs.msg import Image
 from tactile_cdma.msg import TactileArray, TactileSkinInfo
 from tactile_cdma.ros.common.qos import LATCHED, QUEUE
 from tactile_cdma.ros.driver.node import SkinNode
+from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import serve
+from tactile_cdma.wire.messages import Info
+
+
+class Board(VirtualDigitizer):
+    """A virtual digitizer that says it is a board, with this id: for tests of what boards do."""
+
+    def __init__(self, options: SimOptions, number: str = "E66058388372A432") -> None:
+        self._number = bytes.fromhex(number)
+        super().__init__(options)
+
+    def info(self) -> Info:
+        return replace(super().info(), digitizer_id=self._number)
 
 
 class Client(Node):
