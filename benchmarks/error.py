@@ -221,7 +221,8 @@ def paper_stream(seed: int, frames: int = 100, samples_per_chip: int = 8) -> Str
             number = round((start_s - begin_s) / spec.frame_period_s)
             codes, active = sent[number]
             words = decode(frame.levels, spec)
-            sure = words.active & ~words.doubtful & (not frame.tied)
+            guess = False if frame.doubtful is None else frame.doubtful
+            sure = words.active & ~words.doubtful & ~guess
             wrong += int(np.count_nonzero(sure & ((words.codes != codes) | ~active)))
             if np.array_equal(sure, active):
                 right.add(number)

@@ -18,8 +18,8 @@ from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
 from ..framing.fit import MAX_SPREAD, word_floor
 from ..framing.line_timing import LineRecogniser
-from ..framing.marked_timing import REJECTED, MarkedFrame, MarkedLine, MarkedTiming, Verdict
-from ..framing.timing import Rails
+from ..framing.marked_timing import MarkedFrame, MarkedLine, MarkedTiming, Verdict
+from ..framing.timing import ABSURD, INCOMPLETE, MISFIT, Rails
 from .clock_keeper import ClockKeeper
 from .decorrelate import Decorrelator
 from .sampling import Sampling
@@ -94,27 +94,29 @@ class NodeRecogniser:
     def _hear(self, frame: MarkedFrame) -> Verdict:
         """Learn from a frame in which one node was called; none of its words are published."""
         samples, line = self._clocks.listener.samples, self._line
-        if frame.volts.size < samples or math.isnan(frame.volts.sum()):
-            return REJECTED
+        if frame.volts.size < samples:
+            return Verdict(rejected=INCOMPLETE)
+        if math.isnan(frame.volts.sum()):
+            return Verdict(rejected=ABSURD)
         if self._first_call is not None:
             # By the samples passed, since frames may have been lost.
             node = round((frame.start - self._first_call) / self._period)
             if node < line.spec.nodes:
                 volts = (frame.volts - line.level_v).astype(np.float32)
                 self._clocks.hear(node, volts, line.sample_noise_v)
-        return line.silent(frame.start, line.sample_noise_v**2)._replace(over=frame.start + samples)
+        return line.silent(frame, line.sample_noise_v**2)._replace(over=frame.start + samples)
 
     def _decorrelate(self, frame: MarkedFrame, decorrelator: Decorrelator) -> Verdict:
         """Decode a frame by least squares, and follow the clocks."""
         line, over = self._line, frame.start + decorrelator.samples
         if frame.volts.size < decorrelator.samples:
-            return REJECTED
+            return Verdict(rejected=INCOMPLETE)
         volts = (frame.volts - line.level_v).astype(np.float32)
         values = decorrelator.estimate(volts)
         level: Floats32 = np.abs(values)
         amplitude = level.mean(axis=0)
         if line.is_silent(amplitude):
-            return line.silent(frame.start, line.sample_power(frame.volts))
+            return line.silent(frame, line.sample_power(frame.volts))
         spoken = amplitude > word_floor(amplitude, line.spec)
         words = np.where(spoken, np.sign(values) * amplitude, 0)
         scatter = np.square((level - amplitude) * (words != 0)).sum()
@@ -123,7 +125,7 @@ class NodeRecogniser:
             self._rejected_in_a_row += 1
             if self._rejected_in_a_row == MOST_REJECTED:
                 self._clocks.give_up("the nodes' clocks are no longer those of the roll call")
-            return Verdict(over=over)
+            return Verdict(over=over, rejected=MISFIT)
         self._rejected_in_a_row = 0
         gain = float(np.sqrt(np.square(decorrelator.noise_gain).mean()))
         scatter_v = math.sqrt(spread * float(np.square(words).sum() / np.count_nonzero(words)))

@@ -21,11 +21,14 @@ class NodeLevels:
         spoke, with row signs and the amplifier's polarity still applied.
     noise_v: rms noise of one value, V.
     unresolved: nodes, counted from 0, that their waveforms do not tell from some other.
+    spare: (k, s) float32, V: what the rows hold that no node uses; None where nodes are not taken
+        apart by correlation.
     """
 
     values: Floats32
     noise_v: float
     unresolved: tuple[int, ...] = ()
+    spare: Floats32 | None = None
 
 
 def separate(chips: Floats32, spec: FrameSpec) -> NodeLevels:
@@ -41,8 +44,9 @@ def node_levels(rows: Floats32, spec: FrameSpec) -> NodeLevels:
     values = rows[:, spec.node_slice]
     spare = rows[:, spec.spare_rows]
     if spare.shape[1] >= 2:
-        return NodeLevels(values, float(np.sqrt(np.einsum("kr,kr->", spare, spare) / spare.size)))
-    return NodeLevels(values, _noise_of_words(values))
+        noise_v = float(np.sqrt(np.einsum("kr,kr->", spare, spare) / spare.size))
+        return NodeLevels(values, noise_v, spare=spare)
+    return NodeLevels(values, _noise_of_words(values), spare=spare)
 
 
 def _noise_of_words(values: Floats32) -> float:

@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(
             f"frames={count} lost_frames={counters.lost_frames} packets={packets.packets} "
             f"lost_packets={packets.lost_packets} crc_errors={packets.crc_errors} "
-            f"rejected={raw.pipeline.rejected}",
+            f"rejected={raw.pipeline.rejections.total}",
             file=sys.stderr,
         )
         reason = raw.pipeline.problem or reason

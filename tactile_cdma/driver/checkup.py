@@ -13,6 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..base.listing import listed
+from ..framing.timing import ABSURD, AT_RAIL, INCOMPLETE, MISFIT, NOISY, NOT_AT_REST
 from ..wire.messages import Status
 from ..words.decode import LOW_RHO
 from ..words.health import NodeState
@@ -28,6 +29,19 @@ LOST_SHARE = 0.01
 """Share of the frames whose loss is more than an accident; chosen."""
 CLIPPED_SHARE = 0.01
 """Share of the samples; with random row signs, clipping less is harmless (docs/results.md)."""
+REJECTED_FOR = {
+    INCOMPLETE: "cut off: are samples lost, or is frame_period_ms too short?",
+    ABSURD: "not numbers, or absurd volts: is volts_per_count right?",
+    AT_RAIL: "with the line at a rail, where nobody is heard: centre the amplifier's offset, or "
+    "lower its gain (tactile-cdma amplifier)",
+    NOISY: "with noise that would hide words: look for what disturbs the line, or raise the "
+    "amplitude",
+    MISFIT: "explained by no words: check chip_us, order and bits, noise on the line, and whether "
+    "nodes have clocks of their own",
+    NOT_AT_REST: "with a line that is not silent around them: check bits and frame_period_ms, hum "
+    "and noise, and whether nodes have clocks of their own",
+}
+"""What to do about frames that are mostly rejected for one reason."""
 REJECTED_SHARE = 0.1
 """Share of the bursts on the line that are no frame and yet may be accidents; chosen."""
 LATE_S, LATE_PERIODS = 0.05, 2.0
@@ -69,11 +83,11 @@ def stream(pipeline: Pipeline, window: Window, latest: TactileFrame | None) -> I
                 f"{lost / (lost + frames):.0%} of the frames are lost: see the counts of the link"
             )
             yield Finding(text, event=True, key="lost frames")
-        rejected = window.rises.rejected_bursts
-        if rejected > REJECTED_SHARE * (rejected + frames):
+        rejections = window.rises.rejections
+        if rejections.total > REJECTED_SHARE * (rejections.total + frames):
             text = (
-                f"{rejected / window.seconds:.1f} bursts a second are no frame: check chip_us, "
-                "order and bits, noise on the line, and whether nodes have clocks of their own"
+                f"{rejections.total / window.seconds:.1f} bursts a second are no frame, mostly "
+                f"{REJECTED_FOR[rejections.leading]}"
             )
             yield Finding(text, key="rejected")
     if share > FAST:

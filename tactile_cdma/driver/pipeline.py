@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from ..base.errors import SpecError
 from ..clocks.clock_keeper import ClockReport
 from ..config.skin_config import SkinConfig
-from ..framing.timing import FrameLevels
+from ..framing.timing import FrameLevels, Rejections
 from ..readings.baseline import Baseline
 from ..readings.drift import DriftTracker, nodes_beside
 from ..readings.pressure import PressureChain
@@ -149,9 +149,9 @@ class Pipeline:
         return self._earlier_packets + self.parser.counters
 
     @property
-    def rejected(self) -> int:
+    def rejections(self) -> Rejections:
         """Bursts on the line that were no frame, since the digitizer described itself."""
-        return self._levels.timing.rejected if self._levels else 0
+        return self._levels.timing.rejections if self._levels else Rejections()
 
     @property
     def clocks(self) -> ClockReport | None:
@@ -190,10 +190,12 @@ class Pipeline:
             return silent(spec.nodes, heard.noise_rms_v)
         words = decode(heard.levels, spec, self.config.threshold, self.health.swing_v)
         clocks_unknown = self.config.roll_call and clocks is not None and not clocks.heard
-        if heard.tied or clocks_unknown:
-            words = words.doubted()
-        if not heard.tied:
+        if clocks_unknown:
+            words = words.doubted(words.active)
+        if heard.doubtful is None:
             self.health.update(words)
+        else:
+            words = words.doubted(heard.doubtful)
         return words
 
     def _hear(self, packet: Received) -> None:

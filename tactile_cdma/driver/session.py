@@ -153,7 +153,7 @@ class Session:
             return "bytes arrive, but no packets any more: another device, or another baud rate?"
         if pipeline.counters.implausible_packets > self._before.implausible_packets + 1:
             return "the digitizer's clock and its count of samples contradict each other"
-        if pipeline.rejected:
+        if pipeline.rejections.total:
             return "samples arrive, but no frame fits: check chip_us, order and bits"
         return "the digitizer answers but sends no frames; is the skin connected and powered?"
 

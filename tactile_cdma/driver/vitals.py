@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ..framing.timing import Rejections
 from ..wire.messages import Status
 from ..wire.packets import Counters
 from .pipeline import Pipeline, TactileFrame
@@ -30,7 +31,7 @@ class Counts:
     stream: StreamCounters
     packets: Counters
     digitizer: Status | None
-    rejected_bursts: int
+    rejections: Rejections
 
     @classmethod
     def of(cls, pipeline: Pipeline) -> Counts:
@@ -39,7 +40,7 @@ class Counts:
             replace(pipeline.counters),
             pipeline.packet_counts,
             pipeline.digitizer.status,
-            pipeline.rejected,
+            pipeline.rejections,
         )
 
     def since(self, before: Counts) -> Counts:
@@ -52,7 +53,8 @@ class Counts:
         counts = _named(self.stream) | _named(self.packets)
         if self.digitizer:
             counts |= {f"digitizer {name}": n for name, n in _named(self.digitizer).items()}
-        return counts | {"rejected bursts": self.rejected_bursts}
+        reasons = {f"rejected {name}": n for name, n in _named(self.rejections).items()}
+        return counts | {"rejected bursts": self.rejections.total} | reasons
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +165,7 @@ class _Sums:
     backlog_bytes: int = 0
 
 
-def _named(part: StreamCounters | Counters | Status) -> dict[str, int]:
+def _named(part: StreamCounters | Counters | Status | Rejections) -> dict[str, int]:
     names = [item.name for item in fields(part) if item.name not in _NO_COUNTS]
     return {name.replace("_", " "): getattr(part, name) for name in names}
 

@@ -23,27 +23,22 @@ does not accumulate).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..base.arrays import Floats, Floats32
-from ..code.frame import MAX_STRETCH
+from ..code.frame import MAX_STRETCH, FrameSpec
 from .burst import Burst, BurstSearch
-from .fit import CHIPS_AT_ONCE, Fit, Line, integrate, read_words, refine
+from .fit import CHIPS_AT_ONCE, Fit, Line, read_words, refine
+from .judge import Judge, Judgement
+from .limits import LIMITS
+from .raster import Expected
 
-_CLEAR = 10.0
-"""Margin of log-likelihood over every rival with which a frame counts as certain. Chosen: odds of
-2·10⁴ if noise is white."""
-_ASTRAY = 25.0
-"""Largest penalty, in log-likelihood, for a start off the raster: seven of its deviations. Chosen:
-beyond that a frame has been delayed, and it no longer matters how far."""
-_DISTORTION = 0.02
-"""Share of a chip's energy that counts as at least one unit of log-likelihood, for jitter and
-rounding, which limit how far a line without noise tells candidates apart. Chosen."""
+F = TypeVar("F", float, Floats)
+
 _MOST_SHIFTS = 64
 """Largest number of silent chips that a frame may begin with; bounds the search. Chosen."""
 _TURNS = 4
@@ -52,86 +47,53 @@ _MAX_LINES = 12
 """Spectral lines that are tried at most. Chosen."""
 
 
-@dataclass(frozen=True, slots=True)
-class Found:
-    """A likely frame; tied: another one, some chips away, is about as likely."""
-
-    fit: Fit
-    tied: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Expected:
-    """A frame as expected after the one before: start, its scatter, chip duration; samples."""
-
-    start: float
-    scatter: float
-    chip: float
-
-
 class GapSearch(BurstSearch):
     """Finds a frame of one specification between gaps, at one sampling rate."""
 
-    def fits(self, line: Line, burst: Burst, last: Expected | None) -> Iterator[Found]:
-        """Candidate frames around a burst, best first: take the first that the samples bear out.
+    def __init__(self, spec: FrameSpec, rate_hz: float) -> None:
+        """See BurstSearch."""
+        super().__init__(spec, rate_hz)
+        self._judge = Judge(spec)
 
-        last: what the frame before makes likely. If that is sharp, a frame on its raster that is
-        loud from end to end comes first, which saves work; then the most likely one of all. The
-        last chip duration is tried, too: words with few level changes show little of their own.
-        The raster decides where energies can't: with natural signs and the same word everywhere
-        only one chip per bit is loud, and rows are shifts of each other, so two nodes that cancel
-        in their first and last chips may look exactly like two others, a few chips later. Without
-        a raster, and after long silence, such frames are tied, and a loud first chip is the better
-        guess.
+    def frame(self, line: Line, burst: Burst, expected: Expected | None) -> Judgement | None:
+        """The most likely frame around a burst; None where it has no frame's length.
+
+        expected: where the frames before make one likely. The last chip duration is tried, too:
+        words with few level changes show little of their own.
         """
         spec, loud = self.spec, burst.last - burst.first
         if not self.shortest - 1.5 * spec.order * self.chip <= loud + 2 * burst.slack:
-            return
+            return None
         if loud - 2 * burst.slack > self.longest:
-            return
+            return None
         clocks = self._chip_lines(line.volts, burst)
-        for chip in (loud / spec.span_chips, *((last.chip,) if last else ())):
+        for chip in (loud / spec.span_chips, *((expected.chip,) if expected else ())):
             clocks += [(chip, burst.first), (chip, burst.last)]
         chip, edge = np.array(clocks).T
-        if last and last.scatter < 0.5 * self.chip:
-            start = edge + np.rint((last.start - edge) / chip) * chip
-            words = read_words(integrate(line, start, chip, spec), spec)
-            best = int(np.argmax(self._score(start, chip, words.power, burst, last)))
-            fit = Fit(start[best], chip[best])
-            if abs(fit.start - burst.first) + abs(fit.end(spec) - burst.last) < 1.25 * fit.chip:
-                yield from self._refined(line, fit, tied=False)
         starts, chips, power = self._shifts(line, burst, edge, chip)
         if not starts.size:
-            return
-        score = self._score(starts, chips, power, burst, last)
-        guess = score - np.log1p(np.square((starts - burst.first) / (0.5 * self.chip)))
-        best = int(np.argmax(guess))
-        rivals = score[np.abs(starts - starts[best]) > 0.5 * self.chip]
-        tied = bool(rivals.max(initial=-np.inf) > score[best] - _CLEAR)
-        yield from self._refined(line, Fit(starts[best], chips[best]), tied)
+            return None
+        score = self._score(starts, chips, power, burst)
+        if expected is not None:
+            score = score + expected.log_prior(starts)
+        best = int(np.argmax(score))
+        fit = refine(line, Fit(starts[best], chips[best]), spec)
+        if not 0.99 * self.chip <= fit.chip <= 1.01 * (1 + MAX_STRETCH) * self.chip:
+            return None
+        low, high = self._range(burst, fit.chip)
+        earliest = min(0, math.ceil((low - fit.start) / fit.chip))
+        latest = max(0, math.floor((high - fit.start) / fit.chip))
+        noise = burst.variance * self.half / fit.chip
+        return self._judge.choose(line, fit, (earliest, latest), burst.first, noise, expected)
 
     def _score(
-        self,
-        starts: Floats,
-        chips: Floats,
-        power: NDArray[np.floating],
-        burst: Burst,
-        last: Expected | None,
+        self, starts: Floats, chips: Floats, power: NDArray[np.floating], burst: Burst
     ) -> Floats:
-        """Log-likelihood in white noise, no sharper than _DISTORTION allows, (c,)."""
+        """Log-likelihood in white noise, no sharper than distortion allows, (c,)."""
         energy = self.spec.chips * chips * power
-        unit = _DISTORTION / self.spec.chips * float(energy.max())
+        unit = 2 * LIMITS.distortion**2 / self.spec.chips * float(energy.max())
         score: Floats = energy / max(2 * self.half * burst.variance, unit, 1e-30)
-        if last is not None:
-            off = np.square((starts - last.start) / last.scatter)
-            score -= np.minimum(0.5 * off, _ASTRAY)
         return score
-
-    def _refined(self, line: Line, fit: Fit, tied: bool) -> Iterator[Found]:
-        """The frame with its exact timing, if its chips have a possible duration."""
-        fit = refine(line, fit, self.spec)
-        if 0.99 * self.chip <= fit.chip <= 1.01 * (1 + MAX_STRETCH) * self.chip:
-            yield Found(fit, tied)
 
     @cached_property
     def _tones(self) -> tuple[int, Floats]:
@@ -187,11 +149,8 @@ class GapSearch(BurstSearch):
         starts, chip durations and powers of the words, (c,) each. A frame is taken to have less
         than a bit's silent chips at either end.
         """
-        spec, span = self.spec, self.spec.span_chips
-        length, bit = span * chip, spec.order * chip
-        low = np.maximum(burst.last - length, burst.first - bit) - burst.slack
-        high = np.minimum(burst.first, burst.last + bit - length) + burst.slack
-        low = np.maximum(low, burst.first - burst.slack - _MOST_SHIFTS * chip)
+        spec = self.spec
+        low, high = self._range(burst, chip)
         low = edge + np.ceil((low - edge) / chip) * chip
         shifts = np.arange(max(1, int(np.max((high - low) / chip)) + 1))
         starts = low[:, None] + shifts * chip[:, None]
@@ -203,6 +162,13 @@ class GapSearch(BurstSearch):
         ]
         power = np.concatenate(powers)[possible]
         return starts[possible], np.broadcast_to(chip[:, None], starts.shape)[possible], power
+
+    def _range(self, burst: Burst, chip: F) -> tuple[F, F]:
+        """Earliest and latest start with which a frame of such chips covers the burst."""
+        length, bit = self.spec.span_chips * chip, self.spec.order * chip
+        low = np.maximum(burst.last - length, burst.first - bit) - burst.slack
+        high = np.minimum(burst.first, burst.last + bit - length) + burst.slack
+        return np.maximum(low, burst.first - burst.slack - _MOST_SHIFTS * chip), high
 
     def _powers(self, line: Line, low: Floats, chip: Floats, count: int) -> Floats32:
         """Power of the words for `count` starts, a chip apart, of each clock, (q, count)."""

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,23 +16,29 @@ from ..code.frame import FrameSpec
 from ..code.separate import node_levels
 from .burst import Burst, Quiet
 from .fit import MAX_SPREAD, Fit, Line, WordFit, even_words, lowest_power
-from .gap import Expected, Found, GapSearch
-from .timing import MOST_CLIPPED, FrameLevels, QuietBlock, Rails, SampleBlock, Timing, share_clipped
+from .gap import GapSearch
+from .judge import Judgement
+from .limits import LIMITS
+from .raster import Expected, Raster
+from .timing import (
+    ABSURD,
+    AT_RAIL,
+    INCOMPLETE,
+    MISFIT,
+    NOT_AT_REST,
+    FrameLevels,
+    QuietBlock,
+    Rails,
+    Rejections,
+    SampleBlock,
+    Timing,
+    share_clipped,
+    silence_hidden,
+)
 
-BLIND_RHO = 2.5
-"""ρ below which words are not found reliably: with the amplitude known and noise beyond this, a
-slot without a frame counts as rejected, not as silent. Chosen; at ρ = 3 one frame in 5,000 is
-missed at order 20 (make bench-error)."""
-SCATTER = 0.15
-"""Standard deviation of frame starts about the raster, chips. Chosen for frames timed by
-crystals."""
 FORGET = 0.999
 """Factor on the power of a learnt amplitude in each silent slot. Chosen: halves it in 690 slots, 9
 s at 78 Hz."""
-CLOCK_ERROR = 1e-4
-"""Relative error of the nominal frame period in the digitizer's clock: two crystals of 50 ppm."""
-CLOCK_DRIFT = 1e-5
-"""Relative change of the frame period between frames, once learnt from two. Chosen."""
 
 
 class GapTiming(Timing):
@@ -67,11 +74,10 @@ class GapTiming(Timing):
         self._side_halves = math.ceil(min(self._bit, 0.4 * search.gap_size) / search.half)
         self._quiet: Quiet | None = None
         self._heard_one = False  # a frame, since the raster began
-        self._anchor: Fit | None = None  # the last frame whose place was certain, stream indices
-        self._period, self._period_error = search.period, CLOCK_ERROR
+        self._raster = Raster(search.period)
         self._cursor = 0
         self._due = 0
-        self._raster = 0.0  # start of the next slot
+        self._next = 0.0  # start of the next slot
         self._failures = 0
 
     def feed(self, block: SampleBlock) -> list[FrameLevels]:
@@ -102,15 +108,16 @@ class GapTiming(Timing):
 
     def _begin_at(self, index: int) -> None:
         """Start looking at this sample; slots stay on their raster across a hole."""
-        if not self._heard_one or index < self._raster - self._search.period:
-            self._raster, self._heard_one, self._anchor = float(index), False, None
+        if not self._heard_one or index < self._next - self._search.period:
+            self._next, self._heard_one = float(index), False
+            self._raster.forget_place()
         self._skip_to(index)
 
     def _skip_to(self, index: int) -> None:
         """Decide on samples from here on; nothing is known of slots that began before."""
         self._cursor = index
-        late = math.ceil((index - self._raster) / self._search.period)
-        self._raster += max(0, late) * self._search.period
+        late = math.ceil((index - self._next) / self._search.period)
+        self._next += max(0, late) * self._search.period
         self._schedule()
 
     def _schedule(self) -> None:
@@ -118,7 +125,7 @@ class GapTiming(Timing):
         if self._quiet is None:  # a whole gap must be in view
             self._due = self._cursor + math.ceil(self._search.period) + self._reach
         else:
-            self._due = max(math.ceil(self._raster), self._cursor) + self._reach
+            self._due = max(math.ceil(self._next), self._cursor) + self._reach
         self._samples.drop(self._cursor)
 
     def _decide(self, end: int, final: bool = False) -> list[FrameLevels]:
@@ -126,11 +133,12 @@ class GapTiming(Timing):
         volts = self._samples.take(self._cursor, end)
         bad = np.flatnonzero(np.isnan(volts))
         if bad.size:
-            self.rejected += 1
+            self.rejections += ABSURD
             self._skip_to(self._cursor + int(bad[-1]) + 1)
             return []
         candidates = self._search.quiet(volts, self._quiet)
         seen: list[Burst] = []
+        reason = INCOMPLETE
         for quiet in candidates:
             shifted = volts - quiet.level
             burst = self._first_burst(shifted, quiet)
@@ -142,12 +150,14 @@ class GapTiming(Timing):
                 return []
             if burst.first < self._search.chip:
                 continue  # no gap before it: the rest of a frame that began before the cursor
-            if frames := self._take(shifted, burst, quiet):
-                return frames
+            taken = self._take(shifted, burst, quiet)
+            if not isinstance(taken, Rejections):
+                return taken
+            reason = taken
         if all(self._may_be_noise(burst) for burst in seen):
             self._quiet = candidates[0] if candidates and not final else self._quiet
             return [] if final else self._pass_idle(end)
-        self.rejected += 1
+        self.rejections += reason
         self._failures += 1
         if self._failures == 3:  # perhaps it is the level that is wrong
             self._quiet, self._failures = None, 0
@@ -181,48 +191,43 @@ class GapTiming(Timing):
             return False
         return size < min(burst.first + self._reach, burst.last + self._bit)
 
-    def _take(self, volts: Floats, burst: Burst, quiet: Quiet) -> list[FrameLevels]:
-        """The frame that a burst is, after silent slots before it; none if it is no frame.
+    def _take(self, volts: Floats, burst: Burst, quiet: Quiet) -> list[FrameLevels] | Rejections:
+        """The frame that a burst is, after silent slots before it; or why it is no frame.
 
         volts: gap level removed.
         """
         line, spec = Line(volts), self._spec
-        for found in self._search.fits(line, burst, self._expected(burst)):
-            fit = found.fit
-            end = fit.end(spec)
-            if end > volts.size + 0.5 * fit.chip:
-                continue
-            inside = volts[max(0, round(fit.start)) : round(end)]
-            clipped = share_clipped(inside + quiet.level, self._rails_v)
-            if clipped > MOST_CLIPPED:
-                continue
-            beside = self._search.beside(volts, fit)
-            variance = beside.variance(burst.variance)
-            noise = variance * self._search.half / fit.chip
-            words = even_words(line, fit, spec)
-            if words.believable(MAX_SPREAD, spec, noise) and beside.is_quiet(
-                self._side_halves, variance, burst.power
-            ):
-                self._quiet = quiet
-                if spec.node_swing_v is None:
-                    self._search.least_power = lowest_power(float(words.amplitude.max()))
-                return self._emit(found, words, beside.level, clipped)
-        return []
+        found = self._search.frame(line, burst, self._expected(burst))
+        if found is None:
+            return MISFIT
+        fit = found.fit
+        end = fit.end(spec)
+        if end > volts.size + 0.5 * fit.chip:
+            return INCOMPLETE
+        inside = volts[max(0, round(fit.start)) : round(end)]
+        clipped = share_clipped(inside + quiet.level, self._rails_v)
+        if clipped > LIMITS.clipped:
+            return AT_RAIL
+        beside = self._search.beside(volts, fit)
+        variance = beside.variance(burst.variance)
+        noise = variance * self._search.half / fit.chip
+        words = even_words(line, fit, spec)
+        if not words.believable(MAX_SPREAD, spec, noise):
+            return MISFIT
+        if not beside.is_quiet(self._side_halves, variance, burst.power):
+            return NOT_AT_REST
+        self._quiet = quiet
+        if spec.node_swing_v is None:
+            self._search.least_power = lowest_power(float(words.amplitude.max()))
+        return self._emit(found, words, beside.level, clipped)
 
     def _expected(self, burst: Burst) -> Expected | None:
-        """A frame near the burst that keeps to the raster of the last one."""
-        if self._anchor is None:
-            return None
-        passed = self._slots_since(self._anchor, self._cursor + burst.first) * self._period
-        scatter = SCATTER * self._anchor.chip + self._period_error * passed
-        return Expected(self._anchor.start + passed - self._cursor, scatter, self._anchor.chip)
-
-    def _slots_since(self, anchor: Fit, index: float) -> int:
-        """Frame periods from a frame to an index."""
-        return round((index - anchor.start) / self._period)
+        """Where frames near the burst are likely, relative to the cursor."""
+        expected = self._raster.expect(self._cursor + burst.first)
+        return expected and replace(expected, start=expected.start - self._cursor)
 
     def _emit(
-        self, found: Found, words: WordFit, left_v: float, clipped: float
+        self, found: Judgement, words: WordFit, left_v: float, clipped: float
     ) -> list[FrameLevels]:
         """The frame, after the silent slots before it. left_v: of the gap's level around it."""
         assert self._quiet is not None
@@ -236,24 +241,19 @@ class GapTiming(Timing):
             levels.values[:, 0] -= np.float32(left_v)
         noise_rms_v = levels.noise_v * math.sqrt(self._spec.order)
         level_v = self._quiet.level + left_v
+        doubtful = found.doubtful
+        if clipped > LIMITS.deafened:
+            doubtful = np.ones(self._spec.nodes, bool)
         frames.append(
-            FrameLevels(fit.start, fit.chip, levels, noise_rms_v, level_v, clipped, found.tied)
+            FrameLevels(fit.start, fit.chip, levels, noise_rms_v, level_v, clipped, doubtful)
         )
         self._heard_one, self._failures = True, 0
-        if not found.tied:
-            self._anchor_at(fit)
-        self._raster = fit.start + self._search.period
+        if found.decided:
+            self._raster.learn(fit, found.unaided)
+        self._next = fit.start + self._search.period
         self._cursor += math.ceil(found.fit.end(self._spec) + 0.5 * fit.chip)
         self._schedule()
         return frames
-
-    def _anchor_at(self, fit: Fit) -> None:
-        """Take a frame whose place is certain as the raster's origin, and learn the period."""
-        if self._anchor and (slots := self._slots_since(self._anchor, fit.start)):
-            period = (fit.start - self._anchor.start) / slots
-            if abs(period - self._search.period) < CLOCK_ERROR * period:
-                self._period, self._period_error = period, CLOCK_DRIFT
-        self._anchor = fit
 
     def _pass_idle(self, end: int) -> list[FrameLevels]:
         """Nothing up to `end`, but a frame may begin within the last frame's length before it."""
@@ -269,12 +269,13 @@ class GapTiming(Timing):
         level, noise = 0.0, math.nan
         if self._quiet:  # whose variance is that of half chips
             level, noise = self._quiet.level, math.sqrt(self._quiet.variance / 2)
-        blind = self._quiet is not None and share_clipped(np.array([level]), self._rails_v) > 0
-        if swing_v := self._spec.node_swing_v:
-            blind |= noise * BLIND_RHO > swing_v * math.sqrt(self._spec.order)
-        while self._raster <= until:
-            if blind:
-                self.rejected += 1
+        clipped = 0.0
+        if self._quiet is not None:
+            clipped = share_clipped(np.array([level]), self._rails_v)
+        hidden = silence_hidden(clipped, noise, self._spec)
+        while self._next <= until:
+            if hidden:
+                self.rejections += hidden
             else:
-                yield FrameLevels(self._raster, self._search.chip, None, noise, level, 0.0)
-            self._raster += self._search.period
+                yield FrameLevels(self._next, self._search.chip, None, noise, level, clipped)
+            self._next += self._search.period

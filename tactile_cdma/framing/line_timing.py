@@ -28,8 +28,8 @@ from .fit import (
     word_floor,
 )
 from .frame_end import End, FrameEnds
-from .marked_timing import REJECTED, MarkedFrame, MarkedLine, MarkedTiming, Verdict
-from .timing import Rails
+from .marked_timing import MarkedFrame, MarkedLine, MarkedTiming, Verdict
+from .timing import MISFIT, NOT_AT_REST, Rails
 
 CHIP_ERROR = 2e-3
 """Share by which chips may be shorter than nominal, or longer than the longest stretch. Chosen:
@@ -124,10 +124,10 @@ class LineRecogniser:
         chips = np.subtract(volts, self._line.level_v, dtype=np.float32)
         words = read_words(chips.reshape(1, spec.line_bits, spec.order), spec)
         if self._line.is_silent(words.amplitude[0]):
-            return self._line.silent(frame.start, self._line.sample_power(volts))
+            return self._line.silent(frame, self._line.sample_power(volts))
         if words.believable(MAX_SPREAD, spec):
             return self._line.heard(frame, self._line.nominal, node_levels(words.rows[0], spec))
-        return REJECTED
+        return Verdict(rejected=MISFIT)
 
     def _restarting(self, frame: MarkedFrame, line: Line) -> Verdict:
         """The frame with restarts in it: its chips are in their places, or all a bit late."""
@@ -139,10 +139,11 @@ class LineRecogniser:
         if self._line.is_silent(words.amplitude[0]):
             self._restart_uses = 0
             return self._faint(frame, self._chip_power(line), fit)
-        rejected = Verdict(over=frame.start + self._line.size + math.ceil(self._line.chip))
+        over = frame.start + self._line.size + math.ceil(self._line.chip)
         if not words.believable(MAX_SPREAD, self._spec, self._line.noise):
-            return rejected
-        return self._ended(frame, line, fit, words.rows[0], words.amplitude[0]) or rejected
+            return Verdict(over=over, rejected=MISFIT)
+        ended = self._ended(frame, line, fit, words.rows[0], words.amplitude[0])
+        return ended or Verdict(over=over, rejected=NOT_AT_REST)
 
     def _least_late(self, line: Line) -> Fit:
         """The start, up to a chip late, that explains the most energy."""
@@ -220,6 +221,7 @@ class LineRecogniser:
         longest = math.ceil((1 + MAX_STRETCH) * (spec.chips + tail) * nominal)
         if line.volts.size < longest and not frame.final:
             return Verdict(due=frame.start + longest)
+        reason = MISFIT
         for stretched in (self._by_loud_end(line), self._all_stretches(line)):
             if not stretched.size:
                 continue
@@ -227,15 +229,16 @@ class LineRecogniser:
             words = even_words(line, fit, spec)
             if self._line.is_silent(words.amplitude[0]):
                 return self._faint(frame, power, fit)
-            if words.believable(MAX_SPREAD, spec, self._line.noise) and (
-                verdict := self._ended(frame, line, fit, words.rows[0], words.amplitude[0])
-            ):
+            if not words.believable(MAX_SPREAD, spec, self._line.noise):
+                continue
+            if verdict := self._ended(frame, line, fit, words.rows[0], words.amplitude[0]):
                 return verdict
-        return Verdict(over=frame.start + longest + math.ceil(nominal))
+            reason = NOT_AT_REST
+        return Verdict(over=frame.start + longest + math.ceil(nominal), rejected=reason)
 
     def _faint(self, frame: MarkedFrame, power: float, fit: Fit | None = None) -> Verdict:
         """A silent frame, from the power of its chips, V²."""
-        return self._line.silent(frame.start, power * self._line.chip, fit)
+        return self._line.silent(frame, power * self._line.chip, fit)
 
     def _unfinished(self, frame: MarkedFrame, fit: Fit) -> Verdict | None:
         """A request for the tail after this fit's end, if it may still come."""
@@ -258,7 +261,7 @@ class LineRecogniser:
         if end == End.OTHER:
             return None
         self._chip = fit.chip
-        return self._line.heard(frame, fit, levels, tied=end == End.MISLED)
+        return self._line.heard(frame, fit, levels, guess=end == End.MISLED)
 
     def _refined(self, line: Line, chip: float) -> Fit:
         """Timing refined from the mark and a chip duration; unrefined if that leads astray."""

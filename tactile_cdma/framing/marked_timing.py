@@ -18,7 +18,20 @@ from ..base.errors import SpecError
 from ..code.frame import BIPOLAR, FrameSpec
 from ..code.separate import NodeLevels
 from .fit import Fit, dot, least_power, lowest_power
-from .timing import MOST_CLIPPED, FrameLevels, QuietBlock, Rails, SampleBlock, Timing, share_clipped
+from .limits import LIMITS
+from .timing import (
+    ABSURD,
+    AT_RAIL,
+    INCOMPLETE,
+    FrameLevels,
+    QuietBlock,
+    Rails,
+    Rejections,
+    SampleBlock,
+    Timing,
+    share_clipped,
+    silence_hidden,
+)
 
 LEAST_REST = 16
 """Gap samples that an estimate of level and noise takes, collected over several short gaps. Chosen:
@@ -47,6 +60,7 @@ class Verdict(NamedTuple):
     """A recogniser's decision.
 
     frame: the decoded frame; None where it is rejected or not decided yet.
+    rejected: why it is no frame; None for a frame, and while undecided.
     over: stream index from which on the line is at rest again; None if unknown.
     due: stream index up to which samples are needed to decide; None once decided.
     """
@@ -54,9 +68,7 @@ class Verdict(NamedTuple):
     frame: FrameLevels | None = None
     over: int | None = None
     due: int | None = None
-
-
-REJECTED = Verdict()
+    rejected: Rejections | None = None
 
 
 class Recogniser(Protocol):
@@ -141,11 +153,9 @@ class MarkedLine:
             self.level_v = float(volts.mean())
         power = self.sample_power(volts)
         if math.isnan(power):
-            return REJECTED
+            return Verdict(rejected=ABSURD)
         # Chips are means of samples, so they have no more power than the samples.
-        if power > self.least_power:
-            return None
-        return REJECTED if self.clipped(volts[:1]) else self.silent(frame.start, power)
+        return None if power > self.least_power else self.silent(frame, power)
 
     def sample_power(self, volts: Floats) -> float:
         """Mean power of samples, V², without an unknown offset; NaN where one is absurd."""
@@ -164,19 +174,25 @@ class MarkedLine:
         strongest = float(amplitude.max())
         return strongest**2 <= max(self.least_power, 4 * self.noise / self.spec.order)
 
-    def silent(self, start: int, power: float, fit: Fit | None = None) -> Verdict:
-        """A frame in which no node spoke. power: mean power of its samples, V², all of it noise."""
-        return self._decided(start, fit or self.nominal, None, math.sqrt(power / self.chip))
+    def silent(self, frame: MarkedFrame, power: float, fit: Fit | None = None) -> Verdict:
+        """A frame in which no node spoke; rejected where one that did might not show.
+
+        power: mean power of its samples, V², all of it noise.
+        """
+        clipped, noise_v = self.clipped(frame.volts[: self.size]), math.sqrt(power / self.chip)
+        if reason := silence_hidden(clipped, noise_v, self.spec):
+            return Verdict(over=frame.start + frame.volts.size, rejected=reason)
+        return self._decided(frame.start, fit or self.nominal, None, noise_v, clipped)
 
     def heard(
-        self, frame: MarkedFrame, fit: Fit, levels: NodeLevels, tied: bool = False
+        self, frame: MarkedFrame, fit: Fit, levels: NodeLevels, guess: bool = False
     ) -> Verdict:
-        """A frame in which nodes spoke; rejected where most of its samples are at a rail."""
+        """A frame in which nodes spoke; rejected where too many of its samples are at a rail."""
         clipped = self.clipped(frame.volts[: round(fit.end(self.spec) + 0.5)])
-        if clipped > MOST_CLIPPED:
-            return Verdict(over=frame.start + frame.volts.size)
+        if clipped > LIMITS.clipped:
+            return Verdict(over=frame.start + frame.volts.size, rejected=AT_RAIL)
         noise_rms_v = levels.noise_v * math.sqrt(self.spec.order)
-        return self._decided(frame.start, fit, levels, noise_rms_v, clipped, tied)
+        return self._decided(frame.start, fit, levels, noise_rms_v, clipped, guess)
 
     def _decided(
         self,
@@ -185,11 +201,14 @@ class MarkedLine:
         levels: NodeLevels | None,
         noise_rms_v: float,
         clipped: float = 0.0,
-        tied: bool = False,
+        guess: bool = False,
     ) -> Verdict:
         # An integrated value's index is the begin of its chip, a raw sample's its instant.
         begin = float(start) if self.integrated else start + fit.start
-        found = FrameLevels(begin, fit.chip, levels, noise_rms_v, self.level_v, clipped, tied)
+        doubtful = None
+        if levels is not None and (guess or clipped > LIMITS.deafened):
+            doubtful = np.ones(self.spec.nodes, bool)
+        found = FrameLevels(begin, fit.chip, levels, noise_rms_v, self.level_v, clipped, doubtful)
         return Verdict(found, start + math.ceil(fit.end(self.spec) + 0.5 * fit.chip))
 
 
@@ -229,9 +248,8 @@ class MarkedTiming(Timing):
             return self.feed(block.samples())  # the frame goes on
         frames = self._begin(block)
         if block.sync:
-            at_rail = line.clipped(np.array([block.mean_v])) > 0
-            silent = line.silent(block.first_index, block.variance_v2)
-            frames += self._settle(REJECTED if at_rail else silent)
+            summed_up = MarkedFrame(block.first_index, np.array([block.mean_v]), final=True)
+            frames += self._settle(line.silent(summed_up, block.variance_v2))
         elif self._gap_begin is not None:
             line.at_rest(block.mean_v, block.variance_v2)
         end = block.first_index + block.count
@@ -248,7 +266,8 @@ class MarkedTiming(Timing):
     def reset(self) -> None:
         """Forget the frame in progress, since the stream has a hole."""
         super().reset()
-        self.rejected += self._start is not None
+        if self._start is not None:
+            self.rejections += INCOMPLETE
         self._start = self._mark = self._gap_begin = None
 
     def _begin(self, block: SampleBlock | QuietBlock) -> list[FrameLevels]:
@@ -271,7 +290,7 @@ class MarkedTiming(Timing):
         if self._start is None:
             return []
         if self._samples.end - self._start < self.line.size:
-            return self._settle(REJECTED)
+            return self._settle(Verdict(rejected=INCOMPLETE))
         return self._decide(self._start, self._samples.end, final=True)
 
     def _decide(self, start: int, end: int, final: bool) -> list[FrameLevels]:
@@ -288,6 +307,7 @@ class MarkedTiming(Timing):
         self._gap_begin = None if self.line.integrated else verdict.over
         if verdict.frame is not None:
             return [verdict.frame]
-        self.rejected += 1
+        assert verdict.rejected is not None
+        self.rejections += verdict.rejected
         self._recogniser.forget()
         return []

@@ -10,21 +10,21 @@ stream is cut into blocks changes nothing.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+import operator
+from dataclasses import astuple, dataclass, fields
 from typing import TypeAlias
 
 import numpy as np
 
-from ..base.arrays import Floats, Floats32
+from ..base.arrays import Bools, Floats, Floats32
+from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
+from .limits import LIMITS
 
 Rails: TypeAlias = tuple[float, float] | None
 
 ABSURD_V = 1e6
 """Level that no digitizer reports, V: such samples are treated like NaN. Chosen."""
-MOST_CLIPPED = 0.5
-"""Share of a frame's samples at a rail beyond which nobody can tell who was silent. Chosen: a sound
-frame that clips at 3·√n·A has 0.3 % there (Gaussian)."""
 RAIL_MARGIN = 1e-3
 """Distance from a rail, relative to the range, within which a sample counts as clipped. Chosen:
 about one count of a 10-bit converter."""
@@ -80,8 +80,9 @@ class FrameLevels:
     noise_rms_v: noise of one chip's level, V; NaN where unknown.
     offset_v: the line's level in silence, V.
     clipped: share of the frame's samples at a rail, 0…1.
-    tied: the words are a guess: others, some chips away, explain the samples as well, or a node was
-        late and may be taken for another.
+    doubtful: (n,) bool, nodes whose word, or whose silence, is a guess: other frames, some chips
+        away, explain the samples as well, or a node was late and may be taken for another. None
+        where no node's is.
     """
 
     start: float
@@ -90,7 +91,7 @@ class FrameLevels:
     noise_rms_v: float
     offset_v: float
     clipped: float
-    tied: bool = False
+    doubtful: Bools | None = None
 
 
 _LEAST_STORE = 4096
@@ -144,14 +145,58 @@ class SampleBuffer:
         self._at = 0
 
 
+@dataclass(frozen=True, slots=True)
+class Rejections:
+    """Stretches of the line of which nothing is claimed, neither words nor silence, by reason.
+
+    incomplete: cut off by a hole in the stream, a mark or its end. absurd: NaN, or volts that no
+    digitizer reports. at_rail: so many samples that whoever spoke may not show. noisy: noise would
+    hide words. misfit: something was sent that no words explain. not_at_rest: words, but the line
+    is not silent before or after them.
+    """
+
+    incomplete: int = 0
+    absurd: int = 0
+    at_rail: int = 0
+    noisy: int = 0
+    misfit: int = 0
+    not_at_rest: int = 0
+
+    def __add__(self, other: Rejections) -> Rejections:
+        return Rejections(*map(operator.add, astuple(self), astuple(other)))
+
+    @property
+    def leading(self) -> Rejections:
+        """One rejection for the most frequent reason."""
+        names = [item.name for item in fields(self)]
+        return Rejections(**{max(names, key=lambda name: int(getattr(self, name))): 1})
+
+    @property
+    def total(self) -> int:
+        """All of them."""
+        return sum(astuple(self))
+
+
+INCOMPLETE, ABSURD, AT_RAIL = Rejections(incomplete=1), Rejections(absurd=1), Rejections(at_rail=1)
+NOISY, MISFIT = Rejections(noisy=1), Rejections(misfit=1)
+NOT_AT_REST = Rejections(not_at_rest=1)
+
+
 class Timing:
-    """A stream of samples, cut into blocks of any size."""
+    """A stream of samples, cut into blocks of any size.
+
+    rejections: of all of it so far.
+    """
 
     def __init__(self) -> None:
-        self.rejected = 0
-        """Stretches of the line that were no frame: cut off, too short, too long, poor fit."""
+        self.rejections = Rejections()
         self._samples = SampleBuffer()
         self._fresh = True
+
+    @property
+    def rejected(self) -> int:
+        """Number of all rejections."""
+        return self.rejections.total
 
     def reset(self) -> None:
         """Forget the frame in progress, since the stream has a hole."""
@@ -166,6 +211,19 @@ class Timing:
         self._samples.restart(block.first_index)
         self._fresh = False
         return False
+
+
+def silence_hidden(clipped: float, noise_rms_v: float, spec: FrameSpec) -> Rejections | None:
+    """Why a frame without words cannot be called silent: a node that spoke might not show.
+
+    clipped: share of its samples at a rail. noise_rms_v: of one chip's level, V; NaN if unknown.
+    """
+    if clipped > LIMITS.deafened:
+        return AT_RAIL
+    swing_v = spec.node_swing_v
+    if swing_v is not None and noise_rms_v * LIMITS.blind_rho > swing_v * math.sqrt(spec.order):
+        return NOISY
+    return None
 
 
 def share_clipped(volts: Floats, rails_v: Rails) -> float:

@@ -44,8 +44,8 @@ def decode_scope(capture: ScopeCapture, config: SkinConfig) -> Iterator[tuple[fl
         for frame in timing.feed(SampleBlock(0, volts)) + timing.flush():
             if frame.levels is not None:
                 words = decode(frame.levels, spec, config.threshold)
-                if frame.tied:
-                    words = words.doubted()
+                if frame.doubtful is not None:
+                    words = words.doubted(frame.doubtful)
                 yield start_s + frame.start / capture.rate_hz, words
 
 

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..base.arrays import Bools, Floats32
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
+from .leakage import unexplained
 
 ACTIVE_SHARE = 0.5
 """A node spoke where the mean of |r| over its word exceeds this share of its amplitude: halfway
@@ -22,6 +23,12 @@ AUTO_FLOOR = 6.0
 """With the amplitude unknown, words below this many noise deviations count as silence. Noise alone
 has a mean |r| of 0.8 ± 0.6/√k deviations, 0.99 at k = 10; chosen far above, as noise is not all
 there is."""
+SOUND_SHARE = 0.8
+"""Share of the loudest word's amplitude below which a word may be what leaks from louder ones.
+Chosen: spreads of sound nodes are a few percent."""
+LEAKED_SHARE = 0.5
+"""Share of a word's amplitude that must be left beside what leaks from louder words for it to be a
+word. Chosen: a word that was sent keeps √(1 − 3/k) of it, 0.84 at k = 10."""
 LOW_RHO = 5.0
 """ρ below which words are flagged: there more than 3e-6 of them hold a wrong bit, k·Q(ρ) for k =
 10."""
@@ -59,11 +66,12 @@ class Words:
 
     active: (n,) bool, False for a silent node (its other entries then mean nothing).
     codes: (n,) int32 ADC words.
-    amplitude_v: (n,) float32, V, mean |r| over the word's bits.
+    amplitude_v: (n,) float32, V, mean |r| over the word's bits; of a silent node without what leaks
+        from its neighbours.
     rho: (n,) float32, amplitude over the noise of one correlation (√N·a/σ in the signal model).
     margin: (n,) float32, |r| of the word's weakest bit over its amplitude.
-    doubtful: (n,) bool, active words with a close decision in at least one bit, with a mended
-        parity, or too loud for one node.
+    doubtful: (n,) bool, words with a close decision in at least one bit, with a mended parity, or
+        too loud for one node; and nodes of which it is not certain whether they were silent.
     doubled: (n,) bool, words in which some bits have the level of two nodes or more and others a
         much lower one: more than one node speaks on their row.
     odd: (n,) bool, active words whose parity had to be mended.
@@ -90,9 +98,12 @@ class Words:
         confidence: Floats32 = np.float32(1) / (np.float32(1) + np.exp(-ratio))
         return confidence
 
-    def doubted(self) -> Words:
-        """The same words, all flagged as doubtful."""
-        return replace(self, doubtful=self.active)
+    def doubted(self, nodes: Bools) -> Words:
+        """The same words, of which those of some nodes (n,) bool are doubtful, too.
+
+        Of a silent node this says that it may have spoken.
+        """
+        return replace(self, doubtful=self.doubtful | nodes)
 
 
 def silent(nodes: int, noise_rms_v: float) -> Words:
@@ -113,7 +124,8 @@ def decode(
     threshold: share of the expected amplitude above which a word counts as spoken. swing_v: that
     amplitude, scalar or (n,), V; the specification's by default, and where that has none, the
     largest of the frame. Activity is decided per word and not per bit: k levels average out the
-    noise, which takes lost words from 0.32 to 1e-4 at ρ = 4.
+    noise, which takes lost words from 0.32 to 1e-4 at ρ = 4. A word that louder ones explain by
+    leakage is none. The silence of a node that was heard, if faintly, is doubtful.
 
     With parity, a word whose parity is odd has its weakest bit turned (Wagner 1954, the most
     likely even word) and is doubtful.
@@ -127,6 +139,15 @@ def decode(
         swing_v = max(float(amplitude.max()), AUTO_FLOOR * noise / threshold)
     expected = np.full(spec.nodes, swing_v, dtype=np.float32)
     active = amplitude > np.float32(threshold) * expected
+    hidden = np.zeros_like(active)
+    sound = SOUND_SHARE * np.minimum(expected, amplitude.max())  # two on a row are louder
+    faint = (amplitude > FAINT_SHARE * expected) & (amplitude < sound)
+    if faint.any():
+        left = np.abs(unexplained(levels, active & ~faint, faint, spec)).mean(axis=0)
+        amplitude = np.where(faint & (left < LEAKED_SHARE * amplitude), left, amplitude)
+        spoke = amplitude > np.float32(threshold) * expected
+        hidden = ~spoke & (active | (amplitude > FAINT_SHARE * expected))
+        active = spoke
     rho = amplitude * np.float32(1 / max(noise, 1e-12))
     weakest = level.min(axis=0)
     margin = weakest / np.maximum(amplitude, np.float32(1e-30))
@@ -152,6 +173,7 @@ def decode(
         doubtful |= _disturbed(level, amplitude, active) & active
     for node in levels.unresolved:
         doubtful[node] = active[node]
+    doubtful |= hidden
     # The margin of what is not even faint says nothing, and would look like a doubt.
     margin *= amplitude > np.float32(min(threshold, FAINT_SHARE)) * expected
     codes, doubled, odd = codes * active, doubled & doubtful, odd & active

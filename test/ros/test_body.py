@@ -215,6 +215,19 @@ def pressed_place(patch: int) -> np.ndarray:
     return RADIUS_M * outwards(patch) + PITCH_M / 2 * left + above_floor
 
 
+def a_body_that_is_asked_again_says_nothing_before_it_has_heard_all(body: Body) -> None:
+    for subscription in list(body.client.subscriptions):
+        if subscription.topic_name == "/body/contacts":
+            body.unsubscribe(subscription)
+    wait_for(lambda: not any(body.client.count_subscribers(f"{n}/contacts") for n in NAMES))
+    again: list[TactileContacts] = []
+    body.subscribe(TactileContacts, "/body/contacts", again.append)
+    wait_for(lambda: len(again) > 3)
+    assert [message.absent for message in again] == [[]] * len(again)
+    assert again[0].taxels_in_service == 16 * PATCHES
+    body.contacts = again
+
+
 def nothing_is_subscribed_to_that_nobody_asks_for(body: Body) -> None:
     wait_for(lambda: body.client.count_publishers("/body/contacts"))
     wait_for(lambda: all(body.client.count_publishers(f"{name}/tactile") for name in NAMES))
@@ -231,6 +244,7 @@ def nothing_is_subscribed_to_that_nobody_asks_for(body: Body) -> None:
 def a_patch_without_a_transform_is_absent_until_it_gets_one(body: Body) -> None:
     body.subscribe(TactileContacts, "/body/contacts", body.contacts.append)
     wait_for(lambda: body.absent() == [NAMES[LOOSE]])
+    assert body.contacts[0].absent == [NAMES[LOOSE]], "the others were not heard yet, not absent"
     wait_for(lambda: body.said_of(LOOSE).startswith("no transform from"))
     assert body.diagnostics[-1].level == DiagnosticStatus.WARN
 
@@ -352,7 +366,8 @@ def when_all_are_silent_even_that_is_said(body: Body) -> None:
         assert "silent" in body.diagnostics[-1].message
         begin = len(body.contacts)
         wait_for(lambda: len(body.contacts) > begin + 1)
-        assert not body.contacts[-1].touched
+        assert not body.contacts[-1].touched and not body.contacts[-1].untouched
+        assert math.isnan(body.contacts[-1].wrench.force.x)
     finally:
         for process in drivers:
             process.send_signal(signal.SIGCONT)
@@ -365,6 +380,7 @@ def test_a_body_of_five_patches(body: Body, tmp_path: Path) -> None:
     """One test, in the order of a body's life: its processes are started once."""
     nothing_is_subscribed_to_that_nobody_asks_for(body)
     a_patch_without_a_transform_is_absent_until_it_gets_one(body)
+    a_body_that_is_asked_again_says_nothing_before_it_has_heard_all(body)
     contacts_are_where_the_simulated_fingers_are(body)
     messages_are_as_often_as_a_patchs_frames_and_fewer_than_all_frames(body)
     the_viewer_prints_a_line_per_second_and_a_summary(body)

@@ -24,8 +24,8 @@ from ..common.convert import diagnostic
 STREAM, NODES, LINK, SOURCE, HOST = "stream", "nodes", "link", "source", "host"
 ENTRIES = (STREAM, NODES, LINK, SOURCE, HOST)
 NO_FRAMES = "no frames come, see stream"
-_OF_STREAM = ("frames", "lost frames", "rejected bursts")
-"""Counts shown in the entry of the stream; all others are in that of the link."""
+_OF_STREAM = ("frames", "lost frames", "rejected")
+"""How counts begin that are shown in the entry of the stream; all others are in the link's."""
 
 Values = Mapping[str, object]
 
@@ -130,7 +130,7 @@ def _stream_values(pipeline: Pipeline, window: Window) -> Values:
         "latency: line and link (ms)": _number(window.line_s * 1e3, 2),
         "latency: decoding (ms)": _number(window.decode_s * 1e3, 3),
         "latency: publishing (ms)": _number(window.publish_s * 1e3, 3),
-        **{name: count for name, count in window.totals.named().items() if name in _OF_STREAM},
+        **_counts(window, of_stream=True),
         "lost frames (per s)": f"{window.rises.stream.lost_frames / window.seconds:.2f}",
         "noise floor (V rms)": _number(window.noise_rms_v, 6),
         "clipped samples (%)": f"{100 * window.clipped:.2f}",
@@ -172,6 +172,12 @@ def _clock_values(pipeline: Pipeline) -> Values:
     }
 
 
+def _counts(window: Window, of_stream: bool) -> Values:
+    """Totals for the entry of the stream, or for that of the link."""
+    named = window.totals.named().items()
+    return {name: count for name, count in named if name.startswith(_OF_STREAM) == of_stream}
+
+
 def _link_values(driver: Driver, window: Window) -> Values:
     packets, stream = window.rises.packets, window.rises.stream
     rises = {
@@ -186,7 +192,7 @@ def _link_values(driver: Driver, window: Window) -> Values:
         **{f"{name} (per s)": f"{rise / window.seconds:.2f}" for name, rise in rises.items()},
         "backlog (bytes)": window.backlog_bytes,
         "digitizer clock drift (ppm)": _number(driver.pipeline.timeline.clock.drift_ppm, 1),
-        **{name: count for name, count in window.totals.named().items() if name not in _OF_STREAM},
+        **_counts(window, of_stream=False),
     }
 
 

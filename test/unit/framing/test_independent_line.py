@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.doubt import Tally, compare, decode, rival
+from benchmarks.doubt import Tally, compare, conditions, decode, rival
 from benchmarks.independent_line import (
     SILENT,
     Digitizer,
@@ -301,3 +301,37 @@ def test_other_words_are_counted_as_what_they_are() -> None:
     assert tally == Tally(words=9, right=7, missed=1, wrong=1, invented=1, phantom=1)
     assert len(complaints) == 3
     assert all((truth.codes[3:] == SILENT).all() for truth in recording.frames)
+
+
+# The decoder, where it must not claim what it did not hear
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "marks: hum of 2 A",
+        "marks: skew 0.4 chip",
+        "marks: high-pass 500 Hz, two nodes",
+        "marks: offset 1.05 x rail",
+        "marks: 5 losses/s",
+        "means: stretch 0.5 %",
+        "means: offset 1.05 x rail",
+        "means: 1000 impulses/s of 1 V, two nodes",
+        "gap: offset 1.3 x rail",
+        "gap: hum of A/3",
+        "gap: 5 losses/s",
+        "gap: jitter 3 chips",
+    ],
+)
+def test_nothing_is_claimed_that_was_not_heard(name: str) -> None:
+    """Every node that speaks on a bad line is heard, flagged, or lost with its frame."""
+    condition = next(some for some in conditions() if some.name == name)
+    talk, line, digitizer = condition.talk, condition.line, condition.digitizer
+    recording = render(condition.skin, talk, line, digitizer, frames=50, seed=3)
+    tally, complaints = compare(recording, decode(recording), line)
+    assert tally.words >= 60
+    assert not complaints
+    assert (tally.rail_silent, tally.phantom) == (0, 0)
+    assert (
+        tally.right + tally.flagged + tally.tied + tally.wrong_flagged + tally.lost >= tally.words
+    )

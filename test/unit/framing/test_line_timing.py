@@ -22,6 +22,7 @@ from tactile_cdma.framing.line_timing import (
     LineRecogniser,
     LineTiming,
 )
+from tactile_cdma.framing.marked_timing import MarkedFrame, Verdict
 from tactile_cdma.framing.timing import FrameLevels, SampleBlock
 from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.options import Setup, SimOptions
@@ -55,13 +56,13 @@ def run(timing: LineTiming, given: list[SampleBlock]) -> list[FrameLevels]:
 def ungated(rate_hz: float) -> LineTiming:
     """Line timing without the energy gate."""
     timing = LineTiming(SPEC, rate_hz)
-    sample_power = timing.line.sample_power
+    gate = timing.line.gate
 
-    def loud(volts: np.ndarray) -> float:
-        power = sample_power(volts)
-        return power if np.isnan(power) else max(power, 1.0)
+    def opened(frame: MarkedFrame) -> Verdict | None:
+        verdict = gate(frame)
+        return verdict if verdict and verdict.rejected else None
 
-    timing.line.sample_power = loud
+    timing.line.gate = opened
     return timing
 
 

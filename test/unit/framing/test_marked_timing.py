@@ -6,13 +6,12 @@ import numpy as np
 
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.framing.marked_timing import (
-    REJECTED,
     MarkedFrame,
     MarkedLine,
     MarkedTiming,
     Verdict,
 )
-from tactile_cdma.framing.timing import QuietBlock, SampleBlock
+from tactile_cdma.framing.timing import MISFIT, QuietBlock, SampleBlock
 
 SPEC = FrameSpec()
 PERIOD = 1024  # samples, at 4 per chip
@@ -34,7 +33,7 @@ class Scripted:
 
     def recognise(self, frame: MarkedFrame) -> Verdict:
         self.frames.append((frame.start, frame.volts.size, frame.final))
-        return self.verdicts.pop(0) if self.verdicts else self.line.silent(frame.start, 0.0)
+        return self.verdicts.pop(0) if self.verdicts else self.line.silent(frame, 0.0)
 
     def forget(self) -> None:
         self.forgotten += 1
@@ -70,7 +69,7 @@ def test_the_next_mark_ends_a_frame_that_waits() -> None:
 
 def test_rejections_are_counted_and_told() -> None:
     timing, recogniser = scripted()
-    recogniser.verdicts = [REJECTED]
+    recogniser.verdicts = [Verdict(rejected=MISFIT)]
     assert timing.feed(block(0)) == []
     assert (timing.rejected, recogniser.forgotten) == (1, 1)
 

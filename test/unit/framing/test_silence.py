@@ -85,7 +85,7 @@ def test_the_host_reads_the_same_with_and_without_the_silence(name: str, scene: 
     waiting = full.counters.samples - lean.counters.samples  # a gap that nothing followed yet
     assert 0 <= waiting < config.spec.frame_period_s * config.samples_per_chip / config.spec.chip_s
     assert replace(lean.counters, samples=full.counters.samples) == full.counters
-    assert lean.rejected == full.rejected
+    assert lean.rejections == full.rejections
 
 
 def test_lost_silence_is_counted_as_lost_samples() -> None:

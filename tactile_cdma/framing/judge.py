@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Decides which of the frames that a stretch of line could be it is, and how sure that is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..base.arrays import Bools, Floats, Floats32
+from ..code.frame import FrameSpec
+from ..code.transform import spread
+from .fit import Fit, Line, read_words
+from .limits import LIMITS
+from .raster import Expected
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """The most likely frame of some.
+
+    fit: its timing. doubtful: (n,) bool, nodes of which others that are not ruled out say something
+    else; of a silent node this means that it may have spoken. None where no other is likely.
+    decided: no other frame is likely.
+    unaided: nor would it be if frames were equally likely everywhere.
+    """
+
+    fit: Fit
+    doubtful: Bools | None
+    decided: bool
+    unaided: bool
+
+
+class Judge:
+    """Weighs frames of one specification against each other.
+
+    Each is a hypothesis: a start, a chip duration, and the words that follow from them. Its cost is
+    its negative log-likelihood,
+
+        Σ over chips of min((level − model)² / 2σ², κ),
+
+    over all chips of the line, for which a frame that ends earlier predicts silence. No chip votes
+    with more than κ, so that no single disturbed chip decides. With what is likely before looking
+    (Expected) the costs give each frame's probability, and for every node the probability of all
+    frames that give it another word or silence.
+    """
+
+    def __init__(self, spec: FrameSpec) -> None:
+        self._spec = spec
+
+    def choose(
+        self,
+        line: Line,
+        fit: Fit,
+        shifts: tuple[int, int],
+        loud: float,
+        noise: float,
+        expected: Expected | None,
+    ) -> Judgement:
+        """Choose among a frame and those that start whole chips earlier and later.
+
+        shifts: the earliest and the latest, chips. loud: first instant that is. noise: variance of
+        a chip's level in the gap, V². expected: where frames are likely.
+        """
+        spec = self._spec
+        earliest, latest = shifts
+        starts = fit.start + fit.chip * np.arange(earliest, latest + 1, dtype=np.float64)
+        edges = np.arange(earliest, spec.span_chips + latest + 1.0)
+        levels = line.means(fit.start + fit.chip * edges)
+        windows = np.lib.stride_tricks.sliding_window_view(levels, spec.span_chips)
+        chips = windows[:, spec.places].reshape(-1, spec.line_bits, spec.order)
+        words = read_words(chips, spec)
+        spoken = np.sign(words.rows[..., spec.node_slice]) * (words.amplitude > 0)[:, None]
+        symbols = np.zeros_like(words.rows)
+        symbols[..., spec.node_slice] = spoken * words.amplitude[:, None]
+        model = np.zeros((starts.size, levels.size), np.float32)
+        first = np.arange(starts.size)[:, None]
+        code = spread(symbols, spec.book).reshape(starts.size, -1) + words.pedestal[:, None]
+        model[first, first + spec.places] = code
+        cost = self._costs(levels, model, noise)
+        # Two nodes that cancel at the start of every bit are possible, but not likely.
+        cost += np.log1p(np.square((starts - loud) / (0.5 * fit.chip)))
+        unaided = doubt = self._probability(cost)
+        if expected is not None:
+            doubt = self._probability(cost - expected.log_prior(starts))
+        chosen = int(np.argmax(doubt))
+        limit = LIMITS.doubt
+        decided = bool(1 - doubt[chosen] < limit)
+        doubtful = None
+        if not decided:
+            level = words.amplitude
+            unlike = np.abs(level - level[chosen]) > LIMITS.alike * np.maximum(level, level[chosen])
+            unlike |= (spoken != spoken[chosen]).any(axis=1)
+            doubtful = doubt @ unlike >= limit
+        sure = bool(1 - unaided[chosen] < limit)
+        return Judgement(Fit(float(starts[chosen]), fit.chip), doubtful, decided, sure)
+
+    @staticmethod
+    def _costs(levels: Floats32, model: Floats32, noise: float) -> Floats:
+        """Negative log-likelihoods of models (c, j) of the levels (j,), with bounded votes."""
+        off = np.square(levels - model)
+        # What even the best model leaves over is noise of this line, if most chips have it.
+        left = float(np.median(off[np.argmin(off.sum(axis=1))])) / LIMITS.median
+        power = float(np.square(levels).mean())
+        variance = max(noise, left, LIMITS.distortion**2 * power, 1e-30)
+        votes = np.minimum(off * np.float32(0.5 / variance), np.float32(LIMITS.vote))
+        cost: Floats = votes.sum(axis=1, dtype=np.float64)
+        return cost
+
+    @staticmethod
+    def _probability(cost: Floats) -> Floats:
+        """Probability of each frame, (c,)."""
+        odds = np.exp(np.maximum(cost.min() - cost, -700.0))
+        probability: Floats = odds / odds.sum()
+        return probability
