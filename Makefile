@@ -45,7 +45,7 @@ UNKNOWN := $(filter-out $(VARIABLES),$(foreach v,$(.VARIABLES),$(if $(filter com
 MEANT = from difflib import get_close_matches as near; from sys import argv; \
         print(*(f"; did you mean {name}?" for name in near(argv[1].upper(), argv[2:], 1)))
 ifneq ($(UNKNOWN),)
-$(error no variable $(firstword $(UNKNOWN))$(shell $(PYTHON) -c '$(MEANT)' $(firstword $(UNKNOWN)) $(VARIABLES)); there are $(VARIABLES))
+$(error no variable $(firstword $(UNKNOWN))$(shell $(PYTHON) -c '$(MEANT)' $(firstword $(UNKNOWN)) $(VARIABLES)) (there are $(VARIABLES)))
 endif
 
 BIN = $(VENV)/bin
