@@ -21,6 +21,8 @@ from benchmarks.independent_line import (
     Skin,
     Talk,
     code_book,
+    default_order,
+    factors,
     render,
     row_sign,
 )
@@ -49,16 +51,22 @@ def test_the_page_defines_the_books_of_the_package() -> None:
 
 def test_books_are_hadamard_and_as_printed_on_the_page() -> None:
     table = PAGE.read_text(encoding="utf-8").split("<!-- begin books -->")[1].split("<!--")[0]
-    vectors = re.findall(r"\| (\d+) \| [\d·]+ \| `(\w+)` \| (0x\w+) \|", table)
+    vectors = re.findall(r"\| (\d+) \| ([\d·]+) \| `(\w+)` \| (0x\w+) \|", table)
     assert {order for order, *_ in vectors} >= {"12", "20", "28", "36", "40", "100"}
-    for text, last, crc in vectors:
+    for text, parts, last, crc in vectors:
         order = int(text)
+        assert "·".join(map(str, factors(order) or ())) == parts
         ones = (code_book(order) > 0).astype(np.uint8)
         padded = np.append(ones[-1], np.zeros(-order % 8, np.uint8))
         assert np.packbits(padded).tobytes().hex()[: len(last)] == last
         assert zlib.crc32(ones.tobytes()) == int(crc, 16)
         book = code_book(order).astype(int)
         assert np.array_equal(book @ book.T, order * np.eye(order))
+
+
+def test_default_orders_are_chosen_as_the_page_says() -> None:
+    for rows in (*range(1, 420), 1000, 1025, 2049, 4097):
+        assert codes.default_order(rows) == default_order(rows), rows
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2**32 - 1])
