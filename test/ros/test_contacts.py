@@ -16,11 +16,13 @@ import pytest
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
 from geometry_msgs.msg import WrenchStamped  # noqa: E402
+from sensor_msgs.msg import Image, PointCloud2  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
 from skin_client import Client, running, wait_for  # noqa: E402
 from tactile_cdma.msg import TactileArray, TactileContacts  # noqa: E402
-from tactile_cdma.ros.driver.markers import BLIND  # noqa: E402
+from tactile_cdma.ros.driver.markers import BLIND, SURFACE  # noqa: E402
+from tactile_cdma.views.heatmap import NO_READING_RGB  # noqa: E402
 
 pytestmark = pytest.mark.ros
 PITCH_M = 7e-3
@@ -108,6 +110,10 @@ def test_what_dead_nodes_would_feel_is_unknown(dead: Iterable[int], valid: int) 
         lists = subscribed(client, TactileContacts, "contacts")
         wrenches = subscribed(client, WrenchStamped, "wrench")
         markers = subscribed(client, MarkerArray, "markers")
+        images, clouds = (
+            subscribed(client, kind, topic)
+            for kind, topic in ((Image, "pressure_image"), (PointCloud2, "points"))
+        )
         wait_for(lambda: sum(m.taxels_valid == valid for m in lists) > 4 / 0.0128)  # on and off
     for message in lists:
         assert not message.touched and not message.untouched and not message.contacts
@@ -117,6 +123,13 @@ def test_what_dead_nodes_would_feel_is_unknown(dead: Iterable[int], valid: int) 
     assert wrenches and all(math.isnan(wrench.wrench.force.z) for wrench in wrenches)
     [text] = [marker.text for marker in markers[-1].markers if marker.ns == BLIND]
     assert text == f"no reading: {16 - valid} of 16 taxels"
+    [unread] = np.nonzero(np.isnan(np.frombuffer(images[-1].data, np.float32)))
+    assert unread.tolist() == [node - 1 for node in dead]
+    assert clouds[-1].width == valid
+    [surface] = [marker for marker in markers[-1].markers if marker.ns == SURFACE]
+    of_taxels = np.array([(c.r, c.g, c.b) for c in surface.colors]).reshape(16, 6, 3)
+    grey = np.isclose(of_taxels * 255, NO_READING_RGB).all(axis=(1, 2))
+    assert np.flatnonzero(grey).tolist() == unread.tolist()
 
 
 def test_frames_that_are_left_out_are_left_out_of_all_topics() -> None:
