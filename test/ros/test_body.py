@@ -358,6 +358,29 @@ def a_killed_driver_is_absent_and_another_skin_in_its_place_is_back(
     wait_for(lambda: counts() == [16, 9, 16, 16, 16])
 
 
+def a_patch_whose_nodes_are_dead_is_absent_though_its_driver_is_there(
+    body: Body, tmp_path: Path
+) -> None:
+    """It is pressed as all the others are."""
+    body.kill(1)
+    wait_for(lambda: body.absent() == [NAMES[1]])
+    dead = ",".join(str(node) for node in range(1, 17))
+    blind = [*commands(body_file(tmp_path))[1], "-p", f"port:=sim://?scene=press&dead={dead}"]
+    body.processes.insert(1, subprocess.Popen(blind))
+    begin = len(body.contacts)
+    wait_for(lambda: "none of its 16 taxels" in body.said_of(1))
+    wait_for(lambda: any(message.touched for message in body.contacts[begin:]))
+    wait_for(lambda: any(not message.touched for message in body.contacts[begin:]))
+    for message in body.contacts[begin:]:
+        assert NAMES[1] in message.absent
+        assert not message.untouched
+        assert NAMES[1] not in [contact.patch for contact in message.contacts]
+        assert message.touched or math.isnan(message.wrench.force.x)
+    body.kill(1)
+    body.processes.insert(1, subprocess.Popen(commands(body_file(tmp_path))[1]))
+    wait_for(lambda: body.absent() == [])
+
+
 def when_all_are_silent_even_that_is_said(body: Body) -> None:
     *drivers, _ = body.processes
     for process in drivers:
@@ -389,6 +412,7 @@ def test_a_body_of_five_patches(body: Body, tmp_path: Path) -> None:
     messages_are_as_often_as_a_patchs_frames_and_fewer_than_all_frames(body)
     the_viewer_prints_a_line_per_second_and_a_summary(body)
     a_killed_driver_is_absent_and_another_skin_in_its_place_is_back(body, tmp_path)
+    a_patch_whose_nodes_are_dead_is_absent_though_its_driver_is_there(body, tmp_path)
     when_all_are_silent_even_that_is_said(body)
 
 
