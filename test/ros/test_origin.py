@@ -124,8 +124,13 @@ def test_another_board_on_the_port_is_told_of_once(
         assert client.value("source", "changes of the digitizer") == "1"
         assert client.change(Transition.TRANSITION_DEACTIVATE)
         client.entries.clear()
+        client.infos.clear()
         with plugged(a_board(FIRST), link):  # changed while the node did not look
             assert client.change(Transition.TRANSITION_ACTIVATE)
+            wait_for(lambda: client.infos)
+            assert {info.digitizer_id for info in client.infos} == {FIRST}, (
+                "not who was there before"
+            )
             wait_for(told(client, WARN, f"{FIRST}, before {SECOND}"))
     said = warnings(capfd.readouterr().err)
     assert len(said) == 2
