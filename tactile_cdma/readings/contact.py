@@ -143,7 +143,7 @@ class ContactTracker:
     A contact keeps its id as long as it shares taxels with itself in the frame before. Where
     contacts merge or split, the id follows the largest number of shared taxels; the others end, or
     begin with new ids, and no id is used twice. The jumps of position that this causes do not count
-    as motion.
+    as motion, nor do those where a taxel loses its reading or gets one.
 
     thresholds may be replaced at any time, from other threads too.
     """
@@ -155,6 +155,7 @@ class ContactTracker:
         self._moments = _moments(layout)
         self._contacts = NO_CONTACTS
         self._place = np.full(len(layout), -1)  # index of each taxel's contact; -1: none
+        self._unread = np.ones(len(layout), dtype=bool)  # taxels without a reading
         none = np.zeros(0, dtype=np.intp)
         self._linked = none, none  # taxels above the release threshold, and their labels
         self._readings: Readings | None = None
@@ -164,7 +165,7 @@ class ContactTracker:
     def forget(self) -> None:
         """Start over: all contacts of the next frame are new."""
         self._contacts, self._readings, self._t_s = NO_CONTACTS, None, math.nan
-        self._place[:] = -1
+        self._place[:], self._unread[:] = -1, True
 
     def update(self, readings: Readings, t_s: float) -> Contacts:
         """The contacts of the frame at device time t_s, s."""
@@ -180,15 +181,21 @@ class ContactTracker:
 
     def _find(self, readings: Readings, passed_s: float) -> Contacts:
         pressure_pa, coverage, last = readings.pressure_pa, readings.coverage, self._contacts
+        before, self._unread = self._unread, np.isnan(pressure_pa)
         # NaN exceeds nothing.
         if not len(last) and not (pressure_pa > self._used.contact_pa).any():
             return last if coverage == last.coverage else replace(last, coverage=coverage)
         taxels, labels, starts = self._touched(pressure_pa)
-        origin, torn = _origins(self._place[taxels], labels, len(last), len(starts))
+        places = self._place[taxels]
         self._place[:] = -1
         self._place[taxels] = labels
         if not len(taxels):
             return replace(NO_CONTACTS, coverage=coverage)
+        saturated = readings.status[taxels] & _SATURATED > 0
+        near, changed = self._beside[:, taxels], before != self._unread
+        at_least = saturated | self._unread[near].any(axis=0)
+        origin, torn = _origins(places, labels, len(last), len(starts))
+        torn |= np.logical_or.reduceat(changed[taxels] | changed[near].any(axis=0), starts)
         felt_pa, moments = pressure_pa[taxels], self._moments[taxels]
         rim, labels_of_rim = self._rim(pressure_pa)
         sums = np.add.reduceat(moments * felt_pa[:, None], starts)
@@ -199,8 +206,6 @@ class ContactTracker:
         ids[new], age_s[new] = np.arange(self.next_id, self.next_id + len(new)), 0.0
         self.next_id += len(new)
         velocity, rate = _motion(position_m, force_n, last, origin, torn, passed_s)
-        saturated = readings.status[taxels] & _SATURATED > 0
-        at_least = saturated | np.isnan(pressure_pa)[self._beside[:, taxels]].any(axis=0)
         return Contacts(
             coverage=coverage,
             ids=ids,
@@ -293,7 +298,8 @@ def _motion(
 ) -> tuple[Floats, Floats]:
     """Velocities (c, 3), m/s, and force rates (c,), N/s: low-pass filtered differences of frames.
 
-    Contacts that merged or split keep their rates. The force of a new contact rises from zero.
+    torn: (c,) contacts that jumped without moving keep their rates. The force of a new contact
+    rises from zero.
     """
     before = np.zeros((len(last) + 1, 8))  # position, force and their rates; 0 for new contacts
     before[:-1, :3], before[:-1, 3] = last.position_m, _length(last.force_n)

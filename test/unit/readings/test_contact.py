@@ -529,6 +529,23 @@ def test_an_impact_shows_in_its_first_frame() -> None:
     assert hit.force_rate_n_s == pytest.approx([share * force_n / PERIOD_S])
 
 
+@pytest.mark.parametrize("unread", [(2, 2), (2, 3), (2, 4), (3, 4)])
+def test_a_taxel_that_loses_its_reading_or_gets_one_is_neither_slide_nor_impact(
+    unread: tuple[int, int],
+) -> None:
+    tracker, press = ContactTracker(GRID, THRESHOLDS), {(2, 2): 5.0, (2, 3): 9.0, (3, 4): 2.0}
+    taxel, jumps = unread[0] * COLUMNS + unread[1], []
+    for frame in range(12):
+        is_read = frame % 6 < 3
+        touch = pressed(press) if is_read else blind(pressed(press), taxel)
+        contacts = tracker.update(touch, frame * PERIOD_S)
+        assert not contacts.velocity_m_s.any()
+        assert not contacts.force_rate_n_s.any()
+        assert contacts.lower_bound.any() == (not is_read)
+        jumps.append(contacts.centre_m[0])
+    assert (np.ptp(jumps) > 1e-3) == (unread in press)
+
+
 def test_what_touches_the_skin_from_the_start_is_no_impact() -> None:
     [first] = contacts_of({(2, 2): 100.0})
     assert first.force_rate_n_s.tolist() == [0.0]
