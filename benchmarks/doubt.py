@@ -13,7 +13,7 @@ in time, word by word:
   flag, in a frame that is given by nothing but the waveform, where another start with other words
   gives exactly the same waveform: there a flag is due.
 - silent, silent but flagged: nodes that did not transmit and are published as silent, all of them
-  and those with a flag.
+  and those with a flag that is not due to such a tie.
 - missed: a node transmitted, and its frame is published with the node silent, without a flag.
 - wrong flagged: another word, or one where none was, with a flag.
 - wrong not flagged, invented not flagged: the same without one; of a node that transmitted, and of
@@ -435,7 +435,7 @@ def _count(truth: Truth, frame: Decoded | None, tie: bool) -> Tally:
         "wrong": other & active & spoke & ~flag,
         "invented": other & ~spoke & ~flag,
         "silences": ~spoke & ~active,
-        "silent_flagged": ~spoke & ~active & flag,
+        "silent_flagged": ~spoke & ~active & flag & (not tie),
     }
     return Tally(words, **{name: int(np.count_nonzero(some)) for name, some in count.items()})
 
