@@ -12,6 +12,7 @@
 # make bench-error, -doubt, -speed, -skip, -timing, -scale, -ros, -crest, -pressure, -contact,
 #              -pictures, -stuck, -body, -sensor (prints only)
 #              up to 7 min each, writes docs/img; QUICK=1: less than 40 s each, writes build/benchmarks
+#              bench-doubt ONLY=hum: conditions with this in their name
 # make torture faults of every kind, results compared with the truth; SEED=n, ONLY="line day"
 #              up to 30 min; QUICK=1: 50 s; docs/reliability.md has the results of the last full run
 # make soak    the driver node in real time for SECONDS=3600
@@ -44,7 +45,7 @@ UNKNOWN := $(filter-out $(VARIABLES),$(foreach v,$(.VARIABLES),$(if $(filter com
 MEANT = from difflib import get_close_matches as near; from sys import argv; \
         print(*(f"; did you mean {name}?" for name in near(argv[1].upper(), argv[2:], 1)))
 ifneq ($(UNKNOWN),)
-$(error no variable $(firstword $(UNKNOWN))$(shell $(PYTHON) -c '$(MEANT)' $(firstword $(UNKNOWN)) $(VARIABLES)); there are $(VARIABLES))
+$(error no variable $(firstword $(UNKNOWN))$(shell $(PYTHON) -c '$(MEANT)' $(firstword $(UNKNOWN)) $(VARIABLES)) (there are $(VARIABLES)))
 endif
 
 BIN = $(VENV)/bin

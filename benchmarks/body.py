@@ -197,6 +197,7 @@ def driver(node: Any, patch: int, layout: Layout) -> Any:
     taxels = array("I", range(TAXELS_OF_CONTACT))
     touch = TactileContact(patch=name, force=Vector3(z=-1.0), normal=Vector3(z=1.0), taxels=taxels)
     touches = TactileContacts(touched=True, contacts=[touch] * CONTACTS)
+    touches.taxels_valid = touches.taxels_in_service = len(layout)
     pressure_pa = array("f", np.linspace(0, 1e5, len(layout)).tolist())
     status = array("B", bytes(len(layout)))
     frame = TactileArray(info_id=1, pressure=pressure_pa, status=status)

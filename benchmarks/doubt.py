@@ -12,6 +12,8 @@ in time, word by word:
 - right, right but flagged: the word that was sent, without and with a flag. tied: the same with a
   flag, in a frame that is given by nothing but the waveform, where another start with other words
   gives exactly the same waveform: there a flag is due.
+- silent, silent but flagged: nodes that did not transmit and are published as silent, all of them
+  and those with a flag that is not due to such a tie.
 - missed: a node transmitted, and its frame is published with the node silent, without a flag.
 - wrong flagged: another word, or one where none was, with a flag.
 - wrong not flagged, invented not flagged: the same without one; of a node that transmitted, and of
@@ -23,7 +25,8 @@ in time, word by word:
 
 A flag is what the driver publishes: a doubtful word, or a node that counts as doubled or faulty.
 Words are those sent. `unflagged` sums up missed, wrong and invented without a flag, on all lines;
-`right_flagged_share` leaves out the rough ones (`Condition.rough`), on which flags are due.
+the shares of right words and of silences that are flagged leave out the rough ones
+(`Condition.rough`), on which flags are due.
 """
 
 from __future__ import annotations
@@ -91,6 +94,8 @@ ONE, TWO = Talk(together=1), Talk(together=2)
 ALONE = Talk(speakers=1)
 TWO_EQUAL = Talk(together=2, words="equal")
 CHURN = Talk(share=0.3, stay=8, words="slow")
+FEW = Talk(speakers=(0, 2, 3, 5), share=0.6, stay=8)
+"""Joining and leaving: all nodes, and few, among them the one that some conditions impair."""
 
 
 @dataclass(frozen=True)
@@ -129,12 +134,12 @@ SKINS = (
 TIMES = (
     Condition("skew 0.1 chip", Line(skew_chips=0.1)),
     Condition("skew 0.4 chip", Line(skew_chips=0.4), rough=True),
-    Condition("a node 0.3 chip late", Line(late=((2, 0.3),)), CHURN),
-    Condition("a node 0.6 chip late", Line(late=((2, 0.6),)), CHURN, rough=True),
+    Condition("a node 0.3 chip late", Line(late=((2, 0.3),)), FEW, rough=True),
+    Condition("a node 0.6 chip late", Line(late=((2, 0.6),)), FEW, rough=True),
     Condition(
         "a node 0.6 chip late, two nodes", Line(late=((2, 0.6),)), Talk(speakers=(2, 9)), rough=True
     ),
-    Condition("a node 2 chips late", Line(late=((2, 2.0),)), CHURN, rough=True),
+    Condition("a node 2 chips late", Line(late=((2, 2.0),)), FEW, rough=True),
     Condition("edges jitter by 0.05 chip", Line(edge_jitter_chips=0.05)),
     Condition("edges jitter by 0.2 chip", Line(edge_jitter_chips=0.2), CHURN, rough=True),
     Condition("clock error 100 ppm", Line(clock_error=1e-4)),
@@ -143,13 +148,13 @@ TIMES = (
 """Chips that are not where they should be."""
 VOLTAGES = (
     Condition("amplitudes spread by 10 %", Line(spread=0.1), CHURN),
-    Condition("a node at 0.6 A", Line(gains=((2, 0.6),)), CHURN),
-    Condition("a node at 0.4 A", Line(gains=((2, 0.4),)), CHURN, rough=True),
-    Condition("a node at 1.5 A", Line(gains=((2, 1.5),)), CHURN),
-    Condition("a node at 4 A", Line(gains=((2, 4.0),)), CHURN, rough=True),
+    Condition("a node at 0.6 A", Line(gains=((2, 0.6),)), FEW),
+    Condition("a node at 0.4 A", Line(gains=((2, 0.4),)), FEW, rough=True),
+    Condition("a node at 1.5 A", Line(gains=((2, 1.5),)), FEW),
+    Condition("a node at 4 A", Line(gains=((2, 4.0),)), FEW, rough=True),
     Condition("droop 20 %", Line(droop=0.2), CHURN),
-    Condition("ripple 10 %, 300 Hz", Line(ripple=0.1, ripple_hz=300), CHURN),
-    Condition("rise 0.2, fall 0.4 chip", Line(rise_chips=0.2, fall_chips=0.4), CHURN),
+    Condition("ripple 10 %, 300 Hz", Line(ripple=0.1, ripple_hz=300), FEW),
+    Condition("rise 0.2, fall 0.4 chip", Line(rise_chips=0.2, fall_chips=0.4), FEW),
     Condition("low-pass 0.1 chip", Line(low_pass_chips=0.1)),
     Condition("low-pass 0.3 chip", Line(low_pass_chips=0.3), rough=True),
     Condition("low-pass 0.3 chip, one node", Line(low_pass_chips=0.3), ONE),
@@ -158,14 +163,14 @@ VOLTAGES = (
         "low-pass 0.6 chip, joining and leaving", Line(low_pass_chips=0.6), CHURN, rough=True
     ),
     Condition("ringing 30 %", Line(ringing=0.3)),
-    Condition("ringing 60 %, joining and leaving", Line(ringing=0.6), CHURN, rough=True),
+    Condition("ringing 60 %, joining and leaving", Line(ringing=0.6), FEW, rough=True),
     Condition("high-pass 10 Hz", Line(high_pass_hz=10), CHURN),
-    Condition("high-pass 100 Hz", Line(high_pass_hz=100), CHURN),
+    Condition("high-pass 100 Hz", Line(high_pass_hz=100), FEW),
     Condition("high-pass 500 Hz, two nodes", Line(high_pass_hz=500), TWO, rough=True),
     Condition("hum of A/3", Line(hum_v=0.1)),
     Condition("hum of A/3, two nodes", Line(hum_v=0.1), TWO),
     Condition("hum of 2 A", Line(hum_v=0.6), CHURN, rough=True),
-    Condition("100 impulses/s of 1 V", Line(impulses_hz=100), CHURN),
+    Condition("100 impulses/s of 1 V", Line(impulses_hz=100), FEW),
     Condition("1000 impulses/s of 1 V", Line(impulses_hz=1000), rough=True),
     Condition("1000 impulses/s of 1 V, two nodes", Line(impulses_hz=1000), TWO, rough=True),
     Condition(
@@ -173,18 +178,18 @@ VOLTAGES = (
         Line(impulses_hz=50, impulse_v=5, impulse_chips=2),
         rough=True,
     ),
-    Condition("20 jumps/s of A", Line(steps_hz=20, step_v=0.3), CHURN, rough=True),
-    Condition("100 jumps/s of 2 A", Line(steps_hz=100, step_v=0.6), CHURN, rough=True),
+    Condition("20 jumps/s of A", Line(steps_hz=20, step_v=0.3), FEW, rough=True),
+    Condition("100 jumps/s of 2 A", Line(steps_hz=100, step_v=0.6), FEW, rough=True),
 )
 """Levels that are not what they should be."""
 RAILS = (
     Condition("offset 1.05 x rail", Line(offset_v=6.3)),
     Condition("offset 1.3 x rail", Line(offset_v=7.8)),
-    Condition("offset -1.3 x rail, joining and leaving", Line(offset_v=-7.8), CHURN),
+    Condition("offset -1.3 x rail, joining and leaving", Line(offset_v=-7.8), FEW),
     Condition("offset 1.3 x rail, nobody speaks", Line(offset_v=7.8), Talk(share=0)),
     Condition("offset 0.9 x rail", Line(offset_v=5.4), rough=True),
     Condition("offset 0.9 x rail, joining and leaving", Line(offset_v=5.4), CHURN, rough=True),
-    Condition("at the rail at times", Line(steps_hz=3, step_v=9.0), CHURN, rough=True),
+    Condition("at the rail at times", Line(steps_hz=3, step_v=9.0), FEW, rough=True),
     Condition("amplifier clips at 3 sqrt(n) A", Line(amplifier_v=3.6)),
     Condition("amplifier clips at 1.5 sqrt(n) A", Line(amplifier_v=1.8), rough=True),
 )
@@ -196,9 +201,12 @@ def conditions() -> Iterator[Condition]:
     for name, digitizer in TIMINGS.items():
         for condition in SKINS + TIMES + VOLTAGES + RAILS:
             yield replace(condition, name=f"{name}: {condition.name}", digitizer=digitizer)
-        yield Condition(
-            f"{name}: 5 losses/s", talk=CHURN, digitizer=replace(digitizer, losses_hz=5)
-        )
+        for change, how in (
+            ("5 losses/s", replace(digitizer, losses_hz=5)),
+            ("8 bits", replace(digitizer, adc_bits=8)),
+            ("16 samples per chip", replace(digitizer, samples_per_chip=16)),
+        ):
+            yield Condition(f"{name}: {change}", talk=FEW, digitizer=how)
         for ratio, rail_v in ((3, 3.6), (1.5, 1.8)):
             clipping = replace(digitizer, rail_v=rail_v)
             clips = f"{name}: rail at {ratio} sqrt(n) A"
@@ -241,7 +249,11 @@ class Decoded(NamedTuple):
 
 
 class Tally(NamedTuple):
-    """Counts of words; see the module's docstring. tied: right words in frames that tie."""
+    """Counts of words; see the module's docstring.
+
+    tied: right words with a flag in frames that tie. silences, silent_flagged: of nodes that were
+    rightly published as silent, all and those with a flag.
+    """
 
     words: int = 0
     right: int = 0
@@ -254,6 +266,8 @@ class Tally(NamedTuple):
     rail_silent: int = 0
     phantom: int = 0
     tied: int = 0
+    silences: int = 0
+    silent_flagged: int = 0
 
     @property
     def unflagged(self) -> int:
@@ -262,6 +276,10 @@ class Tally(NamedTuple):
     @property
     def flagged_share(self) -> float:
         return self.flagged / max(self.right + self.flagged, 1)
+
+    @property
+    def silent_flagged_share(self) -> float:
+        return self.silent_flagged / max(self.silences, 1)
 
 
 class Job(NamedTuple):
@@ -416,6 +434,8 @@ def _count(truth: Truth, frame: Decoded | None, tie: bool) -> Tally:
         "wrong_flagged": other & flag,
         "wrong": other & active & spoke & ~flag,
         "invented": other & ~spoke & ~flag,
+        "silences": ~spoke & ~active,
+        "silent_flagged": ~spoke & ~active & flag & (not tie),
     }
     return Tally(words, **{name: int(np.count_nonzero(some)) for name, some in count.items()})
 
@@ -470,7 +490,8 @@ def main() -> None:
     }
     report.table(
         ["condition", "words", "right", "right but flagged", "missed", "wrong flagged",
-         "wrong not flagged", "invented not flagged", "lost", "rail silent", "phantom", "tied"],
+         "wrong not flagged", "invented not flagged", "lost", "rail silent", "phantom", "tied",
+         "silent", "silent but flagged"],
         [[name, *tally] for name, tally in tallies.items()],
     )  # fmt: skip
     if ONLY:
@@ -486,6 +507,7 @@ def main() -> None:
         rail_silent=everything.rail_silent,
         phantom=everything.phantom,
         right_flagged_share=round(sound.flagged_share, 4),
+        silent_flagged_share=round(sound.silent_flagged_share, 4),
     )
 
 

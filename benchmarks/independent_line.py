@@ -41,13 +41,29 @@ RAMP_STEPS = 8
 @cache
 def code_book(order: int) -> NDArray[np.int8]:
     """C, (N, N) of ±1. Raises ValueError for an order without a code book."""
-    ways = sorted(_ways(order, 2), key=lambda way: (sum(way), way))
-    if not ways:
+    parts = factors(order)
+    if parts is None:
         raise ValueError(f"order {order} has no code book")
     book = np.ones((1, 1), dtype=np.int8)
-    for factor in ways[0]:
-        book = np.kron(book, _factor(factor))
+    for part in parts:
+        book = np.kron(book, _factor(part))
     return book
+
+
+@cache
+def factors(order: int) -> tuple[int, ...] | None:
+    """The orders whose matrices make up the code book; None where there is no book."""
+    return min(_ways(order, 2), key=lambda way: (sum(way), way), default=None)
+
+
+def default_order(rows: int) -> int:
+    """The host's choice for so many rows."""
+    smallest = next(order for order in range(rows, 2 * rows + 1) if factors(order) is not None)
+    for order in range(smallest, smallest * 102 // 100 + 1):
+        parts = factors(order)
+        if parts is not None and max(parts, default=1) <= 100:
+            return order
+    return smallest
 
 
 def row_sign(row: int, seed: int | None) -> int:

@@ -26,6 +26,7 @@ __all__ = [
     "CaptureError",
     "Decoder",
     "Frame",
+    "Origin",
     "ParameterError",
     "PortError",
     "RecordingEndError",
@@ -44,6 +45,7 @@ __path__ = extend_path(__path__, __name__)
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from .driver.digitizer import Origin
     from .readings.taxels import Status
     from .skin import Decoder, Frame, Skin, read_parameters, read_recording
 else:
@@ -52,8 +54,8 @@ else:
         """Load what needs numpy when it is first used: `tactile-cdma doctor` runs without."""
         if name not in __all__:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        home = ".readings.taxels" if name == "Status" else ".skin"
-        return getattr(import_module(home, __name__), name)
+        homes = {"Origin": ".driver.digitizer", "Status": ".readings.taxels"}
+        return getattr(import_module(homes.get(name, ".skin"), __name__), name)
 
 
 def __dir__() -> list[str]:

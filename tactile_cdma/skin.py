@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from .base.errors import ParameterError, PortError, RecordingEndError, RestError
 from .config.parameters import BY_NAME, REPLAY, Value, Values, check_values, read_file
 from .config.skin_config import SkinConfig
+from .driver.digitizer import Source
 from .driver.driver import WAITING, Driver
 from .driver.pipeline import Pipeline, TactileFrame
 from .places.layout import Layout
@@ -117,6 +118,16 @@ class Skin:
     def layout(self) -> Layout:
         """Where the taxels are."""
         return self.config.layout
+
+    @property
+    def source(self) -> Source:
+        """Who measures: a board or a simulator, now or when a recording was made.
+
+        Its origin is Origin.UNKNOWN until the digitizer has introduced itself, which it does before
+        the first frame, and again after a connection was lost.
+        """
+        driver = self._driver
+        return Source.of_port(self.port, driver.pipeline.digitizer.info if driver else None)
 
     @property
     def dropped(self) -> int:

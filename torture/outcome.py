@@ -25,7 +25,8 @@ class Outcome:
     """The result for one kind of fault.
 
     fault: what was done, in a few words. times: how often.
-    wrong_values: published numbers, times or flags that differ from the truth.
+    wrong_values: published numbers, times or flags that differ from the truth: of a word, that it
+        is another, invented or missed, and not flagged.
     uncounted_losses: frames, samples, packets or messages that were lost without a counter saying
         so, and counted losses that did not happen.
     crashes: unexpected exits, tracebacks and refusals.

@@ -10,6 +10,7 @@ A code book is a matrix C of ±1 with C·Cᵀ = N·I. Three constructions cover 
 
 and the Kronecker product of two Hadamard matrices is one again. Powers of two are always
 Sylvester's matrix in natural order, which is also what MATLAB's and scipy's `hadamard` give.
+docs/protocol.md defines every entry of every book, for implementations elsewhere.
 """
 
 from __future__ import annotations

@@ -56,7 +56,7 @@ def check_launch_arguments(words: Iterable[str], known: Collection[str]) -> None
         name, assignment, _ = word.partition(":=")
         if assignment and name not in known:
             names = ", ".join(sorted(known))
-            raise ParameterError(f"{unknown(name, known, 'launch argument')}; there are {names}")
+            raise ParameterError(f"{unknown(name, known, 'launch argument')} (there are {names})")
 
 
 def existing_params(path: Path) -> Path:

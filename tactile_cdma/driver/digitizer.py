@@ -39,6 +39,12 @@ class Source:
     recorded: bool = False
     digitizer_id: bytes | None = None
 
+    @classmethod
+    def of_port(cls, url: str, info: Info | None = None) -> Source:
+        """A port and what its digitizer has said of itself, if anything."""
+        digitizer_id = info.digitizer_id if info else None
+        return cls(url, url.lower().startswith(REPLAY), digitizer_id)
+
     @property
     def measured_by(self) -> Origin:
         """BOARD or SIMULATED, now or when it was recorded; UNKNOWN before the introduction."""
@@ -71,8 +77,8 @@ class SourceWatch:
 
     def __init__(self, port: str) -> None:
         """port: URL as the user gave it; empty where none was given, which is the simulator."""
-        self.port, url = port, port or SIMULATION
-        self.source = Source(url, recorded=url.lower().startswith(REPLAY))
+        self.port = port
+        self.source = Source.of_port(port or SIMULATION)
         self.changes = 0
         self._exchange: str | None = None
 

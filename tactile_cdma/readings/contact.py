@@ -14,7 +14,7 @@ from ..base.arrays import Bools, Floats, Floats32, Indices
 from ..base.errors import SpecError
 from ..places.components import connected
 from ..places.layout import Layout
-from .taxels import Readings, Status
+from .taxels import Coverage, Readings, Status
 
 SMOOTHING_S = 0.05
 """Time constant of velocities and force rates, s; chosen: 4 frames of the paper's skin."""
@@ -51,17 +51,21 @@ class ContactThresholds:
 class Contacts:
     """The contacts of one frame, c of them, the strongest first.
 
+    coverage: how much of the patch was read.
     ids: (c,) int64, from 1 on. age_s: (c,) float64, s since each began.
     load_n: (c,) float64, Σ p·A, N. position_m: (c, 3) float64, centre of pressure Σ r·p·A / Σ p·A.
     force_n: (c, 3) float64, force on the skin, Σ −normal·p·A, N.
     torque_nm: (c, 3) float64, of these forces about the frame's origin, N·m.
     area_m2: (c,) float64, of the taxels in contact. pressure_max_pa: (c,) float32.
-    saturated: (c,) bool, a taxel is beyond its range: force and pressure are lower bounds.
+    saturated: (c,) bool, a taxel is beyond its range.
+    lower_bound: (c,) bool, force, area and pressure are at least this: a taxel is beyond its range,
+        or one beside the contact has no reading.
     velocity_m_s: (c, 3) float64, of the position along the skin, smoothed.
     force_rate_n_s: (c,) float64, rate of change of the force, smoothed.
     taxels: per contact the indices of its taxels, rising.
     """
 
+    coverage: Coverage
     ids: NDArray[np.int64]
     age_s: Floats
     load_n: Floats
@@ -71,6 +75,7 @@ class Contacts:
     area_m2: Floats
     pressure_max_pa: Floats32
     saturated: Bools
+    lower_bound: Bools
     velocity_m_s: Floats
     force_rate_n_s: Floats
     taxels: list[Indices]
@@ -84,18 +89,51 @@ class Contacts:
         return -self.force_n / _length(self.force_n)[:, None]
 
     @property
+    def untouched(self) -> bool:
+        """Whether nothing touches the patch: no contact, and every taxel in service was read."""
+        return not len(self) and self.coverage.is_whole
+
+    @property
+    def has_resultant(self) -> bool:
+        """Whether the sums over all contacts mean anything.
+
+        A sum of 0 is a claim about every taxel, one of contacts about those that were read: at
+        least half of them have to be, see Coverage.is_most.
+        """
+        return self.untouched or (len(self) > 0 and self.coverage.is_most)
+
+    @property
+    def total_area_m2(self) -> float:
+        """Area in contact, m²; NaN where has_resultant is False, as are the following."""
+        return float(self._sum(self.area_m2))
+
+    @property
+    def total_force_n(self) -> Floats:
+        """(3,) resultant force on the skin, N."""
+        return self._sum(self.force_n)
+
+    @property
+    def total_torque_nm(self) -> Floats:
+        """(3,) its torque about the frame's origin, N·m."""
+        return self._sum(self.torque_nm)
+
+    @property
     def centre_m(self) -> Floats:
-        """(3,) centre of pressure of all contacts, m; NaN if there are none."""
-        if not len(self):
+        """(3,) centre of pressure of all contacts, m; NaN if there are none, too."""
+        if not len(self) or not self.has_resultant:
             return np.full(3, np.nan)
         return np.asarray(self.load_n @ self.position_m / self.load_n.sum())
+
+    def _sum(self, of_contacts: Floats) -> Floats:
+        total = of_contacts.sum(axis=0)
+        return np.asarray(total if self.has_resultant else np.full_like(total, np.nan))
 
 
 _NONE, _NOWHERE = np.zeros(0), np.zeros((0, 3))
 _NO_IDS, _NO_PEAKS, _NO_FLAGS = _NONE.astype(np.int64), _NONE.astype(np.float32), _NONE.astype(bool)
 NO_CONTACTS = Contacts(
-    *(_NO_IDS, _NONE, _NONE, _NOWHERE, _NOWHERE, _NOWHERE, _NONE),
-    *(_NO_PEAKS, _NO_FLAGS, _NOWHERE, _NONE, []),
+    *(Coverage(), _NO_IDS, _NONE, _NONE, _NOWHERE, _NOWHERE, _NOWHERE, _NONE),
+    *(_NO_PEAKS, _NO_FLAGS, _NO_FLAGS, _NOWHERE, _NONE, []),
 )
 
 
@@ -105,7 +143,7 @@ class ContactTracker:
     A contact keeps its id as long as it shares taxels with itself in the frame before. Where
     contacts merge or split, the id follows the largest number of shared taxels; the others end, or
     begin with new ids, and no id is used twice. The jumps of position that this causes do not count
-    as motion.
+    as motion, nor do those where a taxel loses its reading or gets one.
 
     thresholds may be replaced at any time, from other threads too.
     """
@@ -117,6 +155,7 @@ class ContactTracker:
         self._moments = _moments(layout)
         self._contacts = NO_CONTACTS
         self._place = np.full(len(layout), -1)  # index of each taxel's contact; -1: none
+        self._unread = np.ones(len(layout), dtype=bool)  # taxels without a reading
         none = np.zeros(0, dtype=np.intp)
         self._linked = none, none  # taxels above the release threshold, and their labels
         self._readings: Readings | None = None
@@ -126,7 +165,7 @@ class ContactTracker:
     def forget(self) -> None:
         """Start over: all contacts of the next frame are new."""
         self._contacts, self._readings, self._t_s = NO_CONTACTS, None, math.nan
-        self._place[:] = -1
+        self._place[:], self._unread[:] = -1, True
 
     def update(self, readings: Readings, t_s: float) -> Contacts:
         """The contacts of the frame at device time t_s, s."""
@@ -141,16 +180,22 @@ class ContactTracker:
         return self._contacts
 
     def _find(self, readings: Readings, passed_s: float) -> Contacts:
-        pressure_pa, last = readings.pressure_pa, self._contacts
+        pressure_pa, coverage, last = readings.pressure_pa, readings.coverage, self._contacts
+        before, self._unread = self._unread, np.isnan(pressure_pa)
         # NaN exceeds nothing.
         if not len(last) and not (pressure_pa > self._used.contact_pa).any():
-            return last
+            return last if coverage == last.coverage else replace(last, coverage=coverage)
         taxels, labels, starts = self._touched(pressure_pa)
-        origin, torn = _origins(self._place[taxels], labels, len(last), len(starts))
+        places = self._place[taxels]
         self._place[:] = -1
         self._place[taxels] = labels
         if not len(taxels):
-            return NO_CONTACTS
+            return replace(NO_CONTACTS, coverage=coverage)
+        saturated = readings.status[taxels] & _SATURATED > 0
+        near, changed = self._beside[:, taxels], before != self._unread
+        at_least = saturated | self._unread[near].any(axis=0)
+        origin, torn = _origins(places, labels, len(last), len(starts))
+        torn |= np.logical_or.reduceat(changed[taxels] | changed[near].any(axis=0), starts)
         felt_pa, moments = pressure_pa[taxels], self._moments[taxels]
         rim, labels_of_rim = self._rim(pressure_pa)
         sums = np.add.reduceat(moments * felt_pa[:, None], starts)
@@ -161,8 +206,8 @@ class ContactTracker:
         ids[new], age_s[new] = np.arange(self.next_id, self.next_id + len(new)), 0.0
         self.next_id += len(new)
         velocity, rate = _motion(position_m, force_n, last, origin, torn, passed_s)
-        saturated = readings.status[taxels] & _SATURATED
         return Contacts(
+            coverage=coverage,
             ids=ids,
             age_s=age_s,
             load_n=sums[:, 0],
@@ -171,7 +216,8 @@ class ContactTracker:
             torque_nm=-sums[:, 7:10],
             area_m2=np.add.reduceat(moments[:, 0], starts),
             pressure_max_pa=np.maximum.reduceat(felt_pa, starts),
-            saturated=np.maximum.reduceat(saturated, starts) > 0,
+            saturated=np.logical_or.reduceat(saturated, starts),
+            lower_bound=np.logical_or.reduceat(at_least, starts),
             velocity_m_s=velocity,
             force_rate_n_s=rate,
             taxels=np.split(taxels, starts[1:]),
@@ -252,7 +298,8 @@ def _motion(
 ) -> tuple[Floats, Floats]:
     """Velocities (c, 3), m/s, and force rates (c,), N/s: low-pass filtered differences of frames.
 
-    Contacts that merged or split keep their rates. The force of a new contact rises from zero.
+    torn: (c,) contacts that jumped without moving keep their rates. The force of a new contact
+    rises from zero.
     """
     before = np.zeros((len(last) + 1, 8))  # position, force and their rates; 0 for new contacts
     before[:-1, :3], before[:-1, 3] = last.position_m, _length(last.force_n)

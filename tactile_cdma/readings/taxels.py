@@ -36,6 +36,39 @@ class Status(IntFlag):
 
 
 @dataclass(frozen=True, slots=True)
+class Coverage:
+    """How much of a patch is read.
+
+    valid: taxels with a valid reading. in_service: taxels with a node that the layout does not
+    mask.
+    """
+
+    valid: int = 0
+    in_service: int = 0
+
+    @classmethod
+    def of(cls, pressure_pa: Floats32, status: NDArray[np.uint8]) -> Coverage:
+        """That of one frame; pressure_pa: (t,), Pa, NaN without a reading; status: (t,) bits."""
+        in_service = status & _MASKED == 0
+        valid = in_service & np.isfinite(pressure_pa)
+        return cls(int(np.count_nonzero(valid)), int(np.count_nonzero(in_service)))
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether every taxel in service has a reading: only then nothing found is no touch."""
+        return self.valid == self.in_service > 0
+
+    @property
+    def is_most(self) -> bool:
+        """Whether at least half of the taxels in service have a reading.
+
+        With fewer, more of the skin is blind than seen: an equal load there would more than double
+        every sum over the patch, and move its centre to taxels that were not read.
+        """
+        return 2 * self.valid >= self.in_service > 0
+
+
+@dataclass(frozen=True, slots=True)
 class Readings:
     """The readings of one frame, taxel by taxel in the order of the layout.
 
@@ -47,6 +80,11 @@ class Readings:
     pressure_pa: Floats32
     voltage_v: Floats32
     status: NDArray[np.uint8]
+
+    @property
+    def coverage(self) -> Coverage:
+        """How much of the patch these are of."""
+        return Coverage.of(self.pressure_pa, self.status)
 
 
 class Taxels:
@@ -223,6 +261,7 @@ class Taxels:
 
 
 _LOW_SNR = np.uint8(Status.LOW_SNR)
+_MASKED = np.uint8(Status.MASKED)
 _SATURATED = np.uint8(Status.SATURATED)
 _UNCALIBRATED = np.uint8(Status.UNCALIBRATED)
 _SILENT = np.uint8(Status.SILENT)

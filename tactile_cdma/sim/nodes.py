@@ -140,7 +140,8 @@ def node_frames(
         speaker = roll_calls.speaker(number, spec.nodes) if roll_calls else None
         if speaker is not None:
             active = np.arange(spec.nodes) == speaker
-        active[dead] = False
+        if start_s >= sensors.dead_after_s:
+            active[dead] = False
         last_sent[active] = codes[active]
         called = speaker is not None
         yield NodeFrame(number, start_s, pressure_pa, voltage_v, codes, active, called)

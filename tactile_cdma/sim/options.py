@@ -121,6 +121,7 @@ class SimOptions:
         "largest drift of a sensor's voltage, over minutes", "mV", (0.0, 1e3))
     sensor_noise: float = _option(0.0, "noise at a node's converter, rms", "V", (0.0, 1.0))
     dead: str = _option("", "nodes that never send: 3,17")
+    dead_after: float = _option(0.0, "time from which these are dead", "s", (0.0, 86_400.0))
     stuck: str = _option("", "nodes that always measure the same: 3,17")
     rail: float = _option(0.0,
         "amplifier's rails about the offset; 0: out of reach", "V", (0.0, 1e4))
@@ -184,6 +185,7 @@ class SimOptions:
             warming_v=self.warming * 1e-3,
             noise_v=self.sensor_noise,
             dead=_numbers("dead", self.dead),
+            dead_after_s=self.dead_after,
             stuck=_numbers("stuck", self.stuck),
             seed=self.seed,
         )

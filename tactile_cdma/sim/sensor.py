@@ -38,8 +38,9 @@ class SensorModel:
     kind: "ideal", the curve alone, or "paper", with lag and hysteresis. hysteresis: factor to the
     paper's loops, 0…7. mismatch: spread of the taxels' curves, rms, as a share, 0…0.1. warming_v:
     largest drift of a voltage, V. noise_v: rms, V. dead, stuck: numbers, from 1 on, of nodes that
-    never speak and of nodes that always measure the same; those beyond the skin are left out.
-    seed: of everything random. curve: of a taxel without mismatch.
+    do not speak from dead_after_s on, s since START, and of nodes that always measure the same;
+    those beyond the skin are left out. seed: of everything random. curve: of a taxel without
+    mismatch.
     """
 
     kind: str = IDEAL
@@ -48,6 +49,7 @@ class SensorModel:
     warming_v: float = 0.0
     noise_v: float = 0.0
     dead: tuple[int, ...] = ()
+    dead_after_s: float = 0.0
     stuck: tuple[int, ...] = ()
     seed: int = 0
     curve: PressureCurve = field(default_factory=PressureCurve.two_stage)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
@@ -23,6 +24,11 @@ class History:
         self._values.append((now_s, value))
         while now_s - self._values[0][0] > self.span_s:
             self._values.popleft()
+
+    @property
+    def latest(self) -> float:
+        """The value added last; NaN: unknown, or none yet."""
+        return self._values[-1][1] if self._values else math.nan
 
     def bins(self, now_s: float, count: int) -> Floats:
         """(count,) the maximum in each of count equal parts of the span; NaN: no value.

@@ -26,7 +26,12 @@ from .heatmap import NO_TAXEL_RGB, colours
 _RESET = "\x1b[0m"
 _SHADES = " .:-=+*#%@"
 """Light to heavy, for terminals without colours."""
+_NO_READING = "/"
+"""Shade of a taxel without a reading, which none of the others is."""
 _BARS = "▁▂▃▄▅▆▇█"
+TOUCH_PA = 1e3
+"""Pressure that is shown rather than that a taxel beside it has no reading, Pa; the default of
+contact_kpa."""
 _LABEL = 7
 """Characters of a taxel's value with two marks, as 140.0?w."""
 _STATUS_LINES = 3
@@ -118,7 +123,12 @@ def picture(reading: Reading, look: Look, columns: int, lines: int) -> list[str]
         if taxel >= 0:
             labels |= _labels(reading, look, taxel, places)
     paint = np.vstack([colours(reading.pressure_pa, look.max_pa), [NO_TAXEL_RGB]]).tolist()
-    shades = [*_shades(reading.pressure_pa / look.max_pa), " "]
+    unread = np.isnan(reading.pressure_pa).tolist()
+    shades = [
+        _NO_READING if is_unread else shade
+        for shade, is_unread in zip(_shades(reading.pressure_pa / look.max_pa), unread, strict=True)
+    ]
+    shades.append(" ")
 
     def stretch(taxel: int, label: str, width: int) -> str:
         if look.coloured:
@@ -133,15 +143,20 @@ def picture(reading: Reading, look: Look, columns: int, lines: int) -> list[str]
 
 
 def pooled(reading: Reading, columns: int, lines: int) -> NDArray[np.int32]:
-    """(≤ lines, ≤ columns) the raster, or the most pressed taxel of each block of its cells."""
+    """(≤ lines, ≤ columns) the raster, or the most pressed taxel of each block of its cells.
+
+    One in service without a reading stands for a block in which no other reads more than TOUCH_PA.
+    """
     height, width = reading.raster.shape
     down, right = -(-height // max(1, lines)), -(-width // max(1, columns))
     rows, cells = -(-height // down), -(-width // right)
     padding = ((0, rows * down - height), (0, cells * right - width))
     raster = np.pad(reading.raster, padding, constant_values=-1)
     blocks = raster.reshape(rows, down, cells, right).swapaxes(1, 2).reshape(rows, cells, -1)
-    # A taxel without a reading ranks below any reading and above no taxel.
-    rank = np.append(np.nan_to_num(reading.pressure_pa, nan=-1e30), -np.inf)
+    # A masked taxel ranks below any reading and above no taxel.
+    unread_pa = np.where(reading.in_service, TOUCH_PA, -1e30)
+    pressure_pa = np.where(np.isnan(reading.pressure_pa), unread_pa, reading.pressure_pa)
+    rank = np.append(pressure_pa, -np.inf)
     most = rank[blocks].argmax(axis=2)[..., None]
     return np.asarray(np.take_along_axis(blocks, most, axis=2)[..., 0])
 

@@ -18,7 +18,7 @@ rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
 from builtin_interfaces.msg import Time  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from geometry_msgs.msg import Point32, TransformStamped  # noqa: E402
+from geometry_msgs.msg import Point, Point32, TransformStamped, Vector3  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from sensor_msgs.msg import PointCloud2  # noqa: E402
@@ -32,6 +32,8 @@ from tactile_cdma.msg import (  # noqa: E402
     TactileContacts,
     TactileSkinInfo,
 )
+from tactile_cdma.places.poses import Pose  # noqa: E402
+from tactile_cdma.ros.body.contacts import body_contacts  # noqa: E402
 from tactile_cdma.ros.body.node import BodyNode  # noqa: E402
 from tactile_cdma.ros.common.qos import LATCHED  # noqa: E402
 from tactile_cdma.views.cloud import BODY_POINT  # noqa: E402
@@ -61,9 +63,13 @@ class Patch:
         values = array("f", pressure_pa)
         self.arrays.publish(TactileArray(header=self.header(), info_id=info_id, pressure=values))
 
-    def touch(self, age_s: float = 0.0, contacts: int = 0) -> None:
-        header, touches = self.header(age_s), [TactileContact(patch=self.frame_id)] * contacts
-        self.contacts.publish(TactileContacts(header=header, contacts=touches))
+    def touch(self, age_s: float = 0.0, contacts: int = 0, valid: int = 16) -> None:
+        """A frame's contacts; valid: taxels with a reading, of 16."""
+        message = TactileContacts(header=self.header(age_s), touched=contacts > 0)
+        message.contacts = [TactileContact(patch=self.frame_id)] * contacts
+        message.taxels_valid, message.taxels_in_service = valid, 16
+        message.untouched = valid == 16 and not contacts
+        self.contacts.publish(message)
 
 
 class World:
@@ -224,6 +230,77 @@ def test_thousands_of_contacts_pass(world: World) -> None:
     world.a.touch(contacts=3000)
     wait(world, lambda: any(len(message.contacts) == 3000 for message in world.contacts))
     world.contacts.clear()
+
+
+def test_a_patch_without_a_valid_taxel_is_absent_and_said_to_be_blind(world: World) -> None:
+    def again(valid: int) -> None:
+        world.mount(0.0)
+        world.a.touch(valid=valid)
+
+    wait(world, lambda: world.contacts[-1].absent == ["/b/skin"], lambda: again(16))
+    wait(world, lambda: world.contacts[-1].absent == ["/a/skin", "/b/skin"], lambda: again(0))
+    assert not world.contacts[-1].untouched
+    text = "none of its 16 taxels in service has a valid reading"
+    wait(world, lambda: world.said.get("/a/skin", "").startswith(text), lambda: again(0))
+    wait(world, lambda: world.said["/a/skin"].endswith("15 of 16 taxels valid"), lambda: again(15))
+    assert world.contacts[-1].absent == ["/b/skin"]
+
+
+AREA_M2 = 0.25
+
+
+def patch(valid: int, force_n: float = 0.0, in_service: int = 16) -> tuple[Pose, TactileContacts]:
+    """What a driver says of its patch, which lies at the body's origin, by TactileContacts.msg."""
+    message = TactileContacts(touched=force_n > 0, taxels_valid=valid, taxels_in_service=in_service)
+    message.untouched = not force_n and valid == in_service
+    has_sums = message.untouched or (force_n > 0 and 2 * valid >= in_service)
+    message.area = (AREA_M2 if force_n else 0.0) if has_sums else math.nan
+    message.wrench.force.z = -force_n if has_sums else math.nan
+    if force_n:
+        message.contacts = [TactileContact(force=Vector3(z=-force_n), position=Point(x=1.0))]
+    return Pose(np.eye(3), np.zeros(3)), message
+
+
+@pytest.mark.parametrize(
+    ("parts", "absent", "touched", "untouched", "force_n"),
+    [
+        ([patch(16), patch(16)], [], False, True, 0.0),
+        ([patch(16), patch(16, 2.0)], [], True, False, 2.0),
+        ([patch(16, 1.0), patch(16, 2.0)], [], True, False, 3.0),
+        ([patch(16), patch(15)], [], False, False, math.nan),  # of one taxel nothing is known
+        ([patch(16, 1.0), patch(15)], [], True, False, 1.0),  # a lower bound
+        ([patch(16)], ["/b"], False, False, math.nan),
+        ([patch(16, 1.0)], ["/b"], True, False, 1.0),
+        ([patch(16, 1.0)], ["/b", "/c"], True, False, math.nan),  # more are absent than are there
+        ([patch(16, 1.0), patch(7, 2.0)], [], True, False, math.nan),  # that patch has no sum
+        ([patch(16, 1.0), patch(1, in_service=64)], [], True, False, math.nan),  # 17 of 80 taxels
+        ([], ["/a"], False, False, math.nan),
+    ],
+)
+def test_a_body_claims_what_its_patches_know(
+    parts: list[tuple[Pose, TactileContacts]],
+    absent: list[str],
+    touched: bool,
+    untouched: bool,
+    force_n: float,
+) -> None:
+    message = body_contacts(parts, absent, Header(frame_id="body"), 7)
+    assert (message.touched, message.untouched, message.absent) == (touched, untouched, absent)
+    assert len(message.contacts) == sum(len(part.contacts) for _, part in parts)
+    assert message.taxels_valid == sum(part.taxels_valid for _, part in parts)
+    assert message.taxels_in_service == sum(part.taxels_in_service for _, part in parts)
+    assert -message.wrench.force.z == pytest.approx(force_n, nan_ok=True)
+    assert math.isnan(message.wrench.torque.x) == math.isnan(message.area) == math.isnan(force_n)
+    assert math.isnan(message.position.x) == (not touched or math.isnan(force_n))
+
+
+def test_counts_and_areas_beyond_what_a_message_holds_break_nothing() -> None:
+    pose, strange = patch(16, 1.0)
+    strange.taxels_valid = strange.taxels_in_service = 2**32 - 1
+    strange.area = 3e38
+    message = body_contacts([(pose, strange)] * 3, [], Header(), 0)
+    assert message.taxels_valid == 2**32 - 1
+    assert math.isinf(message.area)
 
 
 def test_late_messages_are_no_wrong_clock_but_a_wrong_clock_is_said(world: World) -> None:

@@ -23,11 +23,13 @@ from numpy.typing import NDArray
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
 from geometry_msgs.msg import WrenchStamped  # noqa: E402
+from lifecycle_msgs.msg import Transition  # noqa: E402
 from rclpy.time import Time  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 from std_msgs.msg import Bool, Float64  # noqa: E402
 
-from skin_client import running, wait_for  # noqa: E402
+from skin_client import Client, running, wait_for  # noqa: E402
+from tactile_cdma.msg import TactileArray  # noqa: E402
 from tactile_cdma.sim.scene import SCENES, Skin  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -120,10 +122,12 @@ def test_grip_closes_until_5_kpa_holds_and_stops_what_slides(
         client.create_subscription(Float64, "/gripper/close_mm", close, 10)
         client.create_subscription(Bool, "/arm/stop", lambda m: stops.append(m.data), 10)
         with example("grip"):
+            wait_for(lambda: stops and not stops[-1], PATIENCE_S)
+            feeling = len(stops)
             wait_for(lambda: thing.peak_pa > 2e3 and held(40), PATIENCE_S)
             # the taxel nearest to the peak reads a bit less than it
             assert 5e3 <= thing.peak_pa < 10e3
-            assert not any(stops)
+            assert not any(stops[feeling:])
 
             grip_mm, before = commands_mm[-1], len(stops)
             thing.needed_pa = thing.peak_pa + 1e3  # somebody pulls
@@ -133,6 +137,78 @@ def test_grip_closes_until_5_kpa_holds_and_stops_what_slides(
             assert commands_mm[-1] > grip_mm
             assert thing.peak_pa >= thing.needed_pa
     assert np.all(np.diff(commands_mm) >= 0)
+
+
+NODES = 16
+ALL_DEAD = ",".join(str(node) for node in range(1, NODES + 1))
+MOST_MM = float(re.findall(r"MOST_MM, .* = ([\d.]+),", EXAMPLES["grip"])[0])
+
+
+class Gripper:
+    """The fingers, between which there is nothing, and what the program "grip" tells them."""
+
+    def __init__(self, client: Client) -> None:
+        self.closed_mm: list[float] = []
+        self.stops: list[bool] = []
+        self.moved_s = -math.inf  # when it was last told to close further
+        client.create_subscription(Float64, "/gripper/close_mm", self._close, 10)
+        client.create_subscription(Bool, "/arm/stop", lambda m: self.stops.append(m.data), 10)
+
+    def _close(self, message: Float64) -> None:
+        if self.closed_mm and message.data > self.closed_mm[-1]:
+            self.moved_s = time.monotonic()
+        self.closed_mm.append(message.data)
+
+
+LATE_S = 0.5
+"""For frames and commands on their way, on a busy computer."""
+
+
+def test_grip_stops_within_stale_after_s_once_all_nodes_have_died() -> None:
+    """A link that works and frames that go on, of nodes that spoke in every frame and then die."""
+    port = f"sim://?scene=idle&threshold=0&dead={ALL_DEAD}&dead_after=4"
+    stale_after_s = 1.0
+    with example("grip"):
+        observer = rclpy.create_node("observer")
+        wait_for(lambda: observer.count_subscribers("/skin/contacts"), PATIENCE_S)
+        observer.destroy_node()
+        with running(port=port, stale_after_s=stale_after_s) as (_, client):
+            gripper = Gripper(client)
+            wait_for(lambda: len(set(gripper.closed_mm)) > 30, PATIENCE_S)
+            wait_for(lambda: min(client.arrays[-1].status) & TactileArray.STATUS_SILENT, PATIENCE_S)
+            died_s = time.monotonic()
+            assert gripper.moved_s > died_s - LATE_S, "it is closing when they die"
+            wait_for(lambda: gripper.stops[-1], PATIENCE_S)
+            assert time.monotonic() - died_s < stale_after_s + LATE_S
+            frames, closed_mm = len(client.arrays), gripper.closed_mm[-1]
+            wait_for(lambda: len(client.arrays) > frames + 80)
+    assert gripper.moved_s - died_s < stale_after_s + LATE_S
+    assert gripper.closed_mm[-1] - closed_mm < 0.1, "what was on its way"
+    assert gripper.closed_mm[-1] < 0.9 * MOST_MM, "the limit of travel has no part in it"
+    assert gripper.stops[-1]
+
+
+@pytest.mark.parametrize("dead", [ALL_DEAD, "6"])
+def test_grip_never_closes_with_nodes_that_were_never_heard(dead: str) -> None:
+    with running(port=f"sim://?scene=press&dead={dead}") as (_, client), example("grip"):
+        gripper = Gripper(client)
+        wait_for(lambda: len(gripper.stops) > 4 / 0.0128, PATIENCE_S)  # a press on and off
+    assert set(gripper.closed_mm) == {0.0}
+    assert all(gripper.stops)
+
+
+def test_grip_stops_at_its_limit_of_travel_and_without_messages() -> None:
+    with running(port="sim://?scene=idle&threshold=0") as (_, client), example("grip"):
+        gripper = Gripper(client)
+        wait_for(lambda: gripper.stops and not gripper.stops[-1], PATIENCE_S)
+        wait_for(lambda: gripper.stops[-1] and gripper.closed_mm[-1] == MOST_MM, PATIENCE_S)
+        told = len(gripper.stops)
+        assert client.change(Transition.TRANSITION_DEACTIVATE)
+        frames = len(client.arrays)
+        wait_for(lambda: len(gripper.stops) > told + 5)
+        assert len(client.arrays) < frames + 5, "no frames any more"
+        assert all(gripper.stops[told:])
+    assert max(gripper.closed_mm) == MOST_MM
 
 
 def test_fusion_pairs_each_frame_with_the_joint_state_nearest_in_time() -> None:
@@ -190,9 +266,18 @@ def test_places_gives_force_and_centre_of_the_wrench() -> None:
     assert np.mean(agreeing) > 0.5  # of the same frames; the two did not begin with the same one
 
 
+def test_places_prints_no_force_of_a_skin_that_is_not_read() -> None:
+    with running(port="sim://?scene=press&dead=6"), example("places") as output:
+        wait_for(lambda: len(text_of(output).splitlines()) > 100, PATIENCE_S)
+        lines = text_of(output).splitlines()
+    assert lines[-1] == "unknown: no reading of the taxels 5"
+    assert all(line.startswith("unknown: ") for line in lines)
+
+
 def forces_and_centres(output: IO[str]) -> NDArray[np.float64]:
     """(m, 6) what was printed: N, and mm."""
-    numbers = [re.findall(r"-?\d+\.\d+", line) for line in text_of(output).splitlines()]
+    lines = [line for line in text_of(output).splitlines() if line.startswith("force")]
+    numbers = [re.findall(r"-?\d+\.\d+", line) for line in lines]
     return np.array(numbers, dtype=np.float64)
 
 

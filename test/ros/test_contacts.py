@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from typing import Any
 
@@ -16,9 +16,13 @@ import pytest
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
 from geometry_msgs.msg import WrenchStamped  # noqa: E402
+from sensor_msgs.msg import Image, PointCloud2  # noqa: E402
+from visualization_msgs.msg import MarkerArray  # noqa: E402
 
 from skin_client import Client, running, wait_for  # noqa: E402
 from tactile_cdma.msg import TactileArray, TactileContacts  # noqa: E402
+from tactile_cdma.ros.driver.markers import BLIND, SURFACE  # noqa: E402
+from tactile_cdma.views.heatmap import NO_READING_RGB  # noqa: E402
 
 pytestmark = pytest.mark.ros
 PITCH_M = 7e-3
@@ -82,17 +86,50 @@ def assert_is_in(message: TactileContacts, array: TactileArray) -> None:
     assert components(message.wrench.torque) == pytest.approx(torque, abs=1e-6)
 
 
-def test_an_untouched_skin_has_an_empty_list_in_every_frame() -> None:
+def test_an_untouched_skin_has_an_empty_list_in_every_frame_and_zeros_once_all_is_heard() -> None:
     with running(port="sim://?scene=idle") as (_, client):
         lists = subscribed(client, TactileContacts, "contacts")
-        wait_for(lambda: len(lists) > 40)
+        wait_for(lambda: len([message for message in lists if message.untouched]) > 40)
     for message in lists:
         assert not message.touched
         assert not message.contacts
+        assert message.taxels_in_service == 16
+        assert message.untouched == (message.taxels_valid == 16)
         assert math.isnan(message.position.x)
-        assert (message.area, message.wrench.force.z) == (0.0, 0.0)
+        sums = message.area, message.wrench.force.z, message.wrench.torque.x
+        assert sums == (0.0, 0.0, 0.0) if message.untouched else all(map(math.isnan, sums))
     sequences = [message.sequence for message in lists]
     assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
+
+
+@pytest.mark.parametrize(("dead", "valid"), [(range(1, 17), 0), ([6], 15)])
+def test_what_dead_nodes_would_feel_is_unknown(dead: Iterable[int], valid: int) -> None:
+    """The fingertip presses node 6; all nodes are dead, or that one alone."""
+    port = f"sim://?scene=press&dead={','.join(map(str, dead))}"
+    with running(port=port) as (_, client):
+        lists = subscribed(client, TactileContacts, "contacts")
+        wrenches = subscribed(client, WrenchStamped, "wrench")
+        markers = subscribed(client, MarkerArray, "markers")
+        images, clouds = (
+            subscribed(client, kind, topic)
+            for kind, topic in ((Image, "pressure_image"), (PointCloud2, "points"))
+        )
+        wait_for(lambda: sum(m.taxels_valid == valid for m in lists) > 4 / 0.0128)  # on and off
+    for message in lists:
+        assert not message.touched and not message.untouched and not message.contacts
+        assert message.taxels_in_service == 16
+        sums = message.area, *components(message.wrench.force), *components(message.wrench.torque)
+        assert np.isnan(sums).all() and np.isnan(components(message.position)).all()
+    assert wrenches and all(math.isnan(wrench.wrench.force.z) for wrench in wrenches)
+    [text] = [marker.text for marker in markers[-1].markers if marker.ns == BLIND]
+    assert text == f"no reading: {16 - valid} of 16 taxels"
+    [unread] = np.nonzero(np.isnan(np.frombuffer(images[-1].data, np.float32)))
+    assert unread.tolist() == [node - 1 for node in dead]
+    assert clouds[-1].width == valid
+    [surface] = [marker for marker in markers[-1].markers if marker.ns == SURFACE]
+    of_taxels = np.array([(c.r, c.g, c.b) for c in surface.colors]).reshape(16, 6, 3)
+    grey = np.isclose(of_taxels * 255, NO_READING_RGB).all(axis=(1, 2))
+    assert np.flatnonzero(grey).tolist() == unread.tolist()
 
 
 def test_frames_that_are_left_out_are_left_out_of_all_topics() -> None:

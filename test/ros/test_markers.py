@@ -22,6 +22,7 @@ from tactile_cdma.readings.taxels import Readings, Status
 from tactile_cdma.ros.driver.markers import (
     ARROW_M_PER_N,
     ARROWS,
+    BLIND,
     MOST_SQUARES,
     SURFACE,
     TEXTS,
@@ -54,6 +55,7 @@ class Skin:
         pressure_pa = np.zeros(len(self.layout), dtype=np.float32)
         pressure_pa[list(pressed_pa)] = list(pressed_pa.values())
         status = np.full(len(self.layout), Status.SATURATED if saturated else 0, dtype=np.uint8)
+        status[self.layout.nodes == 0] = Status.MASKED
         self.t_s += 0.02
         contacts = self.tracker.update(Readings(pressure_pa, pressure_pa, status), self.t_s)
         return self.markers.markers(pressure_pa, MAX_PA, contacts, HEADER, lifetime_s=1.5)
@@ -102,6 +104,25 @@ def test_of_a_saturated_contact_the_force_is_at_least_that() -> None:
     assert text.text.startswith("> ")
 
 
+def test_beside_a_taxel_without_a_reading_the_force_is_at_least_that() -> None:
+    nan = float("nan")
+    [beside] = of(Skin().draw({8: 40e3, 9: nan}), TEXTS)
+    [apart] = of(Skin().draw({8: 40e3, 11: nan}), TEXTS)
+    assert (beside.text.startswith("> "), apart.text.startswith("> ")) == (True, False)
+
+
+def test_a_skin_that_is_not_read_says_so_where_an_untouched_one_shows_nothing() -> None:
+    skin = Skin()
+    every = {taxel: float("nan") for taxel in range(24)}
+    assert not of(skin.draw({}), BLIND)
+    [text] = of(skin.draw(every), BLIND)
+    assert text.text == "no reading: 23 of 23 taxels"
+    [text] = of(skin.draw({3: float("nan")}), BLIND)
+    assert text.text == "no reading: 1 of 23 taxels"
+    assert [m.id for m in of(skin.draw({}), BLIND, Marker.DELETE)] == [text.id]
+    assert not of(skin.draw({}), BLIND, Marker.DELETE)
+
+
 def test_markers_of_contacts_that_are_gone_are_deleted_once_and_others_keep_their_ids() -> None:
     skin = Skin()
     first = skin.draw({0: 40e3, 22: 30e3})
@@ -119,6 +140,7 @@ def test_markers_of_contacts_that_are_gone_are_deleted_once_and_others_keep_thei
 def test_large_skins_have_contacts_only() -> None:
     largest = Layout.grid(MOST_SQUARES, 0, 0, PITCH_M, PITCH_M)
     larger = Layout.grid(MOST_SQUARES + 16, 0, 16, PITCH_M, PITCH_M)
+    assert of(Skin(larger).draw({0: float("nan")}), BLIND), "without squares that turn grey"
     assert of(Skin(largest).draw({0: 40e3}), SURFACE)
     drawn = Skin(larger).draw({0: 40e3})
     assert not of(drawn, SURFACE)

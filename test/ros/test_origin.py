@@ -73,7 +73,7 @@ def test_a_simulator_that_was_asked_for_is_named_and_no_warning(
     with running(port="sim://?seed=3", skin="palm") as (_, client):
         wait_for(lambda: client.arrays)
         wait_for(told(client, OK, f"simulated, {SIMULATOR_ID}"))
-        assert origin(client) == (SIMULATED, SIMULATED, SIMULATOR_ID)
+        wait_for(lambda: origin(client) == (SIMULATED, SIMULATED, SIMULATOR_ID))
         assert client.infos[-1].skin == "palm"
         assert values(client) == ["palm", SIMULATOR_ID, "simulated", "simulated"]
         assert client.arrays[0].info_id == client.infos[-1].info_id, "who it is comes first"
@@ -100,7 +100,7 @@ def test_a_simulator_behind_a_device_path_does_not_pass_for_a_board(tmp_path: Pa
     link = tmp_path / "ttyACM0"
     with plugged(simulator, link), running(port=str(link)) as (_, client):
         wait_for(told(client, WARN, f"{link} leads to a simulator"))
-        assert origin(client) == (SIMULATED, SIMULATED, SIMULATOR_ID)
+        wait_for(lambda: origin(client) == (SIMULATED, SIMULATED, SIMULATOR_ID))
 
 
 def test_another_board_on_the_port_is_told_of_once(
@@ -112,10 +112,10 @@ def test_another_board_on_the_port_is_told_of_once(
             assert client.change(Transition.TRANSITION_CONFIGURE)
             assert client.change(Transition.TRANSITION_ACTIVATE)
             wait_for(told(client, OK, f"board, {FIRST}"))
-            assert origin(client) == (BOARD, BOARD, FIRST)
+            wait_for(lambda: origin(client) == (BOARD, BOARD, FIRST))
         with plugged(a_board(SECOND), link):
             wait_for(told(client, WARN, f"{SECOND}, before {FIRST}"))
-            assert origin(client) == (BOARD, BOARD, SECOND)
+            wait_for(lambda: origin(client) == (BOARD, BOARD, SECOND))
             wait_for(told(client, OK, f"board, {SECOND}"))
         client.arrays.clear()
         with plugged(a_board(SECOND), link):  # the same one again: no news
@@ -124,8 +124,13 @@ def test_another_board_on_the_port_is_told_of_once(
         assert client.value("source", "changes of the digitizer") == "1"
         assert client.change(Transition.TRANSITION_DEACTIVATE)
         client.entries.clear()
+        client.infos.clear()
         with plugged(a_board(FIRST), link):  # changed while the node did not look
             assert client.change(Transition.TRANSITION_ACTIVATE)
+            wait_for(lambda: client.infos)
+            assert {info.digitizer_id for info in client.infos} == {FIRST}, (
+                "not who was there before"
+            )
             wait_for(told(client, WARN, f"{FIRST}, before {SECOND}"))
     said = warnings(capfd.readouterr().err)
     assert len(said) == 2
@@ -139,5 +144,5 @@ def test_a_replay_says_so_and_of_what(tmp_path: Path) -> None:
             assert main(["record", port, str(path), "--seconds", "1", "--nodes", "16"]) == 0
         with running(port=f"replay://{path}?loop=true") as (_, client):
             wait_for(told(client, OK, f"replayed from replay://{path}"))
-            assert origin(client)[:2] == (REPLAYED, kind)
+            wait_for(lambda kind=kind: origin(client)[:2] == (REPLAYED, kind))
             assert client.value("source", "measured by") == ("board", "simulated")[number]

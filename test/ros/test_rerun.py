@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,7 @@ pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 rr = pytest.importorskip("rerun", reason="rerun-sdk is not installed (make view)")
 
 import rclpy  # noqa: E402
+from lifecycle_msgs.msg import Transition  # noqa: E402
 from pyarrow.types import is_temporal  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rerun.chunk import RrdReader  # noqa: E402
@@ -22,8 +25,9 @@ from rerun.chunk import RrdReader  # noqa: E402
 from skin_client import running, wait_for  # noqa: E402
 from tactile_cdma.places.layout_file import Wiring, read_layout  # noqa: E402
 from tactile_cdma.places.mesh import taxel_squares  # noqa: E402
+from tactile_cdma.ros.viewers.rerun_scene import OLD_S  # noqa: E402
 from tactile_cdma.ros.viewers.rerun_view import RerunView  # noqa: E402
-from tactile_cdma.views.heatmap import colours  # noqa: E402
+from tactile_cdma.views.heatmap import NO_READING_RGB, colours  # noqa: E402
 
 pytestmark = pytest.mark.ros
 LAYOUT = Path(__file__).resolve().parents[2] / "config" / "layouts" / "cylinder.yaml"
@@ -38,25 +42,13 @@ def ros() -> Iterator[None]:
 
 def test_what_is_saved_is_what_was_published(tmp_path: Path) -> None:
     file = tmp_path / "touch.rrd"
-    recording = rr.RecordingStream("test")
-    recording.save(file)
     port = f"sim://?scene=presses&layout={LAYOUT}"
     skin = {"port": port, "nodes": 72, "frame_period_ms": 50.0, "layout_file": str(LAYOUT)}
-    with running(**skin, parent_frame="arm", mount_xyz_m=[0.0, 0.5, 0.0]) as (_, client):
-        view, executor = RerunView(recording, [], 140e3), SingleThreadedExecutor()
-        executor.add_node(view)
-        thread = threading.Thread(target=executor.spin)
-        thread.start()
+    skin |= {"parent_frame": "arm", "mount_xyz_m": [0.0, 0.5, 0.0]}
+    with running(**skin) as (_, client), saving(file):
         wait_for(lambda: len(client.arrays) > 60)
         client.diagnostics.clear()
         wait_for(lambda: client.diagnostics)
-        view.show()
-        executor.shutdown()
-        thread.join()
-        view.flush()
-        view.destroy_node()
-    recording.flush()
-    recording.disconnect()
 
     saved = columns_of(file)
     layout = read_layout(LAYOUT, Wiring(nodes=72))
@@ -87,6 +79,54 @@ def test_what_is_saved_is_what_was_published(tmp_path: Path) -> None:
     assert compared > 10
     assert any(text.startswith("skin: ") for [text] in saved["/skin/diagnostics", "TextLog:text"])
     assert max(len(forces) for forces in saved["/skin/contacts", "Arrows3D:vectors"]) >= 1
+
+
+def test_a_skin_that_is_pressed_dies_and_stops_is_drawn_as_such(tmp_path: Path) -> None:
+    """At first all is read, then the nodes are dead, then there are no frames."""
+    file, dead = tmp_path / "dead.rrd", ",".join(str(node) for node in range(1, 17))
+    port = f"sim://?scene=all&threshold=0&dead={dead}&dead_after="
+    for dead_after_s, stops in ((3.0, False), (60.0, True)):
+        with running(port=f"{port}{dead_after_s}", stale_after_s=0.5) as (_, client), saving(file):
+            wait_for(lambda client=client: len(client.arrays) > 100)
+            if stops:
+                assert client.change(Transition.TRANSITION_DEACTIVATE)
+                time.sleep(OLD_S + 1.0)
+            else:
+                wait_for(lambda client=client: np.isnan(client.arrays[-1].pressure).all())
+                time.sleep(1.0)
+        saved = columns_of(file)
+        forces_n = np.ravel(saved["/skin/force", "Scalars:scalars"])
+        peaks_kpa = np.ravel(saved["/skin/peak", "Scalars:scalars"])
+        for curve in (forces_n, peaks_kpa):
+            assert np.nanmax(curve) > 1.0
+            assert np.isnan(curve[-1])
+            assert not (curve == 0).any()
+        assert np.isnan(np.ravel(saved["/skin/force/contact_1", "Scalars:scalars"])[-1])
+        [*_, last] = saved["/skin/surface", "Mesh3D:vertex_colors"]
+        rgb = np.array(last, dtype=">u4").view(np.uint8).reshape(-1, 4)[:, :3]
+        assert (rgb == NO_READING_RGB).all()
+        assert saved["/skin/contacts", "Arrows3D:vectors"][-1] == []
+
+
+@contextmanager
+def saving(file: Path) -> Iterator[None]:
+    """The bridge, which saves all patches in a file."""
+    recording = rr.RecordingStream("test")
+    recording.save(file)
+    view, executor = RerunView(recording, [], 140e3), SingleThreadedExecutor()
+    executor.add_node(view)
+    thread = threading.Thread(target=executor.spin)
+    thread.start()
+    try:
+        yield
+        view.show()
+    finally:
+        executor.shutdown()
+        thread.join()
+        view.flush()
+        view.destroy_node()
+        recording.flush()
+        recording.disconnect()
 
 
 def columns_of(file: Path) -> dict[tuple[str, str], list[object]]:

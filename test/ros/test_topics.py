@@ -25,6 +25,7 @@ from skin_client import Client, running, wait_for  # noqa: E402
 from tactile_cdma.config.parameters import read_file  # noqa: E402
 from tactile_cdma.msg import TactileArray  # noqa: E402
 from tactile_cdma.places.poses import Pose  # noqa: E402
+from tactile_cdma.ros.body.node import BodyNode  # noqa: E402
 from tactile_cdma.ros.common.qos import LATCHED  # noqa: E402
 from tactile_cdma.ros.driver.node import SkinNode  # noqa: E402
 from tactile_cdma.ros.driver.pictures import TOPICS  # noqa: E402
@@ -98,6 +99,43 @@ def test_qos_that_nothing_takes_is_warned_of(topic: str, policy: str) -> None:
         client.create_subscription(Log, "/rosout", logs.append, PAST)
         wait_for(lambda: any(name in log.msg and "no such publisher" in log.msg for log in logs))
         wait_for(lambda: client.arrays)
+
+
+UNASKED = {"/parameter_events", "/rosout", "/skin/transition_event"}
+SKIN = {"nodes": 4, "parent_frame": "palm", "visual_rate_hz": 30.0, "publish_voltage": True}
+BODY = {"patches": ["/nobody/skin"], "stale_after_s": 0.2}
+
+
+@pytest.mark.parametrize(
+    ("make", "parameters", "silent"),
+    [
+        (SkinNode, {**SKIN, "port": "sim://?scene=all&nodes=4"}, set()),
+        (SkinNode, {**SKIN, "port": "sim://?nodes=4&dead=1,2,3,4"}, set()),
+        (BodyNode, BODY, {"/body/points"}),
+    ],
+    ids=["a skin that is pressed", "a dead skin", "a body without patches"],
+)
+def test_every_topic_has_fields_of_the_right_types(
+    make: Any, parameters: dict[str, Any], silent: set[str]
+) -> None:
+    """Messages assert them here (ROS_PYTHON_CHECK_FIELDS), as a plain colcon build does in C.
+
+    With contacts and without, and of a body before it has heard of any patch. silent: topics on
+    which there is nothing to publish then.
+    """
+    with pytest.raises(AssertionError):
+        TactileArray(noise_rms=1)
+    heard: dict[str, list[Any]] = {}
+    with running(make, **parameters) as (node, client):
+        for publisher in node.publishers:
+            if (topic := publisher.topic_name) not in UNASKED | silent:
+                heard[topic] = []
+                qos = QoSProfile(depth=10, durability=LATCHED.durability)
+                if offers(client, topic)[1] != "TRANSIENT_LOCAL":
+                    qos = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+                client.create_subscription(publisher.msg_type, topic, heard[topic].append, qos)
+        assert len(heard) == (3 if make is BodyNode else len(TOPICS) + 6)
+        wait_for(lambda: all(heard.values()), timeout_s=20.0)
 
 
 def test_tf_is_told_where_the_skin_is_from_configure_to_cleanup() -> None:

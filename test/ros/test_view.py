@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import fcntl
+import math
 import os
 import pty
 import re
@@ -12,24 +13,29 @@ import select
 import subprocess
 import sys
 import termios
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from lifecycle_msgs.msg import Transition
 
 from skin_client import running, wait_for
-from tactile_cdma.msg import TactileArray
+from tactile_cdma.msg import TactileArray, TactileContact, TactileContacts
 from tactile_cdma.ros.common.process import Viewing
 from tactile_cdma.ros.common.qos import QUEUE
+from tactile_cdma.ros.viewers.body_view import line as body_line
 from tactile_cdma.ros.viewers.complaints import MOST_ENTRIES, Complaints
 from tactile_cdma.ros.viewers.patches import full_name
-from tactile_cdma.ros.viewers.view import Viewer, look_for
+from tactile_cdma.ros.viewers.view import Viewer, draw, look_for
 
 pytestmark = pytest.mark.ros
 
@@ -150,3 +156,92 @@ def test_terminals_without_colours_or_without_a_cursor_are_served_too() -> None:
         assert not re.search(r"\x1b\[[0-9;]*m", shown), "no colours"
         shown = shown_by_the_viewer("taxels valid", b"\x03", TERM="dumb")
         assert "\x1b" not in shown and "received=" in shown.splitlines()[-1]
+
+
+DEAD = ",".join(str(node) for node in range(1, 17))
+
+
+@pytest.mark.parametrize("frames_stop", [False, True])
+def test_lines_of_a_skin_that_stops_or_dies_count_no_taxel_as_valid(frames_stop: bool) -> None:
+    """At first all is read; then all nodes die, or frames stop."""
+    command = [sys.executable, "-m", "tactile_cdma.ros.viewers.view", "--seconds", "9"]
+    port = f"sim://?scene=press&dead={DEAD}&dead_after={60 if frames_stop else 4}"
+    viewer = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)
+    try:
+        observer = rclpy.create_node("observer")
+        wait_for(lambda: observer.count_subscribers("/skin/tactile"))
+        observer.destroy_node()
+        with running(port=port, stale_after_s=1.5) as (_, client):
+            wait_for(lambda: client.arrays and np.isfinite(client.arrays[-1].pressure).all())
+            if frames_stop:
+                time.sleep(3.0)
+                assert client.change(Transition.TRANSITION_DEACTIVATE)
+            lines = viewer.communicate(timeout=30)[0].splitlines()[:-1]
+    finally:
+        viewer.kill()
+    found = [
+        re.search(r"(\d+) frames .* peak +(\S+) kPa  (\d+)/16 taxels valid", line) for line in lines
+    ]
+    told = [(int(m[1]) > 0, m[2], int(m[3])) for m in found if m]
+    assert len(told) == len(lines)
+    assert any(frames and valid == 16 for frames, _, valid in told)
+    assert told[-1] == (not frames_stop, "--", 0)
+    assert all(peak == "--" for _, peak, valid in told if not valid)
+
+
+def test_the_picture_of_a_skin_that_stops_turns_to_no_reading() -> None:
+    with running(port="sim://?scene=all&threshold=0") as (_, client):
+        stopping = threading.Timer(4.0, client.change, [Transition.TRANSITION_DEACTIVATE])
+        stopping.start()
+        shown = shown_by_the_viewer("no frame for", b"q", TERM="xterm", NO_COLOR="1")
+        stopping.join()
+    pictures = shown.split("\x1b[H")
+    drawn = [picture for picture in pictures if "frames/s" in picture]
+    before = [picture for picture in drawn if "no frame for" not in picture]
+    after = next(picture for picture in drawn if "no frame for" in picture)
+    assert "speaking 16" in before[-1] and re.search(r"force \d+\.\d\d N", before[-1])
+    assert "speaking 0" in after and "force -- N" in after
+    assert "//--//" in after and "//--//" not in before[-1]
+
+
+@pytest.mark.parametrize(
+    ("dead", "stale", "force"),
+    [("6", "stale -: 5 ", r"force > \d+\.\d\d N"), (DEAD, "stale -: 0-15 ", "force -- N")],
+)
+def test_the_force_of_a_skin_with_dead_nodes_is_at_least_or_unknown(
+    dead: str, stale: str, force: str
+) -> None:
+    with running(port=f"sim://?scene=press&dead={dead}"):
+        viewer = Viewer("/skin/tactile")
+        program = Viewing(viewer, lambda: False)
+
+        def screen() -> str:
+            program.spin(0.1)
+            size = os.terminal_size((100, 40))
+            look = look_for("ascii", 140e3)
+            return draw(viewer, viewer.latest, look, True, size) if viewer.latest else ""
+
+        try:
+            wait_for(lambda: stale in screen() and viewer.layout and viewer.tally.received > 100)
+            assert re.search(force, screen())
+        finally:
+            program.executor.shutdown()
+            viewer.destroy_node()
+
+
+@pytest.mark.parametrize(
+    ("fields", "text"),
+    [
+        ({"taxels_valid": 80, "untouched": True}, " 50.0 Hz    0.0 N  no contact"),
+        ({"taxels_valid": 79}, " 50.0 Hz     -- N  unknown  79 of 80 taxels valid"),
+        ({"taxels_valid": 80, "absent": ["/a/skin"]}, " 50.0 Hz     -- N  unknown  absent: a"),
+        (
+            {"taxels_valid": 79, "touched": True, "contacts": [TactileContact(patch="/a/skin")]},
+            " 50.0 Hz   >2.0 N  a 0.0 N (0 0 0 mm)  79 of 80 taxels valid",
+        ),
+    ],
+)
+def test_a_line_of_a_body_says_what_is_unknown(fields: dict[str, Any], text: str) -> None:
+    message = TactileContacts(taxels_in_service=80, **fields)
+    message.wrench.force.z = 2.0 if message.touched else 0.0 if message.untouched else math.nan
+    assert body_line(message, 50.0, "") == text

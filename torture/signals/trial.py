@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from time import thread_time
 
@@ -22,6 +22,7 @@ from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.disturbance import Waveform
 from tactile_cdma.sim.nodes import NodeFrame
 from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.words.health import WEAK_SHARE
 
 from ..oracle import Oracle, pressures
 from ..outcome import Tally
@@ -37,6 +38,9 @@ RECOVERY = 2
 """Frames after an episode that may still be lost."""
 SEEN = 0.75
 """Broken nodes must be flagged if frames are published after this share of an episode."""
+LOST_SHARE = WEAK_SHARE
+"""A word of which less reached the converter cannot be held against the decoder: with less than
+that it may take a node for silent (docs/signal-model.md)."""
 UNKNOWN = -1
 """Code of a node that has not been published since it was broken."""
 BLAME = Status.WEAK | Status.FAULTY | Status.STALE
@@ -52,9 +56,8 @@ class Kind:
     nodes: what so many (`count`) nodes say instead of their words; with `victims` each disturbs one
     other in particular. line: what becomes of the line. length, pause: frames that it lasts, and
     that follow in order. flagged: the nodes must be found out within `length` frames; parity_tells:
-    so they must where words have parity. range_v: of
-    the amplifier, 0: its default. timings: of the skins that it is tried on. told: names of what
-    nobody can avoid then, which is told and not counted (see WordTally).
+    so they must where words have parity. range_v: of the amplifier, 0: its default. timings: of
+    the skins that it is tried on.
     """
 
     name: str
@@ -68,7 +71,6 @@ class Kind:
     parity_tells: bool = False
     range_v: float = 0.0
     timings: tuple[str, ...] = (LINE, CHIPS, GAP)
-    told: tuple[str, ...] = ()
 
     def episode(self, number: int) -> int | None:
         """Index of the episode that a frame belongs to; None: the frame is sound."""
@@ -105,16 +107,22 @@ class Skin:
 
 @dataclass
 class Faults:
-    """A Disturbance of one kind. number: of the frame that was made last."""
+    """A Disturbance of one kind.
+
+    rail_v: the converter's largest voltage, either way. number: of the frame that was made last.
+    """
 
     kind: Kind
     skin: Skin
     seed: int
+    rail_v: float = np.inf
     number: int = -1
+    _edges_s: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    _lines: dict[int, NDArray[np.float32]] = field(default_factory=dict)
 
     def added(self, frame: NodeFrame, edges_s: NDArray[np.float64]) -> Iterator[Waveform]:
         """What broken nodes transmit, minus what they should."""
-        self.number, spec = frame.number, self.skin.config.spec
+        self.number, spec, self._edges_s = frame.number, self.skin.config.spec, edges_s
         episode = self.kind.episode(frame.number)
         if self.kind.nodes is None or episode is None:
             return
@@ -130,16 +138,44 @@ class Faults:
         self, frame: NodeFrame, volts: NDArray[np.float32], t_s: NDArray[np.float64]
     ) -> NDArray[np.float32]:
         """The line with the fault."""
-        self.number, spec = frame.number, self.skin.config.spec
-        episode = self.kind.episode(frame.number)
-        if self.kind.line is None or episode is None or not volts.size:
-            return volts
-        life, chance = self._chances(episode, frame.number, spec.nodes)
-        unit_v = spec.node_swing_v or 0.3
-        peak_v = 4 * np.sqrt(spec.nodes) * unit_v
-        since_s = t_s - self.kind.begin(episode) * spec.frame_period_s
-        line = Span(volts, since_s, spec.frame_s, unit_v, peak_v, life, chance)
-        return self.kind.line(line)
+        kind, spec, episode = self.kind, self.skin.config.spec, self.kind.episode(frame.number)
+        if kind.line is not None and episode is not None and volts.size:
+            life, chance = self._chances(episode, frame.number, spec.nodes)
+            unit_v = spec.node_swing_v or 0.3
+            peak_v = 4 * np.sqrt(spec.nodes) * unit_v
+            since_s = t_s - kind.begin(episode) * spec.frame_period_s
+            volts = kind.line(Span(volts, since_s, spec.frame_s, unit_v, peak_v, life, chance))
+        self._keep_line(frame.number, volts, t_s)
+        return volts
+
+    def heard_share(self, number: int, node: int, code: int) -> float:
+        """How much of a node's word reached the converter in a frame: 1 of a sound one, 0 of none.
+
+        The mean over its bits of the share of its amplitude, in the right chips and with the right
+        sign, each limited to 0…1 so that a spike in one bit says nothing about the others. No
+        decoder knows that much.
+        """
+        spec, line = self.skin.config.spec, self._lines[number]
+        shape = spec.line_bits, spec.order
+        word = spoken(spec, code, spec.first_row + node)[spec.places].reshape(shape)
+        row = word - word.mean(axis=1, keepdims=True)
+        shares = (line.reshape(shape) * row).sum(axis=1) / (row * row).sum(axis=1)
+        return float(np.clip(shares, 0, 1).mean())
+
+    def _keep_line(self, number: int, volts: NDArray[np.float32], t_s: NDArray[np.float64]) -> None:
+        """Keep the mean of every coded chip of a frame."""
+        spec, volts = self.skin.config.spec, np.clip(volts, -self.rail_v, self.rail_v)
+        if self.skin.timing != CHIPS:
+            inside = (t_s >= self._edges_s[0]) & (t_s < self._edges_s[-1])
+            chip = np.searchsorted(self._edges_s, t_s[inside], side="right") - 1
+            sums = np.bincount(chip, volts[inside], spec.span_chips)
+            samples = np.bincount(chip, minlength=spec.span_chips)
+            volts = (sums / np.maximum(samples, 1)).astype(np.float32)[spec.places]
+        self._lines[number] = volts
+
+    def forget(self, until: int) -> None:
+        """Drop the lines of frames before this one."""
+        self._lines = {number: line for number, line in self._lines.items() if number >= until}
 
     def chosen(self, episode: int) -> list[tuple[int, int]]:
         """Indices of the broken nodes, each with that of a sound one."""
@@ -167,9 +203,11 @@ class WordTally(Tally):
 
     times: episodes of the fault. faulty, published: frames with the fault; those of them published.
     words: of sound nodes, published. wrong: of these without a flag, not what was said.
-    phantoms: words of sound nodes that were silent, without a flag. doubted: wrong ones with one.
-    cautious: right ones with a flag. missed: words of sound nodes that a published frame lacks.
-    victims: wrong words without a flag on the rows of broken nodes' victims.
+    invented: words of sound nodes that were silent, without a flag. doubted: wrong ones with one.
+    cautious: right ones with a flag. missed: words of sound nodes that were heard at the converter,
+        and that a published frame lacks without a flag. unheard: those that were not.
+    broken: wrong words of the broken nodes themselves, without a flag; they are told and not
+        counted, as what is on the line is well-formed.
     hangs: episodes after which frames did not come again in time.
     unnoticed: broken nodes that were not found out. noticed: frames that it took, of the others.
     cost: of every skin, mean time of decoding a frame with the fault over that of a sound one.
@@ -179,11 +217,12 @@ class WordTally(Tally):
     published: int = 0
     words: int = 0
     wrong: int = 0
-    phantoms: int = 0
+    invented: int = 0
     doubted: int = 0
     cautious: int = 0
     missed: int = 0
-    victims: int = 0
+    unheard: int = 0
+    broken: int = 0
     unnoticed: int = 0
     noticed: list[int] = field(default_factory=list)
     cost: list[float] = field(default_factory=list)
@@ -200,12 +239,14 @@ class Trial:
         self._oracle = Oracle()
         options = skin.simulator(seed, kind.range_v)
         self._digitizer = VirtualDigitizer(options, disturbance=self.faults)
+        self.faults.rail_v = options.channel.rail_of(skin.config.spec)
         self._pressure_of = pressures(skin.config)
         self._stuck = StuckNodes(skin.config.layout)
         self._complete: dict[int, bool] = {}  # number: whether it has all words of sound nodes
         self._last: dict[int, int] = {}  # episode: its frame that was published last, from 0 on
         self._found: dict[tuple[int, int], int] = {}  # episode, node: frame that told
         self._codes = np.full(skin.config.spec.nodes, UNKNOWN)  # last published
+        self._heard_s = np.full(skin.config.spec.nodes, -np.inf)  # device time of that
         self._spent: tuple[list[float], list[float]] = ([], [])  # s for a frame: sound, with fault
 
     def run(self, episodes: int) -> WordTally:
@@ -248,20 +289,49 @@ class Trial:
             tally.published += 1
             self._last[episode] = number - self.kind.begin(episode)
             self._look(frame, number, episode)
-        sound, doubt = ~broken & ~victims, (frame.readings.status & DOUBT) != 0
-        wrong = verdict.wrong | (~doubt & self._misread(frame))
+        spoke, doubt = frame.words.active, (frame.readings.status & DOUBT) != 0
         true = self._oracle.streams[verdict.stream].frame_at(frame.t_start)
-        phantom = verdict.wrong & sound & ~doubt & ~(true is not None and true.active)
-        tally.words += int((frame.words.active & sound).sum())
-        tally.phantoms += int(phantom.sum())
-        tally.wrong += int((wrong & sound & ~doubt & ~phantom).sum())
-        tally.doubted += int((wrong & sound & doubt).sum())
-        tally.cautious += int((frame.words.active & ~wrong & sound & doubt).sum())
-        tally.victims += int((wrong & victims & ~doubt).sum())
-        tally.missed += int((verdict.missed & sound).sum())
-        self._complete[number] = not (verdict.missed & sound).any()
-        np.copyto(self._codes, frame.words.codes, where=frame.words.active)
+        assert true is not None  # the verdict has its number
+        missed = verdict.missed & ~broken
+        if episode is not None and self.kind.victims:
+            verdict = replace(verdict, wrong=verdict.wrong & ~self._from_another(frame, true))
+        wrong = verdict.wrong | (~doubt & self._misread(frame))
+        invented = verdict.wrong & ~broken & ~doubt & ~true.active
+        tally.words += int((spoke & ~broken).sum())
+        tally.invented += int(invented.sum())
+        tally.wrong += int((wrong & ~broken & ~doubt & ~invented & ~missed).sum())
+        tally.doubted += int((wrong & ~broken & doubt).sum())
+        tally.cautious += int((spoke & ~wrong & ~broken & doubt).sum())
+        tally.broken += int((wrong & broken & ~doubt).sum())
+        unheard = self._unheard(true, missed & ~doubt, frame.t_middle)
+        tally.unheard += int(unheard.sum())
+        tally.missed += int((missed & ~doubt & ~unheard).sum())
+        self.faults.forget(number)
+        self._complete[number] = not missed.any()
+        np.copyto(self._codes, frame.words.codes, where=spoke)
+        np.copyto(self._heard_s, frame.t_middle, where=spoke)
         self._codes[broken | victims] = UNKNOWN
+
+    def _from_another(self, frame: TactileFrame, true: NodeFrame) -> NDArray[np.bool_]:
+        """(n,) bool: victims in whose silence the node that speaks on their row is read."""
+        episode, found = self.kind.episode(true.number), np.zeros(len(true.codes), dtype=bool)
+        for node, victim in self.faults.chosen(episode or 0):
+            alone = true.active[node] and not true.active[victim]
+            found[victim] = alone and frame.words.codes[victim] == true.codes[node]
+        return found
+
+    def _unheard(
+        self, true: NodeFrame, missed: NDArray[np.bool_], t_middle: float
+    ) -> NDArray[np.bool_]:
+        """(n,) bool: missed words of which too little reached the converter.
+
+        Only until the node has to be stale: then nothing excuses a value without a flag.
+        """
+        found = missed & (t_middle - self._heard_s <= self.skin.config.stale_after_s)
+        for node in np.flatnonzero(found).tolist():
+            share = self.faults.heard_share(true.number, node, int(true.codes[node]))
+            found[node] = share < LOST_SHARE
+        return found
 
     def _misread(self, frame: TactileFrame) -> NDArray[np.bool_]:
         """(n,) bool: nodes whose reading is not that of their last published word."""

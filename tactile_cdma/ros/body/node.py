@@ -41,6 +41,9 @@ from .report import body_status
 NODE_NAME = "body"
 TICK_S = 0.2
 """Interval of looks at who subscribes, s; chosen."""
+FIRST_S = 2.0
+"""Longest wait for all patches before the first message, s, unless stale_after_s is longer. A patch
+that was not heard yet is not absent. Chosen: on a busy computer discovery takes a second."""
 REPORT_S = 1.0
 """Interval of /diagnostics, s, as usual in ROS."""
 
@@ -64,7 +67,8 @@ class BodyNode(Node):
         self._transforms = TransformListener(self)
         self._faults: dict[str, str] = {}  # why a patch's frame is not known in the body's
         self._rounds = Rounds(self._values["stale_after_s"])
-        self._published_s = 0.0  # when contacts were, or would have been, last published
+        self._published_s = time.monotonic()  # when contacts were, or would have been, published
+        self._is_first = True  # nobody has had a message yet
         self._sequence = 0
         self._drawn: list[PatchFeed] = []  # patches that the last points are of
         self._are_points_due = False
@@ -99,7 +103,7 @@ class BodyNode(Node):
         now_s = time.monotonic()
         if not contacts:
             self._rounds.forget()
-            self._published_s = now_s
+            self._published_s, self._is_first = now_s, True
         elif now_s - self._published_s > self._values["stale_after_s"]:
             self._publish_contacts(now_s)
 
@@ -125,17 +129,20 @@ class BodyNode(Node):
 
     def _publish_contacts(self, now_s: float) -> None:
         self._rounds.end()
-        self._published_s = now_s
         parts: list[tuple[Pose, TactileContacts]] = []
         absent = []
         present = set(self._rounds.present(self._feeds, now_s))
         for name, feed in self._feeds.items():
             latest = feed.contacts if name in present else None
             pose = self._pose(feed, latest.header.frame_id) if latest else None
-            if latest and pose:
+            if latest and pose and latest.taxels_valid:
                 parts.append((pose, latest))
             else:
                 absent.append(name)
+        patience_s = max(FIRST_S, self._values["stale_after_s"])
+        if absent and self._is_first and now_s - self._published_s <= patience_s:
+            return
+        self._published_s, self._is_first = now_s, False
         header = self._header([message.header.stamp for _, message in parts])
         message = body_contacts(parts, absent, header, self._sequence)
         self._sequence += 1

@@ -18,6 +18,7 @@ from std_msgs.msg import Header
 from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 
 from ...places.poses import Pose
+from ...readings.taxels import Coverage
 from ...views.cloud import Cloud
 from ..common.convert import nanoseconds, rows
 from ..common.following import Following
@@ -82,6 +83,16 @@ class PatchFeed:
         rate_hz = self._counted / (now_s - self._reported_s)
         self._counted, self._reported_s = 0, now_s
         return rate_hz
+
+    @property
+    def coverage(self) -> Coverage | None:
+        """How much of the patch its latest message is of; None without any, or if it is strange."""
+        if self.contacts:
+            return Coverage(self.contacts.taxels_valid, self.contacts.taxels_in_service)
+        if self.array is None or len(self.array.pressure) != len(self.array.status):
+            return None
+        pressure_pa = np.frombuffer(self.array.pressure, dtype=np.float32)
+        return Coverage.of(pressure_pa, np.frombuffer(self.array.status, dtype=np.uint8))
 
     @property
     def has_driver(self) -> bool:

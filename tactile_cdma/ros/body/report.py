@@ -46,7 +46,7 @@ def body_status(
 
 def _judged(feed: PatchFeed, fault: str, stale_after_s: float, now_s: float) -> tuple[str, str]:
     """What is wrong and what to do, empty if nothing is; and what a patch in order shows."""
-    silent = feed.silent_s(now_s) > stale_after_s
+    silent, coverage = feed.silent_s(now_s) > stale_after_s, feed.coverage
     late_s, rate_hz = feed.late_s(), feed.rate_hz(now_s)
     if not feed.is_followed:
         return "", "its driver is there" if feed.has_driver else "its driver was not seen yet"
@@ -55,9 +55,17 @@ def _judged(feed: PatchFeed, fault: str, stale_after_s: float, now_s: float) -> 
         complaint = "no driver: does it run, in this ROS domain, on a computer that is discovered?"
     elif silent:
         complaint = "its driver is there, but silent: its own entries here say why"
+    elif not fault and coverage and not coverage.valid:
+        complaint = (
+            f"none of its {coverage.in_service} taxels in service has a valid reading: its own "
+            "entry 'nodes' here says why"
+        )
     elif not fault and abs(late_s) > CLOCKS_APART_S:
         complaint = (
             f"its stamps are {late_s:+.1f} s off this computer's clock: have both computers "
             "follow one time server, or is this one too busy?"
         )
-    return complaint, f"{rate_hz:.1f} Hz"
+    state = f"{rate_hz:.1f} Hz"
+    if coverage and not coverage.is_whole:
+        state += f", {coverage.valid} of {coverage.in_service} taxels valid"
+    return complaint, state

@@ -22,8 +22,11 @@ def contacts_message(
         header=header,
         sequence=sequence,
         info_id=info_id,
+        taxels_in_service=contacts.coverage.in_service,
+        taxels_valid=contacts.coverage.valid,
         touched=len(contacts) > 0,
-        area=float(contacts.area_m2.sum()),
+        untouched=contacts.untouched,
+        area=contacts.total_area_m2,
         position=point(contacts.centre_m),
         wrench=wrench_of(contacts),
         contacts=_contacts(contacts, patch),
@@ -43,6 +46,7 @@ def _contacts(contacts: Contacts, patch: str) -> list[TactileContact]:
             area=float(contacts.area_m2[i]),
             pressure_max=float(contacts.pressure_max_pa[i]),
             saturated=bool(contacts.saturated[i]),
+            lower_bound=bool(contacts.lower_bound[i]),
             velocity=vector(contacts.velocity_m_s[i]),
             force_rate=float(contacts.force_rate_n_s[i]),
             taxels=ros_array(contacts.taxels[i].astype(np.uint16)),
@@ -52,7 +56,5 @@ def _contacts(contacts: Contacts, patch: str) -> list[TactileContact]:
 
 
 def wrench_of(contacts: Contacts) -> Wrench:
-    """The resultant of all contacts, about the origin of the skin's frame."""
-    return Wrench(
-        force=vector(contacts.force_n.sum(axis=0)), torque=vector(contacts.torque_nm.sum(axis=0))
-    )
+    """The resultant of all contacts about the origin of the skin's frame; NaN if there is none."""
+    return Wrench(force=vector(contacts.total_force_n), torque=vector(contacts.total_torque_nm))

@@ -16,10 +16,11 @@ from visualization_msgs.msg import Marker, MarkerArray
 from ...places.layout import Layout
 from ...places.mesh import CORNERS, taxel_squares
 from ...readings.contact import Contacts
+from ...readings.taxels import Coverage
 from ...views.heatmap import SCALE_RGB, scale_steps
 from ..common.convert import point
 
-SURFACE, ARROWS, TEXTS = "skin", "contacts", "forces"
+SURFACE, ARROWS, TEXTS, BLIND = "skin", "contacts", "forces", "blind"
 """Namespaces of markers; rviz can hide each."""
 MOST_SQUARES = 256
 """Taxels up to which squares are drawn. rclpy converts messages number by number, 20 µs for a
@@ -42,6 +43,11 @@ class SkinMarkers:
         shaft, head = (pitches * layout.pitch_m for pitches in ARROW_PITCHES)
         self._arrow_scale = Vector3(x=shaft, y=head)
         self._text_scale = Vector3(z=layout.pitch_m)
+        from_middle_m = layout.positions_m - layout.positions_m.mean(axis=0)
+        middle = np.linalg.norm(from_middle_m, axis=1).argmin()
+        above_m = layout.positions_m[middle] + layout.pitch_m * layout.normals[middle]
+        self._above = Pose(position=point(above_m))
+        self._was_whole = True
         self._placed = np.flatnonzero(layout.nodes)
         if len(self._placed) > most_squares:
             self._placed = self._placed[:0]
@@ -58,6 +64,9 @@ class SkinMarkers:
     ) -> MarkerArray:
         """The markers of a frame; those of contacts that ended since the last one are deleted.
 
+        A text says how many taxels in service have no reading, if any: nothing drawn means that
+        nothing touches only without it.
+
         pressure_pa: (t,) float32, Pa; colours are on the scale 0…max_pa. lifetime_s: time after
         which markers vanish that no message renews, as when the skin is no longer read.
         """
@@ -73,6 +82,11 @@ class SkinMarkers:
         self._shown = set(ids)
         for contact, number in enumerate(ids):
             markers += self._contact(contacts, contact, {**common, "id": number})
+        if not contacts.coverage.is_whole:
+            markers.append(self._blind(contacts.coverage, common))
+        elif not self._was_whole:
+            markers.append(Marker(header=header, ns=BLIND, action=Marker.DELETE))
+        self._was_whole = contacts.coverage.is_whole
         return MarkerArray(markers=markers)
 
     def _surface(
@@ -88,10 +102,21 @@ class SkinMarkers:
             colors=[_COLOURS[step] for step in steps.tolist()],
         )
 
+    def _blind(self, coverage: Coverage, common: dict[str, Any]) -> Marker:
+        unread = coverage.in_service - coverage.valid
+        return Marker(
+            **common,
+            ns=BLIND,
+            type=Marker.TEXT_VIEW_FACING,
+            scale=self._text_scale,
+            pose=self._above,
+            text=f"no reading: {unread} of {coverage.in_service} taxels",
+        )
+
     def _contact(self, contacts: Contacts, contact: int, common: dict[str, Any]) -> list[Marker]:
         head_m, force_n = contacts.position_m[contact], contacts.force_n[contact]
         tail = point(head_m - ARROW_M_PER_N * force_n)  # outside: the force points into the skin
-        at_least = "> " if contacts.saturated[contact] else ""
+        at_least = "> " if contacts.lower_bound[contact] else ""
         arrow = Marker(
             **common,
             ns=ARROWS,

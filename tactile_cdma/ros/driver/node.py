@@ -67,7 +67,7 @@ class SkinNode(ManagedNode):
         self._driver: Driver | None = None  # while active
         self._latest: TactileFrame | None = None
         self._watch: SourceWatch | None = None  # of the port that was configured last
-        self._heard: Info | None = None  # what _watch has taken in
+        self._heard: Info | None = None  # what _watch has taken in since activate
         self._last_failure = ""
         self._declared = NodeParameters(self, self._change)
         self._live = self._declared.values
@@ -163,6 +163,7 @@ class SkinNode(ManagedNode):
             f"opened {url} for {spec.nodes} nodes: order {spec.order}, "
             f"{spec.bits} bits, a frame every {spec.frame_period_s * 1e3:g} ms"
         )
+        self._heard = None
         self._rest.activate(self._driver)
         self._frames.start(config)
         self._pictures.start(config)
@@ -236,27 +237,28 @@ class SkinNode(ManagedNode):
     def _publish_info(self) -> None:
         assert self._rest is not None and self._rest.baseline is not None
         assert self._watch is not None
-        if self._watch.source.digitizer_id is None:
+        if self._heard is None:
             return  # _hear_source makes up for it, before the first frame
         self._frames.publish_info(self._rest.config, self._watch.source, self._rest.baseline)
 
     def _publish_frame(self, frame: TactileFrame) -> None:
         """In the driver's thread."""
         assert self._driver is not None
-        if self._driver.pipeline.digitizer.info is not self._heard:
-            self._hear_source(self._driver.pipeline.digitizer.info)
+        info = self._driver.pipeline.digitizer.info
+        if info is not None and info is not self._heard:
+            self._hear_source(info)
         self._latest = frame
         self._pictures.take(frame, self._frames.publish(frame))
 
-    def _hear_source(self, info: Info | None) -> None:
+    def _hear_source(self, info: Info) -> None:
         """The digitizer has described itself, before a frame: who it is goes ahead of that."""
-        self._heard = info
         assert self._watch is not None
-        if info is None or (warnings := self._watch.hear(info)) is None:
-            return
-        for warning in warnings:
+        is_first, self._heard = self._heard is None, info
+        warnings = self._watch.hear(info)
+        for warning in warnings or ():
             self.get_logger().warning(warning)
-        self._publish_info()
+        if is_first or warnings is not None:
+            self._publish_info()
 
     def _publish_diagnostics(self) -> None:
         if self._driver is None or self._rest is None:

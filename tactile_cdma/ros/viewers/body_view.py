@@ -37,12 +37,18 @@ class BodyViewer(Node):
         self.latest: TactileContacts | None = None
         self._complaints = Complaints(body.strip("/"))
         self.tally = Tally()
+        self._heard_s = time.monotonic()
         self.create_subscription(TactileContacts, f"{body}/contacts", self._take, RELIABLE)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._complaints.take, 10)
 
     def _take(self, message: TactileContacts) -> None:
-        self.latest = message
-        self.tally.add(message.info_id, message.sequence, 0.0, time.monotonic())
+        self.latest, self._heard_s = message, time.monotonic()
+        self.tally.add(message.info_id, message.sequence, 0.0, self._heard_s)
+
+    @property
+    def silent_s(self) -> float:
+        """Time since the last message, s."""
+        return time.monotonic() - self._heard_s
 
     @property
     def complaint(self) -> str:
@@ -54,15 +60,19 @@ def line(message: TactileContacts | None, rate_hz: float, complaint: str) -> str
     """The line of a second: rate, resultant, strongest contacts, absent patches."""
     if message is None:
         return f"nothing yet{': ' + complaint if complaint else ''}"
-    force_n = _length(message.wrench.force)
-    text = f"{rate_hz:5.1f} Hz {force_n:6.1f} N  {_contacts(message.contacts)}"
     absent = listed([_patch(node) for node in message.absent])
-    return text + (f"  absent: {absent}" if absent else "")
+    valid, in_service = message.taxels_valid, message.taxels_in_service
+    notes = [f"{valid} of {in_service} taxels valid"] if valid < in_service else []
+    notes += [f"absent: {absent}"] if absent else []
+    force_n = _length(message.wrench.force)
+    force = "--" if math.isnan(force_n) else f"{'>' if notes else ''}{force_n:.1f}"
+    found = _contacts(message.contacts) if message.touched else "no contact"
+    if not message.touched and not message.untouched:
+        found = "unknown"
+    return "  ".join([f"{rate_hz:5.1f} Hz {force:>6} N", found, *notes])
 
 
 def _contacts(contacts: Sequence[TactileContact]) -> str:
-    if not contacts:
-        return "no contact"
     named = [
         f"{_patch(contact.patch)} {_length(contact.force):.1f} N "
         f"({_millimetres(contact.position)} mm)"
@@ -91,6 +101,9 @@ def _report(program: Viewing[BodyViewer], seconds: float) -> None:
     while (left_s := end_s - time.monotonic()) > 0 and program.spin(min(LINE_S, left_s)):
         if left_s < LINE_S:
             return
+        if viewer.latest and viewer.silent_s > LINE_S:
+            print(f"no message for {viewer.silent_s:.1f} s", flush=True)
+            continue
         rate_hz = viewer.tally.rate_hz(time.monotonic())
         print(line(viewer.latest, rate_hz, viewer.complaint), flush=True)
 

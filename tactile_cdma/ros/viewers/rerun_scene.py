@@ -10,6 +10,7 @@ newest frame at each flush().
 from __future__ import annotations
 
 import math
+import time
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 
@@ -37,6 +38,8 @@ SHOWN_S = 20.0
 HALF_LENGTH_N = 5.0
 """An arrow for this force is half as long as the longest, which is half as long as the skin.
 Chosen: a firm press."""
+OLD_S = 1.0
+"""Time without a frame, s, after which the last one is no reading any more; chosen."""
 PIXELS = 16
 """Pixels per pitch in the picture, at most; chosen."""
 EYE = (0.55, -1.05, 0.85)
@@ -54,6 +57,11 @@ PATCH_RGB = (
     (160, 160, 160),
 )
 """Colours of curves and arrows, patch after patch; chosen off the scale of pressure."""
+
+
+_Touches = tuple[NDArray[np.float64], NDArray[np.float64], Sequence[bool]]
+"""Positions (c, 3), m, and forces (c, 3), N, of contacts; whether the forces are lower bounds."""
+_NO_CONTACTS: _Touches = np.zeros((0, 3)), np.zeros((0, 3)), ()
 
 
 class PatchScene:
@@ -74,8 +82,9 @@ class PatchScene:
         self._shown_place: NDArray[np.float64] | None = None
         self._layout: Layout | None = None
         self._pressure_pa: NDArray[np.float32] | None = None
-        self._contacts: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+        self._contacts: _Touches | None = None
         self._now = (0, 0)
+        self._heard_s = math.inf  # when the last frame came; infinite: it is not shown any more
         self._curves: dict[str, list[tuple[int, int, float]]] = defaultdict(list)
         self._slots: dict[int, int] = {}  # numbers of the present contacts' curves, by id
 
@@ -106,6 +115,7 @@ class PatchScene:
         if self._layout is None or len(message.pressure) != len(self._layout):
             return
         self._now = nanoseconds(message.header.stamp), message.device_time_us
+        self._heard_s = time.monotonic()
         self._pressure_pa = np.array(message.pressure, dtype=np.float32)
         self._extend("peak", self._now, float(np.fmax.reduce(self._pressure_pa)) * 1e-3)
 
@@ -120,8 +130,9 @@ class PatchScene:
         now = nanoseconds(message.header.stamp), self._now[1]
         position_m = rows([contact.position for contact in message.contacts])
         force_n = rows([contact.force for contact in message.contacts])
-        self._contacts = (position_m, force_n)
-        self._extend("force", now, float(np.linalg.norm(force_n.sum(axis=0))))
+        self._contacts = position_m, force_n, [c.lower_bound for c in message.contacts]
+        # NaN, which makes a gap, where it is unknown.
+        self._extend("force", now, float(np.linalg.norm(rows([message.wrench.force]))))
         sizes_n = np.linalg.norm(force_n, axis=1).tolist()
         present = dict(zip((contact.id for contact in message.contacts), sizes_n, strict=True))
         for ended in self._slots.keys() - present.keys():
@@ -144,7 +155,9 @@ class PatchScene:
             self._recording.log(f"{self.path}/diagnostics", text)
 
     def flush(self) -> None:
-        """Log what came since the last call."""
+        """Log what came since the last call; after OLD_S without a frame, that none is there."""
+        if (silent_s := time.monotonic() - self._heard_s) > OLD_S:
+            self._end(silent_s)
         for name, values in self._curves.items():
             self._log_curve(f"{self.path}/{name}", values)
         self._curves.clear()
@@ -167,7 +180,25 @@ class PatchScene:
             self._recording.log(f"{self.path}/contacts", self._arrows(*self._contacts))
         self._pressure_pa = self._contacts = None
 
-    def _arrows(self, position_m: NDArray[np.float64], force_n: NDArray[np.float64]) -> rr.Arrows3D:
+    def _end(self, silent_s: float) -> None:
+        """Let all taxels be without a reading, contacts be gone and curves break."""
+        if self._layout is None:
+            return
+        stamp_ns, device_us = self._now
+        self._now = stamp_ns + round(silent_s * 1e9), device_us + round(silent_s * 1e6)
+        self._pressure_pa = np.full(len(self._layout), np.nan, dtype=np.float32)
+        self._contacts = _NO_CONTACTS
+        for curve in ("peak", "force", *(f"force/contact_{slot}" for slot in self._slots.values())):
+            self._extend(curve, self._now, math.nan)
+        self._slots.clear()
+        self._heard_s = math.inf
+
+    def _arrows(
+        self,
+        position_m: NDArray[np.float64],
+        force_n: NDArray[np.float64],
+        lower_bound: Sequence[bool],
+    ) -> rr.Arrows3D:
         """An arrow per contact, longer for more force."""
         size_n = np.linalg.norm(force_n, axis=1)
         vectors_m = force_n * (self._extent_m / 2 / (size_n + HALF_LENGTH_N))[:, None]
@@ -176,7 +207,10 @@ class PatchScene:
             vectors=vectors_m,
             radii=self._extent_m / 80,
             colors=self._rgb,
-            labels=[f"{newtons:.1f} N" for newtons in size_n],
+            labels=[
+                f"{'> ' if at_least else ''}{newtons:.1f} N"
+                for newtons, at_least in zip(size_n, lower_bound, strict=True)
+            ],
             show_labels=True,
         )
 

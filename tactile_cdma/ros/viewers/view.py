@@ -26,6 +26,7 @@ from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
 from ...config.arguments import positive
 from ...places.layout import Layout
+from ...readings.taxels import Coverage, Status
 from ...views.history import History
 from ...views.terminal import Look, Numbers, Reading, scale, screen, sparkline, status_lines
 from ..common.convert import nanoseconds
@@ -44,6 +45,8 @@ PATIENCE_S = 10.0
 """Longest wait for a first frame; chosen: discovery on a busy computer takes seconds."""
 RIVALS_S = 0.5
 """Interval of checks for a second driver; chosen."""
+OLD_S = 1.0
+"""Time without a frame, s, after which the last one is no reading any more; chosen."""
 COMPLAINTS = 3
 """Complaints of the driver that are shown, the worst first: few, to leave room for the skin."""
 LEAST_SCALE_PA, MOST_SCALE_PA = 100.0, 1e8
@@ -65,6 +68,8 @@ class Viewer(Node):
         self.force_n, self.peak_pa = History(HISTORY_S), History(HISTORY_S)
         self.latest: TactileArray | None = None
         self.layout: Layout | None = None
+        self.coverage = Coverage()
+        self._heard_s = -math.inf
         self._topic = topic
         self.patch = driver = topic.rpartition("/")[0]
         self.complaints = Complaints(driver.strip("/"))
@@ -91,27 +96,42 @@ class Viewer(Node):
         now_s = time.monotonic()
         age_ns = self.get_clock().now().nanoseconds - nanoseconds(message.header.stamp)
         self.tally.add(message.info_id, message.sequence, age_ns * 1e-9, now_s)
-        self.latest = message
+        self.latest, self._heard_s = message, now_s
         pressure_pa = np.array(message.pressure, dtype=np.float32)
+        self.coverage = Coverage.of(pressure_pa, np.array(message.status, dtype=np.uint8))
         self.peak_pa.add(now_s, float(np.fmax.reduce(pressure_pa)))
         if self.layout is not None and len(self.layout) == len(pressure_pa):
-            self.force_n.add(now_s, float(np.nansum(pressure_pa * self.layout.areas_m2)))
+            force_n = np.nansum(pressure_pa * self.layout.areas_m2)
+            self.force_n.add(now_s, float(force_n) if self.coverage.is_most else math.nan)
 
-    def reading(self, message: TactileArray) -> Reading:
-        """A frame to draw: by its layout, or by rows and columns until that has come."""
+    def silent_s(self, now_s: float) -> float:
+        """Time without a frame, s; 0 up to OLD_S."""
+        silent_s = now_s - self._heard_s
+        return silent_s if silent_s > OLD_S else 0.0
+
+    def reading(self, message: TactileArray, now_s: float) -> Reading:
+        """The last frame, to draw: by its layout, or by rows and columns until that has come.
+
+        Once it is older than OLD_S, all taxels are stale.
+        """
         pressure_pa = np.array(message.pressure, dtype=np.float32)
+        status = np.array(message.status, dtype=np.uint8)
+        if self.silent_s(now_s):
+            pressure_pa[:] = np.nan
+            status[status & Status.MASKED == 0] = Status.STALE | Status.SILENT
         taxels = np.arange(len(pressure_pa), dtype=np.int32)
         raster, nodes = taxels.reshape(message.height, message.width), taxels + 1
         if self.layout is not None and len(self.layout) == len(taxels):
             raster, nodes = self.layout.raster, self.layout.nodes
-        return Reading(pressure_pa, np.array(message.status, dtype=np.uint8), raster, nodes)
+        return Reading(pressure_pa, status, raster, nodes)
 
 
 def draw(
     viewer: Viewer, message: TactileArray, look: Look, of_force: bool, size: os.terminal_size
 ) -> str:
     """Text of a screen. of_force: show the history of the total force, not of the peak."""
-    reading, now_s, columns = viewer.reading(message), time.monotonic(), size.columns
+    now_s, columns = time.monotonic(), size.columns
+    reading, silent_s = viewer.reading(message, now_s), viewer.silent_s(now_s)
     title = (
         f"tactile_cdma  {viewer.patch}  {message.header.frame_id}  "
         f"{message.height} x {message.width} taxels, kPa"
@@ -122,6 +142,7 @@ def draw(
     ]
     notes = [
         *filter(None, [viewer.rivals]),
+        *([f"no frame for {silent_s:.0f} s"] if silent_s else []),
         *complaints[:COMPLAINTS],
         scale(look, columns),
         _state(viewer.tally, message.noise_rms, now_s),
@@ -142,13 +163,14 @@ def _state(tally: Tally, noise_v: float, now_s: float) -> str:
 
 
 def _history(viewer: Viewer, of_force: bool, now_s: float, columns: int, unicode: bool) -> str:
-    """The line of the history: name, value now, curve, highest value."""
+    """The line of the history: name, value now (>: some taxels are not read), curve, maximum."""
     history = viewer.force_n if of_force else viewer.peak_pa
     name, per_unit, unit = ("force", 1.0, "N") if of_force else ("peak", 1e-3, "kPa")
     values = history.bins(now_s, max(1, min(60, columns - 30))) * per_unit
     known = values[~np.isnan(values)]
-    now = f"{known[-1]:.2f}" if known.size else "--"
-    top = f"{known.max():.2f}" if known.size else "--"
+    now, top = "--", f"{known.max():.2f}" if known.size else "--"
+    if not math.isnan(history.latest) and not viewer.silent_s(now_s):
+        now = f"{'' if viewer.coverage.is_whole else '> '}{history.latest * per_unit:.2f}"
     return f"{name} {now} {unit}  {sparkline(values, unicode)}  of {top}"
 
 
@@ -200,7 +222,7 @@ def report(program: Viewing[Viewer], seconds: float) -> None:
             return
         new = viewer.tally.received - before
         pressure = in_use(viewer.latest)
-        known = pressure[~np.isnan(pressure)]
+        known = pressure[~np.isnan(pressure)] if new else pressure[:0]
         peak = f"{known.max() / 1e3:6.1f}" if known.size else "   --"
         age = f"{viewer.tally.percentile_ms(50, new):.2f}" if new else "--"
         print(

@@ -34,10 +34,13 @@ ARGUMENTS = ["port", "params_file", "sim", "namespace"]
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["prot:=/dev/ttyACM0"], "unknown launch argument 'prot'; did you mean 'port'?; there are"),
+        (
+            ["prot:=/dev/ttyACM0"],
+            "unknown launch argument 'prot'; did you mean 'port'? (there are ",
+        ),
         (["sim:=true", "param_file:=a.yaml"], "did you mean 'params_file'"),
         (["PORT:=x:=y"], "unknown launch argument 'PORT'; did you mean 'port'"),
-        (["xyz:="], "'xyz'; there are namespace, params_file, port, sim"),
+        (["xyz:="], "'xyz' (there are namespace, params_file, port, sim)"),
     ],
 )
 def test_a_launch_argument_that_does_not_exist_is_refused(words: list[str], message: str) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 import tactile_cdma
-from tactile_cdma import Decoder, Frame, Skin, Status, read_recording
+from tactile_cdma import Decoder, Frame, Origin, Skin, Status, read_recording
 from tactile_cdma.base.errors import ParameterError, PortError, RestError, SpecError
 from tactile_cdma.commands.cli import main
 
@@ -106,6 +106,16 @@ def test_live_frames_come_in_order_with_all_that_a_program_wants() -> None:
 
 
 @pytest.mark.slow
+def test_who_measures_is_unknown_until_it_is_heard(recording: Path) -> None:
+    for port, origin in ((IDLE, Origin.SIMULATED), (f"replay://{recording}", Origin.REPLAYED)):
+        skin = Skin(port, nodes=16)
+        assert skin.source.measured_by is Origin.UNKNOWN
+        with skin:
+            skin.read()
+            assert (skin.source.origin, skin.source.measured_by) == (origin, Origin.SIMULATED)
+        assert skin.source.measured_by is Origin.UNKNOWN, "closed, so anybody may be there now"
+
+
 def test_any_split_of_the_bytes_gives_the_same_frames(recording: Path) -> None:
     frames = decoded(recording)
     assert len(frames) > 60

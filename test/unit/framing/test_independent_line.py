@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.doubt import Tally, compare, decode, rival
+from benchmarks.doubt import Tally, compare, conditions, decode, rival
 from benchmarks.independent_line import (
     SILENT,
     Digitizer,
@@ -21,6 +21,8 @@ from benchmarks.independent_line import (
     Skin,
     Talk,
     code_book,
+    default_order,
+    factors,
     render,
     row_sign,
 )
@@ -49,16 +51,22 @@ def test_the_page_defines_the_books_of_the_package() -> None:
 
 def test_books_are_hadamard_and_as_printed_on_the_page() -> None:
     table = PAGE.read_text(encoding="utf-8").split("<!-- begin books -->")[1].split("<!--")[0]
-    vectors = re.findall(r"\| (\d+) \| [\d·]+ \| `(\w+)` \| (0x\w+) \|", table)
+    vectors = re.findall(r"\| (\d+) \| ([\d·]+) \| `(\w+)` \| (0x\w+) \|", table)
     assert {order for order, *_ in vectors} >= {"12", "20", "28", "36", "40", "100"}
-    for text, last, crc in vectors:
+    for text, parts, last, crc in vectors:
         order = int(text)
+        assert "·".join(map(str, factors(order) or ())) == parts
         ones = (code_book(order) > 0).astype(np.uint8)
         padded = np.append(ones[-1], np.zeros(-order % 8, np.uint8))
         assert np.packbits(padded).tobytes().hex()[: len(last)] == last
         assert zlib.crc32(ones.tobytes()) == int(crc, 16)
         book = code_book(order).astype(int)
         assert np.array_equal(book @ book.T, order * np.eye(order))
+
+
+def test_default_orders_are_chosen_as_the_page_says() -> None:
+    for rows in (*range(1, 420), 1000, 1025, 2049, 4097):
+        assert codes.default_order(rows) == default_order(rows), rows
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2**32 - 1])
@@ -298,6 +306,40 @@ def test_other_words_are_counted_as_what_they_are() -> None:
     decoded[1].words.active[1] = False
     decoded[2].words.active[7] = True
     tally, complaints = compare(recording, decoded, Line())
-    assert tally == Tally(words=9, right=7, missed=1, wrong=1, invented=1, phantom=1)
+    assert tally == Tally(words=9, right=7, missed=1, wrong=1, invented=1, phantom=1, silences=38)
     assert len(complaints) == 3
     assert all((truth.codes[3:] == SILENT).all() for truth in recording.frames)
+
+
+# The decoder, where it must not claim what it did not hear
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "marks: hum of 2 A",
+        "marks: skew 0.4 chip",
+        "marks: high-pass 500 Hz, two nodes",
+        "marks: offset 1.05 x rail",
+        "marks: 5 losses/s",
+        "means: stretch 0.5 %",
+        "means: offset 1.05 x rail",
+        "means: 1000 impulses/s of 1 V, two nodes",
+        "gap: offset 1.3 x rail",
+        "gap: hum of A/3",
+        "gap: 5 losses/s",
+        "gap: jitter 3 chips",
+    ],
+)
+def test_nothing_is_claimed_that_was_not_heard(name: str) -> None:
+    """Every node that speaks on a bad line is heard, flagged, or lost with its frame."""
+    condition = next(some for some in conditions() if some.name == name)
+    talk, line, digitizer = condition.talk, condition.line, condition.digitizer
+    recording = render(condition.skin, talk, line, digitizer, frames=50, seed=3)
+    tally, complaints = compare(recording, decode(recording), line)
+    assert tally.words >= 60
+    assert not complaints
+    assert (tally.rail_silent, tally.phantom) == (0, 0)
+    assert (
+        tally.right + tally.flagged + tally.tied + tally.wrong_flagged + tally.lost >= tally.words
+    )

@@ -27,9 +27,9 @@ def make(*words: str) -> subprocess.CompletedProcess[str]:
 @pytest.mark.parametrize(
     ("variable", "said"),
     [
-        ("port=/dev/ttyACM0", "no variable port; did you mean PORT?; there are "),
-        ("PRAMS=a.yaml", "no variable PRAMS; did you mean PARAMS?; there are "),
-        ("TTY=/dev/ttyACM0", "no variable TTY; there are "),
+        ("port=/dev/ttyACM0", "no variable port; did you mean PORT? (there are "),
+        ("PRAMS=a.yaml", "no variable PRAMS; did you mean PARAMS? (there are "),
+        ("TTY=/dev/ttyACM0", "no variable TTY (there are "),
     ],
 )
 def test_an_unknown_variable_ends_make_and_names_what_was_meant(variable: str, said: str) -> None:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -12,6 +13,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from simulated import run, stream
 
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.config.skin_config import SkinConfig
@@ -19,7 +21,7 @@ from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.places.components import connected
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.readings.contact import SMOOTHING_S, Contacts, ContactThresholds, ContactTracker
-from tactile_cdma.readings.taxels import Readings, Status
+from tactile_cdma.readings.taxels import Coverage, Readings, Status
 from tactile_cdma.words.decode import silent
 from tactile_cdma.words.health import NodeHealth
 
@@ -144,6 +146,7 @@ def test_a_contact_with_a_taxel_beyond_its_range_says_so() -> None:
     pressure_pa[[0, 1, 20]] = 140e3
     contacts = ContactTracker(GRID, THRESHOLDS).update(readings(pressure_pa, saturated=(1,)), 0.0)
     assert contacts.saturated.tolist() == [True, False]
+    assert contacts.lower_bound.tolist() == [True, False]
 
 
 def test_thresholds_take_effect_also_where_no_reading_changes() -> None:
@@ -165,7 +168,108 @@ def test_without_contact_there_is_no_centre() -> None:
     [contacts] = contacts_of({(0, 0): 0.9})
     assert len(contacts) == 0
     assert np.isnan(contacts.centre_m).all()
-    assert contacts.force_n.sum(axis=0).tolist() == [0, 0, 0]
+    assert contacts.total_force_n.tolist() == [0, 0, 0]
+
+
+# Blind taxels
+
+HEARTBEAT_S = 78 * PERIOD_S
+"""The simulator's: until then a node at rest was not heard."""
+PRESS_S = 0.8, 3.2
+"""When the fingertip of the scene "press" touches node 6."""
+
+
+def felt(port: str, seconds: float = 4.0, **parameters: float) -> list[tuple[float, Contacts]]:
+    """What the chain from bytes to contacts makes of a simulated skin of 16: device time, s."""
+    config = SkinConfig.of(parameters)
+    tracker = ContactTracker(config.layout, config.contact)
+    frames = run(config, stream(config, f"sim://{port}", round(seconds / PERIOD_S)))
+    assert frames[-1].t_middle > seconds - 0.1
+    return [(f.t_middle, tracker.update(f.readings, f.t_middle)) for f in frames]
+
+
+def claims_nothing(contacts: Contacts) -> bool:
+    """Neither touched nor untouched, and no sum that could pass for either."""
+    sums = [contacts.total_area_m2, *contacts.total_force_n, *contacts.total_torque_nm]
+    nothing = not len(contacts) and not contacts.untouched
+    return nothing and all(map(math.isnan, [*sums, *contacts.centre_m]))
+
+
+def test_a_skin_that_is_read_is_touched_or_untouched() -> None:
+    """What the next tests must not find: without faults the same scene is known all the time."""
+    for t_s, contacts in felt("?scene=press"):
+        if t_s > HEARTBEAT_S:
+            assert contacts.coverage == Coverage(16, 16)
+            assert contacts.untouched != (len(contacts) > 0)
+            assert contacts.untouched == (not contacts.total_force_n.any())
+            assert not contacts.lower_bound.any()
+        else:
+            assert len(contacts) or claims_nothing(contacts), "nodes at rest were not heard yet"
+    assert {len(contacts) for _, contacts in felt("?scene=press")} == {0, 1}
+
+
+def test_of_a_dead_skin_that_is_pressed_nothing_is_claimed() -> None:
+    dead = ",".join(str(node) for node in range(1, 17))
+    course = felt(f"?scene=press&dead={dead}")
+    assert all(claims_nothing(contacts) for _, contacts in course)
+    assert {contacts.coverage for _, contacts in course} == {Coverage(0, 16)}
+
+
+def test_where_only_the_pressed_taxel_is_dead_no_touch_is_not_claimed() -> None:
+    course = felt("?scene=press&dead=6")
+    assert all(claims_nothing(contacts) for _, contacts in course)
+    assert course[-1][1].coverage == Coverage(15, 16)
+
+
+def test_a_touch_is_unknown_once_the_touched_nodes_have_died() -> None:
+    dead_s, stale_s = 2.0, 0.5
+    dead = ",".join(str(node) for node in range(1, 17))
+    course = felt(f"?scene=press&dead={dead}&dead_after={dead_s}", stale_after_s=stale_s)
+    for t_s, contacts in course:
+        if PRESS_S[0] + 0.3 < t_s < dead_s:
+            assert len(contacts) == 1
+        if t_s > dead_s + stale_s + PERIOD_S:  # the last frame began before dead_s
+            assert claims_nothing(contacts)
+            assert contacts.coverage == Coverage(0, 16)
+
+
+def blind(touch: Readings, *unread: int, status: Status = Status.STALE) -> Readings:
+    touch.pressure_pa[list(unread)] = np.nan
+    touch.status[list(unread)] = status
+    return touch
+
+
+def test_sums_need_half_of_the_taxels_in_service() -> None:
+    """40 of the 48 are in service."""
+    for unread, has_sum in ((0, True), (20, True), (21, False), (39, False)):
+        touch = blind(pressed({(0, 0): 2.0}), *range(40, 48), status=Status.MASKED)
+        tracker = ContactTracker(GRID, THRESHOLDS)
+        contacts = tracker.update(blind(touch, *range(1, 1 + unread)), 0.0)
+        assert contacts.coverage == Coverage(40 - unread, 40)
+        force_n = -contacts.force_n[0, 2]
+        assert force_n == pytest.approx(2e3 * PITCH_M**2)
+        sums = [contacts.total_area_m2, contacts.total_force_n[2], contacts.centre_m[0]]
+        assert np.isfinite(sums).tolist() == [has_sum] * 3
+        if has_sum:
+            assert sums == pytest.approx([PITCH_M**2, -force_n, contacts.position_m[0, 0]])
+
+
+@pytest.mark.parametrize("status", [Status.STALE, Status.FAULTY, Status.MASKED])
+def test_the_force_beside_a_taxel_without_a_reading_is_a_lower_bound(status: Status) -> None:
+    """Every place of the blind taxel, against the definition: it is beside the contact, or not."""
+    for unread in set(range(ROWS * COLUMNS)) - {18, 19, 36}:
+        touch = blind(pressed({(2, 2): 3.0, (2, 3): 2.0, (4, 4): 1.5}), unread, status=status)
+        contacts = ContactTracker(GRID, THRESHOLDS).update(touch, 0.0)
+        row, column = divmod(unread, COLUMNS)
+        beside = 1 <= row <= 3 and 1 <= column <= 4, abs(row - 4) <= 1 and abs(column - 4) <= 1
+        assert taxels(contacts) == [[18, 19], [36]]
+        assert tuple(contacts.lower_bound) == beside
+        assert not contacts.saturated.any()
+
+
+def test_a_skin_of_which_no_taxel_is_in_service_claims_nothing() -> None:
+    touch = blind(pressed({}), *range(48), status=Status.MASKED)
+    assert claims_nothing(ContactTracker(GRID, THRESHOLDS).update(touch, 0.0))
 
 
 # Force and place
@@ -423,6 +527,23 @@ def test_an_impact_shows_in_its_first_frame() -> None:
     force_n = 100e3 * PITCH_M**2
     share = 1 - np.exp(-PERIOD_S / SMOOTHING_S)
     assert hit.force_rate_n_s == pytest.approx([share * force_n / PERIOD_S])
+
+
+@pytest.mark.parametrize("unread", [(2, 2), (2, 3), (2, 4), (3, 4)])
+def test_a_taxel_that_loses_its_reading_or_gets_one_is_neither_slide_nor_impact(
+    unread: tuple[int, int],
+) -> None:
+    tracker, press = ContactTracker(GRID, THRESHOLDS), {(2, 2): 5.0, (2, 3): 9.0, (3, 4): 2.0}
+    taxel, jumps = unread[0] * COLUMNS + unread[1], []
+    for frame in range(12):
+        is_read = frame % 6 < 3
+        touch = pressed(press) if is_read else blind(pressed(press), taxel)
+        contacts = tracker.update(touch, frame * PERIOD_S)
+        assert not contacts.velocity_m_s.any()
+        assert not contacts.force_rate_n_s.any()
+        assert contacts.lower_bound.any() == (not is_read)
+        jumps.append(contacts.centre_m[0])
+    assert (np.ptp(jumps) > 1e-3) == (unread in press)
 
 
 def test_what_touches_the_skin_from_the_start_is_no_impact() -> None:

@@ -21,9 +21,16 @@ from simulated import stream
 from tactile_cdma.base.errors import TactileError
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline
+from tactile_cdma.recording.capture import read_bytes
 from tactile_cdma.recording.container import Description, RecordingEncoder
 from tactile_cdma.recording.offline import RawCapture
-from tactile_cdma.recording.whole_clock import MOST_ARRIVALS, _FittedClock, _ObservedClock
+from tactile_cdma.recording.whole_clock import (
+    MOST_ARRIVALS,
+    _FittedClock,
+    _ObservedClock,
+    fitted_clocks,
+)
 from tactile_cdma.wire.messages import Info, Quiet, Samples
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 from torture.fuzz import corpus
@@ -216,6 +223,17 @@ def test_a_crystal_that_warms_up_is_followed_for_hours() -> None:
     fitted = _FittedClock(*clock.knots())
     error_s = np.array([fitted.to_host(t) for t in device_s.tolist()]) - host_s(device_s)
     assert -0.05e-3 < error_s.min() <= error_s.max() < 0.2e-3
+
+
+def test_a_recording_that_grows_meanwhile_is_stamped_to_its_end(tmp_path: Path) -> None:
+    first, second = session(100), session(100, begin_s=100 * PERIOD_S + 0.7)
+    clocks = fitted_clocks(CONFIG, read_bytes(write(tmp_path / "a.skin", first)))
+    pipeline = Pipeline(CONFIG, background=False, clocks=clocks)
+    grown = write(tmp_path / "b.skin", first, second)
+    stamps_s = [f.t_host for data, t in read_bytes(grown) for f in pipeline.feed(data, t)]
+    assert len(stamps_s) > 160
+    assert (np.diff(stamps_s) > 0).all()
+    assert stamps_s[-1] == pytest.approx(MONOTONIC_S + second[-1][1], abs=2 * PERIOD_S)
 
 
 def hostile() -> Iterator[Any]:

@@ -32,7 +32,7 @@ def test_every_option_can_be_given() -> None:
         "&heartbeat=10&speed=0&adc_bits=10&rail=2.5&rows=3&columns=4&pitch_mm=5&start_phase=0.5"
         "&parity=1&resync_chips=32&guard_chips=1&clock_spread=0.01&delay_spread=0.5&drift=1e-6"
         "&sensor=paper&hysteresis=2&mismatch=0.05&warming=20&sensor_noise=0.002&dead=3,12&stuck=5"
-        "&layout="
+        "&dead_after=2.5&layout="
     )
     options = SimOptions.from_url(url)
     setup = options.setup()
@@ -60,6 +60,7 @@ def test_every_option_can_be_given() -> None:
         warming_v=0.02,
         noise_v=0.002,
         dead=(3, 12),
+        dead_after_s=2.5,
         stuck=(5,),
         seed=7,
     )

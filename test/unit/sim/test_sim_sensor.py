@@ -126,6 +126,14 @@ def test_a_dead_node_never_speaks() -> None:
     assert np.delete(said, 2, axis=1).any(axis=0).all()
 
 
+def test_nodes_that_die_later_speak_until_then() -> None:
+    course = frames("dead=3,5&dead_after=0.4&threshold=0&frame_period_ms=10", 100)
+    said, start_s = np.array([f.active for f in course]), np.array([f.start_s for f in course])
+    assert said[start_s < 0.4].all()
+    assert not said[start_s >= 0.4][:, [2, 4]].any()
+    assert np.delete(said, [2, 4], axis=1).all()
+
+
 def test_a_stuck_node_says_the_same_at_its_heartbeat_only() -> None:
     course = frames("scene=all&stuck=5&heartbeat=20", 100)
     codes = np.array([frame.codes[4] for frame in course])

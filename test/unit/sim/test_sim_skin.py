@@ -136,7 +136,7 @@ def test_config_has_parameter_files_and_bodies() -> None:
 @pytest.mark.parametrize("name", SHIPPED)
 def test_no_shipped_skin_goes_stale_untouched(name: str) -> None:
     values = SHIPPED[name]
-    config, port = SkinConfig.of(values), str(values["port"])
+    config, port = SkinConfig.of(values), str(values.get("port", ""))
     kept = port.partition("?")[2].split("&") if port.startswith(SIMULATION) else []
     options = [option for option in kept if option and not option.startswith("scene=")]
     options += ["scene=idle", f"amplitude_mv={config.spec.amplitude_v * 1e3}"]

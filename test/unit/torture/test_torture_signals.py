@@ -9,16 +9,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.driver.session import Session
+from tactile_cdma.readings.taxels import Status
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
 from torture.outcome import Outcome
 from torture.signals import faulty_line, faulty_nodes
 from torture.signals import trial as signal_trial
 from torture.signals.campaign import trials
-from torture.signals.trial import CHIPS, LINE, Kind, Skin
+from torture.signals.trial import CHIPS, GAP, LINE, Faults, Kind, Skin
 
 SKIN = Skin(LINE, {}, {"threshold": 0})
 DEAD = Kind("dead", faulty_nodes.dead, length=80)
+AT_REST = 1023
 HUM = Kind("hum", line=faulty_line.hum(50, 3.0), length=10, pause=9)
 
 
@@ -42,7 +48,11 @@ def test_a_slice_of_the_campaign_has_no_fault(kind: Kind, skin: Skin) -> None:
     assert found.times == 1
 
 
-def planted(monkeypatch: pytest.MonkeyPatch, change: Callable[..., list[TactileFrame]]) -> Outcome:
+def planted(
+    monkeypatch: pytest.MonkeyPatch,
+    change: Callable[..., list[TactileFrame]],
+    skin: Skin = SKIN,
+) -> Outcome:
     """What is found of a driver whose frames are changed like this; they come with its pipeline."""
 
     class Defective(Pipeline):
@@ -50,7 +60,7 @@ def planted(monkeypatch: pytest.MonkeyPatch, change: Callable[..., list[TactileF
             return change(self, super().feed(data, t_host, backlog))
 
     monkeypatch.setattr(signal_trial, "Pipeline", Defective)
-    return outcome(HUM)
+    return outcome(HUM, skin)
 
 
 def test_a_wrong_word_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -60,6 +70,69 @@ def test_a_wrong_word_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
         return [replace(f, words=w) for f, w in zip(frames, words, strict=True)]
 
     assert planted(monkeypatch, change).wrong_values > 10
+
+
+def with_words(frame: TactileFrame, node: int, spoke: bool, flag: Status) -> TactileFrame:
+    """A frame in which a node is claimed to have spoken, or not, with a flag or none."""
+    active, codes = frame.words.active.copy(), frame.words.codes.copy()
+    active[node], codes[node] = spoke, AT_REST
+    status = frame.readings.status.copy()
+    status[node] = flag | (0 if spoke else Status.SILENT)
+    words = replace(frame.words, active=active, codes=codes)
+    readings = replace(frame.readings, status=status)
+    return replace(frame, words=words, readings=readings)
+
+
+@pytest.mark.parametrize(
+    ("flag", "counted"), [(Status(0), True), (Status.LOW_SNR, False), (Status.WEAK, True)]
+)
+@pytest.mark.parametrize("spoke", [False, True])
+def test_an_invented_or_missed_word_is_wrong_unless_it_is_flagged(
+    monkeypatch: pytest.MonkeyPatch, spoke: bool, flag: Status, counted: bool
+) -> None:
+    def change(_pipeline: Pipeline, frames: list[TactileFrame]) -> list[TactileFrame]:
+        return [with_words(f, 3, spoke, flag) if 36 <= f.sequence < 40 else f for f in frames]
+
+    # Untouched, a node speaks in every frame, or at its heartbeat: node 4 in frames 23 and 43.
+    skin = Skin(LINE, {}, {"scene": "idle", "threshold": int(spoke)})
+    found = planted(monkeypatch, change, skin)
+    assert found.wrong_values == (4 if counted else 0)
+    assert (
+        "invented, not flagged" if spoke else "missed, not flagged"
+    ) in found.said or not counted
+
+
+def test_what_never_reached_the_converter_is_excused_until_it_has_to_be_stale(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    torn = Kind("torn", line=faulty_line.torn_off)
+    found = outcome(torn)
+    stale_after = int(0.8 / SKIN.config.spec.frame_period_s)
+    assert found.wrong_values == 0
+    assert f"{16 * stale_after:,} of which too little reached the converter" in found.said
+    monkeypatch.setattr(signal_trial, "DOUBT", Status.LOW_SNR | Status.FAULTY)  # no STALE
+    assert outcome(torn).wrong_values == 16 * (torn.length - stale_after)
+
+
+@pytest.mark.parametrize("skin", [SKIN, Skin(CHIPS, {"parity": True}), Skin(GAP, {})])
+def test_what_reached_the_converter_is_known(skin: Skin) -> None:
+    """All of a sound word, half of one in a supply that dips to nothing for half of the frame."""
+
+    def halved(line: faulty_line.Span) -> NDArray[np.float32]:
+        off = (line.t_s - line.t_s[0]) % 12.8e-3 >= line.frame_s / 2
+        return np.where(off, np.float32(0), line.volts)
+
+    for line, share in ((None, 1.0), (faulty_line.shorted, 0.0), (halved, 0.5)):
+        faults = Faults(Kind("", line=line, length=4), skin, seed=1)
+        options = SimOptions(speed=0, threshold=0)
+        digitizer = VirtualDigitizer(options, disturbance=faults)
+        digitizer.receive(Session(skin.config).open())
+        while faults.number < 35:
+            digitizer.advance()
+            digitizer.take(1 << 20)
+        codes = digitizer.truth(35).codes.tolist()
+        shares = [faults.heard_share(35, node, code) for node, code in enumerate(codes)]
+        assert shares == pytest.approx([share] * 16, abs=0.05)
 
 
 def test_a_pressure_that_leaks_is_found(monkeypatch: pytest.MonkeyPatch) -> None:

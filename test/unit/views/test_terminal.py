@@ -128,6 +128,27 @@ def test_of_a_skin_too_large_the_taxel_pressed_most_is_still_seen(
     assert pressed % len(pressure_kpa) in drawn
 
 
+def test_of_a_skin_too_large_a_taxel_without_a_reading_is_seen_where_nothing_is_pressed() -> None:
+    pressure_kpa, status = np.full(16, 0.4), np.zeros(16, dtype=np.uint8)
+    pressure_kpa[[1, 7, 8, 9]] = np.nan
+    pressure_kpa[6] = 5.0
+    status[9] = Status.MASKED
+    drawn = pooled(grid(4, 4, pressure_kpa, status), 2, 2)
+    assert drawn[0].tolist() == [1, 6], "unread, pressed"
+    assert drawn[1, 0] == 8, "unread rather than masked"
+
+
+@pytest.mark.parametrize("look", [COLOURED, PLAIN])
+@pytest.mark.parametrize("size", [(80, 12), (4, 4), (2, 2)])
+def test_a_skin_without_readings_does_not_look_untouched(look: Look, size: tuple[int, int]) -> None:
+    nothing = picture(grid(4, 4, np.nan, Status.STALE), look, *size)
+    untouched = picture(grid(4, 4, 0.0), look, *size)
+    assert len(nothing) == len(untouched)
+    assert all(a != b for a, b in zip(nothing, untouched, strict=True))
+    if not look.coloured:
+        assert not any(" " in line for line in nothing), "no cell looks like one that reads 0"
+
+
 def test_an_irregular_skin_is_drawn_as_it_lies() -> None:
     angle = np.linspace(0, 2 * np.pi, 7)[:-1]
     flat_m = (np.stack([np.cos(angle), np.sin(angle)], axis=1) * 0.01).astype(np.float32)

@@ -26,8 +26,12 @@ def test_bins_keep_the_greatest_of_their_time_and_forget_what_is_old() -> None:
 def test_a_history_of_nothing_is_unknown() -> None:
     history = History(span_s=1.0)
     assert np.isnan(history.bins(5.0, 3)).all()
-    history.add(5.0, float("nan"))
-    assert np.isnan(history.bins(5.0, 3)).all()
+    assert np.isnan(history.latest)
+    history.add(4.0, 7.0)
+    assert history.latest == 7.0
+    history.add(5.5, float("nan"))
+    assert np.isnan(history.latest), "not the last that was known"
+    assert np.isnan(history.bins(5.5, 3)).all()
 
 
 class Gatherer:
