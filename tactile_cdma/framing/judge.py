@@ -40,10 +40,10 @@ class Judge:
 
         Σ over chips of min(max(|level − model| − δ, 0)² / 2σ², κ),
 
-    with δ for distortion, over all chips of the line, for which a frame that ends earlier predicts silence. No chip votes
-    with more than κ, so that no single disturbed chip decides. With what is likely before looking
-    (Expected) the costs give each frame's probability, and for every node the probability of all
-    frames that give it another word or silence.
+    with δ for distortion, over all chips of the line, for which a frame that ends earlier predicts
+    silence. No chip votes with more than κ, so that no single disturbed chip decides. With what is
+    likely before looking (Expected) the costs give each frame's probability, and for every node the
+    probability of all frames that give it another word or silence.
     """
 
     def __init__(self, spec: FrameSpec) -> None:
@@ -105,7 +105,8 @@ class Judge:
         best = off[np.argmin(np.square(off).sum(axis=1))]
         rank = int(LIMITS.most * (best.size - 1))
         left = float(np.partition(best, rank)[rank]) / LIMITS.most_deviations
-        distortion = LIMITS.distortion * float(np.sqrt(np.square(levels).mean()))
+        steps = np.square(np.diff(levels))  # as wide as the code's levels, whatever their mean
+        distortion = LIMITS.distortion * float(np.sqrt(0.5 * steps.mean()))
         variance = max(noise, left**2, (0.5 * distortion) ** 2, 1e-30)
         off = np.maximum(off - np.float32(distortion), 0)
         votes = np.minimum(np.square(off) * np.float32(0.5 / variance), np.float32(LIMITS.vote))

@@ -13,7 +13,7 @@ class Limits:
 
     vote: κ, the most that one chip contributes to a log-likelihood. Beyond √(2κ) = 3.5 deviations,
         which noise exceeds once in 2,000 chips, a chip is disturbed, and how far says nothing.
-    distortion: deviation of a chip's level, relative to the line's RMS, that says nothing: edges
+    distortion: deviation of a chip's level, relative to the code's RMS, that says nothing: edges
         0.1 chip off and low-passes of 0.3 chip leave as much next to each level change, on all
         chips of a kind alike. Half of it is the least deviation of chips beyond that. Found with
         `make bench-doubt`: with 0.2, 1 of 120 words of nodes that tie was not flagged.

@@ -30,7 +30,7 @@ from .fit import (
 )
 from .frame_end import End, FrameEnds
 from .marked_timing import MarkedFrame, MarkedLine, MarkedTiming, Verdict
-from .timing import MISFIT, NOT_AT_REST, Rails
+from .timing import MISFIT, NOISY, NOT_AT_REST, Rails
 
 CHIP_ERROR = 2e-3
 """Share by which chips may be shorter than nominal, or longer than the longest stretch. Chosen:
@@ -215,7 +215,9 @@ class LineRecogniser:
                 self._carried = _Carried(fit, ChipEdges(fit, spec, size))
                 return verdict
         if power <= FAINT_POWER * noise:
-            return self._faint(frame, power)
+            if self._line.is_silent(amplitude):
+                return self._faint(frame, power)
+            return Verdict(over=frame.start + size, rejected=NOISY)
         return self._by_search(frame, line, power)
 
     def _by_search(self, frame: MarkedFrame, line: Line, power: float) -> Verdict:
