@@ -9,7 +9,7 @@ sample i is the line's level at instant i: it stands for [i − ½, i + ½).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TypeVar
 
 import numpy as np
@@ -164,6 +164,11 @@ class WordFit:
     spread: Floats32
     misfit: Floats32
 
+    def of(self, candidate: int) -> WordFit:
+        """Those of a single candidate."""
+        one = slice(candidate, candidate + 1)
+        return WordFit(*(getattr(self, item.name)[one] for item in fields(self)))
+
     def believable(self, limit: float, spec: FrameSpec, noise: float = 0.0) -> bool:
         """Whether the words of a single candidate are even, and leave nothing over but noise.
 
@@ -269,14 +274,15 @@ class Fit:
         return self.start + spec.span_chips * self.chip
 
 
-def even_words(line: Line, fit: Fit, spec: FrameSpec) -> WordFit:
+def even_words(line: Line, fit: Fit, spec: FrameSpec, whole: WordFit | None = None) -> WordFit:
     """Words of one fit, of whole chips or of their middle.
 
-    Whole chips are the matched filter; their middle is blind to edges a tenth of a chip off. It is
-    taken where words are uneven and it makes them more even than noise would by chance.
+    whole: those of whole chips, where they are known. These are the matched filter; their middle is
+    blind to edges a tenth of a chip off. It is taken where words are uneven and it makes them more
+    even than noise would by chance.
     """
     start, chip = np.array([fit.start]), np.array([fit.chip])
-    words = read_words(integrate(line, start, chip, spec), spec)
+    words = whole or read_words(integrate(line, start, chip, spec), spec)
     if words.spread[0] > UNEVEN:
         middle = read_words(integrate(line, start, chip, spec, MIDDLE), spec)
         if middle.spread[0] < MORE_EVEN * words.spread[0]:

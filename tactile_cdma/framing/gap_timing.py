@@ -211,7 +211,7 @@ class GapTiming(Timing):
         beside = self._search.beside(volts, fit)
         variance = beside.variance(burst.variance)
         noise = variance * self._search.half / fit.chip
-        words = even_words(line, fit, spec)
+        words = even_words(line, fit, spec, found.words)
         if not words.believable(MAX_SPREAD, spec, noise):
             return MISFIT
         if not beside.is_quiet(self._side_halves, variance, burst.power):

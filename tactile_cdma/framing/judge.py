@@ -11,7 +11,7 @@ import numpy as np
 from ..base.arrays import Bools, Floats, Floats32
 from ..code.frame import FrameSpec
 from ..code.transform import spread
-from .fit import Fit, Line, read_words
+from .fit import Fit, Line, WordFit, read_words
 from .limits import LIMITS
 from .raster import Expected
 
@@ -20,13 +20,15 @@ from .raster import Expected
 class Judgement:
     """The most likely frame of some.
 
-    fit: its timing. doubtful: (n,) bool, nodes of which others that are not ruled out say something
-    else; of a silent node this means that it may have spoken. None where no other is likely.
+    fit: its timing. words: what its whole chips say, of this one candidate.
+    doubtful: (n,) bool, nodes of which others that are not ruled out say something else; of a
+        silent node this means that it may have spoken. None where no other is likely.
     decided: no other frame is likely.
     unaided: nor would it be if frames were equally likely everywhere.
     """
 
     fit: Fit
+    words: WordFit
     doubtful: Bools | None
     decided: bool
     unaided: bool
@@ -94,7 +96,8 @@ class Judge:
             unlike |= (spoken != spoken[chosen]).any(axis=1)
             doubtful = doubt @ unlike >= limit
         sure = bool(1 - unaided[chosen] < limit)
-        return Judgement(Fit(float(starts[chosen]), fit.chip), doubtful, decided, sure)
+        best = Fit(float(starts[chosen]), fit.chip)
+        return Judgement(best, words.of(chosen), doubtful, decided, sure)
 
     @staticmethod
     def _costs(levels: Floats32, model: Floats32, noise: float) -> Floats:

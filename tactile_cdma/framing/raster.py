@@ -48,8 +48,8 @@ class Expected:
         off = (starts - self.start) / self.chip
         wide = self.slips / (np.pi * WIDE * (1 + np.square(off / WIDE)))
         width = self.scatter / self.chip
-        with np.errstate(under="ignore"):
-            narrow = np.exp(-0.5 * np.square(off / width)) / (math.sqrt(2 * np.pi) * width)
+        far = np.minimum(0.5 * np.square(off / width), 700.0)
+        narrow = np.exp(-far) / (math.sqrt(2 * np.pi) * width)
         density: Floats = np.log(wide + (1 - self.slips) * narrow)
         return density
 

@@ -30,9 +30,9 @@ Chosen: spreads of sound nodes are a few percent."""
 LEAKED_SHARE = 0.5
 """Share of a word's amplitude that must be left beside what leaks from louder words for it to be a
 word. Chosen: a word that was sent keeps √(1 − 3/k) of it, 0.84 at k = 10."""
-HALF_A_CHIP = 0.5
+A_CHIP = 1.0
 """Energy that words may leave over in a bit without a closer look, in chips of the weakest of them.
-Chosen: a node that is half a chip late leaves about this."""
+Chosen: of a node that is a chip late one chip is inverted in half of its bits, which leaves 2."""
 LOUDEST_FLOOR = 0.25
 """Share of the loudest word's amplitude that others have, too, if it is that of a sound node: the
 loudest may be that of three nodes on one row, and a lone node then still has a third of it."""
@@ -232,7 +232,7 @@ def _late(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpe
     spoken = amplitude[active]
     left = float(np.einsum("kr,kr->", rows, rows)) / spec.line_bits - float(np.square(spoken).sum())
     least = float(spoken.min())
-    if left < HALF_A_CHIP * least * least / spec.order:
+    if left < A_CHIP * least * least / spec.order:
         return None
     are_late = late(levels, amplitude, active, spec)
     spare = np.abs(levels.rows[:, spec.spare_rows]).mean(axis=0)
