@@ -16,7 +16,8 @@ import numpy as np
 from ..base.arrays import Floats32
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
-from ..framing.fit import MAX_SPREAD, word_floor
+from ..framing.fit import word_floor
+from ..framing.limits import LIMITS
 from ..framing.line_timing import LineRecogniser
 from ..framing.marked_timing import MarkedFrame, MarkedLine, MarkedTiming, Verdict
 from ..framing.timing import ABSURD, INCOMPLETE, MISFIT, Rails
@@ -121,7 +122,7 @@ class NodeRecogniser:
         words = np.where(spoken, np.sign(values) * amplitude, 0)
         scatter = np.square((level - amplitude) * (words != 0)).sum()
         spread = float(scatter / np.square(words).sum()) / len(level)
-        if spread > MAX_SPREAD:
+        if spread > LIMITS.spread:
             self._rejected_in_a_row += 1
             if self._rejected_in_a_row == MOST_REJECTED:
                 self._clocks.give_up("the nodes' clocks are no longer those of the roll call")

@@ -39,7 +39,7 @@ HEARD = 4.0
 2."""
 MAX_LEFT = 0.15
 """Power beyond noise that a lone node may leave unexplained, relative to its own. Chosen, as
-fit.MAX_DISTORTION."""
+limits.misfit."""
 _PIECE = 16
 """Chips that are correlated at one displacement: at LARGEST_RATE_ERROR they drift by 0.32 chip."""
 _WIDEST, _FINEST = 0.087, 0.004

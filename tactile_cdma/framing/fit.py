@@ -19,16 +19,10 @@ from ..base.arrays import Floats, Floats32, Indices
 from ..code.frame import UNIPOLAR, FrameSpec
 from ..code.transform import correlate, spread
 from ..words.decode import LOUDEST_FLOOR, usual_amplitude
+from .limits import LIMITS
 
 F = TypeVar("F", np.float32, np.float64)
 
-MAX_SPREAD = 0.12
-"""Relative variance of |r| within a word (WordFit.spread) beyond which a fit is not believed. White
-noise alone gives 1/ρ², so ρ > 2.9; chips that have nothing to do with the code book give π/2 − 1 =
-0.57."""
-MAX_DISTORTION = 0.15
-"""Power left over by the words, relative to theirs, that jitter of edges and clipping may account
-for. Chosen; edges that jitter by ±0.1 chip leave 0.007, so most of it is for clipping."""
 UNEVEN = 0.02
 """Spread of the words beyond which the chips' middle is tried, too: ρ < 7 if it were noise."""
 MIDDLE = 0.78
@@ -49,12 +43,6 @@ sample counts in full beyond 0.15 samples from an edge."""
 ACTIVE_FLOOR = 0.5
 """A node spoke where its word exceeds this share of the amplitude that nodes have: halfway between
 silence and speech."""
-ODD_SHARE = 0.25
-"""Share of at least three words that may be uneven and still say nothing about the frame. Chosen:
-broken nodes are few, while wrong timing makes all words uneven."""
-STRICTER = 3.0
-"""Factor by which the other words must then be cleaner than they would have to be with these.
-Chosen: frames of wrong timing do not get there."""
 
 
 CHIPS_AT_ONCE = 1 << 18
@@ -183,9 +171,9 @@ class WordFit:
         all uneven: a frame that fails as a whole may pass without its most uneven words, but then
         what is left must be cleaner than distortion by slightly wrong timing.
         """
-        odd = int(ODD_SHARE * (np.count_nonzero(self.amplitude) + 1))
+        odd = int(LIMITS.odd_share * (np.count_nonzero(self.amplitude) + 1))
         return self._explained(0, limit, 1.0, spec, noise) or (
-            odd > 0 and self._explained(odd, limit, STRICTER, spec, noise)
+            odd > 0 and self._explained(odd, limit, LIMITS.stricter, spec, noise)
         )
 
     def _explained(
@@ -209,7 +197,7 @@ class WordFit:
             most = min(limit * (1.7 - 0.7 / active), limit / 2 + expected * (1.3 + 4 * scatter))
         else:
             left, most = 3 * spec.order / active * spread * even_power / power, limit
-        return spread < most and misfit < left + MAX_DISTORTION / stricter
+        return spread < most and misfit < left + LIMITS.misfit / stricter
 
 
 def read_words(chips: Floats32, spec: FrameSpec) -> WordFit:

@@ -12,14 +12,8 @@ import numpy as np
 from ..base.arrays import Floats32
 from ..code.frame import BIPOLAR, UNIPOLAR, FrameSpec
 from ..wire._protocol import TAIL_CHIPS
-from .fit import ODD_SHARE, Fit, Line, dot
-
-PROVEN = 30
-"""Frames in a row that end in silence, after which their length is taken as right. Chosen: less
-than half a second at 78 Hz."""
-REST = 0.4
-"""Share of the weakest word's amplitude below which a line is at rest. Chosen: below half, so that
-a lone node's chips exceed it even where their edges leave out part of them."""
+from .fit import Fit, Line, dot
+from .limits import LIMITS
 
 
 class End(IntEnum):
@@ -65,21 +59,21 @@ class FrameEnds:
         least = float(amplitude[amplitude > 0].min(initial=np.inf))
         if spec.first_row == 0:
             mean = float(tail.sum()) / tail.size
-            if abs(mean) > REST * least + 4 * math.sqrt(noise * fit.chip / tail.size):
+            if abs(mean) > LIMITS.rest * least + 4 * math.sqrt(noise * fit.chip / tail.size):
                 return End.OTHER
         most = noise * fit.chip * (2 + 8 / math.sqrt(tail.size))  # the fewer the more by chance
-        rest, left = (REST * least) ** 2 + most, dot(tail, tail) / tail.size
+        rest, left = (LIMITS.rest * least) ** 2 + most, dot(tail, tail) / tail.size
         if left >= rest and spec.first_row > 0 and spec.drive == BIPOLAR:
             tail = tail - self._baseline(line, fit, 0.5 * (begin + stop))
             left = min(left, dot(tail, tail) / tail.size)
         if left < rest:
             self._silent += 1
             return End.SILENCE
-        if self._silent < PROVEN:
+        if self._silent < LIMITS.proven_ends:
             self._silent = 0
             return End.OTHER
         quiet = int(np.count_nonzero(amplitude == 0))
-        late = int(ODD_SHARE * (amplitude.size - quiet + 1))
+        late = int(LIMITS.odd_share * (amplitude.size - quiet + 1))
         if left >= late * float(np.square(amplitude).max()) + most:
             return End.OTHER
         return End.SILENCE if quiet <= late else End.MISLED

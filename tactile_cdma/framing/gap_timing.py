@@ -15,7 +15,7 @@ from ..base.errors import SpecError
 from ..code.frame import FrameSpec
 from ..code.separate import node_levels
 from .burst import Burst, Quiet
-from .fit import MAX_SPREAD, Fit, Line, WordFit, even_words, lowest_power
+from .fit import Fit, Line, WordFit, even_words, lowest_power
 from .gap import GapSearch
 from .judge import Judgement
 from .limits import LIMITS
@@ -212,7 +212,7 @@ class GapTiming(Timing):
         variance = beside.variance(burst.variance)
         noise = variance * self._search.half / fit.chip
         words = even_words(line, fit, spec, found.words)
-        if not words.believable(MAX_SPREAD, spec, noise):
+        if not words.believable(LIMITS.spread, spec, noise):
             return MISFIT
         if not beside.is_quiet(self._side_halves, variance, burst.power):
             return NOT_AT_REST

@@ -11,6 +11,25 @@ from dataclasses import dataclass
 class Limits:
     """What a frame must be to be one.
 
+    spread: relative variance of |r| within a word (WordFit.spread) beyond which a fit is not
+        believed. White noise alone gives 1/ρ², so ρ > 2.9; chips that have nothing to do with the
+        code book give π/2 − 1 = 0.57.
+    clean_spread: the same while the gap's noise is not known: ρ > 3.5.
+    misfit: power left over by the words, relative to theirs, that jitter of edges and clipping may
+        account for. Chosen; edges that jitter by ±0.1 chip leave 0.007, so most of it is for
+        clipping.
+    carried_misfit: the same that reused timing may leave: edges 0.04 chip off (each of them changes
+        one chip by 2a·0.04, and half of all edges are level changes), which costs 0.01 dB.
+    odd_share: share of at least three words that may be uneven and still say nothing about the
+        frame. Chosen: broken nodes are few, while wrong timing makes all words uneven.
+    stricter: factor by which the other words must then be cleaner than they would have to be with
+        these. Chosen: frames of wrong timing do not get there.
+    faint_power: power of the chips, relative to the gap's noise, below which no stretch is searched
+        for: words would be hidden in noise. Chosen.
+    rest: share of the weakest word's amplitude below which a line is at rest. Chosen: below half,
+        so that a lone node's chips exceed it even where their edges leave out part of them.
+    proven_ends: frames in a row that end in silence, after which their length is taken as right.
+        Chosen: less than half a second at 78 Hz.
     vote: κ, the most that one chip contributes to a log-likelihood. Beyond √(2κ) = 3.5 deviations,
         which noise exceeds once in 2,000 chips, a chip is disturbed, and how far says nothing.
     distortion: deviation of a chip's level, relative to the code's RMS, that says nothing: edges
@@ -33,6 +52,15 @@ class Limits:
         node spoke is decided at half of its amplitude.
     """
 
+    spread: float = 0.12
+    clean_spread: float = 0.08
+    misfit: float = 0.15
+    carried_misfit: float = 3e-3
+    odd_share: float = 0.25
+    stricter: float = 3.0
+    faint_power: float = 1.6
+    rest: float = 0.4
+    proven_ends: int = 30
     vote: float = 6.0
     distortion: float = 0.25
     most: float = 0.8

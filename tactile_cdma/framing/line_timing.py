@@ -16,7 +16,6 @@ from ..code.transform import correlate
 from ..wire._protocol import TAIL_CHIPS
 from .fit import (
     CHIPS_AT_ONCE,
-    MAX_SPREAD,
     ChipEdges,
     Fit,
     Line,
@@ -29,22 +28,16 @@ from .fit import (
     word_floor,
 )
 from .frame_end import End, FrameEnds
+from .limits import LIMITS
 from .marked_timing import MarkedFrame, MarkedLine, MarkedTiming, Verdict
 from .timing import MISFIT, NOISY, NOT_AT_REST, Rails
 
 CHIP_ERROR = 2e-3
 """Share by which chips may be shorter than nominal, or longer than the longest stretch. Chosen:
 twenty times the 100 ppm of a crystal, so that fits of noisy frames are not refused at the ends."""
-CLEAN_SPREAD = 0.08
-"""Largest spread (see fit.WordFit) at which nominal timing is accepted while the gap's noise is not
-known: white noise gives 1/ρ², so ρ > 3.5. Once it is known the limit is MAX_SPREAD."""
 CARRIED_FRAMES = 15
 """Frames for which refined timing is reused while it explains them. Chosen: the refinement's cost
 is then below 1/15 per frame."""
-CARRIED_MISFIT = 3e-3
-"""Power that reused timing may leave unexplained beside the noise, relative to the words' power:
-edges 0.04 chip off leave as much (each of them changes one chip by 2a·0.04, and half of all edges
-are level changes), and it costs 0.01 dB."""
 RESTART_STEP = 1 / 16
 """Step of the search for the common delay of nodes that restart within a frame, chips. Chosen: at
 most 1/32 chip off, 0.3 dB of amplitude where every chip changes level."""
@@ -54,9 +47,6 @@ SEARCH_PER_S = 2e6
 LARGEST_SEARCH = 1 << 21
 """Most chips that one search may integrate: one second's worth. For frames too long for that only
 stretches that end where the line falls silent are tried."""
-FAINT_POWER = 1.6
-"""Power of the chips, relative to the gap's noise, below which no stretch is searched for: words
-would be hidden in noise. Chosen."""
 
 
 class LineTiming(MarkedTiming):
@@ -128,7 +118,7 @@ class LineRecogniser:
             if self._is_astray(words):
                 return Verdict(rejected=MISFIT)
             return self._line.silent(frame, self._line.sample_power(volts))
-        if words.believable(MAX_SPREAD, spec):
+        if words.believable(LIMITS.spread, spec):
             return self._line.heard(frame, self._line.nominal, node_levels(words.rows[0], spec))
         return Verdict(rejected=MISFIT)
 
@@ -145,7 +135,7 @@ class LineRecogniser:
             if self._is_astray(words):
                 return Verdict(over=over, rejected=MISFIT)
             return self._faint(frame, self._chip_power(line), fit)
-        if not words.believable(MAX_SPREAD, self._spec, self._line.noise):
+        if not words.believable(LIMITS.spread, self._spec, self._line.noise):
             return Verdict(over=over, rejected=MISFIT)
         ended = self._ended(frame, line, fit, words.rows[0], words.amplitude[0])
         return ended or Verdict(over=over, rejected=NOT_AT_REST)
@@ -192,7 +182,7 @@ class LineRecogniser:
         elif spec.first_row > 0:
             meant = rows[:, 1:]
         total = float(np.einsum("kr,kr->", meant, meant)) / spec.line_bits
-        left_over = total - power >= 1.5 * self._line.noise + CARRIED_MISFIT * power
+        left_over = total - power >= 1.5 * self._line.noise + LIMITS.carried_misfit * power
         return None if left_over or self._line.is_silent(amplitude) else amplitude
 
     def _by_edges(self, frame: MarkedFrame, line: Line) -> Verdict:
@@ -201,7 +191,7 @@ class LineRecogniser:
         power = self._chip_power(line)
         if power <= self._line.least_power:
             return self._faint(frame, power)
-        limit, somebody = MAX_SPREAD if noise else CLEAN_SPREAD, False
+        limit, somebody = LIMITS.spread if noise else LIMITS.clean_spread, False
         for chip in dict.fromkeys((self._line.chip, self._chip)):
             fit = self._refined(line, chip)
             words = even_words(line, fit, spec)
@@ -216,7 +206,7 @@ class LineRecogniser:
             if verdict and fit.end(spec) - size < 0.5 * chip:
                 self._carried = _Carried(fit, ChipEdges(fit, spec, size))
                 return verdict
-        if power <= FAINT_POWER * noise:
+        if power <= LIMITS.faint_power * noise:
             if somebody:
                 return Verdict(over=frame.start + size, rejected=NOISY)
             return self._faint(frame, power)
@@ -243,7 +233,7 @@ class LineRecogniser:
                 if somebody or self._is_astray(words):
                     break
                 return self._faint(frame, power, fit)
-            if not words.believable(MAX_SPREAD, spec, self._line.noise):
+            if not words.believable(LIMITS.spread, spec, self._line.noise):
                 continue
             if verdict := self._ended(frame, line, fit, words.rows[0], words.amplitude[0]):
                 return verdict

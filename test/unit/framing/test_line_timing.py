@@ -14,7 +14,7 @@ from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import DEFAULT_AMPLITUDE_V, FrameSpec
 from tactile_cdma.framing.fit import Line, refine
-from tactile_cdma.framing.frame_end import PROVEN
+from tactile_cdma.framing.limits import LIMITS
 from tactile_cdma.framing.line_timing import (
     CARRIED_FRAMES,
     LARGEST_SEARCH,
@@ -365,7 +365,7 @@ def test_hum_costs_no_frame() -> None:
     assert right(run(LineTiming(SPEC, RAW.rate_hz), hum), ALWAYS, RAW) == list(range(20))
 
 
-@pytest.mark.parametrize(("before", "lost"), [(PROVEN, 0), (5, 10)])
+@pytest.mark.parametrize(("before", "lost"), [(LIMITS.proven_ends, 0), (5, 10)])
 def test_a_late_node_costs_the_others_nothing_once_frames_are_known(before: int, lost: int) -> None:
     """Before that, it may as well be that frames are longer than specified."""
     size = round(SPEC.frame_period_s * RAW.rate_hz)
