@@ -36,10 +36,14 @@ _MEDIAN = 0.455
 
 @dataclass(frozen=True, slots=True)
 class Quiet:
-    """Level of the gap, V, and variance of its half-chip means, V²."""
+    """Level of the gap, V, and variance of its half-chip means, V².
+
+    begin: first sample of the window in which it was measured.
+    """
 
     level: float
     variance: float
+    begin: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,13 +147,14 @@ class BurstSearch:
             best = int(np.argmin(power))
             fresh = 1.2 * float(variance[best])  # a minimum over windows is biased low
             smooth = min(0.7 * known.variance + 0.3 * fresh, _CALMER * fresh)
-            return [Quiet(centre + float(sums[best]), smooth)]
+            return [Quiet(centre + float(sums[best]), smooth, best * self.half)]
         floor = float(variance.min()) + 1e-6 * float(power.max())
         found: list[Quiet] = []
         levels = 3 if self.spec.first_row == 0 else 1
         while len(found) < levels and (lowest := float(variance.min())) <= 4 * floor:
-            level = float(sums[int(np.argmin(variance))])
-            found.append(Quiet(centre + level, 1.2 * lowest))
+            best = int(np.argmin(variance))
+            level = float(sums[best])
+            found.append(Quiet(centre + level, 1.2 * lowest, best * self.half))
             variance[np.abs(sums - level) <= 4 * math.sqrt(floor)] = np.inf
         if len(found) == 3:
             low, middle, high = sorted(found, key=lambda quiet: quiet.level)

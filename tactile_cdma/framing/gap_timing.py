@@ -17,6 +17,8 @@ from ..code.separate import node_levels
 from .burst import Burst, Quiet
 from .fit import MAX_SPREAD, Fit, Line, WordFit, even_words, lowest_power
 from .gap import GapSearch
+from .hum import Hum
+from .impulses import without_impulses
 from .judge import Judgement
 from .limits import LIMITS
 from .raster import Expected, Raster
@@ -39,6 +41,9 @@ from .timing import (
 FORGET = 0.999
 """Factor on the power of a learnt amplitude in each silent slot. Chosen: halves it in 690 slots, 9
 s at 78 Hz."""
+AGAIN_PERIODS = 12
+"""Frame periods of rejected samples that are kept, to be looked at again once hum is known. Chosen:
+it is known after 4 to 8."""
 
 
 class GapTiming(Timing):
@@ -72,9 +77,12 @@ class GapTiming(Timing):
         self._reach = math.ceil(search.longest + 3 * search.chip)
         self._bit = math.ceil(1.11 * spec.order * search.chip)
         self._side_halves = math.ceil(min(self._bit, 0.4 * search.gap_size) / search.half)
+        self._most_again = AGAIN_PERIODS * search.period
         self._quiet: Quiet | None = None
         self._heard_one = False  # a frame, since the raster began
         self._raster = Raster(search.period)
+        self._hum = Hum(rate_hz)
+        self._again = (0, 0.0, self.rejections)
         self._cursor = 0
         self._due = 0
         self._next = 0.0  # start of the next slot
@@ -112,6 +120,7 @@ class GapTiming(Timing):
             self._next, self._heard_one = float(index), False
             self._raster.forget_place()
         self._skip_to(index)
+        self._settle()
 
     def _skip_to(self, index: int) -> None:
         """Decide on samples from here on; nothing is known of slots that began before."""
@@ -120,23 +129,43 @@ class GapTiming(Timing):
         self._next += max(0, late) * self._search.period
         self._schedule()
 
+    def _settle(self) -> None:
+        """What lies before the cursor is decided for good."""
+        self._again = self._cursor, self._next, self.rejections
+        self._schedule()
+
+    def _try_again(self) -> None:
+        """Return to what was rejected since the last frame or slot."""
+        self._cursor, self._next, self.rejections = self._again
+        self._quiet, self._failures = None, 0
+        self._schedule()
+
     def _schedule(self) -> None:
         """Drop decided samples; set when the next decision is due."""
         if self._quiet is None:  # a whole gap must be in view
             self._due = self._cursor + math.ceil(self._search.period) + self._reach
         else:
             self._due = max(math.ceil(self._next), self._cursor) + self._reach
-        self._samples.drop(self._cursor)
+        if self._cursor - self._again[0] > self._most_again:
+            self._again = self._cursor, self._next, self.rejections
+        self._samples.drop(self._again[0])
 
     def _decide(self, end: int, final: bool = False) -> list[FrameLevels]:
         """Look at the samples from the cursor to `end`, and move on. final: none will follow."""
-        volts = self._samples.take(self._cursor, end)
-        bad = np.flatnonzero(np.isnan(volts))
+        raw = self._samples.take(self._cursor, end)
+        bad = np.flatnonzero(np.isnan(raw))
         if bad.size:
             self.rejections += ABSURD
             self._skip_to(self._cursor + int(bad[-1]) + 1)
             return []
+        steady, heard = without_impulses(raw), self._hum.heard
+        volts = self._hum.removed(steady, self._cursor)
         candidates = self._search.quiet(volts, self._quiet)
+        if candidates:
+            self._learn_hum(steady, candidates[0])
+            if self._hum.heard and not heard:
+                self._try_again()
+                return []
         seen: list[Burst] = []
         reason = INCOMPLETE
         for quiet in candidates:
@@ -150,7 +179,7 @@ class GapTiming(Timing):
                 return []
             if burst.first < self._search.chip:
                 continue  # no gap before it: the rest of a frame that began before the cursor
-            taken = self._take(shifted, burst, quiet)
+            taken = self._take(shifted, burst, quiet, raw)
             if not isinstance(taken, Rejections):
                 return taken
             reason = taken
@@ -191,10 +220,18 @@ class GapTiming(Timing):
             return False
         return size < min(burst.first + self._reach, burst.last + self._bit)
 
-    def _take(self, volts: Floats, burst: Burst, quiet: Quiet) -> list[FrameLevels] | Rejections:
+    def _learn_hum(self, volts: Floats, quiet: Quiet) -> None:
+        """Learn from the window in which the gap was measured."""
+        window = volts[quiet.begin : quiet.begin + self._search.quiet_halves * self._search.half]
+        noise = quiet.variance * self._search.half
+        self._hum.learn(self._cursor + quiet.begin, window, noise)
+
+    def _take(
+        self, volts: Floats, burst: Burst, quiet: Quiet, raw: Floats
+    ) -> list[FrameLevels] | Rejections:
         """The frame that a burst is, after silent slots before it; or why it is no frame.
 
-        volts: gap level removed.
+        volts: gap level, hum and impulses removed. raw: the samples as they came, V.
         """
         line, spec = Line(volts), self._spec
         found = self._search.frame(line, burst, self._expected(burst))
@@ -204,8 +241,7 @@ class GapTiming(Timing):
         end = fit.end(spec)
         if end > volts.size + 0.5 * fit.chip:
             return INCOMPLETE
-        inside = volts[max(0, round(fit.start)) : round(end)]
-        clipped = share_clipped(inside + quiet.level, self._rails_v)
+        clipped = share_clipped(raw[max(0, round(fit.start)) : round(end)], self._rails_v)
         if clipped > LIMITS.clipped:
             return AT_RAIL
         beside = self._search.beside(volts, fit)
@@ -252,7 +288,7 @@ class GapTiming(Timing):
             self._raster.learn(fit, found.unaided)
         self._next = fit.start + self._search.period
         self._cursor += math.ceil(found.fit.end(self._spec) + 0.5 * fit.chip)
-        self._schedule()
+        self._settle()
         return frames
 
     def _pass_idle(self, end: int) -> list[FrameLevels]:
@@ -261,7 +297,7 @@ class GapTiming(Timing):
         if self._spec.node_swing_v is None:
             self._search.least_power *= FORGET ** len(frames)
         self._cursor = max(self._cursor, end - self._reach)
-        self._schedule()
+        self._settle()
         return frames
 
     def _idle_slots(self, until: float) -> Iterator[FrameLevels]:
