@@ -82,6 +82,7 @@ class GapTiming(Timing):
         self._heard_one = False  # a frame, since the raster began
         self._raster = Raster(search.period)
         self._hum = Hum(rate_hz)
+        self._waiting = True  # until it is known whether there is hum
         self._again = (0, 0.0, self.rejections)
         self._cursor = 0
         self._due = 0
@@ -107,6 +108,9 @@ class GapTiming(Timing):
     def flush(self) -> list[FrameLevels]:
         """End of the recording: decode a last frame if it is complete."""
         frames: list[FrameLevels] = []
+        self._waiting, waited = False, self._waiting
+        if waited and self._cursor > self._again[0]:
+            self._try_again()
         cursor = -1
         while self._samples.end - self._cursor > self._search.shortest and cursor != self._cursor:
             cursor = self._cursor
@@ -163,8 +167,7 @@ class GapTiming(Timing):
         candidates = self._search.quiet(volts, self._quiet)
         if candidates:
             self._learn_hum(steady, candidates[0])
-            if self._hum.heard and not heard:
-                self._try_again()
+            if self._comes_too_early(heard):
                 return []
         seen: list[Burst] = []
         reason = INCOMPLETE
@@ -219,6 +222,22 @@ class GapTiming(Timing):
         if size > self._search.period + 2 * self._reach:
             return False
         return size < min(burst.first + self._reach, burst.last + self._bit)
+
+    def _comes_too_early(self, heard: bool) -> bool:
+        """Whether to look at all this later or again, since hum disturbs it that is not known yet.
+
+        heard: whether hum was known before this view.
+        """
+        hum, held = self._hum, self._cursor - self._again[0]
+        if self._waiting and not hum.decided and held < self._most_again / 2:
+            if hum.moving:
+                self._skip_to(self._cursor + math.ceil(self._search.period))
+            return hum.moving
+        again = (hum.heard and not heard) or (self._waiting and held > 0)
+        self._waiting = False
+        if again:
+            self._try_again()
+        return again
 
     def _learn_hum(self, volts: Floats, quiet: Quiet) -> None:
         """Learn from the window in which the gap was measured."""

@@ -56,10 +56,16 @@ class Hum:
         """Whether there is hum that is known."""
         return self._tone is not None
 
-    def reset(self) -> None:
-        """Forget everything."""
-        self._windows.clear()
-        self._tone = None
+    @property
+    def decided(self) -> bool:
+        """Whether enough of the line was heard to tell."""
+        return len(self._windows) >= _LEAST_WINDOWS
+
+    @property
+    def moving(self) -> bool:
+        """Whether the gaps' level moves by more than noise explains."""
+        level, noise = self._levels()
+        return bool(np.square(level).mean() > _BEYOND_NOISE * noise)
 
     def removed(self, volts: Floats, begin: int) -> Floats:
         """The samples from stream index `begin` on without hum, V: the same array if none is known."""
@@ -86,14 +92,10 @@ class Hum:
 
     def _fitted(self) -> _Tone | None:
         """The hum that explains the windows; None where it is no hum, or within noise."""
-        if len(self._windows) < _LEAST_WINDOWS:
+        if not (self.decided and self.moving):
             return None
-        level = np.concatenate([means for _, _, means, _ in self._windows])
-        level -= level.mean()
-        noise = float(np.median([noise for *_, noise in self._windows]))
+        level, noise = self._levels()
         power = float(np.square(level).mean())
-        if power < _BEYOND_NOISE * noise:
-            return None
         origin = self._windows[-1][0]
         place = np.arange(PARTS) + 0.5
         time = np.concatenate(
@@ -113,3 +115,9 @@ class Hum:
             return None
         _, cosine, sine = found[best].tolist()
         return _Tone(float(self._angles[best]), origin, cosine, sine)
+
+    def _levels(self) -> tuple[Floats, float]:
+        """Means of all windows' parts about their mean, V, and the variance of their noise, V²."""
+        level = np.concatenate([means for _, _, means, _ in self._windows])
+        noise = float(np.median([noise for *_, noise in self._windows]))
+        return level - level.mean(), noise
