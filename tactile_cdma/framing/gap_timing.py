@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,6 +44,14 @@ s at 78 Hz."""
 AGAIN_PERIODS = 12
 """Frame periods of rejected samples that are kept, to be looked at again once hum is known. Chosen:
 it is known after 4 to 8."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Failure:
+    """Why a stretch holds no frame, and the instant at which its burst is first silent."""
+
+    reason: Rejections
+    pause: float
 
 
 class GapTiming(Timing):
@@ -162,13 +170,37 @@ class GapTiming(Timing):
             self.rejections += ABSURD
             self._skip_to(self._cursor + int(bad[-1]) + 1)
             return []
-        steady, heard = without_impulses(raw), self._hum.heard
-        volts = self._hum.removed(steady, self._cursor)
+        heard = self._hum.heard
+        volts = self._hum.removed(raw, self._cursor)
         candidates = self._search.quiet(volts, self._quiet)
         if candidates:
-            self._learn_hum(steady, candidates[0])
+            self._learn_hum(raw, candidates[0])
             if self._comes_too_early(heard):
                 return []
+        found = self._look(volts, candidates, raw, final)
+        if isinstance(found, _Failure):
+            steady = without_impulses(volts)
+            if steady is not volts:
+                calmer = self._look(steady, self._search.quiet(steady, self._quiet), raw, final)
+                found = found if isinstance(calmer, _Failure) else calmer
+        if not isinstance(found, _Failure):
+            return found
+        self.rejections += found.reason
+        self._failures += 1
+        if self._failures == 3:  # perhaps it is the level that is wrong
+            self._quiet, self._failures = None, 0
+        # A wrong level's burst may reach far into the next frame.
+        self._skip_to(self._cursor + max(self._bit, math.ceil(found.pause)))
+        return []
+
+    def _look(
+        self, volts: Floats, candidates: list[Quiet], raw: Floats, final: bool
+    ) -> list[FrameLevels] | _Failure:
+        """What is in the samples from the cursor on: frames, or none yet; or why there is nothing.
+
+        volts: hum removed, and perhaps impulses. raw: as they came.
+        """
+        end = self._cursor + volts.size
         seen: list[Burst] = []
         reason = INCOMPLETE
         for quiet in candidates:
@@ -189,14 +221,7 @@ class GapTiming(Timing):
         if all(self._may_be_noise(burst) for burst in seen):
             self._quiet = candidates[0] if candidates and not final else self._quiet
             return [] if final else self._pass_idle(end)
-        self.rejections += reason
-        self._failures += 1
-        if self._failures == 3:  # perhaps it is the level that is wrong
-            self._quiet, self._failures = None, 0
-        # A wrong level's burst may reach far into the next frame.
-        pause = min(burst.pause for burst in seen)
-        self._skip_to(self._cursor + max(self._bit, math.ceil(pause)))
-        return []
+        return _Failure(reason, min(burst.pause for burst in seen))
 
     def _first_burst(self, volts: Floats, quiet: Quiet) -> Burst | None:
         """The earliest burst: the strongest one may have a weaker one before it."""
