@@ -30,6 +30,9 @@ _LEAST_POWER = 1e-14
 _CALMER = 1000.0
 """Ratio of the known variance of the gap to the newest one beyond which it is no chance: what had
 raised it is over. Chosen."""
+_DRIFTING = 4.0
+"""Ratio of a gap's variance to that of its differences beyond which the rest is drift, not noise.
+Chosen: noise alone gets to 1.8 (20 differences)."""
 _MEDIAN = 0.455
 """Median of the square of a normal variable."""
 
@@ -81,8 +84,9 @@ class Beside:
         return float(both.mean()) if both.size else 0.0
 
     def variance(self, guess: float) -> float:
-        """Variance of their noise, V². guess: of the quietest window, which is too low.
+        """Variance of their noise, V².
 
+        guess: of the quietest window, which is too low, or far too high where the line drifts.
         Taken from differences, which cancel hum, by their median, which a piece of a frame does
         not sway.
         """
@@ -90,7 +94,8 @@ class Beside:
         if steps.size < 8:
             return guess
         median = float(np.sort(np.square(steps))[steps.size // 2])
-        return max(median / (2 * _MEDIAN), guess)
+        noise = median / (2 * _MEDIAN)
+        return max(noise, min(guess, _DRIFTING * noise) if noise else guess)
 
     def is_quiet(self, size: int, variance: float, power: float) -> bool:
         """Whether the nearest `size` on each side are gap: noise, and little hum."""

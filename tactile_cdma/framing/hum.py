@@ -9,7 +9,6 @@ tells what it adds to the frames between.
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from typing import NamedTuple
 
@@ -17,8 +16,10 @@ import numpy as np
 
 from ..base.arrays import Floats
 
-FREQUENCIES_HZ = np.arange(45.0, 65.1, 0.5)
+FREQUENCIES_HZ = np.arange(45.0, 65.1, 1.0)
 """Hum that is looked for: mains of 50 and 60 Hz, and what small generators make of them."""
+FINE_HZ = np.arange(-0.5, 0.51, 0.1)
+"""Steps between these; half of one turns the phase by 0.04 in half of MEMORY_S."""
 MEMORY_S = 0.25
 """Time from which hum is learnt, s. Chosen: tells 50 from 54 Hz, and mains keep phase so long."""
 PARTS = 4
@@ -41,14 +42,30 @@ class _Tone(NamedTuple):
     sine: float
 
 
+class _Window(NamedTuple):
+    """A piece of gap from stream index `begin` on, in PARTS parts of `size` samples.
+
+    means: of the parts, V. total, square: sum of these and of their squares. noise: variance of
+    each that noise explains, V².
+    """
+
+    begin: int
+    size: int
+    means: Floats
+    total: float
+    square: float
+    noise: float
+
+
 class Hum:
     """The hum of one stream of samples."""
 
     def __init__(self, rate_hz: float) -> None:
         """rate_hz: samples per second."""
-        self._angles = 2 * np.pi / rate_hz * FREQUENCIES_HZ
+        per_hz = 2 * np.pi / rate_hz
+        self._coarse, self._fine = per_hz * FREQUENCIES_HZ, per_hz * FINE_HZ
         self._memory = MEMORY_S * rate_hz
-        self._windows: deque[tuple[int, int, Floats, float]] = deque()
+        self._windows: deque[_Window] = deque()
         self._tone: _Tone | None = None
 
     @property
@@ -64,11 +81,13 @@ class Hum:
     @property
     def moving(self) -> bool:
         """Whether the gaps' level moves by more than noise explains."""
-        level, noise = self._levels()
-        return bool(np.square(level).mean() > _BEYOND_NOISE * noise)
+        return self._power() > _BEYOND_NOISE * self._noise()
 
     def removed(self, volts: Floats, begin: int) -> Floats:
-        """The samples from stream index `begin` on without hum, V: the same array if none is known."""
+        """The samples without hum, V: the same array if none is known.
+
+        volts: (m,) V, from stream index `begin` on.
+        """
         tone = self._tone
         if tone is None:
             return volts
@@ -81,43 +100,63 @@ class Hum:
 
         begin: its stream index. volts: (m,) V, with hum. noise: variance of one sample, V².
         """
-        size = volts.size // PARTS
-        if self._windows and begin < self._windows[-1][0] + PARTS * self._windows[-1][1]:
+        windows, size = self._windows, volts.size // PARTS
+        if windows and begin < windows[-1].begin + PARTS * windows[-1].size:
             return
-        means = volts[: PARTS * size].reshape(PARTS, size).mean(axis=1)
-        self._windows.append((begin, size, means, noise / size))
-        while self._windows[0][0] < begin - self._memory:
-            self._windows.popleft()
+        means = volts[: PARTS * size].reshape(PARTS, size) @ np.full(size, 1 / size)
+        values = means.tolist()
+        square = sum(value * value for value in values)
+        windows.append(_Window(begin, size, means, sum(values), square, noise / size))
+        while windows[0].begin < begin - self._memory:
+            windows.popleft()
         self._tone = self._fitted()
 
     def _fitted(self) -> _Tone | None:
         """The hum that explains the windows; None where it is no hum, or within noise."""
         if not (self.decided and self.moving):
             return None
-        level, noise = self._levels()
-        power = float(np.square(level).mean())
-        origin = self._windows[-1][0]
+        level = np.concatenate([window.means for window in self._windows])
+        level -= level.mean()
+        power, noise = self._power(), self._noise()
+        origin = self._windows[-1].begin
         place = np.arange(PARTS) + 0.5
         time = np.concatenate(
-            [begin - origin + size * place - 0.5 for begin, size, *_ in self._windows]
+            [window.begin - origin + window.size * place - 0.5 for window in self._windows]
         )
-        phase = self._angles[:, None] * time
+        angle, *_ = self._best(self._coarse, time, level, noise / power)
+        fine = angle + self._fine
+        angle, left, cosine, sine = self._best(fine, time, level, noise / power)
+        if left > _LEFT * power + 2 * noise:
+            return None
+        return _Tone(angle, origin, cosine, sine)
+
+    @staticmethod
+    def _best(
+        angles: Floats, time: Floats, level: Floats, ridge: float
+    ) -> tuple[float, float, float, float]:
+        """Least squares of offset and tone for some angles per sample; the best one.
+
+        Returns its angle, the mean square that is left, V², and its cosine and sine, V. ridge: of
+        these. Frames may recur in step with the hum, whose gaps then hardly show its amplitude: it
+        is taken to be no larger than needed.
+        """
+        phase = angles[:, None] * time
         terms = np.stack((np.ones_like(phase), np.cos(phase), np.sin(phase)), axis=1)
-        products = terms @ terms.transpose(0, 2, 1)
-        # Frames may recur in step with the hum, whose gaps then hardly show its amplitude: it is
-        # taken to be no larger than needed.
-        products += noise / power * np.diag([0.0, 1.0, 1.0])
+        products = terms @ terms.transpose(0, 2, 1) + ridge * np.diag([0.0, 1.0, 1.0])
         moments = terms @ level
         found = np.linalg.solve(products, moments[..., None])[..., 0]
-        left = level.size * power - np.einsum("fi,fi->f", found, moments)
-        best = int(np.argmin(left))
-        if left[best] / level.size > _LEFT * power + 2 * noise:
-            return None
-        _, cosine, sine = found[best].tolist()
-        return _Tone(float(self._angles[best]), origin, cosine, sine)
+        explained = np.einsum("fi,fi->f", found, moments)
+        best = int(np.argmax(explained))
+        left = float(np.square(level).sum() - explained[best]) / level.size
+        return float(angles[best]), left, float(found[best, 1]), float(found[best, 2])
 
-    def _levels(self) -> tuple[Floats, float]:
-        """Means of all windows' parts about their mean, V, and the variance of their noise, V²."""
-        level = np.concatenate([means for _, _, means, _ in self._windows])
-        noise = float(np.median([noise for *_, noise in self._windows]))
-        return level - level.mean(), noise
+    def _power(self) -> float:
+        """Variance of the parts' means, V²."""
+        count = PARTS * len(self._windows)
+        mean = sum(window.total for window in self._windows) / count
+        return sum(window.square for window in self._windows) / count - mean * mean
+
+    def _noise(self) -> float:
+        """What noise contributes to it, V²: the median over the windows."""
+        noises = sorted(window.noise for window in self._windows)
+        return noises[len(noises) // 2]
