@@ -21,7 +21,7 @@ in time, word by word:
 - lost: the frame was rejected or not found, which claims nothing.
 - rail silent: words published as silent, without a flag, although more than half of the frame's
   samples were at a rail.
-- phantom: words of nodes that never transmitted in that recording, flagged or not.
+- phantom: words, without a flag, of nodes that never transmitted in that recording.
 
 A flag is what the driver publishes: a doubtful word, or a node that counts as doubled or faulty.
 Words are those sent. `unflagged` sums up missed, wrong and invented without a flag, on all lines;
@@ -397,7 +397,9 @@ def compare(recording: Recording, decoded: list[Decoded], line: Line) -> tuple[T
         tallies.append(Tally(invented=invented, wrong_flagged=rest))
         if invented:
             complaints.append(f"  no frame began near chip {frame.start_chips:.1f}")
-    phantom = sum(int(np.count_nonzero(frame.words.active & never)) for frame in decoded)
+    phantom = sum(
+        int(np.count_nonzero(frame.words.active & never & ~_flags(frame))) for frame in decoded
+    )
     rail_silent = sum(
         int(np.count_nonzero(~frame.words.active & ~_flags(frame)))
         for number, frame in zip(nearest, decoded, strict=True)

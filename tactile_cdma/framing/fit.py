@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ..base.arrays import Floats, Floats32, Indices
 from ..code.frame import UNIPOLAR, FrameSpec
 from ..code.transform import correlate, spread
+from ..words.decode import LOUDEST_FLOOR, usual_amplitude
 
 F = TypeVar("F", np.float32, np.float64)
 
@@ -47,10 +48,7 @@ BLUR = 0.3
 sample counts in full beyond 0.15 samples from an edge."""
 ACTIVE_FLOOR = 0.5
 """A node spoke where its word exceeds this share of the amplitude that nodes have: halfway between
-silence and speech …"""
-LOUDEST_FLOOR = 0.25
-"""… and this share of the loudest word, which may be that of three nodes on one row: a lone node
-then still has a third of it."""
+silence and speech."""
 ODD_SHARE = 0.25
 """Share of at least three words that may be uneven and still say nothing about the frame. Chosen:
 broken nodes are few, while wrong timing makes all words uneven."""
@@ -236,19 +234,16 @@ def read_words(chips: Floats32, spec: FrameSpec) -> WordFit:
 def word_floor(mean: Floats32, spec: FrameSpec) -> Floats32:
     """Amplitude that the words of a frame exceed, V: (…, n) mean |r| of all nodes to (…, 1).
 
-    The loudest word may be that of two or three nodes on one row. So the nodes' amplitude is taken
-    where it is known, and else that of the second of at least three loud words.
+    That is ACTIVE_FLOOR of the nodes' amplitude where it is known, else of the usual one.
     """
     loudest = mean.max(axis=-1, keepdims=True)
-    floor: Floats32 = np.float32(LOUDEST_FLOOR) * loudest
     if spec.node_swing_v is not None:
         usual = np.minimum(loudest, np.float32(spec.node_swing_v))
-    elif spec.nodes < 3:
-        usual = loudest
     else:
-        third, second = np.split(np.partition(mean, (-3, -2), axis=-1)[..., -3:-1], 2, axis=-1)
-        usual = np.where(third > floor, second, loudest)
-    floor = np.maximum(floor, np.float32(ACTIVE_FLOOR) * usual)
+        usual = usual_amplitude(mean)
+    floor: Floats32 = np.maximum(
+        np.float32(LOUDEST_FLOOR) * loudest, np.float32(ACTIVE_FLOOR) * usual
+    )
     return floor
 
 

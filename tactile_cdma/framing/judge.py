@@ -38,12 +38,12 @@ class Judge:
     Each is a hypothesis: a start, a chip duration, and the words that follow from them. Its cost is
     its negative log-likelihood,
 
-        Σ over chips of min((level − model)² / 2σ², κ),
+        Σ over chips of min(max(|level − model| − δ, 0)² / 2σ², κ),
 
-    over all chips of the line, for which a frame that ends earlier predicts silence. No chip votes
-    with more than κ, so that no single disturbed chip decides. With what is likely before looking
-    (Expected) the costs give each frame's probability, and for every node the probability of all
-    frames that give it another word or silence.
+    with δ for distortion, over all chips of the line, for which a frame that ends earlier predicts
+    silence. No chip votes with more than κ, so that no single disturbed chip decides. With what is
+    likely before looking (Expected) the costs give each frame's probability, and for every node the
+    probability of all frames that give it another word or silence.
     """
 
     def __init__(self, spec: FrameSpec) -> None:
@@ -99,12 +99,17 @@ class Judge:
     @staticmethod
     def _costs(levels: Floats32, model: Floats32, noise: float) -> Floats:
         """Negative log-likelihoods of models (c, j) of the levels (j,), with bounded votes."""
-        off = np.square(levels - model)
-        # What even the best model leaves over is noise of this line, if most chips have it.
-        left = float(np.median(off[np.argmin(off.sum(axis=1))])) / LIMITS.median
-        power = float(np.square(levels).mean())
-        variance = max(noise, left, LIMITS.distortion**2 * power, 1e-30)
-        votes = np.minimum(off * np.float32(0.5 / variance), np.float32(LIMITS.vote))
+        off = np.abs(levels - model)
+        # What even the best model leaves over is noise of this line, if not few chips have it:
+        # behind a low-pass only those next to a level change do.
+        best = off[np.argmin(np.square(off).sum(axis=1))]
+        rank = int(LIMITS.most * (best.size - 1))
+        left = float(np.partition(best, rank)[rank]) / LIMITS.most_deviations
+        steps = np.square(np.diff(levels))  # as wide as the code's levels, whatever their mean
+        distortion = LIMITS.distortion * float(np.sqrt(0.5 * steps.mean()))
+        variance = max(noise, left**2, (0.5 * distortion) ** 2, 1e-30)
+        off = np.maximum(off - np.float32(distortion), 0)
+        votes = np.minimum(np.square(off) * np.float32(0.5 / variance), np.float32(LIMITS.vote))
         cost: Floats = votes.sum(axis=1, dtype=np.float64)
         return cost
 

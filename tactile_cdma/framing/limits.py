@@ -13,9 +13,13 @@ class Limits:
 
     vote: κ, the most that one chip contributes to a log-likelihood. Beyond √(2κ) = 3.5 deviations,
         which noise exceeds once in 2,000 chips, a chip is disturbed, and how far says nothing.
-    distortion: least deviation of a chip's level, relative to the line's RMS. Chosen: edges 0.1
-        chip off change a chip next to a level change by as much.
-    median: of the square of a normal variable of variance 1.
+    distortion: deviation of a chip's level, relative to the code's RMS, that says nothing: edges
+        0.1 chip off and low-passes of 0.3 chip leave as much next to each level change, on all
+        chips of a kind alike. Half of it is the least deviation of chips beyond that. Found with
+        `make bench-doubt`: with 0.2, 1 of 120 words of nodes that tie was not flagged.
+    most: share of the chips that shows a line's own noise. Chosen: half of them are next to a level
+        change; a fifth may be disturbed.
+    most_deviations: what a normal variable of variance 1 exceeds, in size, in the other chips.
     clipped: share of a frame's samples at a rail beyond which words are not believed at all: a line
         that rests at the rail clips half of its chips.
     deafened: the same beyond which nobody can tell who was silent. At half, a lone node has half of
@@ -30,8 +34,9 @@ class Limits:
     """
 
     vote: float = 6.0
-    distortion: float = 0.1
-    median: float = 0.455
+    distortion: float = 0.25
+    most: float = 0.8
+    most_deviations: float = 1.28
     clipped: float = 0.5
     deafened: float = 0.25
     blind_rho: float = 2.5

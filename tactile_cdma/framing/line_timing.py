@@ -30,7 +30,7 @@ from .fit import (
 )
 from .frame_end import End, FrameEnds
 from .marked_timing import MarkedFrame, MarkedLine, MarkedTiming, Verdict
-from .timing import MISFIT, NOT_AT_REST, Rails
+from .timing import MISFIT, NOISY, NOT_AT_REST, Rails
 
 CHIP_ERROR = 2e-3
 """Share by which chips may be shorter than nominal, or longer than the longest stretch. Chosen:
@@ -201,12 +201,14 @@ class LineRecogniser:
         power = self._chip_power(line)
         if power <= self._line.least_power:
             return self._faint(frame, power)
-        limit = MAX_SPREAD if noise else CLEAN_SPREAD
+        limit, somebody = MAX_SPREAD if noise else CLEAN_SPREAD, False
         for chip in dict.fromkeys((self._line.chip, self._chip)):
             fit = self._refined(line, chip)
             words = even_words(line, fit, spec)
             amplitude = words.amplitude[0]
-            if not words.believable(limit, spec, noise) or self._line.is_silent(amplitude):
+            silent = self._line.is_silent(amplitude)
+            somebody |= not silent
+            if silent or not words.believable(limit, spec, noise):
                 continue
             if unfinished := self._unfinished(frame, fit):
                 return unfinished
@@ -215,11 +217,16 @@ class LineRecogniser:
                 self._carried = _Carried(fit, ChipEdges(fit, spec, size))
                 return verdict
         if power <= FAINT_POWER * noise:
+            if somebody:
+                return Verdict(over=frame.start + size, rejected=NOISY)
             return self._faint(frame, power)
-        return self._by_search(frame, line, power)
+        return self._by_search(frame, line, power, somebody)
 
-    def _by_search(self, frame: MarkedFrame, line: Line, power: float) -> Verdict:
-        """The frame at the stretch that explains the most energy. power: of its chips, V²."""
+    def _by_search(self, frame: MarkedFrame, line: Line, power: float, somebody: bool) -> Verdict:
+        """The frame at the stretch that explains the most energy.
+
+        power: of its chips, V². somebody: was heard at another stretch, if not understood.
+        """
         spec, nominal = self._spec, self._line.chip
         # The tail shows the level, or that it has not changed: row 0 would take that for a word.
         tail = 0 if self._line.level_known and spec.first_row > 0 else TAIL_CHIPS
@@ -233,7 +240,7 @@ class LineRecogniser:
             fit = self._refined(line, self._strongest(line, stretched))
             words = even_words(line, fit, spec)
             if self._line.is_silent(words.amplitude[0]):
-                if self._is_astray(words):
+                if somebody or self._is_astray(words):
                     break
                 return self._faint(frame, power, fit)
             if not words.believable(MAX_SPREAD, spec, self._line.noise):

@@ -180,7 +180,7 @@ class MarkedLine:
         power: mean power of its samples, V², all of it noise.
         """
         clipped, noise_v = self.clipped(frame.volts[: self.size]), math.sqrt(power / self.chip)
-        if reason := silence_hidden(clipped, noise_v, self.spec):
+        if reason := silence_hidden(clipped, max(noise_v, math.sqrt(self.noise)), self.spec):
             return Verdict(over=frame.start + frame.volts.size, rejected=reason)
         return self._decided(frame.start, fit or self.nominal, None, noise_v, clipped)
 

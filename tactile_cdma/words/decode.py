@@ -33,6 +33,12 @@ word. Chosen: a word that was sent keeps √(1 − 3/k) of it, 0.84 at k = 10.""
 HALF_A_CHIP = 0.5
 """Energy that words may leave over in a bit without a closer look, in chips of the weakest of them.
 Chosen: a node that is half a chip late leaves about this."""
+LOUDEST_FLOOR = 0.25
+"""Share of the loudest word's amplitude that others have, too, if it is that of a sound node: the
+loudest may be that of three nodes on one row, and a lone node then still has a third of it."""
+COMPARABLE = 0.6
+"""Share of a word's amplitude above which a fainter one may be the rest of it. Chosen: of a word
+half a chip late both rows have half."""
 LOW_RHO = 5.0
 """ρ below which words are flagged: there more than 3e-6 of them hold a wrong bit, k·Q(ρ) for k =
 10."""
@@ -137,7 +143,7 @@ def decode(
 
     threshold: share of the expected amplitude above which a word counts as spoken. swing_v: that
     amplitude, scalar or (n,), V; the specification's by default, and where that has none, the
-    largest of the frame. Activity is decided per word and not per bit: k levels average out the
+    usual one of the frame. Activity is decided per word and not per bit: k levels average out the
     noise, which takes lost words from 0.32 to 1e-4 at ρ = 4. A word that louder ones explain by
     leakage is none. The silence of a node that was heard, if faintly, is doubtful.
 
@@ -150,7 +156,7 @@ def decode(
     if swing_v is None:
         swing_v = spec.node_swing_v
     if swing_v is None:
-        swing_v = max(float(amplitude.max()), AUTO_FLOOR * noise / threshold)
+        swing_v = max(float(usual_amplitude(amplitude)[0]), AUTO_FLOOR * noise / threshold)
     expected = np.full(spec.nodes, swing_v, dtype=np.float32)
     active = amplitude > np.float32(threshold) * expected
     hidden = np.zeros_like(active)
@@ -162,7 +168,8 @@ def decode(
         spoke = amplitude > np.float32(threshold) * expected
         hidden = ~spoke & (active | (amplitude > FAINT_SHARE * expected))
         if hidden.any():  # what weak words lack may be there, and they out of their places
-            hidden |= spoke & (amplitude < SOUND_SHARE * expected)
+            most = np.float32(amplitude[hidden].max()) / np.float32(COMPARABLE)
+            hidden |= spoke & (amplitude < np.maximum(sound, most))
         active = spoke & ~hidden
     rho = amplitude * np.float32(1 / max(noise, 1e-12))
     weakest = level.min(axis=0)
@@ -200,6 +207,19 @@ def decode(
     codes, doubled, odd = codes * active, doubled & doubtful, odd & active
     sigma = noise * math.sqrt(spec.order)
     return Words(active, codes, amplitude, rho, margin, doubtful, doubled, odd, hidden, sigma)
+
+
+def usual_amplitude(mean: Floats32) -> Floats32:
+    """Amplitude of a sound node, V, from mean |r| of all nodes: (…, n) to (…, 1).
+
+    The loudest word may be that of two or three nodes on one row. So it is that of the second of at
+    least three loud words.
+    """
+    loudest: Floats32 = mean.max(axis=-1, keepdims=True)
+    if mean.shape[-1] < 3:
+        return loudest
+    third, second = np.split(np.partition(mean, (-3, -2), axis=-1)[..., -3:-1], 2, axis=-1)
+    return np.where(third > np.float32(LOUDEST_FLOOR) * loudest, second, loudest)
 
 
 def _late(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec) -> Bools | None:

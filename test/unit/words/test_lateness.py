@@ -40,7 +40,7 @@ def heard(
 
 
 @pytest.mark.parametrize("others", [0, 1, 5])
-@pytest.mark.parametrize(("late", "told"), [(0.6, 0.05), (1.0, 0.25), (2.0, 0.3), (3.0, 0.35)])
+@pytest.mark.parametrize(("late", "told"), [(0.6, 0.05), (1.0, 0.25), (2.0, 0.3), (3.0, 0.45)])
 def test_words_of_a_late_node_are_not_told_for_certain(
     late: float, told: float, others: int
 ) -> None:
