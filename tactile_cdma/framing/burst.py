@@ -30,16 +30,23 @@ _LEAST_POWER = 1e-14
 _CALMER = 1000.0
 """Ratio of the known variance of the gap to the newest one beyond which it is no chance: what had
 raised it is over. Chosen."""
+_DRIFTING = 4.0
+"""Ratio of a gap's variance to that of its differences beyond which the rest is drift, not noise.
+Chosen: noise alone gets to 1.8 (20 differences)."""
 _MEDIAN = 0.455
 """Median of the square of a normal variable."""
 
 
 @dataclass(frozen=True, slots=True)
 class Quiet:
-    """Level of the gap, V, and variance of its half-chip means, V²."""
+    """Level of the gap, V, and variance of its half-chip means, V².
+
+    begin: first sample of the window in which it was measured.
+    """
 
     level: float
     variance: float
+    begin: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,8 +84,9 @@ class Beside:
         return float(both.mean()) if both.size else 0.0
 
     def variance(self, guess: float) -> float:
-        """Variance of their noise, V². guess: of the quietest window, which is too low.
+        """Variance of their noise, V².
 
+        guess: of the quietest window, which is too low, or far too high where the line drifts.
         Taken from differences, which cancel hum, by their median, which a piece of a frame does
         not sway.
         """
@@ -86,7 +94,8 @@ class Beside:
         if steps.size < 8:
             return guess
         median = float(np.sort(np.square(steps))[steps.size // 2])
-        return max(median / (2 * _MEDIAN), guess)
+        noise = median / (2 * _MEDIAN)
+        return max(noise, min(guess, _DRIFTING * noise) if noise else guess)
 
     def is_quiet(self, size: int, variance: float, power: float) -> bool:
         """Whether the nearest `size` on each side are gap: noise, and little hum."""
@@ -143,13 +152,14 @@ class BurstSearch:
             best = int(np.argmin(power))
             fresh = 1.2 * float(variance[best])  # a minimum over windows is biased low
             smooth = min(0.7 * known.variance + 0.3 * fresh, _CALMER * fresh)
-            return [Quiet(centre + float(sums[best]), smooth)]
+            return [Quiet(centre + float(sums[best]), smooth, best * self.half)]
         floor = float(variance.min()) + 1e-6 * float(power.max())
         found: list[Quiet] = []
         levels = 3 if self.spec.first_row == 0 else 1
         while len(found) < levels and (lowest := float(variance.min())) <= 4 * floor:
-            level = float(sums[int(np.argmin(variance))])
-            found.append(Quiet(centre + level, 1.2 * lowest))
+            best = int(np.argmin(variance))
+            level = float(sums[best])
+            found.append(Quiet(centre + level, 1.2 * lowest, best * self.half))
             variance[np.abs(sums - level) <= 4 * math.sqrt(floor)] = np.inf
         if len(found) == 3:
             low, middle, high = sorted(found, key=lambda quiet: quiet.level)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from ..code.separate import node_levels
 from .burst import Burst, Quiet
 from .fit import Fit, Line, WordFit, even_words, lowest_power
 from .gap import GapSearch
+from .hum import Hum
+from .impulses import without_impulses
 from .judge import Judgement
 from .limits import LIMITS
 from .raster import Expected, Raster
@@ -39,6 +41,17 @@ from .timing import (
 FORGET = 0.999
 """Factor on the power of a learnt amplitude in each silent slot. Chosen: halves it in 690 slots, 9
 s at 78 Hz."""
+AGAIN_PERIODS = 12
+"""Frame periods of rejected samples that are kept, to be looked at again once hum is known. Chosen:
+it is known after 4 to 8."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Failure:
+    """Why a stretch holds no frame, and the instant at which its burst is first silent."""
+
+    reason: Rejections
+    pause: float
 
 
 class GapTiming(Timing):
@@ -72,9 +85,13 @@ class GapTiming(Timing):
         self._reach = math.ceil(search.longest + 3 * search.chip)
         self._bit = math.ceil(1.11 * spec.order * search.chip)
         self._side_halves = math.ceil(min(self._bit, 0.4 * search.gap_size) / search.half)
+        self._most_again = AGAIN_PERIODS * search.period
         self._quiet: Quiet | None = None
         self._heard_one = False  # a frame, since the raster began
         self._raster = Raster(search.period)
+        self._hum = Hum(rate_hz)
+        self._waiting = True  # until it is known whether there is hum
+        self._again = (0, 0.0, self.rejections)
         self._cursor = 0
         self._due = 0
         self._next = 0.0  # start of the next slot
@@ -99,6 +116,9 @@ class GapTiming(Timing):
     def flush(self) -> list[FrameLevels]:
         """End of the recording: decode a last frame if it is complete."""
         frames: list[FrameLevels] = []
+        self._waiting, waited = False, self._waiting
+        if waited and self._cursor > self._again[0]:
+            self._try_again()
         cursor = -1
         while self._samples.end - self._cursor > self._search.shortest and cursor != self._cursor:
             cursor = self._cursor
@@ -112,6 +132,7 @@ class GapTiming(Timing):
             self._next, self._heard_one = float(index), False
             self._raster.forget_place()
         self._skip_to(index)
+        self._settle()
 
     def _skip_to(self, index: int) -> None:
         """Decide on samples from here on; nothing is known of slots that began before."""
@@ -120,23 +141,66 @@ class GapTiming(Timing):
         self._next += max(0, late) * self._search.period
         self._schedule()
 
+    def _settle(self) -> None:
+        """What lies before the cursor is decided for good."""
+        self._again = self._cursor, self._next, self.rejections
+        self._schedule()
+
+    def _try_again(self) -> None:
+        """Return to what was rejected since the last frame or slot."""
+        self._cursor, self._next, self.rejections = self._again
+        self._quiet, self._failures = None, 0
+        self._schedule()
+
     def _schedule(self) -> None:
         """Drop decided samples; set when the next decision is due."""
         if self._quiet is None:  # a whole gap must be in view
             self._due = self._cursor + math.ceil(self._search.period) + self._reach
         else:
             self._due = max(math.ceil(self._next), self._cursor) + self._reach
-        self._samples.drop(self._cursor)
+        if self._cursor - self._again[0] > self._most_again:
+            self._again = self._cursor, self._next, self.rejections
+        self._samples.drop(self._again[0])
 
     def _decide(self, end: int, final: bool = False) -> list[FrameLevels]:
         """Look at the samples from the cursor to `end`, and move on. final: none will follow."""
-        volts = self._samples.take(self._cursor, end)
-        bad = np.flatnonzero(np.isnan(volts))
+        raw = self._samples.take(self._cursor, end)
+        bad = np.flatnonzero(np.isnan(raw))
         if bad.size:
             self.rejections += ABSURD
             self._skip_to(self._cursor + int(bad[-1]) + 1)
             return []
+        heard = self._hum.heard
+        volts = self._hum.removed(raw, self._cursor)
         candidates = self._search.quiet(volts, self._quiet)
+        if candidates:
+            self._learn_hum(raw, candidates[0])
+            if self._comes_too_early(heard):
+                return []
+        found = self._look(volts, candidates, raw, final)
+        if isinstance(found, _Failure):
+            steady = without_impulses(volts)
+            if steady is not volts:
+                calmer = self._look(steady, self._search.quiet(steady, self._quiet), raw, final)
+                found = found if isinstance(calmer, _Failure) else calmer
+        if not isinstance(found, _Failure):
+            return found
+        self.rejections += found.reason
+        self._failures += 1
+        if self._failures == 3:  # perhaps it is the level that is wrong
+            self._quiet, self._failures = None, 0
+        # A wrong level's burst may reach far into the next frame.
+        self._skip_to(self._cursor + max(self._bit, math.ceil(found.pause)))
+        return []
+
+    def _look(
+        self, volts: Floats, candidates: list[Quiet], raw: Floats, final: bool
+    ) -> list[FrameLevels] | _Failure:
+        """What is in the samples from the cursor on: frames, or none yet; or why there is nothing.
+
+        volts: hum removed, and perhaps impulses. raw: as they came.
+        """
+        end = self._cursor + volts.size
         seen: list[Burst] = []
         reason = INCOMPLETE
         for quiet in candidates:
@@ -150,21 +214,14 @@ class GapTiming(Timing):
                 return []
             if burst.first < self._search.chip:
                 continue  # no gap before it: the rest of a frame that began before the cursor
-            taken = self._take(shifted, burst, quiet)
+            taken = self._take(shifted, burst, quiet, raw)
             if not isinstance(taken, Rejections):
                 return taken
             reason = taken
         if all(self._may_be_noise(burst) for burst in seen):
             self._quiet = candidates[0] if candidates and not final else self._quiet
             return [] if final else self._pass_idle(end)
-        self.rejections += reason
-        self._failures += 1
-        if self._failures == 3:  # perhaps it is the level that is wrong
-            self._quiet, self._failures = None, 0
-        # A wrong level's burst may reach far into the next frame.
-        pause = min(burst.pause for burst in seen)
-        self._skip_to(self._cursor + max(self._bit, math.ceil(pause)))
-        return []
+        return _Failure(reason, min(burst.pause for burst in seen))
 
     def _first_burst(self, volts: Floats, quiet: Quiet) -> Burst | None:
         """The earliest burst: the strongest one may have a weaker one before it."""
@@ -191,10 +248,34 @@ class GapTiming(Timing):
             return False
         return size < min(burst.first + self._reach, burst.last + self._bit)
 
-    def _take(self, volts: Floats, burst: Burst, quiet: Quiet) -> list[FrameLevels] | Rejections:
+    def _comes_too_early(self, heard: bool) -> bool:
+        """Whether to look at all this later or again, since hum disturbs it that is not known yet.
+
+        heard: whether hum was known before this view.
+        """
+        hum, held = self._hum, self._cursor - self._again[0]
+        if self._waiting and not hum.decided and held < self._most_again / 2:
+            if hum.moving:
+                self._skip_to(self._cursor + math.ceil(self._search.period))
+            return hum.moving
+        again = (hum.heard and not heard) or (self._waiting and held > 0)
+        self._waiting = False
+        if again:
+            self._try_again()
+        return again
+
+    def _learn_hum(self, volts: Floats, quiet: Quiet) -> None:
+        """Learn from the window in which the gap was measured."""
+        window = volts[quiet.begin : quiet.begin + self._search.quiet_halves * self._search.half]
+        noise = quiet.variance * self._search.half
+        self._hum.learn(self._cursor + quiet.begin, window, noise)
+
+    def _take(
+        self, volts: Floats, burst: Burst, quiet: Quiet, raw: Floats
+    ) -> list[FrameLevels] | Rejections:
         """The frame that a burst is, after silent slots before it; or why it is no frame.
 
-        volts: gap level removed.
+        volts: gap level, hum and impulses removed. raw: the samples as they came, V.
         """
         line, spec = Line(volts), self._spec
         found = self._search.frame(line, burst, self._expected(burst))
@@ -204,8 +285,7 @@ class GapTiming(Timing):
         end = fit.end(spec)
         if end > volts.size + 0.5 * fit.chip:
             return INCOMPLETE
-        inside = volts[max(0, round(fit.start)) : round(end)]
-        clipped = share_clipped(inside + quiet.level, self._rails_v)
+        clipped = share_clipped(raw[max(0, round(fit.start)) : round(end)], self._rails_v)
         if clipped > LIMITS.clipped:
             return AT_RAIL
         beside = self._search.beside(volts, fit)
@@ -252,7 +332,7 @@ class GapTiming(Timing):
             self._raster.learn(fit, found.unaided)
         self._next = fit.start + self._search.period
         self._cursor += math.ceil(found.fit.end(self._spec) + 0.5 * fit.chip)
-        self._schedule()
+        self._settle()
         return frames
 
     def _pass_idle(self, end: int) -> list[FrameLevels]:
@@ -261,7 +341,7 @@ class GapTiming(Timing):
         if self._spec.node_swing_v is None:
             self._search.least_power *= FORGET ** len(frames)
         self._cursor = max(self._cursor, end - self._reach)
-        self._schedule()
+        self._settle()
         return frames
 
     def _idle_slots(self, until: float) -> Iterator[FrameLevels]:

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Learns the mains' hum from the line's gaps, and removes it.
+
+Between frames the line carries nothing but its offset and disturbances. If its level moves there by
+more than noise explains, and a sine of 45…65 Hz explains most of that, it is hum, and the sine
+tells what it adds to the frames between.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from ..base.arrays import Floats
+
+FREQUENCIES_HZ = np.arange(45.0, 65.1, 1.0)
+"""Hum that is looked for: mains of 50 and 60 Hz, and what small generators make of them."""
+FINE_HZ = np.arange(-0.5, 0.51, 0.1)
+"""Steps between these; half of one turns the phase by 0.04 in half of MEMORY_S."""
+MEMORY_S = 0.25
+"""Time from which hum is learnt, s. Chosen: tells 50 from 54 Hz, and mains keep phase so long."""
+PARTS = 4
+"""Parts of a quiet window whose means are fitted: enough to tell its slope. Chosen."""
+_LEAST_WINDOWS = 4
+"""Windows from which hum is learnt: 16 means for its 4 unknowns."""
+_BEYOND_NOISE = 9.0
+"""Ratio of the means' variance to that of noise beyond which the level moves. Chosen: 16 means of
+nothing but noise get there once in 10²⁰."""
+_LEFT = 0.05
+"""Share of that variance that hum may leave unexplained. Chosen; jumps and drift leave more."""
+
+
+class _Tone(NamedTuple):
+    """Hum of cosine·cos(angle·(i − origin)) + sine·sin(…) at sample i, V."""
+
+    angle: float
+    origin: int
+    cosine: float
+    sine: float
+
+
+class _Window(NamedTuple):
+    """A piece of gap from stream index `begin` on, in PARTS parts of `size` samples.
+
+    means: of the parts, V. total, square: sum of these and of their squares. noise: variance of
+    each that noise explains, V².
+    """
+
+    begin: int
+    size: int
+    means: Floats
+    total: float
+    square: float
+    noise: float
+
+
+class Hum:
+    """The hum of one stream of samples."""
+
+    def __init__(self, rate_hz: float) -> None:
+        """rate_hz: samples per second."""
+        per_hz = 2 * np.pi / rate_hz
+        self._coarse, self._fine = per_hz * FREQUENCIES_HZ, per_hz * FINE_HZ
+        self._memory = MEMORY_S * rate_hz
+        self._windows: deque[_Window] = deque()
+        self._tone: _Tone | None = None
+
+    @property
+    def heard(self) -> bool:
+        """Whether there is hum that is known."""
+        return self._tone is not None
+
+    @property
+    def decided(self) -> bool:
+        """Whether enough of the line was heard to tell."""
+        return len(self._windows) >= _LEAST_WINDOWS
+
+    @property
+    def moving(self) -> bool:
+        """Whether the gaps' level moves by more than noise explains."""
+        return self._power() > _BEYOND_NOISE * self._noise()
+
+    def removed(self, volts: Floats, begin: int) -> Floats:
+        """The samples without hum, V: the same array if none is known.
+
+        volts: (m,) V, from stream index `begin` on.
+        """
+        tone = self._tone
+        if tone is None:
+            return volts
+        phase = tone.angle * np.arange(begin - tone.origin, begin - tone.origin + volts.size)
+        without: Floats = volts - tone.cosine * np.cos(phase) - tone.sine * np.sin(phase)
+        return without
+
+    def learn(self, begin: int, volts: Floats, noise: float) -> None:
+        """Take in a quiet window, unless it overlaps one that is known.
+
+        begin: its stream index. volts: (m,) V, with hum. noise: variance of one sample, V².
+        """
+        windows, size = self._windows, volts.size // PARTS
+        if windows and begin < windows[-1].begin + PARTS * windows[-1].size:
+            return
+        means = volts[: PARTS * size].reshape(PARTS, size) @ np.full(size, 1 / size)
+        values = means.tolist()
+        square = sum(value * value for value in values)
+        windows.append(_Window(begin, size, means, sum(values), square, noise / size))
+        while windows[0].begin < begin - self._memory:
+            windows.popleft()
+        self._tone = self._fitted()
+
+    def _fitted(self) -> _Tone | None:
+        """The hum that explains the windows; None where it is no hum, or within noise."""
+        if not (self.decided and self.moving):
+            return None
+        level = np.concatenate([window.means for window in self._windows])
+        level -= level.mean()
+        power, noise = self._power(), self._noise()
+        origin = self._windows[-1].begin
+        place = np.arange(PARTS) + 0.5
+        time = np.concatenate(
+            [window.begin - origin + window.size * place - 0.5 for window in self._windows]
+        )
+        angle, *_ = self._best(self._coarse, time, level, noise / power)
+        fine = angle + self._fine
+        angle, left, cosine, sine = self._best(fine, time, level, noise / power)
+        if left > _LEFT * power + 2 * noise:
+            return None
+        return _Tone(angle, origin, cosine, sine)
+
+    @staticmethod
+    def _best(
+        angles: Floats, time: Floats, level: Floats, ridge: float
+    ) -> tuple[float, float, float, float]:
+        """Least squares of offset and tone for some angles per sample; the best one.
+
+        Returns its angle, the mean square that is left, V², and its cosine and sine, V. ridge: of
+        these. Frames may recur in step with the hum, whose gaps then hardly show its amplitude: it
+        is taken to be no larger than needed.
+        """
+        phase = angles[:, None] * time
+        terms = np.stack((np.ones_like(phase), np.cos(phase), np.sin(phase)), axis=1)
+        products = terms @ terms.transpose(0, 2, 1) + ridge * np.diag([0.0, 1.0, 1.0])
+        moments = terms @ level
+        found = np.linalg.solve(products, moments[..., None])[..., 0]
+        explained = np.einsum("fi,fi->f", found, moments)
+        best = int(np.argmax(explained))
+        left = float(np.square(level).sum() - explained[best]) / level.size
+        return float(angles[best]), left, float(found[best, 1]), float(found[best, 2])
+
+    def _power(self) -> float:
+        """Variance of the parts' means, V²."""
+        count = PARTS * len(self._windows)
+        mean = sum(window.total for window in self._windows) / count
+        return sum(window.square for window in self._windows) / count - mean * mean
+
+    def _noise(self) -> float:
+        """What noise contributes to it, V²: the median over the windows."""
+        noises = sorted(window.noise for window in self._windows)
+        return noises[len(noises) // 2]
