@@ -39,6 +39,9 @@ class Limits:
     most: share of the chips that shows a line's own noise. Chosen: half of them are next to a level
         change; a fifth may be disturbed.
     most_deviations: what a normal variable of variance 1 exceeds, in size, in the other chips.
+    distorted, dependent: deviation of most chips, relative to the code's RMS and beyond the noise,
+        from which on their votes depend on each other, as behind a high-pass of a bit;
+        and what one then counts. Found with `make bench-doubt ONLY=high-pass`.
     clipped: share of a frame's samples at a rail beyond which words are not believed at all: a line
         that rests at the rail clips half of its chips.
     deafened: the same beyond which nobody can tell who was silent. At half, a lone node has half of
@@ -65,6 +68,8 @@ class Limits:
     distortion: float = 0.25
     most: float = 0.8
     most_deviations: float = 1.28
+    distorted: float = 0.15
+    dependent: float = 0.1
     clipped: float = 0.5
     deafened: float = 0.25
     blind_rho: float = 2.5

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..base.arrays import Bools, Floats32
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
-from .lateness import late
+from .lateness import delays, late
 from .leakage import unexplained
 
 ACTIVE_SHARE = 0.5
@@ -30,6 +30,9 @@ Chosen: spreads of sound nodes are a few percent."""
 LEAKED_SHARE = 0.5
 """Share of a word's amplitude that must be left beside what leaks from louder words for it to be a
 word. Chosen: a word that was sent keeps √(1 − 3/k) of it, 0.84 at k = 10."""
+OUT_OF_STEP, FEW = 0.25, 3
+"""Difference of two words' delays, chips, beyond which either may be on another's row: half of the
+delay at which rows change places; most words of which their delays are told apart. Both chosen."""
 A_CHIP = 1.0
 """Energy that words may leave over in a bit without a closer look, in chips of the weakest of them.
 Chosen: of a node that is a chip late one chip is inverted in half of its bits, which leaves 2."""
@@ -232,8 +235,13 @@ def _late(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpe
     spoken = amplitude[active]
     left = float(np.einsum("kr,kr->", rows, rows)) / spec.line_bits - float(np.square(spoken).sum())
     least = float(spoken.min())
-    if left < A_CHIP * least * least / spec.order:
+    few = spoken.size <= FEW
+    if left < (0.5 if few else 1.0) * A_CHIP * least * least / spec.order:
         return None
+    if few:
+        late_chips = delays(levels, amplitude, active, spec)[active]
+        if np.ptp(late_chips) > OUT_OF_STEP:
+            return active
     are_late = late(levels, amplitude, active, spec)
     spare = np.abs(levels.rows[:, spec.spare_rows]).mean(axis=0)
     if are_late.any() or (spare > FAINT_SHARE * least).any():

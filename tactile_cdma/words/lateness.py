@@ -19,7 +19,7 @@ from ..base.arrays import Bools, Floats32
 from ..code.codes import CodeBook
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
-from ..code.transform import correlate
+from ..code.transform import correlate, spread
 
 EDGE = 2
 """Chips at either end of a bit that are looked at. Chosen: later nodes miss these, too."""
@@ -72,6 +72,24 @@ def _variance_within(left: Floats32, first: Floats32, last: Floats32) -> float:
     edges = np.square(left @ first).sum() + np.square(left @ last).sum()
     within = float(order * np.square(left).sum()) - float(edges)
     return max(within, 0.0) / float(bits * max(order - 2 * EDGE, 1))
+
+
+def delays(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec) -> Floats32:
+    """How many chips late each word is, (n,), for delays of less than half a chip.
+
+    A word that is d late is (1 − d) of itself and d of what it was a chip ago. So what the words
+    leave over, shifted by a chip to either side, has d of the word's amplitude in its difference.
+    The words' common delay is in the frame's timing already.
+    """
+    assert levels.rows is not None
+    signs = np.sign(levels.values) * active
+    left = levels.rows.copy()
+    left[:, spec.node_slice] -= signs * amplitude
+    chips = np.pad(spread(left, spec.book).ravel(), 1)
+    turned = (chips[2:] - chips[:-2]).reshape(left.shape)
+    early = correlate(turned, spec.book)[:, spec.node_slice]
+    late_chips: Floats32 = (early * signs).mean(axis=0) / np.maximum(amplitude, np.float32(1e-30))
+    return late_chips
 
 
 @lru_cache(maxsize=8)
