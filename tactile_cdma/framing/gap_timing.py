@@ -27,6 +27,7 @@ from .timing import (
     AT_RAIL,
     INCOMPLETE,
     MISFIT,
+    NOISY,
     NOT_AT_REST,
     FrameLevels,
     QuietBlock,
@@ -299,6 +300,8 @@ class GapTiming(Timing):
         self._quiet = quiet
         if spec.node_swing_v is None:
             self._search.least_power = lowest_power(float(words.amplitude.max()))
+        if clipped > LIMITS.deafened:
+            found = replace(found, doubtful=np.ones(spec.nodes, bool))
         return self._emit(found, words, beside.level, clipped)
 
     def _expected(self, burst: Burst) -> Expected | None:
@@ -321,11 +324,8 @@ class GapTiming(Timing):
             levels.values[:, 0] -= np.float32(left_v)
         noise_rms_v = levels.noise_v * math.sqrt(self._spec.order)
         level_v = self._quiet.level + left_v
-        doubtful = found.doubtful
-        if clipped > LIMITS.deafened:
-            doubtful = np.ones(self._spec.nodes, bool)
         frames.append(
-            FrameLevels(fit.start, fit.chip, levels, noise_rms_v, level_v, clipped, doubtful)
+            FrameLevels(fit.start, fit.chip, levels, noise_rms_v, level_v, clipped, found.doubtful)
         )
         self._heard_one, self._failures = True, 0
         if found.decided:
@@ -344,6 +344,13 @@ class GapTiming(Timing):
         self._settle()
         return frames
 
+    def _is_deaf(self) -> bool:
+        """Whether a node that speaks alone might pass for noise, since power finds bursts."""
+        swing_v, quiet = self._spec.node_swing_v, self._quiet
+        if swing_v is None or quiet is None:
+            return False
+        return swing_v**2 < LIMITS.lone * 2 * self._search.snr_floor * quiet.variance
+
     def _idle_slots(self, until: float) -> Iterator[FrameLevels]:
         """Silent slots that begin up to an index; rejected where a rail or noise hides words."""
         level, noise = 0.0, math.nan
@@ -353,6 +360,8 @@ class GapTiming(Timing):
         if self._quiet is not None:
             clipped = share_clipped(np.array([level]), self._rails_v)
         hidden = silence_hidden(clipped, noise, self._spec)
+        if hidden is None and self._is_deaf():
+            hidden = NOISY
         while self._next <= until:
             if hidden:
                 self.rejections += hidden

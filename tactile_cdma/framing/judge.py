@@ -80,7 +80,7 @@ class Judge:
         first = np.arange(starts.size)[:, None]
         code = spread(symbols, spec.book).reshape(starts.size, -1) + words.pedestal[:, None]
         model[first, first + spec.places] = code
-        cost, distorted = self._costs(levels, model, noise)
+        cost = self._costs(levels, model, noise)
         # Two nodes that cancel at the start of every bit are possible, but not likely.
         cost += np.log1p(np.square((starts - loud) / (0.5 * fit.chip)))
         unaided = doubt = self._probability(cost)
@@ -94,17 +94,14 @@ class Judge:
             level = words.amplitude
             unlike = np.abs(level - level[chosen]) > LIMITS.alike * np.maximum(level, level[chosen])
             unlike |= (spoken != spoken[chosen]).any(axis=1)
-            doubtful = (doubt @ unlike >= limit) | distorted
+            doubtful = doubt @ unlike >= limit
         sure = bool(1 - unaided[chosen] < limit)
         best = Fit(float(starts[chosen]), fit.chip)
         return Judgement(best, words.of(chosen), doubtful, decided, sure)
 
     @staticmethod
-    def _costs(levels: Floats32, model: Floats32, noise: float) -> tuple[Floats, bool]:
-        """Negative log-likelihoods of models (c, j) of the levels (j,), with bounded votes.
-
-        Also whether most chips deviate even from the best model, and not by noise.
-        """
+    def _costs(levels: Floats32, model: Floats32, noise: float) -> Floats:
+        """Negative log-likelihoods of models (c, j) of the levels (j,), with bounded votes."""
         off = np.abs(levels - model)
         # What even the best model leaves over is noise of this line, if not few chips have it:
         # behind a low-pass only those next to a level change do.
@@ -112,15 +109,12 @@ class Judge:
         rank = int(LIMITS.most * (best.size - 1))
         left = float(np.partition(best, rank)[rank]) / LIMITS.most_deviations
         steps = np.square(np.diff(levels))  # as wide as the code's levels, whatever their mean
-        code = float(np.sqrt(0.5 * steps.mean()))
-        distortion = LIMITS.distortion * code
-        distorted = left**2 > 2 * noise + (LIMITS.distorted * code) ** 2
+        distortion = LIMITS.distortion * float(np.sqrt(0.5 * steps.mean()))
         variance = max(noise, left**2, (0.5 * distortion) ** 2, 1e-30)
         off = np.maximum(off - np.float32(distortion), 0)
         votes = np.minimum(np.square(off) * np.float32(0.5 / variance), np.float32(LIMITS.vote))
         cost: Floats = votes.sum(axis=1, dtype=np.float64)
-        # What most chips have beyond the noise is no chance, and its votes are not independent.
-        return (cost * LIMITS.dependent if distorted else cost), distorted
+        return cost
 
     @staticmethod
     def _probability(cost: Floats) -> Floats:

@@ -39,9 +39,6 @@ class Limits:
     most: share of the chips that shows a line's own noise. Chosen: half of them are next to a level
         change; a fifth may be disturbed.
     most_deviations: what a normal variable of variance 1 exceeds, in size, in the other chips.
-    distorted, dependent: deviation of most chips, relative to the code's RMS and beyond the noise,
-        from which on their votes depend on each other, as behind a high-pass of a bit;
-        and what one then counts. Found with `make bench-doubt ONLY=high-pass`.
     clipped: share of a frame's samples at a rail beyond which words are not believed at all: a line
         that rests at the rail clips half of its chips.
     deafened: the same beyond which nobody can tell who was silent. At half, a lone node has half of
@@ -49,6 +46,9 @@ class Limits:
         3·√n·A has 0.3 % there (Gaussian).
     blind_rho: ρ below which words are not found reliably, so that their absence says nothing.
         Chosen; at ρ = 3 one frame in 5,000 is missed at order 20 (make bench-error).
+    lone: factor by which a lone node's power must exceed what a burst needs that is no noise, for a
+        slot without one to be silent in timing by gaps. Chosen: the noise of a gap comes out up to
+        a third too low.
     doubt: probability of another word beyond which a word is doubtful: e⁻²ᵏ, so that the votes of
         two disturbed chips do not make it certain.
     alike: largest relative difference of two amplitudes that are one word's. Chosen; whether a
@@ -68,11 +68,10 @@ class Limits:
     distortion: float = 0.25
     most: float = 0.8
     most_deviations: float = 1.28
-    distorted: float = 0.15
-    dependent: float = 0.1
     clipped: float = 0.5
     deafened: float = 0.25
     blind_rho: float = 2.5
+    lone: float = 1.5
     doubt: float = 6e-6
     alike: float = 0.25
 

@@ -30,6 +30,9 @@ Chosen: spreads of sound nodes are a few percent."""
 LEAKED_SHARE = 0.5
 """Share of a word's amplitude that must be left beside what leaks from louder words for it to be a
 word. Chosen: a word that was sent keeps √(1 − 3/k) of it, 0.84 at k = 10."""
+PART = 0.6
+"""Share of a node's amplitude below which a word may be a part of one that is out of step. Chosen:
+one that is half a chip late has half of it on either row."""
 OUT_OF_STEP, FEW = 0.25, 3
 """Difference of two words' delays, chips, beyond which either may be on another's row: half of the
 delay at which rows change places; most words of which their delays are told apart. Both chosen."""
@@ -201,7 +204,7 @@ def decode(
         doubtful[node] = active[node]
     doubtful |= hidden
     if levels.rows is not None and active.any():
-        late_words = _late(levels, amplitude, active, spec)
+        late_words = _late(levels, amplitude, active, float(expected.min()), spec)
         if late_words is not None:  # any silent node may be the one that spoke
             hidden |= late_words
             doubtful |= late_words | ~active
@@ -225,7 +228,9 @@ def usual_amplitude(mean: Floats32) -> Floats32:
     return np.where(third > np.float32(LOUDEST_FLOOR) * loudest, second, loudest)
 
 
-def _late(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec) -> Bools | None:
+def _late(
+    levels: NodeLevels, amplitude: Floats32, active: Bools, expected: float, spec: FrameSpec
+) -> Bools | None:
     """Words that are not in their places, (n,); None where nothing is.
 
     They are looked for where the words leave over as much as a chip of one of them.
@@ -240,7 +245,7 @@ def _late(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpe
         return None
     if few:
         late_chips = delays(levels, amplitude, active, spec)[active]
-        if np.ptp(late_chips) > OUT_OF_STEP:
+        if np.ptp(late_chips) > OUT_OF_STEP or least < PART * expected:
             return active
     are_late = late(levels, amplitude, active, spec)
     spare = np.abs(levels.rows[:, spec.spare_rows]).mean(axis=0)
