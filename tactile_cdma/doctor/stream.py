@@ -14,8 +14,9 @@ from ..base.errors import PortError
 from ..base.listing import listed
 from ..code.frame import UNIPOLAR
 from ..config.skin_config import SkinConfig
-from ..driver.checkup import CLIPPED_SHARE, UNSOUND, decibels
+from ..driver.checkup import CLIPPED_SHARE, REJECTED_FOR, REJECTED_SHARE, UNSOUND, decibels
 from ..driver.pipeline import Pipeline, TactileFrame
+from ..framing.timing import Rejections, silence_hidden
 from ..wire.messages import Status
 from ..wire.packets import PacketParser
 from ..words.decode import ACTIVE_SHARE, DOUBLE_SHARE, FAINT_SHARE, LOW_RHO
@@ -51,6 +52,7 @@ class Heard:
 
     arrived_s: (m,) float64, on the host's monotonic clock. active: (m, n) bool, words that stand
     out of the noise. left_out_v: the digitizer sends no samples that differ by less, V.
+    rejections: of what was no frame.
     """
 
     frames: list[TactileFrame]
@@ -58,6 +60,7 @@ class Heard:
     active: NDArray[np.bool_]
     health: NodeHealth
     left_out_v: float
+    rejections: Rejections
 
     @property
     def typical_v(self) -> float:
@@ -80,7 +83,12 @@ def judge(stream: Stream, config: SkinConfig) -> Iterator[Check]:
     clipped = float(np.mean([frame.clipped for frame in heard.frames]))
     yield from _range(clipped)
     if not heard.active.any():
-        yield problem("nodes", "frames arrive, but no node speaks: is the skin powered?")
+        unclear = any((frame.words.active | frame.words.doubtful).any() for frame in heard.frames)
+        text = "frames arrive, but no node speaks: is the skin powered?"
+        noise_v = float(np.nanmedian([frame.words.noise_rms_v for frame in heard.frames]))
+        if unclear or silence_hidden(clipped, noise_v, config.spec):
+            text = "something is sent, but no word is clear: who spoke cannot be told on this line"
+        yield problem("nodes", text)
         yield from _left_out(heard, 0.0)
         return
     measured_v = heard.typical_v
@@ -120,7 +128,8 @@ def _heard(stream: Stream, config: SkinConfig, swing_v: float | None) -> Heard:
     active = np.array([frame.words.active & (frame.words.rho > LOW_RHO) for frame in frames])
     info = pipeline.digitizer.info
     left_out_v = info.quiet_uv * 1e-6 if info else 0.0
-    return Heard(frames, np.array(arrived_s), active, pipeline.health, left_out_v)
+    arrived = np.array(arrived_s)
+    return Heard(frames, arrived, active, pipeline.health, left_out_v, pipeline.rejections)
 
 
 def _left_out(heard: Heard, swing_v: float) -> Iterator[Check]:
@@ -173,7 +182,11 @@ def _rate(heard: Heard, config: SkinConfig) -> Iterator[Check]:
     rate_hz = (len(frames) - 1) / max(span_s, config.spec.frame_period_s)
     lost = frames[-1].sequence - frames[0].sequence + 1 - len(frames)
     text = f"{rate_hz:.1f} of {expected_hz:.1f} per s, {lost} lost"
-    if lost or rate_hz < SLOW * expected_hz:
+    refused = heard.rejections
+    if refused.total > REJECTED_SHARE * (refused.total + len(frames)):
+        text = f"{text}; {refused.total} refused, mostly {REJECTED_FOR[refused.leading]}"
+        yield warning("frames", text)
+    elif lost or rate_hz < SLOW * expected_hz:
         yield warning("frames", f"{text}: is the link, or this computer, too slow for the samples?")
     else:
         yield ok("frames", text)

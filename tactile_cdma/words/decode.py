@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..base.arrays import Bools, Floats32
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
-from .lateness import delays, late
+from .lateness import out_of_place
 from .leakage import unexplained
 
 ACTIVE_SHARE = 0.5
@@ -30,15 +30,6 @@ Chosen: spreads of sound nodes are a few percent."""
 LEAKED_SHARE = 0.5
 """Share of a word's amplitude that must be left beside what leaks from louder words for it to be a
 word. Chosen: a word that was sent keeps √(1 − 3/k) of it, 0.84 at k = 10."""
-PART = 0.6
-"""Share of a node's amplitude below which a word may be a part of one that is out of step. Chosen:
-one that is half a chip late has half of it on either row."""
-OUT_OF_STEP, FEW = 0.25, 3
-"""Difference of two words' delays, chips, beyond which either may be on another's row: half of the
-delay at which rows change places; most words of which their delays are told apart. Both chosen."""
-A_CHIP = 1.0
-"""Energy that words may leave over in a bit without a closer look, in chips of the weakest of them.
-Chosen: of a node that is a chip late one chip is inverted in half of its bits, which leaves 2."""
 LOUDEST_FLOOR = 0.25
 """Share of the loudest word's amplitude that others have, too, if it is that of a sound node: the
 loudest may be that of three nodes on one row, and a lone node then still has a third of it."""
@@ -165,18 +156,18 @@ def decode(
         swing_v = max(float(usual_amplitude(amplitude)[0]), AUTO_FLOOR * noise / threshold)
     expected = np.full(spec.nodes, swing_v, dtype=np.float32)
     active = amplitude > np.float32(threshold) * expected
-    hidden = np.zeros_like(active)
+    astray = np.zeros_like(active)
     sound = SOUND_SHARE * np.minimum(expected, amplitude.max())  # two on a row are louder
     faint = (amplitude > FAINT_SHARE * expected) & ((amplitude < sound) | ~active)
     if faint.any():
         left = np.abs(unexplained(levels, active & ~faint, faint, spec)).mean(axis=0)
         amplitude = np.where(faint & (left < LEAKED_SHARE * amplitude), left, amplitude)
         spoke = amplitude > np.float32(threshold) * expected
-        hidden = ~spoke & (active | (amplitude > FAINT_SHARE * expected))
-        if hidden.any():  # what weak words lack may be there, and they out of their places
-            most = np.float32(amplitude[hidden].max()) / np.float32(COMPARABLE)
-            hidden |= spoke & (amplitude < np.maximum(sound, most))
-        active = spoke & ~hidden
+        astray = ~spoke & (active | (amplitude > FAINT_SHARE * expected))
+        if astray.any():  # what weak words lack may be there, and they out of their places
+            most = np.float32(amplitude[astray].max()) / np.float32(COMPARABLE)
+            astray |= spoke & (amplitude < np.maximum(sound, most))
+        active = spoke & ~astray
     rho = amplitude * np.float32(1 / max(noise, 1e-12))
     weakest = level.min(axis=0)
     margin = weakest / np.maximum(amplitude, np.float32(1e-30))
@@ -202,17 +193,17 @@ def decode(
         doubtful |= _disturbed(level, amplitude, active) & active
     for node in levels.unresolved:
         doubtful[node] = active[node]
-    doubtful |= hidden
-    if levels.rows is not None and active.any():
-        late_words = _late(levels, amplitude, active, float(expected.min()), spec)
-        if late_words is not None:  # any silent node may be the one that spoke
-            hidden |= late_words
-            doubtful |= late_words | ~active
+    doubtful |= astray
+    if active.any():
+        displaced = out_of_place(levels, amplitude, active, float(expected.min()), spec)
+        if displaced is not None:  # any silent node may be the one that spoke
+            astray |= displaced
+            doubtful |= displaced | ~active
     # The margin of what is not even faint says nothing, and would look like a doubt.
     margin *= amplitude > np.float32(min(threshold, FAINT_SHARE)) * expected
     codes, doubled, odd = codes * active, doubled & doubtful, odd & active
     sigma = noise * math.sqrt(spec.order)
-    return Words(active, codes, amplitude, rho, margin, doubtful, doubled, odd, hidden, sigma)
+    return Words(active, codes, amplitude, rho, margin, doubtful, doubled, odd, astray, sigma)
 
 
 def usual_amplitude(mean: Floats32) -> Floats32:
@@ -226,32 +217,6 @@ def usual_amplitude(mean: Floats32) -> Floats32:
         return loudest
     third, second = np.split(np.partition(mean, (-3, -2), axis=-1)[..., -3:-1], 2, axis=-1)
     return np.where(third > np.float32(LOUDEST_FLOOR) * loudest, second, loudest)
-
-
-def _late(
-    levels: NodeLevels, amplitude: Floats32, active: Bools, expected: float, spec: FrameSpec
-) -> Bools | None:
-    """Words that are not in their places, (n,); None where nothing is.
-
-    They are looked for where the words leave over as much as a chip of one of them.
-    """
-    assert levels.rows is not None
-    rows = levels.rows if spec.first_row == 0 else levels.rows[:, 1:]
-    spoken = amplitude[active]
-    left = float(np.einsum("kr,kr->", rows, rows)) / spec.line_bits - float(np.square(spoken).sum())
-    least = float(spoken.min())
-    few = spoken.size <= FEW
-    if left < (0.5 if few else 1.0) * A_CHIP * least * least / spec.order:
-        return None
-    if few:
-        late_chips = delays(levels, amplitude, active, spec)[active]
-        if np.ptp(late_chips) > OUT_OF_STEP or least < PART * expected:
-            return active
-    are_late = late(levels, amplitude, active, spec)
-    spare = np.abs(levels.rows[:, spec.spare_rows]).mean(axis=0)
-    if are_late.any() or (spare > FAINT_SHARE * least).any():
-        return are_late
-    return None
 
 
 def _are_uneven(level: Floats32, amplitude: Floats32, active: Bools) -> bool:

@@ -24,13 +24,49 @@ from ..code.transform import correlate, spread
 EDGE = 2
 """Chips at either end of a bit that are looked at. Chosen: later nodes miss these, too."""
 LATE_SHARE = 0.35
-"""Share of its amplitude with which a word shows in the wrong bits' chips if it is late. Chosen:
-one late by 0.6 chip shows in full."""
+"""Share of its amplitude with which a word shows in the wrong bits' chips, or on a row that no node
+has, if it is late. Chosen: one late by 0.6 chip shows in full there, or by 0.6."""
 LEAKED = 0.3
 """Share of a chip that may be the one beside it without anybody being late. Chosen: a low-pass of
 0.3 chip."""
 BY_CHANCE = 4.0
 """Standard deviations by which it must show. Chosen."""
+A_CHIP = 1.0
+"""Energy that words may leave over in a bit without a closer look, in chips of the weakest of them;
+half of it where there are FEW.
+Chosen: of a node that is a chip late one chip is inverted in half of its bits, which leaves 2."""
+PART = 0.6
+"""Share of a node's amplitude below which a word may be a part of one that is out of step. Chosen:
+one that is half a chip late has half of it on either row."""
+OUT_OF_STEP, FEW = 0.25, 3
+"""Difference of two words' delays, chips, beyond which either may be on another's row: half of the
+delay at which rows change places; most words of which their delays are told apart. Both chosen."""
+
+
+def out_of_place(
+    levels: NodeLevels, amplitude: Floats32, active: Bools, expected: float, spec: FrameSpec
+) -> Bools | None:
+    """Words that may be those of other nodes, (n,) bool; None where nothing is out of place.
+
+    amplitude: (n,) V, of every node's word. active: (n,) bool, at least one. expected: amplitude of
+    a node, V. They are looked for where the words leave over as much as a chip of one of them.
+    """
+    if levels.rows is None or spec.order <= 2 * EDGE:
+        return None  # a bit of so few chips is all edges
+    rows = levels.rows if spec.first_row == 0 else levels.rows[:, 1:]
+    spoken = amplitude[active]
+    left = float(np.einsum("kr,kr->", rows, rows)) / spec.line_bits - float(np.square(spoken).sum())
+    least, few = float(spoken.min()), spoken.size <= FEW
+    if left < (0.5 if few else 1.0) * A_CHIP * least * least / spec.order:
+        return None
+    if few and (
+        least < PART * expected
+        or np.ptp(delays(levels, amplitude, active, spec)[active]) > OUT_OF_STEP
+    ):
+        return active
+    are_late = late(levels, amplitude, active, spec)
+    spare = np.abs(levels.rows[:, spec.spare_rows]).mean(axis=0)
+    return are_late if are_late.any() or (spare > LATE_SHARE * least).any() else None
 
 
 def late(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec) -> Bools:
@@ -38,14 +74,8 @@ def late(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec
 
     amplitude: (n,) V, of every node's word. active: (n,) bool, those that spoke or may have.
     """
-    assert levels.rows is not None
     first, last = _edges(spec.book)
-    signs = np.sign(levels.values) * active
-    meant = np.zeros_like(levels.rows)
-    meant[:, spec.node_slice] = signs * amplitude
-    left = levels.rows - meant
-    if spec.first_row > 0:
-        left[:, 0] = 0.0  # the line's offset
+    signs, meant, left = _taken_apart(levels, amplitude, active, spec)
     earlier, later = signs[:-1], signs[1:]
     alike = np.einsum("kn,kn->n", earlier, later) / np.float32(len(earlier))
     # How much of each word there is in the chips next to its bits, beside what is due to the bits
@@ -71,7 +101,7 @@ def _variance_within(left: Floats32, first: Floats32, last: Floats32) -> float:
     bits, order = left.shape
     edges = np.square(left @ first).sum() + np.square(left @ last).sum()
     within = float(order * np.square(left).sum()) - float(edges)
-    return max(within, 0.0) / float(bits * max(order - 2 * EDGE, 1))
+    return max(within, 0.0) / float(bits * (order - 2 * EDGE))
 
 
 def delays(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec) -> Floats32:
@@ -81,15 +111,26 @@ def delays(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSp
     leave over, shifted by a chip to either side, has d of the word's amplitude in its difference.
     The words' common delay is in the frame's timing already.
     """
-    assert levels.rows is not None
-    signs = np.sign(levels.values) * active
-    left = levels.rows.copy()
-    left[:, spec.node_slice] -= signs * amplitude
+    signs, _, left = _taken_apart(levels, amplitude, active, spec)
     chips = np.pad(spread(left, spec.book).ravel(), 1)
     turned = (chips[2:] - chips[:-2]).reshape(left.shape)
     early = correlate(turned, spec.book)[:, spec.node_slice]
     late_chips: Floats32 = (early * signs).mean(axis=0) / np.maximum(amplitude, np.float32(1e-30))
     return late_chips
+
+
+def _taken_apart(
+    levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec
+) -> tuple[Floats32, Floats32, Floats32]:
+    """Signs of the words, (k, n); the rows that they mean, and what is left of all, (k, N) V."""
+    assert levels.rows is not None
+    signs: Floats32 = np.sign(levels.values) * active
+    meant = np.zeros_like(levels.rows)
+    meant[:, spec.node_slice] = signs * amplitude
+    left = levels.rows - meant
+    if spec.first_row > 0:
+        left[:, 0] = 0.0  # the line's offset
+    return signs, meant, left
 
 
 @lru_cache(maxsize=8)

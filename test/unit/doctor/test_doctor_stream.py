@@ -168,6 +168,14 @@ def test_what_the_digitizer_leaves_out_is_told() -> None:
         assert "differs by less than 135 mV" in found["quiet"][0].text
 
 
+@pytest.mark.parametrize("line", ["rail=1", "noise=2"])
+def test_a_line_on_which_no_word_is_clear_is_not_called_unpowered(line: str) -> None:
+    found = checks(packets_of(f"sim://?scene=all&threshold=0&{line}&seed=3"))
+    told = [check for about in found.values() for check in about]
+    assert any(check.verdict is not Verdict.OK for check in told)
+    assert not any("powered" in check.text for check in told)
+
+
 def test_a_node_that_says_nothing_is_named(without_5: list[Packet]) -> None:
     [nodes] = checks(without_5)["nodes"]
     assert nodes.verdict is Verdict.WARNING

@@ -212,6 +212,19 @@ def test_a_slot_in_noise_that_hides_words_is_not_called_silent(rho: float, told:
     assert len(frames) + timing.rejected > 10
 
 
+@pytest.mark.parametrize("rho", [2.8, 3.5, 4.5, 6.0])
+def test_a_lone_node_that_noise_hides_is_not_called_silent(rho: float) -> None:
+    """A burst is found by its power, which a lone node hardly adds to that of the noise."""
+    wire = Wire(DEFAULT, 4.0, seed=21)
+    for slot in range(60):
+        wire.send((slot + 0.3) * wire.period, {3: 37 * slot % 1024}, stretch=0.0)
+    timing = GapTiming(DEFAULT, wire.rate_hz)
+    frames = run(timing, wire.volts(rho=rho))
+    silent = [frame for frame in frames if frame.levels is None]
+    assert len(frames) + timing.rejected > 50
+    assert len(silent) <= 1  # the slot that the recording begins or ends with
+
+
 def test_silent_slots_keep_the_raster() -> None:
     wire = Wire(PAPER, 8.0, seed=11)
     wire.send(3.25 * wire.period, {4: 1000})

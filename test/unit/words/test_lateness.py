@@ -9,6 +9,7 @@ import pytest
 
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.code.separate import separate
 from tactile_cdma.framing.line_timing import LineTiming
 from tactile_cdma.framing.timing import SampleBlock
 from tactile_cdma.words.decode import Words, decode
@@ -59,6 +60,16 @@ def test_words_of_a_late_node_are_not_told_for_certain(
     assert wrong > 50
     # A word whose bits hardly change leaves little to tell by.
     assert unflagged <= told * wrong
+
+
+@pytest.mark.parametrize("order", [1, 2, 4, 8])
+def test_the_smallest_books_are_read(order: int) -> None:
+    """Their bits are too short for edges that tell."""
+    spec = FrameSpec(nodes=1, order=order, first_row=order > 1, frame_period_s=5e-3)
+    rng = np.random.default_rng(order)
+    chips = line_chips(spec, np.array([618]), np.array([True])) + rng.normal(0, 0.05, (10, order))
+    words = decode(separate(chips.astype(np.float32), spec), spec)
+    assert words.active.all() and words.codes.tolist() == [618]
 
 
 @pytest.mark.parametrize("others", [0, 5, 15])
