@@ -72,6 +72,18 @@ def test_saturation_and_doubt_are_flagged_and_stay_with_the_held_value() -> None
     )
 
 
+def test_a_silence_that_is_not_certain_stays_so_until_the_node_is_heard() -> None:
+    """It may have spoken a new value: the one that it holds is no longer certain."""
+    skin = taxels()
+    skin.update(words({0: 800, 1: 800}), 0.0, HEALTH)
+    missed = skin.update(words({}, doubtful=(1,)), 0.1, HEALTH)
+    later = [skin.update(silent(SPEC.nodes, 0.0), t_s, HEALTH) for t_s in (0.2, 0.3)]
+    for readings in (missed, *later):
+        assert readings.status[0] == Status.SILENT
+        assert readings.status[1] == Status.SILENT | Status.LOW_SNR
+    assert skin.update(words({1: 700}), 0.4, HEALTH).status[1] == Status.OK
+
+
 def test_earlier_readings_are_not_changed_by_later_frames() -> None:
     skin = taxels()
     first = skin.update(words({0: 800}), 0.0, HEALTH)

@@ -66,6 +66,23 @@ def ungated(rate_hz: float) -> LineTiming:
     return timing
 
 
+@pytest.mark.parametrize(("gap_v", "told"), [(0.01, True), (2.0, False)])
+def test_a_word_fainter_than_the_noise_of_the_gap_is_not_called_silent(
+    gap_v: float, told: bool
+) -> None:
+    """The gap is loud and the frame is not, so a word passes for noise."""
+    rng, alone = np.random.default_rng(7), np.arange(16) == 4
+    timing, frames = LineTiming(SPEC, 4 / SPEC.chip_s), []
+    for number in range(4):
+        volts = np.zeros(1024, np.float32)
+        chips = line_chips(SPEC, np.full(16, 618), alone & (number == 3))
+        volts[: 4 * SPEC.chips] = np.repeat(chips.ravel(), 4)
+        volts[4 * SPEC.chips :] += rng.normal(0, gap_v, 1024 - 4 * SPEC.chips)
+        frames += timing.feed(SampleBlock(1024 * number, volts, sync=True))
+    last = [frame for frame in frames if frame.start > 3000]
+    assert [frame.levels is not None for frame in last] == [True] * told
+
+
 @settings(max_examples=25, deadline=None)
 @given(
     st.sampled_from(["idle", "press", "moving", "all"]),
