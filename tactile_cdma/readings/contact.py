@@ -90,8 +90,8 @@ class Contacts:
 
     @property
     def untouched(self) -> bool:
-        """Whether nothing touches the patch: no contact, and every taxel in service was read."""
-        return not len(self) and self.coverage.is_whole
+        """Whether nothing touches the patch: no contact, and all taxels in service surely read."""
+        return not len(self) and self.coverage.is_certain
 
     @property
     def has_resultant(self) -> bool:

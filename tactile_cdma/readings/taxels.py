@@ -40,23 +40,30 @@ class Coverage:
     """How much of a patch is read.
 
     valid: taxels with a valid reading. in_service: taxels with a node that the layout does not
-    mask.
+    mask. doubtful: valid ones whose word, or whose silence since, is uncertain.
     """
 
     valid: int = 0
     in_service: int = 0
+    doubtful: int = 0
 
     @classmethod
     def of(cls, pressure_pa: Floats32, status: NDArray[np.uint8]) -> Coverage:
         """That of one frame; pressure_pa: (t,), Pa, NaN without a reading; status: (t,) bits."""
         in_service = status & _MASKED == 0
         valid = in_service & np.isfinite(pressure_pa)
-        return cls(int(np.count_nonzero(valid)), int(np.count_nonzero(in_service)))
+        doubtful = valid & (status & _LOW_SNR != 0)
+        return cls(*(int(np.count_nonzero(some)) for some in (valid, in_service, doubtful)))
 
     @property
     def is_whole(self) -> bool:
-        """Whether every taxel in service has a reading: only then nothing found is no touch."""
+        """Whether every taxel in service has a reading."""
         return self.valid == self.in_service > 0
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether all of these readings are certain: only then nothing found is no touch."""
+        return self.is_whole and not self.doubtful
 
     @property
     def is_most(self) -> bool:

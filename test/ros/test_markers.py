@@ -50,11 +50,11 @@ class Skin:
         self.layout, self.markers = layout, SkinMarkers(layout)
         self.tracker, self.t_s = ContactTracker(layout, ContactThresholds(1e3, 5e2)), 0.0
 
-    def draw(self, pressed_pa: dict[int, float], saturated: bool = False) -> MarkerArray:
-        """pressed_pa: by taxel; all else reads 0."""
+    def draw(self, pressed_pa: dict[int, float], every: Status = Status.OK) -> MarkerArray:
+        """pressed_pa: by taxel; all else reads 0. every: status of those in service."""
         pressure_pa = np.zeros(len(self.layout), dtype=np.float32)
         pressure_pa[list(pressed_pa)] = list(pressed_pa.values())
-        status = np.full(len(self.layout), Status.SATURATED if saturated else 0, dtype=np.uint8)
+        status = np.full(len(self.layout), every, dtype=np.uint8)
         status[self.layout.nodes == 0] = Status.MASKED
         self.t_s += 0.02
         contacts = self.tracker.update(Readings(pressure_pa, pressure_pa, status), self.t_s)
@@ -100,7 +100,7 @@ def test_an_arrow_ends_at_the_centre_of_pressure_and_says_the_force() -> None:
 
 
 def test_of_a_saturated_contact_the_force_is_at_least_that() -> None:
-    [text] = of(Skin().draw({8: 140e3}, saturated=True), TEXTS)
+    [text] = of(Skin().draw({8: 140e3}, every=Status.SATURATED), TEXTS)
     assert text.text.startswith("> ")
 
 
@@ -119,6 +119,8 @@ def test_a_skin_that_is_not_read_says_so_where_an_untouched_one_shows_nothing() 
     assert text.text == "no reading: 23 of 23 taxels"
     [text] = of(skin.draw({3: float("nan")}), BLIND)
     assert text.text == "no reading: 1 of 23 taxels"
+    [text] = of(skin.draw({3: float("nan")}, every=Status.LOW_SNR), BLIND)
+    assert text.text == "no reading: 1, doubtful: 22 of 23 taxels"
     assert [m.id for m in of(skin.draw({}), BLIND, Marker.DELETE)] == [text.id]
     assert not of(skin.draw({}), BLIND, Marker.DELETE)
 

@@ -47,7 +47,7 @@ class SkinMarkers:
         middle = np.linalg.norm(from_middle_m, axis=1).argmin()
         above_m = layout.positions_m[middle] + layout.pitch_m * layout.normals[middle]
         self._above = Pose(position=point(above_m))
-        self._was_whole = True
+        self._was_certain = True
         self._placed = np.flatnonzero(layout.nodes)
         if len(self._placed) > most_squares:
             self._placed = self._placed[:0]
@@ -64,8 +64,8 @@ class SkinMarkers:
     ) -> MarkerArray:
         """The markers of a frame; those of contacts that ended since the last one are deleted.
 
-        A text says how many taxels in service have no reading, if any: nothing drawn means that
-        nothing touches only without it.
+        A text says how many taxels in service have no reading or a doubtful one, if any: nothing
+        drawn means that nothing touches only without it.
 
         pressure_pa: (t,) float32, Pa; colours are on the scale 0…max_pa. lifetime_s: time after
         which markers vanish that no message renews, as when the skin is no longer read.
@@ -82,11 +82,11 @@ class SkinMarkers:
         self._shown = set(ids)
         for contact, number in enumerate(ids):
             markers += self._contact(contacts, contact, {**common, "id": number})
-        if not contacts.coverage.is_whole:
+        if not contacts.coverage.is_certain:
             markers.append(self._blind(contacts.coverage, common))
-        elif not self._was_whole:
+        elif not self._was_certain:
             markers.append(Marker(header=header, ns=BLIND, action=Marker.DELETE))
-        self._was_whole = contacts.coverage.is_whole
+        self._was_certain = contacts.coverage.is_certain
         return MarkerArray(markers=markers)
 
     def _surface(
@@ -103,14 +103,17 @@ class SkinMarkers:
         )
 
     def _blind(self, coverage: Coverage, common: dict[str, Any]) -> Marker:
-        unread = coverage.in_service - coverage.valid
+        unread, doubtful = coverage.in_service - coverage.valid, coverage.doubtful
+        lacks = [f"no reading: {unread}"] * bool(unread) + [f"doubtful: {doubtful}"] * bool(
+            doubtful
+        )
         return Marker(
             **common,
             ns=BLIND,
             type=Marker.TEXT_VIEW_FACING,
             scale=self._text_scale,
             pose=self._above,
-            text=f"no reading: {unread} of {coverage.in_service} taxels",
+            text=f"{', '.join(lacks)} of {coverage.in_service} taxels",
         )
 
     def _contact(self, contacts: Contacts, contact: int, common: dict[str, Any]) -> list[Marker]:

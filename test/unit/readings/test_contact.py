@@ -239,6 +239,24 @@ def blind(touch: Readings, *unread: int, status: Status = Status.STALE) -> Readi
     return touch
 
 
+def test_beside_a_taxel_that_may_have_spoken_unheard_no_touch_is_not_claimed() -> None:
+    """Where something touches, the doubtful taxel's force is in the sums."""
+    tracker = ContactTracker(GRID, THRESHOLDS)
+    for doubtful in (0, ROWS * COLUMNS - 1):
+        unsure = pressed({})
+        unsure.status[doubtful] |= Status.LOW_SNR
+        contacts = tracker.update(unsure, 0.0)
+        assert claims_nothing(contacts)
+        assert contacts.coverage == Coverage(48, 48, doubtful=1)
+        masked = pressed({})
+        masked.status[doubtful] = Status.LOW_SNR | Status.MASKED
+        assert tracker.update(masked, 0.0).untouched
+    unsure = pressed({(0, 0): 2.0})
+    unsure.status[0] |= Status.LOW_SNR
+    touched = tracker.update(unsure, 0.0)
+    assert touched.total_force_n[2] == pytest.approx(-2e3 * PITCH_M**2)
+
+
 def test_sums_need_half_of_the_taxels_in_service() -> None:
     """40 of the 48 are in service."""
     for unread, has_sum in ((0, True), (20, True), (21, False), (39, False)):
