@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from ..base.arrays import Bools, Floats, Floats32
 from ..code.frame import FrameSpec
 from ..code.transform import spread
-from .fit import Fit, Line, WordFit, read_words
+from .fit import Fit, Line, WordFit, integrate, read_words
 from .limits import LIMITS
 from .raster import Expected
 
@@ -42,10 +43,11 @@ class Judge:
 
         Σ over chips of min(max(|level − model| − δ, 0)² / 2σ², κ),
 
-    with δ for distortion, over all chips of the line, for which a frame that ends earlier predicts
-    silence. No chip votes with more than κ, so that no single disturbed chip decides. With what is
-    likely before looking (Expected) the costs give each frame's probability, and for every node the
-    probability of all frames that give it another word or silence.
+    with δ for distortion, over all chips of the view, which reaches from the first start to the
+    last end: a shorter frame predicts silence in what is left. No chip votes with more than κ, so
+    that no single disturbed chip decides. With what is likely before looking the costs give each
+    frame's probability, and for every node the probability of all frames that give it another word
+    or silence.
     """
 
     def __init__(self, spec: FrameSpec) -> None:
@@ -54,38 +56,38 @@ class Judge:
     def choose(
         self,
         line: Line,
-        fit: Fit,
-        shifts: tuple[int, int],
-        loud: float,
+        start: Floats,
+        chip: Floats,
         noise: float,
-        expected: Expected | None,
+        unlikely: Floats | float = 0.0,
+        expected: Expected | None = None,
     ) -> Judgement:
-        """Choose among a frame and those that start whole chips earlier and later.
+        """Choose among frames.
 
-        shifts: the earliest and the latest, chips. loud: first instant that is. noise: variance of
-        a chip's level in the gap, V². expected: where frames are likely.
+        start, chip: (c,) samples; the view is cut into chips as the first one's are. noise:
+        variance of a chip's level in the gap, V². unlikely: (c,) what is to be added to the costs,
+        whatever is expected: where frames are likely by those before.
         """
         spec = self._spec
-        earliest, latest = shifts
-        starts = fit.start + fit.chip * np.arange(earliest, latest + 1, dtype=np.float64)
-        edges = np.arange(earliest, spec.span_chips + latest + 1.0)
-        levels = line.means(fit.start + fit.chip * edges)
-        windows = np.lib.stride_tricks.sliding_window_view(levels, spec.span_chips)
-        chips = windows[:, spec.places].reshape(-1, spec.line_bits, spec.order)
-        words = read_words(chips, spec)
+        words = read_words(integrate(line, start, chip, spec), spec)
+        if start.size == 1:
+            return Judgement(Fit(float(start[0]), float(chip[0])), words, None, True, True)
         spoken = np.sign(words.rows[..., spec.node_slice]) * (words.amplitude > 0)[:, None]
         symbols = np.zeros_like(words.rows)
         symbols[..., spec.node_slice] = spoken * words.amplitude[:, None]
-        model = np.zeros((starts.size, levels.size), np.float32)
-        first = np.arange(starts.size)[:, None]
-        code = spread(symbols, spec.book).reshape(starts.size, -1) + words.pedestal[:, None]
-        model[first, first + spec.places] = code
-        cost = self._costs(levels, model, noise)
-        # Two nodes that cancel at the start of every bit are possible, but not likely.
-        cost += np.log1p(np.square((starts - loud) / (0.5 * fit.chip)))
+        model = np.zeros((start.size, spec.span_chips))
+        code = spread(symbols, spec.book).reshape(start.size, -1)
+        model[:, spec.places] = code + words.pedestal[:, None]
+        instants = start[:, None] + chip[:, None] * np.arange(spec.span_chips + 1)
+        begin, width = instants.min(), chip[0]
+        edges = begin + width * np.arange(math.ceil((instants.max() - begin) / width - 1e-6) + 1)
+        area = np.zeros(instants.shape)
+        np.cumsum(model * chip[:, None], axis=1, out=area[:, 1:])
+        until = [np.interp(edges, *one) for one in zip(instants, area, strict=True)]
+        cost = self._costs(line.means(edges), np.diff(until) / width, noise) + unlikely
         unaided = doubt = self._probability(cost)
         if expected is not None:
-            doubt = self._probability(cost - expected.log_prior(starts))
+            doubt = self._probability(cost - expected.log_prior(start))
         chosen = int(np.argmax(doubt))
         limit = LIMITS.doubt
         decided = bool(1 - doubt[chosen] < limit)
@@ -96,11 +98,11 @@ class Judge:
             unlike |= (spoken != spoken[chosen]).any(axis=1)
             doubtful = doubt @ unlike >= limit
         sure = bool(1 - unaided[chosen] < limit)
-        best = Fit(float(starts[chosen]), fit.chip)
+        best = Fit(float(start[chosen]), float(chip[chosen]))
         return Judgement(best, words.of(chosen), doubtful, decided, sure)
 
     @staticmethod
-    def _costs(levels: Floats32, model: Floats32, noise: float) -> Floats:
+    def _costs(levels: Floats32, model: Floats, noise: float) -> Floats:
         """Negative log-likelihoods of models (c, j) of the levels (j,), with bounded votes."""
         off = np.abs(levels - model)
         # What even the best model leaves over is noise of this line, if not few chips have it:

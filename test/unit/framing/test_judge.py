@@ -81,9 +81,14 @@ def test_periods_passed_in_silence_widen_it() -> None:
 def judged(volts: np.ndarray, wire: Wire, expected: Expected | None = None) -> Judgement:
     sent = wire.sent[0]
     noise = (0.01 * 0.3) ** 2 / wire.chip
-    line = Line(volts.astype(np.float64))
+    shifts = np.arange(-3, 4)
     return Judge(PAPER).choose(
-        line, Fit(sent.start, sent.chip), (-3, 3), sent.start, noise, expected
+        Line(volts.astype(np.float64)),
+        sent.start + sent.chip * shifts,
+        np.full(7, sent.chip),
+        noise,
+        np.log1p(np.square(2.0 * shifts)),
+        expected,
     )
 
 
