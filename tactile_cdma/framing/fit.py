@@ -31,9 +31,10 @@ ideal position, at a cost of 1.1 dB of noise."""
 MORE_EVEN = 0.6
 """Spread of the middles over that of whole chips below which the middles are taken. Noise alone
 gives 1/MIDDLE = 1.3, so that chance hardly gets there. Chosen."""
-REACHES = (0.5, 0.25, 0.12)
+REACHES = (0.5, 0.5, 0.25, 0.12)
 """Part of a chip on either side of an edge in which samples tell how late it comes: first as wide
-as an edge may be off, last as narrow as edges a tenth of a chip off ideal allow. Chosen."""
+as an edge may be off, and again for those that were farther off, last as narrow as edges a tenth of
+a chip off ideal allow. Chosen."""
 SETTLED_CHIPS = 0.02
 """Change of a frame's edges, chips, below which refinement ends. Chosen: an error of that size
 leaves 1e-3 of the words' power over."""

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +11,7 @@ import numpy as np
 from ..base.arrays import Bools, Floats, Floats32
 from ..code.frame import FrameSpec
 from ..code.transform import spread
-from .fit import Fit, Line, WordFit, integrate, read_words
+from .fit import Fit, Line, WordFit, read_words
 from .limits import LIMITS
 from .raster import Expected
 
@@ -64,27 +63,26 @@ class Judge:
     ) -> Judgement:
         """Choose among frames.
 
-        start, chip: (c,) samples; the view is cut into chips as the first one's are. noise:
-        variance of a chip's level in the gap, V². unlikely: (c,) what is to be added to the costs,
-        whatever is expected: where frames are likely by those before.
+        start, chip: (c,) samples. noise: variance of a chip's level in the gap, V². unlikely: (c,)
+        added to the costs. expected: where the frames before make one likely.
         """
-        spec = self._spec
-        words = read_words(integrate(line, start, chip, spec), spec)
+        spec, end = self._spec, start + self._spec.span_chips * chip
+        # Each frame's view is cut into chips as its own are.
+        lead = np.rint((start - start.min()) / chip).astype(np.intp)
+        count = lead + spec.span_chips + np.rint((end.max() - end) / chip).astype(np.intp)
+        place = np.arange(count.max() + 1) - lead[:, None]
+        levels = line.means(start[:, None] + chip[:, None] * place)
+        own = np.arange(start.size)[:, None], lead[:, None] + spec.places
+        words = read_words(levels[own].reshape(-1, spec.line_bits, spec.order), spec)
         if start.size == 1:
             return Judgement(Fit(float(start[0]), float(chip[0])), words, None, True, True)
         spoken = np.sign(words.rows[..., spec.node_slice]) * (words.amplitude > 0)[:, None]
         symbols = np.zeros_like(words.rows)
         symbols[..., spec.node_slice] = spoken * words.amplitude[:, None]
-        model = np.zeros((start.size, spec.span_chips))
-        code = spread(symbols, spec.book).reshape(start.size, -1)
-        model[:, spec.places] = code + words.pedestal[:, None]
-        instants = start[:, None] + chip[:, None] * np.arange(spec.span_chips + 1)
-        begin, width = instants.min(), chip[0]
-        edges = begin + width * np.arange(math.ceil((instants.max() - begin) / width - 1e-6) + 1)
-        area = np.zeros(instants.shape)
-        np.cumsum(model * chip[:, None], axis=1, out=area[:, 1:])
-        until = [np.interp(edges, *one) for one in zip(instants, area, strict=True)]
-        cost = self._costs(line.means(edges), np.diff(until) / width, noise) + unlikely
+        model = np.zeros_like(levels)
+        model[own] = spread(symbols, spec.book).reshape(start.size, -1) + words.pedestal[:, None]
+        seen = np.arange(levels.shape[1]) < count[:, None]
+        cost = self._costs(levels, model, noise, seen * (chip / chip.mean())[:, None]) + unlikely
         unaided = doubt = self._probability(cost)
         if expected is not None:
             doubt = self._probability(cost - expected.log_prior(start))
@@ -102,20 +100,20 @@ class Judge:
         return Judgement(best, words.of(chosen), doubtful, decided, sure)
 
     @staticmethod
-    def _costs(levels: Floats32, model: Floats, noise: float) -> Floats:
-        """Negative log-likelihoods of models (c, j) of the levels (j,), with bounded votes."""
+    def _costs(levels: Floats32, model: Floats32, noise: float, weight: Floats) -> Floats:
+        """Negative log-likelihoods of models (c, j) of the levels (c, j), with bounded votes."""
         off = np.abs(levels - model)
         # What even the best model leaves over is noise of this line, if not few chips have it:
         # behind a low-pass only those next to a level change do.
-        best = off[np.argmin(np.square(off).sum(axis=1))]
-        rank = int(LIMITS.most * (best.size - 1))
-        left = float(np.partition(best, rank)[rank]) / LIMITS.most_deviations
-        steps = np.square(np.diff(levels))  # as wide as the code's levels, whatever their mean
+        best = int(np.argmin((np.square(off) * weight).sum(axis=1)))
+        rank = int(LIMITS.most * (off.shape[1] - 1))
+        left = float(np.partition(off[best], rank)[rank]) / LIMITS.most_deviations
+        steps = np.square(np.diff(levels[best]))  # as wide as the code's, whatever their mean
         distortion = LIMITS.distortion * float(np.sqrt(0.5 * steps.mean()))
         variance = max(noise, left**2, (0.5 * distortion) ** 2, 1e-30)
         off = np.maximum(off - np.float32(distortion), 0)
         votes = np.minimum(np.square(off) * np.float32(0.5 / variance), np.float32(LIMITS.vote))
-        cost: Floats = votes.sum(axis=1, dtype=np.float64)
+        cost: Floats = (votes * weight).sum(axis=1)
         return cost
 
     @staticmethod
