@@ -83,7 +83,7 @@ def late(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec
     scale = 1 / np.maximum(len(earlier) * (1 - np.square(alike)), np.float32(1e-3))
 
     def share(word: Floats32, owner: Floats32, chips: NDArray[Any]) -> Floats32:
-        found: Floats32 = np.abs((word - alike * owner).T @ chips).max(axis=1) * scale
+        found: Floats32 = np.abs(chips.T @ (word - alike * owner)).max(axis=0) * scale
         return found
 
     before = share(earlier, later, (left @ first)[1:])
