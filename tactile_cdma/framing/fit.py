@@ -41,9 +41,6 @@ leaves 1e-3 of the words' power over."""
 BLUR = 0.3
 """Samples around an edge of which it is uncertain on which side of it they were taken. Chosen: a
 sample counts in full beyond 0.15 samples from an edge."""
-ACTIVE_FLOOR = 0.5
-"""A node spoke where its word exceeds this share of the amplitude that nodes have: halfway between
-silence and speech."""
 
 
 CHIPS_AT_ONCE = 1 << 18
@@ -196,12 +193,12 @@ class WordFit:
             return False
         spread = float(uneven.sum()) / even_power
         if noise:
-            left = 3 * noise / power
+            left = LIMITS.left * noise / power
             expected = noise * active / spec.order / even_power
             scatter = math.sqrt(2 / (active * (spec.line_bits - 1)))
             most = min(limit * (1.7 - 0.7 / active), limit / 2 + expected * (1.3 + 4 * scatter))
         else:
-            left, most = 3 * spec.order / active * spread * even_power / power, limit
+            left, most = LIMITS.left * spec.order / active * spread * even_power / power, limit
         return spread < most and misfit < left + LIMITS.misfit / stricter
 
 
@@ -232,7 +229,7 @@ def read_words(chips: Floats32, spec: FrameSpec) -> WordFit:
 def word_floor(mean: Floats32, spec: FrameSpec) -> Floats32:
     """Amplitude that the words of a frame exceed, V: (…, n) mean |r| of all nodes to (…, 1).
 
-    That is ACTIVE_FLOOR of the nodes' amplitude where it is known, else of the usual one.
+    That is LIMITS.active of the nodes' amplitude where it is known, else of the usual one.
     """
     loudest = mean.max(axis=-1, keepdims=True)
     if spec.node_swing_v is not None:
@@ -240,7 +237,7 @@ def word_floor(mean: Floats32, spec: FrameSpec) -> Floats32:
     else:
         usual = usual_amplitude(mean)
     floor: Floats32 = np.maximum(
-        np.float32(LOUDEST_FLOOR) * loudest, np.float32(ACTIVE_FLOOR) * usual
+        np.float32(LOUDEST_FLOOR) * loudest, np.float32(LIMITS.active) * usual
     )
     return floor
 

@@ -33,9 +33,6 @@ from .limits import LIMITS
 from .marked_timing import MarkedFrame, MarkedLine, MarkedTiming, Verdict
 from .timing import MISFIT, NOISY, NOT_AT_REST, Rails
 
-CHIP_ERROR = 2e-3
-"""Share by which chips may be shorter than nominal, or longer than the longest stretch. Chosen:
-twenty times the 100 ppm of a crystal, so that fits of noisy frames are not refused at the ends."""
 CARRIED_FRAMES = 15
 """Frames for which refined timing is reused while it explains them. Chosen: the refinement's cost
 is then below 1/15 per frame."""
@@ -159,7 +156,9 @@ class LineRecogniser:
         elif spec.first_row > 0:
             meant = rows[:, 1:]
         total = float(np.einsum("kr,kr->", meant, meant)) / spec.line_bits
-        left_over = total - power >= 1.5 * self._line.noise + LIMITS.carried_misfit * power
+        left_over = (
+            total - power >= LIMITS.carried_noise * self._line.noise + LIMITS.carried_misfit * power
+        )
         return None if left_over or self._line.is_silent(amplitude) else amplitude
 
     def _proposed(self, frame: MarkedFrame, line: Line) -> Verdict:
@@ -265,9 +264,7 @@ class LineRecogniser:
     def _refined(self, line: Line, chip: float) -> Fit:
         """Timing refined from the mark and a chip duration; unrefined if that leads astray."""
         fit = refine(line, Fit(-0.5, chip), self._spec, earliest=-1.0, latest=0.5)
-        stretch = fit.chip / self._line.chip
-        possible = 1 - CHIP_ERROR <= stretch <= (1 + CHIP_ERROR) * (1 + MAX_STRETCH)
-        return fit if possible else Fit(-0.5, chip)
+        return fit if LIMITS.possible(fit.chip / self._line.chip) else Fit(-0.5, chip)
 
     def _by_loud_end(self, line: Line) -> Floats:
         """Chip durations with which a frame ends where the line falls silent, or a bit later."""
@@ -277,7 +274,7 @@ class LineRecogniser:
         loud = np.flatnonzero(np.abs(line.volts) > max(limit, least))
         end = int(loud[-1]) + 1 if loud.size else self._line.size
         chip: Floats = (end + nominal * np.arange(-1.0, 3.0, 0.5)) / self._spec.chips
-        return np.clip(chip, nominal, (1 + CHIP_ERROR) * (1 + MAX_STRETCH) * nominal)
+        return np.clip(chip, nominal, (1 + MAX_STRETCH) * nominal)
 
     def _all_stretches(self, line: Line) -> Floats:
         """All chip durations of frames that end within the samples; none beyond the budget."""
