@@ -159,10 +159,10 @@ class WordFit:
         one = slice(candidate, candidate + 1)
         return WordFit(*(getattr(self, item.name)[one] for item in fields(self)))
 
-    def believable(self, limit: float, spec: FrameSpec, noise: float = 0.0) -> bool:
+    def believable(self, spec: FrameSpec, noise: float = 0.0) -> bool:
         """Whether the words of a single candidate are even, and leave nothing over but noise.
 
-        limit: of one word's spread; beyond half of that it must be explained by noise.
+        Beyond half of the limit, spread must be explained by noise.
         noise: variance of a chip's level in the gap, V²; 0 where unknown. It makes words spread by
         1/ρ², estimated with active·(k − 1) degrees of freedom. Where it is not known, it follows
         from the words: noise that makes them spread by s leaves s/active in each of the N rows.
@@ -174,15 +174,14 @@ class WordFit:
         what is left must be cleaner than distortion by slightly wrong timing.
         """
         odd = int(LIMITS.odd_share * (np.count_nonzero(self.amplitude) + 1))
-        return self._explained(0, limit, 1.0, spec, noise) or (
-            odd > 0 and self._explained(odd, limit, LIMITS.stricter, spec, noise)
+        return self._explained(0, 1.0, spec, noise) or (
+            odd > 0 and self._explained(odd, LIMITS.stricter, spec, noise)
         )
 
-    def _explained(
-        self, odd: int, limit: float, stricter: float, spec: FrameSpec, noise: float
-    ) -> bool:
+    def _explained(self, odd: int, stricter: float, spec: FrameSpec, noise: float) -> bool:
         """As believable, without the given number of most uneven words and with stricter limits."""
-        power, misfit, limit = max(self.power.item(), 1e-30), self.misfit.item(), limit / stricter
+        power, misfit = max(self.power.item(), 1e-30), self.misfit.item()
+        limit = LIMITS.spread / stricter
         uneven, word_power = self.uneven[0], np.square(self.amplitude[0])
         if odd:
             order = np.argsort(uneven)

@@ -123,7 +123,7 @@ class LineRecogniser:
             if self._is_astray(words):
                 return Verdict(rejected=MISFIT)
             return self._line.silent(frame, self._line.sample_power(volts))
-        if words.believable(LIMITS.spread, spec):
+        if words.believable(spec):
             return self._line.heard(frame, self._line.nominal, node_levels(words.rows[0], spec))
         return Verdict(rejected=MISFIT)
 
@@ -213,7 +213,7 @@ class LineRecogniser:
         words = even_words(line, found.fit, self._spec, found.words)
         if self._line.is_silent(words.amplitude[0]):
             return Verdict(rejected=MISFIT if self._is_astray(words) else None)
-        if not words.believable(LIMITS.spread, self._spec, self._line.noise):
+        if not words.believable(self._spec, self._line.noise):
             return Verdict(rejected=MISFIT)
         rows, amplitude = words.rows[0], words.amplitude[0]
         ended = self._ended(frame, line, found.fit, rows, amplitude, found.doubtful)
