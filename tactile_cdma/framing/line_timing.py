@@ -76,11 +76,11 @@ class LineRecogniser:
     At one sample per chip the digitizer integrates whole chips, and these are the frame. Raw
     samples are a frame of the timing before, as long as that leaves no more than noise. Else
     others are proposed, and the Judge chooses: the timing before, refined on the frame's own
-    edges; the stretch that explains the most energy of those that end where the line falls
-    silent; and that of all stretches up to 11 %. The latter two take the samples that such a frame
-    would have, and are left out once a frame is accepted: another chip duration would have its
-    edges elsewhere. Frames with restarts within them are not stretched: the digitizer's sync edges
-    place their chips, or all a bit later.
+    edges; then, of the stretches that end where the line falls silent and of all up to 11 %, those
+    that explain the most energy. These take the samples that such a frame would have, and are left
+    out once a frame is accepted: another chip duration would have its edges elsewhere. Frames with
+    restarts within them are not stretched: the digitizer's sync edges place their chips, or all a
+    bit later.
     """
 
     def __init__(self, line: MarkedLine) -> None:
@@ -169,7 +169,7 @@ class LineRecogniser:
             return self._faint(frame, power)
         fits = [self._usual(line)]
         verdict = self._chosen(frame, line, fits)
-        if verdict.frame or verdict.due:
+        if verdict.over or verdict.due:
             return verdict
         if power <= LIMITS.faint_power * self._line.noise:
             if verdict.rejected:
@@ -182,11 +182,12 @@ class LineRecogniser:
             longest = math.ceil((1 + MAX_STRETCH) * (spec.chips + tail) * self._line.chip)
             if size < longest and not frame.final:
                 return Verdict(due=frame.start + longest)
-            for chips in (self._by_loud_end(line), self._all_stretches(line)):
+            for proposer in (self._by_loud_end, self._all_stretches):
+                chips = proposer(line)
                 if chips.size:
                     fits.append(self._refined(line, self._strongest(line, chips)))
                     verdict = self._chosen(frame, line, fits)
-                    if verdict.frame or verdict.due:
+                    if verdict.over or verdict.due:
                         return verdict
                     rejected = verdict.rejected or rejected
         if rejected is None:
@@ -207,7 +208,11 @@ class LineRecogniser:
         return Fit(float(start[np.argmax(power)]), nominal.chip)
 
     def _chosen(self, frame: MarkedFrame, line: Line, fits: list[Fit]) -> Verdict:
-        """The likeliest frame, if it is one; neither that nor rejected where nobody speaks."""
+        """The likeliest of these frames, if it is one, or a request for samples.
+
+        Else others may be it: then it is not said when it is over, nor a reason to reject it where
+        no node of it speaks.
+        """
         start, chip = np.array([(fit.start, fit.chip) for fit in fits]).T
         found = self._judge.choose(line, start, chip, self._line.noise)
         words = even_words(line, found.fit, self._spec, found.words)
