@@ -79,7 +79,8 @@ def _moved(states: NDArray[np.void], pose: Pose) -> NDArray[np.void]:
 
 
 def _joined(arrays: list[NDArray[np.void]], kind: np.dtype[np.void]) -> NDArray[np.void]:
-    return np.concatenate(arrays) if arrays else np.zeros(0, kind)
+    # np.concatenate compares the fields of all arrays, which takes longer.
+    return np.frombuffer(b"".join(array.tobytes() for array in arrays), kind)
 
 
 def _sums(parts: Sequence[tuple[Pose, Touches]]) -> Floats:

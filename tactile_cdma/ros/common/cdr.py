@@ -76,18 +76,18 @@ class CdrReader:
                 f"the message begins with {message[:4].hex(' ') or 'nothing'}, which is no plain "
                 "little-endian CDR: does its sender use another middleware?"
             )
-        self._data, self._end = message, len(ENCAPSULATION)
+        self._data, self._size, self._end = message[4:], len(message) - 4, 0
 
     def take(self, size: int, alignment: int = 1) -> bytes:
         """Bytes at the next multiple of alignment."""
-        begin = self._end + (len(ENCAPSULATION) - self._end) % alignment
-        self._end = begin + size
-        if self._end > len(self._data):
+        begin = self._end + -self._end % alignment
+        self._end = end = begin + size
+        if end > self._size:
             raise CdrError(
-                f"the message ends after {len(self._data)} bytes, amid a field: does its sender "
+                f"the message ends after {self._size} bytes, amid a field: does its sender "
                 "have another version of this package?"
             )
-        return self._data[begin : self._end]
+        return self._data[begin:end]
 
     def numbers(self, kinds: Struct, alignment: int) -> tuple[Any, ...]:
         """Numbers at the next multiple of alignment."""
