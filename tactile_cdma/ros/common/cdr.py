@@ -39,6 +39,11 @@ class CdrWriter:
         """What was written."""
         return b"".join(self._parts)
 
+    @property
+    def fields(self) -> bytes:
+        """What was written, as fields of another message; they begin at a multiple of 8."""
+        return b"".join(self._parts[1:])
+
     def add(self, data: bytes | memoryview, alignment: int = 1) -> None:
         """Write bytes at the next multiple of alignment."""
         if padding := -self._end % alignment:
@@ -56,8 +61,8 @@ class CdrWriter:
         self.add(b"%b%b\0" % (_COUNT.pack(len(data) + 1), data), 4)
 
     def array(self, values: NDArray[np.generic]) -> None:
-        """Write a sequence of numbers: an array of any shape, in C order, little-endian."""
-        self.count(values.size)
+        """Write a sequence of numbers (m,), or of points and the like (m, …), little-endian."""
+        self.count(len(values))
         if values.size:
             self.add(np.ascontiguousarray(values).view(np.uint8).reshape(-1).data, values.itemsize)
 
