@@ -83,8 +83,12 @@ class GapSearch(BurstSearch):
         low, high = self._range(burst, fit.chip)
         earliest = min(0, math.ceil((low - fit.start) / fit.chip))
         latest = max(0, math.floor((high - fit.start) / fit.chip))
+        start = fit.start + fit.chip * np.arange(earliest, latest + 1, dtype=np.float64)
         noise = burst.variance * self.half / fit.chip
-        return self._judge.choose(line, fit, (earliest, latest), burst.first, noise, expected)
+        # Two nodes that cancel at the start of every bit are possible, but not likely.
+        unlikely = np.log1p(np.square((start - burst.first) / (0.5 * fit.chip)))
+        chip = np.full(start.size, fit.chip)
+        return self._judge.choose(line, start, chip, noise, unlikely, expected)
 
     def _score(
         self, starts: Floats, chips: Floats, power: NDArray[np.floating], burst: Burst

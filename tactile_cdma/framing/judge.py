@@ -42,10 +42,11 @@ class Judge:
 
         Σ over chips of min(max(|level − model| − δ, 0)² / 2σ², κ),
 
-    with δ for distortion, over all chips of the line, for which a frame that ends earlier predicts
-    silence. No chip votes with more than κ, so that no single disturbed chip decides. With what is
-    likely before looking (Expected) the costs give each frame's probability, and for every node the
-    probability of all frames that give it another word or silence.
+    with δ for distortion, over all chips of the view, which reaches from the first start to the
+    last end: a shorter frame predicts silence in what is left. No chip votes with more than κ, so
+    that no single disturbed chip decides. With what is likely before looking the costs give each
+    frame's probability, and for every node the probability of all frames that give it another word
+    or silence.
     """
 
     def __init__(self, spec: FrameSpec) -> None:
@@ -54,38 +55,37 @@ class Judge:
     def choose(
         self,
         line: Line,
-        fit: Fit,
-        shifts: tuple[int, int],
-        loud: float,
+        start: Floats,
+        chip: Floats,
         noise: float,
-        expected: Expected | None,
+        unlikely: Floats | float = 0.0,
+        expected: Expected | None = None,
     ) -> Judgement:
-        """Choose among a frame and those that start whole chips earlier and later.
+        """Choose among frames.
 
-        shifts: the earliest and the latest, chips. loud: first instant that is. noise: variance of
-        a chip's level in the gap, V². expected: where frames are likely.
+        start, chip: (c,) samples. noise: variance of a chip's level in the gap, V². unlikely: (c,)
+        added to the costs. expected: where the frames before make one likely.
         """
-        spec = self._spec
-        earliest, latest = shifts
-        starts = fit.start + fit.chip * np.arange(earliest, latest + 1, dtype=np.float64)
-        edges = np.arange(earliest, spec.span_chips + latest + 1.0)
-        levels = line.means(fit.start + fit.chip * edges)
-        windows = np.lib.stride_tricks.sliding_window_view(levels, spec.span_chips)
-        chips = windows[:, spec.places].reshape(-1, spec.line_bits, spec.order)
-        words = read_words(chips, spec)
+        spec, end = self._spec, start + self._spec.span_chips * chip
+        # Each frame's view is cut into chips as its own are.
+        lead = np.rint((start - start.min()) / chip).astype(np.intp)
+        count = lead + spec.span_chips + np.rint((end.max() - end) / chip).astype(np.intp)
+        place = np.arange(count.max() + 1) - lead[:, None]
+        levels = line.means(start[:, None] + chip[:, None] * place)
+        own = np.arange(start.size)[:, None], lead[:, None] + spec.places
+        words = read_words(levels[own].reshape(-1, spec.line_bits, spec.order), spec)
+        if start.size == 1:
+            return Judgement(Fit(float(start[0]), float(chip[0])), words, None, True, True)
         spoken = np.sign(words.rows[..., spec.node_slice]) * (words.amplitude > 0)[:, None]
         symbols = np.zeros_like(words.rows)
         symbols[..., spec.node_slice] = spoken * words.amplitude[:, None]
-        model = np.zeros((starts.size, levels.size), np.float32)
-        first = np.arange(starts.size)[:, None]
-        code = spread(symbols, spec.book).reshape(starts.size, -1) + words.pedestal[:, None]
-        model[first, first + spec.places] = code
-        cost = self._costs(levels, model, noise)
-        # Two nodes that cancel at the start of every bit are possible, but not likely.
-        cost += np.log1p(np.square((starts - loud) / (0.5 * fit.chip)))
+        model = np.zeros_like(levels)
+        model[own] = spread(symbols, spec.book).reshape(start.size, -1) + words.pedestal[:, None]
+        seen = np.arange(levels.shape[1]) < count[:, None]
+        cost = self._costs(levels, model, noise, seen * (chip / chip.mean())[:, None]) + unlikely
         unaided = doubt = self._probability(cost)
         if expected is not None:
-            doubt = self._probability(cost - expected.log_prior(starts))
+            doubt = self._probability(cost - expected.log_prior(start))
         chosen = int(np.argmax(doubt))
         limit = LIMITS.doubt
         decided = bool(1 - doubt[chosen] < limit)
@@ -96,24 +96,24 @@ class Judge:
             unlike |= (spoken != spoken[chosen]).any(axis=1)
             doubtful = doubt @ unlike >= limit
         sure = bool(1 - unaided[chosen] < limit)
-        best = Fit(float(starts[chosen]), fit.chip)
+        best = Fit(float(start[chosen]), float(chip[chosen]))
         return Judgement(best, words.of(chosen), doubtful, decided, sure)
 
     @staticmethod
-    def _costs(levels: Floats32, model: Floats32, noise: float) -> Floats:
-        """Negative log-likelihoods of models (c, j) of the levels (j,), with bounded votes."""
+    def _costs(levels: Floats32, model: Floats32, noise: float, weight: Floats) -> Floats:
+        """Negative log-likelihoods of models (c, j) of the levels (c, j), with bounded votes."""
         off = np.abs(levels - model)
         # What even the best model leaves over is noise of this line, if not few chips have it:
         # behind a low-pass only those next to a level change do.
-        best = off[np.argmin(np.square(off).sum(axis=1))]
-        rank = int(LIMITS.most * (best.size - 1))
-        left = float(np.partition(best, rank)[rank]) / LIMITS.most_deviations
-        steps = np.square(np.diff(levels))  # as wide as the code's levels, whatever their mean
+        best = int(np.argmin((np.square(off) * weight).sum(axis=1)))
+        rank = int(LIMITS.most * (off.shape[1] - 1))
+        left = float(np.partition(off[best], rank)[rank]) / LIMITS.most_deviations
+        steps = np.square(np.diff(levels[best]))  # as wide as the code's, whatever their mean
         distortion = LIMITS.distortion * float(np.sqrt(0.5 * steps.mean()))
         variance = max(noise, left**2, (0.5 * distortion) ** 2, 1e-30)
         off = np.maximum(off - np.float32(distortion), 0)
         votes = np.minimum(np.square(off) * np.float32(0.5 / variance), np.float32(LIMITS.vote))
-        cost: Floats = votes.sum(axis=1, dtype=np.float64)
+        cost: Floats = (votes * weight).sum(axis=1)
         return cost
 
     @staticmethod
