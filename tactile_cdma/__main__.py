@@ -7,6 +7,8 @@ from __future__ import annotations
 import signal
 import sys
 
+from .base.errors import ParameterError
+
 
 def main() -> int:
     """Load the command and run it; returns the exit code."""
@@ -18,6 +20,9 @@ def main() -> int:
             f"tactile-cdma: {error}; python3 -m tactile_cdma.doctor tells all that is missing",
             file=sys.stderr,
         )
+        return 1
+    except ParameterError as error:  # in an environment variable
+        print(f"tactile-cdma: {error}", file=sys.stderr)
         return 1
     signal.signal(signal.SIGINT, handler)
     return run()

@@ -88,11 +88,17 @@ def set_up(venv: Path, wanted_distro: str) -> None:
         [CHECKOUT / "CMakeLists.txt", CHECKOUT / "package.xml"],
         sorted(path for path in CHECKOUT.glob("tools/tf2_msgs/**/*") if path.is_file()),
     )
+    kernel_key = digest(sorted(CHECKOUT.glob("kernel/*")))
 
     state = State(venv / "setup.json")
     started = time.monotonic()
     has_base = state.get("base") == base_key and (venv / "bin" / "python").exists()
-    if has_base and state.get("messages") == message_key:
+    has_messages = has_base and state.get("messages") == message_key
+    if has_messages and state.get("kernel") == kernel_key:
+        return
+    if has_messages:
+        rebuild_kernel(venv)
+        state.put("kernel", kernel_key)
         return
     use_installation = bool(sourced) and imports_rclpy(interpreter)
     if sourced and not use_installation:
@@ -114,6 +120,7 @@ def set_up(venv: Path, wanted_distro: str) -> None:
     state.put("messages", None)
     build_messages(venv, use_installation)
     state.put("messages", message_key)
+    state.put("kernel", kernel_key)
     print(f"      ready after {time.monotonic() - started:.0f} s", flush=True)
 
 
@@ -203,8 +210,11 @@ def adapt_venv(venv: Path) -> None:
 
 
 def build_messages(venv: Path, use_installation: bool) -> None:
-    """Build this package with colcon, into the venv itself, and messages that PyPI lacks."""
-    step(4, "building the messages")
+    """Build this package with colcon, into the venv itself, and messages that PyPI lacks.
+
+    The kernel is part of it: a machine that can compile the messages can compile the kernel.
+    """
+    step(4, "building the messages and the kernel")
     shutil.rmtree(venv / "build", ignore_errors=True)
     packages = [CHECKOUT] if use_installation else [CHECKOUT, CHECKOUT / "tools" / "tf2_msgs"]
     environment = dict(os.environ, PATH=f"{venv / 'bin'}{os.pathsep}{os.environ['PATH']}")
@@ -237,6 +247,15 @@ def build_messages(venv: Path, use_installation: bool) -> None:
     )
     # A run that failed here must not be mistaken for a good one.
     run([str(venv / "bin" / "python"), "-c", "import rclpy, tactile_cdma.msg"], venv / "setup.log")
+
+
+def rebuild_kernel(venv: Path) -> None:
+    """Build the kernel anew where only its sources changed; .venv holds a link to it."""
+    print("setup: building the kernel", flush=True)
+    build = ["cmake", "--build", str(venv / "build" / "tactile_cdma")]
+    path = f"{venv / 'bin'}{os.pathsep}{os.environ['PATH']}"
+    environment = dict(os.environ, PATH=path)
+    run([*build, "--target", "tactile_cdma_kernel"], venv / "setup.log", environment)
 
 
 # ---- what the machine has -----------------------------------------------------------------------

@@ -7,6 +7,9 @@ seen as an array of shape (a, b, …), by its own small matrix: O(N·(a + b + �
 Each stage multiplies the slowest axis and leaves it as the fastest one, which costs no copy, as
 BLAS reads transposed matrices; after the last stage the axes are back in order. Small factors are
 merged to blocks that suit BLAS; large Paley factors are multiplied by FFT.
+
+The compiled kernel (kernel/transform.h) does the same with fewer operations, where no factor is
+large.
 """
 
 from __future__ import annotations
@@ -15,9 +18,11 @@ import math
 import threading
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Protocol
 
 import numpy as np
 
+from ..base import kernel
 from ..base.arrays import Floats32
 from ..base.errors import SpecError
 from .codes import MAX_ORDER, CodeBook
@@ -49,7 +54,7 @@ def correlate(chips: Floats32, book: CodeBook, out: Floats32 | None = None) -> F
     out: takes the result instead of a new array; contiguous, and no part of chips.
     Raises SpecError where chips or out do not fit the book.
     """
-    return _multiply(chips, _transform(book.plan), out)
+    return _multiply(chips, book.order, _transform(book.plan), out)
 
 
 def spread(symbols: Floats32, book: CodeBook, out: Floats32 | None = None) -> Floats32:
@@ -57,7 +62,29 @@ def spread(symbols: Floats32, book: CodeBook, out: Floats32 | None = None) -> Fl
 
     What correlate takes apart: correlate(spread(x)) == x. out and errors as there.
     """
-    return _multiply(symbols, _transform(book.plan, spreading=True), out)
+    return _multiply(symbols, book.order, _transform(book.plan, spreading=True), out)
+
+
+class Transform(Protocol):
+    """Product with a code book, prepared once."""
+
+    def multiply(self, source: Floats32, out: Floats32, /) -> None:
+        """Multiply vectors (…, N), into contiguous memory of the same size."""
+
+
+def _multiply(
+    vectors: Floats32, order: int, transform: Transform, out: Floats32 | None
+) -> Floats32:
+    """The product of vectors (…, N), in out or a new array."""
+    values = np.ascontiguousarray(vectors, dtype=np.float32)
+    if values.shape[-1] != order:
+        raise SpecError(f"{values.shape[-1]} chips per bit do not fit a code book of order {order}")
+    if out is None:
+        out = np.empty(values.shape, np.float32)
+    elif out.shape != values.shape or out.dtype != np.float32 or not out.flags.c_contiguous:
+        raise SpecError(f"out must be contiguous float32 of shape {values.shape}")
+    transform.multiply(values, out)
+    return out
 
 
 class _Dense:
@@ -116,40 +143,47 @@ _scratch = _Scratch()
 
 
 @dataclass(frozen=True)
-class _Transform:
-    """Product with a code book, as stages. most: vectors that go through them together."""
+class _Stages:
+    """The product as stages in numpy. most: vectors that go through them together."""
 
     order: int
     stages: tuple[_Dense | _Fourier, ...]
     most: int
 
-
-def _multiply(vectors: Floats32, transform: _Transform, out: Floats32 | None) -> Floats32:
-    """Vectors (…, N) times the code book."""
-    order = transform.order
-    values = np.ascontiguousarray(vectors, dtype=np.float32)
-    if values.shape[-1] != order:
-        raise SpecError(f"{values.shape[-1]} chips per bit do not fit a code book of order {order}")
-    if out is None:
-        out = np.empty(values.shape, np.float32)
-    elif out.shape != values.shape or out.dtype != np.float32 or not out.flags.c_contiguous:
-        raise SpecError(f"out must be contiguous float32 of shape {values.shape}")
-    source, result = values.reshape(-1, order), out.reshape(-1, order)
-    count = len(source)
-    parts = -(-count // transform.most)
-    for part in range(parts):  # of about equal size
-        chosen = slice(part * count // parts, (part + 1) * count // parts)
-        values, to_scratch = source[chosen], len(transform.stages) % 2 == 0
-        for stage in transform.stages:  # by turns, so that the last one writes the result
-            goal = _scratch.values[: values.size] if to_scratch else result[chosen]
-            stage.apply(values, goal)
-            values, to_scratch = goal, not to_scratch
-    return out
+    def multiply(self, source: Floats32, out: Floats32, /) -> None:
+        """As Transform."""
+        source, result = source.reshape(-1, self.order), out.reshape(-1, self.order)
+        count = len(source)
+        parts = -(-count // self.most)
+        for part in range(parts):  # of about equal size
+            chosen = slice(part * count // parts, (part + 1) * count // parts)
+            values, to_scratch = source[chosen], len(self.stages) % 2 == 0
+            for stage in self.stages:  # by turns, so that the last one writes the result
+                goal = _scratch.values[: values.size] if to_scratch else result[chosen]
+                stage.apply(values, goal)
+                values, to_scratch = goal, not to_scratch
 
 
 @lru_cache(maxsize=64)
-def _transform(plan: tuple[int, ...], spreading: bool = False) -> _Transform:
-    """The stages of a code book of this plan; the first of those that correlate scales by 1/N."""
+def _transform(plan: tuple[int, ...], spreading: bool = False) -> Transform:
+    """The product with a code book of this plan, scaled by 1/N unless spreading."""
+    if kernel.compiled is None or max(plan) > _LARGEST_BLOCK:
+        return numpy_transform(plan, spreading)
+    return compiled_transform(plan, spreading)
+
+
+def compiled_transform(plan: tuple[int, ...], spreading: bool, lanes: int = 0) -> Transform:
+    """That of the kernel. lanes: 1, 4 or 8; 0 for what the processor has."""
+    assert kernel.compiled is not None
+    factors = [CodeBook((order,)).matrix for order in plan if order > 2]
+    signs = tuple((matrix.T if spreading else matrix).tobytes() for matrix in factors)
+    scale = 1.0 if spreading else 1.0 / math.prod(plan)
+    transform: Transform = kernel.compiled.Transform(plan.count(2), signs, scale, lanes)
+    return transform
+
+
+def numpy_transform(plan: tuple[int, ...], spreading: bool) -> Transform:
+    """That of numpy; the first stage of those that correlate scales."""
     order = math.prod(plan)
     stages: list[_Dense | _Fourier] = []
     for group in _groups(plan):
@@ -163,7 +197,7 @@ def _transform(plan: tuple[int, ...], spreading: bool = False) -> _Transform:
             matrix = CodeBook(group).matrix if spreading else CodeBook(group).matrix.T
             stages.append(_Dense((matrix * scale).astype(np.float32, order="C"), order // block))
     most = _most_rows(order) if len(stages) == 1 else _CHUNK // order
-    return _Transform(order, tuple(stages), most)
+    return _Stages(order, tuple(stages), most)
 
 
 def _most_rows(order: int) -> int:

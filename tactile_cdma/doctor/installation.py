@@ -20,6 +20,7 @@ from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
 
+from ..base.errors import ParameterError
 from ..base.shipped import CHECKOUT, shipped
 from .report import Check, Verdict, ok, problem, warning
 
@@ -39,6 +40,7 @@ def installation() -> Iterator[Check]:
     """All checks, the cheap ones first."""
     yield python_version()
     yield from packages()
+    yield compiled_kernel()
     yield from port_access()
     root = Path("/")
     yield from udev_rule(root)
@@ -85,6 +87,23 @@ def packages() -> Iterator[Check]:
                 needed.name,
                 f"{present} is outside of the tested {needed.specifier}: pip install '{text}'",
             )
+
+
+def compiled_kernel() -> Check:
+    """What does the arithmetic of every frame."""
+    try:
+        from ..base import kernel
+    except ParameterError as error:
+        return problem("kernel", str(error))
+    if kernel.compiled is not None:
+        return ok("kernel", f"compiled, {kernel.compiled.LANES} values at once")
+    if os.environ.get(kernel.VARIABLE):
+        return ok("kernel", f"numpy: {kernel.why_numpy}")
+    return warning(
+        "kernel",
+        f"numpy, which takes several times as long: {kernel.why_numpy}; install a C compiler "
+        "(apt: gcc python3-dev), then build or install this package again",
+    )
 
 
 def requirements() -> list[str]:

@@ -31,9 +31,10 @@ ideal position, at a cost of 1.1 dB of noise."""
 MORE_EVEN = 0.6
 """Spread of the middles over that of whole chips below which the middles are taken. Noise alone
 gives 1/MIDDLE = 1.3, so that chance hardly gets there. Chosen."""
-REACHES = (0.5, 0.25, 0.12)
+REACHES = (0.5, 0.5, 0.25, 0.12)
 """Part of a chip on either side of an edge in which samples tell how late it comes: first as wide
-as an edge may be off, last as narrow as edges a tenth of a chip off ideal allow. Chosen."""
+as an edge may be off, and again for those that were farther off, last as narrow as edges a tenth of
+a chip off ideal allow. Chosen."""
 SETTLED_CHIPS = 0.02
 """Change of a frame's edges, chips, below which refinement ends. Chosen: an error of that size
 leaves 1e-3 of the words' power over."""
@@ -83,18 +84,22 @@ class Line:
 class ChipEdges:
     """The edges of one fit's chips, worked out once for many lines of the same length."""
 
-    def __init__(self, fit: Fit, spec: FrameSpec, size: int) -> None:
-        """size: samples of a line."""
-        self.size = size
-        self._shape = spec.line_bits, spec.order
-        edges: Floats = fit.start + fit.chip * np.arange(spec.chips + 1.0)
-        self._whole, self._share = _split(edges, size)
-        self._number = np.maximum(np.diff(self._whole + self._share), 0.5)
+    def __init__(self, fit: Fit, spec: FrameSpec) -> None:
+        self._spec = spec
+        self._edges: Floats = fit.start + fit.chip * np.arange(spec.span_chips + 1.0)
+        self._size = 0  # samples of the lines for which the rest is known
 
     def chips(self, line: Line) -> Floats32:
         """As integrate gives them: (k, N) float32, V."""
+        spec = self._spec
+        if line.volts.size != self._size:
+            self._size = line.volts.size
+            self._whole, self._share = _split(self._edges, self._size)
+            self._number = np.maximum(np.diff(self._whole + self._share), 0.5)
         levels = np.diff(line.sum_before(self._whole, self._share)) / self._number
-        return levels.astype(np.float32).reshape(self._shape)
+        if spec.resync_chips:
+            levels = levels[spec.places]
+        return levels.astype(np.float32).reshape(spec.line_bits, spec.order)
 
 
 def _split(times: Floats, size: int) -> tuple[Indices, Floats]:

@@ -89,7 +89,11 @@ class GapSearch(BurstSearch):
         noise = burst.variance * self.half / fit.chip
         while True:
             shifts = earliest, latest
-            found = self._judge.choose(line, fit, shifts, burst.first, noise, expected)
+            start = fit.start + fit.chip * np.arange(earliest, latest + 1, dtype=np.float64)
+            chip = np.full(start.size, fit.chip)
+            # Two nodes that cancel at the start of every bit are possible, but not likely.
+            unlikely = np.log1p(np.square((start - burst.first) / (0.5 * fit.chip)))
+            found = self._judge.choose(line, start, chip, noise, unlikely, expected)
             shift = round((found.fit.start - fit.start) / fit.chip)
             earliest, latest = min(earliest, shift - _BEYOND), max(latest, shift + _BEYOND)
             if (earliest, latest) == shifts or latest - earliest > _MOST_SHIFTS:

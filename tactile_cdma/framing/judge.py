@@ -12,7 +12,7 @@ import numpy as np
 from ..base.arrays import Bools, Floats, Floats32
 from ..code.frame import FrameSpec
 from ..code.transform import spread
-from .fit import Fit, Line, WordFit, read_words, refine
+from .fit import Fit, Line, WordFit, integrate, read_words, refine
 from .limits import LIMITS
 from .raster import Expected
 
@@ -39,15 +39,16 @@ class Judgement:
 class _Compared:
     """Frames of c candidates, and the line over j chips.
 
-    starts: (c,) samples. levels: (j,) V. words, spoken: what they say, spoken (c, k, n) as ±1, 0
-    where silent. off: (c, j) V, |levels − model|.
+    levels: (c, j) V. words, spoken: what they say, spoken (c, k, n) as ±1, 0 where silent.
+    off: (c, j) V, |levels − model|. weight: (c, j), what a chip's vote counts: its duration,
+    relative to the others', or 0 beyond the view.
     """
 
-    starts: Floats
     levels: Floats32
     words: WordFit
     spoken: Floats32
     off: Floats32
+    weight: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,18 +63,19 @@ class _Votes:
         """Those of a line with this noise of a chip's level in the gap, V²."""
         # What even the best model leaves over is noise of this line, if not few chips have it:
         # behind a low-pass only those next to a level change do.
-        best = seen.off[np.argmin(np.square(seen.off).sum(axis=1))]
-        rank = int(LIMITS.most * (best.size - 1))
-        left = float(np.partition(best, rank)[rank]) / LIMITS.most_deviations
-        steps = np.square(np.diff(seen.levels))  # as wide as the code's levels, whatever their mean
+        off = seen.off
+        best = int(np.argmin((np.square(off) * seen.weight).sum(axis=1)))
+        rank = int(LIMITS.most * (off.shape[1] - 1))
+        left = float(np.partition(off[best], rank)[rank]) / LIMITS.most_deviations
+        steps = np.square(np.diff(seen.levels[best]))  # as wide as the code's, whatever their mean
         distortion = LIMITS.distortion * float(np.sqrt(0.5 * steps.mean()))
         return cls(distortion, max(noise, left**2, (0.5 * distortion) ** 2, 1e-30))
 
-    def cost(self, off: Floats32) -> Floats:
-        """Negative log-likelihoods of models that are off by (c, j) V, (c,)."""
-        beyond = np.maximum(off - np.float32(self.distortion), 0)
-        votes = np.square(beyond) * np.float32(0.5 / self.variance)
-        cost: Floats = np.minimum(votes, np.float32(LIMITS.vote)).sum(axis=1, dtype=np.float64)
+    def cost(self, seen: _Compared) -> Floats:
+        """Negative log-likelihood of each frame, (c,)."""
+        beyond = np.maximum(seen.off - np.float32(self.distortion), 0)
+        votes = np.minimum(np.square(beyond) * np.float32(0.5 / self.variance), LIMITS.vote)
+        cost: Floats = (votes * seen.weight).sum(axis=1)
         return cost
 
     def most(self, chips: int) -> float:
@@ -96,10 +98,11 @@ class Judge:
 
         Σ over chips of min(max(|level − model| − δ, 0)² / 2σ², κ),
 
-    with δ for distortion, over all chips of the line, for which a frame that ends earlier predicts
-    silence. No chip votes with more than κ, so that no single disturbed chip decides. With what is
-    likely before looking (Expected) the costs give each frame's probability, and for every node the
-    probability of all frames that give it another word or silence.
+    with δ for distortion, over all chips of the view, which reaches from the first start to the
+    last end: a shorter frame predicts silence in what is left. No chip votes with more than κ, so
+    that no single disturbed chip decides. With what is likely before looking the costs give each
+    frame's probability, and for every node the probability of all frames that give it another word
+    or silence.
     """
 
     def __init__(self, spec: FrameSpec) -> None:
@@ -108,26 +111,29 @@ class Judge:
     def choose(
         self,
         line: Line,
-        fit: Fit,
-        shifts: tuple[int, int],
-        loud: float,
+        start: Floats,
+        chip: Floats,
         noise: float,
-        expected: Expected | None,
+        unlikely: Floats | float = 0.0,
+        expected: Expected | None = None,
     ) -> Judgement:
-        """Choose among a frame and those that start whole chips earlier and later.
+        """Choose among frames.
 
-        shifts: the earliest and the latest, chips. loud: first instant that is. noise: variance of
-        a chip's level in the gap, V². expected: where frames are likely.
+        start, chip: (c,) samples. noise: variance of a chip's level in the gap, V². unlikely: (c,)
+        added to the costs. expected: where the frames before make one likely.
         """
-        seen = self._compare(line, fit, shifts, shifts)
+        if start.size == 1:
+            words = read_words(integrate(line, start, chip, self._spec), self._spec)
+            return Judgement(Fit(start.item(), chip.item()), words, None, True, True)
+        view = float(start.min()), float((start + self._spec.span_chips * chip).max())
+        seen = self._compare(line, start, chip, view)
         votes = _Votes.of(seen, noise)
-        cost = votes.cost(seen.off)
-        self._refine_close(line, fit, shifts, votes, cost)
-        # Two nodes that cancel at the start of every bit are possible, but not likely.
-        cost += np.log1p(np.square((seen.starts - loud) / (0.5 * fit.chip)))
+        cost = votes.cost(seen)
+        self._refine_close(line, start, chip, view, votes, cost)
+        cost += unlikely
         unaided = doubt = self._probability(cost)
         if expected is not None:
-            doubt = self._probability(cost - expected.log_prior(seen.starts))
+            doubt = self._probability(cost - expected.log_prior(start))
         chosen, limit = int(np.argmax(doubt)), LIMITS.doubt
         understood = bool(cost[chosen] < votes.most(seen.off.shape[1]))
         decided = understood and bool(1 - doubt[chosen] < limit)
@@ -138,11 +144,17 @@ class Judge:
             unlike |= (spoken != spoken[chosen]).any(axis=1)
             doubtful = (doubt @ unlike >= limit) | (not understood)
         sure = understood and bool(1 - unaided[chosen] < limit)
-        best = Fit(float(seen.starts[chosen]), fit.chip)
+        best = Fit(float(start[chosen]), float(chip[chosen]))
         return Judgement(best, seen.words.of(chosen), doubtful, decided, sure)
 
     def _refine_close(
-        self, line: Line, fit: Fit, view: tuple[int, int], votes: _Votes, cost: Floats
+        self,
+        line: Line,
+        start: Floats,
+        chip: Floats,
+        view: tuple[float, float],
+        votes: _Votes,
+        cost: Floats,
     ) -> None:
         """Lower the costs of those nearly ruled out to what they have with their own best timing.
 
@@ -150,37 +162,32 @@ class Judge:
         """
         above = cost - cost.min()
         for number in np.flatnonzero((above > 0) & (above < LIMITS.close)):
-            shift = view[0] + int(number)
-            there = Fit(fit.start + shift * fit.chip, fit.chip)
+            there = Fit(float(start[number]), float(chip[number]))
             own = refine(line, there, self._spec)
-            moved = max(
-                abs(own.start - there.start), abs(own.end(self._spec) - there.end(self._spec))
-            )
-            if moved < LIMITS.in_place * fit.chip:
-                alone = self._compare(line, own, (0, 0), (view[0] - shift, view[1] - shift))
-                cost[number] = min(cost[number], votes.cost(alone.off).item())
+            end_moved = abs(own.end(self._spec) - there.end(self._spec))
+            if max(abs(own.start - there.start), end_moved) < LIMITS.in_place * there.chip:
+                alone = self._compare(line, np.array([own.start]), np.array([own.chip]), view)
+                cost[number] = min(cost[number], votes.cost(alone).item())
 
     def _compare(
-        self, line: Line, fit: Fit, shifts: tuple[int, int], view: tuple[int, int]
+        self, line: Line, start: Floats, chip: Floats, view: tuple[float, float]
     ) -> _Compared:
-        """Frames of these shifts with the line from view[0] chips before to view[1] after fit."""
-        spec = self._spec
-        shift = np.arange(shifts[0], shifts[1] + 1)
-        edges = np.arange(view[0], spec.span_chips + view[1] + 1.0)
-        levels = line.means(fit.start + fit.chip * edges)
-        first = (shift - view[0])[:, None]
-        windows = np.lib.stride_tricks.sliding_window_view(levels, spec.span_chips)
-        chips = windows[first, spec.places].reshape(-1, spec.line_bits, spec.order)
-        words = read_words(chips, spec)
+        """Frames with the line from view[0] to view[1], samples; each in chips of its own."""
+        spec, end = self._spec, start + self._spec.span_chips * chip
+        lead = np.rint((start - view[0]) / chip).astype(np.intp)
+        count = lead + spec.span_chips + np.rint((view[1] - end) / chip).astype(np.intp)
+        place = np.arange(count.max() + 1) - lead[:, None]
+        levels = line.means(start[:, None] + chip[:, None] * place)
+        own = np.arange(start.size)[:, None], lead[:, None] + spec.places
+        words = read_words(levels[own].reshape(-1, spec.line_bits, spec.order), spec)
         spoken = np.sign(words.rows[..., spec.node_slice]) * (words.amplitude > 0)[:, None]
         symbols = np.zeros_like(words.rows)
         symbols[..., spec.node_slice] = spoken * words.amplitude[:, None]
-        code = spread(symbols, spec.book).reshape(shift.size, -1) + words.pedestal[:, None]
-        model = np.zeros((shift.size, levels.size), np.float32)
-        model[np.arange(shift.size)[:, None], first + spec.places] = code
-        off = np.abs(levels - model)
-        starts: Floats = fit.start + fit.chip * shift.astype(np.float64)
-        return _Compared(starts, levels, words, spoken, off)
+        model = np.zeros_like(levels)
+        model[own] = spread(symbols, spec.book).reshape(start.size, -1) + words.pedestal[:, None]
+        seen = np.arange(levels.shape[1]) < count[:, None]
+        share = seen * (chip / chip.mean())[:, None]
+        return _Compared(levels, words, spoken, np.abs(levels - model), share)
 
     @staticmethod
     def _probability(cost: Floats) -> Floats:

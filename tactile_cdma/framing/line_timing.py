@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..base.arrays import Floats, Floats32
+from ..base.arrays import Bools, Floats, Floats32
 from ..code.frame import MAX_STRETCH, UNIPOLAR, FrameSpec
 from ..code.separate import node_levels
 from ..code.transform import correlate
@@ -28,6 +28,7 @@ from .fit import (
     word_floor,
 )
 from .frame_end import End, FrameEnds
+from .judge import Judge
 from .limits import LIMITS
 from .marked_timing import MarkedFrame, MarkedLine, MarkedTiming, Verdict
 from .timing import MISFIT, NOISY, NOT_AT_REST, Rails
@@ -60,31 +61,37 @@ class LineTiming(MarkedTiming):
 
 @dataclass(slots=True)
 class _Carried:
-    """Timing of a frame that was refined on its own edges, and how often it was reused since."""
+    """Timing of an earlier frame, and how often it was reused since."""
 
     fit: Fit
     edges: ChipEdges
     uses: int = 0
+
+    @property
+    def fresh(self) -> bool:
+        """Whether it may be reused once more."""
+        return self.uses < CARRIED_FRAMES
 
 
 class LineRecogniser:
     """A Recogniser that takes all nodes to keep time together.
 
     At one sample per chip the digitizer integrates whole chips, and these are the frame. Raw
-    samples are integrated with the timing of the frame before, as long as that leaves no more than
-    noise; else with the nominal chip duration, refined on the frame's own edges. Only where words
-    do not come out clean all stretches up to 11 % are searched, which takes the samples that such
-    a frame would have. Frames with restarts within them need no refinement: the digitizer's sync
-    edges place their chips.
+    samples are a frame of the timing before, as long as that leaves no more than noise. Else
+    others are proposed, and the Judge chooses: the timing before, refined on the frame's own
+    edges; the stretch that explains the most energy of those that end where the line falls
+    silent; and that of all stretches up to 11 %. The latter two take the samples that such a frame
+    would have, and are left out once a frame is accepted: another chip duration would have its
+    edges elsewhere. Frames with restarts within them are not stretched: the digitizer's sync edges
+    place their chips, or all a bit later.
     """
 
     def __init__(self, line: MarkedLine) -> None:
         """line: shared with the stream, which keeps its level and noise at rest up to date."""
         self._line, self._spec = line, line.spec
+        self._judge, self._ends = Judge(self._spec), FrameEnds(self._spec)
+        self._nominal = ChipEdges(line.nominal, self._spec)
         self._carried: _Carried | None = None
-        self._chip = line.chip  # of the last frame
-        self._restarted, self._restart_uses = line.nominal, 0
-        self._ends = FrameEnds(self._spec)
         self._budget = float(LARGEST_SEARCH)  # chips that may be searched
 
     def open(self, start: int, called: bool, since: int | None) -> int:
@@ -92,7 +99,10 @@ class LineRecogniser:
         earned = SEARCH_PER_S * self._spec.frame_period_s
         self._budget = min(self._budget + earned, LARGEST_SEARCH)
         line = self._line
-        return line.size + (0 if line.integrated else math.ceil(TAIL_CHIPS * line.chip))
+        if line.integrated:
+            return line.size
+        end = self._carried.fit.end(self._spec) if self._carried else 0.0
+        return max(line.size, round(end + 0.5)) + math.ceil(TAIL_CHIPS * line.chip)
 
     def forget(self) -> None:
         """See Recogniser."""
@@ -105,9 +115,7 @@ class LineRecogniser:
         if self._line.integrated:
             return self._integrated(frame)
         line = Line(frame.volts - self._line.level_v)
-        if self._spec.resync_chips:
-            return self._restarting(frame, line)
-        return self._by_carried(frame, line) or self._by_edges(frame, line)
+        return self._by_carried(frame, line) or self._proposed(frame, line)
 
     def _integrated(self, frame: MarkedFrame) -> Verdict:
         """The frame of samples that are chips already: accepted as it is, or rejected."""
@@ -122,48 +130,17 @@ class LineRecogniser:
             return self._line.heard(frame, self._line.nominal, node_levels(words.rows[0], spec))
         return Verdict(rejected=MISFIT)
 
-    def _restarting(self, frame: MarkedFrame, line: Line) -> Verdict:
-        """The frame with restarts in it: its chips are in their places, or all a bit late."""
-        if self._restart_uses % (CARRIED_FRAMES + 1) == 0:
-            self._restarted = self._least_late(line)
-        self._restart_uses += 1
-        fit = self._restarted
-        words = even_words(line, fit, self._spec)
-        over = frame.start + self._line.size + math.ceil(self._line.chip)
-        if self._line.is_silent(words.amplitude[0]):
-            self._restart_uses = 0
-            if self._is_astray(words):
-                return Verdict(over=over, rejected=MISFIT)
-            return self._faint(frame, self._chip_power(line), fit)
-        if not words.believable(LIMITS.spread, self._spec, self._line.noise):
-            return Verdict(over=over, rejected=MISFIT)
-        ended = self._ended(frame, line, fit, words.rows[0], words.amplitude[0])
-        return ended or Verdict(over=over, rejected=NOT_AT_REST)
-
-    def _least_late(self, line: Line) -> Fit:
-        """The start, up to a chip late, that explains the most energy."""
-        nominal = self._line.nominal
-        start = nominal.start + np.arange(0, 1, RESTART_STEP) * nominal.chip
-        chip = np.full(start.size, nominal.chip)
-        power = read_words(integrate(line, start, chip, self._spec), self._spec).power
-        return Fit(float(start[np.argmax(power)]), nominal.chip)
-
     def _by_carried(self, frame: MarkedFrame, line: Line) -> Verdict | None:
         """The frame by an earlier frame's timing, if that explains the samples."""
         carried = self._carried
-        if carried is None or carried.uses >= CARRIED_FRAMES:
+        if carried is None or not carried.fresh:
             return None
-        if carried.edges.size != frame.volts.size:
-            carried.edges = ChipEdges(carried.fit, self._spec, frame.volts.size)
+        carried.uses += 1
         rows = correlate(carried.edges.chips(line), self._spec.book)
         amplitude = self._explained(rows)
         if amplitude is None:
             return None
-        if unfinished := self._unfinished(frame, carried.fit):
-            return unfinished
-        verdict = self._ended(frame, line, carried.fit, rows, amplitude)
-        carried.uses += verdict is not None
-        return verdict
+        return self._ended(frame, line, carried.fit, rows, amplitude)
 
     def _explained(self, rows: Floats32) -> Floats32 | None:
         """Amplitudes (n,) of words that leave no more than the noise of the gap; else None.
@@ -185,92 +162,105 @@ class LineRecogniser:
         left_over = total - power >= 1.5 * self._line.noise + LIMITS.carried_misfit * power
         return None if left_over or self._line.is_silent(amplitude) else amplitude
 
-    def _by_edges(self, frame: MarkedFrame, line: Line) -> Verdict:
-        """The frame whose timing is refined on its own edges."""
-        spec, size, noise = self._spec, line.volts.size, self._line.noise
+    def _proposed(self, frame: MarkedFrame, line: Line) -> Verdict:
+        """The likeliest of the frames that are proposed, or silence."""
+        spec, size = self._spec, line.volts.size
         power = self._chip_power(line)
         if power <= self._line.least_power:
             return self._faint(frame, power)
-        limit, somebody = LIMITS.spread if noise else LIMITS.clean_spread, False
-        for chip in dict.fromkeys((self._line.chip, self._chip)):
-            fit = self._refined(line, chip)
-            words = even_words(line, fit, spec)
-            amplitude = words.amplitude[0]
-            silent = self._line.is_silent(amplitude)
-            somebody |= not silent
-            if silent or not words.believable(limit, spec, noise):
-                continue
-            if unfinished := self._unfinished(frame, fit):
-                return unfinished
-            verdict = self._ended(frame, line, fit, words.rows[0], amplitude)
-            if verdict and fit.end(spec) - size < 0.5 * chip:
-                self._carried = _Carried(fit, ChipEdges(fit, spec, size))
-                return verdict
-        if power <= LIMITS.faint_power * noise:
-            if somebody:
+        fits = [self._usual(line)]
+        verdict = self._chosen(frame, line, fits)
+        if verdict.frame or verdict.due:
+            return verdict
+        if power <= LIMITS.faint_power * self._line.noise:
+            if verdict.rejected:
                 return Verdict(over=frame.start + size, rejected=NOISY)
             return self._faint(frame, power)
-        return self._by_search(frame, line, power, somebody)
+        rejected, longest = verdict.rejected, size
+        if not spec.resync_chips:
+            # The tail shows the level, or that it did not change: row 0 would take that for a word.
+            tail = 0 if self._line.level_known and spec.first_row > 0 else TAIL_CHIPS
+            longest = math.ceil((1 + MAX_STRETCH) * (spec.chips + tail) * self._line.chip)
+            if size < longest and not frame.final:
+                return Verdict(due=frame.start + longest)
+            for chips in (self._by_loud_end(line), self._all_stretches(line)):
+                if chips.size:
+                    fits.append(self._refined(line, self._strongest(line, chips)))
+                    verdict = self._chosen(frame, line, fits)
+                    if verdict.frame or verdict.due:
+                        return verdict
+                    rejected = verdict.rejected or rejected
+        if rejected is None:
+            return self._faint(frame, power)
+        return Verdict(over=frame.start + longest + math.ceil(self._line.chip), rejected=rejected)
 
-    def _by_search(self, frame: MarkedFrame, line: Line, power: float, somebody: bool) -> Verdict:
-        """The frame at the stretch that explains the most energy.
+    def _usual(self, line: Line) -> Fit:
+        """The timing before, refined; with restarts, as it is or as late as explains the most."""
+        carried = self._carried
+        if not self._spec.resync_chips:
+            return self._refined(line, carried.fit.chip if carried else self._line.chip)
+        if carried and carried.fresh:
+            return carried.fit
+        nominal = self._line.nominal
+        start = nominal.start + np.arange(0, 1, RESTART_STEP) * nominal.chip
+        chip = np.full(start.size, nominal.chip)
+        power = read_words(integrate(line, start, chip, self._spec), self._spec).power
+        return Fit(float(start[np.argmax(power)]), nominal.chip)
 
-        power: of its chips, V². somebody: was heard at another stretch, if not understood.
-        """
-        spec, nominal = self._spec, self._line.chip
-        # The tail shows the level, or that it has not changed: row 0 would take that for a word.
-        tail = 0 if self._line.level_known and spec.first_row > 0 else TAIL_CHIPS
-        longest = math.ceil((1 + MAX_STRETCH) * (spec.chips + tail) * nominal)
-        if line.volts.size < longest and not frame.final:
-            return Verdict(due=frame.start + longest)
-        reason = MISFIT
-        for stretched in (self._by_loud_end(line), self._all_stretches(line)):
-            if not stretched.size:
-                continue
-            fit = self._refined(line, self._strongest(line, stretched))
-            words = even_words(line, fit, spec)
-            if self._line.is_silent(words.amplitude[0]):
-                if somebody or self._is_astray(words):
-                    break
-                return self._faint(frame, power, fit)
-            if not words.believable(LIMITS.spread, spec, self._line.noise):
-                continue
-            if verdict := self._ended(frame, line, fit, words.rows[0], words.amplitude[0]):
-                return verdict
-            reason = NOT_AT_REST
-        return Verdict(over=frame.start + longest + math.ceil(nominal), rejected=reason)
+    def _chosen(self, frame: MarkedFrame, line: Line, fits: list[Fit]) -> Verdict:
+        """The likeliest frame, if it is one; neither that nor rejected where nobody speaks."""
+        start, chip = np.array([(fit.start, fit.chip) for fit in fits]).T
+        found = self._judge.choose(line, start, chip, self._line.noise)
+        words = even_words(line, found.fit, self._spec, found.words)
+        if self._line.is_silent(words.amplitude[0]):
+            return Verdict(rejected=MISFIT if self._is_astray(words) else None)
+        if not words.believable(LIMITS.spread, self._spec, self._line.noise):
+            return Verdict(rejected=MISFIT)
+        rows, amplitude = words.rows[0], words.amplitude[0]
+        ended = self._ended(frame, line, found.fit, rows, amplitude, found.doubtful)
+        if ended is None:
+            return Verdict(rejected=NOT_AT_REST)
+        carried = self._carried
+        if ended.frame and not (carried and carried.fresh and carried.fit == found.fit):
+            self._carried = _Carried(found.fit, ChipEdges(found.fit, self._spec))
+        return ended
 
     def _is_astray(self, words: WordFit) -> bool:
         """Whether somebody speaks on a row that no node has, as one that is late may do."""
         spare = words.rows[0, :, self._spec.spare_rows]
         return spare.size > 0 and not self._line.is_silent(np.abs(spare).mean(axis=0))
 
-    def _faint(self, frame: MarkedFrame, power: float, fit: Fit | None = None) -> Verdict:
+    def _faint(self, frame: MarkedFrame, power: float) -> Verdict:
         """A silent frame, from the power of its chips, V²."""
-        return self._line.silent(frame, power * self._line.chip, fit)
-
-    def _unfinished(self, frame: MarkedFrame, fit: Fit) -> Verdict | None:
-        """A request for the tail after this fit's end, if it may still come."""
-        missing = fit.end(self._spec) + TAIL_CHIPS * fit.chip - frame.volts.size
-        if missing <= 0.5 or frame.final:
-            return None
-        return Verdict(due=frame.start + frame.volts.size + math.ceil(missing))
+        return self._line.silent(frame, power * self._line.chip)
 
     def _ended(
-        self, frame: MarkedFrame, line: Line, fit: Fit, rows: Floats32, amplitude: Floats32
+        self,
+        frame: MarkedFrame,
+        line: Line,
+        fit: Fit,
+        rows: Floats32,
+        amplitude: Floats32,
+        doubtful: Bools | None = None,
     ) -> Verdict | None:
         """The frame of a fit, if the line is at rest after it; see FrameEnds.
 
-        rows: (k, N) V, all correlations. amplitude: (n,) V, of every node's word, 0 where silent.
+        Or a request for the samples that show it, if they may still come. rows: (k, N) V, all
+        correlations. amplitude: (n,) V, of every node's word, 0 where silent. doubtful: see
+        Judgement.
         """
+        missing = fit.end(self._spec) + TAIL_CHIPS * fit.chip - frame.volts.size
+        if missing > 0.5 and not frame.final:
+            return Verdict(due=frame.start + frame.volts.size + math.ceil(missing))
         levels = node_levels(rows, self._spec)
         known = self._line.level_known  # a level that is not known yet has no noise either
         noise = self._line.noise if known else levels.noise_v**2 * self._spec.order
         end = self._ends.observe(line, fit, amplitude, noise, known)
         if end == End.OTHER:
             return None
-        self._chip = fit.chip
-        return self._line.heard(frame, fit, levels, guess=end == End.MISLED)
+        if end == End.MISLED:
+            doubtful = np.ones(self._spec.nodes, bool)
+        return self._line.heard(frame, fit, levels, doubtful)
 
     def _refined(self, line: Line, chip: float) -> Fit:
         """Timing refined from the mark and a chip duration; unrefined if that leads astray."""
@@ -311,6 +301,5 @@ class LineRecogniser:
 
     def _chip_power(self, line: Line) -> float:
         """Mean power of the chips at nominal timing, V², without an unknown offset."""
-        fit = self._line.nominal
-        chips = integrate(line, np.array([fit.start]), np.array([fit.chip]), self._spec)
+        chips = self._nominal.chips(line)
         return float(chips.var() if self._spec.first_row > 0 else np.square(chips).mean())

@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from ..base.arrays import Floats, Floats32
+from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import SpecError
 from ..code.frame import BIPOLAR, FrameSpec
 from ..code.separate import NodeLevels
@@ -185,14 +185,16 @@ class MarkedLine:
         return self._decided(frame.start, fit or self.nominal, None, noise_v, clipped)
 
     def heard(
-        self, frame: MarkedFrame, fit: Fit, levels: NodeLevels, guess: bool = False
+        self, frame: MarkedFrame, fit: Fit, levels: NodeLevels, doubtful: Bools | None = None
     ) -> Verdict:
         """A frame in which nodes spoke; rejected where too many of its samples are at a rail."""
         clipped = self.clipped(frame.volts[: round(fit.end(self.spec) + 0.5)])
         if clipped > LIMITS.clipped:
             return Verdict(over=frame.start + frame.volts.size, rejected=AT_RAIL)
+        if clipped > LIMITS.deafened:
+            doubtful = np.ones(self.spec.nodes, bool)
         noise_rms_v = levels.noise_v * math.sqrt(self.spec.order)
-        return self._decided(frame.start, fit, levels, noise_rms_v, clipped, guess)
+        return self._decided(frame.start, fit, levels, noise_rms_v, clipped, doubtful)
 
     def _decided(
         self,
@@ -200,14 +202,11 @@ class MarkedLine:
         fit: Fit,
         levels: NodeLevels | None,
         noise_rms_v: float,
-        clipped: float = 0.0,
-        guess: bool = False,
+        clipped: float,
+        doubtful: Bools | None = None,
     ) -> Verdict:
         # An integrated value's index is the begin of its chip, a raw sample's its instant.
         begin = float(start) if self.integrated else start + fit.start
-        doubtful = None
-        if levels is not None and (guess or clipped > LIMITS.deafened):
-            doubtful = np.ones(self.spec.nodes, bool)
         found = FrameLevels(begin, fit.chip, levels, noise_rms_v, self.level_v, clipped, doubtful)
         return Verdict(found, start + math.ceil(fit.end(self.spec) + 0.5 * fit.chip))
 

@@ -29,7 +29,6 @@ from ...places.poses import Pose
 from ...views.cloud import joined
 from ...views.rounds import Rounds
 from ..common.convert import nanoseconds, point_cloud
-from ..common.gate import Gate
 from ..common.process import run_node
 from ..common.qos import PICTURE, RELIABLE, offered
 from ..common.transforms import TransformListener
@@ -59,9 +58,8 @@ class BodyNode(Node):
         self._wrench = self._publisher(WrenchStamped, "~/wrench", RELIABLE)
         self._points = self._publisher(PointCloud2, "~/points", PICTURE)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._gate = Gate(self, self._publish_points)
         self._feeds = {
-            name: PatchFeed(self, name, index, self._take_contacts, self._gate)
+            name: PatchFeed(self, name, index, self._take_contacts)
             for index, name in enumerate(patches)
         }
         self._transforms = TransformListener(self)
@@ -97,7 +95,7 @@ class BodyNode(Node):
         if points:
             if self._points_timer.is_canceled():
                 self._points_timer.reset()
-            self._gate.open()  # notices silent patches, however seldom points are drawn
+            self._look_at_points()  # notices silent patches, however seldom points are drawn
         else:
             self._points_timer.cancel()
         now_s = time.monotonic()
@@ -159,10 +157,12 @@ class BodyNode(Node):
 
     def _ask_for_points(self) -> None:
         self._are_points_due = True
-        self._gate.open()
+        self._look_at_points()
 
-    def _publish_points(self) -> None:
-        """Publish the latest of every patch if any is new, or a patch has come or gone."""
+    def _look_at_points(self) -> None:
+        """If due, publish the latest of every patch if any is new, or a patch has come or gone."""
+        for feed in self._feeds.values():
+            feed.poll()
         now_s, stamps, clouds = time.monotonic(), [], []
         present = [
             feed

@@ -22,7 +22,6 @@ from ...readings.taxels import Coverage
 from ...views.cloud import Cloud
 from ..common.convert import nanoseconds, rows
 from ..common.following import Following
-from ..common.gate import Gate
 from ..common.qos import LATCHED
 
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -39,9 +38,7 @@ class PatchFeed:
     None: none since they are followed. is_new: the array has not been drawn.
     """
 
-    def __init__(
-        self, node: Node, node_name: str, index: int, on_contacts: NewContacts, gate: Gate
-    ) -> None:
+    def __init__(self, node: Node, node_name: str, index: int, on_contacts: NewContacts) -> None:
         self.node_name = node_name
         self.contacts: TactileContacts | None = None
         self.array: TactileArray | None = None
@@ -58,7 +55,7 @@ class PatchFeed:
             node,
             (TactileSkinInfo, f"{node_name}/info", self._take_info, LATCHED),
             (TactileArray, f"{node_name}/tactile", self._take_array, LATEST),
-            group=gate,
+            polled=True,
         )
 
     @property
@@ -114,6 +111,10 @@ class PatchFeed:
         if not points:
             self.array = self._cloud = None
             self.is_new = False
+
+    def poll(self) -> None:
+        """Take the latest array, and info, if there are new ones."""
+        self._for_points.poll()
 
     def points(self, max_pa: float, pose: Pose) -> NDArray[np.void] | None:
         """(m,) BODY_POINT of the latest array; None while the info that goes with it is missing.

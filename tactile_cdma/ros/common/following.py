@@ -12,15 +12,23 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
+from .executor import take_message
+
 Topic = tuple[type, str, Callable[[Any], None], QoSProfile]
 """Type of the messages, name, callback, QoS."""
 
 
 class Following:
-    """Some topics of a node, subscribed to together or not at all."""
+    """Some topics of a node, subscribed to together or not at all.
 
-    def __init__(self, node: Node, *topics: Topic, group: CallbackGroup | None = None) -> None:
-        self._node, self._topics, self._group = node, topics, group
+    polled: executors do not wait for their messages; these stay in the middleware until poll().
+    Being woken by a message costs more than taking it, so this is for the latest message of many
+    topics that are needed only now and then. raw: callbacks get serialised messages, bytes.
+    """
+
+    def __init__(self, node: Node, *topics: Topic, polled: bool = False, raw: bool = False) -> None:
+        self._node, self._topics, self._raw = node, topics, raw
+        self._group = _Never() if polled else None
         self._subscriptions: list[Subscription] = []
 
     def __bool__(self) -> bool:
@@ -35,5 +43,24 @@ class Following:
             self._node.destroy_subscription(subscription)
         topics = self._topics if asked else ()
         self._subscriptions = [
-            self._node.create_subscription(*topic, callback_group=self._group) for topic in topics
+            self._node.create_subscription(*topic, callback_group=self._group, raw=self._raw)
+            for topic in topics
         ]
+
+    def poll(self) -> None:
+        """Call back for one message of each topic, if there is one."""
+        for subscription in self._subscriptions:
+            take_message(subscription)
+
+
+class _Never(CallbackGroup):
+    """Group of what executors leave alone."""
+
+    def can_execute(self, entity: object) -> bool:
+        return False
+
+    def beginning_execution(self, entity: object) -> bool:
+        return False
+
+    def ending_execution(self, entity: object) -> None:
+        pass

@@ -18,13 +18,13 @@ from typing import Generic, TypeVar
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from ...base.errors import TactileError
 from ...base.interrupt import stop_event
 from ...config.arguments import existing_params
+from .executor import LeanExecutor
 
 WAKE_S = 0.1
 """Longest time, s, after which a program without messages notices that it is told to end."""
@@ -54,7 +54,7 @@ def run_node(make: Callable[[], Node], program: str) -> int:
         print(f"{program}: {unknown}{error}", file=sys.stderr)
         rclpy.try_shutdown()
         return 1
-    executor = SingleThreadedExecutor()
+    executor = LeanExecutor()
     executor.add_node(node)
     stop = threading.Event()
 
@@ -82,7 +82,7 @@ class Viewing(Generic[N]):
 
     def __init__(self, node: N, told_to_end: Callable[[], bool]) -> None:
         self.node = node
-        self.executor = SingleThreadedExecutor()
+        self.executor = LeanExecutor()
         self.executor.add_node(node)
         self._told_to_end = told_to_end
 

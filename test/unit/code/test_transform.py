@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Fast correlation equals the matrix product for orders of every kind, within a stated error."""
+"""Fast correlation equals the matrix product for orders of every kind, within a stated error.
+
+All by the compiled kernel and by numpy.
+"""
 
 from __future__ import annotations
 
 import threading
 import tracemalloc
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -13,10 +17,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tactile_cdma.base import kernel
 from tactile_cdma.base.errors import SpecError
+from tactile_cdma.code import transform
 from tactile_cdma.code.codes import code_book
 from tactile_cdma.code.paley import paley
-from tactile_cdma.code.transform import correlate, spread
+from tactile_cdma.code.transform import correlate, numpy_transform, spread
 
 BLOCKS = [1, 2, 4, 12, 20, 64, 128, 148, 244, 388]  # one dense block
 PRODUCTS = [144, 256, 400, 1024, 1040, 4096, 4144, 4160, 16_384, 65_520, 65_536]  # several
@@ -25,6 +31,18 @@ FOURIER = [676, 1032, 1252, 1332, 2188, 4100, 65_524]
 USUAL, BOUND = 2.0**-22, 2.0**-17
 """Error of a correlation over the RMS of its chips: in noise, and in the worst frames, where all
 products of a sum are equal and its roundings add up."""
+
+
+@pytest.fixture(autouse=True, scope="module", params=["compiled", "numpy"])
+def way(request: pytest.FixtureRequest) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        if request.param == "numpy":
+            patch.setattr(kernel, "compiled", None)
+        elif kernel.compiled is None:
+            pytest.skip(kernel.why_numpy)
+        transform._transform.cache_clear()
+        yield
+    transform._transform.cache_clear()
 
 
 def reference(chips: np.ndarray, order: int, rows: np.ndarray) -> np.ndarray:
@@ -222,7 +240,8 @@ def test_no_product_is_long_enough_to_wake_other_blas_threads(
         return matmul(a, b, **kwargs)
 
     monkeypatch.setattr(np, "matmul", spy)
-    correlate(np.ones((37, order), dtype=np.float32), code_book(order))
+    ones = np.ones((37, order), dtype=np.float32)
+    numpy_transform(code_book(order).plan, False).multiply(ones, np.empty_like(ones))
     assert 0 < max(sizes) <= 2**18
 
 

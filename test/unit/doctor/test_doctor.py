@@ -10,11 +10,12 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from boards import board, board_id, chattering, plugged
 
-from tactile_cdma.base import shipped
+from tactile_cdma.base import kernel, shipped
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.doctor import installation
@@ -180,6 +181,38 @@ def test_versions_outside_of_their_ranges(tmp_path: Path, monkeypatch: pytest.Mo
     assert "outside of the tested >=99" in old.text
     assert exit_code([old]) == 0
     assert exit_code([old, missing]) == 1
+
+
+@pytest.mark.parametrize(
+    "environment, compiled, verdict, said",
+    [
+        ("numpy", False, "ok", "numpy: TACTILE_CDMA_KERNEL is numpy"),
+        ("", False, "warning", "numpy, which takes several times as long: it"),
+        ("", True, "ok", "compiled, 8 values at once"),
+    ],
+)
+def test_what_does_the_arithmetic_is_told(
+    environment: str, compiled: bool, verdict: str, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(kernel.VARIABLE, environment)
+    reason = f"{kernel.VARIABLE} is numpy" if environment else "it was not built"
+    monkeypatch.setattr(kernel, "compiled", SimpleNamespace(LANES=8) if compiled else None)
+    monkeypatch.setattr(kernel, "why_numpy", reason)
+    check = installation.compiled_kernel()
+    assert check.verdict == verdict
+    assert check.text.startswith(said)
+
+
+def test_a_choice_of_kernel_that_is_none_is_a_problem() -> None:
+    program = (
+        "from tactile_cdma.doctor.installation import compiled_kernel; print(compiled_kernel())"
+    )
+    environment = {**os.environ, kernel.VARIABLE: "x"}
+    run = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True
+    )
+    assert "problem" in run.stdout
+    assert "TACTILE_CDMA_KERNEL is 'x'; it must be" in run.stdout
 
 
 def test_udev_rule_and_modem_manager(tmp_path: Path) -> None:

@@ -81,9 +81,14 @@ def test_periods_passed_in_silence_widen_it() -> None:
 def judged(volts: np.ndarray, wire: Wire, expected: Expected | None = None) -> Judgement:
     sent = wire.sent[0]
     noise = (0.01 * 0.3) ** 2 / wire.chip
-    line = Line(volts.astype(np.float64))
+    shifts = np.arange(-3, 4)
     return Judge(PAPER).choose(
-        line, Fit(sent.start, sent.chip), (-3, 3), sent.start, noise, expected
+        Line(volts.astype(np.float64)),
+        sent.start + sent.chip * shifts,
+        np.full(7, sent.chip),
+        noise,
+        np.log1p(np.square(2.0 * shifts)),
+        expected,
     )
 
 
@@ -123,3 +128,16 @@ def test_no_single_chip_outvotes_the_others(disturbed: int) -> None:
     begin = round(wire.sent[0].start + disturbed * CHIP)
     volts[begin : begin + round(CHIP)] += 3.0
     assert judged(volts, wire).fit.start == pytest.approx(wire.sent[0].start, abs=0.1)
+
+
+@pytest.mark.parametrize("stretch", [0.0, 0.03, 0.11])
+@pytest.mark.parametrize("words", [{0: 1023}, {0: 500, 1: 77, 9: 1000}])
+def test_chips_of_other_durations_lose(stretch: float, words: dict[int, int]) -> None:
+    """Also against the silence that shorter frames predict: word 1023 of row 0 is constant."""
+    wire = Wire(PAPER, CHIP)
+    wire.send(500.4, words, stretch)
+    frame, line = wire.sent[0], Line(wire.volts().astype(np.float64))
+    chip = CHIP * (1 + np.array([0.0, 0.005, 0.03, 0.06, 0.11]))
+    found = Judge(PAPER).choose(line, np.full(5, frame.start), chip, (0.01 * 0.3) ** 2 / CHIP)
+    assert found.fit.chip == pytest.approx(CHIP * (1 + stretch))
+    assert found.doubtful is None or not found.doubtful.any()

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import DEFAULT_AMPLITUDE_V, FrameSpec
-from tactile_cdma.framing.fit import Line, refine
+from tactile_cdma.framing.fit import Fit, Line, refine
 from tactile_cdma.framing.limits import LIMITS
 from tactile_cdma.framing.line_timing import (
     CARRIED_FRAMES,
@@ -23,7 +23,7 @@ from tactile_cdma.framing.line_timing import (
     LineTiming,
 )
 from tactile_cdma.framing.marked_timing import MarkedFrame, Verdict
-from tactile_cdma.framing.timing import FrameLevels, SampleBlock
+from tactile_cdma.framing.timing import MISFIT, FrameLevels, SampleBlock
 from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.sim.packets import stream
@@ -138,6 +138,36 @@ def test_timing_carried_over_is_as_good_as_timing_refined(
             worst += float(np.square(error).mean())
         errors.append(worst)
     assert errors[0] < 1.05 * errors[1]
+
+
+@pytest.mark.parametrize("disturbed", [{}, {"noise": 0.3}, {"jitter": 0.1}, {"stretch": 0.004}])
+@pytest.mark.parametrize("scene", ["press", "moving", "all"])
+def test_no_stretch_that_is_left_out_would_have_won(
+    disturbed: dict[str, float], scene: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options = SimOptions(scene=scene, threshold=0, seed=5, **disturbed)
+    setup = Setup(SPEC, 4, SyncMode.DRIVE, False)
+    sent = blocks(options, setup, 30)
+    short = run(LineTiming(SPEC, setup.rate_hz), sent)
+    chosen = LineRecogniser._chosen
+    numbers = []
+
+    def all_considered(
+        self: LineRecogniser, frame: MarkedFrame, line: Line, fits: list[Fit]
+    ) -> Verdict:
+        numbers.append(len(fits))
+        return chosen(self, frame, line, fits) if len(fits) == 3 else Verdict(rejected=MISFIT)
+
+    monkeypatch.setattr(LineRecogniser, "_by_carried", lambda *_: None)
+    monkeypatch.setattr(LineRecogniser, "_chosen", all_considered)
+    whole = run(LineTiming(SPEC, setup.rate_hz), sent)
+    assert numbers.count(3) == len(whole) == len(short) == 30
+    for one, other in zip(short, whole, strict=True):
+        assert one.levels is not None and other.levels is not None
+        mine, theirs = decode(one.levels, SPEC), decode(other.levels, SPEC)
+        assert np.array_equal(mine.codes, theirs.codes)
+        assert np.array_equal(mine.active, theirs.active) and mine.active.any()
+        assert other.doubtful is None or not other.doubtful.any()
 
 
 def test_timing_that_changes_is_noticed_at_once() -> None:

@@ -1,0 +1,170 @@
+// SPDX-License-Identifier: Apache-2.0
+
+/* The kernel as a Python module. Limited API of 3.11, the first with buffers: one build serves all
+ * later Pythons. See tactile_cdma/_kernel.pyi for what it offers. */
+#define PY_SSIZE_T_CLEAN
+#define Py_LIMITED_API 0x030B0000
+#include <Python.h>
+
+#include "transform.h"
+
+#define VERSION 1 /* raise with every change of what this module offers; see base/kernel.py */
+#define LONG_WORK (1 << 16)
+/* Values that take tens of microseconds: work below does not release the GIL, since to get it back
+ * from a busy thread can take 5 ms. */
+
+/* A contiguous array of this type (struct's code), or -1 with an exception. `what` is its name. */
+static int get_array(PyObject *object, Py_buffer *buffer, char code, int flags, const char *what)
+{
+    if (PyObject_GetBuffer(object, buffer, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | flags))
+        return -1;
+    const char *format = buffer->format;
+    if (format[0] == code && format[1] == 0)
+        return 0;
+    PyErr_Format(PyExc_TypeError, "%s holds '%s', not '%c'", what, format, code);
+    PyBuffer_Release(buffer);
+    return -1;
+}
+
+struct transform_object {
+    PyObject_HEAD
+    struct transform *transform;
+};
+
+static PyObject *make_transform(PyTypeObject *type, PyObject *arguments, PyObject *keywords)
+{
+    static char *names[] = {"twos", "factors", "scale", "lanes", NULL};
+    unsigned twos, lanes = 0;
+    float scale;
+    PyObject *factors;
+    size_t orders[TRANSFORM_MOST_FACTORS];
+    const int8_t *matrices[TRANSFORM_MOST_FACTORS];
+
+    if (!PyArg_ParseTupleAndKeywords(arguments, keywords, "IO!f|I", names, &twos, &PyTuple_Type,
+                                     &factors, &scale, &lanes))
+        return NULL;
+    Py_ssize_t count = PyTuple_Size(factors);
+    for (Py_ssize_t i = 0; i < count && i < TRANSFORM_MOST_FACTORS; i++) {
+        char *bytes;
+        Py_ssize_t size;
+        if (PyBytes_AsStringAndSize(PyTuple_GetItem(factors, i), &bytes, &size))
+            return NULL;
+        orders[i] = 0;
+        while (orders[i] * orders[i] < (size_t)size)
+            orders[i]++;
+        if (orders[i] * orders[i] != (size_t)size) {
+            PyErr_Format(PyExc_ValueError, "%zd signs are no square matrix", size);
+            return NULL;
+        }
+        matrices[i] = (const int8_t *)bytes;
+    }
+    struct transform *transform = transform_new(twos, (size_t)count, orders, matrices, scale, lanes);
+    if (!transform) {
+        PyErr_Format(PyExc_ValueError,
+                     "%u factors of 2 and %zd others with %u lanes: no memory, or beyond what the "
+                     "kernel is built for",
+                     twos, count, lanes);
+        return NULL;
+    }
+    allocfunc allocate = (allocfunc)PyType_GetSlot(type, Py_tp_alloc);
+    PyObject *self = allocate(type, 0);
+    if (self)
+        ((struct transform_object *)self)->transform = transform;
+    else
+        transform_free(transform);
+    return self;
+}
+
+static void drop_transform(PyObject *self)
+{
+    PyTypeObject *type = Py_TYPE(self);
+
+    transform_free(((struct transform_object *)self)->transform);
+    ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
+    Py_DECREF(type);
+}
+
+static PyObject *multiply(PyObject *self, PyObject *const *arguments, Py_ssize_t count)
+{
+    const struct transform *transform = ((struct transform_object *)self)->transform;
+    Py_buffer from, to;
+
+    if (count != 2) {
+        PyErr_SetString(PyExc_TypeError, "multiply takes two arrays");
+        return NULL;
+    }
+    if (get_array(arguments[0], &from, 'f', 0, "source"))
+        return NULL;
+    if (get_array(arguments[1], &to, 'f', PyBUF_WRITABLE, "out")) {
+        PyBuffer_Release(&from);
+        return NULL;
+    }
+    size_t values = (size_t)from.len / sizeof(float), order = transform_order(transform);
+    const char *from_end = (char *)from.buf + from.len, *to_end = (char *)to.buf + to.len;
+    bool fits = from.len == to.len && values % order == 0;
+    bool apart = from.buf == to.buf || from_end <= (char *)to.buf || to_end <= (char *)from.buf;
+    if (!fits)
+        PyErr_Format(PyExc_ValueError, "%zu values to %zd bytes: neither fits order %zu", values,
+                     to.len, order);
+    else if (!apart)
+        PyErr_SetString(PyExc_ValueError, "source and out overlap");
+    else if (values < LONG_WORK)
+        transform_multiply(transform, from.buf, to.buf, values / order);
+    else {
+        Py_BEGIN_ALLOW_THREADS
+        transform_multiply(transform, from.buf, to.buf, values / order);
+        Py_END_ALLOW_THREADS
+    }
+    PyBuffer_Release(&from);
+    PyBuffer_Release(&to);
+    if (!fits || !apart)
+        return NULL;
+    Py_RETURN_NONE;
+}
+
+static PyMethodDef transform_methods[] = {
+    {"multiply", (PyCFunction)(void (*)(void))multiply, METH_FASTCALL, NULL},
+    {0},
+};
+
+static PyType_Slot transform_slots[] = {
+    {Py_tp_new, make_transform},
+    {Py_tp_dealloc, drop_transform},
+    {Py_tp_methods, transform_methods},
+    {0},
+};
+
+static PyType_Spec transform_spec = {
+    .name = "tactile_cdma._kernel.Transform",
+    .basicsize = sizeof(struct transform_object),
+    .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_IMMUTABLETYPE,
+    .slots = transform_slots,
+};
+
+static int fill(PyObject *module)
+{
+    PyObject *type = PyType_FromModuleAndSpec(module, &transform_spec, NULL);
+
+    if (!type || PyModule_AddType(module, (PyTypeObject *)type))
+        return -1;
+    Py_DECREF(type);
+    if (PyModule_AddIntConstant(module, "VERSION", VERSION))
+        return -1;
+    return PyModule_AddIntConstant(module, "LANES", (long)transform_lanes());
+}
+
+static PyModuleDef_Slot slots[] = {
+    {Py_mod_exec, fill},
+    {0},
+};
+
+static struct PyModuleDef definition = {
+    PyModuleDef_HEAD_INIT,
+    .m_name = "_kernel",
+    .m_slots = slots,
+};
+
+PyMODINIT_FUNC PyInit__kernel(void)
+{
+    return PyModuleDef_Init(&definition);
+}

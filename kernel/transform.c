@@ -1,0 +1,255 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include "transform.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+#define COLUMNS 16 /* of a dense product that are done together */
+#define GROUPS 16  /* fours of inputs whose sums are held at once: 16 kB, in the nearest cache */
+
+struct dense {
+    size_t order, stride; /* stride: of its inputs, the product of the orders after it */
+    uint8_t *sums;        /* (order / 4, order): offset of the sum of a four that an output takes */
+};
+
+struct transform {
+    size_t order, inner; /* inner: product of the dense orders */
+    float scale;
+    size_t count;
+    struct dense dense[TRANSFORM_MOST_FACTORS];
+    void (*multiply)(const struct transform *, const float *, float *, size_t);
+};
+
+#if defined(__GNUC__)
+#define INLINE static inline __attribute__((always_inline))
+#define UNROLL _Pragma("GCC unroll 16")
+#define NO_UNROLL _Pragma("GCC unroll 1")
+typedef float quad __attribute__((vector_size(16)));
+#if defined(__clang__)
+#define MERGE(x, y, ...) __builtin_shufflevector(x, y, __VA_ARGS__)
+#define SHUFFLE4(x, ...) __builtin_shufflevector(x, x, __VA_ARGS__)
+#define SHUFFLE8(x, ...) __builtin_shufflevector(x, x, __VA_ARGS__)
+#else
+typedef int32_t places4 __attribute__((vector_size(16)));
+typedef int32_t places8 __attribute__((vector_size(32)));
+#define MERGE(x, y, ...) __builtin_shuffle(x, y, (places4){__VA_ARGS__})
+#define SHUFFLE4(x, ...) __builtin_shuffle(x, (places4){__VA_ARGS__})
+#define SHUFFLE8(x, ...) __builtin_shuffle(x, (places8){__VA_ARGS__})
+#endif
+#else
+#define INLINE static inline
+#define UNROLL
+#define NO_UNROLL
+#endif
+
+/* The transpose of 4 by 4 values, scaled. Steps: from one row to the next. */
+static void transpose(const float *from, size_t from_step, float *to, size_t to_step, float scale)
+{
+#if defined(__GNUC__)
+    quad a, b, c, d;
+    memcpy(&a, from, sizeof a);
+    memcpy(&b, from + from_step, sizeof b);
+    memcpy(&c, from + 2 * from_step, sizeof c);
+    memcpy(&d, from + 3 * from_step, sizeof d);
+    quad ab = MERGE(a, b, 0, 4, 1, 5), AB = MERGE(a, b, 2, 6, 3, 7);
+    quad cd = MERGE(c, d, 0, 4, 1, 5), CD = MERGE(c, d, 2, 6, 3, 7);
+    a = MERGE(ab, cd, 0, 1, 4, 5) * scale;
+    b = MERGE(ab, cd, 2, 3, 6, 7) * scale;
+    c = MERGE(AB, CD, 0, 1, 4, 5) * scale;
+    d = MERGE(AB, CD, 2, 3, 6, 7) * scale;
+    memcpy(to, &a, sizeof a);
+    memcpy(to + to_step, &b, sizeof b);
+    memcpy(to + 2 * to_step, &c, sizeof c);
+    memcpy(to + 3 * to_step, &d, sizeof d);
+#else
+    for (size_t i = 0; i < 4; i++)
+        for (size_t j = 0; j < 4; j++)
+            to[j * to_step + i] = from[i * from_step + j] * scale;
+#endif
+}
+
+/* Copies up to COLUMNS columns from the place of the first on, scaled, so that they lie side by side;
+ * the others are left 0. Columns are those of the inputs of a dense factor: at stride 1 each is
+ * contiguous, at others, which are multiples of 4, four neighbours are. */
+static void gather(float (*inputs)[COLUMNS], const float *from, const struct dense *dense,
+                   size_t first, size_t number, float scale)
+{
+    size_t order = dense->order, stride = dense->stride, column = 0;
+
+    if (number < COLUMNS)
+        memset(inputs, 0, order * sizeof *inputs);
+    if (number == COLUMNS && first % stride + COLUMNS <= stride) {
+        from += first / stride * stride * order + first % stride;
+        for (size_t i = 0; i < order; i++, from += stride)
+            for (size_t j = 0; j < COLUMNS; j++)
+                inputs[i][j] = from[j] * scale;
+        return;
+    }
+    for (; column + 4 <= number; column += 4) {
+        size_t place = first + column;
+        const float *four = from + place / stride * stride * order + place % stride;
+        if (stride == 1) {
+            for (size_t i = 0; i < order; i += 4)
+                transpose(four + i, order, inputs[i] + column, COLUMNS, scale);
+        } else {
+            for (size_t i = 0; i < order; i++, four += stride)
+                for (size_t j = 0; j < 4; j++)
+                    inputs[i][column + j] = four[j] * scale;
+        }
+    }
+    for (; column < number; column++)
+        for (size_t i = 0; i < order; i++)
+            inputs[i][column] = from[(first + column) * order + i] * scale;
+}
+
+/* The inverse. */
+static void scatter(float (*outputs)[COLUMNS], float *to, const struct dense *dense, size_t first,
+                    size_t number)
+{
+    size_t order = dense->order, stride = dense->stride, column = 0;
+
+    if (number == COLUMNS && first % stride + COLUMNS <= stride) {
+        to += first / stride * stride * order + first % stride;
+        for (size_t i = 0; i < order; i++, to += stride)
+            memcpy(to, outputs[i], sizeof *outputs);
+        return;
+    }
+    for (; column + 4 <= number; column += 4) {
+        size_t place = first + column;
+        float *four = to + place / stride * stride * order + place % stride;
+        if (stride == 1) {
+            for (size_t i = 0; i < order; i += 4)
+                transpose(outputs[i] + column, COLUMNS, four + i, order, 1.0f);
+        } else {
+            for (size_t i = 0; i < order; i++, four += stride)
+                memcpy(four, outputs[i] + column, 4 * sizeof(float));
+        }
+    }
+    for (; column < number; column++)
+        for (size_t i = 0; i < order; i++)
+            to[(first + column) * order + i] = outputs[i][column];
+}
+
+#define LANES 1
+#define NAMED(name) name##_1
+#define TARGET
+#define NARROW_PASS pass_of_1
+#include "transform_lanes.h"
+
+#if defined(__GNUC__) /* whose vectors of 4 are registers of SSE2 or NEON, or else scalars again */
+
+#define LANES 4
+#define NAMED(name) name##_4
+#define TARGET
+#define NARROW_PASS pass_of_4 /* strides are multiples of 4 */
+#include "transform_lanes.h"
+
+#if defined(__x86_64__) || defined(__i386__)
+#define HAS_AVX2
+#define LANES 8
+#define NAMED(name) name##_8
+#define TARGET __attribute__((target("avx2")))
+#define NARROW_PASS pass_of_4
+#include "transform_lanes.h"
+#endif
+
+#endif
+
+unsigned transform_lanes(void)
+{
+#if defined(HAS_AVX2)
+    return __builtin_cpu_supports("avx2") ? 8 : 4;
+#elif defined(__GNUC__)
+    return 4;
+#else
+    return 1;
+#endif
+}
+
+/* The sums that the outputs of a dense factor take: bit b is set where input b of a four is negative. */
+static uint8_t *taken_sums(size_t order, const int8_t *matrix)
+{
+    uint8_t *sums = malloc(order / 4 * order);
+
+    for (size_t group = 0; sums && group < order / 4; group++)
+        for (size_t j = 0; j < order; j++) {
+            const int8_t *signs = matrix + j * order + 4 * group;
+            unsigned negative = 0;
+            for (unsigned bit = 0; bit < 4; bit++)
+                negative |= (unsigned)(signs[bit] < 0) << bit;
+            sums[group * order + j] = (uint8_t)(negative * COLUMNS);
+        }
+    return sums;
+}
+
+static bool choose(struct transform *transform, unsigned lanes)
+{
+    bool sylvester = transform->inner == 1;
+
+    if (lanes == 0) {
+        lanes = transform_lanes();
+        while (sylvester && lanes > transform->order)
+            lanes /= lanes == 8 ? 2 : 4;
+    }
+    if (lanes > transform_lanes() || (sylvester && lanes > transform->order))
+        return false;
+    if (lanes == 1)
+        transform->multiply = sylvester ? multiply_sylvester_1 : multiply_product_1;
+#if defined(__GNUC__)
+    else if (lanes == 4)
+        transform->multiply = sylvester ? multiply_sylvester_4 : multiply_product_4;
+#endif
+#if defined(HAS_AVX2)
+    else if (lanes == 8)
+        transform->multiply = sylvester ? multiply_sylvester_8 : multiply_product_8;
+#endif
+    return transform->multiply != NULL;
+}
+
+struct transform *transform_new(unsigned twos, size_t count, const size_t *orders,
+                                const int8_t *const *matrices, float scale, unsigned lanes)
+{
+    struct transform *transform = calloc(1, sizeof *transform);
+
+    if (!transform || count > TRANSFORM_MOST_FACTORS || twos > 16)
+        goto fail;
+    transform->scale = scale;
+    transform->inner = 1;
+    for (transform->count = count; count-- > 0;) {
+        size_t order = orders[count];
+        if (order < 4 || order % 4 || order > TRANSFORM_MOST_DENSE ||
+            transform->inner * order > TRANSFORM_MOST_ORDER)
+            goto fail;
+        uint8_t *sums = taken_sums(order, matrices[count]);
+        transform->dense[count] = (struct dense){order, transform->inner, sums};
+        if (!sums)
+            goto fail;
+        transform->inner *= order;
+    }
+    transform->order = transform->inner << twos;
+    if (transform->order > TRANSFORM_MOST_ORDER || !choose(transform, lanes))
+        goto fail;
+    return transform;
+fail:
+    transform_free(transform);
+    return NULL;
+}
+
+void transform_free(struct transform *transform)
+{
+    for (size_t i = 0; transform && i < TRANSFORM_MOST_FACTORS; i++)
+        free(transform->dense[i].sums);
+    free(transform);
+}
+
+size_t transform_order(const struct transform *transform)
+{
+    return transform->order;
+}
+
+void transform_multiply(const struct transform *transform, const float *from, float *to,
+                        size_t count)
+{
+    transform->multiply(transform, from, to, count);
+}

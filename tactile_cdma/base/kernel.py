@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Chooses what does the arithmetic of every frame: the compiled kernel, or numpy.
+
+numpy is the reference, and what is left where the kernel was not built. Modules that have both
+forms of a stage ask `compiled` once, when they are loaded or a stage is set up.
+"""
+
+from __future__ import annotations
+
+import os
+from importlib import import_module
+from types import ModuleType
+
+from .errors import ParameterError
+
+VARIABLE = "TACTILE_CDMA_KERNEL"
+"""Environment variable: numpy or compiled; unset or empty for compiled where there is one."""
+VERSION = 1
+"""Of the functions that this package expects in the kernel."""
+
+
+def _choose(wanted: str) -> tuple[ModuleType | None, str]:
+    """The kernel, None for numpy; and why numpy. Raises ParameterError."""
+    if wanted not in ("", "numpy", "compiled"):
+        raise ParameterError(
+            f"{VARIABLE} is {wanted!r}; it must be numpy, compiled or empty (compiled where the "
+            "kernel was built)"
+        )
+    if wanted == "numpy":
+        return None, f"{VARIABLE} is numpy"
+    try:
+        module = import_module("tactile_cdma._kernel")
+        reason = ""
+        if module.VERSION != VERSION:
+            reason = (
+                f"the kernel is of version {module.VERSION}, and this package needs {VERSION}: one "
+                "of them is older"
+            )
+    except ImportError as error:
+        reason = f"the kernel was not built for this Python, or does not load ({error})"
+    if reason and wanted == "compiled":
+        raise ParameterError(f"{VARIABLE} is compiled, but {reason}")
+    return (None, reason) if reason else (module, "")
+
+
+compiled, why_numpy = _choose(os.environ.get(VARIABLE, ""))
+"""The kernel's module, None where numpy is used; and why, "" where it is not."""

@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""An executor that keeps its wait set.
+
+rclpy's own gathers all that a node has and makes a new wait set before every callback, and once
+more after it, as every callback wakes the executor. That takes 0.5 to 1 ms a message for a node
+with 20 services and topics, several times what the message itself does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Any
+
+from rclpy.executors import Executor
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.node import Node
+from rclpy.utilities import timeout_sec_to_nsec
+from rclpy.waitable import NumberOfEntities
+
+
+class LeanExecutor(Executor):
+    """Runs the callbacks of nodes one after the other, in the thread that spins.
+
+    For nodes with timers, subscriptions, services and event handlers, whose callbacks are plain
+    functions. Guard conditions, clients and tasks are not served.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._held = ExitStack()  # keeps what is waited for from being destroyed
+        self._add: list[tuple[Callable[[Any], None], Any]] = []
+        self._waitables: list[Any] = []
+        self._call: dict[int, tuple[Callable[[Any], object], Any]] = {}  # by rcl's pointer
+        self._has_changed = True
+
+    def add_node(self, node: Node) -> bool:
+        """Serve a node too; returns False if it was served before."""
+        self._has_changed = True
+        return bool(super().add_node(node))
+
+    def wake(self) -> None:
+        """Gather anew; nodes call this when they create or destroy something."""
+        self._has_changed = True
+        super().wake()
+
+    def shutdown(self, timeout_sec: float | None = None) -> bool:
+        """End; nobody may spin any more."""
+        self._held.close()
+        return bool(super().shutdown(timeout_sec))
+
+    def spin_once(self, timeout_sec: float | None = None) -> None:
+        """Wait until something is ready, or for so long, s; call back for all that is ready."""
+        if self._has_changed:
+            self._gather()
+        wait_set = self._wait_set
+        wait_set.clear_entities()
+        for add, handle in self._add:
+            add(handle)
+        for waitable in self._waitables:
+            waitable.add_to_wait_set(wait_set)
+        wait_set.wait(timeout_sec_to_nsec(timeout_sec))
+        if self._is_shutdown or not self._context.ok():
+            return
+        happened = [waitable for waitable in self._waitables if waitable.is_ready(wait_set)]
+        ready = [
+            pointer
+            for kind in ("timer", "subscription", "service")
+            for pointer in wait_set.get_ready_entities(kind)
+        ]
+        for waitable in happened:
+            _finish(self._take_waitable(waitable))
+        for pointer in ready:
+            if self._has_changed:  # perhaps destroyed by the last callback; others stay ready
+                break
+            call, entity = self._call[pointer]
+            call(entity)
+
+    def _gather(self) -> None:
+        """Take in what the nodes have at present, but for what their callback groups exclude."""
+        self._has_changed = False
+        self._held.close()
+        nodes, context = self.get_nodes(), self._context.handle
+        timers, subscriptions, services, self._waitables = (
+            [entity for node in nodes for entity in getattr(node, kind) if self.can_execute(entity)]
+            for kind in ("timers", "subscriptions", "services", "waitables")
+        )
+        guards = [self._guard, self._sigint_gc]
+        count = NumberOfEntities(
+            len(subscriptions), len(guards), len(timers), num_services=len(services)
+        )
+        for waitable in self._waitables:
+            count += waitable.get_num_entities()
+        self._wait_set = _rclpy.WaitSet(
+            count.num_subscriptions,
+            count.num_guard_conditions,
+            count.num_timers,
+            count.num_clients,
+            count.num_services,
+            count.num_events,
+            context,
+        )
+        self._add, self._call = [], {}
+        for kind, entities, call in (
+            ("guard_condition", guards, None),
+            ("timer", timers, _call_timer),
+            ("subscription", subscriptions, take_message),
+            ("service", services, self._call_service),
+        ):
+            add = getattr(self._wait_set, f"add_{kind}")
+            for entity in entities:
+                self._held.enter_context(entity.handle)
+                self._add.append((add, entity.handle))
+                if call:
+                    self._call[entity.handle.pointer] = call, entity
+        for held in (*self._waitables, context):
+            self._held.enter_context(held)
+
+    def _call_service(self, service: Any) -> None:
+        _finish(self._take_service(service))
+
+
+def take_message(subscription: Any) -> bool:
+    """Take a waiting message and call back with it; returns False if none waits."""
+    taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+    if taken:
+        subscription.callback(taken[0])
+    return bool(taken)
+
+
+def _call_timer(timer: Any) -> None:
+    if timer.handle.is_timer_ready():  # rcl also reports one that was cancelled meanwhile
+        timer.handle.call_timer()
+        timer.callback()
+
+
+def _finish(taken: Callable[[], Any] | None) -> None:
+    """Run what rclpy took, in a coroutine that never waits."""
+    if taken is None:
+        return
+    coroutine = taken()
+    try:
+        coroutine.send(None)
+    except StopIteration:
+        return
+    coroutine.close()
+    raise TypeError("a callback is asynchronous; LeanExecutor runs plain functions only")
