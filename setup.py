@@ -13,7 +13,11 @@ from setuptools import Extension, setup
 kernel = Extension(
     "tactile_cdma._kernel",
     sources=sorted(map(str, Path("kernel").glob("*.c"))),
-    depends=[*sorted(map(str, Path("kernel").glob("*.h"))), "kernel/options.txt"],
+    depends=[
+        *sorted(map(str, Path("kernel").glob("*.h"))),
+        "kernel/options.txt",
+        "firmware/core/tactile_protocol.h",
+    ],
     extra_compile_args=Path("kernel/options.txt").read_text().split(),
     py_limited_api=True,
     optional=True,

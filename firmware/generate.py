@@ -226,6 +226,7 @@ def c_header(definition: Definition) -> str:
         f"#define TP_MAX_SAMPLES {definition['max_samples']}",
         f"#define TP_MAX_PACKET_US {definition['max_packet_us']}",
         f"#define TP_TAIL_CHIPS {definition['tail_chips']}",
+        f"#define TP_MAX_GAP {definition['max_gap']}",
         "/* first bytes of tp_info.digitizer_id wherever no board measures */",
         f"#define TP_SIMULATED_ID {c_string(definition['simulated_id'])}",
         "",

@@ -6,12 +6,42 @@
 #define Py_LIMITED_API 0x030B0000
 #include <Python.h>
 
+#include "scanner.h"
 #include "transform.h"
 
-#define VERSION 1 /* raise with every change of what this module offers; see base/kernel.py */
+#define VERSION 2 /* raise with every change of what this module offers; see base/kernel.py */
 #define LONG_WORK (1 << 16)
 /* Values that take tens of microseconds: work below does not release the GIL, since to get it back
  * from a busy thread can take 5 ms. */
+
+/* An object of one of this module's types, which holds one of the kernel's. */
+struct holder {
+    PyObject_HEAD
+    void *held;
+};
+
+static PyObject *hold(PyTypeObject *type, void *held)
+{
+    allocfunc allocate = (allocfunc)PyType_GetSlot(type, Py_tp_alloc);
+    PyObject *self = allocate(type, 0);
+
+    if (self)
+        ((struct holder *)self)->held = held;
+    return self;
+}
+
+static void *held_by(PyObject *self)
+{
+    return ((struct holder *)self)->held;
+}
+
+static void drop(PyObject *self)
+{
+    PyTypeObject *type = Py_TYPE(self);
+
+    ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
+    Py_DECREF(type);
+}
 
 /* A contiguous array of this type (struct's code), or -1 with an exception. `what` is its name. */
 static int get_array(PyObject *object, Py_buffer *buffer, char code, int flags, const char *what)
@@ -26,10 +56,7 @@ static int get_array(PyObject *object, Py_buffer *buffer, char code, int flags, 
     return -1;
 }
 
-struct transform_object {
-    PyObject_HEAD
-    struct transform *transform;
-};
+/* ---- Transform --------------------------------------------------------------------------------- */
 
 static PyObject *make_transform(PyTypeObject *type, PyObject *arguments, PyObject *keywords)
 {
@@ -66,27 +93,21 @@ static PyObject *make_transform(PyTypeObject *type, PyObject *arguments, PyObjec
                      twos, count, lanes);
         return NULL;
     }
-    allocfunc allocate = (allocfunc)PyType_GetSlot(type, Py_tp_alloc);
-    PyObject *self = allocate(type, 0);
-    if (self)
-        ((struct transform_object *)self)->transform = transform;
-    else
+    PyObject *self = hold(type, transform);
+    if (!self)
         transform_free(transform);
     return self;
 }
 
 static void drop_transform(PyObject *self)
 {
-    PyTypeObject *type = Py_TYPE(self);
-
-    transform_free(((struct transform_object *)self)->transform);
-    ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
-    Py_DECREF(type);
+    transform_free(held_by(self));
+    drop(self);
 }
 
 static PyObject *multiply(PyObject *self, PyObject *const *arguments, Py_ssize_t count)
 {
-    const struct transform *transform = ((struct transform_object *)self)->transform;
+    const struct transform *transform = held_by(self);
     Py_buffer from, to;
 
     if (count != 2) {
@@ -136,18 +157,146 @@ static PyType_Slot transform_slots[] = {
 
 static PyType_Spec transform_spec = {
     .name = "tactile_cdma._kernel.Transform",
-    .basicsize = sizeof(struct transform_object),
+    .basicsize = sizeof(struct holder),
     .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_IMMUTABLETYPE,
     .slots = transform_slots,
 };
 
+/* ---- Scanner ----------------------------------------------------------------------------------- */
+
+static PyObject *make_scanner(PyTypeObject *type, PyObject *arguments, PyObject *keywords)
+{
+    static char *names[] = {"most_repeated", NULL};
+    unsigned long most_repeated;
+
+    if (!PyArg_ParseTupleAndKeywords(arguments, keywords, "k", names, &most_repeated))
+        return NULL;
+    struct scanner *scanner = scanner_new(most_repeated);
+    if (!scanner)
+        return PyErr_NoMemory();
+    PyObject *self = hold(type, scanner);
+    if (!self)
+        scanner_free(scanner);
+    return self;
+}
+
+static void drop_scanner(PyObject *self)
+{
+    scanner_free(held_by(self));
+    drop(self);
+}
+
+/* (type, sequence, payload) of a packet; the payload of well-formed samples is taken apart. */
+static PyObject *packet_tuple(const struct scanner_packet *packet)
+{
+    size_t samples = scanner_samples(packet);
+
+    if (!samples)
+        return Py_BuildValue("(BHy#)", packet->type, packet->sequence, packet->payload,
+                             (Py_ssize_t)packet->size);
+    struct tp_samples head;
+    PyObject *counts = PyBytes_FromStringAndSize(NULL, (Py_ssize_t)(samples * sizeof(int16_t)));
+    if (!counts)
+        return NULL;
+    scanner_copy_samples(packet, &head, PyBytes_AsString(counts));
+    return Py_BuildValue("(BH(KKBN))", packet->type, packet->sequence, head.device_time_us,
+                         head.first_index, head.flags, counts);
+}
+
+static PyObject *feed(PyObject *self, PyObject *data)
+{
+    struct scanner *scanner = held_by(self);
+    struct scanner_packet packet;
+    Py_buffer buffer;
+    PyObject *packets = PyList_New(0);
+
+    if (!packets || PyObject_GetBuffer(data, &buffer, PyBUF_SIMPLE)) {
+        Py_XDECREF(packets);
+        return NULL;
+    }
+    const uint8_t *bytes = buffer.buf;
+    size_t left = (size_t)buffer.len;
+    while (left) {
+        size_t taken = scanner_take(scanner, bytes, left, &packet);
+        bytes += taken;
+        left -= taken;
+        if (!packet.payload)
+            continue;
+        PyObject *tuple = packet_tuple(&packet);
+        if (!tuple || PyList_Append(packets, tuple)) {
+            Py_XDECREF(tuple);
+            Py_CLEAR(packets);
+            break;
+        }
+        Py_DECREF(tuple);
+    }
+    PyBuffer_Release(&buffer);
+    return packets;
+}
+
+static PyObject *skip(PyObject *self, PyObject *unused)
+{
+    (void)unused;
+    scanner_skip(held_by(self));
+    Py_RETURN_NONE;
+}
+
+static PyObject *held(PyObject *self, PyObject *unused)
+{
+    (void)unused;
+    return PyLong_FromSize_t(scanner_held(held_by(self)));
+}
+
+static PyObject *counts(PyObject *self, PyObject *unused)
+{
+    struct scanner_counts seen;
+
+    (void)unused;
+    scanner_counts(held_by(self), &seen);
+    return Py_BuildValue("{sKsKsKsKsKsKsKsKsKsK}", "bytes", seen.bytes, "packets", seen.packets,
+                         "crc_errors", seen.crc_errors, "framing_errors", seen.framing_errors,
+                         "malformed", seen.malformed, "lost_packets", seen.lost_packets, "jumps",
+                         seen.jumps, "repeated_packets", seen.repeated_packets, "resyncs",
+                         seen.resyncs, "text_bytes", seen.text_bytes);
+}
+
+static PyMethodDef scanner_methods[] = {
+    {"feed", feed, METH_O, NULL},
+    {"skip", skip, METH_NOARGS, NULL},
+    {"held", held, METH_NOARGS, NULL},
+    {"counts", counts, METH_NOARGS, NULL},
+    {0},
+};
+
+static PyType_Slot scanner_slots[] = {
+    {Py_tp_new, make_scanner},
+    {Py_tp_dealloc, drop_scanner},
+    {Py_tp_methods, scanner_methods},
+    {0},
+};
+
+static PyType_Spec scanner_spec = {
+    .name = "tactile_cdma._kernel.Scanner",
+    .basicsize = sizeof(struct holder),
+    .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_IMMUTABLETYPE,
+    .slots = scanner_slots,
+};
+
+/* ---- the module -------------------------------------------------------------------------------- */
+
+static int add_type(PyObject *module, PyType_Spec *spec)
+{
+    PyObject *type = PyType_FromModuleAndSpec(module, spec, NULL);
+    int failed = !type || PyModule_AddType(module, (PyTypeObject *)type);
+
+    Py_XDECREF(type);
+    return failed ? -1 : 0;
+}
+
 static int fill(PyObject *module)
 {
-    PyObject *type = PyType_FromModuleAndSpec(module, &transform_spec, NULL);
-
-    if (!type || PyModule_AddType(module, (PyTypeObject *)type))
+    if (add_type(module, &transform_spec) || add_type(module, &scanner_spec))
         return -1;
-    Py_DECREF(type);
     if (PyModule_AddIntConstant(module, "VERSION", VERSION))
         return -1;
     return PyModule_AddIntConstant(module, "LANES", (long)transform_lanes());

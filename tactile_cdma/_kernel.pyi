@@ -11,6 +11,8 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
+from .wire.packets import Found
+
 VERSION: int
 """Of these functions."""
 LANES: int
@@ -31,3 +33,20 @@ class Transform:
 
     def multiply(self, source: NDArray[np.float32], out: NDArray[np.float32], /) -> None:
         """Vectors (…, N) times the transposed matrix, into out of the same size, or in place."""
+
+@final
+class Scanner:
+    """Finds the intact packets in a stream of bytes; as Scanner in wire/packets.py."""
+
+    def __new__(cls, most_repeated: int) -> Scanner: ...
+    def feed(self, data: bytes, /) -> list[Found]:
+        """Type, sequence and payload of the packets that these bytes complete."""
+
+    def skip(self) -> None:
+        """Bytes were left out here."""
+
+    def held(self) -> int:
+        """Bytes of an incomplete packet."""
+
+    def counts(self) -> dict[str, int]:
+        """Fields of Counters."""

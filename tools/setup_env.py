@@ -88,7 +88,8 @@ def set_up(venv: Path, wanted_distro: str) -> None:
         [CHECKOUT / "CMakeLists.txt", CHECKOUT / "package.xml"],
         sorted(path for path in CHECKOUT.glob("tools/tf2_msgs/**/*") if path.is_file()),
     )
-    kernel_key = digest(sorted(CHECKOUT.glob("kernel/*")))
+    protocol = CHECKOUT / "firmware" / "core" / "tactile_protocol.h"
+    kernel_key = digest([*sorted(CHECKOUT.glob("kernel/*")), protocol])
 
     state = State(venv / "setup.json")
     started = time.monotonic()

@@ -23,6 +23,7 @@
 #define TP_MAX_SAMPLES 8192
 #define TP_MAX_PACKET_US 3000
 #define TP_TAIL_CHIPS 3
+#define TP_MAX_GAP 4096
 /* first bytes of tp_info.digitizer_id wherever no board measures */
 #define TP_SIMULATED_ID "\163\151\155\000"
 

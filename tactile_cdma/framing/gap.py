@@ -81,7 +81,7 @@ class GapSearch(BurstSearch):
             score = score + expected.log_prior(starts)
         best = int(np.argmax(score))
         fit = refine(line, Fit(starts[best], chips[best]), spec)
-        if not 0.99 * self.chip <= fit.chip <= 1.01 * (1 + MAX_STRETCH) * self.chip:
+        if not LIMITS.possible(fit.chip / self.chip):
             return None
         low, high = self._range(burst, fit.chip)
         earliest = min(0, math.ceil((low - fit.start) / fit.chip)) - _BEYOND

@@ -15,16 +15,23 @@ import operator
 import struct
 import zlib
 from array import array
-from dataclasses import astuple, dataclass, replace
+from dataclasses import asdict, astuple, dataclass, replace
+from typing import TypeAlias
 
+from ..base import kernel
 from ._protocol import MAX_GAP, MAX_SAMPLES, VERSION, PacketType, Result
 from .cobs import cobs_decode, cobs_encode
-from .messages import PACKETS, WIRE, Info, OtherVersion, Packet, Received, Rejected
+from .messages import PACKETS, WIRE, Info, OtherVersion, Packet, Received, Rejected, Samples
 
 SEQUENCES = 2**16
 """Sequence numbers are counted modulo this."""
 MAX_REPEATED = 64
 """Packets in a row that are taken for repetitions; one more is a restart of the sender. Chosen."""
+
+SampleBytes: TypeAlias = tuple[int, int, int, bytes]
+"""A well-formed packet of samples: device time (µs), first index, flags, and counts (int16)."""
+Found: TypeAlias = tuple[int, int, bytes | SampleBytes]
+"""Type, sequence and payload of an intact packet; the compiled scanner takes samples apart."""
 
 
 @dataclass(slots=True)
@@ -77,6 +84,59 @@ class PacketParser:
 
     def __init__(self, most_repeated: int = MAX_REPEATED) -> None:
         """most_repeated: 0 where packets are repeated on purpose, as by a recording in a loop."""
+        scanner = Scanner if kernel.compiled is None else kernel.compiled.Scanner
+        self._scanner: Scanner = scanner(most_repeated)
+        self._refused = Counters()  # what was intact, but cannot be used
+
+    @property
+    def counters(self) -> Counters:
+        """A snapshot."""
+        return Counters(**self._scanner.counts()) + self._refused
+
+    @property
+    def held(self) -> int:
+        """Bytes of an incomplete packet that are held back."""
+        return self._scanner.held()
+
+    def feed(self, data: bytes) -> list[Received]:
+        """The packets that these bytes complete."""
+        received = [self._interpret(*found) for found in self._scanner.feed(data)]
+        return [packet for packet in received if packet is not None]
+
+    def skip(self) -> None:
+        """Bytes were left out here: the packet that they belonged to is lost, not broken."""
+        self._scanner.skip()
+
+    def _interpret(
+        self, type_byte: int, sequence: int, payload: bytes | SampleBytes
+    ) -> Received | None:
+        """The packet of an intact body; Rejected for a command that cannot be used."""
+        if isinstance(payload, tuple):
+            return Samples.received(*payload, sequence)
+        kind = PACKETS.get(type_byte)
+        if kind is Info and payload and payload[0] != VERSION:
+            return OtherVersion(payload[0], sequence)
+        if kind is None:
+            self._refused.unknown += 1
+            reason = Result.UNKNOWN_COMMAND
+        else:
+            try:
+                return kind.unpack(payload, sequence)
+            except struct.error:
+                reason = Result.BAD_LENGTH
+            except ValueError:  # SpecError, or half a sample
+                reason = Result.OUT_OF_RANGE
+            self._refused.malformed += 1
+        return Rejected(type_byte, reason, sequence) if type_byte & _COMMAND_BIT else None
+
+
+class Scanner:
+    """What PacketParser does with bytes, without knowing what packets mean.
+
+    The compiled kernel has the same.
+    """
+
+    def __init__(self, most_repeated: int) -> None:
         self._most_repeated = most_repeated
         self._partial = bytearray()  # bytes after the last delimiter
         self._skipping = False  # until the next delimiter: the run is too long for a packet, or cut
@@ -86,22 +146,25 @@ class PacketParser:
         self._repeated = 0  # in a row
         self._seen = Counters()
 
-    @property
-    def counters(self) -> Counters:
-        """A snapshot."""
+    def counts(self) -> dict[str, int]:
+        """Counters so far, by name."""
         seen = replace(self._seen)
         if not seen.packets:
             seen.text_bytes += _text(self._partial)
-        return seen
+        return asdict(seen)
 
-    def feed(self, data: bytes) -> list[Received]:
-        """The packets that these bytes complete."""
+    def held(self) -> int:
+        """As PacketParser.held."""
+        return len(self._partial)
+
+    def feed(self, data: bytes) -> list[Found]:
+        """Type, sequence and payload of the packets that these bytes complete."""
         self._seen.bytes += len(data)
         *runs, rest = data.split(b"\0")
         if runs and self._partial:
             runs[0] = b"".join((self._partial, runs[0]))
             self._partial.clear()
-        packets: list[Received] = []
+        packets: list[Found] = []
         for run in runs:
             if self._skipping:  # this ends it
                 self._skipping = False
@@ -120,11 +183,11 @@ class PacketParser:
         return packets
 
     def skip(self) -> None:
-        """Bytes were left out here: the packet that they belonged to is lost, not broken."""
+        """As PacketParser.skip."""
         self._partial.clear()
         self._skipping = True
 
-    def _parse(self, run: bytes) -> Received | None:
+    def _parse(self, run: bytes) -> Found | None:
         """The packet between two delimiters, if there is one."""
         if len(run) > _MAX_RUN:
             self._seen.resyncs += 1
@@ -151,14 +214,14 @@ class PacketParser:
             self._expected = (sequence + 1) % SEQUENCES
         elif type_byte in (PacketType.SAMPLES, PacketType.QUIET):
             return None
-        return self._interpret(type_byte, sequence, raw[_HEADER.size : -_CRC.size])
+        return type_byte, sequence, raw[_HEADER.size : -_CRC.size]
 
     def _no_packet(self, run: bytes | bytearray) -> None:
         if not self._seen.packets:
             self._seen.text_bytes += _text(run)
 
     def _count_step(self, type_byte: int, sequence: int, crc: int) -> bool:
-        """Count a packet out of sequence by the rules of the class; False for a repetition."""
+        """Count a packet out of sequence by the rules of PacketParser; False for a repetition."""
         if self._expected is None:
             return True
         gap = (sequence - self._expected) % SEQUENCES
@@ -174,24 +237,6 @@ class PacketParser:
             return False
         self._seen.jumps += 1
         return True
-
-    def _interpret(self, type_byte: int, sequence: int, payload: bytes) -> Received | None:
-        """The packet of an intact body; Rejected for a command that cannot be used."""
-        kind = PACKETS.get(type_byte)
-        if kind is Info and payload and payload[0] != VERSION:
-            return OtherVersion(payload[0], sequence)
-        if kind is None:
-            self._seen.unknown += 1
-            reason = Result.UNKNOWN_COMMAND
-        else:
-            try:
-                return kind.unpack(payload, sequence)
-            except struct.error:
-                reason = Result.BAD_LENGTH
-            except ValueError:  # SpecError, or half a sample
-                reason = Result.OUT_OF_RANGE
-            self._seen.malformed += 1
-        return Rejected(type_byte, reason, sequence) if type_byte & _COMMAND_BIT else None
 
 
 class PacketWriter:

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The C core under any input: past finds stay fixed, and the harnesses detect planted faults."""
+"""C under any input, the firmware's core and the driver's kernel.
+
+Past finds stay fixed, and the harnesses detect planted faults.
+"""
 
 from __future__ import annotations
 
@@ -68,4 +71,51 @@ def test_a_planted_defect_is_found(defect: str, tmp_path: Path) -> None:
     sources = [*own, *sound, tmp_path / file]
     run(need("cc"), *STRICT, "-I", FIRMWARE / "fuzz", "-g", *SANITIZE, *sources, "-o", program)
     found = fuzz(program, "standalone", 1000, 1, 2, 2)
+    assert found.fault == fault, found.said
+
+
+KERNEL = FIRMWARE.parent / "kernel"
+KERNEL_DEFECTS = {
+    "a butterfly subtracts the wrong way": (
+        "transform_lanes.h",
+        "x[i | half] = a - b",
+        "x[i | half] = b - a",
+        "wrong value",
+    ),
+    "the last columns of a dense factor are left out": (
+        "transform.c",
+        "    to[(first + column) * order + i] = ",
+        "    if (column + 1 < number) to[(first + column) * order + i] = ",
+        "wrong value",
+    ),
+    "a block may end beyond its run": (
+        "scanner.c",
+        "        if (length > size - in)\n            return SIZE_MAX;\n",
+        "",
+        "crash",
+    ),
+    "a run that is too long is not counted": (
+        "scanner.c",
+        "    if (size > MAX_RUN - before) {\n        scanner->seen.resyncs++;",
+        "    if (size > MAX_RUN - before) {",
+        "uncounted loss",
+    ),
+}
+
+
+@pytest.mark.parametrize("defect", KERNEL_DEFECTS)
+def test_a_defect_planted_in_the_kernel_is_found(defect: str, tmp_path: Path) -> None:
+    file, right, wrong, fault = KERNEL_DEFECTS[defect]
+    for path in [*KERNEL.glob("*.h"), *KERNEL.glob("*.c")]:
+        text = path.read_text().replace('"../firmware/core/', '"')
+        if path.name == file:
+            assert text.count(right) == 1
+            text = text.replace(right, wrong)
+        (tmp_path / path.name).write_text(text)
+    own = [FIRMWARE / "fuzz" / f"{name}.c" for name in ("fuzz_kernel", "framing", "standalone")]
+    sources = [*own, *(path for path in tmp_path.glob("*.c") if path.name != "module.c")]
+    program = tmp_path / "kernel"
+    include = ("-I", tmp_path, "-I", FIRMWARE / "fuzz")
+    run(need("cc"), *STRICT, *include, "-g", *SANITIZE, *sources, "-o", program)
+    found = fuzz(program, "standalone", 20_000, 1, 20, 10)
     assert found.fault == fault, found.said

@@ -12,9 +12,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tactile_cdma.base import kernel
 from tactile_cdma.base.errors import CaptureError
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
-from tactile_cdma.wire.packets import PacketParser
+from tactile_cdma.wire.packets import Scanner
 from torture.commands.c_fuzzing import FIRMWARE
 from torture.fuzz import corpus, streams
 from torture.fuzz.search import search
@@ -149,18 +150,20 @@ def test_wrong_frames_and_miscounted_losses_are_found(monkeypatch: pytest.Monkey
     monkeypatch.setattr(Pipeline, "feed", wrong)
     assert kinds_of(TARGETS["line"], 1) == {WRONG}
     monkeypatch.setattr(Pipeline, "feed", feed)
-    monkeypatch.setattr(PacketParser, "_count_step", lambda self, *packet: True)
+    monkeypatch.setattr(kernel, "compiled", None)
+    monkeypatch.setattr(Scanner, "_count_step", lambda self, *packet: True)
     assert kinds_of(TARGETS["line"], 20) == {UNCOUNTED}
 
 
 def test_a_parser_that_depends_on_the_split_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    feed = PacketParser.feed
+    feed = Scanner.feed
 
-    def forgetful(self: PacketParser, data: bytes) -> list:
+    def forgetful(self: Scanner, data: bytes) -> list:
         self._partial.clear()
         return feed(self, data)
 
-    monkeypatch.setattr(PacketParser, "feed", forgetful)
+    monkeypatch.setattr(kernel, "compiled", None)
+    monkeypatch.setattr(Scanner, "feed", forgetful)
     assert kinds_of(TARGETS["packets"]) == {WRONG}
 
 

@@ -214,7 +214,7 @@ def test_a_packet_that_is_not_counted_is_found(monkeypatch: pytest.MonkeyPatch, 
             packets = super().feed(data)
             if packets and not hasattr(self, "done"):
                 self.done = True
-                setattr(self._seen, count, getattr(self._seen, count) + 1)
+                setattr(self._refused, count, getattr(self._refused, count) + 1)
             return packets
 
     monkeypatch.setattr(pipeline_module, "PacketParser", Miscounting)

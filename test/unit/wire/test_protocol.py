@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Packets ↔ bytes: round trips, chunking, corruption, sequence numbers, the shared vectors."""
+"""Packets ↔ bytes: round trips, chunking, corruption, sequence numbers, the shared vectors.
+
+All by the compiled kernel and without it.
+"""
 
 from __future__ import annotations
 
 import json
 import struct
 import zlib
+from collections.abc import Iterator
 from dataclasses import asdict, fields
 from enum import IntEnum
 from pathlib import Path
@@ -17,6 +21,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tactile_cdma.base import kernel
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code.codes import code_book, row_signs
 from tactile_cdma.code.frame import FrameSpec
@@ -64,6 +69,16 @@ PROTOCOL = json.loads((VECTORS / "protocol.json").read_text())
 CODES = json.loads((VECTORS / "codes.json").read_text())
 LAYOUT = FrameLayout.of(FrameSpec(), samples_per_chip=8)
 INFO = Info(frame=LAYOUT, sample_rate_uhz=160_000_000_000, volts_per_count=1e-3)
+
+
+@pytest.fixture(autouse=True, scope="module", params=["compiled", "interpreted"])
+def way(request: pytest.FixtureRequest) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        if request.param == "interpreted":
+            patch.setattr(kernel, "compiled", None)
+        elif kernel.compiled is None:
+            pytest.skip(kernel.why_numpy)
+        yield
 
 
 def values(wire: Field) -> st.SearchStrategy[Any]:
@@ -340,7 +355,7 @@ def test_chunks_are_invisible(pieces: list[Packet | bytes], data: st.DataObject)
         parts = [stream[a:b] for a, b in zip(bounds, list(bounds)[1:], strict=False)]
         received = [packet for part in parts for packet in parser.feed(part)]
         assert (received, parser.counters) == whole
-        assert len(parser._partial) < MAX_PACKET
+        assert parser.held < MAX_PACKET
 
 
 def test_no_flipped_bit_yields_a_false_packet() -> None:
@@ -386,7 +401,7 @@ def test_a_run_without_delimiter_is_dropped_once_and_in_bounded_memory() -> None
     parser = PacketParser()
     for _ in range(1000):
         assert not parser.feed(b"\xaa" * 1000)
-        assert len(parser._partial) < MAX_PACKET
+        assert parser.held < MAX_PACKET
     assert parser.counters.resyncs == 1
     wire = PacketWriter().encode(Start())
     assert parser.feed(b"\0" + wire) == [Start()]

@@ -1,0 +1,185 @@
+// SPDX-License-Identifier: Apache-2.0
+
+/* The driver's compiled kernel (../kernel): arbitrary bytes through its scanner and a reference reader,
+ * and whole numbers through its transforms and sums without any trick. */
+#include "reference.h"
+#include "scanner.h"
+#include "transform.h"
+
+#define MOST_ORDER 1024
+
+/* What the scanner finds in bytes, in pieces of a size; size 0: at once. */
+static struct scanner_counts scan(const uint8_t *bytes, size_t size, size_t piece, bool compare)
+{
+    static uint8_t body[FRAMING_MAX_RUN];
+    struct scanner *scanner = scanner_new(3);
+    struct scanner_counts counts;
+    size_t begin = 0, end = 0;
+
+    for (size_t done = 0; done < size;) {
+        struct scanner_packet packet;
+        size_t left = size - done, some = piece && piece < left ? piece : left;
+        size_t taken = scanner_take(scanner, bytes + done, some, &packet);
+        MUST(taken && taken <= some, WRONG_VALUE);
+        done += taken;
+        MUST(scanner_held(scanner) <= FRAMING_MAX_RUN, WRONG_VALUE);
+        if (!compare || !packet.payload)
+            continue;
+        size_t found = 0; /* the last run before `done` is this packet */
+        for (; end < done; end++)
+            if (!bytes[end]) {
+                found = framing_unwrap(bytes + begin, end - begin, body);
+                begin = end + 1;
+            }
+        struct tp_header header;
+        memcpy(&header, body, sizeof header);
+        MUST(found == packet.size + sizeof header, WRONG_VALUE);
+        MUST(header.type == packet.type && header.sequence == packet.sequence, WRONG_VALUE);
+        MUST(!memcmp(body + sizeof header, packet.payload, packet.size), WRONG_VALUE);
+        size_t samples = scanner_samples(&packet);
+        uint16_t *words = malloc(samples * sizeof *words);
+        struct tp_samples head;
+        if (samples)
+            scanner_copy_samples(&packet, &head, words);
+        for (size_t i = 0; i < samples; i++) {
+            uint16_t word;
+            memcpy(&word, packet.payload + sizeof head + 2 * i, sizeof word);
+            MUST((word ^ words[i]) == TP_SAMPLE_XOR, WRONG_VALUE);
+        }
+        free(words);
+    }
+    scanner_counts(scanner, &counts);
+    scanner_free(scanner);
+    return counts;
+}
+
+static void scan_in_pieces(const uint8_t *bytes, size_t size, size_t piece)
+{
+    struct scanner_counts counts = scan(bytes, size, 0, true), other = scan(bytes, size, piece, false);
+    static uint8_t body[FRAMING_MAX_RUN];
+    size_t begin = 0;
+    uint64_t runs = 0, whole = 0;
+
+    MUST(!memcmp(&counts, &other, sizeof counts), UNCOUNTED_LOSS);
+    for (size_t i = 0; i < size; i++)
+        if (!bytes[i]) {
+            runs += i > begin;
+            whole += framing_unwrap(bytes + begin, i - begin, body) > 0;
+            begin = i + 1;
+        }
+    uint64_t broken = counts.crc_errors + counts.framing_errors + counts.resyncs;
+    if (size - begin <= FRAMING_MAX_RUN) /* else a run without end counts, too */
+        MUST(runs == counts.packets + broken, UNCOUNTED_LOSS);
+    MUST(whole == counts.packets - counts.malformed, UNCOUNTED_LOSS);
+    MUST(counts.bytes == size, UNCOUNTED_LOSS);
+}
+
+/* The input, or so many copies of it and a delimiter: more than the longest packet. */
+static void scan_bytes(struct input *input)
+{
+    size_t piece = 1 + input_u8(input), copies = 1 + input_u8(input) % 8;
+    size_t size = input->left * copies + (copies > 1);
+    uint8_t *bytes = malloc(size + !size);
+
+    for (size_t i = 0; i < copies; i++)
+        memcpy(bytes + i * input->left, input->bytes, input->left);
+    if (copies > 1)
+        bytes[size - 1] = 0;
+    scan_in_pieces(bytes, size, piece);
+    free(bytes);
+}
+
+/* Bodies of the input as packets, one after the other. */
+static void scan_packets(struct input *input)
+{
+    static uint8_t wire[1 << 14], body[2048];
+    size_t size = 0, piece = 1 + input_u8(input);
+
+    while (input->left && size + 1100 < sizeof wire) {
+        const uint8_t *bytes;
+        size_t some = input_bytes(input, &bytes, input_u16(input) % 1024);
+        memcpy(body, bytes, some);
+        size += framing_wrap(body, some, wire + size);
+    }
+    uint8_t *exact = malloc(size + !size);
+    memcpy(exact, wire, size);
+    scan_in_pieces(exact, size, piece);
+    free(exact);
+}
+
+/* The sign with which input i adds to output j. */
+static int sign(unsigned twos, size_t count, const size_t *orders, int8_t *const *matrices, size_t j,
+                size_t i)
+{
+    int product = 1;
+
+    while (count-- > 0) {
+        size_t order = orders[count];
+        product *= matrices[count][j % order * order + i % order];
+        j /= order;
+        i /= order;
+    }
+    (void)twos;
+    for (; i && j; i /= 2, j /= 2)
+        product = i & j & 1 ? -product : product;
+    return product;
+}
+
+/* Whole numbers below 2²⁴ are exact in float32: the result must be that of the plain sum. */
+static void transform(struct input *input)
+{
+    unsigned twos = input_u8(input) % 11, asked = input_u8(input), lanes = asked % 16;
+    size_t count = input_u8(input) % 4, orders[4], order = (size_t)1 << twos;
+    int8_t *matrices[4];
+
+    for (size_t f = 0; f < count; f++) {
+        orders[f] = input_u8(input) % 130;
+        matrices[f] = malloc(orders[f] * orders[f] + 1);
+        for (size_t i = 0; i < orders[f] * orders[f]; i++)
+            matrices[f][i] = input->left ? (int8_t)((int)(input_u8(input) % 2) * 2 - 1) : 1;
+        order *= orders[f];
+    }
+    struct transform *made =
+        transform_new(twos, count, orders, (const int8_t *const *)matrices, 1.0f, lanes);
+    if (made && order <= MOST_ORDER) {
+        size_t vectors = 1 + asked / 16 % 5, values = vectors * order;
+        float *from = malloc(values * sizeof *from), *to = malloc(values * sizeof *to);
+        MUST(transform_order(made) == order, WRONG_VALUE);
+        for (size_t i = 0; i < values; i++)
+            from[i] = (int8_t)input_u8(input);
+        transform_multiply(made, from, to, vectors);
+        for (size_t place = 0; place < values; place += 1 + values / 64) {
+            const float *vector = from + place / order * order;
+            long sum = 0;
+            for (size_t i = 0; i < order; i++)
+                sum += sign(twos, count, orders, matrices, place % order, i) * (long)vector[i];
+            MUST(to[place] == (float)sum, WRONG_VALUE);
+        }
+        transform_multiply(made, from, from, vectors);
+        MUST(!memcmp(from, to, values * sizeof *from), WRONG_VALUE);
+        free(from);
+        free(to);
+    }
+    transform_free(made);
+    for (size_t f = 0; f < count; f++)
+        free(matrices[f]);
+}
+
+/* The input's first byte selects the test. */
+int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
+{
+    struct input input = {bytes, size};
+
+    switch (input_u8(&input) % 3) {
+    case 0:
+        scan_bytes(&input);
+        break;
+    case 1:
+        scan_packets(&input);
+        break;
+    case 2:
+        transform(&input);
+        break;
+    }
+    return 0;
+}

@@ -1,0 +1,285 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include "scanner.h"
+
+#include <stdbool.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define SEQUENCES 65536
+#define COMMAND_BIT 0x80
+#define RESIDUE 0x2144DF1Cu /* the CRC-32 of any bytes that are followed by their own CRC-32 */
+#define FULL 255            /* COBS: length of a block that no zero follows */
+#define HEADER_SIZE sizeof(struct tp_header)
+#define CRC_SIZE sizeof(uint32_t)
+#define MAX_RUN (TP_MAX_PACKET - 1)
+
+enum past { NEVER, RECEIVED, MISSING };
+
+struct scanner {
+    unsigned long most_repeated, repeated; /* in a row */
+    bool skipping; /* until the next delimiter: the run is too long for a packet, or cut */
+    bool started;
+    uint16_t expected;
+    size_t partial; /* bytes after the last delimiter */
+    struct scanner_counts seen;
+    uint8_t run[MAX_RUN], raw[MAX_RUN];
+    uint8_t past[SEQUENCES]; /* of the last packet of each sequence number; */
+    uint32_t crc[SEQUENCES]; /* its CRC */
+};
+
+/* Of bytes in a row of 8, from the last to the first (Kounavis and Berry 2005, "slicing by 8"). */
+static uint32_t crc_table[8][256];
+
+static void make_crc_table(void)
+{
+    for (uint32_t byte = 0; byte < 256; byte++) {
+        uint32_t crc = byte;
+        for (unsigned bit = 0; bit < 8; bit++)
+            crc = crc >> 1 ^ (crc & 1 ? 0xEDB88320u : 0);
+        crc_table[0][byte] = crc;
+    }
+    for (unsigned row = 1; row < 8; row++)
+        for (uint32_t byte = 0; byte < 256; byte++) {
+            uint32_t before = crc_table[row - 1][byte];
+            crc_table[row][byte] = before >> 8 ^ crc_table[0][before & 255];
+        }
+}
+
+static uint32_t crc32(const uint8_t *bytes, size_t size)
+{
+    uint32_t crc = UINT32_MAX, low, high;
+
+    for (; size >= 8; size -= 8, bytes += 8) {
+        memcpy(&low, bytes, 4);
+        memcpy(&high, bytes + 4, 4);
+        low ^= crc;
+        crc = crc_table[7][low & 255] ^ crc_table[6][low >> 8 & 255] ^
+              crc_table[5][low >> 16 & 255] ^ crc_table[4][low >> 24] ^
+              crc_table[3][high & 255] ^ crc_table[2][high >> 8 & 255] ^
+              crc_table[1][high >> 16 & 255] ^ crc_table[0][high >> 24];
+    }
+    while (size--)
+        crc = crc >> 8 ^ crc_table[0][(crc ^ *bytes++) & 255];
+    return ~crc;
+}
+
+struct scanner *scanner_new(unsigned long most_repeated)
+{
+    struct scanner *scanner = calloc(1, sizeof *scanner);
+
+    make_crc_table();
+    if (scanner)
+        scanner->most_repeated = most_repeated;
+    return scanner;
+}
+
+void scanner_free(struct scanner *scanner)
+{
+    free(scanner);
+}
+
+static uint64_t text_bytes(const uint8_t *bytes, size_t size)
+{
+    uint64_t count = 0;
+
+    for (size_t i = 0; i < size; i++) {
+        uint8_t byte = bytes[i];
+        count += (byte >= 0x20 && byte < 0x7F) || byte == '\t' || byte == '\r' || byte == '\n';
+    }
+    return count;
+}
+
+static void no_packet(struct scanner *scanner, const uint8_t *bytes, size_t size)
+{
+    if (!scanner->seen.packets)
+        scanner->seen.text_bytes += text_bytes(bytes, size);
+}
+
+/* Decodes into scanner->raw. Returns the size, or SIZE_MAX if the run is not COBS. */
+static size_t decode(struct scanner *scanner, const uint8_t *run, size_t size)
+{
+    uint8_t *out = scanner->raw;
+
+    for (size_t in = 0; in < size;) {
+        size_t length = run[in];
+        if (length > size - in)
+            return SIZE_MAX;
+        memcpy(out, run + in + 1, length - 1);
+        out += length - 1;
+        in += length;
+        if (length != FULL && in < size)
+            *out++ = 0;
+    }
+    return (size_t)(out - scanner->raw);
+}
+
+/* Counts a packet out of sequence; false for a repetition. */
+static bool count_step(struct scanner *scanner, uint8_t type, uint16_t sequence, uint32_t crc)
+{
+    if (!scanner->started)
+        return true;
+    uint16_t gap = (uint16_t)(sequence - scanner->expected);
+    if (gap <= TP_MAX_GAP) {
+        scanner->seen.lost_packets += gap;
+        for (uint16_t lost = scanner->expected; lost != sequence; lost++)
+            scanner->past[lost] = MISSING;
+        return true;
+    }
+    uint8_t past = scanner->past[sequence];
+    bool known = past == MISSING || (past == RECEIVED && scanner->crc[sequence] == crc);
+    if (known && !(type & COMMAND_BIT) && scanner->repeated < scanner->most_repeated) {
+        scanner->repeated++;
+        scanner->seen.repeated_packets++;
+        return false;
+    }
+    scanner->seen.jumps++;
+    return true;
+}
+
+/* The packet between two delimiters, if there is one to pass on. */
+static bool parse(struct scanner *scanner, const uint8_t *run, size_t size,
+                  struct scanner_packet *packet)
+{
+    struct tp_header header;
+    uint32_t crc;
+    size_t raw_size = decode(scanner, run, size);
+
+    if (raw_size == SIZE_MAX) {
+        scanner->seen.framing_errors++;
+        no_packet(scanner, run, size);
+        return false;
+    }
+    if (raw_size < CRC_SIZE || crc32(scanner->raw, raw_size) != RESIDUE) {
+        scanner->seen.crc_errors++;
+        no_packet(scanner, run, size);
+        return false;
+    }
+    scanner->seen.packets++;
+    if (raw_size < HEADER_SIZE + CRC_SIZE) {
+        scanner->seen.malformed++;
+        return false;
+    }
+    memcpy(&header, scanner->raw, HEADER_SIZE);
+    memcpy(&crc, scanner->raw + raw_size - CRC_SIZE, CRC_SIZE);
+    uint16_t sequence = header.sequence;
+    if ((scanner->started && sequence == scanner->expected) ||
+        count_step(scanner, header.type, sequence, crc)) {
+        scanner->past[sequence] = RECEIVED;
+        scanner->crc[sequence] = crc;
+        scanner->repeated = 0;
+        scanner->expected = (uint16_t)(sequence + 1);
+        scanner->started = true;
+    } else if (header.type == TP_SAMPLES || header.type == TP_QUIET) {
+        return false;
+    }
+    *packet = (struct scanner_packet){header.type, sequence, scanner->raw + HEADER_SIZE,
+                                      raw_size - HEADER_SIZE - CRC_SIZE};
+    return true;
+}
+
+/* Bytes up to a delimiter, which is not among them. */
+static bool end_run(struct scanner *scanner, const uint8_t *bytes, size_t size,
+                    struct scanner_packet *packet)
+{
+    size_t before = scanner->partial;
+
+    scanner->partial = 0;
+    if (scanner->skipping) {
+        scanner->skipping = false;
+        no_packet(scanner, bytes, size);
+        return false;
+    }
+    if (size > MAX_RUN - before) {
+        scanner->seen.resyncs++;
+        no_packet(scanner, scanner->run, before);
+        no_packet(scanner, bytes, size);
+        return false;
+    }
+    if (before) {
+        memcpy(scanner->run + before, bytes, size);
+        bytes = scanner->run;
+        size += before;
+    }
+    return size && parse(scanner, bytes, size, packet);
+}
+
+/* Bytes that no delimiter follows yet. */
+static void keep(struct scanner *scanner, const uint8_t *bytes, size_t size)
+{
+    if (scanner->skipping) {
+        no_packet(scanner, bytes, size);
+    } else if (size > MAX_RUN - scanner->partial) {
+        scanner->seen.resyncs++;
+        scanner->skipping = true;
+        no_packet(scanner, scanner->run, scanner->partial);
+        no_packet(scanner, bytes, size);
+        scanner->partial = 0;
+    } else {
+        memcpy(scanner->run + scanner->partial, bytes, size);
+        scanner->partial += size;
+    }
+}
+
+size_t scanner_take(struct scanner *scanner, const uint8_t *bytes, size_t size,
+                    struct scanner_packet *packet)
+{
+    const uint8_t *next = bytes, *end = bytes + size;
+    bool found = false;
+
+    packet->payload = NULL;
+    while (next != end && !found) {
+        const uint8_t *zero = memchr(next, 0, (size_t)(end - next));
+        if (zero) {
+            found = end_run(scanner, next, (size_t)(zero - next), packet);
+            next = zero + 1;
+        } else {
+            keep(scanner, next, (size_t)(end - next));
+            next = end;
+        }
+    }
+    scanner->seen.bytes += (uint64_t)(next - bytes);
+    return (size_t)(next - bytes);
+}
+
+void scanner_skip(struct scanner *scanner)
+{
+    scanner->partial = 0;
+    scanner->skipping = true;
+}
+
+size_t scanner_held(const struct scanner *scanner)
+{
+    return scanner->partial;
+}
+
+void scanner_counts(const struct scanner *scanner, struct scanner_counts *counts)
+{
+    *counts = scanner->seen;
+    if (!counts->packets)
+        counts->text_bytes += text_bytes(scanner->run, scanner->partial);
+}
+
+size_t scanner_samples(const struct scanner_packet *packet)
+{
+    size_t head = sizeof(struct tp_samples), size = packet->size;
+
+    if (packet->type != TP_SAMPLES || size < head || (size - head) % 2 ||
+        (size - head) / 2 > TP_MAX_SAMPLES)
+        return 0;
+    return (size - head) / 2;
+}
+
+void scanner_copy_samples(const struct scanner_packet *packet, struct tp_samples *head, void *counts)
+{
+    uint8_t *to = counts;
+    const uint8_t *from = packet->payload + sizeof *head, *end = packet->payload + packet->size;
+
+    memcpy(head, packet->payload, sizeof *head);
+    for (; from != end; from += 2, to += 2) {
+        uint16_t word;
+        memcpy(&word, from, sizeof word);
+        word ^= TP_SAMPLE_XOR;
+        memcpy(to, &word, sizeof word);
+    }
+}
