@@ -50,10 +50,18 @@ class Limits:
         Chosen: less than half a second at 78 Hz.
     vote: κ, the most that one chip contributes to a log-likelihood. Beyond √(2κ) = 3.5 deviations,
         which noise exceeds once in 2,000 chips, a chip is disturbed, and how far says nothing.
+    disturbed: share of the chips that may be disturbed, beside noise, in a frame that is
+        understood; beyond it the true one need not be among those that were weighed. Chosen: 4 of
+        200.
+    close: log-likelihood below the best frame's beyond which another one's is final; up to there
+        its timing is refined. Chosen: behind a low-pass of 0.2 chip refinement gains up to 25.
+    in_place: chips by which refined timing may move before it is another frame's. Chosen; a
+        low-pass moves edges by its time constant.
     distortion: deviation of a chip's level, relative to the code's RMS, that says nothing: edges
         0.1 chip off and low-passes of 0.3 chip leave as much next to each level change, on all
         chips of a kind alike. Half of it is the least deviation of chips beyond that. Found with
-        `make bench-doubt`: with 0.2, 1 of 120 words of nodes that tie was not flagged.
+        `make bench-doubt`: with 0.2, 1 of 120 words of nodes that tie was not flagged; with
+        0.25, 1 of 20,000 behind a low-pass of 0.2 chip.
     most: share of the chips that shows a line's own noise. Chosen: half of them are next to a level
         change; a fifth may be disturbed.
     most_deviations: what a normal variable of variance 1 exceeds, in size, in the other chips.
@@ -90,7 +98,10 @@ class Limits:
     rise: float = 4.0
     proven_ends: int = 30
     vote: float = 6.0
-    distortion: float = 0.25
+    disturbed: float = 0.02
+    close: float = 30.0
+    in_place: float = 0.3
+    distortion: float = 0.3
     most: float = 0.8
     most_deviations: float = 1.28
     clipped: float = 0.5
