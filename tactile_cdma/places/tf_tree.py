@@ -23,6 +23,7 @@ class TfTree:
 
     def __init__(self) -> None:
         self._parents: dict[str, tuple[str, Pose]] = {}
+        self._found: dict[tuple[str, str], Pose] = {}  # poses asked for since the last put
 
     def put(self, parent: str, child: str, pose: Pose) -> None:
         """Store the pose of child in parent.
@@ -37,6 +38,7 @@ class TfTree:
                 f"more than {MOST_FRAMES} tf frames: is a node inventing frame names?"
             )
         self._parents[child] = (parent, pose)
+        self._found.clear()
 
     def pose(self, target: str, source: str) -> Pose:
         """The pose of source in target: target.point = pose.apply(source.point).
@@ -44,10 +46,13 @@ class TfTree:
         Raises TransformError, naming the frames, if they are not connected.
         """
         target, source = _plain(target), _plain(source)
+        if found := self._found.get((target, source)):
+            return found
         down, up = self._to_root(target), self._to_root(source)
         for frame, pose in up.items():
             if frame in down:
-                return down[frame].inverse @ pose
+                self._found[target, source] = found = down[frame].inverse @ pose
+                return found
         raise TransformError(
             f"no transform from {source!r} to {target!r}: {source!r} hangs from {list(up)[-1]!r}, "
             f"{target!r} from {list(down)[-1]!r}; set parent_frame and mount_xyz_m of the patch, "

@@ -156,6 +156,8 @@ def decode(
         if astray.any():  # what weak words lack may be there, and they out of their places
             most = np.float32(amplitude[astray].max()) / np.float32(COMPARABLE)
             astray |= spoke & (amplitude < np.maximum(sound, most))
+            # A line that weakens words weakens faint ones, too.
+            astray |= ~spoke & (amplitude > np.float32(FAINT_SHARE) * amplitude.max())
         active = spoke & ~astray
     codes, rho, margin, doubtful, doubled, odd, uneven = decide(
         measures, active, expected, spec.sign_mask, noise, spec.line_bits, spec.parity

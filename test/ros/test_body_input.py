@@ -21,6 +21,7 @@ from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from geometry_msgs.msg import Point, Point32, TransformStamped, Vector3  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
+from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
 from sensor_msgs.msg import PointCloud2  # noqa: E402
 from std_msgs.msg import Header  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
@@ -36,6 +37,7 @@ from tactile_cdma.places.poses import Pose  # noqa: E402
 from tactile_cdma.ros.body.contacts import body_contacts  # noqa: E402
 from tactile_cdma.ros.body.node import BodyNode  # noqa: E402
 from tactile_cdma.ros.common.qos import LATCHED  # noqa: E402
+from tactile_cdma.ros.common.touches import Touches  # noqa: E402
 from tactile_cdma.views.cloud import BODY_POINT  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -249,7 +251,10 @@ def test_a_patch_without_a_valid_taxel_is_absent_and_said_to_be_blind(world: Wor
 AREA_M2 = 0.25
 
 
-def patch(valid: int, force_n: float = 0.0, in_service: int = 16) -> tuple[Pose, TactileContacts]:
+Part = tuple[Pose, TactileContacts]
+
+
+def patch(valid: int, force_n: float = 0.0, in_service: int = 16) -> Part:
     """What a driver says of its patch, which lies at the body's origin, by TactileContacts.msg."""
     message = TactileContacts(touched=force_n > 0, taxels_valid=valid, taxels_in_service=in_service)
     message.untouched = not force_n and valid == in_service
@@ -259,6 +264,13 @@ def patch(valid: int, force_n: float = 0.0, in_service: int = 16) -> tuple[Pose,
     if force_n:
         message.contacts = [TactileContact(force=Vector3(z=-force_n), position=Point(x=1.0))]
     return Pose(np.eye(3), np.zeros(3)), message
+
+
+def combined(parts: list[Part], absent: list[str]) -> TactileContacts:
+    """What the body says of these patches."""
+    read = [(pose, Touches.read(serialize_message(message))) for pose, message in parts]
+    found = body_contacts(read, absent, Header(frame_id="body"), 7)
+    return deserialize_message(found.message, TactileContacts)
 
 
 @pytest.mark.parametrize(
@@ -278,13 +290,13 @@ def patch(valid: int, force_n: float = 0.0, in_service: int = 16) -> tuple[Pose,
     ],
 )
 def test_a_body_claims_what_its_patches_know(
-    parts: list[tuple[Pose, TactileContacts]],
+    parts: list[Part],
     absent: list[str],
     touched: bool,
     untouched: bool,
     force_n: float,
 ) -> None:
-    message = body_contacts(parts, absent, Header(frame_id="body"), 7)
+    message = combined(parts, absent)
     assert (message.touched, message.untouched, message.absent) == (touched, untouched, absent)
     assert len(message.contacts) == sum(len(part.contacts) for _, part in parts)
     assert message.taxels_valid == sum(part.taxels_valid for _, part in parts)
@@ -298,7 +310,7 @@ def test_counts_and_areas_beyond_what_a_message_holds_break_nothing() -> None:
     pose, strange = patch(16, 1.0)
     strange.taxels_valid = strange.taxels_in_service = 2**32 - 1
     strange.area = 3e38
-    message = body_contacts([(pose, strange)] * 3, [], Header(), 0)
+    message = combined([(pose, strange)] * 3, [])
     assert message.taxels_valid == 2**32 - 1
     assert math.isinf(message.area)
 

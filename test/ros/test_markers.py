@@ -11,6 +11,7 @@ import pytest
 
 pytest.importorskip("visualization_msgs", reason="ROS 2 is not installed")
 
+from rclpy.serialization import deserialize_message
 from std_msgs.msg import Header
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -58,7 +59,8 @@ class Skin:
         status[self.layout.nodes == 0] = Status.MASKED
         self.t_s += 0.02
         contacts = self.tracker.update(Readings(pressure_pa, pressure_pa, status), self.t_s)
-        return self.markers.markers(pressure_pa, MAX_PA, contacts, HEADER, lifetime_s=1.5)
+        drawn = self.markers.markers(pressure_pa, MAX_PA, contacts, HEADER, lifetime_s=1.5)
+        return deserialize_message(drawn, MarkerArray)
 
 
 def of(array: MarkerArray, namespace: str, action: int = Marker.ADD) -> list[Marker]:

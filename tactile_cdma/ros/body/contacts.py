@@ -5,79 +5,88 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 
 import numpy as np
-from geometry_msgs.msg import Wrench
 from numpy.typing import NDArray
 from std_msgs.msg import Header
 
-from tactile_cdma.msg import TactileContact, TactileContacts
-
+from ...base.arrays import Floats
 from ...places.poses import Pose
 from ...readings.taxels import Coverage
-from ..common.convert import point, rows, vector
+from ..common.touches import ID, STATE, Touches
 
 _MOST_TAXELS = 2**32 - 1
 """The largest number that the message holds."""
+_MOVED = ("position", "normal", "force", "velocity")
 
 
 def body_contacts(
-    parts: Sequence[tuple[Pose, TactileContacts]], absent: list[str], header: Header, sequence: int
-) -> TactileContacts:
+    parts: Sequence[tuple[Pose, Touches]], absent: list[str], header: Header, sequence: int
+) -> Touches:
     """The contacts of a body, strongest first.
 
     parts: each patch's pose in the body's frame, and its latest message. absent: the other patches.
     The centre of pressure weighs contacts by their forces. Sums are NaN by the rules of
     TactileContacts.msg, and where those of a touched patch are.
     """
-    contacts = [contact for pose, message in parts for contact in _moved(message.contacts, pose)]
-    forces_n = np.linalg.norm(rows([contact.force for contact in contacts]), axis=1)
+    touched = [(pose, message) for pose, message in parts if message.patches]
+    states = _joined([_moved(message.states, pose) for pose, message in touched], STATE)
+    forces_n = np.linalg.norm(states["force"], axis=1)
     coverage = Coverage(
         min(sum(message.taxels_valid for _, message in parts), _MOST_TAXELS),
         min(sum(message.taxels_in_service for _, message in parts), _MOST_TAXELS),
     )
     untouched = coverage.is_whole and not absent and all(m.untouched for _, m in parts)
-    touched = [(pose, message) for pose, message in parts if message.contacts]
     sums = np.full(7, 0.0 if untouched else np.nan)
     if touched and coverage.is_most and len(parts) >= len(absent):
-        sums = np.sum([_sums(pose, message) for pose, message in touched], axis=0)
+        sums = _sums(touched)
     centre_m = np.full(3, np.nan)
     if forces_n.any() and np.isfinite(sums).all():
-        places_m = rows([contact.position for contact in contacts])
-        centre_m = forces_n @ places_m / forces_n.sum()
+        centre_m = forces_n @ states["position"] / forces_n.sum()
     with np.errstate(over="ignore"):
         area_m2 = float(np.float32(sums[0]))
-    return TactileContacts(
+    order = np.argsort(-forces_n, kind="stable")
+    patches = [patch for _, message in touched for patch in message.patches]
+    taxels = [some for _, message in touched for some in message.taxels]
+    return Touches(
         header=header,
         sequence=sequence,
+        info_id=0,
         absent=absent,
         taxels_in_service=coverage.in_service,
         taxels_valid=coverage.valid,
-        touched=bool(contacts),
+        touched=bool(patches),
         untouched=untouched,
-        area=area_m2,
-        position=point(centre_m),
-        wrench=Wrench(force=vector(sums[1:4]), torque=vector(sums[4:])),
-        contacts=[contacts[i] for i in np.argsort(-forces_n, kind="stable")],
+        area_m2=area_m2,
+        position_m=centre_m,
+        force_n=sums[1:4],
+        torque_nm=sums[4:],
+        patches=[patches[i] for i in order],
+        ids=_joined([message.ids for _, message in touched], ID)[order],
+        states=states[order],
+        taxels=[taxels[i] for i in order],
     )
 
 
-def _moved(contacts: Sequence[TactileContact], pose: Pose) -> list[TactileContact]:
-    """Contacts of a patch as seen from the body."""
-    seen_from_patch = [[c.position, c.normal, c.force, c.velocity] for c in contacts]
-    vectors = np.array([rows(four) for four in seen_from_patch]).reshape(-1, 4, 3)
-    vectors = pose.rotate(vectors)
+def _moved(states: NDArray[np.void], pose: Pose) -> NDArray[np.void]:
+    """States of a patch's contacts as seen from the body."""
+    vectors = pose.rotate(np.stack([states[field] for field in _MOVED], axis=1))
     vectors[:, 0] += pose.translation_m
-    moved = [copy(contact) for contact in contacts]
-    for contact, (position, normal, force, velocity) in zip(moved, vectors, strict=True):
-        contact.position, contact.normal = point(position), vector(normal)
-        contact.force, contact.velocity = vector(force), vector(velocity)
+    moved = states.copy()
+    for column, field in enumerate(_MOVED):
+        moved[field] = vectors[:, column]
     return moved
 
 
-def _sums(pose: Pose, message: TactileContacts) -> NDArray[np.float64]:
-    """(7,) area (m²), force (N) and torque (N m) of a patch, about the body frame's origin."""
-    force, torque = pose.rotate(rows([message.wrench.force, message.wrench.torque]))
-    torque += np.cross(pose.translation_m, force)
-    return np.concatenate([[message.area], force, torque])
+def _joined(arrays: list[NDArray[np.void]], kind: np.dtype[np.void]) -> NDArray[np.void]:
+    # np.concatenate compares the fields of all arrays, which takes longer.
+    return np.frombuffer(b"".join(array.tobytes() for array in arrays), kind)
+
+
+def _sums(parts: Sequence[tuple[Pose, Touches]]) -> Floats:
+    """(7,) area (m²), force (N) and torque (N m) of patches, about the body frame's origin."""
+    rotated = [pose.rotate(np.stack([m.force_n, m.torque_nm])) for pose, m in parts]
+    forces_n, torques_nm = np.stack(rotated, axis=1)
+    torques_nm += np.cross([pose.translation_m for pose, _ in parts], forces_n)
+    areas_m2 = [[message.area_m2] for _, message in parts]
+    return np.asarray(np.hstack([areas_m2, forces_n, torques_nm]).sum(axis=0))

@@ -31,6 +31,7 @@ from ...views.rounds import Rounds
 from ..common.convert import nanoseconds, point_cloud
 from ..common.process import run_node
 from ..common.qos import PICTURE, RELIABLE, offered
+from ..common.touches import Touches
 from ..common.transforms import TransformListener
 from .contacts import body_contacts
 from .parameters import body_setup, declared
@@ -117,7 +118,7 @@ class BodyNode(Node):
 
     # Contacts and wrench
 
-    def _take_contacts(self, feed: PatchFeed, message: TactileContacts) -> None:
+    def _take_contacts(self, feed: PatchFeed, message: Touches) -> None:
         now_s = time.monotonic()
         if self._rounds.is_due_before(feed.node_name):
             self._publish_contacts(now_s)
@@ -127,7 +128,7 @@ class BodyNode(Node):
 
     def _publish_contacts(self, now_s: float) -> None:
         self._rounds.end()
-        parts: list[tuple[Pose, TactileContacts]] = []
+        parts: list[tuple[Pose, Touches]] = []
         absent = []
         present = set(self._rounds.present(self._feeds, now_s))
         for name, feed in self._feeds.items():
@@ -142,11 +143,11 @@ class BodyNode(Node):
             return
         self._published_s, self._is_first = now_s, False
         header = self._header([message.header.stamp for _, message in parts])
-        message = body_contacts(parts, absent, header, self._sequence)
+        found = body_contacts(parts, absent, header, self._sequence)
         self._sequence += 1
-        self._contacts.publish(message)
+        self._contacts.publish(found.message)
         if self._wrench.get_subscription_count():
-            self._wrench.publish(WrenchStamped(header=header, wrench=message.wrench))
+            self._wrench.publish(WrenchStamped(header=header, wrench=found.wrench))
 
     def _header(self, stamps: list[Time]) -> Header:
         """A header with the newest stamp; with the present time if there is none."""

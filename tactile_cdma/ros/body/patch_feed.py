@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from builtin_interfaces.msg import Time
 from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -20,15 +19,19 @@ from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 from ...places.poses import Pose
 from ...readings.taxels import Coverage
 from ...views.cloud import Cloud
+from ..common.cdr import CdrError
 from ..common.convert import nanoseconds, rows
 from ..common.following import Following
 from ..common.qos import LATCHED
+from ..common.touches import Touches
 
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """For arrays: points are drawn less often than arrays arrive."""
 FRESH = QoSProfile(depth=2)
 """For contacts: a node that falls behind goes on with the newest instead of staying late."""
-NewContacts = Callable[["PatchFeed", TactileContacts], None]
+NewContacts = Callable[["PatchFeed", Touches], None]
+COMPLAINT_S = 10.0
+"""Least time between two warnings of contacts that cannot be read, s; chosen."""
 
 
 class PatchFeed:
@@ -40,16 +43,16 @@ class PatchFeed:
 
     def __init__(self, node: Node, node_name: str, index: int, on_contacts: NewContacts) -> None:
         self.node_name = node_name
-        self.contacts: TactileContacts | None = None
+        self.contacts: Touches | None = None
         self.array: TactileArray | None = None
         self.is_new = False
-        self._heard_s, self._stamp = -math.inf, Time()
+        self._heard_s, self._stamp_ns = -math.inf, 0
         self._late_s = math.inf
         self._counted, self._reported_s = 0, -math.inf
         self._node, self._index, self._on_contacts = node, index, on_contacts
         self._cloud: tuple[int, Cloud] | None = None
         self._for_contacts = Following(
-            node, (TactileContacts, f"{node_name}/contacts", self._take_contacts, FRESH)
+            node, (TactileContacts, f"{node_name}/contacts", self._take_contacts, FRESH), raw=True
         )
         self._for_points = Following(
             node,
@@ -131,15 +134,23 @@ class PatchFeed:
         return cloud.points(pressure_pa, max_pa, pose)
 
     def _hear(self, header: Header) -> None:
-        if nanoseconds(header.stamp) > nanoseconds(self._stamp):  # once per frame, not per topic
-            self._counted += 1
-        self._heard_s, self._stamp = time.monotonic(), header.stamp
-        age_ns = self._node.get_clock().now().nanoseconds - nanoseconds(header.stamp)
+        stamp_ns = nanoseconds(header.stamp)
+        self._counted += stamp_ns > self._stamp_ns  # once per frame, not per topic
+        self._heard_s, self._stamp_ns = time.monotonic(), stamp_ns
+        age_ns = self._node.get_clock().now().nanoseconds - stamp_ns
         self._late_s = min(self._late_s, age_ns * 1e-9)
 
-    def _take_contacts(self, message: TactileContacts) -> None:
-        self._hear(message.header)
-        self._on_contacts(self, message)
+    def _take_contacts(self, message: bytes) -> None:
+        try:
+            contacts = Touches.read(message)
+        except CdrError as error:
+            self._node.get_logger().warning(
+                f"contacts of {self.node_name} not taken: {error}",
+                throttle_duration_sec=COMPLAINT_S,
+            )
+            return
+        self._hear(contacts.header)
+        self._on_contacts(self, contacts)
 
     def _take_array(self, message: TactileArray) -> None:
         self._hear(message.header)

@@ -1,21 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Converts frames, configuration and arrays to ROS messages, and messages to arrays."""
+"""Converts frames, configuration and arrays to ROS messages, and messages to arrays.
+
+What is published often comes as bytes, see cdr.py.
+"""
 
 from __future__ import annotations
 
 from array import array
 from collections.abc import Mapping, Sequence
+from functools import cache
+from struct import Struct
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, Point32, Vector3
 from numpy.typing import NDArray
-from sensor_msgs.msg import Image, PointCloud2, PointField
+from sensor_msgs.msg import PointField
 from std_msgs.msg import Header
 
-from tactile_cdma.msg import TactileArray, TactileSkinInfo
+from tactile_cdma.msg import TactileSkinInfo
 
 from ...config.skin_config import SkinConfig
 from ...driver.digitizer import Source
@@ -23,18 +28,12 @@ from ...driver.pipeline import TactileFrame
 from ...places.layout import Layout
 from ...readings.baseline import Baseline
 from ...recording.message_fields import array_fields, info_fields
+from .cdr import CdrWriter
 
 
 def ros_array(values: NDArray[np.generic]) -> array[float] | array[int]:
     """An ndarray as array.array, which message fields take without a look at every element."""
     return array(values.dtype.char, values.tobytes())
-
-
-def _bytes(values: NDArray[np.generic]) -> array[int]:
-    """The bytes of an ndarray as array.array, which message fields take as it is."""
-    result = array("B")
-    result.frombytes(np.ascontiguousarray(values).view(np.uint8).data)
-    return result
 
 
 def by_taxel(layout: Layout, of_node: NDArray[np.float32]) -> array[float] | array[int]:
@@ -46,10 +45,17 @@ def by_taxel(layout: Layout, of_node: NDArray[np.float32]) -> array[float] | arr
 
 def tactile_array(
     frame: TactileFrame, layout: Layout, header: Header, info_id: int, with_voltage: bool
-) -> TactileArray:
-    """One frame as the message that a manipulation stack subscribes to."""
-    fields = array_fields(frame, layout, info_id, ros_array, with_voltage)
-    return TactileArray(header=header, **fields)
+) -> bytes:
+    """One frame as the message TactileArray, which a manipulation stack subscribes to."""
+    fields = array_fields(frame, layout, info_id, np.asarray, with_voltage)
+    writer = CdrWriter()
+    writer.header(header)
+    names = "sequence", "device_time_us", "info_id", "height", "width"
+    writer.add(_ARRAY.pack(*(fields[name] for name in names)), 8)
+    for name in ("pressure", "voltage", "status"):
+        writer.array(fields[name])
+    writer.add(_FLOAT.pack(fields["noise_rms"]), 4)
+    return writer.message
 
 
 def skin_info(
@@ -65,28 +71,47 @@ def skin_info(
     return message
 
 
-def image(picture: NDArray[np.generic], encoding: str, header: Header) -> Image:
-    """A picture, (h, w) or (h, w, channels), as a message."""
-    message = Image(header=header, encoding=encoding, step=picture.nbytes // len(picture))
-    message.height, message.width = picture.shape[:2]
-    message.data = _bytes(picture)  # the constructor would copy it
-    return message
+def image(picture: NDArray[np.generic], encoding: str, header: Header) -> bytes:
+    """A picture, (h, w) or (h, w, channels), as the message Image."""
+    height, width = picture.shape[:2]
+    writer = CdrWriter()
+    writer.header(header)
+    writer.add(_SIZE.pack(height, width), 4)
+    writer.text(encoding)
+    writer.add(b"\0")  # not big-endian
+    writer.add(_STEP.pack(picture.nbytes // height), 4)
+    writer.array(picture.reshape(-1).view(np.uint8))
+    return writer.message
 
 
-def point_cloud(points: NDArray[np.void], header: Header) -> PointCloud2:
-    """Records of little-endian numbers, (m,), as a message with a field for each of theirs."""
-    message = PointCloud2(header=header, height=1, width=len(points), is_dense=True)
-    assert points.dtype.fields is not None
-    message.fields = [
-        PointField(name=name, offset=offset, datatype=_POINT_TYPES[kind.str], count=1)
-        for name, (kind, offset, *_) in points.dtype.fields.items()
-    ]
-    message.point_step, message.row_step = points.itemsize, points.nbytes
-    message.data = _bytes(points)  # the constructor would copy it
-    return message
+def point_cloud(points: NDArray[np.void], header: Header) -> bytes:
+    """Records of little-endian numbers, (m,), as PointCloud2 with a field for each of theirs."""
+    writer = CdrWriter()
+    writer.header(header)
+    writer.add(_SIZE.pack(1, len(points)), 4)
+    writer.add(_point_fields(points.dtype), 4)
+    writer.add(_STEPS.pack(False, points.itemsize, points.nbytes), 4)
+    writer.array(points.view(np.uint8))
+    writer.add(b"\1")  # dense: all coordinates are finite
+    return writer.message
+
+
+@cache
+def _point_fields(kind: np.dtype[np.void]) -> bytes:
+    """The sequence of PointFields of such records, from a multiple of 4 on."""
+    assert kind.fields is not None
+    writer = CdrWriter()
+    writer.count(len(kind.fields))
+    for name, (number, offset, *_) in kind.fields.items():
+        writer.text(name)
+        writer.add(_FIELD.pack(offset, _POINT_TYPES[number.str], 1), 4)
+    return writer.fields
 
 
 _POINT_TYPES = {"<f4": PointField.FLOAT32, "<u4": PointField.UINT32}
+_ARRAY, _FLOAT = Struct("<QQIHH"), Struct("<f")
+_SIZE = Struct("<II")
+_STEP, _STEPS, _FIELD = Struct("<I"), Struct("<?3xII"), Struct("<IB3xI")
 
 
 def diagnostic(

@@ -9,6 +9,7 @@ with 20 services and topics, several times what the message itself does.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
@@ -19,12 +20,16 @@ from rclpy.node import Node
 from rclpy.utilities import timeout_sec_to_nsec
 from rclpy.waitable import NumberOfEntities
 
+EVENTS_S = 0.2
+"""Interval of looks at event handlers, s. Chosen: they report rare things, such as incompatible QoS
+at a subscriber, and waiting for the 2 of every topic takes longer than for all else."""
+
 
 class LeanExecutor(Executor):
     """Runs the callbacks of nodes one after the other, in the thread that spins.
 
     For nodes with timers, subscriptions, services and event handlers, whose callbacks are plain
-    functions. Guard conditions, clients and tasks are not served.
+    functions. Event handlers wake nobody. Guard conditions, clients and tasks are not served.
     """
 
     def __init__(self) -> None:
@@ -33,7 +38,7 @@ class LeanExecutor(Executor):
         self._add: list[tuple[Callable[[Any], None], Any]] = []
         self._waitables: list[Any] = []
         self._call: dict[int, tuple[Callable[[Any], object], Any]] = {}  # by rcl's pointer
-        self._has_changed = True
+        self._has_changed, self._events_due_s = True, 0.0
 
     def add_node(self, node: Node) -> bool:
         """Serve a node too; returns False if it was served before."""
@@ -58,12 +63,15 @@ class LeanExecutor(Executor):
         wait_set.clear_entities()
         for add, handle in self._add:
             add(handle)
-        for waitable in self._waitables:
+        waitables = []
+        if time.monotonic() >= self._events_due_s:
+            self._events_due_s, waitables = time.monotonic() + EVENTS_S, self._waitables
+        for waitable in waitables:
             waitable.add_to_wait_set(wait_set)
         wait_set.wait(timeout_sec_to_nsec(timeout_sec))
         if self._is_shutdown or not self._context.ok():
             return
-        happened = [waitable for waitable in self._waitables if waitable.is_ready(wait_set)]
+        happened = [waitable for waitable in waitables if waitable.is_ready(wait_set)]
         ready = [
             pointer
             for kind in ("timer", "subscription", "service")

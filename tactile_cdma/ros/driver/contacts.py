@@ -8,51 +8,49 @@ import numpy as np
 from geometry_msgs.msg import Wrench
 from std_msgs.msg import Header
 
-from tactile_cdma.msg import TactileContact, TactileContacts
-
 from ...readings.contact import Contacts
-from ..common.convert import point, ros_array, vector
+from ..common.convert import vector
+from ..common.touches import ID, STATE, Touches
 
 
 def contacts_message(
     contacts: Contacts, patch: str, header: Header, sequence: int, info_id: int
-) -> TactileContacts:
+) -> bytes:
     """All contacts of one frame. patch: fully qualified name of the node."""
-    return TactileContacts(
+    ids = np.empty(len(contacts), dtype=ID)
+    ids["id"], ids["age"] = contacts.ids, contacts.age_s
+    states = np.zeros(len(contacts), dtype=STATE)
+    for field, values in {
+        "position": contacts.position_m,
+        "normal": contacts.normals,
+        "force": contacts.force_n,
+        "area": contacts.area_m2,
+        "pressure_max": contacts.pressure_max_pa,
+        "saturated": contacts.saturated,
+        "lower_bound": contacts.lower_bound,
+        "velocity": contacts.velocity_m_s,
+        "force_rate": contacts.force_rate_n_s,
+        "taxels": [len(taxels) for taxels in contacts.taxels],
+    }.items():
+        states[field] = values
+    return Touches(
         header=header,
         sequence=sequence,
         info_id=info_id,
+        absent=[],
         taxels_in_service=contacts.coverage.in_service,
         taxels_valid=contacts.coverage.valid,
         touched=len(contacts) > 0,
         untouched=contacts.untouched,
-        area=contacts.total_area_m2,
-        position=point(contacts.centre_m),
-        wrench=wrench_of(contacts),
-        contacts=_contacts(contacts, patch),
-    )
-
-
-def _contacts(contacts: Contacts, patch: str) -> list[TactileContact]:
-    normals = contacts.normals
-    return [
-        TactileContact(
-            patch=patch,
-            id=int(contacts.ids[i]),
-            age=float(contacts.age_s[i]),
-            position=point(contacts.position_m[i]),
-            normal=vector(normals[i]),
-            force=vector(contacts.force_n[i]),
-            area=float(contacts.area_m2[i]),
-            pressure_max=float(contacts.pressure_max_pa[i]),
-            saturated=bool(contacts.saturated[i]),
-            lower_bound=bool(contacts.lower_bound[i]),
-            velocity=vector(contacts.velocity_m_s[i]),
-            force_rate=float(contacts.force_rate_n_s[i]),
-            taxels=ros_array(contacts.taxels[i].astype(np.uint16)),
-        )
-        for i in range(len(contacts))
-    ]
+        area_m2=contacts.total_area_m2,
+        position_m=contacts.centre_m,
+        force_n=contacts.total_force_n,
+        torque_nm=contacts.total_torque_nm,
+        patches=[patch] * len(contacts),
+        ids=ids,
+        states=states,
+        taxels=[taxels.astype("<u2").tobytes() for taxels in contacts.taxels],
+    ).message
 
 
 def wrench_of(contacts: Contacts) -> Wrench:

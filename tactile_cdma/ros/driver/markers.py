@@ -4,55 +4,56 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from struct import Struct
+from typing import NamedTuple
 
 import numpy as np
-from geometry_msgs.msg import Pose, Vector3
 from numpy.typing import NDArray
-from rclpy.duration import Duration
-from std_msgs.msg import ColorRGBA, Header
-from visualization_msgs.msg import Marker, MarkerArray
+from std_msgs.msg import Header
+from visualization_msgs.msg import Marker
 
+from ...base.arrays import Floats, Floats32
 from ...places.layout import Layout
 from ...places.mesh import CORNERS, taxel_squares
 from ...readings.contact import Contacts
 from ...readings.taxels import Coverage
 from ...views.heatmap import SCALE_RGB, scale_steps
-from ..common.convert import point
+from ..common.cdr import CdrWriter
 
 SURFACE, ARROWS, TEXTS, BLIND = "skin", "contacts", "forces", "blind"
 """Namespaces of markers; rviz can hide each."""
 MOST_SQUARES = 256
-"""Taxels up to which squares are drawn. rclpy converts messages number by number, 20 µs for a
-square, while the decoder waits (`make bench-pictures`): larger skins have ~/points."""
+"""Taxels up to which squares are drawn, 240 bytes each; chosen: larger skins have ~/points, which
+take a sixth of that."""
 ARROW_M_PER_N = 0.005
 """Length of an arrow per force, m/N; it ends at the centre of pressure. Chosen:
 1 N is a little shorter than the default pitch."""
 ARROW_PITCHES = 0.25, 0.5
 """Diameters of shaft and head in pitches, chosen; the head's length is left to the viewer."""
-CONTACT_COLOUR = ColorRGBA(r=0.3, g=0.85, b=1.0, a=1.0)
+CONTACT_RGBA = 0.3, 0.85, 1.0, 1.0
 """Chosen off the pressure scale, so that arrows stand out."""
-_COLOURS = [ColorRGBA(r=r, g=g, b=b, a=1.0) for r, g, b in (SCALE_RGB / 255).tolist()]
+_SCALE_RGBA = np.hstack([SCALE_RGB / 255, np.ones((len(SCALE_RGB), 1))]).astype("<f4")
+_NUMBERS, _SHAPE = Struct("<3i"), Struct("<10d4fiI?")
+_NOWHERE, _UPRIGHT = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
+_NO_POINTS, _NO_COLOURS = np.zeros((0, 3)), _SCALE_RGBA[:0]
 
 
 class SkinMarkers:
-    """Builds the markers of one skin; the messages share what never changes."""
+    """Builds the markers of one skin."""
 
     def __init__(self, layout: Layout, most_squares: int = MOST_SQUARES) -> None:
         self._shown: set[int] = set()
         shaft, head = (pitches * layout.pitch_m for pitches in ARROW_PITCHES)
-        self._arrow_scale = Vector3(x=shaft, y=head)
-        self._text_scale = Vector3(z=layout.pitch_m)
+        self._arrow_m, self._letter_m = (shaft, head, 0.0), layout.pitch_m
         from_middle_m = layout.positions_m - layout.positions_m.mean(axis=0)
         middle = np.linalg.norm(from_middle_m, axis=1).argmin()
-        above_m = layout.positions_m[middle] + layout.pitch_m * layout.normals[middle]
-        self._above = Pose(position=point(above_m))
+        self._above_m = layout.positions_m[middle] + layout.pitch_m * layout.normals[middle]
         self._was_certain = True
         self._placed = np.flatnonzero(layout.nodes)
         if len(self._placed) > most_squares:
             self._placed = self._placed[:0]
-        corners_m = taxel_squares(layout)[self._placed].reshape(-1, 3)
-        self._corners = [point(corner_m) for corner_m in corners_m]
+        self._corners_m = taxel_squares(layout)[self._placed].reshape(-1, 3).astype("<f8")
 
     def markers(
         self,
@@ -61,8 +62,8 @@ class SkinMarkers:
         contacts: Contacts,
         header: Header,
         lifetime_s: float,
-    ) -> MarkerArray:
-        """The markers of a frame; those of contacts that ended since the last one are deleted.
+    ) -> bytes:
+        """The message MarkerArray of a frame; markers of contacts that ended are deleted.
 
         A text says how many taxels in service have no reading or a doubtful one, if any: nothing
         drawn means that nothing touches only without it.
@@ -70,69 +71,106 @@ class SkinMarkers:
         pressure_pa: (t,) float32, Pa; colours are on the scale 0…max_pa. lifetime_s: time after
         which markers vanish that no message renews, as when the skin is no longer read.
         """
-        lifetime = Duration(seconds=lifetime_s).to_msg()
-        common = {"header": header, "lifetime": lifetime, "color": CONTACT_COLOUR}
-        markers = [self._surface(pressure_pa, max_pa, common)] if self._corners else []
+        markers = [self._surface(pressure_pa, max_pa)] if len(self._placed) else []
         ids = contacts.ids.tolist()
         markers += [
-            Marker(header=header, ns=namespace, id=gone, action=Marker.DELETE)
+            _Marker(namespace, gone, is_deleted=True)
             for gone in self._shown.difference(ids)
             for namespace in (ARROWS, TEXTS)
         ]
         self._shown = set(ids)
-        for contact, number in enumerate(ids):
-            markers += self._contact(contacts, contact, {**common, "id": number})
+        heads_m, forces_n = contacts.position_m, contacts.force_n
+        tails_m = heads_m - ARROW_M_PER_N * forces_n  # outside: forces point into the skin
+        for i, number in enumerate(ids):
+            arrow_m = np.stack([tails_m[i], heads_m[i]])
+            markers.append(_Marker(ARROWS, number, Marker.ARROW, self._arrow_m, points_m=arrow_m))
+            at_least = "> " if contacts.lower_bound[i] else ""
+            text = f"{at_least}{np.linalg.norm(forces_n[i]):.3g} N"
+            markers.append(self._text(TEXTS, number, tails_m[i], text))
         if not contacts.coverage.is_certain:
-            markers.append(self._blind(contacts.coverage, common))
+            markers.append(self._text(BLIND, 0, self._above_m, _blind(contacts.coverage)))
         elif not self._was_certain:
-            markers.append(Marker(header=header, ns=BLIND, action=Marker.DELETE))
+            markers.append(_Marker(BLIND, 0, is_deleted=True))
         self._was_certain = contacts.coverage.is_certain
-        return MarkerArray(markers=markers)
+        return _message(markers, header, lifetime_s)
 
-    def _surface(
-        self, pressure_pa: NDArray[np.float32], max_pa: float, common: dict[str, Any]
-    ) -> Marker:
+    def _surface(self, pressure_pa: NDArray[np.float32], max_pa: float) -> _Marker:
         steps = scale_steps(pressure_pa[self._placed], max_pa).repeat(len(CORNERS))
-        return Marker(
-            **common,
-            ns=SURFACE,
-            type=Marker.TRIANGLE_LIST,
-            scale=Vector3(x=1.0, y=1.0, z=1.0),
-            points=self._corners,
-            colors=[_COLOURS[step] for step in steps.tolist()],
+        return _Marker(
+            *(SURFACE, 0, Marker.TRIANGLE_LIST, (1.0, 1.0, 1.0)),
+            points_m=self._corners_m,
+            rgba=_SCALE_RGBA[steps],
         )
 
-    def _blind(self, coverage: Coverage, common: dict[str, Any]) -> Marker:
-        unread, doubtful = coverage.in_service - coverage.valid, coverage.doubtful
-        lacks = [f"no reading: {unread}"] * bool(unread) + [f"doubtful: {doubtful}"] * bool(
-            doubtful
-        )
-        return Marker(
-            **common,
-            ns=BLIND,
-            type=Marker.TEXT_VIEW_FACING,
-            scale=self._text_scale,
-            pose=self._above,
-            text=f"{', '.join(lacks)} of {coverage.in_service} taxels",
-        )
+    def _text(self, namespace: str, number: int, place_m: Floats, text: str) -> _Marker:
+        kind, size_m = Marker.TEXT_VIEW_FACING, (0.0, 0.0, self._letter_m)
+        return _Marker(namespace, number, kind, size_m, place_m.tolist(), text=text)
 
-    def _contact(self, contacts: Contacts, contact: int, common: dict[str, Any]) -> list[Marker]:
-        head_m, force_n = contacts.position_m[contact], contacts.force_n[contact]
-        tail = point(head_m - ARROW_M_PER_N * force_n)  # outside: the force points into the skin
-        at_least = "> " if contacts.lower_bound[contact] else ""
-        arrow = Marker(
-            **common,
-            ns=ARROWS,
-            type=Marker.ARROW,
-            scale=self._arrow_scale,
-            points=[tail, point(head_m)],
-        )
-        text = Marker(
-            **common,
-            ns=TEXTS,
-            type=Marker.TEXT_VIEW_FACING,
-            scale=self._text_scale,
-            pose=Pose(position=tail),
-            text=f"{at_least}{np.linalg.norm(force_n):.3g} N",
-        )
-        return [arrow, text]
+
+def _blind(coverage: Coverage) -> str:
+    """Says how much is not known."""
+    unread, doubtful = coverage.in_service - coverage.valid, coverage.doubtful
+    lacks = [f"no reading: {unread}"] * bool(unread) + [f"doubtful: {doubtful}"] * bool(doubtful)
+    return f"{', '.join(lacks)} of {coverage.in_service} taxels"
+
+
+class _Marker(NamedTuple):
+    """What differs between our markers; of those that are deleted only the first two count.
+
+    points_m: (m, 3) float64. rgba: (m, 4) float32, of every point.
+    """
+
+    namespace: str
+    number: int
+    kind: int = Marker.ARROW
+    scale_m: Sequence[float] = _NOWHERE
+    place_m: Sequence[float] = _NOWHERE
+    points_m: Floats = _NO_POINTS
+    rgba: Floats32 = _NO_COLOURS
+    text: str = ""
+    is_deleted: bool = False
+
+
+def _message(markers: Sequence[_Marker], header: Header, lifetime_s: float) -> bytes:
+    """The message MarkerArray."""
+    lifetime = divmod(round(lifetime_s * 1e9), 1_000_000_000)
+    writer = CdrWriter()
+    writer.count(len(markers))
+    for marker in markers:
+        writer.header(header)
+        writer.text(marker.namespace)
+        action, look = Marker.ADD, (*CONTACT_RGBA, *lifetime)
+        if marker.is_deleted:
+            action, look = Marker.DELETE, (0.0, 0.0, 0.0, 0.0, 0, 0)
+        writer.add(_NUMBERS.pack(marker.number, marker.kind, action), 4)
+        writer.add(_SHAPE.pack(*marker.place_m, *_UPRIGHT, *marker.scale_m, *look, False), 8)
+        writer.array(marker.points_m)
+        writer.array(marker.rgba)
+        writer.add(_NO_TEXTURE, 4)
+        writer.text(marker.text)
+        writer.add(_NO_MESH, 4)
+    return writer.message
+
+
+def _no_texture() -> bytes:
+    """Empty texture_resource, texture and uv_coordinates of a marker."""
+    writer = CdrWriter()
+    writer.text("")
+    writer.header(Header())
+    writer.text("")
+    writer.count(0)
+    writer.count(0)
+    return writer.fields
+
+
+def _no_mesh() -> bytes:
+    """Empty mesh_resource and mesh_file; mesh_use_embedded_materials is False."""
+    writer = CdrWriter()
+    writer.text("")
+    writer.text("")
+    writer.count(0)
+    writer.add(b"\0")
+    return writer.fields
+
+
+_NO_TEXTURE, _NO_MESH = _no_texture(), _no_mesh()

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""TactileContacts as arrays, and these as bytes: what drivers publish and a body's node reads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from struct import Struct
+
+import numpy as np
+from geometry_msgs.msg import Vector3, Wrench
+from numpy.typing import NDArray
+from std_msgs.msg import Header
+
+from ...base.arrays import Floats
+from .cdr import CdrReader, CdrWriter
+
+ID = np.dtype([("id", "<u4"), ("age", "<f4")])
+"""The numbers of a TactileContact before those of STATE: id, and age in s."""
+_VECTOR = ("<f8", 3)
+STATE = np.dtype(
+    [
+        ("position", *_VECTOR),
+        ("normal", *_VECTOR),
+        ("force", *_VECTOR),
+        ("area", "<f4"),
+        ("pressure_max", "<f4"),
+        ("saturated", "?"),
+        ("lower_bound", "?"),
+        ("padding", "V6"),
+        ("velocity", *_VECTOR),
+        ("force_rate", "<f4"),
+        ("taxels", "<u4"),
+    ]
+)
+"""The other numbers of a TactileContact as they lie in the message from a multiple of 8 on, in the
+units of TactileContact.msg; taxels: how many."""
+_SEQUENCE, _COVERAGE, _AREA, _SUMS = Struct("<QI"), Struct("<II2?"), Struct("<f"), Struct("<9d")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Touches:
+    """A message TactileContacts.
+
+    area_m2, position_m, force_n, torque_nm: of all c contacts together.
+    patches: name of each contact's patch. ids: (c,) ID. states: (c,) STATE. taxels: of each
+    contact, as uint16.
+    """
+
+    header: Header
+    sequence: int
+    info_id: int
+    absent: list[str]
+    taxels_in_service: int
+    taxels_valid: int
+    touched: bool
+    untouched: bool
+    area_m2: float
+    position_m: Floats
+    force_n: Floats
+    torque_nm: Floats
+    patches: list[str]
+    ids: NDArray[np.void]
+    states: NDArray[np.void]
+    taxels: list[bytes]
+
+    @property
+    def wrench(self) -> Wrench:
+        """The resultant on the skin about the frame's origin."""
+        force, torque = (
+            Vector3(**dict(zip("xyz", values.tolist(), strict=True)))
+            for values in (self.force_n, self.torque_nm)
+        )
+        return Wrench(force=force, torque=torque)
+
+    @property
+    def message(self) -> bytes:
+        """The message."""
+        writer = CdrWriter()
+        writer.header(self.header)
+        writer.add(_SEQUENCE.pack(self.sequence, self.info_id), 8)
+        writer.count(len(self.absent))
+        for name in self.absent:
+            writer.text(name)
+        counts = self.taxels_in_service, self.taxels_valid
+        writer.add(_COVERAGE.pack(*counts, self.touched, self.untouched), 4)
+        writer.add(_AREA.pack(self.area_m2), 4)
+        sums = np.concatenate([self.position_m, self.force_n, self.torque_nm])
+        writer.add(sums.astype("<f8").tobytes(), 8)
+        writer.count(len(self.patches))
+        ids, states = self.ids.tobytes(), self.states.tobytes()
+        for contact, (patch, taxels) in enumerate(zip(self.patches, self.taxels, strict=True)):
+            writer.text(patch)
+            writer.add(ids[contact * ID.itemsize :][: ID.itemsize], 4)
+            writer.add(states[contact * STATE.itemsize :][: STATE.itemsize], 8)
+            writer.add(taxels)
+        return writer.message
+
+    @classmethod
+    def read(cls, message: bytes) -> Touches:
+        """Take a message apart; raises CdrError if it is none."""
+        reader = CdrReader(message)
+        header = reader.header()
+        sequence, info_id = reader.numbers(_SEQUENCE, 8)
+        absent = [reader.text() for _ in range(reader.count())]
+        in_service, valid, touched, untouched = reader.numbers(_COVERAGE, 4)
+        [area_m2] = reader.numbers(_AREA, 4)
+        sums = np.frombuffer(reader.take(_SUMS.size, 8), dtype="<f8")
+        patches, ids, states, taxels = [], [], [], []
+        for _ in range(reader.count()):
+            patches.append(reader.text())
+            ids.append(reader.take(ID.itemsize, 4))
+            states.append(reader.take(STATE.itemsize, 8))
+            taxels.append(reader.take(2 * int.from_bytes(states[-1][-4:], "little")))
+        return cls(
+            header,
+            sequence,
+            info_id,
+            absent,
+            in_service,
+            valid,
+            touched,
+            untouched,
+            area_m2,
+            sums[:3],
+            sums[3:6],
+            sums[6:],
+            patches,
+            np.frombuffer(b"".join(ids), dtype=ID),
+            np.frombuffer(b"".join(states), dtype=STATE),
+            taxels,
+        )

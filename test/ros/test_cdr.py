@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Messages written as bytes are rclpy's own: of every size, length of strings, and alignment.
+
+rclpy leaves the bytes between fields as they happen to be in memory, so messages are compared field
+by field, and by their lengths.
+"""
+
+from __future__ import annotations
+
+import random
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, Vector3, Wrench
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import Image, PointCloud2, PointField
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from tactile_cdma.driver.pipeline import TactileFrame
+from tactile_cdma.msg import TactileArray, TactileContact, TactileContacts
+from tactile_cdma.places.layout import Layout
+from tactile_cdma.readings.contact import ContactThresholds, ContactTracker
+from tactile_cdma.readings.taxels import Readings
+from tactile_cdma.recording.message_fields import array_fields
+from tactile_cdma.ros.common.cdr import CdrError
+from tactile_cdma.ros.common.convert import image, point_cloud, ros_array, tactile_array
+from tactile_cdma.ros.common.touches import Touches
+from tactile_cdma.ros.driver.contacts import contacts_message
+from tactile_cdma.ros.driver.markers import SkinMarkers
+from tactile_cdma.views.cloud import BODY_POINT, POINT
+from tactile_cdma.words.decode import silent
+
+pytestmark = pytest.mark.ros
+NAMES = ("", "a", "ab", "abc", "abcd", "/left_palm/skin", "Häutchen", "皮")
+STAMP = Time(sec=2**31 - 1, nanosec=999_999_999)
+FLOATS = (0.0, -0.0, 1 / 3, float("nan"), float("inf"), -1e300, 5e-324)
+
+
+def assert_same(written: bytes, message: Any) -> None:
+    """The bytes are this message's."""
+    by_rclpy = serialize_message(message)
+    assert written[:4] == by_rclpy[:4]
+    assert len(written) == len(by_rclpy)
+    assert repr(deserialize_message(written, type(message))) == repr(message)
+
+
+def header(frame_id: str) -> Header:
+    return Header(stamp=STAMP, frame_id=frame_id)
+
+
+@pytest.mark.parametrize("frame_id", NAMES)
+@pytest.mark.parametrize("taxels", [1, 2, 3, 15, 16, 4096])
+@pytest.mark.parametrize("with_voltage", [False, True])
+def test_arrays(frame_id: str, taxels: int, with_voltage: bool) -> None:
+    rng = np.random.default_rng(taxels)
+    values = rng.normal(size=(2, taxels)).astype(np.float32)
+    values[:, ::3] = np.nan
+    status = rng.integers(0, 256, taxels).astype(np.uint8)
+    noise_v = float(np.float32(0.1)) if taxels % 2 else float("nan")
+    words = silent(taxels, noise_v)
+    readings = Readings(values[0], values[1], status)
+    frame = TactileFrame(2**40 + 1, 0.0, 1e7, 0.0, 5e-5, 0.0, words, readings)
+    layout = Layout.grid(taxels, 1, taxels, 7e-3, 5e-3)
+    written = tactile_array(frame, layout, header(frame_id), 2**32 - 1, with_voltage)
+    fields = array_fields(frame, layout, 2**32 - 1, ros_array, with_voltage)
+    assert_same(written, TactileArray(header=header(frame_id), **fields))
+
+
+@pytest.mark.parametrize("frame_id", NAMES)
+@pytest.mark.parametrize("encoding", ["rgb8", "32FC1"])
+@pytest.mark.parametrize("shape", [(1, 1), (3, 5), (64, 64)])
+def test_images(frame_id: str, encoding: str, shape: tuple[int, int]) -> None:
+    rng = np.random.default_rng(1)
+    picture = rng.random(shape, dtype=np.float32)
+    if encoding == "rgb8":
+        picture = rng.integers(0, 256, (*shape, 3)).astype(np.uint8)
+    message = Image(header=header(frame_id), height=shape[0], width=shape[1], encoding=encoding)
+    message.step, message.data = picture.nbytes // shape[0], picture.tobytes()
+    assert_same(image(picture, encoding, header(frame_id)), message)
+
+
+@pytest.mark.parametrize("frame_id", NAMES)
+@pytest.mark.parametrize("kind", [POINT, BODY_POINT], ids=["skin", "body"])
+@pytest.mark.parametrize("count", [0, 1, 4096])
+def test_clouds(frame_id: str, kind: np.dtype[np.void], count: int) -> None:
+    size = count * kind.itemsize
+    points = np.frombuffer(random.Random(count).randbytes(size), dtype=kind)
+    types = {"<f4": PointField.FLOAT32, "<u4": PointField.UINT32}
+    fields = [
+        PointField(name=name, offset=4 * i, datatype=types[kind[name].str], count=1)
+        for i, name in enumerate(kind.names or ())
+    ]
+    message = PointCloud2(header=header(frame_id), height=1, width=count, fields=fields)
+    message.point_step, message.row_step, message.is_dense = kind.itemsize, size, True
+    message.data = points.tobytes()
+    assert_same(point_cloud(points, header(frame_id)), message)
+
+
+def contact(rng: random.Random, patch: str) -> TactileContact:
+    def vector(kind: type) -> Any:
+        return kind(**{axis: rng.choice(FLOATS) for axis in "xyz"})
+
+    return TactileContact(
+        patch=patch,
+        id=rng.randrange(2**32),
+        age=0.5,
+        position=vector(Point),
+        normal=vector(Vector3),
+        force=vector(Vector3),
+        area=float("nan"),
+        pressure_max=1.5,
+        saturated=rng.random() < 0.5,
+        lower_bound=rng.random() < 0.5,
+        velocity=vector(Vector3),
+        force_rate=-2.25,
+        taxels=[rng.randrange(2**16) for _ in range(rng.randrange(5))],
+    )
+
+
+@pytest.mark.parametrize("frame_id", NAMES)
+@pytest.mark.parametrize("patch", NAMES)
+@pytest.mark.parametrize("count", [0, 1, 2, 7])
+def test_contacts_are_read_and_written(frame_id: str, patch: str, count: int) -> None:
+    rng = random.Random(f"{frame_id} {patch} {count}")
+    message = TactileContacts(
+        header=header(frame_id),
+        sequence=2**64 - 1,
+        info_id=3,
+        absent=rng.sample(NAMES, count % 4),
+        taxels_in_service=2**32 - 1,
+        taxels_valid=5,
+        touched=count > 0,
+        untouched=count == 0,
+        area=0.125,
+        position=Point(x=1.0, y=float("nan"), z=-1e-9),
+        wrench=Wrench(force=Vector3(x=1.0), torque=Vector3(z=2.0)),
+        contacts=[contact(rng, patch) for _ in range(count)],
+    )
+    raw = serialize_message(message)
+    touches = Touches.read(raw)
+    assert_same(touches.message, message)
+    assert repr(touches.wrench) == repr(message.wrench)
+    for size in range(len(raw)):  # but for bytes at the end that mean nothing
+        with pytest.raises(CdrError, match=r"amid a field|no plain"):
+            Touches.read(raw[:size])
+
+
+def test_bytes_of_others_are_refused() -> None:
+    raw = serialize_message(TactileContacts())
+    with pytest.raises(CdrError, match="begins with 00 07 00 00, which is no plain"):
+        Touches.read(b"\0\7" + raw[2:])
+    rng = random.Random(1)
+    for _ in range(2000):
+        try:
+            Touches.read(b"\0\1\0\0" + rng.randbytes(rng.randrange(400)))
+        except CdrError:
+            continue
+
+
+LAYOUT = Layout.grid(16, 0, 0, 7e-3, 5e-3)
+
+
+def pressed() -> ContactTracker:
+    return ContactTracker(LAYOUT, ContactThresholds(1e3, 5e2))
+
+
+@pytest.mark.parametrize("frame_id", NAMES)
+def test_contacts_of_a_frame(frame_id: str) -> None:
+    pressure_pa = np.zeros(16, dtype=np.float32)
+    pressure_pa[[0, 1, 7, 15]] = 2e3, 3e3, np.nan, 5e3
+    readings = Readings(pressure_pa, pressure_pa, np.zeros(16, dtype=np.uint8))
+    found = pressed().update(readings, 1.0)
+    written = contacts_message(found, "/skin", header(frame_id), 9, 4)
+    message = deserialize_message(written, TactileContacts)
+    assert_same(written, message)
+    assert message.header == header(frame_id)
+    assert (message.sequence, message.info_id, message.touched) == (9, 4, True)
+    assert (message.taxels_in_service, message.taxels_valid, message.absent) == (16, 15, [])
+    assert [c.patch for c in message.contacts] == ["/skin"] * len(found) == ["/skin"] * 2
+    for i, one in enumerate(message.contacts):
+        assert one.id == found.ids[i]
+        assert one.taxels.tolist() == found.taxels[i].tolist()
+        for got, wanted in (
+            (one.position, found.position_m),
+            (one.normal, found.normals),
+            (one.force, found.force_n),
+            (one.velocity, found.velocity_m_s),
+        ):
+            assert [got.x, got.y, got.z] == wanted[i].tolist()
+        assert one.lower_bound == found.lower_bound[i]
+        assert one.pressure_max == found.pressure_max_pa[i]
+        assert one.area == np.float32(found.area_m2[i])
+
+
+@pytest.mark.parametrize("frame_id", NAMES)
+@pytest.mark.parametrize("most_squares", [0, 16])
+def test_markers(frame_id: str, most_squares: int) -> None:
+    """Of contacts that begin, end, and beside a taxel that is not read."""
+    skin, tracker = SkinMarkers(LAYOUT, most_squares), pressed()
+    drawn = 0
+    for number, touched in enumerate(([], [0, 15], [15], [5])):
+        pressure_pa = np.zeros(16, dtype=np.float32)
+        pressure_pa[touched] = 4e3
+        pressure_pa[9] = np.nan if number == 2 else 0.0
+        status = np.zeros(16, dtype=np.uint8)
+        contacts = tracker.update(Readings(pressure_pa, pressure_pa, status), float(number))
+        written = skin.markers(pressure_pa, 1e5, contacts, header(frame_id), 1.25)
+        message = deserialize_message(written, MarkerArray)
+        assert_same(written, message)
+        drawn += len(message.markers)
+        for marker in message.markers:
+            assert marker.header == header(frame_id)
+            if marker.action == Marker.DELETE:
+                bare = Marker(header=marker.header, ns=marker.ns, id=marker.id)
+                bare.action = Marker.DELETE
+                assert marker == bare
+            else:
+                assert (marker.lifetime.sec, marker.lifetime.nanosec) == (1, 250_000_000)
+                assert marker.color == ColorRGBA(**_float32(r=0.3, g=0.85, b=1.0, a=1.0))
+                assert marker.pose.orientation.w == 1.0
+    assert drawn == 4 * (most_squares > 0) + 14
+
+
+def _float32(**values: float) -> dict[str, float]:
+    return {name: float(np.float32(value)) for name, value in values.items()}
