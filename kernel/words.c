@@ -119,8 +119,8 @@ bool words_decide(size_t nodes, const struct words_measures *measures, const uin
         uint8_t odd = 0;
         if (parity) {
             odd = is_odd(code);
-            unsigned weakest_bit = (bits - 1 - (unsigned)measures->weakest_bit[i]) & 31;
-            code = (code ^ (uint32_t)odd << weakest_bit) >> 1;
+            unsigned place = (bits - 1 - (unsigned)measures->weakest_bit[i]) & 31;
+            code = (code ^ (uint32_t)odd << place) >> 1;
             doubtful |= odd;
         }
         bool cancelling = doubtful && weakest < limits->low_margin * expected[i];

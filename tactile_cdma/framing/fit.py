@@ -238,7 +238,7 @@ def compiled_fit_words(rows: Floats32, spec: FrameSpec) -> WordFit:
     amplitude, uneven = np.empty((2, len(rows), spec.nodes), np.float32)
     pedestal, power, spread, misfit = np.empty((4, len(rows)), np.float32)
     kernel.compiled.fit_words(
-        spec.first_row, spec.nodes, spec.drive == UNIPOLAR, swing_v, LOUDEST_FLOOR, ACTIVE_FLOOR,
+        spec.first_row, spec.nodes, spec.drive == UNIPOLAR, swing_v, LOUDEST_FLOOR, LIMITS.active,
         rows, amplitude, uneven, pedestal, power, spread, misfit,
     )  # fmt: skip
     return WordFit(rows, amplitude, pedestal, uneven, power, spread, misfit)
