@@ -91,11 +91,12 @@ def test_words_of_candidates_are_those_of_numpy(line: tuple[FrameSpec, np.ndarra
     assert np.array_equal(found.amplitude > 0, expected.amplitude > 0)
     for name, scale in (("amplitude", rms), ("pedestal", rms), ("uneven", rms**2), ("power", rms)):
         a, b = getattr(found, name), getattr(expected, name)
-        np.testing.assert_allclose(a, b, rtol=3e-6, atol=2e-6 * scale, err_msg=name)
+        np.testing.assert_allclose(a, b, rtol=2e-5, atol=2e-6 * scale, err_msg=name)
     spoken = expected.power > 1e-9
     for name in ("spread", "misfit"):
         a, b = getattr(found, name)[spoken], getattr(expected, name)[spoken]
-        np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-5, err_msg=name)
+        # numpy adds thousands of squares in float32, one after the other.
+        np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-4, err_msg=name)
 
 
 @settings(max_examples=100, deadline=None)
