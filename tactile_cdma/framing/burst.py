@@ -18,6 +18,7 @@ import numpy as np
 from ..base.arrays import Floats
 from ..code.frame import MAX_STRETCH, FrameSpec
 from .fit import Fit, least_power
+from .limits import LIMITS
 
 _CELLS = 320
 """Most cells, about, that the burst search divides a frame into, whatever its order. Chosen: bounds
@@ -103,7 +104,8 @@ class Beside:
             if side.size:
                 noise = variance * (1.5 + 5 * math.sqrt(2 / side.size))
                 drift = abs(float(side.mean())) - 6 * math.sqrt(variance / side.size)
-                if drift > 0.2 * math.sqrt(power) or np.square(side).mean() > noise + 0.1 * power:
+                excess = float(np.square(side).mean()) - noise
+                if drift > LIMITS.beside_level * math.sqrt(power) or excess > LIMITS.beside * power:
                     return False
         return True
 

@@ -41,9 +41,6 @@ leaves 1e-3 of the words' power over."""
 BLUR = 0.3
 """Samples around an edge of which it is uncertain on which side of it they were taken. Chosen: a
 sample counts in full beyond 0.15 samples from an edge."""
-ACTIVE_FLOOR = 0.5
-"""A node spoke where its word exceeds this share of the amplitude that nodes have: halfway between
-silence and speech."""
 
 
 CHIPS_AT_ONCE = 1 << 18
@@ -162,10 +159,10 @@ class WordFit:
         one = slice(candidate, candidate + 1)
         return WordFit(*(getattr(self, item.name)[one] for item in fields(self)))
 
-    def believable(self, limit: float, spec: FrameSpec, noise: float = 0.0) -> bool:
+    def believable(self, spec: FrameSpec, noise: float = 0.0) -> bool:
         """Whether the words of a single candidate are even, and leave nothing over but noise.
 
-        limit: of one word's spread; beyond half of that it must be explained by noise.
+        Beyond half of the limit, spread must be explained by noise.
         noise: variance of a chip's level in the gap, V²; 0 where unknown. It makes words spread by
         1/ρ², estimated with active·(k − 1) degrees of freedom. Where it is not known, it follows
         from the words: noise that makes them spread by s leaves s/active in each of the N rows.
@@ -177,15 +174,14 @@ class WordFit:
         what is left must be cleaner than distortion by slightly wrong timing.
         """
         odd = int(LIMITS.odd_share * (np.count_nonzero(self.amplitude) + 1))
-        return self._explained(0, limit, 1.0, spec, noise) or (
-            odd > 0 and self._explained(odd, limit, LIMITS.stricter, spec, noise)
+        return self._explained(0, 1.0, spec, noise) or (
+            odd > 0 and self._explained(odd, LIMITS.stricter, spec, noise)
         )
 
-    def _explained(
-        self, odd: int, limit: float, stricter: float, spec: FrameSpec, noise: float
-    ) -> bool:
+    def _explained(self, odd: int, stricter: float, spec: FrameSpec, noise: float) -> bool:
         """As believable, without the given number of most uneven words and with stricter limits."""
-        power, misfit, limit = max(self.power.item(), 1e-30), self.misfit.item(), limit / stricter
+        power, misfit = max(self.power.item(), 1e-30), self.misfit.item()
+        limit = LIMITS.spread / stricter
         uneven, word_power = self.uneven[0], np.square(self.amplitude[0])
         if odd:
             order = np.argsort(uneven)
@@ -196,12 +192,12 @@ class WordFit:
             return False
         spread = float(uneven.sum()) / even_power
         if noise:
-            left = 3 * noise / power
+            left = LIMITS.left * noise / power
             expected = noise * active / spec.order / even_power
             scatter = math.sqrt(2 / (active * (spec.line_bits - 1)))
             most = min(limit * (1.7 - 0.7 / active), limit / 2 + expected * (1.3 + 4 * scatter))
         else:
-            left, most = 3 * spec.order / active * spread * even_power / power, limit
+            left, most = LIMITS.left * spec.order / active * spread * even_power / power, limit
         return spread < most and misfit < left + LIMITS.misfit / stricter
 
 
@@ -232,7 +228,7 @@ def read_words(chips: Floats32, spec: FrameSpec) -> WordFit:
 def word_floor(mean: Floats32, spec: FrameSpec) -> Floats32:
     """Amplitude that the words of a frame exceed, V: (…, n) mean |r| of all nodes to (…, 1).
 
-    That is ACTIVE_FLOOR of the nodes' amplitude where it is known, else of the usual one.
+    That is LIMITS.active of the nodes' amplitude where it is known, else of the usual one.
     """
     loudest = mean.max(axis=-1, keepdims=True)
     if spec.node_swing_v is not None:
@@ -240,7 +236,7 @@ def word_floor(mean: Floats32, spec: FrameSpec) -> Floats32:
     else:
         usual = usual_amplitude(mean)
     floor: Floats32 = np.maximum(
-        np.float32(LOUDEST_FLOOR) * loudest, np.float32(ACTIVE_FLOOR) * usual
+        np.float32(LOUDEST_FLOOR) * loudest, np.float32(LIMITS.active) * usual
     )
     return floor
 

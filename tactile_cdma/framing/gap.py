@@ -41,6 +41,9 @@ F = TypeVar("F", float, Floats)
 
 _MOST_SHIFTS = 64
 """Largest number of silent chips that a frame may begin with; bounds the search. Chosen."""
+_BEYOND = 2
+"""Chips beyond the range that a burst's ends allow in which rivals are looked for: what a high-pass
+leaves after a frame, and impulses beside it, are as loud as chips. Chosen."""
 _TURNS = 4
 """Chips per block in the search for the chip clock: its band of 11 % then is 0.4 turns wide."""
 _MAX_LINES = 12
@@ -78,17 +81,23 @@ class GapSearch(BurstSearch):
             score = score + expected.log_prior(starts)
         best = int(np.argmax(score))
         fit = refine(line, Fit(starts[best], chips[best]), spec)
-        if not 0.99 * self.chip <= fit.chip <= 1.01 * (1 + MAX_STRETCH) * self.chip:
+        if not LIMITS.possible(fit.chip / self.chip):
             return None
         low, high = self._range(burst, fit.chip)
-        earliest = min(0, math.ceil((low - fit.start) / fit.chip))
-        latest = max(0, math.floor((high - fit.start) / fit.chip))
-        start = fit.start + fit.chip * np.arange(earliest, latest + 1, dtype=np.float64)
+        earliest = min(0, math.ceil((low - fit.start) / fit.chip)) - _BEYOND
+        latest = max(0, math.floor((high - fit.start) / fit.chip)) + _BEYOND
         noise = burst.variance * self.half / fit.chip
-        # Two nodes that cancel at the start of every bit are possible, but not likely.
-        unlikely = np.log1p(np.square((start - burst.first) / (0.5 * fit.chip)))
-        chip = np.full(start.size, fit.chip)
-        return self._judge.choose(line, start, chip, noise, unlikely, expected)
+        while True:
+            shifts = earliest, latest
+            start = fit.start + fit.chip * np.arange(earliest, latest + 1, dtype=np.float64)
+            chip = np.full(start.size, fit.chip)
+            # Two nodes that cancel at the start of every bit are possible, but not likely.
+            unlikely = np.log1p(np.square((start - burst.first) / (0.5 * fit.chip)))
+            found = self._judge.choose(line, start, chip, noise, unlikely, expected)
+            shift = round((found.fit.start - fit.start) / fit.chip)
+            earliest, latest = min(earliest, shift - _BEYOND), max(latest, shift + _BEYOND)
+            if (earliest, latest) == shifts or latest - earliest > _MOST_SHIFTS:
+                return found
 
     def _score(
         self, starts: Floats, chips: Floats, power: NDArray[np.floating], burst: Burst

@@ -293,7 +293,7 @@ class GapTiming(Timing):
         variance = beside.variance(burst.variance)
         noise = variance * self._search.half / fit.chip
         words = even_words(line, fit, spec, found.words)
-        if not words.believable(LIMITS.spread, spec, noise):
+        if not words.believable(spec, noise):
             return MISFIT
         if not beside.is_quiet(self._side_halves, variance, burst.power):
             return NOT_AT_REST

@@ -6,20 +6,32 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ..code.frame import MAX_STRETCH
+
 
 @dataclass(frozen=True, slots=True)
 class Limits:
     """What a frame must be to be one.
 
+    chip_error: share by which chips may be shorter than nominal, or longer than the longest
+        stretch. Chosen: a third of a chip at the end of a frame of 32.
+    active: share of the amplitude that nodes have, which the word of one that spoke exceeds:
+        halfway between silence and speech.
+    loud: deviations of a correlation that a word's mean |r| exceeds where somebody spoke. Noise
+        alone gives 0.8 ± 0.6/√k, so at k = 10 that is six deviations off.
     spread: relative variance of |r| within a word (WordFit.spread) beyond which a fit is not
         believed. White noise alone gives 1/ρ², so ρ > 2.9; chips that have nothing to do with the
         code book give π/2 − 1 = 0.57.
-    clean_spread: the same while the gap's noise is not known: ρ > 3.5.
     misfit: power left over by the words, relative to theirs, that jitter of edges and clipping may
         account for. Chosen; edges that jitter by ±0.1 chip leave 0.007, so most of it is for
         clipping.
-    carried_misfit: the same that reused timing may leave: edges 0.04 chip off (each of them changes
+    left: factor on the noise of the gap within which what words leave over is noise. Chosen: the
+        variance of the 16 samples of a short gap is right to a third, and a frame's scatters, too.
+    carried_misfit: misfit that reused timing may leave: edges 0.04 chip off (each of them changes
         one chip by 2a·0.04, and half of all edges are level changes), which costs 0.01 dB.
+    carried_noise: factor on the noise of the gap that reused timing may leave. Chosen: the variance
+        of the chips of a frame of order 20 is right to a tenth (√(2/200)), that of the gap to
+        less.
     odd_share: share of at least three words that may be uneven and still say nothing about the
         frame. Chosen: broken nodes are few, while wrong timing makes all words uneven.
     stricter: factor by which the other words must then be cleaner than they would have to be with
@@ -28,14 +40,28 @@ class Limits:
         for: words would be hidden in noise. Chosen.
     rest: share of the weakest word's amplitude below which a line is at rest. Chosen: below half,
         so that a lone node's chips exceed it even where their edges leave out part of them.
+    beside_level, beside: mean level, relative to the RMS of the frame, and power, relative to the
+        frame's, that a gap beside a frame may have beyond its noise in timing by gaps. Chosen: hum
+        of a fifth of the words; two of a bit's 20 chips.
+    rise: largest ratio of a gap's variance to the estimate that is believed: a burst within one gap
+        must not excuse the next frame. Chosen; with a weight of a quarter (marked_timing) the
+        estimate grows by 1.75 per gap at most.
     proven_ends: frames in a row that end in silence, after which their length is taken as right.
         Chosen: less than half a second at 78 Hz.
     vote: κ, the most that one chip contributes to a log-likelihood. Beyond √(2κ) = 3.5 deviations,
         which noise exceeds once in 2,000 chips, a chip is disturbed, and how far says nothing.
+    disturbed: share of the chips that may be disturbed, beside noise, in a frame that is
+        understood; beyond it the true one need not be among those that were weighed. Chosen: 4 of
+        200.
+    close: log-likelihood below the best frame's beyond which another one's is final; up to there
+        its timing is refined. Chosen: behind a low-pass of 0.2 chip refinement gains up to 25.
+    in_place: chips by which refined timing may move before it is another frame's. Chosen; a
+        low-pass moves edges by its time constant.
     distortion: deviation of a chip's level, relative to the code's RMS, that says nothing: edges
         0.1 chip off and low-passes of 0.3 chip leave as much next to each level change, on all
         chips of a kind alike. Half of it is the least deviation of chips beyond that. Found with
-        `make bench-doubt`: with 0.2, 1 of 120 words of nodes that tie was not flagged.
+        `make bench-doubt`: with 0.2, 1 of 120 words of nodes that tie was not flagged; with
+        0.25, 1 of 20,000 behind a low-pass of 0.2 chip.
     most: share of the chips that shows a line's own noise. Chosen: half of them are next to a level
         change; a fifth may be disturbed.
     most_deviations: what a normal variable of variance 1 exceeds, in size, in the other chips.
@@ -55,17 +81,27 @@ class Limits:
         node spoke is decided at half of its amplitude.
     """
 
+    chip_error: float = 0.01
+    active: float = 0.5
+    loud: float = 2.0
     spread: float = 0.12
-    clean_spread: float = 0.08
     misfit: float = 0.15
+    left: float = 3.0
     carried_misfit: float = 3e-3
+    carried_noise: float = 1.5
     odd_share: float = 0.25
     stricter: float = 3.0
     faint_power: float = 1.6
     rest: float = 0.4
+    beside_level: float = 0.2
+    beside: float = 0.1
+    rise: float = 4.0
     proven_ends: int = 30
     vote: float = 6.0
-    distortion: float = 0.25
+    disturbed: float = 0.02
+    close: float = 30.0
+    in_place: float = 0.3
+    distortion: float = 0.3
     most: float = 0.8
     most_deviations: float = 1.28
     clipped: float = 0.5
@@ -74,6 +110,10 @@ class Limits:
     lone: float = 1.5
     doubt: float = 6e-6
     alike: float = 0.25
+
+    def possible(self, stretch: float) -> bool:
+        """Whether chips may last so many nominal ones."""
+        return 1 - self.chip_error <= stretch <= (1 + self.chip_error) * (1 + MAX_STRETCH)
 
 
 LIMITS = Limits()

@@ -33,9 +33,6 @@ from .limits import LIMITS
 from .marked_timing import MarkedFrame, MarkedLine, MarkedTiming, Verdict
 from .timing import MISFIT, NOISY, NOT_AT_REST, Rails
 
-CHIP_ERROR = 2e-3
-"""Share by which chips may be shorter than nominal, or longer than the longest stretch. Chosen:
-twenty times the 100 ppm of a crystal, so that fits of noisy frames are not refused at the ends."""
 CARRIED_FRAMES = 15
 """Frames for which refined timing is reused while it explains them. Chosen: the refinement's cost
 is then below 1/15 per frame."""
@@ -79,11 +76,11 @@ class LineRecogniser:
     At one sample per chip the digitizer integrates whole chips, and these are the frame. Raw
     samples are a frame of the timing before, as long as that leaves no more than noise. Else
     others are proposed, and the Judge chooses: the timing before, refined on the frame's own
-    edges; the stretch that explains the most energy of those that end where the line falls
-    silent; and that of all stretches up to 11 %. The latter two take the samples that such a frame
-    would have, and are left out once a frame is accepted: another chip duration would have its
-    edges elsewhere. Frames with restarts within them are not stretched: the digitizer's sync edges
-    place their chips, or all a bit later.
+    edges; then, of the stretches that end where the line falls silent and of all up to 11 %, those
+    that explain the most energy. These take the samples that such a frame would have, and are left
+    out once a frame is accepted: another chip duration would have its edges elsewhere. Frames with
+    restarts within them are not stretched: the digitizer's sync edges place their chips, or all a
+    bit later.
     """
 
     def __init__(self, line: MarkedLine) -> None:
@@ -126,7 +123,7 @@ class LineRecogniser:
             if self._is_astray(words):
                 return Verdict(rejected=MISFIT)
             return self._line.silent(frame, self._line.sample_power(volts))
-        if words.believable(LIMITS.spread, spec):
+        if words.believable(spec):
             return self._line.heard(frame, self._line.nominal, node_levels(words.rows[0], spec))
         return Verdict(rejected=MISFIT)
 
@@ -159,7 +156,9 @@ class LineRecogniser:
         elif spec.first_row > 0:
             meant = rows[:, 1:]
         total = float(np.einsum("kr,kr->", meant, meant)) / spec.line_bits
-        left_over = total - power >= 1.5 * self._line.noise + LIMITS.carried_misfit * power
+        left_over = (
+            total - power >= LIMITS.carried_noise * self._line.noise + LIMITS.carried_misfit * power
+        )
         return None if left_over or self._line.is_silent(amplitude) else amplitude
 
     def _proposed(self, frame: MarkedFrame, line: Line) -> Verdict:
@@ -170,7 +169,7 @@ class LineRecogniser:
             return self._faint(frame, power)
         fits = [self._usual(line)]
         verdict = self._chosen(frame, line, fits)
-        if verdict.frame or verdict.due:
+        if verdict.over or verdict.due:
             return verdict
         if power <= LIMITS.faint_power * self._line.noise:
             if verdict.rejected:
@@ -183,11 +182,12 @@ class LineRecogniser:
             longest = math.ceil((1 + MAX_STRETCH) * (spec.chips + tail) * self._line.chip)
             if size < longest and not frame.final:
                 return Verdict(due=frame.start + longest)
-            for chips in (self._by_loud_end(line), self._all_stretches(line)):
+            for proposer in (self._by_loud_end, self._all_stretches):
+                chips = proposer(line)
                 if chips.size:
                     fits.append(self._refined(line, self._strongest(line, chips)))
                     verdict = self._chosen(frame, line, fits)
-                    if verdict.frame or verdict.due:
+                    if verdict.over or verdict.due:
                         return verdict
                     rejected = verdict.rejected or rejected
         if rejected is None:
@@ -208,13 +208,17 @@ class LineRecogniser:
         return Fit(float(start[np.argmax(power)]), nominal.chip)
 
     def _chosen(self, frame: MarkedFrame, line: Line, fits: list[Fit]) -> Verdict:
-        """The likeliest frame, if it is one; neither that nor rejected where nobody speaks."""
+        """The likeliest of these frames, if it is one, or a request for samples.
+
+        Else others may be it: then it is not said when it is over, nor a reason to reject it where
+        no node of it speaks.
+        """
         start, chip = np.array([(fit.start, fit.chip) for fit in fits]).T
         found = self._judge.choose(line, start, chip, self._line.noise)
         words = even_words(line, found.fit, self._spec, found.words)
         if self._line.is_silent(words.amplitude[0]):
             return Verdict(rejected=MISFIT if self._is_astray(words) else None)
-        if not words.believable(LIMITS.spread, self._spec, self._line.noise):
+        if not words.believable(self._spec, self._line.noise):
             return Verdict(rejected=MISFIT)
         rows, amplitude = words.rows[0], words.amplitude[0]
         ended = self._ended(frame, line, found.fit, rows, amplitude, found.doubtful)
@@ -265,9 +269,7 @@ class LineRecogniser:
     def _refined(self, line: Line, chip: float) -> Fit:
         """Timing refined from the mark and a chip duration; unrefined if that leads astray."""
         fit = refine(line, Fit(-0.5, chip), self._spec, earliest=-1.0, latest=0.5)
-        stretch = fit.chip / self._line.chip
-        possible = 1 - CHIP_ERROR <= stretch <= (1 + CHIP_ERROR) * (1 + MAX_STRETCH)
-        return fit if possible else Fit(-0.5, chip)
+        return fit if LIMITS.possible(fit.chip / self._line.chip) else Fit(-0.5, chip)
 
     def _by_loud_end(self, line: Line) -> Floats:
         """Chip durations with which a frame ends where the line falls silent, or a bit later."""
@@ -277,7 +279,7 @@ class LineRecogniser:
         loud = np.flatnonzero(np.abs(line.volts) > max(limit, least))
         end = int(loud[-1]) + 1 if loud.size else self._line.size
         chip: Floats = (end + nominal * np.arange(-1.0, 3.0, 0.5)) / self._spec.chips
-        return np.clip(chip, nominal, (1 + CHIP_ERROR) * (1 + MAX_STRETCH) * nominal)
+        return np.clip(chip, nominal, (1 + MAX_STRETCH) * nominal)
 
     def _all_stretches(self, line: Line) -> Floats:
         """All chip durations of frames that end within the samples; none beyond the budget."""

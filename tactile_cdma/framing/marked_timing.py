@@ -36,10 +36,6 @@ from .timing import (
 LEAST_REST = 16
 """Gap samples that an estimate of level and noise takes, collected over several short gaps. Chosen:
 the variance of 16 samples is right to a third (√(2/15))."""
-MOST_RISE = 4.0
-"""Largest ratio of a gap's variance to the estimate that is believed: a burst within one gap must
-not excuse the next frame. Chosen; with GAP_WEIGHT the estimate then grows by 1.75 per gap at
-most."""
 GAP_WEIGHT = 0.25
 """Weight of the newest gap in the running noise estimate. Chosen: averages about seven gaps."""
 
@@ -138,7 +134,7 @@ class MarkedLine:
         """Learn level and noise from mean and variance of the samples of a gap."""
         newest = variance_v2 / self.chip
         if self.level_known:
-            newest = min(newest, MOST_RISE * self.noise + lowest_power(1e-3))
+            newest = min(newest, LIMITS.rise * self.noise + lowest_power(1e-3))
         self.noise += (GAP_WEIGHT if self.level_known else 1.0) * (newest - self.noise)
         self.level_v, self.level_known = mean_v, True
 
@@ -168,11 +164,10 @@ class MarkedLine:
     def is_silent(self, amplitude: Floats32) -> bool:
         """Whether no word rises above the gap's noise, or above what any node would send.
 
-        amplitude: (n,) V, mean |r| of every node. Noise alone gives 0.8 ± 0.6/√k deviations of a
-        correlation.
+        amplitude: (n,) V, mean |r| of every node.
         """
         strongest = float(amplitude.max())
-        return strongest**2 <= max(self.least_power, 4 * self.noise / self.spec.order)
+        return strongest**2 <= max(self.least_power, LIMITS.loud**2 * self.noise / self.spec.order)
 
     def silent(self, frame: MarkedFrame, power: float, fit: Fit | None = None) -> Verdict:
         """A frame in which no node spoke; rejected where one that did might not show.

@@ -167,6 +167,8 @@ def decode(
         if astray.any():  # what weak words lack may be there, and they out of their places
             most = np.float32(amplitude[astray].max()) / np.float32(COMPARABLE)
             astray |= spoke & (amplitude < np.maximum(sound, most))
+            # A line that weakens words weakens faint ones, too.
+            astray |= ~spoke & (amplitude > np.float32(FAINT_SHARE) * amplitude.max())
         active = spoke & ~astray
     rho = amplitude * np.float32(1 / max(noise, 1e-12))
     weakest = level.min(axis=0)

@@ -331,6 +331,9 @@ def test_other_words_are_counted_as_what_they_are() -> None:
         ("gap: hum of A/3", 3),
         ("gap: 5 losses/s", 3),
         ("gap: jitter 3 chips", 3),
+        ("gap: high-pass 500 Hz, two nodes", 2),
+        ("gap: order 16, two nodes, equal words, jitter 3 chips, low-pass", 17),
+        ("gap: 1000 impulses/s of 1 V, two nodes", 5),
         ("gap: a node 0.6 chip late", 4),
     ],
 )

@@ -66,3 +66,16 @@ def test_a_weak_node_beside_loud_ones_is_found_and_doubtful_until_then(share: fl
         health.update(words)
     assert health.nodes(NodeState.WEAK) == [weak + 1]
     assert words.active[weak] and words.codes[weak] == codes[weak]
+
+
+def test_on_a_line_that_weakens_all_words_faint_ones_are_not_called_silent() -> None:
+    """Of words at 0.45 and 0.22 of the amplitude, none is certain to be silence."""
+    speaks, rng = np.isin(np.arange(SPEC.nodes), (0, 4, 9, 12)), np.random.default_rng(2)
+    faint = np.arange(SPEC.nodes) == 6
+    for _ in range(20):
+        codes = rng.integers(0, 1024, SPEC.nodes)
+        chips = line_chips(SPEC, codes, speaks, 0.45 * DEFAULT_AMPLITUDE_V)
+        chips = chips + line_chips(SPEC, codes, faint, 0.22 * DEFAULT_AMPLITUDE_V)
+        chips += rng.normal(0, 0.003, chips.shape)
+        words = decode(separate(chips.astype(np.float32), SPEC), SPEC)
+        assert np.array_equal(words.doubtful, speaks | faint)
