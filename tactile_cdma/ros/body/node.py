@@ -26,7 +26,7 @@ from tactile_cdma.msg import TactileContacts
 
 from ...base.errors import TransformError
 from ...places.poses import Pose
-from ...views.cloud import joined
+from ...views.cloud import BODY_POINT
 from ...views.rounds import Rounds
 from ..common.convert import nanoseconds, point_cloud
 from ..common.process import run_node
@@ -183,7 +183,7 @@ class BodyNode(Node):
                 stamps.append(feed.array.header.stamp)
                 clouds.append(cloud)
         # Kept until the next one, as by the driver's Pictures.
-        self._cloud = point_cloud(joined(clouds), self._header(stamps))
+        self._cloud = point_cloud(BODY_POINT, clouds, self._header(stamps))
         self._points.publish(self._cloud)
 
     # Diagnostics

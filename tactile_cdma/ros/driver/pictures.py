@@ -18,7 +18,7 @@ from ...config.parameters import Values
 from ...config.skin_config import SkinConfig, contact_thresholds
 from ...driver.pipeline import TactileFrame
 from ...readings.contact import ContactTracker
-from ...views.cloud import Cloud
+from ...views.cloud import POINT, Cloud
 from ...views.heatmap import heatmap, pressure_raster
 from ..common.convert import image, point_cloud
 from ..common.qos import PICTURE
@@ -139,7 +139,7 @@ def _drawings(config: SkinConfig, live: Values, tracker: ContactTracker) -> Draw
         "pressure_image": lambda frame, header: image(
             pressure_raster(frame.readings.pressure_pa, layout), "32FC1", header
         ),
-        "points": lambda frame, header: point_cloud(cloud.points(*seen(frame)), header),
+        "points": lambda frame, header: point_cloud(POINT, [cloud.points(*seen(frame))], header),
         "markers": markers,
     }
 
