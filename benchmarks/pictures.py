@@ -33,7 +33,7 @@ from tactile_cdma.readings.contact import Contacts, ContactTracker
 from tactile_cdma.readings.taxels import Readings
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES
-from tactile_cdma.views.cloud import Cloud
+from tactile_cdma.views.cloud import POINT, Cloud
 from tactile_cdma.views.heatmap import heatmap, pressure_raster
 
 from .report import QUICK, Report, medians_s
@@ -120,7 +120,7 @@ def drawings(taxels: int) -> dict[str, Callable[[], Any]]:
             heatmap(next(frames)[0], layout, MAX_PA, PIXELS), "rgb8", header
         ),
         IMAGE: lambda: convert.image(pressure_raster(next(frames)[0], layout), "32FC1", header),
-        POINTS: lambda: convert.point_cloud(cloud.points(next(frames)[0], MAX_PA), header),
+        POINTS: lambda: convert.point_cloud(POINT, [cloud.points(next(frames)[0], MAX_PA)], header),
         CONTACTS: markers(most_squares=0),
         SQUARES: markers(most_squares=taxels),
     }

@@ -192,13 +192,13 @@ class ContactTracker:
         if not len(taxels):
             return replace(NO_CONTACTS, coverage=coverage)
         saturated = readings.status[taxels] & _SATURATED > 0
-        near, changed = self._beside[:, taxels], before != self._unread
-        at_least = saturated | self._unread[near].any(axis=0)
+        at_least = saturated | self._beside_any(self._unread, taxels)
         origin, torn = _origins(places, labels, len(last), len(starts))
-        torn |= np.logical_or.reduceat(changed[taxels] | changed[near].any(axis=0), starts)
-        felt_pa, moments = pressure_pa[taxels], self._moments[taxels]
+        changed = before != self._unread
+        torn |= _any(changed[taxels] | self._beside_any(changed, taxels), starts)
+        felt_pa, moments = pressure_pa[taxels], self._moments.take(taxels, axis=0)
         rim, labels_of_rim = self._rim(pressure_pa)
-        sums = np.add.reduceat(moments * felt_pa[:, None], starts)
+        sums = np.add.reduceat(moments * felt_pa[:, None].astype(np.float64), starts)
         np.add.at(sums, labels_of_rim, self._moments[rim] * pressure_pa[rim, None])
         position_m, force_n = sums[:, 1:4] / sums[:, :1], -sums[:, 4:7]
         new = (origin < 0).nonzero()[0]
@@ -216,8 +216,8 @@ class ContactTracker:
             torque_nm=-sums[:, 7:10],
             area_m2=np.add.reduceat(moments[:, 0], starts),
             pressure_max_pa=np.maximum.reduceat(felt_pa, starts),
-            saturated=np.logical_or.reduceat(saturated, starts),
-            lower_bound=np.logical_or.reduceat(at_least, starts),
+            saturated=_any(saturated, starts),
+            lower_bound=_any(at_least, starts),
             velocity_m_s=velocity,
             force_rate_n_s=rate,
             taxels=np.split(taxels, starts[1:]),
@@ -246,12 +246,25 @@ class ContactTracker:
         kept = starts[-1]  # what is not a contact yet comes last
         return taxels[order[:kept]], places[:kept], starts[:-1]
 
+    def _beside_any(self, flags: Bools, taxels: Indices) -> Bools:
+        """(k,) bool, taxels with at least one neighbour whose flag is set; flags: (t,)."""
+        if not flags.any():
+            return np.zeros(len(taxels), dtype=bool)
+        return np.asarray(flags[self._beside.take(taxels, axis=1)].any(axis=0))
+
     def _rim(self, pressure_pa: Floats32) -> tuple[Indices, ...]:
         """Pressed taxels adjacent to contacts, and the indices of these contacts."""
         weak = ((pressure_pa > RIM * self._used.release_pa) & (self._place < 0)).nonzero()[0]
         place = self._place[self._beside[:, weak]].max(axis=0)
         beside = place >= 0
         return weak[beside], place[beside]
+
+
+def _any(flags: Bools, starts: Indices) -> Bools:
+    """(c,) bool, contacts with at least one flag set; flags: (k,), contact by contact."""
+    if not flags.any():
+        return np.zeros(len(starts), dtype=bool)
+    return np.logical_or.reduceat(flags, starts)
 
 
 def _moments(layout: Layout) -> Floats:

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -58,12 +56,6 @@ class Cloud:
         for axis, letter in enumerate("xyz"):
             self._points[letter] = positions_m[:, axis]
             self._points[f"normal_{letter}"] = normals[:, axis]
-
-
-def joined(clouds: Sequence[NDArray[np.void]]) -> NDArray[np.void]:
-    """(m,) BODY_POINT, the points of several patches one after the other."""
-    nothing = np.zeros(0, dtype=BODY_POINT)
-    return np.concatenate([_plain(cloud) for cloud in (nothing, *clouds)]).view(BODY_POINT)
 
 
 def _plain(points: NDArray[np.void]) -> NDArray[np.void]:

@@ -11,11 +11,10 @@ Host and digitizer use the same two classes: the parser knows the packets of eit
 
 from __future__ import annotations
 
-import operator
 import struct
 import zlib
 from array import array
-from dataclasses import asdict, astuple, dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import TypeAlias
 
 from ..base import kernel
@@ -60,7 +59,10 @@ class Counters:
     """Printable ASCII before the first packet."""
 
     def __add__(self, other: Counters) -> Counters:
-        return Counters(*map(operator.add, astuple(self), astuple(other)))
+        return Counters(*(getattr(self, name) + getattr(other, name) for name in _COUNTERS))
+
+
+_COUNTERS = tuple(field.name for field in fields(Counters))
 
 
 class PacketParser:
@@ -151,7 +153,7 @@ class Scanner:
         seen = replace(self._seen)
         if not seen.packets:
             seen.text_bytes += _text(self._partial)
-        return asdict(seen)
+        return {name: getattr(seen, name) for name in _COUNTERS}
 
     def held(self) -> int:
         """As PacketParser.held."""

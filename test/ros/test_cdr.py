@@ -100,7 +100,10 @@ def test_clouds(frame_id: str, kind: np.dtype[np.void], count: int) -> None:
     message = PointCloud2(header=header(frame_id), height=1, width=count, fields=fields)
     message.point_step, message.row_step, message.is_dense = kind.itemsize, size, True
     message.data = points.tobytes()
-    assert_same(point_cloud(points, header(frame_id)), message)
+    for parts in ([points], [points[:1], points[1:1], points[1:]]):
+        assert_same(point_cloud(kind, parts, header(frame_id)), message)
+    if not count:
+        assert_same(point_cloud(kind, [], header(frame_id)), message)
 
 
 def contact(rng: random.Random, patch: str) -> TactileContact:

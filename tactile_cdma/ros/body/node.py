@@ -26,7 +26,7 @@ from tactile_cdma.msg import TactileContacts
 
 from ...base.errors import TransformError
 from ...places.poses import Pose
-from ...views.cloud import joined
+from ...views.cloud import BODY_POINT
 from ...views.rounds import Rounds
 from ..common.convert import nanoseconds, point_cloud
 from ..common.process import run_node
@@ -71,6 +71,7 @@ class BodyNode(Node):
         self._sequence = 0
         self._drawn: list[PatchFeed] = []  # patches that the last points are of
         self._are_points_due = False
+        self._cloud = b""
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on where simulated time stands
         self.create_timer(TICK_S, self._tick, clock=steady)
         self.create_timer(REPORT_S, self._report, clock=steady)
@@ -181,7 +182,9 @@ class BodyNode(Node):
             if feed.array and cloud is not None:
                 stamps.append(feed.array.header.stamp)
                 clouds.append(cloud)
-        self._points.publish(point_cloud(joined(clouds), self._header(stamps)))
+        # Kept until the next one, as by the driver's Pictures.
+        self._cloud = point_cloud(BODY_POINT, clouds, self._header(stamps))
+        self._points.publish(self._cloud)
 
     # Diagnostics
 

@@ -84,14 +84,22 @@ def image(picture: NDArray[np.generic], encoding: str, header: Header) -> bytes:
     return writer.message
 
 
-def point_cloud(points: NDArray[np.void], header: Header) -> bytes:
-    """Records of little-endian numbers, (m,), as PointCloud2 with a field for each of theirs."""
+def point_cloud(
+    kind: np.dtype[np.void], clouds: Sequence[NDArray[np.void]], header: Header
+) -> bytes:
+    """PointCloud2 of one cloud after the other, with a field for each of kind's.
+
+    kind: of the records, of little-endian numbers. clouds: (m,) each.
+    """
+    count = sum(map(len, clouds))
     writer = CdrWriter()
     writer.header(header)
-    writer.add(_SIZE.pack(1, len(points)), 4)
-    writer.add(_point_fields(points.dtype), 4)
-    writer.add(_STEPS.pack(False, points.itemsize, points.nbytes), 4)
-    writer.array(points.view(np.uint8))
+    writer.add(_SIZE.pack(1, count), 4)
+    writer.add(_point_fields(kind), 4)
+    writer.add(_STEPS.pack(False, kind.itemsize, count * kind.itemsize), 4)
+    writer.count(count * kind.itemsize)
+    for cloud in clouds:
+        writer.add(cloud.view(np.uint8).data)
     writer.add(b"\1")  # dense: all coordinates are finite
     return writer.message
 

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,7 @@ from ...config.parameters import Values
 from ...config.skin_config import SkinConfig, contact_thresholds
 from ...driver.pipeline import TactileFrame
 from ...readings.contact import ContactTracker
-from ...views.cloud import Cloud
+from ...views.cloud import POINT, Cloud
 from ...views.heatmap import heatmap, pressure_raster
 from ..common.convert import image, point_cloud
 from ..common.qos import PICTURE
@@ -31,10 +30,9 @@ TOPICS = {
     "points": PointCloud2,
     "markers": MarkerArray,
 }
-Drawings = Mapping[str, Callable[[TactileFrame, Header], Any]]
+Drawings = Mapping[str, Callable[[TactileFrame, Header], bytes]]
 LOOK_S = 0.25
-"""Interval of checks for subscribers, s, while there are none: a turn of rclpy's executor takes
-about 1 ms."""
+"""Interval of checks for subscribers, s, while there are none; chosen: nobody minds the wait."""
 FADE_PERIODS, LEAST_FADE_S = 3, 1.0
 """Markers vanish that were not renewed for this many periods of pictures, and this many s. Chosen:
 two late pictures do not make them flicker."""
@@ -60,6 +58,7 @@ class Pictures:
         self._drawings: Drawings | None = None
         self._latest: tuple[TactileFrame, Header | None] | None = None
         self._drawn: TactileFrame | None = None
+        self._published: dict[str, bytes] = {}  # the last message of each topic
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(_period_s(live), self._turn, clock=steady)
         self._timer.cancel()
@@ -110,7 +109,10 @@ class Pictures:
         self._drawn = frame
         header = header or self._header_at(frame.t_host)
         for topic in topics:
-            self._publishers[topic].publish(self._drawings[topic](frame, header))
+            # Kept, as its memory would go back to the system, and every page of the next message
+            # be a fault: 3 ms for a heatmap of 3 MB.
+            self._published[topic] = self._drawings[topic](frame, header)
+            self._publishers[topic].publish(self._published[topic])
 
 
 def _drawings(config: SkinConfig, live: Values, tracker: ContactTracker) -> Drawings:
@@ -122,12 +124,12 @@ def _drawings(config: SkinConfig, live: Values, tracker: ContactTracker) -> Draw
         """Pressures, and the top of the colour scale, Pa."""
         return frame.readings.pressure_pa, float(live["colour_max_kpa"]) * 1e3
 
-    def markers(frame: TactileFrame, header: Header) -> MarkerArray:
+    def markers(frame: TactileFrame, header: Header) -> bytes:
         contacts = tracker.update(frame.readings, frame.t_middle)
         fade_s = FADE_PERIODS * max(_period_s(live), config.spec.frame_period_s)
         return skin.markers(*seen(frame), contacts, header, max(LEAST_FADE_S, fade_s))
 
-    def colours(frame: TactileFrame, header: Header) -> Image:
+    def colours(frame: TactileFrame, header: Header) -> bytes:
         pressure_pa, max_pa = seen(frame)
         picture = heatmap(pressure_pa, layout, max_pa, int(live["heatmap_pixels"]))
         return image(picture, "rgb8", header)
@@ -137,7 +139,7 @@ def _drawings(config: SkinConfig, live: Values, tracker: ContactTracker) -> Draw
         "pressure_image": lambda frame, header: image(
             pressure_raster(frame.readings.pressure_pa, layout), "32FC1", header
         ),
-        "points": lambda frame, header: point_cloud(cloud.points(*seen(frame)), header),
+        "points": lambda frame, header: point_cloud(POINT, [cloud.points(*seen(frame))], header),
         "markers": markers,
     }
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.places.poses import Pose
-from tactile_cdma.views.cloud import BODY_POINT, POINT, Cloud, joined
+from tactile_cdma.views.cloud import BODY_POINT, POINT, Cloud
 
 triples = st.tuples(*[st.floats(-4, 4)] * 3)
 LAYOUT = Layout.grid(12, 3, 4, 7e-3, 5e-3)
@@ -63,12 +63,11 @@ def test_a_quarter_turn_by_hand() -> None:
     np.testing.assert_allclose(points["normal_x"], 1.0, atol=1e-7)
 
 
-def test_patches_are_put_one_after_the_other() -> None:
+def test_points_of_a_body_name_their_patch() -> None:
     one, other = np.full(12, 1e3, dtype=np.float32), np.full(12, 2e3, dtype=np.float32)
     other[0] = np.nan
-    points = joined([cloud(0).points(one, 140e3, HERE), cloud(1).points(other, 140e3, HERE)])
-    assert points.dtype == BODY_POINT
-    assert points["patch"].tolist() == [0] * 12 + [1] * 11
-    assert points["pressure"].tolist() == [1e3] * 12 + [2e3] * 11
-    assert joined([]).dtype == BODY_POINT
-    assert len(joined([])) == 0
+    for patch, pressure_pa, count in ((0, one, 12), (1, other, 11)):
+        points = cloud(patch).points(pressure_pa, 140e3, HERE)
+        assert points.dtype == BODY_POINT
+        assert points["patch"].tolist() == [patch] * count
+        assert points["pressure"].tolist() == [1e3 * (patch + 1)] * count

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from tactile_cdma.code.encode import line_chips, with_parity, word_bits
@@ -239,7 +239,10 @@ def test_what_hits_one_bit_of_all_nodes_makes_no_certain_wrong_word(
     """As a spike within one chip does: every row takes as much of it, with either sign."""
     codes = np.random.default_rng(seed).integers(0, 1024, 16)
     levels = said(codes)
-    levels.values[bit] += SWING * size * SPEC.node_rows[:, seed % 20]
+    spike = SWING * size * SPEC.node_rows[:, seed % 20]
+    # One of 2a that turns all bits but one looks like a single broken node.
+    assume(np.count_nonzero(spike * levels.values[bit] > 0) > 1)
+    levels.values[bit] += spike
     words = decode(levels, SPEC)
     assert (words.doubtful | ~words.active)[words.codes != codes].all()
 
