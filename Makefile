@@ -10,7 +10,7 @@
 # make firmware-figures measure them: share of time awake, load of the digitizer
 # make setup   only create the environment in .venv; all other targets do this first
 # make bench-error, -doubt, -speed, -skip, -timing, -scale, -ros, -crest, -pressure, -contact,
-#              -pictures, -stuck, -body, -sensor (prints only)
+#              -pictures, -stuck, -body, -pareto, -sensor (prints only)
 #              up to 7 min each, writes docs/img; QUICK=1: less than 40 s each, writes build/benchmarks
 #              bench-doubt ONLY=hum: conditions with this in their name
 # make torture faults of every kind, results compared with the truth; SEED=n, ONLY="line day"

@@ -1,0 +1,424 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""CPU time per frame against bit error rate, for every way to decode one skin: `make bench-pareto`.
+
+16 nodes send random words of 10 bits in every frame, on the line of independent_line.py with white
+noise. ρ is the same for all, so that no receiver decides a single bit better than Q(ρ) = 10⁻³.
+Measured is the whole pipeline on bytes in memory, from packets to readings, once it knows the
+stream; words taken for silence and lost frames count as wrong in all bits.
+
+- line, gap: frames marked by the digitizer, or found in the waveform.
+- parity: one more bit per word, by which the weakest bit of a word is mended.
+- late nodes: each node starts up to half a chip late; decoded as if none did, or by least squares
+  after a roll call, which is heard at ρ = 30 as it takes ρ = 4.
+- dense product: marked chips times the rows, and the signs; no amplitudes, doubts or readings.
+  What it takes less is what everything else costs.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import statistics
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from benchmarks.independent_line import (
+    SILENT,
+    Digitizer,
+    Ints,
+    Line,
+    Recording,
+    Skin,
+    Talk,
+    Truth,
+    render,
+)
+from benchmarks.report import QUICK, Report
+from tactile_cdma.base.kernel import VARIABLE, compiled
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline
+from tactile_cdma.wire._protocol import MAX_SAMPLES, SyncMode
+from tactile_cdma.wire.messages import FrameLayout, Info, Samples
+from tactile_cdma.wire.packets import PacketParser, PacketWriter
+
+BOUND = 1e-3
+RHO = -NormalDist().inv_cdf(BOUND)
+"""√N·a/σ at which the matched filter's bit error rate Q(ρ) is BOUND."""
+CALL_RHO = 30.0
+MOST_LATE_CHIPS = 0.5
+WARM_UP = 40
+"""Frames before those that count: timing by gaps has then learnt its raster."""
+FRAMES, STREAMS = (60, 4) if QUICK else (200, 25)
+KERNELS = ("compiled", "numpy")
+RAIL_V = 12.0
+"""Above 16 nodes of 0.3 V and six deviations of the noise at 8 samples per chip."""
+
+
+@dataclass(frozen=True)
+class Way:
+    """One way to sample and decode the skin; the defaults are those of the parameters.
+
+    late: nodes start late. called: a roll call has told how late. dense: nothing but a product.
+    """
+
+    name: str
+    samples_per_chip: int = 4
+    timing: str = "line"
+    order: int = 20
+    parity: bool = False
+    late: bool = False
+    called: bool = False
+    dense: bool = False
+
+    @property
+    def skin(self) -> Skin:
+        bits = 10 + self.parity
+        # The default's share of pause for all orders; 16 nodes need all rows of order 16.
+        return Skin(
+            order=self.order,
+            first_row=min(1, self.order - 16),
+            parity=self.parity,
+            period_chips=round(1.28 * bits * self.order),
+        )
+
+    @property
+    def config(self) -> SkinConfig:
+        skin = self.skin
+        return SkinConfig.of(
+            {
+                "order": skin.order,
+                "first_row": skin.first_row,
+                "parity": skin.parity,
+                "frame_period_ms": 1e3 * skin.chip_s * skin.period_chips,
+                "timing": self.timing,
+                "samples_per_chip": self.samples_per_chip,
+                "roll_call": self.called,
+            }
+        )
+
+
+DEFAULT = Way("line, 4 per chip")
+WAYS = (
+    *(replace(DEFAULT, name=f"line, {m} per chip", samples_per_chip=m) for m in (1, 2)),
+    DEFAULT,
+    Way("line, 8 per chip", 8),
+    Way("gap, 4 per chip", timing="gap"),
+    Way("gap, 8 per chip", 8, timing="gap"),
+    Way("line, 1 per chip, parity", 1, parity=True),
+    Way("line, 4 per chip, parity", parity=True),
+    Way("line, 4 per chip, order 16", order=16),
+    Way("line, 4 per chip, order 24", order=24),
+    Way("late nodes, 4 per chip, no roll call", late=True),
+    Way("late nodes, 2 per chip, roll call", 2, late=True, called=True),
+    Way("late nodes, 4 per chip, roll call", late=True, called=True),
+    Way("dense product, 1 per chip", 1, dense=True),
+    Way("dense product, 4 per chip", dense=True),
+)
+
+
+class RollCall(Talk):
+    """Nobody speaks in the first frame; then one node after the other, alone."""
+
+    def codes(self, skin: Skin, frames: int, rng: np.random.Generator) -> Ints:
+        codes = np.full((frames, skin.nodes), SILENT)
+        nodes = np.arange(skin.nodes)
+        codes[1 + nodes, nodes] = rng.integers(0, 2**skin.bits, skin.nodes)
+        return codes
+
+
+@dataclass(frozen=True)
+class Stream:
+    """What a digitizer sends, as (host time in s, bytes); warm_up comes before what is measured.
+
+    truths: of the frames that are measured. offset_chips: device time of their recording's begin.
+    """
+
+    way: Way
+    warm_up: list[tuple[float, bytes]]
+    reads: list[tuple[float, bytes]]
+    truths: tuple[Truth, ...]
+    offset_chips: float
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one way made of one stream.
+
+    cpu_s: per frame. codes: (frames, n), SILENT where no word was heard. lost: frames.
+    unflagged: wrong words that are not flagged as doubtful, missing ones included.
+    """
+
+    cpu_s: float
+    codes: Ints
+    bit_errors: int
+    lost: int
+    unflagged: int
+
+
+def stream(way: Way, seed: int) -> Stream:
+    """Render a stream: introduction, roll call if wanted, and frames."""
+    skin, rng = way.skin, np.random.default_rng([7, seed])
+    delays = rng.uniform(0, MOST_LATE_CHIPS if way.late else 0.0, skin.nodes)
+    noise_v = skin.amplitude_v * skin.order**0.5 / RHO
+    line = Line(noise_v=noise_v, late=tuple(enumerate(delays)))
+    digitizer = Digitizer(
+        samples_per_chip=way.samples_per_chip if way.samples_per_chip > 1 else 4,
+        integrated=way.samples_per_chip == 1,
+        marked=way.timing == "line",
+        rail_v=RAIL_V,
+        adc_bits=16,
+    )
+    writer, warm_up, offset, offset_chips = PacketWriter(), [], 0, 0.0
+    warm_up.append((0.0, writer.encode(introduction(way, digitizer))))
+    if way.called:
+        quiet = replace(line, noise_v=noise_v * RHO / CALL_RHO)
+        call = render(skin, RollCall(), quiet, digitizer, skin.nodes + 2, [seed, 1])
+        for _, t_host, data in packets(call, writer, 0, 0.0, range(1, skin.nodes + 1)):
+            warm_up.append((t_host, data))
+        last = call.runs[-1]
+        offset = last.first_index + last.counts.size
+        offset_chips = offset / way.samples_per_chip
+    recording = render(skin, Talk(), line, digitizer, WARM_UP + FRAMES, [seed, 2])
+    reads: list[tuple[float, bytes]] = []
+    begin = recording.frames[WARM_UP].start_chips + offset_chips - 1
+    for t_chips, t_host, data in packets(recording, writer, offset, offset_chips, range(0)):
+        (warm_up if t_chips < begin else reads).append((t_host, data))
+    return Stream(way, warm_up, reads, recording.frames[WARM_UP:], offset_chips)
+
+
+def introduction(way: Way, digitizer: Digitizer) -> Info:
+    """What the digitizer says about itself."""
+    spec, top = way.config.spec, 2 ** (digitizer.adc_bits - 1)
+    return Info(
+        frame=FrameLayout.of(spec, way.samples_per_chip),
+        sample_rate_uhz=round(1e6 * way.samples_per_chip / spec.chip_s),
+        volts_per_count=digitizer.volts_per_count,
+        min_count=-top,
+        max_count=top - 1,
+        sync_mode=SyncMode.DRIVE if digitizer.marked else SyncMode.NONE,
+        integrated=digitizer.integrated,
+    )
+
+
+def packets(
+    recording: Recording, writer: PacketWriter, offset: int, offset_chips: float, called: range
+) -> Iterator[tuple[float, float, bytes]]:
+    """The packets of a recording: device time in chips, host time in s, bytes.
+
+    offset, offset_chips: of its first sample. called: frames of a roll call.
+    """
+    digitizer, chip_s = recording.digitizer, recording.skin.chip_s
+    per_chip = 1 if digitizer.integrated else digitizer.samples_per_chip
+    frame = -1
+    for run in recording.runs:
+        frame += run.marked
+        for begin in range(0, run.counts.size, MAX_SAMPLES):
+            t_chips = offset_chips + run.t_chips + begin / per_chip
+            packet = Samples(
+                round(1e6 * chip_s * t_chips),
+                offset + run.first_index + begin,
+                run.counts[begin : begin + MAX_SAMPLES],
+                sync=run.marked and not begin,
+                called=run.marked and not begin and frame in called,
+            )
+            yield t_chips, t_chips * chip_s, writer.encode(packet)
+
+
+def measure(some: Stream) -> Outcome:
+    """Decode a stream and compare it with the truth."""
+    skin, config = some.way.skin, some.way.config
+    decoder = DenseProduct(config) if some.way.dense else Pipeline(config, background=False)
+    for t_host, data in some.warm_up:
+        decoder.feed(data, t_host)
+    frames: list[Any] = []
+    begin_s = time.process_time()
+    for t_host, data in some.reads:
+        frames += decoder.feed(data, t_host)
+    frames += decoder.flush()
+    cpu_s = (time.process_time() - begin_s) / len(some.truths)
+    sent = np.stack([truth.codes for truth in some.truths])
+    starts = np.array([truth.start_chips for truth in some.truths]) + some.offset_chips
+    codes, flagged = np.full_like(sent, SILENT), np.zeros(sent.shape, bool)
+    heard = np.zeros(len(sent), bool)
+    for frame in frames:
+        late = frame.t_start / skin.chip_s - starts
+        number = int(np.argmin(np.abs(late)))
+        if abs(late[number]) < skin.period_chips / 2:
+            codes[number] = np.where(frame.words.active, frame.words.codes, SILENT)
+            flagged[number], heard[number] = frame.words.doubtful, True
+    bits = ((codes ^ sent)[..., None] >> np.arange(skin.bits) & 1).sum(axis=-1)
+    bits[codes == SILENT] = skin.bits
+    unflagged = (codes != sent) & ~flagged & heard[:, None]
+    return Outcome(
+        cpu_s, codes, int(bits.sum()), int(np.count_nonzero(~heard)), int(unflagged.sum())
+    )
+
+
+class DenseProduct:
+    """The least that decodes marked frames of nodes that all speak: one product, and its signs."""
+
+    def __init__(self, config: SkinConfig) -> None:
+        spec, self._per_chip = config.spec, config.samples_per_chip
+        self._spec, self._parser = spec, PacketParser()
+        self._rows = (spec.signs[:, None] * spec.node_rows).T.astype(np.float32)
+        self._size = spec.chips * self._per_chip
+        self._parts: list[np.ndarray] = []
+        self._held, self._t_start = 0, 0.0
+
+    def feed(self, data: bytes, _: float) -> list[DenseFrame]:
+        """The frames that these bytes complete."""
+        frames = []
+        for packet in self._parser.feed(data):
+            if not isinstance(packet, Samples):
+                continue
+            if packet.sync:
+                self._parts, self._held = [], 0
+                self._t_start = packet.device_time_us * 1e-6
+            before, self._held = self._held, self._held + packet.counts.size
+            self._parts.append(packet.counts)
+            if before < self._size <= self._held:
+                frames.append(self._frame(np.concatenate(self._parts)[: self._size]))
+        return frames
+
+    def flush(self) -> list[DenseFrame]:
+        return []
+
+    def _frame(self, counts: np.ndarray) -> DenseFrame:
+        spec = self._spec
+        samples = counts.astype(np.float32).reshape(-1, spec.order, self._per_chip)
+        levels = samples.sum(axis=2) @ self._rows
+        codes = (levels[: spec.bits] > 0).T @ (1 << np.arange(spec.bits)[::-1])
+        return DenseFrame(self._t_start, DenseWords(codes))
+
+
+@dataclass(frozen=True)
+class DenseWords:
+    """Signs of levels, as numbers: nothing is known to be silent or doubtful."""
+
+    codes: Ints
+    active: bool = True
+    doubtful: bool = False
+
+
+@dataclass(frozen=True)
+class DenseFrame:
+    """As TactileFrame, of which it has start and words."""
+
+    t_start: float
+    words: DenseWords
+
+
+def decoded(kernel: str, streams: list[Stream]) -> list[Outcome]:
+    """Decode the streams one by one in a process with this kernel."""
+    os.environ[VARIABLE] = kernel
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        return pool.map(measure, streams, chunksize=1)
+
+
+def main() -> None:
+    report = Report("pareto", f"CPU time per frame against bit errors, 16 nodes, ρ = {RHO:.2f}")
+    os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")  # of the processes
+    kernels = KERNELS if compiled else KERNELS[1:]
+    found: dict[tuple[str, str], list[Outcome]] = {}
+    different = 0
+    with multiprocessing.get_context("spawn").Pool(len(os.sched_getaffinity(0))) as pool:
+        jobs = [(way, seed) for seed in range(STREAMS) for way in WAYS]
+        streams = pool.starmap(stream, jobs, chunksize=1)
+    for kernel in kernels:
+        for some, outcome in zip(streams, decoded(kernel, streams), strict=True):
+            found.setdefault((some.way.name, kernel), []).append(outcome)
+    points = {key: Point.of(outcomes) for key, outcomes in found.items()}
+    first = kernels[0]
+    for way in WAYS:
+        for one, other in zip(found[way.name, first], found[way.name, "numpy"], strict=True):
+            different += int(np.count_nonzero(one.codes != other.codes))
+    report.table(
+        ["way", *(f"{kernel}, µs" for kernel in kernels), "bit error rate", "± 95 %",
+         "wrong, not flagged", "lost frames"],
+        [
+            [
+                way.name,
+                *(points[way.name, kernel].cpu_us for kernel in kernels),
+                points[way.name, first].bit_error_rate,
+                points[way.name, first].scatter,
+                points[way.name, first].unflagged,
+                points[way.name, first].lost,
+            ]
+            for way in WAYS
+        ],
+    )  # fmt: skip
+    default = points[DEFAULT.name, first]
+    report.finish(
+        picture(points, kernels),
+        rho=round(RHO, 3),
+        bound=BOUND,
+        default_us=default.cpu_us,
+        default_numpy_us=points[DEFAULT.name, "numpy"].cpu_us,
+        default_ber=default.bit_error_rate,
+        different_words=different,
+    )
+
+
+@dataclass(frozen=True)
+class Point:
+    """One way with one kernel; scatter: 95 % of the bit error rate.
+
+    unflagged: share of words that are wrong without a flag. lost: share of frames.
+    """
+
+    cpu_us: float
+    bit_error_rate: float
+    scatter: float
+    unflagged: float
+    lost: float
+
+    @classmethod
+    def of(cls, outcomes: list[Outcome]) -> Point:
+        words = sum(outcome.codes.size for outcome in outcomes)
+        errors, bits = sum(outcome.bit_errors for outcome in outcomes), 10 * words
+        return cls(
+            1e6 * statistics.median(outcome.cpu_s for outcome in outcomes),
+            errors / bits,
+            1.96 * max(errors, 1) ** 0.5 / bits,
+            sum(outcome.unflagged for outcome in outcomes) / words,
+            sum(outcome.lost for outcome in outcomes) / sum(len(o.codes) for o in outcomes),
+        )
+
+
+def picture(points: dict[tuple[str, str], Point], kernels: Sequence[str]) -> Figure:
+    """Bit error rate against CPU time; each way's two kernels are joined by a line."""
+    figure = Figure(figsize=(10, 5))
+    axes = figure.add_subplot()
+    for number, way in enumerate(WAYS):
+        some = [points[way.name, kernel] for kernel in kernels]
+        times, rates = [p.cpu_us for p in some], [p.bit_error_rate for p in some]
+        colour, marker = f"C{number % 10}", "o^"[number // 10]
+        axes.plot(times, rates, color=colour, alpha=0.4, lw=1)
+        axes.errorbar(times[0], rates[0], some[0].scatter, fmt=marker, color=colour, label=way.name)
+        axes.plot(times[1:], rates[1:], marker, color=colour, mfc="none")
+    default = points[DEFAULT.name, kernels[0]]
+    axes.plot(default.cpu_us, default.bit_error_rate, "o", ms=18, mfc="none", color="k")
+    axes.annotate(
+        "default",
+        (default.cpu_us, default.bit_error_rate),
+        xytext=(0, -22),
+        textcoords="offset points",
+        ha="center",
+    )
+    axes.axhline(BOUND, color="k", ls="--", lw=1, label="matched filter, Q(ρ)")
+    axes.set(xscale="log", yscale="log", xlabel="CPU time per frame, µs", ylabel="bit error rate")
+    axes.set_title("filled: compiled kernel; hollow: numpy", fontsize="medium")
+    axes.grid(True, which="both", alpha=0.3)
+    axes.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    return figure
+
+
+if __name__ == "__main__":
+    main()
