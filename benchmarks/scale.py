@@ -1,23 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The whole byte path in real time: CPU share and latency by number of nodes.
+"""The whole byte path in real time: CPU share and latency by number of nodes: `make bench-scale`.
 
 A virtual digitizer in a process of its own samples a skin on which every node speaks in every
 frame, and writes to a pty; a second process runs the driver on that pty. Measured is all that this
-second process costs, and what it delivers is compared with what the simulated nodes said. A core
-that just woke up is slow: "replay" is what parsing and decoding the same bytes cost without pauses,
-and sleep_slowdown what a pause of one frame does to a plain loop.
+second process costs, and what it delivers is compared with what the simulated nodes said. "Floor"
+is what it costs before, when it only reads the same bytes from the same pty. A core that just woke
+up is slow: "replay" is what parsing and decoding the same bytes cost without pauses, and
+sleep_slowdown what a pause of one frame does to a plain loop. "Wake-ups" are the times that any of
+the process's threads had waited.
+
+"Growth" is replay from 16 to 16,384 nodes, all active in 50 frames per second: more than a pty
+carries. Its exponent is that of time against nodes since the row before.
 """
 
 from __future__ import annotations
 
 import multiprocessing
 import os
+import resource
+import select
 import statistics
 import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import log
 from multiprocessing.connection import Connection
 from multiprocessing.synchronize import Event
 from typing import Any
@@ -26,28 +34,36 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.report import QUICK, Report
+from benchmarks.skip import record
+from tactile_cdma.base.kernel import VARIABLE, compiled
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.driver import Driver
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.framing.quiet_limit import quiet_uv
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.sim.pty import serve
 from tactile_cdma.wire._protocol import SyncMode
-from tactile_cdma.wire.packets import PacketParser
-from tactile_cdma.wire.port import Port
+from tactile_cdma.wire.messages import Configure, FrameLayout, Start
+from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from tactile_cdma.wire.port import READ_SIZE, Port
 
 ALL = "scene=all&threshold=0&seed=1"
 SILENT = "scene=idle&heartbeat=0&seed=1"
 PAPER_NODES = 16
 FRAME_S, PERIOD_S = 18.4e-3, 20e-3
 """Of skins larger than the paper's: their chips are as long as this allows."""
-WARM_UP_S = 1.0 if QUICK else 2.0
-MEASURED_S = 2.0 if QUICK else 10.0
-SKINS = [(16, ALL), (256, ALL), (4096, ALL), (16, SILENT), (4096, SILENT)]
-if not QUICK:
-    SKINS = [(n, ALL) for n in (16, 64, 256, 1024, 4096, 8192)] + SKINS[-2:]
+WARM_UP_S = 0.7 if QUICK else 2.0
+MEASURED_S = 1.5 if QUICK else 10.0
+FLOOR_S = 0.7 if QUICK else 5.0
+SIZES = (16, 4096) if QUICK else (16, 64, 256, 1024, 4096, 8192)
+SKINS = [(n, ALL) for n in SIZES] + [(16, SILENT), (4096, SILENT)]
+KERNELS = ("compiled", "numpy") if compiled else ("numpy",)
+GROWTH = (16, 64, 256, 1024, 4096, 16_384)
+GROWTH_FRAMES = 8 if QUICK else 50
+"""Least number; small skins take more, so that what a pipeline learns first does not count."""
 BAUD = 2_000_000
 
 
@@ -71,11 +87,14 @@ class Run:
     """Figures that the measured process collects about itself after the warm-up.
 
     cpu_s: CPU time by "process", all of it, and by "read", "parse" and "feed" (parse included).
+    floor: share of a core that reading alone took. wake_ups: voluntary context switches.
     replay_s: CPU time per frame of feeding what came during the warm-up to another pipeline.
     """
 
     wall_s: float
     cpu_s: dict[str, float]
+    floor: float
+    wake_ups: int
     replay_s: float
     received: int
     frames: list[Delivered]
@@ -85,22 +104,62 @@ def main() -> None:
     report = Report("scale", "Driver on a pty, virtual digitizer in another process, in real time")
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # of the processes below, as skin_driver sets it
     rows, runs = [], {}
-    for nodes, scene in SKINS:
-        row = measure(nodes, scene)
-        rows.append(row)
-        runs[nodes, scene] = row
+    for kernel in KERNELS:
+        for nodes, scene in SKINS:
+            if kernel == KERNELS[0] or not QUICK:
+                runs[nodes, scene, kernel] = measure(nodes, scene, kernel)
+                rows.append(runs[nodes, scene, kernel])
     report.table(list(rows[0]), [list(row.values()) for row in rows])
+    grown = {kernel: growth(kernel) for kernel in KERNELS}
+    report.table(
+        ["nodes", *(f"{kernel} {unit}" for kernel in KERNELS for unit in ("µs/frame", "exponent"))],
+        [
+            [nodes, *(value for kernel in KERNELS for value in grown_row(grown[kernel], nodes))]
+            for nodes in GROWTH
+        ],
+    )
+    first = KERNELS[0]
+    active, silent = (
+        {nodes: runs[nodes, scene, first] for nodes in (16, 4096)} for scene in (ALL, SILENT)
+    )
     report.finish(
-        figure([row for row in rows if row["scene"] == "all"]),
-        cpu_16=runs[16, ALL]["CPU %"] / 100,
-        cpu_4096=runs[4096, ALL]["CPU %"] / 100,
-        latency_ms_4096=runs[4096, ALL]["latency ms"],
+        figure([row for row in rows if (row["scene"], row["kernel"]) == ("all", first)], grown),
+        cpu_16=active[16]["CPU %"] / 100,
+        cpu_4096=active[4096]["CPU %"] / 100,
+        silent_16=silent[16]["CPU %"] / 100,
+        silent_4096=silent[4096]["CPU %"] / 100,
+        floor_16=active[16]["floor %"] / 100,
+        floor_4096=active[4096]["floor %"] / 100,
+        replay_us_16=active[16]["replay µs"],
+        replay_us_4096=active[4096]["replay µs"],
+        latency_ms_4096=active[4096]["latency ms"],
+        exponent=log(grown[first][16_384] / grown[first][1024]) / log(16),
+        sleep_slowdown=sleep_slowdown(),
         wrong_words=sum(row["wrong words"] for row in rows),
         lost_frames=sum(row["lost frames"] for row in rows),
-        replay_16=runs[16, ALL]["replay %"] / 100,
-        replay_4096=runs[4096, ALL]["replay %"] / 100,
-        sleep_slowdown=sleep_slowdown(),
     )
+
+
+def growth(kernel: str) -> dict[int, float]:
+    """CPU time per frame of replay by number of nodes, s."""
+    os.environ[VARIABLE] = kernel
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        return dict(zip(GROWTH, pool.map(replayed, GROWTH, chunksize=1), strict=True))
+
+
+def replayed(nodes: int) -> float:
+    """CPU time per frame of a recording in which all nodes speak, s."""
+    config = SkinConfig.of(long_frame(nodes))
+    recording = record(config, 1.0, True, max(GROWTH_FRAMES, 2_000 // nodes))
+    chunks = [(data, t_host) for t_host, data in recording.reads]
+    return statistics.median(replay(config, chunks) for _ in range(3))
+
+
+def grown_row(seconds: dict[int, float], nodes: int) -> tuple[float, float | str]:
+    """Time per frame, µs, and the exponent since the size before."""
+    before = GROWTH[max(0, GROWTH.index(nodes) - 1)]
+    ratio = seconds[nodes] / seconds[before]
+    return 1e6 * seconds[nodes], log(ratio) / log(nodes / before) if nodes > before else ""
 
 
 def sleep_slowdown(rounds: int = 40, loops: int = 3000) -> float:
@@ -122,8 +181,11 @@ def sleep_slowdown(rounds: int = 40, loops: int = 3000) -> float:
 
 def parameters(nodes: int) -> dict[str, Any]:
     """The paper's timing for its own size; one value per chip for larger skins."""
-    if nodes == PAPER_NODES:
-        return {"nodes": nodes}
+    return {"nodes": nodes} if nodes == PAPER_NODES else long_frame(nodes)
+
+
+def long_frame(nodes: int) -> dict[str, Any]:
+    """50 frames per second, of one value per chip."""
     shape = FrameSpec(nodes, chip_s=1e-8, frame_period_s=1.0)
     chip_ns = int(FRAME_S * 1e9 / shape.chips)
     period_ms = PERIOD_S * 1e3
@@ -135,8 +197,9 @@ def parameters(nodes: int) -> dict[str, Any]:
     }
 
 
-def measure(nodes: int, scene: str) -> dict[str, Any]:
+def measure(nodes: int, scene: str, kernel: str) -> dict[str, Any]:
     """Measure one row of the table."""
+    os.environ[VARIABLE] = kernel
     config = SkinConfig.of(parameters(nodes))
     query = f"sim://?{scene}"
     context = multiprocessing.get_context("spawn")
@@ -162,15 +225,18 @@ def measure(nodes: int, scene: str) -> dict[str, Any]:
     return {
         "nodes": nodes,
         "scene": "all" if scene == ALL else "silent",
+        "kernel": kernel,
         "chips": spec.chips,
         "chip µs": spec.chip_s * 1e6,
         "kB/s": run.received / run.wall_s / 1e3,
         "frames": len(run.frames),
+        "floor %": 100 * run.floor,
         "CPU %": share["process"],
         "read %": share["read"],
         "parse %": share["parse"],
         "decode %": share["feed"] - share["parse"],
-        "replay %": 100 * run.replay_s / spec.frame_period_s,
+        "replay µs": 1e6 * run.replay_s,
+        "wake-ups/frame": run.wake_ups / expected,
         "latency ms": _median_ms(latencies),
         "of it code": spec.frame_s * 1e3,
         "processing ms": _median_ms([f.processing_s for f in run.frames]),
@@ -197,7 +263,7 @@ def drive(nodes: int, path: str, results: Connection) -> None:
     time_stage(Pipeline, "feed", "feed", spent)
     timed_feed = Pipeline.feed
     recorded: list[tuple[bytes, float]] = []
-    warm_s = time.monotonic() + WARM_UP_S
+    warm_s = 0.0  # end of the warm-up
 
     def feed(
         self: Pipeline, data: bytes, t_host: float, backlog: bool = False
@@ -218,17 +284,46 @@ def drive(nodes: int, path: str, results: Connection) -> None:
         )
 
     config = SkinConfig.of(parameters(nodes))
+    floor = read_only(config, path)
+    warm_s = time.monotonic() + WARM_UP_S
     with Driver(config, path, BAUD, on_frame, lambda problem: None):
         time.sleep(WARM_UP_S)
         begin_s, before, bytes_before = time.monotonic(), Counter(spent), read[0]
-        first, cpu_s = len(frames), time.process_time()
+        first, cpu_s, waits = len(frames), time.process_time(), wake_ups()
         time.sleep(MEASURED_S)
+        waits = wake_ups() - waits
         spent["process"] = time.process_time() - cpu_s  # type: ignore[assignment]
         after, wall_s = Counter(spent), time.monotonic() - begin_s
         measured = frames[first:]
         received = read[0] - bytes_before
     after.subtract(before)
-    results.send(Run(wall_s, dict(after), replay(config, recorded), int(received), measured))
+    replay_s = replay(config, recorded)
+    results.send(Run(wall_s, dict(after), floor, waits, replay_s, int(received), measured))
+
+
+def read_only(config: SkinConfig, path: str) -> float:
+    """Share of a core that it takes to wait for the digitizer's bytes and to read them."""
+    integrated = config.samples_per_chip == 1
+    layout = FrameLayout.of(config.spec, config.samples_per_chip)
+    writer, poll = PacketWriter(), select.poll()
+    setting = Configure(layout, SyncMode.DRIVE, integrated, quiet_uv(config.spec))
+    port = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    try:
+        os.write(port, writer.encode(setting) + writer.encode(Start()))
+        poll.register(port, select.POLLIN)
+        time.sleep(FLOOR_S / 10)  # until it streams
+        begin_s, cpu_s = time.monotonic(), time.process_time()
+        while time.monotonic() < begin_s + FLOOR_S:
+            if poll.poll(FLOOR_S * 1e3):
+                os.read(port, READ_SIZE)
+        return (time.process_time() - cpu_s) / (time.monotonic() - begin_s)
+    finally:
+        os.close(port)
+
+
+def wake_ups() -> int:
+    """Voluntary context switches of this process so far."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_nvcsw
 
 
 def replay(config: SkinConfig, recorded: list[tuple[bytes, float]]) -> float:
@@ -279,10 +374,10 @@ def wrong_words(frames: list[Delivered], config: SkinConfig, query: str) -> int:
     return sum(wrong(f, first + n) for f, n in zip(frames, numbers, strict=True))
 
 
-def figure(rows: list[dict[str, Any]]) -> Figure:
-    """CPU by stage, and latency beyond the code itself, against the number of nodes."""
-    picture = Figure(figsize=(9, 3.6))
-    cpu, latency = picture.subplots(1, 2)
+def figure(rows: list[dict[str, Any]], grown: dict[str, dict[int, float]]) -> Figure:
+    """CPU by stage, latency beyond the code itself, and replay, against the number of nodes."""
+    picture = Figure(figsize=(13, 3.6), layout="constrained")
+    cpu, latency, hot = picture.subplots(1, 3)
     nodes = [str(row["nodes"]) for row in rows]
     bottom = np.zeros(len(rows))
     for stage in ("read", "parse", "decode"):
@@ -290,6 +385,7 @@ def figure(rows: list[dict[str, Any]]) -> Figure:
         cpu.bar(nodes, height, bottom=bottom, label=stage)
         bottom += height
     cpu.bar(nodes, [row["CPU %"] for row in rows] - bottom, bottom=bottom, label="rest")
+    cpu.plot(nodes, [row["floor %"] for row in rows], "k_", ms=24, label="floor: reading alone")
     cpu.set(xlabel="nodes, all speaking in every frame", ylabel="CPU, % of a core")
     cpu.legend()
     beyond = [row["latency ms"] - row["of it code"] for row in rows]
@@ -297,6 +393,11 @@ def figure(rows: list[dict[str, Any]]) -> Figure:
     latency.bar(nodes, [row["processing ms"] for row in rows], label="of it processing")
     latency.set(xlabel="nodes", ylabel="median, ms")
     latency.legend()
+    for kernel, seconds in grown.items():
+        hot.loglog(list(seconds), [1e6 * s for s in seconds.values()], "o-", label=kernel)
+    hot.set(xlabel="nodes, 50 frames/s", ylabel="replay, µs per frame")
+    hot.grid(True, alpha=0.3)
+    hot.legend()
     return picture
 
 
