@@ -363,10 +363,10 @@ INLINE void find_late(const struct words_frame *frame, const float *rows, const 
                     found[c] = fabsf(word[side][c][i] - same * owner[side][c][i]) * scale;
                 beside[side] = (found[0] > found[1] ? found[0] : found[1]) - limits->leaked * found[2];
             }
-            float by_chance = limits->by_chance * sqrtf(variance * scale);
-            float limit = limits->late_share * spoken[i];
-            limit = by_chance > limit ? by_chance : limit;
-            late[begin + i] = spoken[i] > 0 && (beside[0] > limit || beside[1] > limit);
+            float most = beside[0] > beside[1] ? beside[0] : beside[1];
+            float by_chance = limits->by_chance * limits->by_chance * variance * scale; /* squared */
+            late[begin + i] = spoken[i] > 0 && most > limits->late_share * spoken[i] &&
+                              most * most > by_chance;
         }
     }
 }
