@@ -8,8 +8,9 @@
 
 #include "scanner.h"
 #include "transform.h"
+#include "words.h"
 
-#define VERSION 2 /* raise with every change of what this module offers; see base/kernel.py */
+#define VERSION 3 /* raise with every change of what this module offers; see base/kernel.py */
 #define LONG_WORK (1 << 16)
 /* Values that take tens of microseconds: work below does not release the GIL, since to get it back
  * from a busy thread can take 5 ms. */
@@ -282,6 +283,180 @@ static PyType_Spec scanner_spec = {
     .slots = scanner_slots,
 };
 
+/* ---- words ------------------------------------------------------------------------------------- */
+
+/* Gets `count` arrays of `size` values each, of types that a letter of `codes` each names: those from
+ * number `writable` on to be written to. Returns 0, or -1 with an exception, and then holds none. */
+static int get_arrays(PyObject *const *objects, size_t count, const char *codes, size_t writable,
+                      size_t size, Py_buffer *buffers)
+{
+    for (size_t i = 0; i < count; i++) {
+        int flags = i < writable ? 0 : PyBUF_WRITABLE;
+        int failed = get_array(objects[i], &buffers[i], codes[i], flags, "an array");
+        if (!failed && (size_t)(buffers[i].len / buffers[i].itemsize) != size) {
+            PyErr_Format(PyExc_ValueError, "an array of %zd values, not %zu",
+                         buffers[i].len / buffers[i].itemsize, size);
+            PyBuffer_Release(&buffers[i]);
+            failed = -1;
+        }
+        if (failed) {
+            while (i-- > 0)
+                PyBuffer_Release(&buffers[i]);
+            return -1;
+        }
+    }
+    return 0;
+}
+
+static void release(size_t count, Py_buffer *buffers)
+{
+    while (count-- > 0)
+        PyBuffer_Release(&buffers[count]);
+}
+
+/* Whether a function got as many arguments as it takes; if not, with an exception. */
+static bool takes(Py_ssize_t count, Py_ssize_t expected)
+{
+    if (count != expected)
+        PyErr_Format(PyExc_TypeError, "%zd arguments, not %zd", count, expected);
+    return count == expected;
+}
+
+/* Converts `count` numbers. Returns 0, or -1 with an exception. */
+static int get_numbers(PyObject *const *objects, size_t count, double *numbers)
+{
+    for (size_t i = 0; i < count; i++) {
+        numbers[i] = PyFloat_AsDouble(objects[i]);
+        if (numbers[i] == -1 && PyErr_Occurred())
+            return -1;
+    }
+    return 0;
+}
+
+static PyObject *measure(PyObject *module, PyObject *const *arguments, Py_ssize_t count)
+{
+    Py_buffer levels, out[6];
+
+    (void)module;
+    if (!takes(count, 7) ||
+        PyObject_GetBuffer(arguments[0], &levels, PyBUF_STRIDED | PyBUF_FORMAT))
+        return NULL;
+    const Py_ssize_t item = sizeof(float);
+    if (levels.ndim != 2 || levels.format[0] != 'f' || levels.format[1] ||
+        levels.strides[1] != item || levels.strides[0] % item || levels.shape[0] < 1 ||
+        levels.shape[0] > 31) {
+        PyErr_SetString(PyExc_ValueError,
+                        "levels are not float32 of shape (1…31, n) with contiguous rows");
+        goto fail;
+    }
+    size_t nodes = (size_t)levels.shape[1];
+    if (get_arrays(arguments + 1, 6, "ffffii", 0, nodes, out))
+        goto fail;
+    struct words_measures measures = {out[0].buf, out[1].buf, out[2].buf,
+                                      out[3].buf, out[4].buf, out[5].buf};
+    words_measure(levels.buf, levels.strides[0] / item, (size_t)levels.shape[0], nodes, &measures);
+    release(6, out);
+    PyBuffer_Release(&levels);
+    Py_RETURN_NONE;
+fail:
+    PyBuffer_Release(&levels);
+    return NULL;
+}
+
+static PyObject *find_active(PyObject *module, PyObject *const *arguments, Py_ssize_t count)
+{
+    Py_buffer arrays[4];
+    double shares[3];
+
+    (void)module;
+    if (!takes(count, 8) || get_numbers(arguments, 3, shares))
+        return NULL;
+    size_t nodes = PyLong_AsSize_t(arguments[3]);
+    if (PyErr_Occurred() || get_arrays(arguments + 4, 4, "ff??", 2, nodes, arrays))
+        return NULL;
+    bool any = words_find_active(nodes, arrays[0].buf, arrays[1].buf, (float)shares[0],
+                                 (float)shares[1], (float)shares[2], arrays[2].buf, arrays[3].buf);
+    release(4, arrays);
+    return PyBool_FromLong(any);
+}
+
+static PyObject *decide(PyObject *module, PyObject *const *arguments, Py_ssize_t count)
+{
+    Py_buffer arrays[15];
+    double numbers[9];
+
+    (void)module;
+    if (!takes(count, 25) || get_numbers(arguments, 9, numbers))
+        return NULL;
+    size_t nodes = PyLong_AsSize_t(arguments[9]);
+    if (PyErr_Occurred() ||
+        get_arrays(arguments + 10, 15, "ffffii?fiiff???", 9, nodes, arrays))
+        return NULL;
+    struct words_measures measures = {arrays[0].buf, arrays[1].buf, arrays[2].buf,
+                                      arrays[3].buf, arrays[4].buf, arrays[5].buf};
+    struct words_decided decided = {arrays[9].buf,  arrays[10].buf, arrays[11].buf,
+                                    arrays[12].buf, arrays[13].buf, arrays[14].buf};
+    struct words_limits limits = {(float)numbers[4], (float)numbers[5], (float)numbers[6],
+                                  (float)numbers[7], (float)numbers[8]};
+    unsigned bits = numbers[1] >= 1 && numbers[1] <= 31 ? (unsigned)numbers[1] : 1;
+    bool uneven = words_decide(nodes, &measures, arrays[6].buf, arrays[7].buf, arrays[8].buf,
+                               (float)numbers[0], bits, numbers[2] != 0, (float)numbers[3], &limits,
+                               &decided);
+    release(15, arrays);
+    return PyBool_FromLong(uneven);
+}
+
+static PyObject *fit_words(PyObject *module, PyObject *const *arguments, Py_ssize_t count)
+{
+    Py_buffer rows, nodes_out[2], out[4];
+    double numbers[6];
+
+    (void)module;
+    if (!takes(count, 13) || get_numbers(arguments, 6, numbers) ||
+        get_array(arguments[6], &rows, 'f', 0, "rows"))
+        return NULL;
+    struct words_frame frame = {.first = (size_t)numbers[0],
+                                .nodes = (size_t)numbers[1],
+                                .unipolar = numbers[2] != 0,
+                                .swing = (float)numbers[3],
+                                .loudest_share = (float)numbers[4],
+                                .active_share = (float)numbers[5]};
+    if (rows.ndim != 3 || rows.shape[1] < 1 || numbers[0] < 0 || numbers[1] < 0 ||
+        numbers[0] + numbers[1] > (double)rows.shape[2]) {
+        PyErr_SetString(PyExc_ValueError, "rows are not (c, k, N) with those of the nodes in N");
+        goto fail;
+    }
+    size_t candidates = (size_t)rows.shape[0], nodes = frame.nodes;
+    frame.bits = (size_t)rows.shape[1];
+    frame.order = (size_t)rows.shape[2];
+    if (get_arrays(arguments + 7, 2, "ff", 0, candidates * nodes, nodes_out))
+        goto fail;
+    if (get_arrays(arguments + 9, 4, "ffff", 0, candidates, out)) {
+        release(2, nodes_out);
+        goto fail;
+    }
+    for (size_t i = 0; i < candidates; i++)
+        words_fit(&frame, (const float *)rows.buf + i * frame.bits * frame.order,
+                  (float *)nodes_out[0].buf + i * nodes, (float *)nodes_out[1].buf + i * nodes,
+                  (float *)out[0].buf + i, (float *)out[1].buf + i, (float *)out[2].buf + i,
+                  (float *)out[3].buf + i);
+    release(4, out);
+    release(2, nodes_out);
+    PyBuffer_Release(&rows);
+    Py_RETURN_NONE;
+fail:
+    PyBuffer_Release(&rows);
+    return NULL;
+}
+
+static PyMethodDef functions[] = {
+    {"measure", (PyCFunction)(void (*)(void))measure, METH_FASTCALL, NULL},
+    {"find_active", (PyCFunction)(void (*)(void))find_active, METH_FASTCALL, NULL},
+    {"decide", (PyCFunction)(void (*)(void))decide, METH_FASTCALL, NULL},
+    {"fit_words", (PyCFunction)(void (*)(void))fit_words, METH_FASTCALL, NULL},
+    {0},
+};
+
 /* ---- the module -------------------------------------------------------------------------------- */
 
 static int add_type(PyObject *module, PyType_Spec *spec)
@@ -310,6 +485,7 @@ static PyModuleDef_Slot slots[] = {
 static struct PyModuleDef definition = {
     PyModuleDef_HEAD_INIT,
     .m_name = "_kernel",
+    .m_methods = functions,
     .m_slots = slots,
 };
 

@@ -34,6 +34,68 @@ class Transform:
     def multiply(self, source: NDArray[np.float32], out: NDArray[np.float32], /) -> None:
         """Vectors (…, N) times the transposed matrix, into out of the same size, or in place."""
 
+def measure(
+    levels: NDArray[np.float32],
+    amplitude: NDArray[np.float32],
+    weakest: NDArray[np.float32],
+    strongest: NDArray[np.float32],
+    squares: NDArray[np.float32],
+    signs: NDArray[np.int32],
+    weakest_bit: NDArray[np.int32],
+    /,
+) -> None:
+    """As numpy_measure in words/stages.py, into the arrays after the first, (n,)."""
+
+def find_active(
+    threshold: float,
+    faint_share: float,
+    sound_share: float,
+    nodes: int,
+    amplitude: NDArray[np.float32],
+    expected: NDArray[np.float32],
+    active: NDArray[np.bool_],
+    faint: NDArray[np.bool_],
+    /,
+) -> bool:
+    """As numpy_find_active there, into the last two arrays, (n,); returns whether any is faint."""
+
+def decide(
+    per_noise: float,
+    bits: int,
+    parity: bool,
+    most_square: float,
+    low_rho: float,
+    low_margin: float,
+    shared_share: float,
+    double_share: float,
+    clear_rho: float,
+    nodes: int,
+    /,
+    *arrays: NDArray[np.generic],
+) -> bool:
+    """As numpy_decide there; returns whether any word is uneven.
+
+    arrays: (n,), Measures, active, expected, sign_mask, then the arrays of Decided, written to.
+    """
+
+def fit_words(
+    first_row: int,
+    nodes: int,
+    unipolar: bool,
+    swing_v: float,
+    loudest_share: float,
+    active_share: float,
+    rows: NDArray[np.float32],
+    amplitude: NDArray[np.float32],
+    uneven: NDArray[np.float32],
+    pedestal: NDArray[np.float32],
+    power: NDArray[np.float32],
+    spread: NDArray[np.float32],
+    misfit: NDArray[np.float32],
+    /,
+) -> None:
+    """As numpy_fit_words in framing/fit.py, into those after rows; swing_v: NaN if unknown."""
+
 @final
 class Scanner:
     """Finds the intact packets in a stream of bytes; as Scanner in wire/packets.py."""

@@ -1,10 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 
 /* The driver's compiled kernel (../kernel): arbitrary bytes through its scanner and a reference reader,
- * and whole numbers through its transforms and sums without any trick. */
+ * whole numbers through its transforms and sums without any trick, and any levels read as words. */
 #include "reference.h"
 #include "scanner.h"
 #include "transform.h"
+#include "words.h"
+
+#include <math.h>
 
 #define MOST_ORDER 1024
 
@@ -165,12 +168,73 @@ static void transform(struct input *input)
         free(matrices[f]);
 }
 
+/* A level: a number of the input, or none. */
+static float level_of(uint8_t byte)
+{
+    return byte == 128 ? NAN : byte == 127 ? INFINITY : (float)(int8_t)byte * 0.01f;
+}
+
+/* Words of any levels; each node's by itself, so that no other one's can leak into it. */
+static void read_words(struct input *input)
+{
+    size_t bits = 1 + input_u8(input) % 17, nodes = 1 + input_u16(input) % 300;
+    size_t first = input_u8(input) % 4, order = first + nodes + input_u8(input) % 40;
+    bool parity = input_u8(input) % 2 && bits > 1, unipolar = input_u8(input) % 2;
+    float swing = level_of(input_u8(input)), noise = (float)input_u8(input) * 0.1f;
+    float *rows = malloc(bits * order * sizeof *rows), *floats = malloc(10 * nodes * sizeof *floats);
+    int32_t *ints = malloc(4 * nodes * sizeof *ints);
+    uint8_t *flags = malloc(5 * nodes);
+    float pedestal, power, spread, misfit;
+
+    for (size_t i = 0; i < bits * order; i++)
+        rows[i] = level_of(input_u8(input));
+    struct words_measures all = {floats, floats + nodes, floats + 2 * nodes, floats + 3 * nodes,
+                                 ints, ints + nodes};
+    words_measure(rows + first, (ptrdiff_t)order, bits, nodes, &all);
+    for (size_t i = 0; i < nodes; i += 1 + nodes / 16) {
+        float one[4];
+        int32_t signs, weakest_bit, expected_signs = 0;
+        struct words_measures alone = {one, one + 1, one + 2, one + 3, &signs, &weakest_bit};
+        words_measure(rows + first + i, (ptrdiff_t)order, bits, 1, &alone);
+        for (size_t bit = 0; bit < bits; bit++)
+            expected_signs = expected_signs << 1 | (rows[bit * order + first + i] > 0);
+        MUST(signs == expected_signs && all.signs[i] == signs, WRONG_VALUE);
+        MUST(weakest_bit == all.weakest_bit[i] && (size_t)weakest_bit < bits, WRONG_VALUE);
+        MUST(isnan(one[0]) ? isnan(floats[i]) : one[0] == floats[i], WRONG_VALUE);
+    }
+    float *expected = floats + 4 * nodes, *amplitude = floats + 5 * nodes;
+    for (size_t i = 0; i < nodes; i++) {
+        expected[i] = swing;
+        ints[2 * nodes + i] = (int32_t)(i % 2 ? 0 : (1u << bits) - 1);
+    }
+    bool faint = words_find_active(nodes, all.amplitude, expected, 0.5f, 0.25f, 0.8f, flags,
+                                   flags + nodes);
+    MUST(faint == (memchr(flags + nodes, 1, nodes) != NULL), WRONG_VALUE);
+    struct words_limits limits = {5, 0.4f, 1.25f, 1.6f, 8};
+    struct words_decided decided = {ints + 3 * nodes,  floats + 6 * nodes, floats + 7 * nodes,
+                                    flags + 2 * nodes, flags + 3 * nodes,  flags + 4 * nodes};
+    words_decide(nodes, &all, flags, expected, ints + 2 * nodes, 1 / (noise + 1e-6f), (unsigned)bits,
+                 parity, (float)bits + 0.04f, &limits, &decided);
+    for (size_t i = 0; i < nodes; i++) {
+        MUST(flags[i] <= 1 && decided.doubtful[i] <= flags[i], WRONG_VALUE);
+        MUST((uint32_t)decided.codes[i] >> (bits - parity) == 0, WRONG_VALUE);
+    }
+    struct words_frame frame = {bits, order, first, nodes, unipolar, swing, 0.25f, 0.5f};
+    words_fit(&frame, rows, amplitude, floats + 8 * nodes, &pedestal, &power, &spread, &misfit);
+    for (size_t i = 0; i < nodes; i++)
+        MUST(!(amplitude[i] < 0), WRONG_VALUE);
+    free(rows);
+    free(floats);
+    free(ints);
+    free(flags);
+}
+
 /* The input's first byte selects the test. */
 int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
 {
     struct input input = {bytes, size};
 
-    switch (input_u8(&input) % 3) {
+    switch (input_u8(&input) % 4) {
     case 0:
         scan_bytes(&input);
         break;
@@ -179,6 +243,9 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
         break;
     case 2:
         transform(&input);
+        break;
+    case 3:
+        read_words(&input);
         break;
     }
     return 0;

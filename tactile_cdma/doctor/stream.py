@@ -19,8 +19,9 @@ from ..driver.pipeline import Pipeline, TactileFrame
 from ..framing.timing import Rejections, silence_hidden
 from ..wire.messages import Status
 from ..wire.packets import PacketParser
-from ..words.decode import ACTIVE_SHARE, DOUBLE_SHARE, FAINT_SHARE, LOW_RHO
+from ..words.decode import ACTIVE_SHARE
 from ..words.health import NodeHealth, NodeState
+from ..words.stages import DOUBLE_SHARE, FAINT_SHARE, LOW_RHO
 from .report import Check, ok, problem, warning
 
 SLOW = 0.95

@@ -15,6 +15,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base import kernel
 from ..base.arrays import Floats, Floats32, Indices
 from ..code.frame import UNIPOLAR, FrameSpec
 from ..code.transform import correlate, spread
@@ -203,7 +204,12 @@ class WordFit:
 
 def read_words(chips: Floats32, spec: FrameSpec) -> WordFit:
     """Words of each candidate: chips (c, k, N) float32, V."""
-    rows, bits = correlate(chips, spec.book), np.float32(spec.line_bits)
+    return fit_words(correlate(chips, spec.book), spec)
+
+
+def numpy_fit_words(rows: Floats32, spec: FrameSpec) -> WordFit:
+    """Words of each candidate: correlations of all rows (c, k, N) float32, V."""
+    bits = np.float32(spec.line_bits)
     signed = rows[..., spec.node_slice]
     level: Floats32 = np.abs(signed)
     mean = level.sum(axis=1) / bits
@@ -212,7 +218,7 @@ def read_words(chips: Floats32, spec: FrameSpec) -> WordFit:
     word_power = np.einsum("cn,cn->c", amplitude, amplitude)
     excess = np.einsum("ckn,ckn->cn", signed, signed) / bits - np.square(mean)
     uneven = np.where(active, excess, np.float32(0))
-    pedestal, meant = np.zeros(len(chips), np.float32), rows
+    pedestal, meant = np.zeros(len(rows), np.float32), rows
     if spec.drive == UNIPOLAR:
         pedestal = rows[..., 0].sum(axis=1) / bits
     elif spec.first_row > 0:  # a free row 0 holds nothing but what is left of the offset
@@ -223,6 +229,22 @@ def read_words(chips: Floats32, spec: FrameSpec) -> WordFit:
     relative = uneven.sum(axis=1) / np.maximum(word_power, tiny)
     misfit = total / np.maximum(bits * power, tiny) - 1
     return WordFit(rows, amplitude, pedestal, uneven, power, relative, misfit)
+
+
+def compiled_fit_words(rows: Floats32, spec: FrameSpec) -> WordFit:
+    """As numpy_fit_words."""
+    assert kernel.compiled is not None
+    swing_v = math.nan if spec.node_swing_v is None else spec.node_swing_v
+    amplitude, uneven = np.empty((2, len(rows), spec.nodes), np.float32)
+    pedestal, power, spread, misfit = np.empty((4, len(rows)), np.float32)
+    kernel.compiled.fit_words(
+        spec.first_row, spec.nodes, spec.drive == UNIPOLAR, swing_v, LOUDEST_FLOOR, LIMITS.active,
+        rows, amplitude, uneven, pedestal, power, spread, misfit,
+    )  # fmt: skip
+    return WordFit(rows, amplitude, pedestal, uneven, power, spread, misfit)
+
+
+fit_words = numpy_fit_words if kernel.compiled is None else compiled_fit_words
 
 
 def word_floor(mean: Floats32, spec: FrameSpec) -> Floats32:

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from ..base.arrays import Floats, Floats32
 from ..code.frame import MAX_STRETCH, FrameSpec
 from .burst import Burst, BurstSearch
-from .fit import CHIPS_AT_ONCE, Fit, Line, read_words, refine
+from .fit import CHIPS_AT_ONCE, Fit, Line, integrate, read_words, refine
 from .judge import Judge, Judgement
 from .limits import LIMITS
 from .raster import Expected
@@ -69,19 +69,8 @@ class GapSearch(BurstSearch):
             return None
         if loud - 2 * burst.slack > self.longest:
             return None
-        clocks = self._chip_lines(line.volts, burst)
-        for chip in (loud / spec.span_chips, *((expected.chip,) if expected else ())):
-            clocks += [(chip, burst.first), (chip, burst.last)]
-        chip, edge = np.array(clocks).T
-        starts, chips, power = self._shifts(line, burst, edge, chip)
-        if not starts.size:
-            return None
-        score = self._score(starts, chips, power, burst)
-        if expected is not None:
-            score = score + expected.log_prior(starts)
-        best = int(np.argmax(score))
-        fit = refine(line, Fit(starts[best], chips[best]), spec)
-        if not LIMITS.possible(fit.chip / self.chip):
+        fit = self._by_raster(line, burst, expected) or self._by_search(line, burst, expected)
+        if fit is None:
             return None
         low, high = self._range(burst, fit.chip)
         earliest = min(0, math.ceil((low - fit.start) / fit.chip)) - _BEYOND
@@ -98,6 +87,40 @@ class GapSearch(BurstSearch):
             earliest, latest = min(earliest, shift - _BEYOND), max(latest, shift + _BEYOND)
             if (earliest, latest) == shifts or latest - earliest > _MOST_SHIFTS:
                 return found
+
+    def _by_raster(self, line: Line, burst: Burst, expected: Expected | None) -> Fit | None:
+        """The frame where it is expected, if that leaves no more than the noise of the gap."""
+        if expected is None or expected.slips > 0.5:
+            return None
+        uncertain = expected.scatter + expected.change * self.spec.span_chips
+        if uncertain > LIMITS.in_place * expected.chip:
+            return None
+        fit = refine(line, Fit(expected.start, expected.chip), self.spec)
+        if fit.start < -0.5 or fit.end(self.spec) > line.volts.size:
+            return None
+        words = read_words(
+            integrate(line, np.array([fit.start]), np.array([fit.chip]), self.spec), self.spec
+        )
+        noise = burst.variance * self.half / fit.chip
+        limit = LIMITS.carried_noise * noise / max(words.power.item(), 1e-30)
+        return fit if words.misfit.item() < limit + LIMITS.carried_misfit else None
+
+    def _by_search(self, line: Line, burst: Burst, expected: Expected | None) -> Fit | None:
+        """The frame that explains the most energy of all that could be there."""
+        spec, loud = self.spec, burst.last - burst.first
+        clocks = self._chip_lines(line.volts, burst)
+        for chip in (loud / spec.span_chips, *((expected.chip,) if expected else ())):
+            clocks += [(chip, burst.first), (chip, burst.last)]
+        chip, edge = np.array(clocks).T
+        starts, chips, power = self._shifts(line, burst, edge, chip)
+        if not starts.size:
+            return None
+        score = self._score(starts, chips, power, burst)
+        if expected is not None:
+            score = score + expected.log_prior(starts)
+        best = int(np.argmax(score))
+        fit = refine(line, Fit(starts[best], chips[best]), spec)
+        return fit if LIMITS.possible(fit.chip / self.chip) else None
 
     def _score(
         self, starts: Floats, chips: Floats, power: NDArray[np.floating], burst: Burst

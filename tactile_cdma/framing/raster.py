@@ -33,11 +33,15 @@ NARROWEST = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """Where the next frame is likely to start, samples. chip: of the last frame."""
+    """Where the next frame is likely to start, samples.
+
+    chip: of the last frame. change: how much it differs from the one before, samples.
+    """
 
     start: float
     scatter: float
     chip: float
+    change: float
     slips: float
 
     def log_prior(self, starts: Floats) -> Floats:
@@ -65,6 +69,7 @@ class Raster:
         self._nominal = self._period = period
         self._period_error = CLOCK_ERROR
         self._anchor: Fit | None = None  # the last frame whose place was certain
+        self._change = math.inf  # of its chip duration since the one before
         self._known = self._slipped = self._square = 0.0  # fading sums: frames, slips, chips²
 
     def forget_place(self) -> None:
@@ -81,7 +86,7 @@ class Raster:
             slips = (self._slipped + 1) / (self._known + 2)  # Laplace's rule of succession
             width = math.sqrt(NARROWEST**2 + self._square / (self._known - self._slipped))
         scatter = math.hypot(width * chip, self._period_error * passed)
-        return Expected(self._anchor.start + passed, scatter, chip, slips)
+        return Expected(self._anchor.start + passed, scatter, chip, self._change, slips)
 
     def learn(self, fit: Fit, unaided: bool) -> None:
         """Take in a frame whose place is certain; unaided: without the raster's help.
@@ -97,6 +102,7 @@ class Raster:
                 period = (fit.start - self._anchor.start) / slots
                 if abs(period - self._nominal) < CLOCK_ERROR * period:
                     self._period, self._period_error = period, CLOCK_DRIFT
+            self._change = abs(fit.chip - self._anchor.chip)
         self._anchor = fit
 
     def _slots(self, index: float) -> int:

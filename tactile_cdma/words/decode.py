@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +15,15 @@ from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
 from .lateness import out_of_place
 from .leakage import unexplained
+from .stages import (
+    CLEAR_RHO,
+    FAINT_SHARE,
+    SOUND_SHARE,
+    UNLIKE,
+    decide,
+    find_active,
+    measure,
+)
 
 ACTIVE_SHARE = 0.5
 """A node spoke where the mean of |r| over its word exceeds this share of its amplitude: halfway
@@ -24,9 +32,6 @@ AUTO_FLOOR = 6.0
 """With the amplitude unknown, words below this many noise deviations count as silence. Noise alone
 has a mean |r| of 0.8 ± 0.6/√k deviations, 0.99 at k = 10; chosen far above, as noise is not all
 there is."""
-SOUND_SHARE = 0.8
-"""Share of the loudest word's amplitude below which a word may be what leaks from louder ones.
-Chosen: spreads of sound nodes are a few percent."""
 LEAKED_SHARE = 0.5
 """Share of a word's amplitude that must be left beside what leaks from louder words for it to be a
 word. Chosen: a word that was sent keeps √(1 − 3/k) of it, 0.84 at k = 10."""
@@ -36,27 +41,11 @@ loudest may be that of three nodes on one row, and a lone node then still has a 
 COMPARABLE = 0.6
 """Share of a word's amplitude above which a fainter one may be the rest of it. Chosen: of a word
 half a chip late both rows have half."""
-LOW_RHO = 5.0
-"""ρ below which words are flagged: there more than 3e-6 of them hold a wrong bit, k·Q(ρ) for k =
-10."""
-LOW_MARGIN = 0.4
-"""A word is flagged where one bit has less than this share of the word's mean amplitude. Chosen."""
-FAINT_SHARE = 0.25
-"""Share of the expected amplitude below which nothing is taken for a node; as fit.lowest_power."""
-DOUBLE_SHARE = 1.6
-"""Share of a node's amplitude above which a level is that of two nodes. Chosen: nodes with equal
-bits give 2, one 60 % too strong is out of tolerance anyway."""
-SHARED_SHARE = 1.25
-"""Share of a node's amplitude above which a word may be that of more than one: two nodes with
-random bits give 1 on average, three give 1.5. Chosen between these."""
-CLEAR_RHO = 8.0
-"""ρ above which noise does not give a word levels of two nodes: 0.6 amplitudes are then 4.8
-deviations of a level."""
 OFF, OFF_HIT, OFF_OTHERS, MOST_BROKEN = 2.0, 5.0, 4.0, 0.25
 """A level is uncertain below OFF times the typical deviation of that bit's levels, of all nodes but
 MOST_BROKEN; below OFF_HIT times that where it is OFF_OTHERS times that of most bits: something has
 hit this bit, and that is not alike for all nodes. Chosen on disturbed lines (make torture)."""
-UNLIKE, UNLIKE_OTHERS = 0.2, 5.0
+UNLIKE_OTHERS = 5.0
 """A level is also uncertain if it is off by more than UNLIKE of the word's amplitude, and by more
 than UNLIKE_OTHERS times the typical deviation of its bit and of most bits: something else is on
 that row. Chosen on disturbed lines (make torture)."""
@@ -148,20 +137,20 @@ def decode(
     likely even word) and is doubtful.
     """
     values, noise = levels.values, levels.noise_v
-    level: Floats32 = np.abs(values)
-    amplitude = level.sum(axis=0) * np.float32(1 / spec.line_bits)
+    measures = measure(values)
+    amplitude = measures.amplitude
     if swing_v is None:
         swing_v = spec.node_swing_v
     if swing_v is None:
         swing_v = max(float(usual_amplitude(amplitude)[0]), AUTO_FLOOR * noise / threshold)
     expected = np.full(spec.nodes, swing_v, dtype=np.float32)
-    active = amplitude > np.float32(threshold) * expected
+    active, faint, any_faint = find_active(amplitude, expected, threshold)
     astray = np.zeros_like(active)
-    sound = SOUND_SHARE * np.minimum(expected, amplitude.max())  # two on a row are louder
-    faint = (amplitude > FAINT_SHARE * expected) & ((amplitude < sound) | ~active)
-    if faint.any():
+    if any_faint:
+        sound = SOUND_SHARE * np.minimum(expected, amplitude.max())
         left = np.abs(unexplained(levels, active & ~faint, faint, spec)).mean(axis=0)
         amplitude = np.where(faint & (left < LEAKED_SHARE * amplitude), left, amplitude)
+        measures = measures._replace(amplitude=amplitude)
         spoke = amplitude > np.float32(threshold) * expected
         astray = ~spoke & (active | (amplitude > FAINT_SHARE * expected))
         if astray.any():  # what weak words lack may be there, and they out of their places
@@ -170,29 +159,11 @@ def decode(
             # A line that weakens words weakens faint ones, too.
             astray |= ~spoke & (amplitude > np.float32(FAINT_SHARE) * amplitude.max())
         active = spoke & ~astray
-    rho = amplitude * np.float32(1 / max(noise, 1e-12))
-    weakest = level.min(axis=0)
-    margin = weakest / np.maximum(amplitude, np.float32(1e-30))
-    # Sums of powers of two below 2¹⁷ are exact in float32, which is the fastest here.
-    codes = np.einsum("k,kn->n", _weights(spec.line_bits), values > 0).astype(np.int32)
-    codes ^= spec.sign_mask
-    doubtful = (rho < LOW_RHO) | (margin < LOW_MARGIN)
-    odd = doubled = np.zeros_like(active)
-    if spec.parity:
-        odd = _is_odd(codes)
-        turn = np.int32(1) << (spec.bits - level.argmin(axis=0)).astype(np.int32)
-        codes = (codes ^ turn * odd) >> 1
-        doubtful |= odd
-    loud = amplitude > np.float32(SHARED_SHARE) * expected
-    if doubtful.any() or loud.any():
-        strongest, two = level.max(axis=0), np.float32(DOUBLE_SHARE) * expected
-        cancelling = doubtful & (weakest < np.float32(LOW_MARGIN) * expected)
-        three = loud & (rho > CLEAR_RHO) & (weakest < np.float32(0.5) * strongest)
-        doubled = (cancelling | three) & (strongest > two)
-        doubtful |= doubled | (amplitude > two)
-    doubtful &= active
-    if _are_uneven(level, amplitude, active):
-        doubtful |= _disturbed(level, amplitude, active) & active
+    codes, rho, margin, doubtful, doubled, odd, uneven = decide(
+        measures, active, expected, spec.sign_mask, noise, spec.line_bits, spec.parity
+    )
+    if uneven:
+        doubtful |= _disturbed(np.abs(values), amplitude, active) & active
     for node in levels.unresolved:
         doubtful[node] = active[node]
     doubtful |= astray
@@ -219,18 +190,6 @@ def usual_amplitude(mean: Floats32) -> Floats32:
         return loudest
     third, second = np.split(np.partition(mean, (-3, -2), axis=-1)[..., -3:-1], 2, axis=-1)
     return np.where(third > np.float32(LOUDEST_FLOOR) * loudest, second, loudest)
-
-
-def _are_uneven(level: Floats32, amplitude: Floats32, active: Bools) -> bool:
-    """Whether a level of any word may be off by more than UNLIKE of it, among more than two nodes.
-
-    One that is adds 1/k − 1/k² of its square to the mean square of the word's k levels.
-    """
-    bits, nodes = level.shape
-    most = bits + UNLIKE**2 * (bits - 1) / bits
-    uneven = np.einsum("kn,kn->n", level, level) > amplitude * amplitude * np.float32(most)
-    uneven &= active
-    return nodes > 2 and bool(uneven.any())
 
 
 def _disturbed(level: Floats32, amplitude: Floats32, active: Bools) -> Bools:
@@ -262,17 +221,3 @@ def _middle(values: Floats32) -> np.float32:
     """The upper median; numpy's own takes ten times as long for the few values of a word."""
     middle: np.float32 = np.sort(values)[values.size // 2]
     return middle
-
-
-@cache
-def _weights(bits: int) -> Floats32:
-    """Value of each bit of a word, most significant first, (bits,)."""
-    return np.exp2(np.arange(bits - 1, -1, -1, dtype=np.float32))
-
-
-def _is_odd(words: NDArray[np.int32]) -> Bools:
-    """Whether words of up to 17 bits have an odd number of ones."""
-    for shift in (16, 8, 4, 2, 1):
-        words = words ^ (words >> shift)
-    odd: Bools = (words & 1).astype(bool)
-    return odd

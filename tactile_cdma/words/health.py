@@ -10,7 +10,8 @@ import numpy as np
 
 from ..base.arrays import Bools, Floats32
 from ..code.frame import FrameSpec
-from .decode import DOUBLE_SHARE, FAINT_SHARE, LOW_MARGIN, LOW_RHO, Words
+from .decode import Words
+from .stages import DOUBLE_SHARE, FAINT_SHARE, LOW_MARGIN, LOW_RHO
 
 JUDGE_FRAMES = 32
 """Frames with words in them between two verdicts. Chosen: 0.4 s at 78 Hz."""

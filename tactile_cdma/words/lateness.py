@@ -10,10 +10,8 @@ it is early what the next one does, and of a word that is sent on time no chip d
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..base.arrays import Bools, Floats32
 from ..code.codes import CodeBook
@@ -82,25 +80,28 @@ def late(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec
     # that own these chips: linear regression on both.
     scale = 1 / np.maximum(len(earlier) * (1 - np.square(alike)), np.float32(1e-3))
 
-    def share(word: Floats32, owner: Floats32, chips: NDArray[Any]) -> Floats32:
-        found: Floats32 = np.abs((word - alike * owner).T @ chips).max(axis=1) * scale
-        return found
+    def shares(word: Floats32, owner: Floats32, chips: Floats32, leaked: Floats32) -> Floats32:
+        both: Floats32 = np.abs(np.hstack((chips, leaked)).T @ (word - alike * owner)) * scale
+        beside: Floats32 = both[:-1].max(axis=0) - np.float32(LEAKED) * both[-1]
+        return beside
 
-    before = share(earlier, later, (left @ first)[1:])
-    before -= LEAKED * share(earlier, later, (meant @ last[:, -1:])[:-1])
-    after = share(later, earlier, (left @ last)[:-1])
-    after -= LEAKED * share(later, earlier, (meant @ first[:, :1])[1:])
-    by_chance_v = BY_CHANCE * np.sqrt(_variance_within(left, first, last) * scale)
+    begins, ends = left @ first, left @ last
+    before = shares(earlier, later, begins[1:], (meant @ last[:, -1:])[:-1])
+    after = shares(later, earlier, ends[:-1], (meant @ first[:, :1])[1:])
+    by_chance_v = BY_CHANCE * np.sqrt(_variance_within(left, begins, ends) * scale)
     limit = np.maximum(LATE_SHARE * amplitude, by_chance_v)
     found: Bools = active & (np.maximum(before, after) > limit)
     return found
 
 
-def _variance_within(left: Floats32, first: Floats32, last: Floats32) -> float:
-    """Mean square of the chips left over but at the edges of bits, V²: (k, N) rows to a number."""
+def _variance_within(left: Floats32, begins: Floats32, ends: Floats32) -> float:
+    """Mean square of the chips left over but at the edges of bits, V²: (k, N) rows to a number.
+
+    begins, ends: (k, EDGE) V, the chips at the edges.
+    """
     bits, order = left.shape
-    edges = np.square(left @ first).sum() + np.square(left @ last).sum()
-    within = float(order * np.square(left).sum()) - float(edges)
+    edges = np.square(begins).sum() + np.square(ends).sum()
+    within = float(order * np.einsum("kr,kr->", left, left)) - float(edges)
     return max(within, 0.0) / float(bits * (order - 2 * EDGE))
 
 

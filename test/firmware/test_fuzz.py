@@ -94,6 +94,12 @@ KERNEL_DEFECTS = {
         "",
         "crash",
     ),
+    "the sum of a block of nodes goes to the one before": (
+        "words.c",
+        "measure_block(levels + first, step, bits, nodes - first, measures, first)",
+        "measure_block(levels + first, step, bits, nodes - first, measures, first - 1 + !first)",
+        "wrong value",
+    ),
     "a run that is too long is not counted": (
         "scanner.c",
         "    if (size > MAX_RUN - before) {\n        scanner->seen.resyncs++;",

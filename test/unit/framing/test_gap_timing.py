@@ -16,6 +16,7 @@ from synthetic_line import DEFAULT, PAPER, SPECS, Wire, check, garbage, run, sam
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code.encode import word_bits
 from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.framing.gap import GapSearch
 from tactile_cdma.framing.gap_timing import GapTiming
 from tactile_cdma.framing.timing import SampleBlock
 from tactile_cdma.words.decode import decode
@@ -64,6 +65,27 @@ def test_a_first_word_as_quiet_as_the_gap(
         f for f in run(GapTiming(wire.spec, wire.rate_hz), volts[inside:]) if f.levels is not None
     ]
     assert [words_of(f, PAPER) for f in frames] == [s.words for s in wire.sent[1:]]
+
+
+@pytest.mark.parametrize("rho", [60, 8])
+@pytest.mark.parametrize("jitter_chips", [0, 1])
+def test_frames_where_the_raster_expects_them_are_those_that_a_search_finds(
+    jitter_chips: int, rho: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wire = Wire(DEFAULT, 4.0, seed=24)
+    for slot in range(60):
+        late = wire.chip * wire.rng.integers(0, jitter_chips + 1)
+        nodes = wire.rng.choice(16, wire.rng.integers(1, 17), replace=False).tolist()
+        words = {node: int(wire.rng.integers(1024)) for node in nodes}
+        wire.send((slot + 0.25) * wire.period + late, words, stretch=0.03)
+    volts = wire.volts(rho=rho)
+    found = run(GapTiming(DEFAULT, wire.rate_hz), volts)
+    monkeypatch.setattr(GapSearch, "_by_raster", lambda *_: None)
+    searched = run(GapTiming(DEFAULT, wire.rate_hz), volts)
+    assert sum(frame.levels is not None for frame in found) >= 55
+    for one, other in zip(found, searched, strict=True):
+        assert one.start == pytest.approx(other.start, abs=0.1 * wire.chip)
+        assert words_of(one, DEFAULT) == words_of(other, DEFAULT)
 
 
 @pytest.mark.parametrize("seed", range(8))

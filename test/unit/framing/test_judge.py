@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from synthetic_line import PAPER, Wire
@@ -109,7 +111,7 @@ def test_a_raster_long_known_tells_a_tie_apart_and_a_young_one_does_not() -> Non
     wire, volts = sent(TIE)
     for frames, decided in ((100, False), (20_000, True)):
         expected = taught(0.02, 0.0, frames)
-        place = Expected(wire.sent[0].start, expected.scatter, expected.chip, expected.slips)
+        place = replace(expected, start=wire.sent[0].start)
         judgement = judged(volts, wire, place)
         assert judgement.decided == decided
         assert not judgement.unaided

@@ -1,0 +1,58 @@
+// SPDX-License-Identifier: Apache-2.0
+
+/* Levels of nodes → words: the stages of tactile_cdma/words/stages.py and framing/fit.py that pass over
+ * all levels or all nodes. Arithmetic is that of numpy in float32, per node in the same order. Flags are
+ * bytes, 0 or 1. */
+#ifndef TACTILE_WORDS_H
+#define TACTILE_WORDS_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+/* What k levels r say of each of n nodes, (n,): mean, least and greatest |r|; sum of r²; the signs as
+ * bits, the first one highest; and the first bit with the least |r|. */
+struct words_measures {
+    float *amplitude, *weakest, *strongest, *squares;
+    int32_t *signs, *weakest_bit;
+};
+
+/* levels: k rows of n values, `step` values from row to row. */
+void words_measure(const float *levels, ptrdiff_t step, size_t bits, size_t nodes,
+                   const struct words_measures *measures);
+
+/* As find_active in stages.py. Returns whether any word is faint. */
+bool words_find_active(size_t nodes, const float *amplitude, const float *expected, float threshold,
+                       float faint_share, float sound_share, uint8_t *active, uint8_t *faint);
+
+/* As `Limits` in stages.py. */
+struct words_limits {
+    float low_rho, low_margin, shared, two, clear_rho;
+};
+
+struct words_decided {
+    int32_t *codes;
+    float *rho, *margin;
+    uint8_t *doubtful, *doubled, *odd;
+};
+
+/* As decide in stages.py. most_square: of r² over the squared amplitude. Returns whether a word is less
+ * even than that. */
+bool words_decide(size_t nodes, const struct words_measures *measures, const uint8_t *active,
+                  const float *expected, const int32_t *sign_mask, float per_noise, unsigned bits,
+                  bool parity, float most_square, const struct words_limits *limits,
+                  const struct words_decided *decided);
+
+/* How the words of a frame are read from the correlations of all rows; see read_words in fit.py. */
+struct words_frame {
+    size_t bits, order, first, nodes; /* order: rows; first: of the nodes' rows */
+    bool unipolar;
+    float swing; /* amplitude of a node, V; NaN: unknown */
+    float loudest_share, active_share;
+};
+
+/* Of one candidate. rows: (k, N). amplitude, uneven: (n,). Returns through the others as WordFit. */
+void words_fit(const struct words_frame *frame, const float *rows, float *amplitude, float *uneven,
+               float *pedestal, float *power, float *spread, float *misfit);
+
+#endif

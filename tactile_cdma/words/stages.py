@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The stages of `decode` that pass over all levels or all nodes, compiled or in numpy.
+
+Both forms give the same decisions; the kernel's add in the same order.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base import kernel
+from ..base.arrays import Bools, Floats32
+
+SOUND_SHARE = 0.8
+"""Share of the loudest word's amplitude below which a word may be what leaks from louder ones.
+Chosen: spreads of sound nodes are a few percent."""
+LOW_RHO = 5.0
+"""ρ below which words are flagged: there more than 3e-6 of them hold a wrong bit, k·Q(ρ) for k =
+10."""
+LOW_MARGIN = 0.4
+"""A word is flagged where one bit has less than this share of the word's mean amplitude. Chosen."""
+FAINT_SHARE = 0.25
+"""Share of the expected amplitude below which nothing is taken for a node; as fit.lowest_power."""
+DOUBLE_SHARE = 1.6
+"""Share of a node's amplitude above which a level is that of two nodes. Chosen: nodes with equal
+bits give 2, one 60 % too strong is out of tolerance anyway."""
+SHARED_SHARE = 1.25
+"""Share of a node's amplitude above which a word may be that of more than one: two nodes with
+random bits give 1 on average, three give 1.5. Chosen between these."""
+CLEAR_RHO = 8.0
+"""ρ above which noise does not give a word levels of two nodes: 0.6 amplitudes are then 4.8
+deviations of a level."""
+UNLIKE = 0.2
+"""Share of a word's amplitude by which one of its levels may be off. Chosen on disturbed lines
+(make torture)."""
+
+
+class Measures(NamedTuple):
+    """What k levels r say of each of n nodes.
+
+    amplitude, weakest, strongest: (n,) float32, V: mean, least and greatest |r|.
+    squares: (n,) float32, V²: sum of r². signs: (n,) int32: signs of r as bits, the first highest.
+    weakest_bit: (n,) int32: the first bit of the least |r|.
+    """
+
+    amplitude: Floats32
+    weakest: Floats32
+    strongest: Floats32
+    squares: Floats32
+    signs: NDArray[np.int32]
+    weakest_bit: NDArray[np.int32]
+
+
+class Decided(NamedTuple):
+    """What words say if each is taken by itself.
+
+    codes: (n,) int32, parity mended and removed. rho, margin: (n,) float32, see Words.
+    doubtful, doubled, odd: (n,) bool, see Words; the latter two of silent nodes, too.
+    uneven: whether a level of any word may be off by more than UNLIKE of it, among more than two
+        nodes.
+    """
+
+    codes: NDArray[np.int32]
+    rho: Floats32
+    margin: Floats32
+    doubtful: Bools
+    doubled: Bools
+    odd: Bools
+    uneven: bool
+
+
+def numpy_measure(values: Floats32) -> Measures:
+    """Measure levels (k, n), V."""
+    level: Floats32 = np.abs(values)
+    bits = len(values)
+    # Sums of powers of two below 2¹⁷ are exact in float32, which is the fastest here.
+    signs = np.einsum("k,kn->n", _weights(bits), values > 0).astype(np.int32)
+    return Measures(
+        level.sum(axis=0) * np.float32(1 / bits),
+        level.min(axis=0),
+        level.max(axis=0),
+        np.einsum("kn,kn->n", level, level),
+        signs,
+        level.argmin(axis=0).astype(np.int32),
+    )
+
+
+def compiled_measure(values: Floats32) -> Measures:
+    """As numpy_measure."""
+    assert kernel.compiled is not None
+    if values.strides[1] != 4:
+        values = np.ascontiguousarray(values)
+    nodes = values.shape[1]
+    measures = Measures(*np.empty((4, nodes), np.float32), *np.empty((2, nodes), np.int32))
+    kernel.compiled.measure(values, *measures)
+    return measures
+
+
+def numpy_find_active(
+    amplitude: Floats32, expected: Floats32, threshold: float
+) -> tuple[Bools, Bools, bool]:
+    """Words that were spoken; those of a node that is too weak, and whether there are any.
+
+    amplitude, expected: (n,) V. threshold: share of the expected amplitude of words that count.
+    """
+    active = amplitude > np.float32(threshold) * expected
+    sound = SOUND_SHARE * np.minimum(expected, amplitude.max())  # two on a row are louder
+    faint = (amplitude > FAINT_SHARE * expected) & ((amplitude < sound) | ~active)
+    return active, faint, bool(faint.any())
+
+
+def compiled_find_active(
+    amplitude: Floats32, expected: Floats32, threshold: float
+) -> tuple[Bools, Bools, bool]:
+    """As numpy_find_active."""
+    assert kernel.compiled is not None
+    size = amplitude.size
+    active, faint = np.empty((2, size), np.bool_)
+    any_faint: bool = kernel.compiled.find_active(
+        threshold, FAINT_SHARE, SOUND_SHARE, size, amplitude, expected, active, faint
+    )
+    return active, faint, any_faint
+
+
+def numpy_decide(
+    measures: Measures,
+    active: Bools,
+    expected: Floats32,
+    sign_mask: NDArray[np.int32],
+    noise: float,
+    bits: int,
+    parity: bool,
+) -> Decided:
+    """Codes, and how sure they are.
+
+    active: (n,) words that were spoken. expected: (n,) V, amplitude of a node. sign_mask: (n,), see
+    FrameSpec. noise: RMS of a level, V. bits: on the line. parity: the last one is that.
+    """
+    amplitude, weakest = measures.amplitude, measures.weakest
+    rho: Floats32 = amplitude * np.float32(_per(noise))
+    above_zero: Floats32 = np.maximum(amplitude, np.float32(1e-30))
+    margin = weakest / above_zero
+    codes = measures.signs ^ sign_mask
+    doubtful = (rho < LOW_RHO) | (margin < LOW_MARGIN)
+    odd = np.zeros_like(active)
+    if parity:
+        odd = _is_odd(codes)
+        turn = np.int32(1) << (bits - 1 - measures.weakest_bit)
+        codes = (codes ^ turn * odd) >> 1
+        doubtful |= odd
+    two = np.float32(DOUBLE_SHARE) * expected
+    cancelling = doubtful & (weakest < np.float32(LOW_MARGIN) * expected)
+    loud = amplitude > np.float32(SHARED_SHARE) * expected
+    three = loud & (rho > CLEAR_RHO) & (weakest < np.float32(0.5) * measures.strongest)
+    doubled = (cancelling | three) & (measures.strongest > two)
+    doubtful |= doubled | (amplitude > two)
+    doubtful &= active
+    uneven = measures.squares > amplitude * amplitude * np.float32(_most_square(bits))
+    is_uneven = active.size > 2 and bool((uneven & active).any())
+    return Decided(codes, rho, margin, doubtful, doubled, odd, is_uneven)
+
+
+def compiled_decide(
+    measures: Measures,
+    active: Bools,
+    expected: Floats32,
+    sign_mask: NDArray[np.int32],
+    noise: float,
+    bits: int,
+    parity: bool,
+) -> Decided:
+    """As numpy_decide."""
+    assert kernel.compiled is not None
+    size = active.size
+    codes, (rho, margin) = np.empty(size, np.int32), np.empty((2, size), np.float32)
+    doubtful, doubled, odd = np.empty((3, size), np.bool_)
+    limits = (LOW_RHO, LOW_MARGIN, SHARED_SHARE, DOUBLE_SHARE, CLEAR_RHO)
+    uneven: bool = kernel.compiled.decide(
+        _per(noise), bits, parity, _most_square(bits), *limits, size, *measures, active, expected,
+        sign_mask, codes, rho, margin, doubtful, doubled, odd,
+    )  # fmt: skip
+    return Decided(codes, rho, margin, doubtful, doubled, odd, uneven)
+
+
+def _per(noise: float) -> float:
+    return 1 / max(noise, 1e-12)
+
+
+def _most_square(bits: int) -> float:
+    """Sum of squares over the squared amplitude, of a word with one level that is off by UNLIKE.
+
+    Such a level adds 1/k − 1/k² of its square to the mean square of the word's k levels.
+    """
+    return bits + UNLIKE**2 * (bits - 1) / bits
+
+
+@cache
+def _weights(bits: int) -> Floats32:
+    """Value of each bit of a word, most significant first, (bits,)."""
+    return np.exp2(np.arange(bits - 1, -1, -1, dtype=np.float32))
+
+
+def _is_odd(words: NDArray[np.int32]) -> Bools:
+    """Whether words of up to 17 bits have an odd number of ones."""
+    for shift in (16, 8, 4, 2, 1):
+        words = words ^ (words >> shift)
+    odd: Bools = (words & 1).astype(bool)
+    return odd
+
+
+if kernel.compiled is None:
+    measure, find_active, decide = numpy_measure, numpy_find_active, numpy_decide
+else:
+    measure, find_active, decide = compiled_measure, compiled_find_active, compiled_decide
