@@ -10,7 +10,7 @@
 #include "transform.h"
 #include "words.h"
 
-#define VERSION 3 /* raise with every change of what this module offers; see base/kernel.py */
+#define VERSION 4 /* raise with every change of what this module offers; see base/kernel.py */
 #define LONG_WORK (1 << 16)
 /* Values that take tens of microseconds: work below does not release the GIL, since to get it back
  * from a busy thread can take 5 ms. */
@@ -449,10 +449,48 @@ fail:
     return NULL;
 }
 
+static PyObject *late(PyObject *module, PyObject *const *arguments, Py_ssize_t count)
+{
+    Py_buffer rows, in[1], edges[1], out[1];
+    double numbers[4];
+
+    (void)module;
+    if (!takes(count, 8) || get_numbers(arguments, 4, numbers) ||
+        get_array(arguments[4], &rows, 'f', 0, "rows"))
+        return NULL;
+    PyObject *result = NULL;
+    if (get_array(arguments[7], &out[0], '?', PyBUF_WRITABLE, "late"))
+        goto drop_rows;
+    struct words_frame frame = {.first = (size_t)numbers[0], .nodes = (size_t)out[0].len};
+    if (rows.ndim != 2 || rows.shape[0] < 2 || rows.shape[0] > WORDS_MOST_BITS ||
+        rows.shape[1] < 5 || numbers[0] < 0 ||
+        numbers[0] + (double)out[0].len > (double)rows.shape[1]) {
+        PyErr_SetString(PyExc_ValueError, "rows are not (2…31, N) with those of the nodes in N");
+        goto drop_out;
+    }
+    frame.bits = (size_t)rows.shape[0];
+    frame.order = (size_t)rows.shape[1];
+    struct words_lateness limits = {(float)numbers[1], (float)numbers[2], (float)numbers[3]};
+    if (get_arrays(arguments + 5, 1, "f", 1, frame.order, in))
+        goto drop_out;
+    if (!get_arrays(arguments + 6, 1, "f", 1, 4 * frame.order, edges)) {
+        words_late(&frame, rows.buf, in[0].buf, edges[0].buf, &limits, out[0].buf);
+        release(1, edges);
+        result = Py_NewRef(Py_None);
+    }
+    release(1, in);
+drop_out:
+    release(1, out);
+drop_rows:
+    PyBuffer_Release(&rows);
+    return result;
+}
+
 static PyMethodDef functions[] = {
     {"measure", (PyCFunction)(void (*)(void))measure, METH_FASTCALL, NULL},
     {"find_active", (PyCFunction)(void (*)(void))find_active, METH_FASTCALL, NULL},
     {"decide", (PyCFunction)(void (*)(void))decide, METH_FASTCALL, NULL},
+    {"late", (PyCFunction)(void (*)(void))late, METH_FASTCALL, NULL},
     {"fit_words", (PyCFunction)(void (*)(void))fit_words, METH_FASTCALL, NULL},
     {0},
 };

@@ -269,3 +269,138 @@ void words_fit(const struct words_frame *frame, const float *rows, float *amplit
     *spread = (float)uneven_power / (words < tiny ? tiny : words);
     *misfit = (float)total / (bits_power < tiny ? tiny : bits_power) - 1.0f;
 }
+
+/* ---- late -------------------------------------------------------------------------------------- */
+
+/* The chips of a bit that are looked at: what is left of its last two and first two, and what is meant
+ * by its last and its first one. */
+enum chip { LEFT_END, LEFT_LAST, LEFT_FIRST, LEFT_SECOND, MEANT_LAST, MEANT_FIRST, CHIPS };
+
+INLINE float sign_of(float level)
+{
+    return (float)((level > 0) - (level < 0));
+}
+
+INLINE float dot(const float *some, const float *others, size_t size)
+{
+    float partial[16] = {0}, sum = 0;
+    size_t i = 0;
+
+    for (; i + 16 <= size; i += 16)
+        for (size_t lane = 0; lane < 16; lane++)
+            partial[lane] += some[i + lane] * others[i + lane];
+    for (; i < size; i++)
+        partial[0] += some[i] * others[i];
+    for (size_t lane = 0; lane < 16; lane++)
+        sum += partial[lane];
+    return sum;
+}
+
+/* Chips of all bits, and the power of what is left in all rows. */
+INLINE double find_chips(const struct words_frame *frame, const float *rows, const float *meant,
+                         const float *edges, float (*chips)[CHIPS])
+{
+    size_t order = frame->order;
+    double power = 0;
+
+    for (size_t bit = 0; bit < frame->bits; bit++, rows += order) {
+        double sums[CHIPS] = {0};
+        for (size_t begin = 0; begin < order; begin += 512) {
+            float spoken[512], left[512];
+            size_t size = order - begin < 512 ? order - begin : 512;
+            for (size_t i = 0; i < size; i++) {
+                spoken[i] = sign_of(rows[begin + i]) * meant[begin + i];
+                left[i] = rows[begin + i] - spoken[i];
+            }
+            if (begin == 0 && frame->first > 0)
+                left[0] = 0; /* the line's offset */
+            for (size_t edge = 0; edge < 4; edge++)
+                sums[edge] += (double)dot(left, edges + edge * order + begin, size);
+            sums[MEANT_LAST] += (double)dot(spoken, edges + order + begin, size);
+            sums[MEANT_FIRST] += (double)dot(spoken, edges + 2 * order + begin, size);
+            power += (double)dot(left, left, size);
+        }
+        for (size_t chip = 0; chip < CHIPS; chip++)
+            chips[bit][chip] = (float)sums[chip];
+    }
+    return power;
+}
+
+INLINE void find_late(const struct words_frame *frame, const float *rows, const float *meant,
+                      float (*chips)[CHIPS], float variance, const struct words_lateness *limits,
+                      uint8_t *late)
+{
+    /* A word is looked for in chips of the bit after it, but for what the one before that bit leaks
+     * into it, and the other way round. */
+    size_t pairs = frame->bits - 1;
+
+    for (size_t begin = 0; begin < frame->nodes; begin += BLOCK) {
+        size_t size = frame->nodes - begin < BLOCK ? frame->nodes - begin : BLOCK;
+        float alike[BLOCK] = {0}, word[2][3][BLOCK] = {0}, owner[2][3][BLOCK] = {0};
+        const float *levels = rows + frame->first + begin, *spoken = meant + frame->first + begin;
+        for (size_t pair = 0; pair < pairs; pair++, levels += frame->order) {
+            const float *next = levels + frame->order;
+            const float *now = chips[pair], *then = chips[pair + 1];
+            const float here[2][3] = {{then[LEFT_FIRST], then[LEFT_SECOND], now[MEANT_LAST]},
+                                      {now[LEFT_END], now[LEFT_LAST], then[MEANT_FIRST]}};
+            for (size_t i = 0; i < size; i++) {
+                float earlier = sign_of(levels[i]), later = sign_of(next[i]);
+                alike[i] += earlier * later;
+                for (size_t c = 0; c < 3; c++) {
+                    word[0][c][i] += earlier * here[0][c];
+                    owner[0][c][i] += later * here[0][c];
+                    word[1][c][i] += later * here[1][c];
+                    owner[1][c][i] += earlier * here[1][c];
+                }
+            }
+        }
+        for (size_t i = 0; i < size; i++) {
+            float same = alike[i] / (float)pairs, beside[2];
+            float free = (float)pairs * (1 - same * same), scale = 1 / (free > 1e-3f ? free : 1e-3f);
+            for (size_t side = 0; side < 2; side++) {
+                float found[3];
+                for (size_t c = 0; c < 3; c++)
+                    found[c] = fabsf(word[side][c][i] - same * owner[side][c][i]) * scale;
+                beside[side] = (found[0] > found[1] ? found[0] : found[1]) - limits->leaked * found[2];
+            }
+            float most = beside[0] > beside[1] ? beside[0] : beside[1];
+            float by_chance = limits->by_chance * limits->by_chance * variance * scale; /* squared */
+            late[begin + i] = spoken[i] > 0 && most > limits->late_share * spoken[i] &&
+                              most * most > by_chance;
+        }
+    }
+}
+
+INLINE void look_for_late(const struct words_frame *frame, const float *rows, const float *meant,
+                          const float *edges, const struct words_lateness *limits, uint8_t *late)
+{
+    float chips[WORDS_MOST_BITS][CHIPS];
+    double within = (double)frame->order * find_chips(frame, rows, meant, edges, chips);
+
+    for (size_t bit = 0; bit < frame->bits; bit++)
+        for (size_t edge = 0; edge < 4; edge++)
+            within -= (double)chips[bit][edge] * (double)chips[bit][edge];
+    double variance = (within > 0 ? within : 0) / (double)(frame->bits * (frame->order - 4));
+    find_late(frame, rows, meant, chips, (float)variance, limits, late);
+}
+
+#if defined(HAS_AVX2)
+AVX2 static void look_for_late_avx2(const struct words_frame *frame, const float *rows,
+                                    const float *meant, const float *edges,
+                                    const struct words_lateness *limits, uint8_t *late)
+{
+    look_for_late(frame, rows, meant, edges, limits, late);
+}
+#endif
+
+void words_late(const struct words_frame *frame, const float *rows, const float *meant,
+                const float *edges, const struct words_lateness *limits, uint8_t *late)
+{
+#if defined(HAS_AVX2)
+    if (__builtin_cpu_supports("avx2")) {
+        look_for_late_avx2(frame, rows, meant, edges, limits, late);
+        return;
+    }
+#endif
+    look_for_late(frame, rows, meant, edges, limits, late);
+}

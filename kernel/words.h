@@ -55,4 +55,17 @@ struct words_frame {
 void words_fit(const struct words_frame *frame, const float *rows, float *amplitude, float *uneven,
                float *pedestal, float *power, float *spread, float *misfit);
 
+#define WORDS_MOST_BITS 31
+
+/* Limits of late in lateness.py. */
+struct words_lateness {
+    float late_share, leaked, by_chance;
+};
+
+/* As late in lateness.py, of frames of 2 to WORDS_MOST_BITS bits. meant: (N,) amplitude of the words
+ * on all rows, 0 where none was spoken. edges: (4, N) last but one, last, first and second chip of all
+ * rows. late: (n,). */
+void words_late(const struct words_frame *frame, const float *rows, const float *meant,
+                const float *edges, const struct words_lateness *limits, uint8_t *late);
+
 #endif

@@ -78,6 +78,22 @@ def decide(
     arrays: (n,), Measures, active, expected, sign_mask, then the arrays of Decided, written to.
     """
 
+def late(
+    first_row: int,
+    late_share: float,
+    leaked: float,
+    by_chance: float,
+    rows: NDArray[np.float32],
+    meant: NDArray[np.float32],
+    edges: NDArray[np.float32],
+    found: NDArray[np.bool_],
+    /,
+) -> None:
+    """As numpy_late in words/lateness.py, into found, (n,).
+
+    meant: (N,) V, amplitude of the words on all rows, 0 where none was spoken. edges: (4, N).
+    """
+
 def fit_words(
     first_row: int,
     nodes: int,

@@ -223,6 +223,19 @@ static void read_words(struct input *input)
     words_fit(&frame, rows, amplitude, floats + 8 * nodes, &pedestal, &power, &spread, &misfit);
     for (size_t i = 0; i < nodes; i++)
         MUST(!(amplitude[i] < 0), WRONG_VALUE);
+    if (bits > 1 && order > 4) {
+        struct words_lateness lateness = {0.35f, 0.3f, 4};
+        float *meant = malloc(order * sizeof *meant), *edges = malloc(4 * order * sizeof *edges);
+        for (size_t i = 0; i < order; i++)
+            meant[i] = i % 3 ? swing : 0;
+        for (size_t i = 0; i < 4 * order; i++)
+            edges[i] = i % 5 ? 1 : -1;
+        words_late(&frame, rows, meant, edges, &lateness, flags);
+        for (size_t i = 0; i < nodes; i++)
+            MUST(flags[i] <= (meant[first + i] > 0), WRONG_VALUE);
+        free(meant);
+        free(edges);
+    }
     free(rows);
     free(floats);
     free(ints);

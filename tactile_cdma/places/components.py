@@ -37,6 +37,6 @@ def connected(taxels: Indices, beside: Indices) -> Indices:
 
 
 def _lowest(root: Indices, near: Indices) -> Indices:
-    """(k,) int32, the lowest root near each taxel."""
+    """(k,) int, the lowest root near each taxel."""
     # Of int32, numpy finds the minimum 30 times as fast as of int64.
-    return np.asarray(root.astype(np.int32)[near].min(axis=0))
+    return np.asarray(root.astype(np.int32)[near].min(axis=0).astype(np.intp))

@@ -13,6 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from ..base import kernel
 from ..base.arrays import Bools, Floats32
 from ..code.codes import CodeBook
 from ..code.frame import FrameSpec
@@ -67,7 +68,7 @@ def out_of_place(
     return are_late if are_late.any() or (spare > LATE_SHARE * least).any() else None
 
 
-def late(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec) -> Bools:
+def numpy_late(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec) -> Bools:
     """Active nodes whose words show in chips of other bits than theirs, (n,) bool.
 
     amplitude: (n,) V, of every node's word. active: (n,) bool, those that spoke or may have.
@@ -92,6 +93,21 @@ def late(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec
     limit = np.maximum(LATE_SHARE * amplitude, by_chance_v)
     found: Bools = active & (np.maximum(before, after) > limit)
     return found
+
+
+def compiled_late(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec) -> Bools:
+    """As numpy_late."""
+    assert kernel.compiled is not None
+    assert levels.rows is not None
+    meant = np.zeros(spec.order, np.float32)
+    np.multiply(amplitude, active, out=meant[spec.node_slice])
+    found = np.empty(spec.nodes, np.bool_)
+    rows, edges = np.ascontiguousarray(levels.rows), _edge_rows(spec.book)
+    kernel.compiled.late(spec.first_row, LATE_SHARE, LEAKED, BY_CHANCE, rows, meant, edges, found)
+    return found
+
+
+late = numpy_late if kernel.compiled is None else compiled_late
 
 
 def _variance_within(left: Floats32, begins: Floats32, ends: Floats32) -> float:
@@ -134,10 +150,15 @@ def _taken_apart(
     return signs, meant, left
 
 
-@lru_cache(maxsize=8)
 def _edges(book: CodeBook) -> tuple[Floats32, Floats32]:
     """The first and the last chips of all rows, (N, EDGE) each."""
+    rows = _edge_rows(book)
+    return rows[EDGE:].T, rows[:EDGE].T
+
+
+@lru_cache(maxsize=8)
+def _edge_rows(book: CodeBook) -> Floats32:
+    """The last and then the first chips of all rows, (2·EDGE, N)."""
     chosen = np.zeros((2 * EDGE, book.order), np.float32)
     chosen[np.arange(2 * EDGE), np.arange(-EDGE, EDGE)] = book.order
-    columns = correlate(chosen, book).T
-    return columns[:, EDGE:].copy(), columns[:, :EDGE].copy()
+    return correlate(chosen, book)

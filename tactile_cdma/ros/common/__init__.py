@@ -1,3 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What several ROS nodes share: QoS, conversion to messages, transforms, life as a process."""
+"""What several ROS nodes share: QoS, messages as bytes, transforms, executor, life as a process."""

@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from tactile_cdma.base import kernel
 from tactile_cdma.code.frame import BIPOLAR, UNIPOLAR, FrameSpec
 from tactile_cdma.code.separate import node_levels
+from tactile_cdma.code.transform import correlate, spread
 from tactile_cdma.framing.fit import compiled_fit_words, numpy_fit_words
 from tactile_cdma.words import decode as decode_module
-from tactile_cdma.words import stages
+from tactile_cdma.words import lateness, stages
 from tactile_cdma.words.decode import decode
 
 pytestmark = pytest.mark.skipif(kernel.compiled is None, reason=kernel.why_numpy)
@@ -112,6 +113,24 @@ def test_decoded_words_are_those_of_numpy(line: tuple[FrameSpec, np.ndarray]) ->
         interpreted = decode(levels, spec)
     fields = [field for field in compiled.__slots__ if field != "noise_rms_v"]
     same([getattr(compiled, f) for f in fields], [getattr(interpreted, f) for f in fields], rms)
+
+
+@settings(max_examples=200, deadline=None)
+@given(lines(), st.integers(0, 5))
+def test_late_words_are_those_of_numpy(line: tuple[FrameSpec, np.ndarray], delay: int) -> None:
+    """Of frames in which some nodes are late by chips, too."""
+    spec, rows = line
+    if spec.order <= 2 * lateness.EDGE:
+        return
+    delayed = rows[1].copy()
+    delayed[:, spec.node_slice][:, ::2] = 0
+    chips = np.roll(spread(rows[1] - delayed, spec.book), delay)
+    rows = rows[0] + delayed + correlate(chips, spec.book)
+    levels = node_levels(rows, spec)
+    amplitude = stages.numpy_measure(levels.values).amplitude
+    active = amplitude > 0.1
+    found = lateness.compiled_late(levels, amplitude, active, spec)
+    assert np.array_equal(found, lateness.numpy_late(levels, amplitude, active, spec))
 
 
 def test_levels_that_are_no_numbers_are_no_words() -> None:
