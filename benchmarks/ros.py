@@ -4,10 +4,11 @@
 
 Three processes, as in use: this one is the digitizer behind a pseudo-terminal, the second is the
 driver node, the third subscribes to ~/tactile. All read one monotonic clock. A frame's time begins
-when the last byte of the packet with its last sample was written (raw frames: with the last sample
+when the last byte of the packet with its last sample is written (raw frames: with the last sample
 that line timing waits for), and ends in the subscriber's callback. So it holds reading, decoding,
 publishing, DDS and the subscriber's deserialisation, and no code time. "bare" is what a process
 takes that does nothing but publish finished messages of 16 taxels at the same rate: the floor.
+"CPU" is that of the whole driver process, or of the one that only publishes.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ import threading
 import time
 import tty
 from array import array
+from collections.abc import Mapping
 from dataclasses import dataclass
 from multiprocessing.synchronize import Event as EventType
 from pathlib import Path
@@ -55,6 +57,7 @@ CASES: dict[int, dict[str, Value]] = {
     },
 }
 """Parameters of the driver for each number of nodes; all nodes talk in every frame."""
+SIZES = (16, 4096) if QUICK else tuple(CASES)
 SECONDS = 4.0 if QUICK else 30.0
 WARM_UP_S = 1.0
 DOMAIN = 77
@@ -64,40 +67,48 @@ CHUNK = 65_536
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """latency_ms: of every frame received, in order. sent, lost: frames."""
+    """latency_ms: of every frame received, in order. sent, lost: frames. cpu: share of a core."""
 
     latency_ms: np.ndarray
     sent: int
     lost: int
+    cpu: float
+
+    @property
+    def p50_ms(self) -> float:
+        return float(np.median(self.latency_ms))
 
 
 def main() -> None:
     report = Report("ros", "Last byte of a frame in → subscriber's callback in another process")
     os.environ["ROS_DOMAIN_ID"] = str(DOMAIN)
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    results = {nodes: measure(values) for nodes, values in CASES.items()}
-    rows = [
-        (
-            nodes,
-            r.sent,
-            r.lost,
-            *np.percentile(r.latency_ms, [5, 50, 90, 99, 100]).round(3).tolist(),
-        )
-        for nodes, r in results.items()
-    ]
     bare = measure_bare()
-    times_ms = np.percentile(bare.latency_ms, [5, 50, 90, 99, 100]).round(3)
-    rows.append(("bare", bare.sent, bare.lost, *times_ms.tolist()))
-    report.table(["nodes", "frames", "lost", "p5 ms", "p50", "p90", "p99", "max"], rows)
-    report.finish(
-        picture(results),
-        p50_ms_16=float(np.median(results[16].latency_ms)),
-        p99_ms_16=float(np.percentile(results[16].latency_ms, 99)),
-        p50_ms_4096=float(np.median(results[4096].latency_ms)),
-        p99_ms_4096=float(np.percentile(results[4096].latency_ms, 99)),
-        p50_ms_bare=float(np.median(bare.latency_ms)),
-        lost=sum(r.lost for r in results.values()),
+    results: dict[int | str, Result] = {nodes: measure(CASES[nodes]) for nodes in SIZES}
+    named = {"bare": bare, **results}
+    report.table(
+        ["nodes", "frames", "lost", "p5 ms", "p50", "p90", "p99", "max", "p50 − bare", "CPU %"],
+        [row(name, some, bare) for name, some in named.items()],
     )
+    report.finish(
+        picture(named),
+        p50_ms_bare=bare.p50_ms,
+        p50_ms_16=results[16].p50_ms,
+        p50_ms_4096=results[4096].p50_ms,
+        p99_ms_16=float(np.percentile(results[16].latency_ms, 99)),
+        p99_ms_4096=float(np.percentile(results[4096].latency_ms, 99)),
+        cpu_bare=round(bare.cpu, 4),
+        cpu_node_16=round(results[16].cpu, 4),
+        cpu_node_4096=round(results[4096].cpu, 4),
+        lost=sum(some.lost for some in (bare, *results.values())),
+    )
+
+
+def row(name: int | str, some: Result, bare: Result) -> list[object]:
+    """A row of the table."""
+    times_ms = np.percentile(some.latency_ms, [5, 50, 90, 99, 100]).round(3)
+    beyond_ms = round(some.p50_ms - bare.p50_ms, 3)
+    return [name, some.sent, some.lost, *times_ms.tolist(), beyond_ms, 100 * some.cpu]
 
 
 def measure(values: dict[str, Value]) -> Result:
@@ -110,14 +121,15 @@ def measure(values: dict[str, Value]) -> Result:
     subscriber.start()
     with tempfile.TemporaryDirectory() as folder:
         digitizer = Digitizer(config, Path(folder) / "skin")
-        with digitizer, driver(values, digitizer.path, Path(folder)):
+        with digitizer, driver(values, digitizer.path, Path(folder)) as pid:
             assert receiving.wait(30), "no frame arrived"
-            time.sleep(SECONDS + WARM_UP_S)
+            time.sleep(WARM_UP_S)
+            cpu = cpu_share(pid)
     time.sleep(0.3)
     stop.set()
     received = sorted(queue.get(timeout=20))
     subscriber.join(10)
-    return match(digitizer.sent, received, config.spec.frame_period_s * 1e6)
+    return match(digitizer.sent, received, config.spec.frame_period_s * 1e6, cpu)
 
 
 def measure_bare() -> Result:
@@ -130,7 +142,9 @@ def measure_bare() -> Result:
     subscriber.start()
     publisher.start()
     assert receiving.wait(30), "no message arrived"
-    time.sleep(SECONDS + WARM_UP_S)
+    time.sleep(WARM_UP_S)
+    assert publisher.pid is not None
+    cpu = cpu_share(publisher.pid)
     ended.set()
     published = dict(sent.get(timeout=20))
     time.sleep(0.3)
@@ -138,7 +152,19 @@ def measure_bare() -> Result:
     received = sorted(queue.get(timeout=20))
     subscriber.join(10)
     publisher.join(10)
-    return match(published, received, PAPER_PERIOD_US)
+    return match(published, received, PAPER_PERIOD_US, cpu)
+
+
+def cpu_share(pid: int) -> float:
+    """Share of a core that a process takes during SECONDS from now on."""
+
+    def spent_s() -> float:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        return sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")  # utime, stime
+
+    begin_s, before_s = time.monotonic(), spent_s()
+    time.sleep(SECONDS)
+    return (spent_s() - before_s) / (time.monotonic() - begin_s)
 
 
 def publish(ended: EventType, sent: multiprocessing.Queue[object]) -> None:
@@ -160,7 +186,9 @@ def publish(ended: EventType, sent: multiprocessing.Queue[object]) -> None:
     sent.put(times)
 
 
-def match(sent: dict[int, float], received: list[tuple[int, float]], period_us: float) -> Result:
+def match(
+    sent: dict[int, float], received: list[tuple[int, float]], period_us: float, cpu: float
+) -> Result:
     """Both sides' times of the same frames; device times agree to a fraction of a chip.
 
     From the first frame on that was received, a second of warm-up aside, to the last one.
@@ -175,7 +203,7 @@ def match(sent: dict[int, float], received: list[tuple[int, float]], period_us: 
             if abs(middles_us[nearest] - us) < period_us / 4:
                 latency_ms.append(1e3 * (received[nearest][1] - t_sent))
     assert latency_ms, "no frame of those sent was received"
-    return Result(np.array(latency_ms), count, count - len(latency_ms))
+    return Result(np.array(latency_ms), count, count - len(latency_ms), cpu)
 
 
 class Digitizer:
@@ -220,8 +248,8 @@ class Digitizer:
             if readable:
                 self._digitizer.receive(os.read(self._host, CHUNK))
             if writable:
+                now = time.monotonic()  # before, as the reader may be served before write returns
                 count = os.write(self._host, outgoing)
-                now = time.monotonic()
                 for packet in self._parser.feed(outgoing[:count]):
                     if isinstance(packet, Samples):
                         self._note(packet, now)
@@ -249,8 +277,10 @@ class driver:  # noqa: N801  # used like a function
         self._log = (folder / "driver.log").open("w+")
         self._command = command
 
-    def __enter__(self) -> None:
+    def __enter__(self) -> int:
+        """Start it; returns its process id."""
         self._process = subprocess.Popen(self._command, stdout=self._log, stderr=self._log)
+        return self._process.pid
 
     def __exit__(self, *_: object) -> None:
         alive = self._process.poll() is None
@@ -288,12 +318,16 @@ def subscribe(stop: EventType, receiving: EventType, queue: multiprocessing.Queu
     queue.put(received)
 
 
-def picture(results: dict[int, Result]) -> Figure:
+def picture(results: Mapping[int | str, Result]) -> Figure:
     figure = Figure(figsize=(7, 4))
     axes = figure.add_subplot()
-    for nodes, result in results.items():
+    for name, result in results.items():
         share = np.arange(1, result.latency_ms.size + 1) / result.latency_ms.size
-        axes.plot(np.sort(result.latency_ms), 100 * share, label=f"{nodes} nodes")
+        axes.plot(
+            np.sort(result.latency_ms),
+            100 * share,
+            label=name if name == "bare" else f"{name} nodes",
+        )
     axes.set_xscale("log")
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.xaxis.set_major_formatter("{x:g}")
