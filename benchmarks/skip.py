@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Time per frame against the share of nodes that speak: `make bench-skip`.
+"""CPU time per frame against the share of nodes that speak: `make bench-skip`.
 
 The whole pipeline, from the digitizer's bytes to readings, on recorded bytes. A digitizer with
 QUIET sends one short packet for a frame in which nobody spoke; one without sends every sample. Both
-must give the same readings. "heartbeat": nothing touches the skin, but every node speaks once in 78
+must give the same readings. "CPU %" is the share of a core that these frames take at their rate,
+without reading them and without the pauses between them, after which a core is slower (see
+bench-scale). "heartbeat": nothing touches the skin, but every node speaks once in 78
 frames, as nodes do so that one that died is noticed.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -36,8 +39,9 @@ SKINS: dict[int, dict[str, Value]] = {
     1024: {"nodes": 1023, "chip_us": 1.5, "samples_per_chip": 1, "frame_period_ms": 20.0},
     4096: {"nodes": 4096, "chip_us": 0.4, "samples_per_chip": 1, "frame_period_ms": 20.0},
 }
-SHARES = (0.0, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
+SHARES = (0.0, 0.003, 0.01, 0.05, 0.25, 1.0)
 HEARTBEAT = "heartbeat"
+KEYS: dict[str, float] = {"cpu_silent": 0.0, "cpu_5": 0.05, "cpu_25": 0.25, "cpu_full": 1.0}
 FRAMES = {16: 200, 1024: 40, 4096: 20}
 ROUNDS = 5 if QUICK else 25
 READ = 4095
@@ -64,8 +68,8 @@ class Recording:
 
 
 def main() -> None:
-    report = Report("skip", "Time per frame against the share of nodes that speak, whole pipeline")
-    rows, times, different = [], {}, 0
+    report = Report("skip", "CPU time per frame against the share of nodes that speak")
+    rows, times, cpus, different = [], {}, {}, 0
     for nodes, values in SKINS.items():
         config = SkinConfig.of(values)
         recordings = {}
@@ -76,7 +80,7 @@ def main() -> None:
         calls: dict[str, Callable[[], object]] = {
             f"{share} {quiet}": recording.play for (share, quiet), recording in recordings.items()
         }
-        seconds = medians_s(calls, ROUNDS)
+        seconds = medians_s(calls, ROUNDS, clock=time.process_time)
         for (share, quiet), recording in recordings.items():
             times[nodes, share, quiet] = 1e3 * seconds[f"{share} {quiet}"] / recording.frames
         for share in (*SHARES, HEARTBEAT):
@@ -84,13 +88,23 @@ def main() -> None:
             full = times[nodes, 1.0, True]
             kilobytes = sum(len(data) for _, data in recordings[share, True].reads) / 1e3
             kilobytes /= recordings[share, True].frames
-            rows.append((nodes, share, with_quiet, with_quiet / full, without, kilobytes))
-    report.table(["nodes", "share", "ms/frame", "of full", "without QUIET, ms", "kB/frame"], rows)
+            period_ms = 1e3 * config.spec.frame_period_s
+            cpu = [100 * ms / period_ms for ms in (with_quiet, without)]
+            cpus[nodes, share] = cpu[0] / 100
+            rows.append((nodes, share, with_quiet, with_quiet / full, *cpu, kilobytes))
+    report.table(
+        ["nodes", "share", "ms/frame", "of full", "CPU %", "without QUIET, %", "kB/frame"], rows
+    )
     report.finish(
         picture(times),
         idle_ratio_16=times[16, 0.0, True] / times[16, 1.0, True],
         idle_ratio_1024=times[1024, 0.0, True] / times[1024, 1.0, True],
         idle_ratio_4096=times[4096, 0.0, True] / times[4096, 1.0, True],
+        **{
+            f"{name}_{nodes}": round(cpus[nodes, share], 5)
+            for nodes in (16, 4096)
+            for name, share in KEYS.items()
+        },
         different_readings=different,
     )
 
@@ -162,7 +176,7 @@ def picture(times: dict[tuple[int, float | str, bool], float]) -> Figure:
     axes.set_xscale("symlog", linthresh=0.003)
     axes.set_yscale("log")
     axes.set_xlabel("share of nodes that speak")
-    axes.set_ylabel("ms per frame")
+    axes.set_ylabel("CPU time, ms per frame")
     axes.grid(True, which="both", alpha=0.3)
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))  # beside the curves
     return figure
