@@ -90,10 +90,10 @@ class GapSearch(BurstSearch):
 
     def _by_raster(self, line: Line, burst: Burst, expected: Expected | None) -> Fit | None:
         """The frame where it is expected, if that leaves no more than the noise of the gap."""
-        if expected is None or expected.slips > 0.5:
+        if expected is None or expected.slips > LIMITS.rare_slips:
             return None
         uncertain = expected.scatter + expected.change * self.spec.span_chips
-        if uncertain > LIMITS.in_place * expected.chip:
+        if uncertain > LIMITS.known_place * expected.chip:
             return None
         fit = refine(line, Fit(expected.start, expected.chip), self.spec)
         if fit.start < -0.5 or fit.end(self.spec) > line.volts.size:

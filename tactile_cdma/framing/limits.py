@@ -57,6 +57,11 @@ class Limits:
         its timing is refined. Chosen: behind a low-pass of 0.2 chip refinement gains up to 25.
     in_place: chips by which refined timing may move before it is another frame's. Chosen; a
         low-pass moves edges by its time constant.
+    known_place: uncertainty of an expected frame's edges, chips, up to which it is not searched
+        for. Chosen: from twice the least width of a raster on, frames of two nodes with equal words
+        were taken half a chip off (make bench-doubt).
+    rare_slips: share of frames off the raster up to which the same holds. Chosen; what may be the
+        case after 30 frames without one is less.
     distortion: deviation of a chip's level, relative to the code's RMS, that says nothing: edges
         0.1 chip off and low-passes of 0.3 chip leave as much next to each level change, on all
         chips of a kind alike. Half of it is the least deviation of chips beyond that. Found with
@@ -101,6 +106,8 @@ class Limits:
     disturbed: float = 0.02
     close: float = 30.0
     in_place: float = 0.3
+    known_place: float = 0.1
+    rare_slips: float = 0.05
     distortion: float = 0.3
     most: float = 0.8
     most_deviations: float = 1.28
