@@ -8,11 +8,13 @@ when the last byte of the packet with its last sample is written (raw frames: wi
 that line timing waits for), and ends in the subscriber's callback. So it holds reading, decoding,
 publishing, DDS and the subscriber's deserialisation, and no code time. "bare" is what a process
 takes that does nothing but publish finished messages of 16 taxels at the same rate: the floor.
-"CPU" is that of the whole driver process, or of the one that only publishes.
+"CPU" is that of the whole driver process, or of the one that only publishes. A run of its own, in
+which the driver notes the time as a frame passes, tells how the latency divides into stages.
 """
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 import os
 import pty
@@ -35,13 +37,14 @@ from matplotlib.ticker import LogLocator
 
 from tactile_cdma.config.parameters import Value
 from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire._protocol import TAIL_CHIPS
-from tactile_cdma.wire.messages import Samples
+from tactile_cdma.wire.messages import Received, Samples
 from tactile_cdma.wire.packets import PacketParser
 
-from .report import QUICK, Report
+from .report import QUICK, ROOT, Report
 
 CASES: dict[int, dict[str, Value]] = {
     16: {},  # the paper's timing, 4 raw samples per chip
@@ -58,11 +61,12 @@ CASES: dict[int, dict[str, Value]] = {
 }
 """Parameters of the driver for each number of nodes; all nodes talk in every frame."""
 SIZES = (16, 4096) if QUICK else tuple(CASES)
-SECONDS = 4.0 if QUICK else 30.0
+SECONDS = 2.5 if QUICK else 30.0
 WARM_UP_S = 1.0
 DOMAIN = 77
 PAPER_PERIOD_US = 12_800
 CHUNK = 65_536
+STAGES = ("bytes → read", "→ parsed", "→ decoded", "→ received", "of it publishing")
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +94,10 @@ def main() -> None:
         ["nodes", "frames", "lost", "p5 ms", "p50", "p90", "p99", "max", "p50 − bare", "CPU %"],
         [row(name, some, bare) for name, some in named.items()],
     )
+    report.table(
+        ["nodes", *(f"{stage}, ms" for stage in STAGES)],
+        [[nodes, *stages_ms(CASES[nodes])] for nodes in (SIZES[:1] if QUICK else SIZES)],
+    )
     report.finish(
         picture(named),
         p50_ms_bare=bare.p50_ms,
@@ -113,6 +121,41 @@ def row(name: int | str, some: Result, bare: Result) -> list[object]:
 
 def measure(values: dict[str, Value]) -> Result:
     """Measure a live skin for SECONDS."""
+    sent, received, cpu = live(values)
+    return match(sent, received, SkinConfig.of(values).spec.frame_period_s * 1e6, cpu)
+
+
+def stages_ms(values: dict[str, Value]) -> list[float]:
+    """Median duration of every stage, ms."""
+    with tempfile.TemporaryDirectory() as folder:
+        notes = Path(folder) / "stages.json"
+        sent, received, _ = live(values, notes)
+        passed = np.array(json.loads(notes.read_text()))
+    arrived = dict(received)
+    sent_us = np.array(list(sent))
+    times = []
+    for middle_us, read, parsed, decoded, published in passed[
+        passed[:, 0] > passed[0, 0] + WARM_UP_S * 1e6
+    ]:
+        nearest_us = int(sent_us[np.argmin(np.abs(sent_us - middle_us))])
+        if int(middle_us) in arrived:
+            begun = sent[nearest_us]
+            # The subscriber may be served before publishing returns.
+            received_s = arrived[int(middle_us)] - decoded
+            times.append(
+                [read - begun, parsed - read, decoded - parsed, received_s, published - decoded]
+            )
+    medians: list[float] = np.median(times, axis=0).tolist()
+    return [round(1e3 * seconds, 3) for seconds in medians]
+
+
+def live(
+    values: dict[str, Value], notes: Path | None = None
+) -> tuple[dict[int, float], list[tuple[int, float]], float]:
+    """Run a live skin for SECONDS: what was sent, what was received, the driver's share of a core.
+
+    notes: file for the times of stages; None: the driver as it is.
+    """
     config = SkinConfig.of(values)
     context = multiprocessing.get_context("spawn")
     stop, receiving = context.Event(), context.Event()
@@ -121,7 +164,7 @@ def measure(values: dict[str, Value]) -> Result:
     subscriber.start()
     with tempfile.TemporaryDirectory() as folder:
         digitizer = Digitizer(config, Path(folder) / "skin")
-        with digitizer, driver(values, digitizer.path, Path(folder)) as pid:
+        with digitizer, driver(values, digitizer.path, Path(folder), notes) as pid:
             assert receiving.wait(30), "no frame arrived"
             time.sleep(WARM_UP_S)
             cpu = cpu_share(pid)
@@ -129,7 +172,7 @@ def measure(values: dict[str, Value]) -> Result:
     stop.set()
     received = sorted(queue.get(timeout=20))
     subscriber.join(10)
-    return match(digitizer.sent, received, config.spec.frame_period_s * 1e6, cpu)
+    return digitizer.sent, received, cpu
 
 
 def measure_bare() -> Result:
@@ -269,9 +312,13 @@ class Digitizer:
 class driver:  # noqa: N801  # used like a function
     """The driver node in its own process."""
 
-    def __init__(self, values: dict[str, Value], port: Path, folder: Path) -> None:
-        script = Path(__file__).resolve().parent.parent / "scripts" / "skin_driver"
-        command = [sys.executable, str(script), "--ros-args"]
+    def __init__(
+        self, values: dict[str, Value], port: Path, folder: Path, notes: Path | None
+    ) -> None:
+        program = [str(ROOT / "scripts" / "skin_driver")]
+        if notes is not None:
+            program = ["-m", "benchmarks.ros", str(notes)]
+        command = [sys.executable, *program, "--ros-args"]
         for name, value in {**values, "port": str(port)}.items():
             command += ["-p", f"{name}:={value}"]
         self._log = (folder / "driver.log").open("w+")
@@ -279,7 +326,9 @@ class driver:  # noqa: N801  # used like a function
 
     def __enter__(self) -> int:
         """Start it; returns its process id."""
-        self._process = subprocess.Popen(self._command, stdout=self._log, stderr=self._log)
+        self._process = subprocess.Popen(
+            self._command, cwd=ROOT, stdout=self._log, stderr=self._log
+        )
         return self._process.pid
 
     def __exit__(self, *_: object) -> None:
@@ -290,6 +339,45 @@ class driver:  # noqa: N801  # used like a function
         log = self._log.read()
         self._log.close()
         assert alive, f"the driver ended by itself:\n{log}"
+
+
+def noting_driver(notes: Path) -> None:
+    """Run the driver node, and write when each frame passed each stage.
+
+    notes: rows of device time of the frame's middle, µs, then monotonic times, s.
+    """
+    from tactile_cdma.ros.driver.node import SkinNode
+    from tactile_cdma.ros.driver.node import main as run
+
+    rows: list[list[float]] = []
+    read = parsed = 0.0
+    feed, parse, publish_frame = Pipeline.feed, PacketParser.feed, SkinNode._publish_frame
+
+    def noting_feed(
+        self: Pipeline, data: bytes, t_host: float, backlog: bool = False
+    ) -> list[TactileFrame]:
+        nonlocal read
+        read = t_host
+        return feed(self, data, t_host, backlog)
+
+    def noting_parse(self: PacketParser, data: bytes) -> list[Received]:
+        nonlocal parsed
+        packets = parse(self, data)
+        parsed = time.monotonic()
+        return packets
+
+    def noting_publish(self: SkinNode, frame: TactileFrame) -> None:
+        decoded = time.monotonic()
+        publish_frame(self, frame)
+        rows.append([round(1e6 * frame.t_middle), read, parsed, decoded, time.monotonic()])
+
+    Pipeline.feed = noting_feed  # type: ignore[method-assign]
+    PacketParser.feed = noting_parse  # type: ignore[method-assign]
+    SkinNode._publish_frame = noting_publish  # type: ignore[method-assign]
+    try:
+        run()
+    finally:
+        notes.write_text(json.dumps(rows))
 
 
 def subscribe(stop: EventType, receiving: EventType, queue: multiprocessing.Queue[object]) -> None:
@@ -340,4 +428,7 @@ def picture(results: Mapping[int | str, Result]) -> Figure:
 
 
 if __name__ == "__main__":
-    main()
+    if len(sys.argv) > 1:
+        noting_driver(Path(sys.argv.pop(1)))
+    else:
+        main()
