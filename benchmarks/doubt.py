@@ -76,6 +76,8 @@ LEARNING = 30
 """Frames until a decoder may know the raster of frame starts."""
 MOST_SHIFT = 4
 """Chips by which another frame may be shifted to tie with the true one."""
+ALL_RIGHT = 0.99
+"""Share of right words beyond which a condition is left out of the picture."""
 SHOWN = 5
 """Unflagged words of a condition that are listed with ONLY."""
 
@@ -514,8 +516,9 @@ def main() -> None:
 
 
 def picture(tallies: dict[str, Tally]) -> Figure:
-    """Shares of the words of each condition."""
-    figure = Figure(figsize=(9, 0.22 * len(tallies) + 1))
+    """Shares of the words, of each condition in which not nearly all of them are right."""
+    tallies = {name: t for name, t in tallies.items() if t.right < ALL_RIGHT * t.words}
+    figure = Figure(figsize=(9, 0.16 * len(tallies) + 1))
     axes = figure.subplots()
     left = np.zeros(len(tallies))
     kinds = {
@@ -531,7 +534,7 @@ def picture(tallies: dict[str, Tally]) -> Figure:
         share = np.array([getattr(tally, kind) for tally in tallies.values()]) / sums
         axes.barh(list(tallies), share, left=left, color=colour, label=kind.replace("_", " "))
         left += share
-    axes.invert_yaxis()
+    axes.set_ylim(len(tallies) - 0.5, -0.5)
     axes.tick_params(axis="y", labelsize=7)
     axes.set_xlabel("share of the words")
     axes.legend(ncols=len(kinds), fontsize=7, loc="lower center", bbox_to_anchor=(0.4, 1.0))

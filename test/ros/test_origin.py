@@ -132,7 +132,7 @@ def test_another_board_on_the_port_is_told_of_once(
                 "not who was there before"
             )
             wait_for(told(client, WARN, f"{FIRST}, before {SECOND}"))
-    said = warnings(capfd.readouterr().err)
+    said = [line for line in warnings(capfd.readouterr().err) if ", before " in line]
     assert len(said) == 2
     assert f"{SECOND}, before {FIRST}" in said[0] and "Set digitizer_id" in said[0]
 

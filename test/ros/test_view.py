@@ -13,10 +13,10 @@ import select
 import subprocess
 import sys
 import termios
-import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -119,8 +119,16 @@ def test_the_terminal_says_what_can_be_shown(monkeypatch: pytest.MonkeyPatch) ->
     assert not look_for("utf-8", 1e3).coloured
 
 
-def shown_by_the_viewer(until: str, keys: bytes, **environment: str) -> str:
-    """What the viewer writes to a terminal up to a text, then until keys have ended it."""
+def shown_by_the_viewer(
+    until: str,
+    keys: bytes,
+    once: tuple[str, Callable[[], object]] | None = None,
+    **environment: str,
+) -> str:
+    """What the viewer writes to a terminal up to a text, then until keys have ended it.
+
+    once: a text before that, and what to do when it is shown.
+    """
     master, terminal = pty.openpty()
     viewer = subprocess.Popen(
         [sys.executable, "-m", "tactile_cdma.ros.viewers.view"],
@@ -137,6 +145,9 @@ def shown_by_the_viewer(until: str, keys: bytes, **environment: str) -> str:
             assert time.monotonic() < deadline, shown[-2000:]
             if select.select([master], [], [], 0.1)[0]:
                 shown += os.read(master, 65_536)
+            if once and once[0] in shown.decode(errors="ignore"):
+                once[1]()
+                once = None
         os.write(master, keys)
         with suppress(OSError):  # the terminal's end of file
             while select.select([master], [], [], 10)[0]:
@@ -191,10 +202,10 @@ def test_lines_of_a_skin_that_stops_or_dies_count_no_taxel_as_valid(frames_stop:
 
 def test_the_picture_of_a_skin_that_stops_turns_to_no_reading() -> None:
     with running(port="sim://?scene=all&threshold=0") as (_, client):
-        stopping = threading.Timer(4.0, client.change, [Transition.TRANSITION_DEACTIVATE])
-        stopping.start()
-        shown = shown_by_the_viewer("no frame for", b"q", TERM="xterm", NO_COLOR="1")
-        stopping.join()
+        stop = partial(client.change, Transition.TRANSITION_DEACTIVATE)
+        shown = shown_by_the_viewer(
+            "no frame for", b"q", ("speaking 16", stop), TERM="xterm", NO_COLOR="1"
+        )
     pictures = shown.split("\x1b[H")
     drawn = [picture for picture in pictures if "frames/s" in picture]
     before = [picture for picture in drawn if "no frame for" not in picture]
