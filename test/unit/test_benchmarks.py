@@ -6,11 +6,12 @@ from __future__ import annotations
 
 import json
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from benchmarks import report
+from benchmarks import pareto, report
 
 
 class Figure:
@@ -45,3 +46,33 @@ def test_what_quick_runs_write_is_ignored_by_git() -> None:
         pytest.skip("not a git checkout")
     ignored = ["git", "-C", str(root), "check-ignore", "build/benchmarks/results.json"]
     assert subprocess.run(ignored, capture_output=True).returncode == 0
+
+
+WAYS = [
+    pareto.DEFAULT,
+    pareto.Way("gap", timing="gap"),
+    pareto.Way("parity, chip means", 1, parity=True),
+    pareto.Way("late", 2, late=True, called=True),
+    pareto.Way("dense", dense=True),
+]
+
+
+@pytest.mark.parametrize("way", WAYS, ids=[way.name for way in WAYS])
+def test_pareto_counts_exactly_the_words_and_frames_that_are_wrong(
+    way: pareto.Way, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pareto, "RHO", 30.0)  # no word is wrong by itself
+    monkeypatch.setattr(pareto, "FRAMES", 6)
+    stream = pareto.stream(way, 1)
+    right = pareto.measure(stream)
+    assert (right.bit_errors, right.unflagged, right.lost) == (0, 0, 0)
+    assert right.codes.shape == (6, 16)
+    first, *others = stream.truths
+    codes = first.codes.copy()
+    codes[3] ^= 0b101  # sent otherwise than was decoded
+    wrong = pareto.measure(replace(stream, truths=(replace(first, codes=codes), *others)))
+    assert (wrong.bit_errors, wrong.unflagged, wrong.lost) == (2, 1, 0)
+    blind = pareto.measure(replace(stream, reads=[]))
+    assert blind.lost >= 5  # all but one that the warm-up left to be flushed
+    assert blind.bit_errors == 160 * blind.lost
+    assert blind.unflagged == 0
