@@ -7,14 +7,15 @@ from __future__ import annotations
 import importlib.util
 import os
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tactile_cdma.base import kernel
 from tactile_cdma.base.errors import CaptureError
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.wire import packets
 from tactile_cdma.wire.packets import Scanner
 from torture.commands.c_fuzzing import FIRMWARE
 from torture.fuzz import corpus, streams
@@ -150,7 +151,7 @@ def test_wrong_frames_and_miscounted_losses_are_found(monkeypatch: pytest.Monkey
     monkeypatch.setattr(Pipeline, "feed", wrong)
     assert kinds_of(TARGETS["line"], 1) == {WRONG}
     monkeypatch.setattr(Pipeline, "feed", feed)
-    monkeypatch.setattr(kernel, "compiled", None)
+    monkeypatch.setattr(packets, "kernel", SimpleNamespace(compiled=None))
     monkeypatch.setattr(Scanner, "_count_step", lambda self, *packet: True)
     assert kinds_of(TARGETS["line"], 20) == {UNCOUNTED}
 
@@ -162,7 +163,7 @@ def test_a_parser_that_depends_on_the_split_is_found(monkeypatch: pytest.MonkeyP
         self._partial.clear()
         return feed(self, data)
 
-    monkeypatch.setattr(kernel, "compiled", None)
+    monkeypatch.setattr(packets, "kernel", SimpleNamespace(compiled=None))
     monkeypatch.setattr(Scanner, "feed", forgetful)
     assert kinds_of(TARGETS["packets"]) == {WRONG}
 
