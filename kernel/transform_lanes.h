@@ -191,7 +191,7 @@ TARGET static void NAMED(dense_columns)(const struct dense *dense, float (*input
             for (size_t group = 0; group < groups; group++, taken += order) {
                 UNROLL
                 for (unsigned i = 0; i < 4; i++) {
-                    const float *sum = sums[group][0] + taken[i];
+                    const float *sum = (const float *)sums[group] + taken[i];
                     UNROLL
                     for (unsigned v = 0; v < COLUMNS / LANES; v++)
                         x[i][v] += NAMED(load)(sum + v * LANES);

@@ -18,6 +18,7 @@ WHAT = {
     "digitizer": "commands, samples, losses to the C digitizer",
     "node": "memory, sync pulses, readings to the C node",
     "board": "commands to the emulated skin's digitizer",
+    "kernel": "bytes, levels and words to the driver's compiled kernel",
 }
 """The harnesses of firmware/fuzz."""
 COUNTS = {  # inputs, quick and full; about 2 s of one core, and 40 s
@@ -26,6 +27,7 @@ COUNTS = {  # inputs, quick and full; about 2 s of one core, and 40 s
     "digitizer": (2_000, 150_000),
     "node": (20_000, 1_000_000),
     "board": (2_000, 150_000),
+    "kernel": (5_000, 150_000),
 }
 MOST_S = (2, 40)
 """Time limit of a harness, s; a busy machine runs fewer inputs."""
