@@ -332,16 +332,28 @@ def test_other_words_are_counted_as_what_they_are() -> None:
         ("gap: 5 losses/s", 3),
         ("gap: jitter 3 chips", 3),
         ("gap: high-pass 500 Hz, two nodes", 2),
-        ("gap: order 16, two nodes, equal words, jitter 3 chips, low-pass", 17),
+        ("gap: order 16, two nodes, equal words, jitter 3 chips, low-pass", 29),
+        ("gap: a node 2 chips late", 3),
         ("gap: 1000 impulses/s of 1 V, two nodes", 5),
         ("gap: a node 0.6 chip late", 4),
     ],
 )
 def test_nothing_is_claimed_that_was_not_heard(name: str, seed: int) -> None:
     """Every node that speaks on a bad line is heard, flagged, or lost with its frame."""
+    claim_what_was_heard(name, 50, seed)
+
+
+def test_frames_that_jitter_by_a_chip_are_not_taken_where_a_raster_expects_them() -> None:
+    """Half a chip off, two nodes with equal words look like two others."""
+    for seed in range(2):
+        name = "gap: order 16, two nodes, equal words, jitter 1 chip"
+        claim_what_was_heard(name, 250, [zlib.crc32(name.encode()), seed])
+
+
+def claim_what_was_heard(name: str, frames: int, seed: int | list[int]) -> None:
     condition = next(some for some in conditions() if some.name == name)
     talk, line, digitizer = condition.talk, condition.line, condition.digitizer
-    recording = render(condition.skin, talk, line, digitizer, frames=50, seed=seed)
+    recording = render(condition.skin, talk, line, digitizer, frames=frames, seed=seed)
     tally, complaints = compare(recording, decode(recording), line)
     assert tally.words >= 60
     assert not complaints
