@@ -44,8 +44,6 @@ from numpy.typing import NDArray
 
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
-from tactile_cdma.wire._protocol import MAX_SAMPLES, SyncMode
-from tactile_cdma.wire.messages import FrameLayout, Info, Samples
 from tactile_cdma.wire.packets import PacketWriter
 from tactile_cdma.words.decode import Words
 
@@ -62,6 +60,7 @@ from .independent_line import (
     render,
     row_sign,
 )
+from .line_packets import introduction, packets
 from .report import QUICK, Report
 
 Bools: TypeAlias = NDArray[np.bool_]
@@ -307,27 +306,18 @@ def run(job: Job) -> tuple[Tally, list[str]]:
 
 def decode(recording: Recording, learnt: bool = False) -> list[Decoded]:
     """What the driver makes of a recording."""
-    skin, digitizer = recording.skin, recording.digitizer
-    config, info = _config(recording, learnt), _info(recording, learnt)
-    pipeline, writer = Pipeline(config, background=False), PacketWriter()
-    pipeline.feed(writer.encode(info), 0.0)
+    config, writer = _config(recording, learnt), PacketWriter()
+    pipeline = Pipeline(config, background=False)
+    pipeline.feed(writer.encode(introduction(config, recording.digitizer)), 0.0)
     if pipeline.problem:
         raise ValueError(pipeline.problem)
-    per_chip = 1 if digitizer.integrated else digitizer.samples_per_chip
     heard = []
-    for stretch in recording.runs:
-        for begin in range(0, stretch.counts.size, MAX_SAMPLES):
-            t_chips = stretch.t_chips + begin / per_chip
-            packet = Samples(
-                round(1e6 * skin.chip_s * t_chips),
-                stretch.first_index + begin,
-                stretch.counts[begin : begin + MAX_SAMPLES],
-                sync=stretch.marked and not begin,
-            )
-            for frame in pipeline.feed(writer.encode(packet), t_chips * skin.chip_s):
-                heard.append((frame, pipeline.health.invalid.copy()))
+    for _, t_host, data in packets(recording, writer):
+        for frame in pipeline.feed(data, t_host):
+            heard.append((frame, pipeline.health.invalid.copy()))
     heard += [(frame, pipeline.health.invalid) for frame in pipeline.flush()]
-    return [Decoded(frame.t_start / skin.chip_s, frame.words, bad) for frame, bad in heard]
+    chip_s = recording.skin.chip_s
+    return [Decoded(frame.t_start / chip_s, frame.words, bad) for frame, bad in heard]
 
 
 def _config(recording: Recording, learnt: bool) -> SkinConfig:
@@ -348,20 +338,6 @@ def _config(recording: Recording, learnt: bool) -> SkinConfig:
             "timing": "line" if digitizer.marked else "gap",
             "samples_per_chip": 1 if digitizer.integrated else digitizer.samples_per_chip,
         }
-    )
-
-
-def _info(recording: Recording, learnt: bool) -> Info:
-    digitizer, config = recording.digitizer, _config(recording, learnt)
-    top = 2 ** (digitizer.adc_bits - 1)
-    return Info(
-        frame=FrameLayout.of(config.spec, config.samples_per_chip),
-        sample_rate_uhz=round(1e6 * config.samples_per_chip / config.spec.chip_s),
-        volts_per_count=digitizer.volts_per_count,
-        min_count=-top,
-        max_count=top - 1,
-        sync_mode=SyncMode.DRIVE if digitizer.marked else SyncMode.NONE,
-        integrated=digitizer.integrated,
     )
 
 

@@ -21,7 +21,7 @@ import multiprocessing
 import os
 import statistics
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import Any
@@ -34,25 +34,26 @@ from benchmarks.independent_line import (
     Digitizer,
     Ints,
     Line,
-    Recording,
     Skin,
     Talk,
     Truth,
     render,
 )
+from benchmarks.line_packets import introduction, packets
 from benchmarks.report import QUICK, Report
 from tactile_cdma.base.kernel import VARIABLE, compiled
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
-from tactile_cdma.wire._protocol import MAX_SAMPLES, SyncMode
-from tactile_cdma.wire.messages import FrameLayout, Info, Samples
+from tactile_cdma.wire.messages import Samples
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 
 BOUND = 1e-3
 RHO = -NormalDist().inv_cdf(BOUND)
 """√N·a/σ at which the matched filter's bit error rate Q(ρ) is BOUND."""
 CALL_RHO = 30.0
+"""The same while the roll call is taken: it wants 4, and a skin is called when it is at rest."""
 MOST_LATE_CHIPS = 0.5
+"""Latest start of a late node, chips."""
 WARM_UP = 40
 """Frames before those that count: timing by gaps has then learnt its raster."""
 FRAMES, STREAMS = (60, 4) if QUICK else (200, 25)
@@ -176,7 +177,7 @@ def stream(way: Way, seed: int) -> Stream:
         adc_bits=16,
     )
     writer, warm_up, offset, offset_chips = PacketWriter(), [], 0, 0.0
-    warm_up.append((0.0, writer.encode(introduction(way, digitizer))))
+    warm_up.append((0.0, writer.encode(introduction(way.config, digitizer))))
     if way.called:
         quiet = replace(line, noise_v=noise_v * RHO / CALL_RHO)
         call = render(skin, RollCall(), quiet, digitizer, skin.nodes + 2, [seed, 1])
@@ -191,44 +192,6 @@ def stream(way: Way, seed: int) -> Stream:
     for t_chips, t_host, data in packets(recording, writer, offset, offset_chips, range(0)):
         (warm_up if t_chips < begin else reads).append((t_host, data))
     return Stream(way, warm_up, reads, recording.frames[WARM_UP:], offset_chips)
-
-
-def introduction(way: Way, digitizer: Digitizer) -> Info:
-    """What the digitizer says about itself."""
-    spec, top = way.config.spec, 2 ** (digitizer.adc_bits - 1)
-    return Info(
-        frame=FrameLayout.of(spec, way.samples_per_chip),
-        sample_rate_uhz=round(1e6 * way.samples_per_chip / spec.chip_s),
-        volts_per_count=digitizer.volts_per_count,
-        min_count=-top,
-        max_count=top - 1,
-        sync_mode=SyncMode.DRIVE if digitizer.marked else SyncMode.NONE,
-        integrated=digitizer.integrated,
-    )
-
-
-def packets(
-    recording: Recording, writer: PacketWriter, offset: int, offset_chips: float, called: range
-) -> Iterator[tuple[float, float, bytes]]:
-    """The packets of a recording: device time in chips, host time in s, bytes.
-
-    offset, offset_chips: of its first sample. called: frames of a roll call.
-    """
-    digitizer, chip_s = recording.digitizer, recording.skin.chip_s
-    per_chip = 1 if digitizer.integrated else digitizer.samples_per_chip
-    frame = -1
-    for run in recording.runs:
-        frame += run.marked
-        for begin in range(0, run.counts.size, MAX_SAMPLES):
-            t_chips = offset_chips + run.t_chips + begin / per_chip
-            packet = Samples(
-                round(1e6 * chip_s * t_chips),
-                offset + run.first_index + begin,
-                run.counts[begin : begin + MAX_SAMPLES],
-                sync=run.marked and not begin,
-                called=run.marked and not begin and frame in called,
-            )
-            yield t_chips, t_chips * chip_s, writer.encode(packet)
 
 
 def measure(some: Stream) -> Outcome:

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Sends recordings of the independent line as a digitizer would: an introduction, then packets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.wire._protocol import MAX_SAMPLES, SyncMode
+from tactile_cdma.wire.messages import FrameLayout, Info, Samples
+from tactile_cdma.wire.packets import PacketWriter
+
+from .independent_line import Digitizer, Recording
+
+
+def introduction(config: SkinConfig, digitizer: Digitizer) -> Info:
+    """What the digitizer says about itself."""
+    top = 2 ** (digitizer.adc_bits - 1)
+    return Info(
+        frame=FrameLayout.of(config.spec, config.samples_per_chip),
+        sample_rate_uhz=round(1e6 * config.samples_per_chip / config.spec.chip_s),
+        volts_per_count=digitizer.volts_per_count,
+        min_count=-top,
+        max_count=top - 1,
+        sync_mode=SyncMode.DRIVE if digitizer.marked else SyncMode.NONE,
+        integrated=digitizer.integrated,
+    )
+
+
+def packets(
+    recording: Recording,
+    writer: PacketWriter,
+    offset: int = 0,
+    offset_chips: float = 0.0,
+    called: range = range(0),
+) -> Iterator[tuple[float, float, bytes]]:
+    """The packets of a recording: device time in chips, host time in s, bytes.
+
+    offset, offset_chips: index and device time of its first sample. called: frames of a roll call.
+    """
+    digitizer, chip_s = recording.digitizer, recording.skin.chip_s
+    per_chip = 1 if digitizer.integrated else digitizer.samples_per_chip
+    frame = -1
+    for run in recording.runs:
+        frame += run.marked
+        for begin in range(0, run.counts.size, MAX_SAMPLES):
+            t_chips = offset_chips + run.t_chips + begin / per_chip
+            packet = Samples(
+                round(1e6 * chip_s * t_chips),
+                offset + run.first_index + begin,
+                run.counts[begin : begin + MAX_SAMPLES],
+                sync=run.marked and not begin,
+                called=run.marked and not begin and frame in called,
+            )
+            yield t_chips, t_chips * chip_s, writer.encode(packet)
