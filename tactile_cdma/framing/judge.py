@@ -82,7 +82,7 @@ class _Votes:
         """The highest cost of the true frame: noise, and few disturbed chips.
 
         A vote of normal noise is (1 + d²)·Q(d) − d·φ(d) in the mean, for a distortion of d
-        deviations, and its variance is about the same.
+        deviations, and its variance is about the same; five deviations of their sum are allowed.
         """
         d = self.distortion / math.sqrt(self.variance)
         density = math.exp(-0.5 * d**2) / math.sqrt(2 * math.pi)
