@@ -6,11 +6,12 @@
 #define Py_LIMITED_API 0x030B0000
 #include <Python.h>
 
+#include "samples.h"
 #include "scanner.h"
 #include "transform.h"
 #include "words.h"
 
-#define VERSION 4 /* raise with every change of what this module offers; see base/kernel.py */
+#define VERSION 5 /* raise with every change of what this module offers; see base/kernel.py */
 #define LONG_WORK (1 << 16)
 /* Values that take tens of microseconds: work below does not release the GIL, since to get it back
  * from a busy thread can take 5 ms. */
@@ -486,12 +487,193 @@ drop_rows:
     return result;
 }
 
+/* Numbers: first_row, per_noise, threshold, faint_share, sound_share, most_square, least_usual,
+ * loudest_share, a_chip, few, parity, then those of words_limits. */
+static PyObject *read_words(PyObject *module, PyObject *const *arguments, Py_ssize_t count)
+{
+    enum { NUMBERS = 16 };
+    Py_buffer rows, given[2], floats, ints, flags;
+    double n[NUMBERS];
+    PyObject *result = NULL;
+
+    (void)module;
+    if (!takes(count, NUMBERS + 6) || get_numbers(arguments, NUMBERS, n) ||
+        get_array(arguments[NUMBERS], &rows, 'f', 0, "rows"))
+        return NULL;
+    arguments += NUMBERS + 1;
+    if (get_array(arguments[2], &floats, 'f', PyBUF_WRITABLE, "floats"))
+        goto drop_rows;
+    size_t nodes = floats.ndim == 2 ? (size_t)floats.shape[1] : 0;
+    if (floats.ndim != 2 || floats.shape[0] != 6 || rows.ndim != 2 || rows.shape[0] < 1 ||
+        rows.shape[0] > WORDS_MOST_BITS || n[0] < 0 || n[0] + (double)nodes > (double)rows.shape[1]) {
+        PyErr_SetString(PyExc_ValueError, "rows are not (1…31, N) with those of n nodes in N, or "
+                                          "floats not (6, n)");
+        goto drop_floats;
+    }
+    if (get_arrays(arguments, 2, "if", 1, nodes, given))
+        goto drop_floats;
+    if (get_arrays(arguments + 3, 1, "i", 0, 3 * nodes, &ints))
+        goto drop_given;
+    if (get_arrays(arguments + 4, 1, "?", 0, 5 * nodes, &flags))
+        goto drop_ints;
+    struct words_frame frame = {.bits = (size_t)rows.shape[0],
+                                .order = (size_t)rows.shape[1],
+                                .first = (size_t)n[0],
+                                .nodes = nodes,
+                                .loudest_share = (float)n[7]};
+    struct words_reading reading = {.per_noise = (float)n[1],
+                                    .threshold = (float)n[2],
+                                    .faint_share = (float)n[3],
+                                    .sound_share = (float)n[4],
+                                    .most_square = (float)n[5],
+                                    .least_usual = (float)n[6],
+                                    .a_chip = (float)n[8],
+                                    .few = (size_t)n[9],
+                                    .parity = n[10] != 0,
+                                    .limits = {(float)n[11], (float)n[12], (float)n[13],
+                                               (float)n[14], (float)n[15]}};
+    float *f = floats.buf;
+    int32_t *i = ints.buf;
+    uint8_t *b = flags.buf;
+    struct words_measures measures = {f,         f + 3 * nodes, f + 4 * nodes, f + 5 * nodes,
+                                      i + nodes, i + 2 * nodes};
+    struct words_decided decided = {i, f + nodes, f + 2 * nodes, b + nodes, b + 2 * nodes,
+                                    b + 3 * nodes};
+    result = PyLong_FromLong(words_read(&frame, &reading, rows.buf, given[0].buf, given[1].buf,
+                                        &measures, &decided, b, b + 4 * nodes));
+    release(1, &flags);
+drop_ints:
+    release(1, &ints);
+drop_given:
+    release(2, given);
+drop_floats:
+    release(1, &floats);
+drop_rows:
+    release(1, &rows);
+    return result;
+}
+
+/* ---- samples ----------------------------------------------------------------------------------- */
+
+static PyObject *to_volts(PyObject *module, PyObject *const *arguments, Py_ssize_t count)
+{
+    Py_buffer counts, volts;
+    double numbers[2];
+
+    (void)module;
+    if (!takes(count, 4) || get_numbers(arguments, 2, numbers) ||
+        get_array(arguments[2], &counts, 'h', 0, "counts"))
+        return NULL;
+    size_t size = (size_t)counts.len / sizeof(int16_t);
+    int failed = get_arrays(arguments + 3, 1, "f", 0, size, &volts);
+    if (!failed) {
+        samples_volts(counts.buf, size, (float)numbers[0], (float)numbers[1], volts.buf);
+        release(1, &volts);
+    }
+    release(1, &counts);
+    return failed ? NULL : Py_NewRef(Py_None);
+}
+
+static PyObject *copy_samples(PyObject *module, PyObject *const *arguments, Py_ssize_t count)
+{
+    Py_buffer volts, copy;
+    double most;
+
+    (void)module;
+    if (!takes(count, 3) || get_numbers(arguments, 1, &most) ||
+        get_array(arguments[1], &volts, 'f', 0, "volts"))
+        return NULL;
+    size_t size = (size_t)volts.len / sizeof(float);
+    int failed = get_arrays(arguments + 2, 1, "d", 0, size, &copy);
+    if (!failed) {
+        samples_copy(volts.buf, size, most, copy.buf);
+        release(1, &copy);
+    }
+    release(1, &volts);
+    return failed ? NULL : Py_NewRef(Py_None);
+}
+
+static PyObject *add_samples(PyObject *module, PyObject *volts)
+{
+    Py_buffer buffer;
+
+    (void)module;
+    if (get_array(volts, &buffer, 'd', 0, "volts"))
+        return NULL;
+    struct samples_sums sums = samples_add(buffer.buf, (size_t)buffer.len / sizeof(double));
+    release(1, &buffer);
+    return Py_BuildValue("(dd)", sums.sum, sums.squares);
+}
+
+static PyObject *count_outside(PyObject *module, PyObject *const *arguments, Py_ssize_t count)
+{
+    Py_buffer volts;
+    double levels[2];
+
+    (void)module;
+    if (!takes(count, 3) || get_numbers(arguments, 2, levels) ||
+        get_array(arguments[2], &volts, 'd', 0, "volts"))
+        return NULL;
+    size_t size = (size_t)volts.len / sizeof(double);
+    size_t outside = samples_outside(volts.buf, size, levels[0], levels[1]);
+    release(1, &volts);
+    return PyLong_FromSize_t(outside);
+}
+
+static PyObject *mean_chips(PyObject *module, PyObject *const *arguments, Py_ssize_t count)
+{
+    Py_buffer volts, whole, spans[2], places, chips;
+    double level;
+    int fits = -1;
+
+    (void)module;
+    if (!takes(count, 7) || get_numbers(arguments, 1, &level) ||
+        get_array(arguments[1], &volts, 'd', 0, "volts"))
+        return NULL;
+    if (get_array(arguments[2], &whole, 'i', 0, "whole"))
+        goto drop_volts;
+    struct samples_edges edges = {.count = (size_t)whole.len / sizeof(int32_t), .whole = whole.buf};
+    if (get_arrays(arguments + 3, 1, "d", 1, edges.count, &spans[0]))
+        goto drop_whole;
+    if (get_arrays(arguments + 4, 1, "d", 1, edges.count ? edges.count - 1 : 0, &spans[1]))
+        goto drop_share;
+    if (get_array(arguments[5], &places, 'i', 0, "places"))
+        goto drop_number;
+    size_t size = (size_t)places.len / sizeof(int32_t);
+    if (get_arrays(arguments + 6, 1, "f", 0, size, &chips))
+        goto drop_places;
+    edges.share = spans[0].buf;
+    edges.number = spans[1].buf;
+    fits = samples_chips(volts.buf, (size_t)volts.len / sizeof(double), level, &edges, places.buf,
+                         size, chips.buf);
+    release(1, &chips);
+    if (!fits)
+        PyErr_SetString(PyExc_ValueError, "edges beyond the samples, or places beyond the edges");
+drop_places:
+    release(1, &places);
+drop_number:
+    release(1, &spans[1]);
+drop_share:
+    release(1, &spans[0]);
+drop_whole:
+    release(1, &whole);
+drop_volts:
+    release(1, &volts);
+    return fits == 1 ? Py_NewRef(Py_None) : NULL;
+}
+
 static PyMethodDef functions[] = {
     {"measure", (PyCFunction)(void (*)(void))measure, METH_FASTCALL, NULL},
     {"find_active", (PyCFunction)(void (*)(void))find_active, METH_FASTCALL, NULL},
     {"decide", (PyCFunction)(void (*)(void))decide, METH_FASTCALL, NULL},
     {"late", (PyCFunction)(void (*)(void))late, METH_FASTCALL, NULL},
     {"fit_words", (PyCFunction)(void (*)(void))fit_words, METH_FASTCALL, NULL},
+    {"read_words", (PyCFunction)(void (*)(void))read_words, METH_FASTCALL, NULL},
+    {"to_volts", (PyCFunction)(void (*)(void))to_volts, METH_FASTCALL, NULL},
+    {"copy_samples", (PyCFunction)(void (*)(void))copy_samples, METH_FASTCALL, NULL},
+    {"add_samples", add_samples, METH_O, NULL},
+    {"count_outside", (PyCFunction)(void (*)(void))count_outside, METH_FASTCALL, NULL},
+    {"mean_chips", (PyCFunction)(void (*)(void))mean_chips, METH_FASTCALL, NULL},
     {0},
 };
 

@@ -79,63 +79,104 @@ void words_measure(const float *levels, ptrdiff_t step, size_t bits, size_t node
 
 /* ---- decide ------------------------------------------------------------------------------------ */
 
-bool words_find_active(size_t nodes, const float *amplitude, const float *expected, float threshold,
-                       float faint_share, float sound_share, uint8_t *active, uint8_t *faint)
+bool words_find_active(size_t nodes, const float *restrict amplitude, const float *restrict expected,
+                       float threshold, float faint_share, float sound_share,
+                       uint8_t *restrict active, uint8_t *restrict faint)
 {
     float loudest = -INFINITY;
-    uint8_t any = 0;
+    int any = 0;
 
     for (size_t i = 0; i < nodes; i++) /* NaN if any is, as numpy's */
         loudest = amplitude[i] > loudest || isnan(amplitude[i]) ? amplitude[i] : loudest;
+    float most = isnan(loudest) ? INFINITY : loudest;
+    float none = isnan(loudest) ? loudest : 0; /* NaN is no sound level */
     for (size_t i = 0; i < nodes; i++) {
-        float sound = sound_share * (loudest < expected[i] || isnan(loudest) ? loudest : expected[i]);
-        active[i] = amplitude[i] > threshold * expected[i];
-        faint[i] = amplitude[i] > faint_share * expected[i] && (amplitude[i] < sound || !active[i]);
-        any |= faint[i];
+        float sound = sound_share * (most < expected[i] ? most : expected[i]) + none;
+        int spoke = amplitude[i] > threshold * expected[i];
+        int is_faint = (amplitude[i] > faint_share * expected[i]) & ((amplitude[i] < sound) | !spoke);
+        active[i] = (uint8_t)spoke;
+        faint[i] = (uint8_t)is_faint;
+        any |= is_faint;
     }
     return any;
 }
 
-static uint8_t is_odd(uint32_t word)
+INLINE int odd_of(uint32_t word)
 {
-    for (unsigned shift = 16; shift; shift /= 2)
-        word ^= word >> shift;
-    return word & 1;
+    word ^= word >> 16;
+    word ^= word >> 8;
+    word ^= word >> 4;
+    word ^= word >> 2;
+    return (int)((word ^ word >> 1) & 1);
 }
+
+/* Without branches, and with pointers that are known to differ, so that it is done for many nodes at
+ * once. */
+INLINE bool decide(size_t nodes, const struct words_measures *measures, const uint8_t *restrict active,
+                   const float *restrict expected, const int32_t *restrict sign_mask,
+                   float per_noise, unsigned bits, bool parity, float most_square,
+                   const struct words_limits *limits, const struct words_decided *decided)
+{
+    const float *restrict amplitudes = measures->amplitude, *restrict least = measures->weakest;
+    const float *restrict most = measures->strongest, *restrict squares = measures->squares;
+    const int32_t *restrict signs = measures->signs, *restrict weakest_bit = measures->weakest_bit;
+    float *restrict rhos = decided->rho, *restrict margins = decided->margin;
+    int32_t *restrict codes = decided->codes;
+    uint8_t *restrict doubtful = decided->doubtful, *restrict doubled = decided->doubled;
+    uint8_t *restrict odd = decided->odd;
+    const struct words_limits limit = *limits;
+    int any_uneven = 0;
+
+    for (size_t i = 0; i < nodes; i++) {
+        float amplitude = amplitudes[i], two = limit.two * expected[i];
+        float rho = amplitude * per_noise;
+        float margin = least[i] / (amplitude < 1e-30f ? 1e-30f : amplitude);
+        int doubt = (rho < limit.low_rho) | (margin < limit.low_margin), is_odd = 0;
+        uint32_t code = (uint32_t)(signs[i] ^ sign_mask[i]);
+        if (parity) {
+            is_odd = odd_of(code);
+            uint32_t place = (bits - 1 - (uint32_t)weakest_bit[i]) & 31;
+            code = (code ^ (uint32_t)is_odd << place) >> 1;
+            doubt |= is_odd;
+        }
+        int cancelling = doubt & (least[i] < limit.low_margin * expected[i]);
+        int three = (amplitude > limit.shared * expected[i]) & (rho > limit.clear_rho) &
+                    (least[i] < 0.5f * most[i]);
+        int twice = (cancelling | three) & (most[i] > two) & (amplitude == amplitude); /* no NaN */
+        codes[i] = (int32_t)code;
+        rhos[i] = rho;
+        margins[i] = margin;
+        doubtful[i] = (uint8_t)(active[i] & (doubt | twice | (amplitude > two)));
+        doubled[i] = (uint8_t)twice;
+        odd[i] = (uint8_t)is_odd;
+        any_uneven |= active[i] & (squares[i] > amplitude * amplitude * most_square);
+    }
+    return any_uneven && nodes > 2;
+}
+
+#if defined(HAS_AVX2)
+AVX2 static bool decide_avx2(size_t nodes, const struct words_measures *measures,
+                             const uint8_t *active, const float *expected, const int32_t *sign_mask,
+                             float per_noise, unsigned bits, bool parity, float most_square,
+                             const struct words_limits *limits, const struct words_decided *decided)
+{
+    return decide(nodes, measures, active, expected, sign_mask, per_noise, bits, parity, most_square,
+                  limits, decided);
+}
+#endif
 
 bool words_decide(size_t nodes, const struct words_measures *measures, const uint8_t *active,
                   const float *expected, const int32_t *sign_mask, float per_noise, unsigned bits,
                   bool parity, float most_square, const struct words_limits *limits,
                   const struct words_decided *decided)
 {
-    bool uneven = false;
-
-    for (size_t i = 0; i < nodes; i++) {
-        float amplitude = measures->amplitude[i], weakest = measures->weakest[i];
-        float strongest = measures->strongest[i], two = limits->two * expected[i];
-        float rho = amplitude * per_noise, margin = weakest / (amplitude < 1e-30f ? 1e-30f : amplitude);
-        bool doubtful = rho < limits->low_rho || margin < limits->low_margin;
-        uint32_t code = (uint32_t)(measures->signs[i] ^ sign_mask[i]);
-        uint8_t odd = 0;
-        if (parity) {
-            odd = is_odd(code);
-            unsigned place = (bits - 1 - (unsigned)measures->weakest_bit[i]) & 31;
-            code = (code ^ (uint32_t)odd << place) >> 1;
-            doubtful |= odd;
-        }
-        bool cancelling = doubtful && weakest < limits->low_margin * expected[i];
-        bool three = amplitude > limits->shared * expected[i] && rho > limits->clear_rho &&
-                     weakest < 0.5f * strongest;
-        bool doubled = (cancelling || three) && strongest > two && !isnan(amplitude);
-        decided->codes[i] = (int32_t)code;
-        decided->rho[i] = rho;
-        decided->margin[i] = margin;
-        decided->doubtful[i] = active[i] && (doubtful || doubled || amplitude > two);
-        decided->doubled[i] = doubled;
-        decided->odd[i] = odd;
-        uneven |= active[i] && measures->squares[i] > amplitude * amplitude * most_square;
-    }
-    return uneven && nodes > 2;
+#if defined(HAS_AVX2)
+    if (__builtin_cpu_supports("avx2"))
+        return decide_avx2(nodes, measures, active, expected, sign_mask, per_noise, bits, parity,
+                           most_square, limits, decided);
+#endif
+    return decide(nodes, measures, active, expected, sign_mask, per_noise, bits, parity, most_square,
+                  limits, decided);
 }
 
 /* ---- fit --------------------------------------------------------------------------------------- */
@@ -206,15 +247,16 @@ AVX2 static double frame_power_avx2(const struct words_frame *frame, const float
 }
 #endif
 
-/* Amplitude that the words of a frame exceed; see word_floor in fit.py. */
-static float floor_of(const struct words_frame *frame, const float *mean)
+/* The loudest word's amplitude, and through `usual` that of a sound node: see usual_amplitude in
+ * decode.py. NaN if any is. */
+static float loudest_of(const float *mean, size_t nodes, float loudest_share, float *usual)
 {
     float first = -INFINITY, second = -INFINITY, third = -INFINITY; /* loudest ones */
 
-    for (size_t i = 0; i < frame->nodes; i++) {
+    for (size_t i = 0; i < nodes; i++) {
         float level = mean[i];
         if (isnan(level))
-            return level;
+            return *usual = level;
         if (level > third) {
             third = level;
             if (third > second) {
@@ -227,11 +269,20 @@ static float floor_of(const struct words_frame *frame, const float *mean)
             }
         }
     }
-    float least = frame->loudest_share * first, usual = first;
+    *usual = nodes >= 3 && third > loudest_share * first ? second : first;
+    return first;
+}
+
+/* Amplitude that the words of a frame exceed; see word_floor in fit.py. */
+static float floor_of(const struct words_frame *frame, const float *mean)
+{
+    float usual, first = loudest_of(mean, frame->nodes, frame->loudest_share, &usual);
+
+    if (isnan(first))
+        return first;
     if (!isnan(frame->swing))
         usual = first < frame->swing ? first : frame->swing;
-    else if (frame->nodes >= 3 && third > least)
-        usual = second;
+    float least = frame->loudest_share * first;
     usual *= frame->active_share;
     return least > usual ? least : usual;
 }
@@ -268,6 +319,73 @@ void words_fit(const struct words_frame *frame, const float *rows, float *amplit
     float bits_power = (float)frame->bits * *power, words = (float)word_power;
     *spread = (float)uneven_power / (words < tiny ? tiny : words);
     *misfit = (float)total / (bits_power < tiny ? tiny : bits_power) - 1.0f;
+}
+
+/* ---- read -------------------------------------------------------------------------------------- */
+
+/* Whether words leave over less than a chip of the weakest: what out_of_place in lateness.py asks. */
+static bool leave_little(const struct words_frame *frame, const struct words_reading *reading,
+                         const float *rows, const float *amplitude, const uint8_t *active)
+{
+    double total, words = 0;
+    float least = INFINITY;
+    size_t spoken = 0;
+
+    for (size_t begin = 0; begin < frame->nodes; begin += BLOCK) {
+        size_t size = frame->nodes - begin < BLOCK ? frame->nodes - begin : BLOCK;
+        float level[BLOCK];
+        for (size_t i = 0; i < size; i++) {
+            level[i] = active[begin + i] ? amplitude[begin + i] : 0.0f;
+            spoken += active[begin + i];
+        }
+        for (size_t i = 0; i < size; i++)
+            least = active[begin + i] && level[i] < least ? level[i] : least;
+        words += power_of(level, size);
+    }
+    if (!spoken)
+        return true;
+#if defined(HAS_AVX2)
+    if (__builtin_cpu_supports("avx2"))
+        total = frame_power_avx2(frame, rows);
+    else
+#endif
+        total = frame_power(frame, rows);
+    double most = (spoken <= reading->few ? 0.5 : 1.0) * (double)reading->a_chip * (double)least;
+    return total / (double)frame->bits - words < most * (double)least / (double)frame->order;
+}
+
+enum words_look words_read(const struct words_frame *frame, const struct words_reading *reading,
+                           const float *rows, const int32_t *sign_mask, float *expected,
+                           const struct words_measures *measures,
+                           const struct words_decided *decided, uint8_t *active, uint8_t *faint)
+{
+    const float *amplitude = measures->amplitude;
+    float threshold = reading->threshold;
+
+    words_measure(rows + frame->first, (ptrdiff_t)frame->order, frame->bits, frame->nodes, measures);
+    if (!isnan(reading->least_usual)) {
+        float usual;
+        loudest_of(amplitude, frame->nodes, frame->loudest_share, &usual);
+        usual = usual < reading->least_usual ? reading->least_usual : usual; /* NaN stays */
+        for (size_t i = 0; i < frame->nodes; i++)
+            expected[i] = usual;
+    }
+    if (words_find_active(frame->nodes, amplitude, expected, threshold, reading->faint_share,
+                          reading->sound_share, active, faint))
+        return WORDS_NEED_STAGES;
+    if (words_decide(frame->nodes, measures, active, expected, sign_mask, reading->per_noise,
+                     (unsigned)frame->bits, reading->parity, reading->most_square, &reading->limits,
+                     decided))
+        return WORDS_NEED_STAGES;
+    float share = threshold < reading->faint_share ? threshold : reading->faint_share;
+    for (size_t i = 0; i < frame->nodes; i++) {
+        decided->margin[i] = amplitude[i] > share * expected[i] ? decided->margin[i] : 0.0f;
+        decided->codes[i] = active[i] ? decided->codes[i] : 0;
+        decided->doubled[i] &= decided->doubtful[i];
+        decided->odd[i] &= active[i];
+    }
+    return leave_little(frame, reading, rows, amplitude, active) ? WORDS_ARE_PLAIN
+                                                                 : WORDS_LEAVE_ENERGY;
 }
 
 /* ---- late -------------------------------------------------------------------------------------- */

@@ -55,6 +55,28 @@ struct words_frame {
 void words_fit(const struct words_frame *frame, const float *rows, float *amplitude, float *uneven,
                float *pedestal, float *power, float *spread, float *misfit);
 
+/* What words are read by, besides: see decode.py. per_noise: 1/V. least_usual: V, of the usual amplitude;
+ * NaN where the expected ones are given. a_chip, few: see lateness.py. */
+struct words_reading {
+    float per_noise, threshold, faint_share, sound_share, most_square, least_usual, a_chip;
+    size_t few;
+    bool parity;
+    struct words_limits limits;
+};
+
+enum words_look {
+    WORDS_NEED_STAGES, /* a word is faint or uneven; nothing is meant by the arrays */
+    WORDS_LEAVE_ENERGY, /* as much as a chip of one of them: some may be out of place */
+    WORDS_ARE_PLAIN,
+};
+
+/* The words of a frame, as decode_in_stages in decode.py reads them. rows: (k, N). expected: (n,) V,
+ * written to if none is given. faint is scratch. */
+enum words_look words_read(const struct words_frame *frame, const struct words_reading *reading,
+                           const float *rows, const int32_t *sign_mask, float *expected,
+                           const struct words_measures *measures,
+                           const struct words_decided *decided, uint8_t *active, uint8_t *faint);
+
 #define WORDS_MOST_BITS 31
 
 /* Limits of late in lateness.py. */

@@ -112,6 +112,63 @@ def fit_words(
 ) -> None:
     """As numpy_fit_words in framing/fit.py, into those after rows; swing_v: NaN if unknown."""
 
+def read_words(
+    first_row: int,
+    per_noise: float,
+    threshold: float,
+    faint_share: float,
+    sound_share: float,
+    most_square: float,
+    least_usual: float,
+    loudest_share: float,
+    a_chip: float,
+    few: int,
+    parity: bool,
+    low_rho: float,
+    low_margin: float,
+    shared_share: float,
+    double_share: float,
+    clear_rho: float,
+    rows: NDArray[np.float32],
+    sign_mask: NDArray[np.int32],
+    expected: NDArray[np.float32],
+    floats: NDArray[np.float32],
+    ints: NDArray[np.int32],
+    flags: NDArray[np.bool_],
+    /,
+) -> int:
+    """As compiled_read in words/stages.py; returns NEED_STAGES, LEAVE_ENERGY or 2.
+
+    least_usual: NaN if `expected` is given. floats: (6, n): amplitude, rho, margin, scratch. ints:
+    (3, n): codes, scratch. flags: (5, n): active, doubtful, doubled, odd, scratch.
+    """
+
+def to_volts(
+    zero: float, per_count: float, counts: NDArray[np.int16], volts: NDArray[np.float32], /
+) -> None:
+    """As numpy_volts in wire/counts.py, into volts."""
+
+def copy_samples(most_v: float, volts: NDArray[np.float32], copy: NDArray[np.float64], /) -> None:
+    """As numpy_copy in framing/sums.py."""
+
+def add_samples(volts: NDArray[np.float64], /) -> tuple[float, float]:
+    """As numpy_sums there."""
+
+def count_outside(low_v: float, high_v: float, volts: NDArray[np.float64], /) -> int:
+    """As numpy_outside there."""
+
+def mean_chips(
+    level_v: float,
+    received: NDArray[np.float64],
+    whole: NDArray[np.int32],
+    share: NDArray[np.float64],
+    number: NDArray[np.float64],
+    places: NDArray[np.int32],
+    chips: NDArray[np.float32],
+    /,
+) -> None:
+    """As numpy_mean_chips in framing/fit.py, into chips; whole must rise within the samples."""
+
 @final
 class Scanner:
     """Finds the intact packets in a stream of bytes; as Scanner in wire/packets.py."""

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +19,8 @@ class NodeLevels:
     """The nodes' levels in one frame.
 
     values: (k, n) float32, V: correlation of every node's row in every bit; ±a where the node
-        spoke, with row signs and the amplifier's polarity still applied.
+        spoke, with row signs and the amplifier's polarity still applied. A part of rows, if these
+        are given.
     noise_v: rms noise of one value, V.
     unresolved: nodes, counted from 0, that their waveforms do not tell from some other.
     rows: (k, N) float32, V: correlations of all rows; None where nodes are not taken apart by
@@ -44,7 +46,7 @@ def node_levels(rows: Floats32, spec: FrameSpec) -> NodeLevels:
     values = rows[:, spec.node_slice]
     spare = rows[:, spec.spare_rows]
     if spare.shape[1] >= 2:
-        noise_v = float(np.sqrt(np.einsum("kr,kr->", spare, spare) / spare.size))
+        noise_v = math.sqrt(float(np.einsum("kr,kr->", spare, spare)) / spare.size)
         return NodeLevels(values, noise_v, rows=rows)
     return NodeLevels(values, _noise_of_words(values), rows=rows)
 

@@ -10,19 +10,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import TypeVar
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..base import kernel
-from ..base.arrays import Floats, Floats32, Indices
+from ..base.arrays import Floats, Floats32, Indices, Int32s
 from ..code.frame import UNIPOLAR, FrameSpec
 from ..code.transform import correlate, spread
-from ..words.decode import LOUDEST_FLOOR, usual_amplitude
+from ..words.decode import usual_amplitude
+from ..words.stages import LOUDEST_FLOOR
 from .limits import LIMITS
-
-F = TypeVar("F", np.float32, np.float64)
+from .sums import dot
 
 UNEVEN = 0.02
 """Spread of the words beyond which the chips' middle is tried, too: ρ < 7 if it were noise."""
@@ -49,17 +48,26 @@ CHIPS_AT_ONCE = 1 << 18
 
 
 class Line:
-    """Samples and their running integral, evaluated at fractional instants.
+    """Samples of a line and their running integral, evaluated at fractional instants.
 
-    volts: (m,) float64, V, gap level removed; the line is taken as 0 V outside.
+    received: (m,) float64, V; the line is taken to be at rest outside. level_v: of rest, V.
     """
 
-    def __init__(self, volts: Floats) -> None:
-        """Integrate once; float64 sums keep 1e-16·m relative, far below any ADC count."""
-        self.volts = volts
-        self._sums = np.empty(volts.size + 1)
-        self._sums[0] = 0.0
-        np.cumsum(volts, out=self._sums[1:])
+    def __init__(self, received: Floats, level_v: float = 0.0) -> None:
+        self.received, self.level_v = received, level_v
+
+    @cached_property
+    def volts(self) -> Floats:
+        """(m,) float64, V, without the level of rest."""
+        return self.received - self.level_v
+
+    @cached_property
+    def _sums(self) -> Floats:
+        """Running integral, (m + 1,); float64 keeps 1e-16·m relative, far below any ADC count."""
+        sums = np.empty(self.received.size + 1)
+        sums[0] = 0.0
+        np.cumsum(self.volts, out=sums[1:])
+        return sums
 
     def integral(self, times: Floats) -> Floats:
         """∫ line dt up to each instant, V·samples."""
@@ -73,7 +81,7 @@ class Line:
         levels: Floats = (total[..., 1:] - total[..., :-1]) / number
         return levels.astype(np.float32)
 
-    def sum_before(self, whole: Indices, share: Floats) -> Floats:
+    def sum_before(self, whole: Indices | Int32s, share: Floats) -> Floats:
         """Sum of so many whole samples and a share of the next one, V."""
         total: Floats = self._sums[whole] + share * self.volts[whole]
         return total
@@ -85,19 +93,43 @@ class ChipEdges:
     def __init__(self, fit: Fit, spec: FrameSpec) -> None:
         self._spec = spec
         self._edges: Floats = fit.start + fit.chip * np.arange(spec.span_chips + 1.0)
+        self._places = spec.places.astype(np.int32)
         self._size = 0  # samples of the lines for which the rest is known
 
     def chips(self, line: Line) -> Floats32:
         """As integrate gives them: (k, N) float32, V."""
-        spec = self._spec
-        if line.volts.size != self._size:
-            self._size = line.volts.size
-            self._whole, self._share = _split(self._edges, self._size)
-            self._number = np.maximum(np.diff(self._whole + self._share), 0.5)
-        levels = np.diff(line.sum_before(self._whole, self._share)) / self._number
-        if spec.resync_chips:
-            levels = levels[spec.places]
-        return levels.astype(np.float32).reshape(spec.line_bits, spec.order)
+        if line.received.size != self._size:
+            self._size = line.received.size
+            whole, self._share = _split(self._edges, self._size)
+            self._whole = whole.astype(np.int32)
+            self._number = np.maximum(np.diff(whole + self._share), 0.5)
+        chips = mean_chips(line, self._whole, self._share, self._number, self._places)
+        return chips.reshape(self._spec.line_bits, self._spec.order)
+
+
+def numpy_mean_chips(
+    line: Line, whole: Int32s, share: Floats, number: Floats, places: Int32s
+) -> Floats32:
+    """Mean levels of a line between edges, V, float32: of the chips that begin at these edges.
+
+    whole, share: (e,) samples before each edge; see _split. number: (e − 1,) samples between edges.
+    places: (c,) rising.
+    """
+    levels: Floats = np.diff(line.sum_before(whole, share)) / number
+    return levels[places].astype(np.float32)
+
+
+def compiled_mean_chips(
+    line: Line, whole: Int32s, share: Floats, number: Floats, places: Int32s
+) -> Floats32:
+    """As numpy_mean_chips."""
+    assert kernel.compiled is not None
+    chips = np.empty(places.size, np.float32)
+    kernel.compiled.mean_chips(line.level_v, line.received, whole, share, number, places, chips)
+    return chips
+
+
+mean_chips = numpy_mean_chips if kernel.compiled is None else compiled_mean_chips
 
 
 def _split(times: Floats, size: int) -> tuple[Indices, Floats]:
@@ -339,8 +371,3 @@ def refine(
         if change < SETTLED_CHIPS * chip:
             break
     return Fit(float(start), float(chip))
-
-
-def dot(some: NDArray[F], others: NDArray[F]) -> float:
-    """Sum of products, but not by BLAS: long ones wake its threads, which wait for each other."""
-    return float(np.einsum("i,i->", some, others))

@@ -12,8 +12,9 @@ import numpy as np
 from ..base.arrays import Floats32
 from ..code.frame import BIPOLAR, UNIPOLAR, FrameSpec
 from ..wire._protocol import TAIL_CHIPS
-from .fit import Fit, Line, dot
+from .fit import Fit, Line
 from .limits import LIMITS
+from .sums import dot, sums
 
 
 class End(IntEnum):
@@ -51,20 +52,25 @@ class FrameEnds:
         """
         spec, end = self._spec, fit.end(self._spec) + 0.5
         begin, stop = math.ceil(end + 0.25 * fit.chip), math.floor(end + TAIL_CHIPS * fit.chip)
-        tail = line.volts[begin:stop]
+        tail = line.received[begin:stop]
         if tail.size < 0.5 * fit.chip:
             return End.SILENCE if level_known or spec.first_row > 0 else End.OTHER
         if not level_known and spec.drive == UNIPOLAR:
             return End.SILENCE
-        least = float(amplitude[amplitude > 0].min(initial=np.inf))
-        if spec.first_row == 0:
-            mean = float(tail.sum()) / tail.size
-            if abs(mean) > LIMITS.rest * least + 4 * math.sqrt(noise * fit.chip / tail.size):
-                return End.OTHER
+        total, squares = sums(tail)
+        mean = total / tail.size - line.level_v
+        left = max(squares / tail.size - line.level_v * (2 * mean + line.level_v), 0.0)
+        by_chance = 4 * math.sqrt(noise * fit.chip / tail.size)
         most = noise * fit.chip * (2 + 8 / math.sqrt(tail.size))  # the fewer the more by chance
-        rest, left = (LIMITS.rest * least) ** 2 + most, dot(tail, tail) / tail.size
+        if left < most and (spec.first_row > 0 or abs(mean) <= by_chance):
+            self._silent += 1
+            return End.SILENCE
+        least = float(amplitude[amplitude > 0].min(initial=np.inf))
+        if spec.first_row == 0 and abs(mean) > LIMITS.rest * least + by_chance:
+            return End.OTHER
+        rest = (LIMITS.rest * least) ** 2 + most
         if left >= rest and spec.first_row > 0 and spec.drive == BIPOLAR:
-            tail = tail - self._baseline(line, fit, 0.5 * (begin + stop))
+            tail = line.volts[begin:stop] - self._baseline(line, fit, 0.5 * (begin + stop))
             left = min(left, dot(tail, tail) / tail.size)
         if left < rest:
             self._silent += 1

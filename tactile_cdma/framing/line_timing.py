@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..base.arrays import Bools, Floats, Floats32
-from ..code.frame import MAX_STRETCH, UNIPOLAR, FrameSpec
+from ..code.frame import MAX_STRETCH, FrameSpec
 from ..code.separate import node_levels
-from ..code.transform import correlate
 from ..wire._protocol import TAIL_CHIPS
 from .fit import (
     CHIPS_AT_ONCE,
@@ -20,12 +19,10 @@ from .fit import (
     Fit,
     Line,
     WordFit,
-    dot,
     even_words,
     integrate,
     read_words,
     refine,
-    word_floor,
 )
 from .frame_end import End, FrameEnds
 from .judge import Judge
@@ -111,7 +108,7 @@ class LineRecogniser:
             return verdict
         if self._line.integrated:
             return self._integrated(frame)
-        line = Line(frame.volts - self._line.level_v)
+        line = Line(frame.volts, self._line.level_v)
         return self._by_carried(frame, line) or self._proposed(frame, line)
 
     def _integrated(self, frame: MarkedFrame) -> Verdict:
@@ -133,33 +130,20 @@ class LineRecogniser:
         if carried is None or not carried.fresh:
             return None
         carried.uses += 1
-        rows = correlate(carried.edges.chips(line), self._spec.book)
-        amplitude = self._explained(rows)
-        if amplitude is None:
+        words = read_words(carried.edges.chips(line)[None], self._spec)
+        if not self._is_explained(words):
             return None
-        return self._ended(frame, line, carried.fit, rows, amplitude)
+        return self._ended(frame, line, carried.fit, words.rows[0], words.amplitude[0])
 
-    def _explained(self, rows: Floats32) -> Floats32 | None:
-        """Amplitudes (n,) of words that leave no more than the noise of the gap; else None.
+    def _is_explained(self, words: WordFit) -> bool:
+        """Whether the words of a frame leave no more than the noise of the gap.
 
-        rows: (k, N) float32, V, all correlations. What makes words uneven is left over, too, so
-        this also bounds their spread.
+        What makes words uneven is left over, too, so this also bounds their spread.
         """
-        spec = self._spec
-        level = np.abs(rows[:, spec.node_slice])
-        amplitude: Floats32 = level.sum(axis=0) * np.float32(1 / spec.line_bits)
-        amplitude *= amplitude > word_floor(amplitude, spec)
-        power = dot(amplitude, amplitude)
-        meant = rows
-        if spec.drive == UNIPOLAR:
-            power += (float(rows[:, 0].sum()) / spec.line_bits) ** 2
-        elif spec.first_row > 0:
-            meant = rows[:, 1:]
-        total = float(np.einsum("kr,kr->", meant, meant)) / spec.line_bits
-        left_over = (
-            total - power >= LIMITS.carried_noise * self._line.noise + LIMITS.carried_misfit * power
-        )
-        return None if left_over or self._line.is_silent(amplitude) else amplitude
+        power = words.power.item()
+        left = words.misfit.item() * power
+        most = LIMITS.carried_noise * self._line.noise + LIMITS.carried_misfit * power
+        return left < most and not self._line.is_silent(words.amplitude[0])
 
     def _proposed(self, frame: MarkedFrame, line: Line) -> Verdict:
         """The likeliest of the frames that are proposed, or silence."""

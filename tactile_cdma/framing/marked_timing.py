@@ -17,8 +17,9 @@ from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import SpecError
 from ..code.frame import BIPOLAR, FrameSpec
 from ..code.separate import NodeLevels
-from .fit import Fit, dot, least_power, lowest_power
+from .fit import Fit, least_power, lowest_power
 from .limits import LIMITS
+from .sums import sums
 from .timing import (
     ABSURD,
     AT_RAIL,
@@ -38,6 +39,8 @@ LEAST_REST = 16
 the variance of 16 samples is right to a third (√(2/15))."""
 GAP_WEIGHT = 0.25
 """Weight of the newest gap in the running noise estimate. Chosen: averages about seven gaps."""
+
+_NOTHING = (0, 0.0, 0.0)
 
 
 class MarkedFrame(NamedTuple):
@@ -112,7 +115,7 @@ class MarkedLine:
         self._mean_is_offset = spec.first_row > 0 and spec.drive == BIPOLAR
         self.level_v = self.noise = 0.0
         self.level_known = False
-        self._gap = np.zeros(3)  # samples not evaluated yet: count, sum, sum of squares
+        self._gap = _NOTHING  # samples not evaluated yet: count, sum, sum of squares
 
     @property
     def sample_noise_v(self) -> float:
@@ -121,14 +124,18 @@ class MarkedLine:
 
     def add_gap(self, volts: Floats) -> None:
         """Learn level and noise from samples of a gap, which may be none."""
-        if not volts.size or math.isnan(total := float(volts.sum())):
+        if not volts.size:
             return
-        self._gap += (volts.size, total, dot(volts, volts))
-        count, total, squares = self._gap.tolist()
-        if count >= LEAST_REST:
+        total, squares = sums(volts)
+        if math.isnan(total):
+            return
+        gap = self._gap
+        self._gap = gap = (gap[0] + volts.size, gap[1] + total, gap[2] + squares)
+        if gap[0] >= LEAST_REST:
+            count, total, squares = gap
             mean = total / count
             self.at_rest(mean, max(0.0, squares - count * mean**2) / (count - 1))
-            self._gap[:] = 0
+            self._gap = _NOTHING
 
     def at_rest(self, mean_v: float, variance_v2: float) -> None:
         """Learn level and noise from mean and variance of the samples of a gap."""
@@ -155,8 +162,8 @@ class MarkedLine:
 
     def sample_power(self, volts: Floats) -> float:
         """Mean power of samples, V², without an unknown offset; NaN where one is absurd."""
-        mean = float(volts.sum()) / volts.size
-        power = dot(volts, volts) / volts.size
+        total, squares = sums(volts)
+        mean, power = total / volts.size, squares / volts.size
         if self.spec.first_row > 0:
             return max(power - mean**2, 0.0)  # NaN stays NaN
         return max(power - 2 * mean * self.level_v + self.level_v**2, 0.0)
@@ -223,7 +230,7 @@ class MarkedTiming(Timing):
     def feed(self, block: SampleBlock) -> list[FrameLevels]:
         """Take samples in; return the frames that they complete."""
         frames = self._begin(block)
-        volts, slice_size = np.asarray(block.volts), self.line.size
+        volts, slice_size = np.asarray(block.volts, np.float32), self.line.size
         for begin in range(0, volts.size, slice_size):  # keeps the buffer bounded
             self._samples.append(volts[begin : begin + slice_size])
             while self._start is not None and self._samples.end >= self._due:

@@ -20,6 +20,7 @@ from ..base.arrays import Bools, Floats, Floats32
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
 from .limits import LIMITS
+from .sums import copy_samples, outside
 
 Rails: TypeAlias = tuple[float, float] | None
 
@@ -118,10 +119,7 @@ class SampleBuffer:
         if self._at + kept + volts.size > self._store.size:
             self._make_room(kept + volts.size)
         place = self._at + kept
-        part = self._store[place : place + volts.size]
-        part[:] = volts
-        if not max(part.max(initial=0.0), -part.min(initial=0.0)) < ABSURD_V:
-            part[~(np.abs(part) < ABSURD_V)] = np.nan
+        copy_samples(volts, ABSURD_V, self._store[place : place + volts.size])
         self.end += volts.size
 
     def take(self, begin: int, end: int) -> Floats:
@@ -236,6 +234,4 @@ def share_clipped(volts: Floats, rails_v: Rails) -> float:
         return 0.0
     low, high = rails_v
     margin = RAIL_MARGIN * (high - low)
-    if volts.min() > low + margin and volts.max() < high - margin:
-        return 0.0
-    return float(np.mean((volts <= low + margin) | (volts >= high - margin)))
+    return outside(volts, low + margin, high - margin) / volts.size

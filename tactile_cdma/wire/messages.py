@@ -17,6 +17,7 @@ from typing import Any, ClassVar, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.arrays import Floats32
 from ..base.errors import SpecError
 from ..code.frame import FrameSpec
 from ._protocol import (
@@ -34,6 +35,7 @@ from ._protocol import (
     Result,
     SyncMode,
 )
+from .counts import to_volts
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,13 +175,9 @@ class Info(Packet):
         """Rate of Samples.counts, Hz."""
         return self.sample_rate_uhz / 10**6
 
-    def volts(self, counts: NDArray[np.int16]) -> NDArray[np.float32]:
-        """The line in V, float32, of counts of any shape."""
-        volts = counts.astype(np.float32)
-        if self.zero_count:
-            volts -= np.float32(self.zero_count)
-        volts *= np.float32(self.volts_per_count)
-        return volts
+    def volts(self, counts: NDArray[np.int16]) -> Floats32:
+        """The line in V, (m,) float32, of counts (m,)."""
+        return to_volts(counts, self.zero_count, self.volts_per_count)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,16 +10,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..base import kernel
 from ..base.arrays import Bools, Floats32
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
-from .lateness import out_of_place
+from .lateness import FEW, displaced, least_left, out_of_place
 from .leakage import unexplained
 from .stages import (
     CLEAR_RHO,
     FAINT_SHARE,
+    LOUDEST_FLOOR,
     SOUND_SHARE,
     UNLIKE,
+    compiled_read,
     decide,
     find_active,
     measure,
@@ -35,9 +38,6 @@ there is."""
 LEAKED_SHARE = 0.5
 """Share of a word's amplitude that must be left beside what leaks from louder words for it to be a
 word. Chosen: a word that was sent keeps √(1 − 3/k) of it, 0.84 at k = 10."""
-LOUDEST_FLOOR = 0.25
-"""Share of the loudest word's amplitude that others have, too, if it is that of a sound node: the
-loudest may be that of three nodes on one row, and a lone node then still has a third of it."""
 COMPARABLE = 0.6
 """Share of a word's amplitude above which a fainter one may be the rest of it. Chosen: of a word
 half a chip late both rows have half."""
@@ -119,7 +119,7 @@ def silent(nodes: int, noise_rms_v: float) -> Words:
     return Words(no, codes, nothing, nothing, nothing, no, no, no, no, noise_rms_v)
 
 
-def decode(
+def decode_in_stages(
     levels: NodeLevels,
     spec: FrameSpec,
     threshold: float = ACTIVE_SHARE,
@@ -143,7 +143,7 @@ def decode(
         swing_v = spec.node_swing_v
     if swing_v is None:
         swing_v = max(float(usual_amplitude(amplitude)[0]), AUTO_FLOOR * noise / threshold)
-    expected = np.full(spec.nodes, swing_v, dtype=np.float32)
+    expected = _of_each(swing_v, spec.nodes)
     active, faint, any_faint = find_active(amplitude, expected, threshold)
     astray = np.zeros_like(active)
     if any_faint:
@@ -168,15 +168,45 @@ def decode(
         doubtful[node] = active[node]
     doubtful |= astray
     if active.any():
-        displaced = out_of_place(levels, amplitude, active, float(expected.min()), spec)
-        if displaced is not None:  # any silent node may be the one that spoke
-            astray |= displaced
-            doubtful |= displaced | ~active
+        others = out_of_place(levels, amplitude, active, float(expected.min()), spec)
+        if others is not None:  # any silent node may be the one that spoke
+            astray |= others
+            doubtful |= others | ~active
     # The margin of what is not even faint says nothing, and would look like a doubt.
     margin *= amplitude > np.float32(min(threshold, FAINT_SHARE)) * expected
     codes, doubled, odd = codes * active, doubled & doubtful, odd & active
     sigma = noise * math.sqrt(spec.order)
     return Words(active, codes, amplitude, rho, margin, doubtful, doubled, odd, astray, sigma)
+
+
+def decode_at_once(
+    levels: NodeLevels,
+    spec: FrameSpec,
+    threshold: float = ACTIVE_SHARE,
+    swing_v: ArrayLike | None = None,
+) -> Words:
+    """As decode_in_stages, but compiled where no word needs a closer look: as a rule."""
+    rows, noise = levels.rows, levels.noise_v
+    if rows is None or levels.unresolved or not rows.flags.c_contiguous:
+        return decode_in_stages(levels, spec, threshold, swing_v)
+    given = spec.node_swing_v if swing_v is None else swing_v
+    unknown = given is None
+    expected = np.empty(spec.nodes, np.float32) if given is None else _of_each(given, spec.nodes)
+    read = compiled_read(
+        rows, expected, spec.sign_mask, noise, spec.line_bits, spec.parity, spec.first_row,
+        threshold, AUTO_FLOOR * noise / threshold if unknown else math.nan, least_left(spec), FEW,
+    )  # fmt: skip
+    if read is None:
+        return decode_in_stages(levels, spec, threshold, swing_v)
+    words, leave_energy = read
+    if leave_energy:
+        least = float(expected.min())
+        if displaced(levels, words.amplitude, words.active, least, spec) is not None:
+            return decode_in_stages(levels, spec, threshold, swing_v)
+    return Words(*words, np.zeros(spec.nodes, np.bool_), noise * math.sqrt(spec.order))
+
+
+decode = decode_in_stages if kernel.compiled is None else decode_at_once
 
 
 def usual_amplitude(mean: Floats32) -> Floats32:
@@ -190,6 +220,13 @@ def usual_amplitude(mean: Floats32) -> Floats32:
         return loudest
     third, second = np.split(np.partition(mean, (-3, -2), axis=-1)[..., -3:-1], 2, axis=-1)
     return np.where(third > np.float32(LOUDEST_FLOOR) * loudest, second, loudest)
+
+
+def _of_each(swing_v: ArrayLike, nodes: int) -> Floats32:
+    """The amplitude of each node, (n,), V, from that or a common one."""
+    if isinstance(swing_v, np.ndarray) and swing_v.dtype == np.float32:
+        return swing_v
+    return np.full(nodes, swing_v, dtype=np.float32)
 
 
 def _disturbed(level: Floats32, amplitude: Floats32, active: Bools) -> Bools:

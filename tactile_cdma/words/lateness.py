@@ -9,6 +9,7 @@ it is early what the next one does, and of a word that is sent on time no chip d
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -50,15 +51,25 @@ def out_of_place(
     amplitude: (n,) V, of every node's word. active: (n,) bool, at least one. expected: amplitude of
     a node, V. They are looked for where the words leave over as much as a chip of one of them.
     """
-    if levels.rows is None or spec.order <= 2 * EDGE:
-        return None  # a bit of so few chips is all edges
+    if levels.rows is None:
+        return None
     rows = levels.rows if spec.first_row == 0 else levels.rows[:, 1:]
     spoken = amplitude[active]
     left = float(np.einsum("kr,kr->", rows, rows)) / spec.line_bits - float(np.square(spoken).sum())
-    least, few = float(spoken.min()), spoken.size <= FEW
-    if left < (0.5 if few else 1.0) * A_CHIP * least * least / spec.order:
+    few = 0.5 if spoken.size <= FEW else 1.0
+    if left < few * least_left(spec) * float(spoken.min()) ** 2 / spec.order:
         return None
-    if few and (
+    return displaced(levels, amplitude, active, expected, spec)
+
+
+def displaced(
+    levels: NodeLevels, amplitude: Floats32, active: Bools, expected: float, spec: FrameSpec
+) -> Bools | None:
+    """As out_of_place, of words that leave over that much."""
+    assert levels.rows is not None
+    spoken = amplitude[active]
+    least = float(spoken.min())
+    if spoken.size <= FEW and (
         least < PART * expected
         or np.ptp(delays(levels, amplitude, active, spec)[active]) > OUT_OF_STEP
     ):
@@ -66,6 +77,11 @@ def out_of_place(
     are_late = late(levels, amplitude, active, spec)
     spare = np.abs(levels.rows[:, spec.spare_rows]).mean(axis=0)
     return are_late if are_late.any() or (spare > LATE_SHARE * least).any() else None
+
+
+def least_left(spec: FrameSpec) -> float:
+    """Energy that is left over for a closer look, in chips of the weakest word."""
+    return A_CHIP if spec.order > 2 * EDGE else math.inf  # a bit of so few chips is all edges
 
 
 def numpy_late(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec) -> Bools:

@@ -35,9 +35,15 @@ random bits give 1 on average, three give 1.5. Chosen between these."""
 CLEAR_RHO = 8.0
 """ρ above which noise does not give a word levels of two nodes: 0.6 amplitudes are then 4.8
 deviations of a level."""
+LOUDEST_FLOOR = 0.25
+"""Share of the loudest word's amplitude that others have, too, if it is that of a sound node: the
+loudest may be that of three nodes on one row, and a lone node then still has a third of it."""
 UNLIKE = 0.2
 """Share of a word's amplitude by which one of its levels may be off. Chosen on disturbed lines
 (make torture)."""
+
+NEED_STAGES, LEAVE_ENERGY = 0, 1
+"""What the kernel says of a frame that it read at once, as enum words_look in words.h."""
 
 
 class Measures(NamedTuple):
@@ -185,6 +191,60 @@ def compiled_decide(
         sign_mask, codes, rho, margin, doubtful, doubled, odd,
     )  # fmt: skip
     return Decided(codes, rho, margin, doubtful, doubled, odd, uneven)
+
+
+class Read(NamedTuple):
+    """The words of a frame of which none is faint or uneven; see Words.
+
+    codes: (n,) int32. amplitude, rho, margin: (n,) float32. The others: (n,) bool.
+    """
+
+    active: Bools
+    codes: NDArray[np.int32]
+    amplitude: Floats32
+    rho: Floats32
+    margin: Floats32
+    doubtful: Bools
+    doubled: Bools
+    odd: Bools
+
+
+def compiled_read(
+    rows: Floats32,
+    expected: Floats32,
+    sign_mask: NDArray[np.int32],
+    noise: float,
+    bits: int,
+    parity: bool,
+    first_row: int,
+    threshold: float,
+    least_usual: float,
+    a_chip: float,
+    few: int,
+) -> tuple[Read, bool] | None:
+    """All stages of `decode` at once; None if any word is faint or uneven.
+
+    Besides, whether the words leave over as much energy as a chip of one of them.
+
+    rows: (k, N) float32, V, contiguous. expected: (n,) V. least_usual: NaN; or least amplitude, V,
+    of the usual one, which is then written to `expected`. a_chip, few: see lateness.out_of_place.
+    The others: as in numpy_decide.
+    """
+    assert kernel.compiled is not None
+    nodes = sign_mask.size
+    floats, ints = np.empty((6, nodes), np.float32), np.empty((3, nodes), np.int32)
+    flags = np.empty((5, nodes), np.bool_)
+    look: int = kernel.compiled.read_words(
+        first_row, _per(noise), threshold, FAINT_SHARE, SOUND_SHARE, _most_square(bits),
+        least_usual, LOUDEST_FLOOR, a_chip, few, parity, LOW_RHO, LOW_MARGIN, SHARED_SHARE,
+        DOUBLE_SHARE, CLEAR_RHO, rows, sign_mask, expected, floats, ints, flags,
+    )  # fmt: skip
+    if look == NEED_STAGES:
+        return None
+    amplitude, rho, margin, *_ = floats
+    active, doubtful, doubled, odd, _ = flags
+    words = Read(active, ints[0], amplitude, rho, margin, doubtful, doubled, odd)
+    return words, look == LEAVE_ENERGY
 
 
 def _per(noise: float) -> float:

@@ -38,6 +38,7 @@ from tactile_cdma.wire._protocol import (
     SyncMode,
 )
 from tactile_cdma.wire.cobs import cobs_decode, cobs_encode
+from tactile_cdma.wire.counts import numpy_volts
 from tactile_cdma.wire.messages import (
     Ack,
     Configure,
@@ -76,6 +77,7 @@ def way(request: pytest.FixtureRequest) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         if request.param == "interpreted":
             patch.setattr(kernel, "compiled", None)
+            patch.setattr(message_types, "to_volts", numpy_volts)
         elif kernel.compiled is None:
             pytest.skip(kernel.why_numpy)
         yield

@@ -227,8 +227,7 @@ def test_status_tells_and_contradictory_words_are_no_pressure() -> None:
 
 
 def said(codes: np.ndarray) -> NodeLevels:
-    levels = noisy(codes, SPEC, 100.0, np.random.default_rng(12))
-    return replace(levels, values=levels.values.copy())
+    return noisy(codes, SPEC, 100.0, np.random.default_rng(12))
 
 
 @given(st.integers(0, 9), st.floats(0.3, 20.0), st.integers(0, 2**32 - 1))
