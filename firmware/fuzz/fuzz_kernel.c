@@ -3,6 +3,7 @@
 /* The driver's compiled kernel (../kernel): arbitrary bytes through its scanner and a reference reader,
  * whole numbers through its transforms and sums without any trick, and any levels read as words. */
 #include "reference.h"
+#include "samples.h"
 #include "scanner.h"
 #include "transform.h"
 #include "words.h"
@@ -242,12 +243,105 @@ static void read_words(struct input *input)
     free(flags);
 }
 
+/* The same at once: plain words are those of the stages, none of them faint. */
+static void read_at_once(struct input *input)
+{
+    size_t bits = 1 + input_u8(input) % 17, nodes = 1 + input_u16(input) % 300;
+    size_t first = input_u8(input) % 4, order = first + nodes + input_u8(input) % 40;
+    float swing = level_of(input_u8(input)), spread = (float)input_u8(input) * 1e-3f;
+    uint8_t silent = input_u8(input);
+    float *rows = malloc(bits * order * sizeof *rows), *floats = malloc(7 * nodes * sizeof *floats);
+    int32_t *ints = malloc(4 * nodes * sizeof *ints);
+    uint8_t *flags = malloc(5 * nodes);
+    struct words_frame frame = {
+        .bits = bits, .order = order, .first = first, .nodes = nodes, .loudest_share = 0.25f};
+    struct words_reading reading = {.per_noise = 100,
+                                    .threshold = 0.5f,
+                                    .faint_share = 0.25f,
+                                    .sound_share = 0.8f,
+                                    .most_square = (float)bits + 0.04f,
+                                    .least_usual = silent % 2 ? NAN : 0.01f,
+                                    .a_chip = 1,
+                                    .few = 3,
+                                    .parity = bits > 1 && silent % 3 == 0,
+                                    .limits = {5, 0.4f, 1.25f, 1.6f, 8}};
+
+    for (size_t i = 0; i < bits * order; i++) {
+        uint8_t byte = input_u8(input);
+        float level = byte & 64 ? level_of(byte) : 0.3f + (float)(byte & 31) * spread;
+        rows[i] = i % order % 8 < silent % 9 ? (byte & 128 ? level : -level) : 0;
+    }
+    float *expected = floats + 6 * nodes;
+    for (size_t i = 0; i < nodes; i++) {
+        expected[i] = swing;
+        ints[3 * nodes + i] = (int32_t)(i % 2 ? 0 : (1u << bits) - 1);
+    }
+    struct words_measures all = {floats,             floats + 3 * nodes, floats + 4 * nodes,
+                                 floats + 5 * nodes, ints + nodes,       ints + 2 * nodes};
+    struct words_decided decided = {ints,          floats + nodes,    floats + 2 * nodes,
+                                    flags + nodes, flags + 2 * nodes, flags + 3 * nodes};
+    enum words_look look = words_read(&frame, &reading, rows, ints + 3 * nodes, expected, &all,
+                                      &decided, flags, flags + 4 * nodes);
+    for (size_t i = 0; look != WORDS_NEED_STAGES && i < nodes; i++) {
+        MUST(!flags[4 * nodes + i], WRONG_VALUE);
+        MUST(flags[i] == (floats[i] > 0.5f * expected[i]), WRONG_VALUE);
+        MUST(decided.doubtful[i] <= flags[i] && decided.doubled[i] <= decided.doubtful[i], WRONG_VALUE);
+        MUST((uint32_t)decided.codes[i] >> (bits - reading.parity) == 0, WRONG_VALUE);
+        MUST(flags[i] || !decided.codes[i], WRONG_VALUE);
+    }
+    free(rows);
+    free(floats);
+    free(ints);
+    free(flags);
+}
+
+/* Samples of any level, and edges of any kind. */
+static void add_samples(struct input *input)
+{
+    size_t size = 1 + input_u16(input) % 400, edges = 1 + input_u8(input), chips = input_u8(input) % edges;
+    int16_t *counts = malloc(size * sizeof *counts);
+    float *volts = malloc(size * sizeof *volts), *levels = malloc((chips + 1) * sizeof *levels);
+    double *copy = malloc(size * sizeof *copy), *spans = malloc(2 * edges * sizeof *spans);
+    int32_t *whole = malloc((edges + chips) * sizeof *whole), at = 0;
+    double sum = 0;
+    size_t outside = 0;
+
+    for (size_t i = 0; i < size; i++)
+        counts[i] = (int16_t)input_u16(input);
+    samples_volts(counts, size, (float)(int16_t)input_u16(input), 0.5f, volts);
+    samples_copy(volts, size, 20000, copy);
+    for (size_t i = 0; i < size; i++) {
+        MUST(isnan(copy[i]) ? fabsf(volts[i]) >= 20000 : copy[i] == (double)volts[i], WRONG_VALUE);
+        outside += copy[i] <= -100 || copy[i] >= 100;
+        sum += copy[i];
+    }
+    MUST(samples_outside(copy, size, -100, 100) == outside, WRONG_VALUE);
+    struct samples_sums sums = samples_add(copy, size);
+    MUST(isnan(sum) ? isnan(sums.sum) : sums.sum == sum && !(sums.squares < 0), WRONG_VALUE);
+    for (size_t edge = 0; edge < edges; edge++) {
+        at += (int8_t)(input_u8(input) % 32) - 1;
+        whole[edge] = at;
+        spans[edge] = input_u8(input) / 255.0;
+        spans[edges + edge] = 1 + input_u8(input);
+    }
+    for (size_t chip = 0; chip < chips; chip++)
+        whole[edges + chip] = input_u8(input);
+    struct samples_edges all = {edges, whole, spans, spans + edges};
+    samples_chips(copy, size, 1, &all, whole + edges, chips, levels);
+    free(counts);
+    free(volts);
+    free(levels);
+    free(copy);
+    free(spans);
+    free(whole);
+}
+
 /* The input's first byte selects the test. */
 int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
 {
     struct input input = {bytes, size};
 
-    switch (input_u8(&input) % 4) {
+    switch (input_u8(&input) % 6) {
     case 0:
         scan_bytes(&input);
         break;
@@ -259,6 +353,12 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
         break;
     case 3:
         read_words(&input);
+        break;
+    case 4:
+        read_at_once(&input);
+        break;
+    case 5:
+        add_samples(&input);
         break;
     }
     return 0;

@@ -108,17 +108,17 @@ class FrameSpec:
                 f"{self.frame_period_s * 1e3:g} ms"
             )
 
-    @property
+    @cached_property
     def line_bits(self) -> int:
         """Bits of a word on the line, k: with its parity bit."""
         return self.bits + self.parity
 
-    @property
+    @cached_property
     def chips(self) -> int:
         """Coded chips per frame, k·N."""
         return self.line_bits * self.order
 
-    @property
+    @cached_property
     def span_chips(self) -> int:
         """Length of a frame in chips, with the guards between its sub-slots."""
         if not self.resync_chips:
@@ -138,7 +138,7 @@ class FrameSpec:
         """Nominal duration of a frame, s."""
         return self.span_chips * self.chip_s
 
-    @property
+    @cached_property
     def node_swing_v(self) -> float | None:
         """Amplitude of one node's ± code on the line, V: A, or A/2 where the drive is unipolar."""
         if self.amplitude_v is None:
@@ -171,12 +171,12 @@ class FrameSpec:
         inverted = self.signs * self.polarity < 0
         return np.where(inverted, np.int32((1 << self.line_bits) - 1), np.int32(0))
 
-    @property
+    @cached_property
     def node_slice(self) -> slice:
         """The nodes' rows among all correlations."""
         return slice(self.first_row, self.first_row + self.nodes)
 
-    @property
+    @cached_property
     def spare_rows(self) -> slice:
         """Rows that no node uses and that carry no DC level; they show the noise floor."""
         after = slice(self.first_row + self.nodes, self.order)

@@ -197,8 +197,9 @@ class Pipeline:
         else:
             words = words.doubted(heard.doubtful)
         suspect = self.health.suspect
-        words = words.doubted(suspect & words.active)
-        if words.disturbed(self.health.invalid):
+        if suspect.any():
+            words = words.doubted(suspect & words.active)
+        if words.doubtful.any() and words.disturbed(self.health.invalid):
             words = words.doubted(~words.active)
         return words
 

@@ -18,7 +18,7 @@ from tactile_cdma.code.transform import correlate, spread
 from tactile_cdma.framing.fit import compiled_fit_words, numpy_fit_words
 from tactile_cdma.words import decode as decode_module
 from tactile_cdma.words import lateness, stages
-from tactile_cdma.words.decode import decode
+from tactile_cdma.words.decode import decode_at_once, decode_in_stages
 
 pytestmark = pytest.mark.skipif(kernel.compiled is None, reason=kernel.why_numpy)
 
@@ -100,19 +100,39 @@ def test_words_of_candidates_are_those_of_numpy(line: tuple[FrameSpec, np.ndarra
         np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-4, err_msg=name)
 
 
-@settings(max_examples=100, deadline=None)
-@given(lines())
-def test_decoded_words_are_those_of_numpy(line: tuple[FrameSpec, np.ndarray]) -> None:
+@settings(max_examples=300, deadline=None)
+@given(lines(), st.sampled_from([None, 0.3]), st.sampled_from([0.3, 0.5]))
+def test_decoded_words_are_those_of_numpy(
+    line: tuple[FrameSpec, np.ndarray], swing_v: float | None, threshold: float
+) -> None:
+    """At once, in compiled stages, and in numpy's."""
     spec, rows = line
     rms = float(np.sqrt(np.mean(np.square(rows))))
     levels = node_levels(rows[0], spec)
-    compiled = decode(levels, spec)
+    compiled = [way(levels, spec, threshold, swing_v) for way in (decode_at_once, decode_in_stages)]
     with pytest.MonkeyPatch.context() as patch:
         for name in ("measure", "find_active", "decide"):
             patch.setattr(decode_module, name, getattr(stages, f"numpy_{name}"))
-        interpreted = decode(levels, spec)
-    fields = [field for field in compiled.__slots__ if field != "noise_rms_v"]
-    same([getattr(compiled, f) for f in fields], [getattr(interpreted, f) for f in fields], rms)
+        interpreted = decode_in_stages(levels, spec, threshold, swing_v)
+    fields = [field for field in interpreted.__slots__ if field != "noise_rms_v"]
+    for words in compiled:
+        same([getattr(words, f) for f in fields], [getattr(interpreted, f) for f in fields], rms)
+
+
+@pytest.mark.parametrize("noise_v", [0.0, 2e-3])
+@pytest.mark.parametrize("nodes", [16, 256])
+def test_sound_words_are_read_at_once(nodes: int, noise_v: float) -> None:
+    """Else the comparison above would not compare."""
+    spec, rng = FrameSpec(nodes=nodes, chip_s=1e-7, frame_period_s=1.0), np.random.default_rng(1)
+    rows = rng.normal(0, noise_v, (spec.line_bits, spec.order)).astype(np.float32)
+    rows[:, spec.node_slice] += rng.choice([-0.3, 0.3], (spec.line_bits, nodes))
+    swing_v = np.full(nodes, 0.3, np.float32)
+    found = stages.compiled_read(
+        rows, swing_v, spec.sign_mask, noise_v, 10, False, spec.first_row, 0.5, np.nan, 1.0, 3
+    )
+    assert found is not None
+    words, leave_energy = found
+    assert words.active.all() and leave_energy == (nodes * noise_v > 0.1), "noise of many rows"
 
 
 @settings(max_examples=200, deadline=None)

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The kernel sums up samples as numpy does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tactile_cdma.base import kernel
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.framing import sums
+from tactile_cdma.framing.fit import ChipEdges, Fit, Line, integrate, numpy_mean_chips
+from tactile_cdma.wire import counts
+
+compiled_only = pytest.mark.skipif(kernel.compiled is None, reason=kernel.why_numpy)
+
+SIZES = st.integers(0, 300)
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def samples(size: int, seed: int) -> np.ndarray:
+    """Some of them at a rail, absurd or no numbers."""
+    rng = np.random.default_rng(seed)
+    volts = rng.normal(1.6, 0.5, size).astype(np.float32)
+    hit = rng.random(size) < 0.05
+    volts[hit] = rng.choice([0.0, 3.3, 1e6, -2e6, np.inf, np.nan], np.count_nonzero(hit))
+    return volts
+
+
+@compiled_only
+@given(SIZES, SEEDS)
+def test_sums_are_those_of_numpy(size: int, seed: int) -> None:
+    volts = samples(size, seed)
+    copies = np.empty((2, size))
+    sums.compiled_copy(volts, 1e6, copies[0])
+    sums.numpy_copy(volts, 1e6, copies[1])
+    np.testing.assert_array_equal(copies[0], copies[1])
+    assert sums.compiled_outside(copies[0], 0.0, 3.3) == sums.numpy_outside(copies[0], 0.0, 3.3)
+    np.testing.assert_allclose(
+        sums.compiled_sums(copies[0]), sums.numpy_sums(copies[0]), rtol=1e-12
+    )
+
+
+@compiled_only
+@given(SIZES, SEEDS, st.integers(-(2**15), 2**15 - 1), st.floats(1e-6, 1.0))
+def test_volts_are_those_of_numpy(size: int, seed: int, zero: int, per_count_v: float) -> None:
+    some = np.random.default_rng(seed).integers(-(2**15), 2**15, size).astype(np.int16)
+    found, expected = (
+        way(some, zero, per_count_v) for way in (counts.compiled_volts, counts.numpy_volts)
+    )
+    np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("resync_chips", [0, 8])
+@given(st.floats(-3.0, 3.0), st.floats(1.9, 9.0), st.integers(-40, 40), SEEDS)
+def test_chips_are_those_of_any_fit(
+    resync_chips: int, start: float, chip: float, longer: int, seed: int
+) -> None:
+    """Whether the samples end before the frame or after it."""
+    guard_chips = 2 if resync_chips else 0
+    spec = FrameSpec(
+        nodes=3, resync_chips=resync_chips, guard_chips=guard_chips, frame_period_s=1.0
+    )
+    size = max(1, round(spec.span_chips * chip) + longer)
+    received = np.random.default_rng(seed).normal(1.6, 0.5, size)
+    fit, line = Fit(start, chip), Line(received, 1.6)
+    edges = ChipEdges(fit, spec)
+    found = edges.chips(line)
+    some, lengths = np.array([start]), np.array([chip])
+    np.testing.assert_allclose(found, integrate(line, some, lengths, spec)[0], rtol=1e-5, atol=1e-6)
+    raster = edges._whole, edges._share, edges._number, edges._places
+    assert np.array_equal(found.ravel(), numpy_mean_chips(line, *raster)), "the same bits"
+
+
+@compiled_only
+def test_edges_beyond_the_samples_are_refused() -> None:
+    line, one = Line(np.ones(4)), np.ones(1)
+    places, share = np.zeros(1, np.int32), np.zeros(2)
+    for whole in ([0, 4], [-1, 2], [3, 2]):
+        with pytest.raises(ValueError, match="beyond"):
+            chips = np.empty(1, np.float32)
+            assert kernel.compiled is not None
+            kernel.compiled.mean_chips(
+                0.0, line.received, np.array(whole, np.int32), share, one, places, chips
+            )
+    with pytest.raises(TypeError, match="'f'"):
+        sums.compiled_sums(np.ones(4, np.float32))
