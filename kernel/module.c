@@ -6,6 +6,9 @@
 #define Py_LIMITED_API 0x030B0000
 #include <Python.h>
 
+#include <math.h>
+
+#include "readings.h"
 #include "samples.h"
 #include "scanner.h"
 #include "transform.h"
@@ -553,6 +556,124 @@ drop_rows:
     return result;
 }
 
+/* ---- readings ---------------------------------------------------------------------------------- */
+
+/* Status bits, in the order of struct readings_bits. */
+static int get_bits(PyObject *object, struct readings_bits *bits)
+{
+    Py_buffer buffer;
+
+    if (get_arrays(&object, 1, "B", 1, sizeof *bits, &buffer))
+        return -1;
+    memcpy(bits, buffer.buf, sizeof *bits);
+    release(1, &buffer);
+    return 0;
+}
+
+/* now_s, stale_after_s, bits, table; active, doubtful, codes, state, untrusted, rest_v; what is kept;
+ * what is written: see readings_hear. */
+static PyObject *hear(PyObject *module, PyObject *const *arguments, Py_ssize_t count)
+{
+    enum { ARRAYS = 13 };
+    Py_buffer table, a[ARRAYS];
+    double times[2], until_s = NAN;
+    struct readings_bits bits;
+
+    (void)module;
+    if (!takes(count, 4 + ARRAYS) || get_numbers(arguments, 2, times) ||
+        get_bits(arguments[2], &bits) || get_array(arguments[3], &table, 'f', 0, "table"))
+        return NULL;
+    Py_ssize_t nodes = PyObject_Size(arguments[4]);
+    int failed = nodes < 0 || get_arrays(arguments + 4, ARRAYS, "??iB?fiBdffB?", 6, (size_t)nodes, a);
+    if (!failed) {
+        struct readings_kept kept = {a[6].buf, a[7].buf, a[8].buf};
+        struct readings_heard heard = {a[9].buf, a[10].buf, a[11].buf, a[12].buf};
+        until_s = readings_hear((size_t)nodes, a[0].buf, a[1].buf, a[2].buf, &kept, table.buf,
+                                (size_t)table.len / sizeof(float), a[3].buf, a[4].buf, a[5].buf,
+                                times[0], times[1], &bits, &heard);
+        release(ARRAYS, a);
+    }
+    release(1, &table);
+    if (!failed && isnan(until_s))
+        PyErr_SetString(PyExc_ValueError, "a code beyond the table");
+    return failed || isnan(until_s) ? NULL : PyFloat_FromDouble(until_s);
+}
+
+/* pieces (p, 3, n); volts, drift_v, end_v; pressure_pa and saturated, which are written. */
+static PyObject *convert(PyObject *module, PyObject *const *arguments, Py_ssize_t count)
+{
+    Py_buffer pieces, a[5];
+
+    (void)module;
+    if (!takes(count, 6) || get_array(arguments[0], &pieces, 'f', 0, "pieces"))
+        return NULL;
+    size_t nodes = pieces.ndim == 3 && pieces.shape[1] == 3 ? (size_t)pieces.shape[2] : 0;
+    int failed = get_arrays(arguments + 1, 5, "ffff?", 3, nodes, a);
+    if (!failed) {
+        readings_convert(nodes, a[0].buf, a[1].buf, pieces.buf, nodes ? (size_t)pieces.shape[0] : 0,
+                         a[2].buf, a[3].buf, a[4].buf);
+        release(5, a);
+    }
+    release(1, &pieces);
+    return failed ? NULL : Py_NewRef(Py_None);
+}
+
+/* bits; saturated, valid, uncalibrated, masked; status, pressure_pa and voltage_v, which are written. */
+static PyObject *finish(PyObject *module, PyObject *const *arguments, Py_ssize_t count)
+{
+    Py_buffer a[7];
+    struct readings_bits bits;
+
+    (void)module;
+    if (!takes(count, 8) || get_bits(arguments[0], &bits))
+        return NULL;
+    Py_ssize_t nodes = PyObject_Size(arguments[1]);
+    if (nodes < 0 || get_arrays(arguments + 1, 7, "????Bff", 4, (size_t)nodes, a))
+        return NULL;
+    readings_finish((size_t)nodes, a[0].buf, a[1].buf, a[2].buf, a[3].buf, &bits, a[4].buf, a[5].buf,
+                    a[6].buf);
+    release(7, a);
+    Py_RETURN_NONE;
+}
+
+/* weak_v, weak_rho, low_margin, low_rho, suspected_frames; active, amplitude_v, rho, margin, doubtful,
+ * doubled, odd, astray; the sums (5, n) and suspected, which are written. */
+static PyObject *count_words(PyObject *module, PyObject *const *arguments, Py_ssize_t count)
+{
+    Py_buffer a[8], sums, suspected;
+    double n[5];
+    PyObject *result = NULL;
+
+    (void)module;
+    if (!takes(count, 15) || get_numbers(arguments, 5, n))
+        return NULL;
+    Py_ssize_t length = PyObject_Size(arguments[5]);
+    size_t nodes = length < 0 ? 0 : (size_t)length;
+    if (length < 0 || get_arrays(arguments + 5, 8, "?fff????", 8, nodes, a))
+        return NULL;
+    if (get_arrays(arguments + 13, 1, "f", 0, 5 * nodes, &sums))
+        goto drop_words;
+    if (!get_arrays(arguments + 14, 1, "i", 0, nodes, &suspected)) {
+        float *sum = sums.buf;
+        struct readings_seen seen = {sum,
+                                     sum + nodes,
+                                     sum + 2 * nodes,
+                                     sum + 3 * nodes,
+                                     sum + 4 * nodes,
+                                     suspected.buf};
+        struct readings_limits limits = {(float)n[0], (float)n[1], (float)n[2], (float)n[3],
+                                         (int32_t)n[4]};
+        result = PyBool_FromLong(readings_count(nodes, a[0].buf, a[1].buf, a[2].buf, a[3].buf,
+                                                a[4].buf, a[5].buf, a[6].buf, a[7].buf, &limits,
+                                                &seen));
+        release(1, &suspected);
+    }
+    release(1, &sums);
+drop_words:
+    release(8, a);
+    return result;
+}
+
 /* ---- samples ----------------------------------------------------------------------------------- */
 
 static PyObject *to_volts(PyObject *module, PyObject *const *arguments, Py_ssize_t count)
@@ -669,6 +790,10 @@ static PyMethodDef functions[] = {
     {"late", (PyCFunction)(void (*)(void))late, METH_FASTCALL, NULL},
     {"fit_words", (PyCFunction)(void (*)(void))fit_words, METH_FASTCALL, NULL},
     {"read_words", (PyCFunction)(void (*)(void))read_words, METH_FASTCALL, NULL},
+    {"hear", (PyCFunction)(void (*)(void))hear, METH_FASTCALL, NULL},
+    {"convert", (PyCFunction)(void (*)(void))convert, METH_FASTCALL, NULL},
+    {"finish", (PyCFunction)(void (*)(void))finish, METH_FASTCALL, NULL},
+    {"count_words", (PyCFunction)(void (*)(void))count_words, METH_FASTCALL, NULL},
     {"to_volts", (PyCFunction)(void (*)(void))to_volts, METH_FASTCALL, NULL},
     {"copy_samples", (PyCFunction)(void (*)(void))copy_samples, METH_FASTCALL, NULL},
     {"add_samples", add_samples, METH_O, NULL},

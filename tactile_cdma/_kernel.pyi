@@ -143,6 +143,45 @@ def read_words(
     (3, n): codes, scratch. flags: (5, n): active, doubtful, doubled, odd, scratch.
     """
 
+def hear(now_s: float, stale_after_s: float, /, *arrays: NDArray[np.generic]) -> float:
+    """As numpy_hear in readings/stages.py; returns stale_from_s.
+
+    arrays: bits as struct readings_bits (readings.h), table; active, doubtful, codes, Trust; Kept
+    and the arrays of Heard, written to. Raises ValueError for a code beyond the table.
+    """
+
+def convert(
+    pieces: NDArray[np.float32],
+    voltage_v: NDArray[np.float32],
+    drift_v: NDArray[np.float32],
+    end_v: NDArray[np.float32],
+    pressure_pa: NDArray[np.float32],
+    beyond: NDArray[np.bool_],
+    /,
+) -> None:
+    """As numpy_convert there, into the last two."""
+
+def finish(bits: NDArray[np.uint8], /, *arrays: NDArray[np.generic]) -> None:
+    """As numpy_finish there.
+
+    arrays: saturated, valid, uncalibrated, masked; status, reading_pa, voltage_v, written to.
+    """
+
+def count_words(
+    weak_v: float,
+    weak_rho: float,
+    low_margin: float,
+    low_rho: float,
+    suspected_frames: int,
+    /,
+    *arrays: NDArray[np.generic],
+) -> bool:
+    """As numpy_count in words/health.py.
+
+    arrays: active, amplitude_v, rho, margin, doubtful, doubled, odd, astray; sums and suspected,
+    written to.
+    """
+
 def to_volts(
     zero: float, per_count: float, counts: NDArray[np.int16], volts: NDArray[np.float32], /
 ) -> None:

@@ -3,6 +3,7 @@
 /* The driver's compiled kernel (../kernel): arbitrary bytes through its scanner and a reference reader,
  * whole numbers through its transforms and sums without any trick, and any levels read as words. */
 #include "reference.h"
+#include "readings.h"
 #include "samples.h"
 #include "scanner.h"
 #include "transform.h"
@@ -336,12 +337,76 @@ static void add_samples(struct input *input)
     free(whole);
 }
 
+/* Readings of any words: only those that are valid are numbers, and nodes out of service say so. */
+static void read_taxels(struct input *input)
+{
+    enum { CODES = 16, PIECES = 2 };
+    size_t nodes = 1 + input_u16(input) % 300;
+    uint8_t *flags = malloc(14 * nodes);
+    int32_t *ints = malloc(3 * nodes * sizeof *ints);
+    float *floats = malloc((14 + 3 * PIECES) * nodes * sizeof *floats), table[CODES];
+    double *heard_s = malloc(nodes * sizeof *heard_s), now_s = input_u8(input);
+    const struct readings_bits bits = {1, 4, 8, 2, 16, 32};
+    const struct readings_limits limits = {0.1f, 8, 0.4f, 5, 32};
+
+    for (size_t i = 0; i < CODES; i++)
+        table[i] = level_of(input_u8(input));
+    for (size_t i = 0; i < nodes; i++) {
+        uint8_t some = input_u8(input), more = input_u8(input);
+        for (size_t f = 0; f < 8; f++)
+            flags[f * nodes + i] = some >> f & 1;
+        flags[8 * nodes + i] = more & 1;
+        flags[9 * nodes + i] = flags[10 * nodes + i] = 0;
+        ints[i] = more & 15;
+        ints[nodes + i] = more == 255 ? -1 : more >> 4;
+        ints[2 * nodes + i] = some & 3;
+        heard_s[i] = some ? (double)some : -(double)INFINITY;
+        for (size_t f = 0; f < 6 + 3 * PIECES; f++)
+            floats[f * nodes + i] = level_of(input_u8(input));
+        for (size_t f = 6 + 3 * PIECES; f < 14 + 3 * PIECES; f++)
+            floats[f * nodes + i] = 0;
+    }
+    uint8_t *active = flags, *doubtful = flags + nodes, *untrusted = flags + 2 * nodes;
+    uint8_t *masked = flags + 3 * nodes, *uncalibrated = flags + 4 * nodes, *kept_flags = flags + 9 * nodes;
+    uint8_t *status = flags + 11 * nodes, *valid = flags + 12 * nodes, *beyond = flags + 13 * nodes;
+    float *pieces = floats + 6 * nodes, *out = pieces + 3 * PIECES * nodes;
+    struct readings_kept kept = {ints + nodes, kept_flags, heard_s};
+    struct readings_heard heard = {out, out + nodes, status, valid};
+    double until_s = readings_hear(nodes, active, doubtful, ints, &kept, table, CODES,
+                                   flags + 10 * nodes, untrusted, floats, now_s, 5, &bits, &heard);
+    if (!isnan(until_s)) {
+        MUST(until_s >= now_s, WRONG_VALUE);
+        readings_convert(nodes, heard.raised_v, floats + nodes, pieces, PIECES, floats + 2 * nodes,
+                         out + 2 * nodes, beyond);
+        readings_finish(nodes, beyond, valid, uncalibrated, masked, &bits, status, out + 2 * nodes, out);
+        for (size_t i = 0; i < nodes; i++) {
+            MUST(valid[i] <= !untrusted[i], WRONG_VALUE);
+            MUST(valid[i] || (isnan(out[i]) && isnan(out[2 * nodes + i])), WRONG_VALUE);
+            MUST(masked[i] ? status[i] == bits.masked : !(status[i] & bits.masked), WRONG_VALUE);
+            MUST(!active[i] || masked[i] || !(status[i] & (bits.silent | bits.stale)), WRONG_VALUE);
+        }
+    }
+    struct readings_seen seen = {out + 3 * nodes, out + 4 * nodes, out + 5 * nodes,
+                                 out + 6 * nodes, out + 7 * nodes, ints + 2 * nodes};
+    bool any = readings_count(nodes, active, floats + 3 * nodes, floats + 4 * nodes,
+                              floats + 5 * nodes, doubtful, flags + 5 * nodes, flags + 6 * nodes,
+                              flags + 7 * nodes, &limits, &seen);
+    for (size_t i = 0; i < nodes; i++) {
+        MUST(seen.suspected[i] >= 0 && (any || !seen.suspected[i]), WRONG_VALUE);
+        MUST(seen.words[i] >= (float)active[i] && seen.words[i] <= 1, WRONG_VALUE);
+    }
+    free(flags);
+    free(ints);
+    free(floats);
+    free(heard_s);
+}
+
 /* The input's first byte selects the test. */
 int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
 {
     struct input input = {bytes, size};
 
-    switch (input_u8(&input) % 6) {
+    switch (input_u8(&input) % 7) {
     case 0:
         scan_bytes(&input);
         break;
@@ -359,6 +424,9 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
         break;
     case 5:
         add_samples(&input);
+        break;
+    case 6:
+        read_taxels(&input);
         break;
     }
     return 0;

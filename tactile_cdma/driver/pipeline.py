@@ -196,9 +196,8 @@ class Pipeline:
             self.health.update(words)
         else:
             words = words.doubted(heard.doubtful)
-        suspect = self.health.suspect
-        if suspect.any():
-            words = words.doubted(suspect & words.active)
+        if self.health.any_suspect:
+            words = words.doubted(self.health.suspect & words.active)
         if words.doubtful.any() and words.disturbed(self.health.invalid):
             words = words.doubted(~words.active)
         return words

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import SpecError
 from .dynamics import Dynamics
+from .stages import convert
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,18 +159,15 @@ class Curves:
         return np.asarray(self.pressure_pa[-1])
 
     def pressure(self, voltage_v: Floats32) -> Floats32:
-        """V to Pa, (n,) float32 both, clamped to each curve's ends.
+        """V to Pa, (n,) float32 both, clamped to each curve's ends."""
+        return self.convert(voltage_v, np.zeros_like(voltage_v))[0]
 
-        Every piece adds its gain times the part of the voltage drop that lies within it, so no
-        piece has to be looked up.
+    def convert(self, voltage_v: Floats32, drift_v: Floats32) -> tuple[Floats32, Bools]:
+        """V to Pa with a drift, V, added; and which are beyond the range, so that Pa are clamped.
+
+        All (n,), float32 and bool.
         """
-        result = np.zeros(len(self), dtype=np.float32)
-        for begin_v, width_v, gain in self._pieces:
-            fall_v = begin_v - voltage_v
-            np.clip(fall_v, 0.0, width_v, out=fall_v)
-            fall_v *= gain
-            result += fall_v
-        return result
+        return convert(voltage_v, drift_v, self._pieces, self._end_v)
 
     def voltage(self, pressure_pa: ArrayLike) -> Floats:
         """Pa to V, (n,) float64, clamped to each curve's ends."""
@@ -181,21 +179,17 @@ class Curves:
             result += np.clip((pressure - low_pa) / width_pa, 0.0, 1.0) * (high_v - low_v)
         return result
 
-    def saturated(self, voltage_v: Floats32) -> Bools:
-        """(n,) bool, voltages beyond the end of the range, whose pressure is clamped."""
-        return np.asarray(voltage_v < self._end_v)
-
     @cached_property
     def _end_v(self) -> Floats32:
         return np.asarray(self.voltage_v[-1], dtype=np.float32)
 
     @cached_property
-    def _pieces(self) -> list[tuple[Floats32, ...]]:
-        """Per piece: its start (V), its width (V) and its gain (Pa/V), (n,) each."""
+    def _pieces(self) -> Floats32:
+        """Start (V), width (V) and gain (Pa/V) of every piece, (p, 3, n) float32."""
         width_v = -np.diff(self.voltage_v, axis=0)
         gain = np.diff(self.pressure_pa, axis=0) / np.where(width_v > 0, width_v, 1.0)
-        pieces = zip(self.voltage_v, width_v, gain, strict=False)
-        return [tuple(values.astype(np.float32) for values in piece) for piece in pieces]
+        pieces = np.stack((self.voltage_v[:-1], width_v, gain), axis=1)
+        return np.ascontiguousarray(pieces, dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,8 @@ from ..base.arrays import Bools, Floats, Floats32, Indices
 from ..base.errors import SpecError
 from ..places.components import connected
 from ..places.layout import Layout
-from .taxels import Coverage, Readings, Status
+from .status import Status
+from .taxels import Coverage, Readings
 
 SMOOTHING_S = 0.05
 """Time constant of velocities and force rates, s; chosen: 4 frames of the paper's skin."""

@@ -41,8 +41,7 @@ class PressureChain:
         time, s.
         """
         curves, baseline, tracker = self.calibration.curves, self.baseline, self.tracker
-        corrected_v = voltage_v + baseline.drift_v
-        pressure_pa = curves.pressure(corrected_v)
+        pressure_pa, saturated = curves.convert(voltage_v, baseline.drift_v)
         if self.compensator is not None:
             pressure_pa = self.compensator.update(pressure_pa, valid, t_s)
         reading_pa = pressure_pa - baseline.tare_pa
@@ -54,7 +53,7 @@ class PressureChain:
                 before_v = baseline.drift_v
                 tracker.follow(baseline, curves, voltage_v, reading_pa, valid, t_s)
                 self._moved = baseline.drift_v is not before_v
-        return reading_pa, curves.saturated(corrected_v)
+        return reading_pa, saturated
 
     def try_hold(self, t_s: float) -> bool:
         """Keep the last pressures for the same voltages at t_s (s), if an update would give them.

@@ -22,7 +22,8 @@ import numpy as np
 from ..base.arrays import Bools, Floats32, Indices
 from ..places.layout import Layout
 from ..places.mesh import tangents
-from .taxels import Readings, Status
+from .status import Status
+from .taxels import Readings
 
 LOOK_S = 0.1
 """Interval between the readings that are compared, s; chosen: touches last longer."""

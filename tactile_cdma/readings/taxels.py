@@ -5,12 +5,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntFlag
+from operator import is_not
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.arrays import Bools, Floats32
+from ..base.arrays import Floats32
 from ..places.layout import Layout
 from ..words.decode import Words
 from ..words.health import NodeHealth, NodeState
@@ -18,21 +18,9 @@ from .baseline import Baseline
 from .calibration import AdcScale, Calibration
 from .dynamics import Compensator
 from .pressure import PressureChain
+from .stages import Kept, Trust, finish, hear
+from .status import Status
 from .tare import take_tare
-
-
-class Status(IntFlag):
-    """Status bits of a taxel; the same as the constants of TactileArray.msg."""
-
-    OK = 0
-    SILENT = 1
-    SATURATED = 2
-    LOW_SNR = 4
-    STALE = 8
-    UNCALIBRATED = 16
-    MASKED = 32
-    WEAK = 64
-    FAULTY = 128
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,9 +105,11 @@ class Taxels:
         # A table of all codes is quicker than converting each word.
         self._voltage_of = adc.voltage(np.arange(1 << adc.bits)).astype(np.float32)
         self._lsb_v = adc.lsb_v
-        self._codes = np.zeros(nodes, dtype=np.int32)
-        self._flags = np.zeros(nodes, dtype=np.uint8)
         self._heard_s = np.full(nodes, -np.inf)
+        flags = np.zeros(nodes, dtype=np.uint8)
+        self._kept = Kept(np.zeros(nodes, dtype=np.int32), flags, self._heard_s)
+        self._trust: Trust | None = None  # by the last verdict on the nodes, for these curves
+        self._verdict: tuple[object, ...] = ()
         self._silence: Readings | None = None  # readings of silent frames, until a node transmits
         self._stale_from_s = -np.inf  # when the next node goes stale, device time
         self.now_s = 0.0
@@ -207,16 +197,10 @@ class Taxels:
     def update(self, words: Words, t_device: float, health: NodeHealth) -> Readings:
         """Update with one frame's words; t_device: its device time, s."""
         self.now_s, self._began_s = t_device, min(self._began_s, t_device)
-        spoke = words.active
-        anybody = bool(spoke.any() or words.doubtful.any())
-        if anybody:
-            np.copyto(self._codes, words.codes, where=spoke)
-            np.copyto(self._heard_s, t_device, where=spoke)
-            # A node that may have spoken unheard no longer holds its value for certain.
-            np.copyto(self._flags, words.doubtful * _LOW_SNR, where=spoke | words.doubtful)
-        elif self._silence is not None and self._try_hold(t_device):
+        anybody = bool((words.active | words.doubtful).any())
+        if not anybody and self._silence is not None and self._try_hold(t_device):
             return self._silence
-        readings = self._read(spoke, t_device, health)
+        readings = self._read(words, t_device, health)
         self._silence = None if anybody else readings
         return readings
 
@@ -224,35 +208,24 @@ class Taxels:
         """Let a silent frame read as the last one did, if it does; see PressureChain.try_hold."""
         return t_device <= self._stale_from_s and self.chain.try_hold(t_device)
 
-    def _read(self, spoke: Bools, t_device: float, health: NodeHealth) -> Readings:
-        voltage_v = self._voltage_of[self._codes]
-        status = self._flags | ~spoke * _SILENT | _FLAGS_OF[health.state]
-        invalid = health.invalid | self._masked
-        self._stale_from_s = float(self._heard_s.min()) + self.stale_after_s
-        if t_device > self._stale_from_s:
-            stale = t_device - self._heard_s > self.stale_after_s
-            status[stale] = Status.SILENT | Status.STALE
-            fresh_s = self._heard_s[~stale]
-            self._stale_from_s = float(fresh_s.min(initial=np.inf)) + self.stale_after_s
-            invalid = stale | invalid
-        pressure_pa, saturated = self.chain.update(self._at_least(voltage_v), ~invalid, t_device)
-        uncalibrated = self.chain.calibration.uncalibrated
-        status |= (saturated & ~invalid) * _SATURATED | uncalibrated * _UNCALIBRATED
-        status[self._masked] = Status.MASKED
-        if invalid.any():
-            pressure_pa[invalid] = voltage_v[invalid] = np.nan
-        return self._placed(Readings(pressure_pa, voltage_v, status))
+    def _read(self, words: Words, t_device: float, health: NodeHealth) -> Readings:
+        trust = self._trusted(health)
+        heard = hear(words, self._kept, self._voltage_of, trust, t_device, self.stale_after_s)
+        self._stale_from_s = heard.stale_from_s
+        pressure_pa, saturated = self.chain.update(heard.raised_v, heard.valid, t_device)
+        finish(heard, saturated, self.chain.calibration.uncalibrated, self._masked, pressure_pa)
+        return self._placed(Readings(pressure_pa, heard.voltage_v, heard.status))
 
-    def _at_least(self, voltage_v: Floats32) -> Floats32:
-        """Voltages with those at the highest code raised to the curve's start, if that is higher.
-
-        The highest code means this voltage or more: such a node is at rest.
-        """
-        full = self._codes == len(self._voltage_of) - 1
-        if not full.any():
-            return voltage_v
-        rest_v = self.chain.calibration.curves.voltage_v[0].astype(np.float32)
-        return np.where(full, np.maximum(voltage_v, rest_v), voltage_v)
+    def _trusted(self, health: NodeHealth) -> Trust:
+        """What is known of the nodes beside their words."""
+        curves = self.chain.calibration.curves
+        verdict = health.state, health.invalid, curves
+        if self._trust is None or any(map(is_not, verdict, self._verdict)):
+            rest_v = curves.voltage_v[0].astype(np.float32)
+            untrusted = health.invalid | self._masked
+            self._trust = Trust(_FLAGS_OF[health.state], untrusted, rest_v)
+            self._verdict = verdict
+        return self._trust
 
     def _placed(self, readings: Readings) -> Readings:
         """Reorder from nodes to taxels."""
@@ -269,9 +242,6 @@ class Taxels:
 
 _LOW_SNR = np.uint8(Status.LOW_SNR)
 _MASKED = np.uint8(Status.MASKED)
-_SATURATED = np.uint8(Status.SATURATED)
-_UNCALIBRATED = np.uint8(Status.UNCALIBRATED)
-_SILENT = np.uint8(Status.SILENT)
 _FLAGS_OF = np.zeros(len(NodeState), dtype=np.uint8)
 _FLAGS_OF[NodeState.WEAK] = Status.WEAK
 _FLAGS_OF[[NodeState.FAULTY, NodeState.DOUBLED]] = Status.FAULTY

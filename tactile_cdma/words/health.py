@@ -4,10 +4,13 @@
 
 from __future__ import annotations
 
+import math
 from enum import IntEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ..base import kernel
 from ..base.arrays import Bools, Floats32
 from ..code.frame import FrameSpec
 from .decode import Words
@@ -45,6 +48,7 @@ class NodeHealth:
         leaves it to be learnt from each frame.
     state: (n,) uint8 of NodeState.
     invalid: (n,) bool, nodes whose words cannot be trusted: doubled or faulty.
+    any_suspect: whether there are suspect nodes.
     """
 
     def __init__(self, spec: FrameSpec) -> None:
@@ -58,6 +62,7 @@ class NodeHealth:
         self._sums = np.zeros((5, spec.nodes), dtype=np.float32)
         self._words, self._amplitude_v, self._uneven, self._doubled, self._odd = self._sums
         self._frames = 0
+        self.any_suspect = False
         self._suspected = np.zeros(spec.nodes, dtype=np.int32)  # for so many frames with words
 
     @property
@@ -67,19 +72,8 @@ class NodeHealth:
 
     def update(self, words: Words) -> None:
         """Count one frame's words."""
-        heard = words.active
-        if self._nominal_v is not None:
-            # Too weak to count as spoken, but too even and too strong to be noise.
-            strong = words.amplitude_v > FAINT_SHARE * self._nominal_v
-            heard = heard | strong & (words.rho > WEAK_RHO) & (words.margin > LOW_MARGIN)
-        self._words += heard
-        self._amplitude_v += words.amplitude_v * heard
-        if words.doubtful.any():
-            clear, weak = words.rho > LOW_RHO, words.margin < LOW_MARGIN
-            self._uneven += words.doubtful & clear & weak
-            self._doubled += words.doubled
-            self._odd += words.odd & clear & ~weak
-        np.maximum(self._suspected - 1, words.astray * np.int32(JUDGE_FRAMES), out=self._suspected)
+        weak_v = math.nan if self._nominal_v is None else FAINT_SHARE * self._nominal_v
+        self.any_suspect = count(words, weak_v, self._sums, self._suspected)
         self._frames += 1
         if self._frames % JUDGE_FRAMES == 0:
             self.judge()
@@ -116,3 +110,38 @@ class NodeHealth:
             self.swing_v = np.where(due, swing_v, self.swing_v).astype(np.float32)
         # Each node's words fade by its own: one that speaks seldom is judged as well as others.
         self._sums[:, due] *= 0.5
+
+
+def numpy_count(words: Words, weak_v: float, sums: Floats32, suspected: NDArray[np.int32]) -> bool:
+    """Add one frame's words to each node's sums (5, n), and note whom they make suspect, (n,).
+
+    weak_v: least amplitude of a word that is too weak to count, V; NaN if unknown. Returns whether
+    there is a suspect node.
+    """
+    # Too weak to count as spoken, but too even and too strong to be noise.
+    strong = (words.amplitude_v > np.float32(weak_v)) & (words.rho > WEAK_RHO)
+    heard = words.active | strong & (words.margin > LOW_MARGIN)
+    clear, weak = words.rho > LOW_RHO, words.margin < LOW_MARGIN
+    sums[0] += heard
+    sums[1] += words.amplitude_v * heard
+    sums[2] += words.doubtful & clear & weak
+    sums[3] += words.doubled
+    sums[4] += words.odd & clear & ~weak
+    np.maximum(suspected - 1, words.astray * np.int32(JUDGE_FRAMES), out=suspected)
+    return bool(suspected.any())
+
+
+def compiled_count(
+    words: Words, weak_v: float, sums: Floats32, suspected: NDArray[np.int32]
+) -> bool:
+    """As numpy_count."""
+    assert kernel.compiled is not None
+    is_any: bool = kernel.compiled.count_words(
+        weak_v, WEAK_RHO, LOW_MARGIN, LOW_RHO, JUDGE_FRAMES, words.active, words.amplitude_v,
+        words.rho, words.margin, words.doubtful, words.doubled, words.odd, words.astray, sums,
+        suspected,
+    )  # fmt: skip
+    return is_any
+
+
+count = numpy_count if kernel.compiled is None else compiled_count

@@ -14,7 +14,8 @@ from tactile_cdma.places.layout import Layout
 from tactile_cdma.readings.baseline import LOOKS
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
 from tactile_cdma.readings.dynamics import Dynamics
-from tactile_cdma.readings.taxels import Readings, Status
+from tactile_cdma.readings.status import Status
+from tactile_cdma.readings.taxels import Readings
 from tactile_cdma.words.decode import Words, silent
 from tactile_cdma.words.health import NodeHealth
 
@@ -41,7 +42,9 @@ class Patch:
         active |= np.arange(6) == self.frame % 78
         active[list(self.mute)] = False
         self._sent[active] = codes[active]
-        return replace(silent(6, 0.0), active=active, codes=np.where(active, codes, 0))
+        return replace(
+            silent(6, 0.0), active=active, codes=np.where(active, codes, 0).astype(np.int32)
+        )
 
     def read(self, frames: int, load_pa: object = 0.0, offset_v: float = 0.0) -> Readings:
         """So many frames under a load; the last reading."""
@@ -320,7 +323,7 @@ def test_a_tare_of_a_silent_skin_is_of_its_settled_pressure() -> None:
     for frame in range(10 * SECOND):
         words, spoken = silent(6, 0.0), {0: 0.0, SECOND: 20e3}
         if frame in spoken:
-            codes = ADC.code(CURVE.voltage(np.full(6, spoken[frame])))
+            codes = ADC.code(CURVE.voltage(np.full(6, spoken[frame]))).astype(np.int32)
             words = replace(words, active=everybody, codes=codes)
         pipeline.taxels.update(words, frame * FRAME_S, health)
     pipeline.taxels.tare(1000.0, force=True)

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.places.layout_file import read_layout
 from tactile_cdma.places.layout_nodes import Wiring
+from tactile_cdma.readings.status import Status
 from tactile_cdma.readings.stuck import LOOK_S, SWINGS, StuckNodes
-from tactile_cdma.readings.taxels import Readings, Status
+from tactile_cdma.readings.taxels import Readings
 
 CONTACT_PA = 1e3
 COUNT_PA = 100.0

@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The stages from words to readings that pass over all nodes, compiled or in numpy.
+
+Both forms give the same bits.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base import kernel
+from ..base.arrays import Bools, Floats, Floats32
+from ..words.decode import Words
+from .status import Status
+
+Bytes = NDArray[np.uint8]
+
+_SILENT, _LOW_SNR, _SATURATED = (
+    np.uint8(bit) for bit in (Status.SILENT, Status.LOW_SNR, Status.SATURATED)
+)
+_UNCALIBRATED = np.uint8(Status.UNCALIBRATED)
+_BITS = np.array(
+    [
+        Status.SILENT,
+        Status.LOW_SNR,
+        Status.STALE,
+        Status.SATURATED,
+        Status.UNCALIBRATED,
+        Status.MASKED,
+    ],
+    np.uint8,
+)
+"""As struct readings_bits in the kernel."""
+
+
+class Kept(NamedTuple):
+    """What is kept of every node, (n,).
+
+    codes: int32, its last word. flags: uint8, LOW_SNR where that is uncertain. heard_s: float64,
+    device time of that word, s.
+    """
+
+    codes: NDArray[np.int32]
+    flags: Bytes
+    heard_s: Floats
+
+
+class Trust(NamedTuple):
+    """What is known of every node beside its words, (n,).
+
+    state: uint8, status by its health. untrusted: bool, nodes whose words are no readings. rest_v:
+    float32, V, the least that the highest code stands for, since it means "this or more".
+    """
+
+    state: Bytes
+    untrusted: Bools
+    rest_v: Floats32
+
+
+class Heard(NamedTuple):
+    """What words say of every node, (n,).
+
+    voltage_v: float32, V. raised_v: the same, at least rest_v for the highest code. status: uint8,
+    bits of Status. valid: bool, whether that is a reading. stale_from_s: device time when the next
+    node goes stale, s.
+    """
+
+    voltage_v: Floats32
+    raised_v: Floats32
+    status: Bytes
+    valid: Bools
+    stale_from_s: float
+
+
+def numpy_hear(
+    words: Words, kept: Kept, table_v: Floats32, trust: Trust, now_s: float, stale_after_s: float
+) -> Heard:
+    """Take in one frame's words; `kept` is updated. table_v: (codes,) V. now_s: device time, s."""
+    codes, flags, heard_s = kept
+    spoke = words.active
+    np.copyto(codes, words.codes, where=spoke)
+    np.copyto(heard_s, now_s, where=spoke)
+    # A node that may have spoken unheard no longer holds its value for certain.
+    np.copyto(flags, words.doubtful * _LOW_SNR, where=spoke | words.doubtful)
+    voltage_v = table_v[codes]
+    stale = now_s - heard_s > stale_after_s
+    status = flags | ~spoke * _SILENT | trust.state
+    status[stale] = Status.SILENT | Status.STALE
+    stale_from_s = float(heard_s[~stale].min(initial=np.inf)) + stale_after_s
+    full = codes == len(table_v) - 1
+    raised_v = np.where(full, np.maximum(voltage_v, trust.rest_v), voltage_v)
+    return Heard(voltage_v, raised_v, status, ~(stale | trust.untrusted), stale_from_s)
+
+
+def compiled_hear(
+    words: Words, kept: Kept, table_v: Floats32, trust: Trust, now_s: float, stale_after_s: float
+) -> Heard:
+    """As numpy_hear."""
+    assert kernel.compiled is not None
+    nodes = words.active.size
+    voltage_v, raised_v = np.empty(nodes, np.float32), np.empty(nodes, np.float32)
+    status, valid = np.empty(nodes, np.uint8), np.empty(nodes, np.bool_)
+    until_s: float = kernel.compiled.hear(
+        now_s, stale_after_s, _BITS, table_v, words.active, words.doubtful, words.codes, *trust,
+        *kept, voltage_v, raised_v, status, valid,
+    )  # fmt: skip
+    return Heard(voltage_v, raised_v, status, valid, until_s)
+
+
+def numpy_convert(
+    voltage_v: Floats32, drift_v: Floats32, pieces: Floats32, end_v: Floats32
+) -> tuple[Floats32, Bools]:
+    """Pressures (n,) float32, Pa, clamped to each curve's ends; and which are beyond its range.
+
+    voltage_v, drift_v: (n,) float32, V; their sum is converted. pieces, end_v: see Curves. Every
+    piece adds its gain times the part of the voltage drop that lies within it, so no piece has to
+    be looked up.
+    """
+    corrected_v = voltage_v + drift_v
+    pressure_pa = np.zeros_like(corrected_v)
+    for begin_v, width_v, gain in pieces:
+        fall_v = begin_v - corrected_v
+        np.clip(fall_v, 0.0, width_v, out=fall_v)
+        fall_v *= gain
+        pressure_pa += fall_v
+    return pressure_pa, corrected_v < end_v
+
+
+def compiled_convert(
+    voltage_v: Floats32, drift_v: Floats32, pieces: Floats32, end_v: Floats32
+) -> tuple[Floats32, Bools]:
+    """As numpy_convert."""
+    assert kernel.compiled is not None
+    pressure_pa, beyond = np.empty(voltage_v.size, np.float32), np.empty(voltage_v.size, np.bool_)
+    kernel.compiled.convert(pieces, voltage_v, drift_v, end_v, pressure_pa, beyond)
+    return pressure_pa, beyond
+
+
+def numpy_finish(
+    heard: Heard, saturated: Bools, uncalibrated: Bools, masked: Bools, reading_pa: Floats32
+) -> None:
+    """Complete heard.status, and make readings NaN that are none; reading_pa: (n,), Pa."""
+    status, invalid = heard.status, ~heard.valid
+    status |= (saturated & heard.valid) * _SATURATED | uncalibrated * _UNCALIBRATED
+    status[masked] = Status.MASKED
+    reading_pa[invalid] = heard.voltage_v[invalid] = np.nan
+
+
+def compiled_finish(
+    heard: Heard, saturated: Bools, uncalibrated: Bools, masked: Bools, reading_pa: Floats32
+) -> None:
+    """As numpy_finish."""
+    assert kernel.compiled is not None
+    kernel.compiled.finish(
+        _BITS, saturated, heard.valid, uncalibrated, masked, heard.status, reading_pa,
+        heard.voltage_v,
+    )  # fmt: skip
+
+
+if kernel.compiled is None:
+    hear, convert, finish = numpy_hear, numpy_convert, numpy_finish
+else:
+    hear, convert, finish = compiled_hear, compiled_convert, compiled_finish
