@@ -6,8 +6,10 @@
 #define Py_LIMITED_API 0x030B0000
 #include <Python.h>
 
+#include <errno.h>
 #include <math.h>
 
+#include "reader.h"
 #include "readings.h"
 #include "samples.h"
 #include "scanner.h"
@@ -59,6 +61,14 @@ static int get_array(PyObject *object, Py_buffer *buffer, char code, int flags, 
     PyErr_Format(PyExc_TypeError, "%s holds '%s', not '%c'", what, format, code);
     PyBuffer_Release(buffer);
     return -1;
+}
+
+/* Whether a function got as many arguments as it takes; if not, with an exception. */
+static bool takes(Py_ssize_t count, Py_ssize_t expected)
+{
+    if (count != expected)
+        PyErr_Format(PyExc_TypeError, "%zd arguments, not %zd", count, expected);
+    return count == expected;
 }
 
 /* ---- Transform --------------------------------------------------------------------------------- */
@@ -287,6 +297,36 @@ static PyType_Spec scanner_spec = {
     .slots = scanner_slots,
 };
 
+/* ---- reader ------------------------------------------------------------------------------------ */
+
+static PyObject *read_packets(PyObject *module, PyObject *const *arguments, Py_ssize_t count)
+{
+    uint8_t bytes[READER_SIZE];
+    bool had_waited;
+    ptrdiff_t size;
+    int failure;
+
+    (void)module;
+    if (!takes(count, 2))
+        return NULL;
+    long file = PyLong_AsLong(arguments[0]), timeout_ms = PyLong_AsLong(arguments[1]);
+    if (PyErr_Occurred())
+        return NULL;
+    Py_BEGIN_ALLOW_THREADS
+    size = reader_read((int)file, bytes, sizeof bytes, (int)timeout_ms, &had_waited);
+    failure = errno;
+    Py_END_ALLOW_THREADS
+    if (size < 0 && failure) {
+        errno = failure;
+        return PyErr_SetFromErrno(PyExc_OSError);
+    }
+    if (size < 0) {
+        PyErr_SetString(PyExc_OSError, "end of file");
+        return NULL;
+    }
+    return Py_BuildValue("(y#O)", bytes, (Py_ssize_t)size, had_waited ? Py_True : Py_False);
+}
+
 /* ---- words ------------------------------------------------------------------------------------- */
 
 /* Gets `count` arrays of `size` values each, of types that a letter of `codes` each names: those from
@@ -316,14 +356,6 @@ static void release(size_t count, Py_buffer *buffers)
 {
     while (count-- > 0)
         PyBuffer_Release(&buffers[count]);
-}
-
-/* Whether a function got as many arguments as it takes; if not, with an exception. */
-static bool takes(Py_ssize_t count, Py_ssize_t expected)
-{
-    if (count != expected)
-        PyErr_Format(PyExc_TypeError, "%zd arguments, not %zd", count, expected);
-    return count == expected;
 }
 
 /* Converts `count` numbers. Returns 0, or -1 with an exception. */
@@ -784,6 +816,7 @@ drop_volts:
 }
 
 static PyMethodDef functions[] = {
+    {"read_packets", (PyCFunction)(void (*)(void))read_packets, METH_FASTCALL, NULL},
     {"measure", (PyCFunction)(void (*)(void))measure, METH_FASTCALL, NULL},
     {"find_active", (PyCFunction)(void (*)(void))find_active, METH_FASTCALL, NULL},
     {"decide", (PyCFunction)(void (*)(void))decide, METH_FASTCALL, NULL},

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* Samples of the line → chips: the sums of tactile_cdma/framing/sums.py and fit.py over all samples. */
+/* Samples of the line → chips: the sums of tactile_cdma/base/sums.py and fit.py over all samples. */
 #ifndef TACTILE_SAMPLES_H
 #define TACTILE_SAMPLES_H
 

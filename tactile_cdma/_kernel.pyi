@@ -188,7 +188,7 @@ def to_volts(
     """As numpy_volts in wire/counts.py, into volts."""
 
 def copy_samples(most_v: float, volts: NDArray[np.float32], copy: NDArray[np.float64], /) -> None:
-    """As numpy_copy in framing/sums.py."""
+    """As numpy_copy in base/sums.py."""
 
 def add_samples(volts: NDArray[np.float64], /) -> tuple[float, float]:
     """As numpy_sums there."""
@@ -207,6 +207,12 @@ def mean_chips(
     /,
 ) -> None:
     """As numpy_mean_chips in framing/fit.py, into chips; whole must rise within the samples."""
+
+def read_packets(file: int, timeout_ms: int, /) -> tuple[bytes, bool]:
+    """Bytes up to a delimiter or later, fewer after the time; whether the last ones had waited.
+
+    Raises OSError where nothing can be read.
+    """
 
 @final
 class Scanner:

@@ -16,12 +16,12 @@ import numpy as np
 
 from ..base import kernel
 from ..base.arrays import Floats, Floats32, Indices, Int32s
+from ..base.sums import dot
 from ..code.frame import UNIPOLAR, FrameSpec
 from ..code.transform import correlate, spread
 from ..words.decode import usual_amplitude
 from ..words.stages import LOUDEST_FLOOR
 from .limits import LIMITS
-from .sums import dot
 
 UNEVEN = 0.02
 """Spread of the words beyond which the chips' middle is tried, too: ρ < 7 if it were noise."""

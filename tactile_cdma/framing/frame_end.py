@@ -10,11 +10,11 @@ from enum import IntEnum
 import numpy as np
 
 from ..base.arrays import Floats32
+from ..base.sums import dot, sums
 from ..code.frame import BIPOLAR, UNIPOLAR, FrameSpec
 from ..wire._protocol import TAIL_CHIPS
 from .fit import Fit, Line
 from .limits import LIMITS
-from .sums import dot, sums
 
 
 class End(IntEnum):

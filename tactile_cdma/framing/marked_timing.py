@@ -15,11 +15,11 @@ import numpy as np
 
 from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import SpecError
+from ..base.sums import sums
 from ..code.frame import BIPOLAR, FrameSpec
 from ..code.separate import NodeLevels
 from .fit import Fit, least_power, lowest_power
 from .limits import LIMITS
-from .sums import sums
 from .timing import (
     ABSURD,
     AT_RAIL,

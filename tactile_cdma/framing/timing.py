@@ -17,10 +17,10 @@ from typing import TypeAlias
 import numpy as np
 
 from ..base.arrays import Bools, Floats, Floats32
+from ..base.sums import copy_samples, outside
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
 from .limits import LIMITS
-from .sums import copy_samples, outside
 
 Rails: TypeAlias = tuple[float, float] | None
 

@@ -14,7 +14,7 @@ from ..base.arrays import Bools, Floats, Floats32, Indices
 from ..base.errors import SpecError
 from ..places.components import connected
 from ..places.layout import Layout
-from .status import Status
+from .stages import Status
 from .taxels import Coverage, Readings
 
 SMOOTHING_S = 0.05

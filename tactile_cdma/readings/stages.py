@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The stages from words to readings that pass over all nodes, compiled or in numpy.
+"""The stages from words to readings that pass over all nodes, and the status that they set.
 
-Both forms give the same bits.
+They are compiled or in numpy, and both forms give the same bits.
 """
 
 from __future__ import annotations
 
+from enum import IntFlag
 from typing import NamedTuple
 
 import numpy as np
@@ -15,9 +16,23 @@ from numpy.typing import NDArray
 from ..base import kernel
 from ..base.arrays import Bools, Floats, Floats32
 from ..words.decode import Words
-from .status import Status
 
 Bytes = NDArray[np.uint8]
+
+
+class Status(IntFlag):
+    """Status bits of a taxel; the same as the constants of TactileArray.msg."""
+
+    OK = 0
+    SILENT = 1
+    SATURATED = 2
+    LOW_SNR = 4
+    STALE = 8
+    UNCALIBRATED = 16
+    MASKED = 32
+    WEAK = 64
+    FAULTY = 128
+
 
 _SILENT, _LOW_SNR, _SATURATED = (
     np.uint8(bit) for bit in (Status.SILENT, Status.LOW_SNR, Status.SATURATED)

@@ -18,8 +18,7 @@ from .baseline import Baseline
 from .calibration import AdcScale, Calibration
 from .dynamics import Compensator
 from .pressure import PressureChain
-from .stages import Kept, Trust, finish, hear
-from .status import Status
+from .stages import Kept, Status, Trust, finish, hear
 from .tare import take_tare
 
 

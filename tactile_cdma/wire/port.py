@@ -13,6 +13,7 @@ from contextlib import suppress
 
 import serial
 
+from ..base import kernel
 from ..base.errors import CaptureError, PortError
 from .discovery import device_of
 from .port_failures import NETWORK, TerminalError, lost, why_not_open
@@ -75,7 +76,7 @@ class Port:
             raise PortError(f"{url}: {why_not_open(error, pyserial_url)}") from None
 
     def read(self) -> tuple[bytes, float]:
-        """What has arrived, after waiting up to READ_TIMEOUT_S for its first byte.
+        """What has arrived, after waiting up to READ_TIMEOUT_S for a byte, or a whole packet.
 
         Returns the bytes (none after the time-out) and the host's monotonic time, s, just after
         they were read.
@@ -140,14 +141,23 @@ class Port:
         return data + self._serial.read(self._serial.in_waiting) if data else data
 
     def _wait_in_kernel(self, poll: select.poll) -> bytes:
-        """The same from a file descriptor, with two or three system calls."""
+        """The same from a file descriptor, with two or three system calls.
+
+        The compiled kernel waits until a packet ends: a tty gives only parts of large ones at once.
+        """
+        if kernel.compiled is not None:
+            data: bytes
+            data, self.had_waited = kernel.compiled.read_packets(
+                self._serial.fileno(), round(READ_TIMEOUT_S * 1e3)
+            )
+            return data
         self.had_waited = bool(poll.poll(0))
         if not self.had_waited and not poll.poll(READ_TIMEOUT_S * 1e3):
             return b""
-        data = os.read(self._serial.fileno(), READ_SIZE)
-        if not data:
+        some = os.read(self._serial.fileno(), READ_SIZE)
+        if not some:
             raise OSError("end of file")
-        return data
+        return some
 
 
 def _poll(port: serial.SerialBase, url: str) -> select.poll | None:

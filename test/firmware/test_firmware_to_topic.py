@@ -27,7 +27,7 @@ from skin import PressedSkin, reference_amplifier, reference_nodes  # noqa: E402
 from skin_client import Client, running, wait_for  # noqa: E402
 from tactile_cdma.config.parameters import read_file  # noqa: E402
 from tactile_cdma.config.skin_config import SkinConfig  # noqa: E402
-from tactile_cdma.readings.status import Status  # noqa: E402
+from tactile_cdma.readings.stages import Status  # noqa: E402
 from tactile_cdma.sim.pty import serve  # noqa: E402
 from tactile_cdma.sim.scene import SCENES  # noqa: E402
 

@@ -17,7 +17,7 @@ from sensor_msgs.msg import Image  # noqa: E402
 from skin_client import running, wait_for  # noqa: E402
 from tactile_cdma.places.layout_file import read_layout  # noqa: E402
 from tactile_cdma.places.layout_nodes import Wiring  # noqa: E402
-from tactile_cdma.readings.status import Status  # noqa: E402
+from tactile_cdma.readings.stages import Status  # noqa: E402
 from tactile_cdma.ros.common.qos import PICTURE  # noqa: E402
 from tactile_cdma.ros.viewers.patches import layout_of  # noqa: E402
 from tactile_cdma.ros.viewers.view import in_use  # noqa: E402

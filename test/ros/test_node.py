@@ -25,7 +25,7 @@ from skin_client import plugged, running, wait_for  # noqa: E402
 from tactile_cdma.config.parameters import PARAMETERS  # noqa: E402
 from tactile_cdma.msg import TactileArray  # noqa: E402
 from tactile_cdma.readings.calibration import AdcScale, PressureCurve  # noqa: E402
-from tactile_cdma.readings.status import Status  # noqa: E402
+from tactile_cdma.readings.stages import Status  # noqa: E402
 from tactile_cdma.ros.common.qos import PICTURE  # noqa: E402
 from tactile_cdma.sim.line import truth  # noqa: E402
 from tactile_cdma.sim.options import Setup, SimOptions  # noqa: E402

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from tactile_cdma.base import kernel
 from tactile_cdma.readings import stages
 from tactile_cdma.readings.calibration import Curves, PressureCurve
-from tactile_cdma.readings.status import Status
+from tactile_cdma.readings.stages import Status
 from tactile_cdma.words import health
 from tactile_cdma.words.decode import Words, silent
 

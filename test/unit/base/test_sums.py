@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_cdma.base import kernel
+from tactile_cdma.base import kernel, sums
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.framing import sums
 from tactile_cdma.framing.fit import ChipEdges, Fit, Line, integrate, numpy_mean_chips
 from tactile_cdma.wire import counts
 

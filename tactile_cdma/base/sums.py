@@ -9,8 +9,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base import kernel
-from ..base.arrays import Floats, Floats32
+from . import kernel
+from .arrays import Floats, Floats32
 
 F = TypeVar("F", np.float32, np.float64)
 
