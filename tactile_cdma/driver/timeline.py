@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import Enum, auto
 from typing import NamedTuple, TypeAlias
@@ -179,26 +179,30 @@ class Timeline:
         if self._last is not None and status.uptime_us < self._last.device_time_us:
             self._told_reset = True
 
-    def accept(self, arrival: Arrival, pace: Pace) -> Iterator[Place]:
-        """Yield what this packet lets through: itself, the one held back and itself, or nothing.
+    def accept(self, arrival: Arrival, pace: Pace) -> Iterable[Place]:
+        """What this packet lets through: itself, the one held back and itself, or nothing.
 
-        Each enters the timeline as it is yielded, so that the frames of one are stamped before the
+        Each enters the timeline as it is taken, so that the frames of one are stamped before the
         next is known.
         """
         packet, held, last = arrival.packet, self._held, self._last
         if not pace.is_plausible(packet):
             self._counters.implausible_packets += 1
-            return
+            return ()
         self._held = None
-        if last is None or self._told_reset or pace.follows(last, packet):
+        if last is not None and pace.follows(last, packet):
             self._counters.implausible_packets += held is not None
-        elif held is not None and pace.follows(held.packet, packet):
-            yield self._enter(held, pace)
-        else:
+            missing = packet.first_index - end_index(last)
+            self._counters.lost_samples += missing
+            return (self._enter(arrival, pace, Step.LOSS if missing else Step.CONTINUES),)
+        if last is not None and not self._told_reset:
+            if held is not None and pace.follows(held.packet, packet):
+                return (self._enter(some, pace, self._step(some, pace)) for some in (held, arrival))
             self._counters.implausible_packets += held is not None
             self._held = arrival
-            return
-        yield self._enter(arrival, pace)
+            return ()
+        self._counters.implausible_packets += held is not None
+        return (self._enter(arrival, pace, self._step(arrival, pace)),)
 
     def stamp(self, heard: FrameLevels, pace: Pace) -> Stamp:
         """Number and times of the next frame."""
@@ -221,10 +225,9 @@ class Timeline:
         counters.lost_frames += periods - 1
         return Stamp(self._sequence, t_start, t_middle, self._last_t_host, chip_s)
 
-    def _enter(self, arrival: Arrival, pace: Pace) -> Place:
+    def _enter(self, arrival: Arrival, pace: Pace, step: Step) -> Place:
         """Let a packet take its place."""
         packet, t_device = arrival.packet, arrival.packet.device_time_us * 1e-6
-        step = self._step(arrival, t_device, pace)
         if step is Step.RESET:
             self._begin_clock()
         elif step is Step.RESTART:
@@ -238,7 +241,7 @@ class Timeline:
         self.clock.observe(t_device + count / pace.rate_hz, arrival.t_host, arrival.backlog)
         return Place(packet, index, step)
 
-    def _step(self, arrival: Arrival, t_device: float, pace: Pace) -> Step:
+    def _step(self, arrival: Arrival, pace: Pace) -> Step:
         """How an accepted packet relates to the one before; counts what was lost."""
         packet, last = arrival.packet, self._last
         if last is None:
@@ -252,7 +255,7 @@ class Timeline:
         renumbered = (packet.sequence - last.sequence) % SEQUENCES > MAX_GAP
         if self._told_reset or renumbered or packet.device_time_us <= last.device_time_us:
             return Step.RESET
-        late_s = self.clock.lateness_s(t_device, arrival.t_host)
+        late_s = self.clock.lateness_s(packet.device_time_us * 1e-6, arrival.t_host)
         return Step.RESTART if -CLOCK_SLACK_S < late_s < MAX_LATE_S else Step.RESET
 
     def _begin_clock(self) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import socket
+import threading
 import time
 import tty
 from collections.abc import Iterator
@@ -16,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tactile_cdma.base import kernel
 from tactile_cdma.base.errors import PortError
 from tactile_cdma.wire.discovery import is_away
 from tactile_cdma.wire.messages import Start
@@ -62,6 +64,32 @@ def test_a_tty_gives_all_bytes_in_order() -> None:
             host.write(SENT[:size])
             assert b"".join(read_all(port, size)) == SENT[:size]
         assert port.read()[0] == b""
+
+
+@pytest.mark.skipif(kernel.compiled is None, reason=kernel.why_numpy)
+def test_one_read_takes_a_whole_packet_however_it_comes() -> None:
+    """A tty gives 4 kB at once; and a packet that does not end holds nothing up for long."""
+    packet = bytes(SENT).replace(b"\0", b"\1") + b"\0"
+    with pty_port() as (host, port):
+
+        def send() -> None:
+            for begin in range(0, len(packet), 1000):
+                host.write(packet[begin : begin + 1000])
+                time.sleep(2e-3)
+
+        sender = threading.Thread(target=send)
+        sender.start()
+        assert port.read()[0] == packet
+        assert not port.had_waited
+        sender.join()
+        host.write(packet[:-1])
+        begin_s = time.monotonic()
+        assert b"".join(read_all(port, len(packet) - 1)) == packet[:-1]
+        assert time.monotonic() - begin_s < 5
+        host.write(b"\0" + packet[:100])
+        time.sleep(0.05)
+        assert port.read()[0][:1] == b"\0"
+        assert port.had_waited
 
 
 def test_a_socket_gives_all_bytes_in_order_and_no_read_is_endless() -> None:
