@@ -51,6 +51,7 @@ class Session:
         self._writer = PacketWriter()
         self._setting = () if config is None else (_setting(config),)
         self._ours = config is None or config.digitizer_id is None
+        self._known: Info | None = None  # the digitizer's last introduction
         self._calls_left, self._next_call_s = MOST_CALLS, -math.inf
         self._before = _Progress()
         self._deadline_s = self._asked_s = -math.inf
@@ -78,9 +79,11 @@ class Session:
         if self._before.frames < 0:  # open() was just before
             self._asked_s = now_s
         digitizer = pipeline.digitizer
-        if digitizer.info is not None and (start := self.introduced(digitizer.info)):
-            self._note_request(pipeline, now_s)
-            return start
+        if digitizer.info is not self._known:
+            self._known = digitizer.info
+            if self._known is not None and (start := self.introduced(self._known)):
+                self._note_request(pipeline, now_s)
+                return start
         if roll_call := self._roll_call(pipeline, now_s):
             return roll_call
         if pipeline.counters.frames != self._before.frames:
@@ -114,9 +117,9 @@ class Session:
 
     def _note_progress(self, pipeline: Pipeline, now_s: float) -> None:
         """From now on the next frame is waited for."""
-        counters, packets = pipeline.counters, pipeline.parser.counters
+        counters = pipeline.counters
         self._before = _Progress(
-            counters.frames, counters.implausible_packets, packets.bytes, packets.packets
+            counters.frames, counters.implausible_packets, *pipeline.parser.received
         )
         self._deadline_s = now_s + max(PATIENCE_S, 3 * pipeline.config.spec.frame_period_s)
 
