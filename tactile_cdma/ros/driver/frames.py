@@ -25,8 +25,8 @@ from .contacts import contacts_message, wrench_of
 from .stamps import Stamps
 
 COUNTED_S = 0.05
-"""s between counts of the subscribers. Chosen: after a pause of a frame three counts took 78 µs, and
-publishing 120 µs; a subscriber needs longer than this to be discovered."""
+"""s between counts of the subscribers. Chosen: three counts took 78 µs after a pause of one frame,
+publishing 120; and a subscriber needs longer than this to be discovered."""
 
 
 class FramePublishers:
