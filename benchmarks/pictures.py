@@ -98,12 +98,11 @@ def times(report: Report) -> Times:
 
 def drawings(taxels: int) -> dict[str, Callable[[], Any]]:
     """Functions by picture, each of which draws one frame after the other."""
-    from std_msgs.msg import Header
-
     from tactile_cdma.ros.common import convert
+    from tactile_cdma.ros.common.cdr import Heading
     from tactile_cdma.ros.driver.markers import SkinMarkers
 
-    layout, header = Layout.grid(taxels, 0, 0, 7e-3, 5.5e-3), Header(frame_id="skin")
+    layout, heading = Layout.grid(taxels, 0, 0, 7e-3, 5.5e-3), Heading(0, "skin")
     cloud, frames = Cloud(layout.positions_m, layout.normals), cycle(pressed(layout))
 
     def markers(most_squares: int) -> Callable[[], Any]:
@@ -111,16 +110,18 @@ def drawings(taxels: int) -> dict[str, Callable[[], Any]]:
 
         def draw() -> Any:
             pressure_pa, contacts = next(frames)
-            return builder.markers(pressure_pa, MAX_PA, contacts, header, lifetime_s=1.0)
+            return builder.markers(pressure_pa, MAX_PA, contacts, heading, lifetime_s=1.0)
 
         return draw
 
     return {
         HEATMAP: lambda: convert.image(
-            heatmap(next(frames)[0], layout, MAX_PA, PIXELS), "rgb8", header
+            heatmap(next(frames)[0], layout, MAX_PA, PIXELS), "rgb8", heading
         ),
-        IMAGE: lambda: convert.image(pressure_raster(next(frames)[0], layout), "32FC1", header),
-        POINTS: lambda: convert.point_cloud(POINT, [cloud.points(next(frames)[0], MAX_PA)], header),
+        IMAGE: lambda: convert.image(pressure_raster(next(frames)[0], layout), "32FC1", heading),
+        POINTS: lambda: convert.point_cloud(
+            POINT, [cloud.points(next(frames)[0], MAX_PA)], heading
+        ),
         CONTACTS: markers(most_squares=0),
         SQUARES: markers(most_squares=taxels),
     }

@@ -22,7 +22,7 @@ AsField = Callable[[NDArray[np.generic]], Any]
 def array_fields(
     frame: TactileFrame, layout: Layout, info_id: int, as_field: AsField, with_voltage: bool
 ) -> dict[str, Any]:
-    """The fields of TactileArray for one frame, but for the header."""
+    """The fields of TactileArray for one frame, in their order, but for the header."""
     readings = frame.readings
     return {
         "sequence": frame.sequence,

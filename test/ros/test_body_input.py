@@ -36,6 +36,7 @@ from tactile_cdma.msg import (  # noqa: E402
 from tactile_cdma.places.poses import Pose  # noqa: E402
 from tactile_cdma.ros.body.contacts import body_contacts  # noqa: E402
 from tactile_cdma.ros.body.node import BodyNode  # noqa: E402
+from tactile_cdma.ros.common.cdr import Heading  # noqa: E402
 from tactile_cdma.ros.common.qos import LATCHED  # noqa: E402
 from tactile_cdma.ros.common.touches import Touches  # noqa: E402
 from tactile_cdma.views.cloud import BODY_POINT  # noqa: E402
@@ -269,7 +270,7 @@ def patch(valid: int, force_n: float = 0.0, in_service: int = 16) -> Part:
 def combined(parts: list[Part], absent: list[str]) -> TactileContacts:
     """What the body says of these patches."""
     read = [(pose, Touches.read(serialize_message(message))) for pose, message in parts]
-    found = body_contacts(read, absent, Header(frame_id="body"), 7)
+    found = body_contacts(read, absent, Heading(0, "body"), 7)
     return deserialize_message(found.message, TactileContacts)
 
 

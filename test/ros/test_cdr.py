@@ -17,7 +17,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, Vector3, Wrench
+from geometry_msgs.msg import Point, Vector3, Wrench, WrenchStamped
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Image, PointCloud2, PointField
 from std_msgs.msg import ColorRGBA, Header
@@ -29,8 +29,15 @@ from tactile_cdma.places.layout import Layout
 from tactile_cdma.readings.contact import ContactThresholds, ContactTracker
 from tactile_cdma.readings.taxels import Readings
 from tactile_cdma.recording.message_fields import array_fields
-from tactile_cdma.ros.common.cdr import CdrError
-from tactile_cdma.ros.common.convert import image, point_cloud, ros_array, tactile_array
+from tactile_cdma.ros.common.cdr import CdrError, Heading
+from tactile_cdma.ros.common.convert import (
+    image,
+    nanoseconds,
+    point_cloud,
+    ros_array,
+    tactile_array,
+    wrench_stamped,
+)
 from tactile_cdma.ros.common.touches import Touches
 from tactile_cdma.ros.driver.contacts import contacts_message
 from tactile_cdma.ros.driver.markers import SkinMarkers
@@ -51,8 +58,20 @@ def assert_same(written: bytes, message: Any) -> None:
     assert repr(deserialize_message(written, type(message))) == repr(message)
 
 
+def heading(frame_id: str) -> Heading:
+    return Heading(nanoseconds(STAMP), frame_id)
+
+
 def header(frame_id: str) -> Header:
     return Header(stamp=STAMP, frame_id=frame_id)
+
+
+@pytest.mark.parametrize("frame_id", NAMES)
+def test_headers(frame_id: str) -> None:
+    assert heading(frame_id).message == header(frame_id)
+    before = Time(sec=-5, nanosec=999_999_999)
+    assert Heading(nanoseconds(before), "").message.stamp == before
+    assert Heading(nanoseconds(STAMP) + 1, "").message.stamp == STAMP  # there is no later one
 
 
 @pytest.mark.parametrize("frame_id", NAMES)
@@ -68,7 +87,7 @@ def test_arrays(frame_id: str, taxels: int, with_voltage: bool) -> None:
     readings = Readings(values[0], values[1], status)
     frame = TactileFrame(2**40 + 1, 0.0, 1e7, 0.0, 5e-5, 0.0, words, readings)
     layout = Layout.grid(taxels, 1, taxels, 7e-3, 5e-3)
-    written = tactile_array(frame, layout, header(frame_id), 2**32 - 1, with_voltage)
+    written = tactile_array(frame, layout, heading(frame_id), 2**32 - 1, with_voltage)
     fields = array_fields(frame, layout, 2**32 - 1, ros_array, with_voltage)
     assert_same(written, TactileArray(header=header(frame_id), **fields))
 
@@ -83,7 +102,7 @@ def test_images(frame_id: str, encoding: str, shape: tuple[int, int]) -> None:
         picture = rng.integers(0, 256, (*shape, 3)).astype(np.uint8)
     message = Image(header=header(frame_id), height=shape[0], width=shape[1], encoding=encoding)
     message.step, message.data = picture.nbytes // shape[0], picture.tobytes()
-    assert_same(image(picture, encoding, header(frame_id)), message)
+    assert_same(image(picture, encoding, heading(frame_id)), message)
 
 
 @pytest.mark.parametrize("frame_id", NAMES)
@@ -101,9 +120,9 @@ def test_clouds(frame_id: str, kind: np.dtype[np.void], count: int) -> None:
     message.point_step, message.row_step, message.is_dense = kind.itemsize, size, True
     message.data = points.tobytes()
     for parts in ([points], [points[:1], points[1:1], points[1:]]):
-        assert_same(point_cloud(kind, parts, header(frame_id)), message)
+        assert_same(point_cloud(kind, parts, heading(frame_id)), message)
     if not count:
-        assert_same(point_cloud(kind, [], header(frame_id)), message)
+        assert_same(point_cloud(kind, [], heading(frame_id)), message)
 
 
 def contact(rng: random.Random, patch: str) -> TactileContact:
@@ -149,7 +168,8 @@ def test_contacts_are_read_and_written(frame_id: str, patch: str, count: int) ->
     raw = serialize_message(message)
     touches = Touches.read(raw)
     assert_same(touches.message, message)
-    assert repr(touches.wrench) == repr(message.wrench)
+    wrench = WrenchStamped(header=header(frame_id), wrench=message.wrench)
+    assert_same(wrench_stamped(touches.heading, touches.force_n, touches.torque_nm), wrench)
     for size in range(len(raw)):  # but for bytes at the end that mean nothing
         with pytest.raises(CdrError, match=r"amid a field|no plain"):
             Touches.read(raw[:size])
@@ -180,7 +200,7 @@ def test_contacts_of_a_frame(frame_id: str) -> None:
     pressure_pa[[0, 1, 7, 15]] = 2e3, 3e3, np.nan, 5e3
     readings = Readings(pressure_pa, pressure_pa, np.zeros(16, dtype=np.uint8))
     found = pressed().update(readings, 1.0)
-    written = contacts_message(found, "/skin", header(frame_id), 9, 4)
+    written = contacts_message(found, "/skin", heading(frame_id), 9, 4)
     message = deserialize_message(written, TactileContacts)
     assert_same(written, message)
     assert message.header == header(frame_id)
@@ -214,7 +234,7 @@ def test_markers(frame_id: str, most_squares: int) -> None:
         pressure_pa[9] = np.nan if number == 2 else 0.0
         status = np.zeros(16, dtype=np.uint8)
         contacts = tracker.update(Readings(pressure_pa, pressure_pa, status), float(number))
-        written = skin.markers(pressure_pa, 1e5, contacts, header(frame_id), 1.25)
+        written = skin.markers(pressure_pa, 1e5, contacts, heading(frame_id), 1.25)
         message = deserialize_message(written, MarkerArray)
         assert_same(written, message)
         drawn += len(message.markers)

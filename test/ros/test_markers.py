@@ -12,7 +12,6 @@ import pytest
 pytest.importorskip("visualization_msgs", reason="ROS 2 is not installed")
 
 from rclpy.serialization import deserialize_message
-from std_msgs.msg import Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from tactile_cdma.places.layout import Layout
@@ -21,6 +20,7 @@ from tactile_cdma.places.mesh import taxel_squares
 from tactile_cdma.readings.contact import ContactThresholds, ContactTracker
 from tactile_cdma.readings.stages import Status
 from tactile_cdma.readings.taxels import Readings
+from tactile_cdma.ros.common.cdr import Heading
 from tactile_cdma.ros.driver.markers import (
     ARROW_M_PER_N,
     ARROWS,
@@ -33,7 +33,7 @@ from tactile_cdma.ros.driver.markers import (
 from tactile_cdma.views.heatmap import NO_READING_RGB, colours
 
 pytestmark = pytest.mark.ros
-PITCH_M, MAX_PA, HEADER = 7e-3, 140e3, Header(frame_id="cuff")
+PITCH_M, MAX_PA, HEADING = 7e-3, 140e3, Heading(0, "cuff")
 NODES = np.array([*range(1, 24), 0], dtype=np.int32)
 CUFF = Layout(
     **vars(cylinder(4, 6, PITCH_M, 20e-3)),
@@ -60,7 +60,7 @@ class Skin:
         status[self.layout.nodes == 0] = Status.MASKED
         self.t_s += 0.02
         contacts = self.tracker.update(Readings(pressure_pa, pressure_pa, status), self.t_s)
-        drawn = self.markers.markers(pressure_pa, MAX_PA, contacts, HEADER, lifetime_s=1.5)
+        drawn = self.markers.markers(pressure_pa, MAX_PA, contacts, HEADING, lifetime_s=1.5)
         return deserialize_message(drawn, MarkerArray)
 
 
@@ -76,7 +76,7 @@ def test_the_surface_has_a_coloured_square_for_every_taxel_with_a_node() -> None
     pressed = {0: 20e3, 7: 139e3, 8: float("nan")}
     [surface] = of(Skin().draw(pressed), SURFACE)
     assert surface.type == Marker.TRIANGLE_LIST
-    assert surface.header == HEADER
+    assert surface.header == HEADING.message
     assert components(surface.scale).tolist() == [1, 1, 1]
     corners = np.array([components(point) for point in surface.points]).reshape(-1, 6, 3)
     assert np.allclose(corners, taxel_squares(CUFF)[:23], atol=1e-7)

@@ -13,7 +13,6 @@ rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
 from rclpy.time import Time  # noqa: E402
 
-from tactile_cdma.ros.common.convert import nanoseconds  # noqa: E402
 from tactile_cdma.ros.driver.stamps import STAMP_JITTER_NS, SURE_NS, TRIES, Stamps  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -38,7 +37,11 @@ class Computer:
     def get_clock(self) -> Computer:
         return self
 
-    def now(self) -> Time:
+    @property
+    def handle(self) -> Computer:
+        return self
+
+    def get_now(self) -> Time:
         read_ns = self.monotonic_ns()
         self._now_ns += next(self.waits_ns)
         return Time(nanoseconds=read_ns + self.step_ns)
@@ -53,7 +56,7 @@ def computer(monkeypatch: pytest.MonkeyPatch) -> Computer:
 
 def stamps_ns(computer: Computer, *moments_s: float) -> Iterator[int]:
     stamps = Stamps(computer, {"frame_id": "skin"})
-    return (nanoseconds(stamps.rising(moment_s).stamp) for moment_s in moments_s)
+    return (stamps.rising(moment_s).stamp_ns for moment_s in moments_s)
 
 
 @pytest.mark.parametrize("step_ns", [2 * 10**9, -2 * 10**9, HOUR_NS, -HOUR_NS])

@@ -16,11 +16,11 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
-from std_msgs.msg import Header
 
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.msg import TactileArray
-from tactile_cdma.ros.common.convert import ros_array, stamp
+from tactile_cdma.ros.common.cdr import Heading
+from tactile_cdma.ros.common.convert import ros_array
 from tactile_cdma.sim.options import SimOptions
 from torture.load import soak
 from torture.load.known_digitizer import KnownDigitizer
@@ -58,7 +58,7 @@ def messages() -> list[TactileArray]:
         middle_s = frame.start_s + CONFIG.spec.frame_s / 2
         made.append(
             TactileArray(
-                header=Header(stamp=stamp(round((POWERED_S + middle_s) * 1e9))),
+                header=Heading(round((POWERED_S + middle_s) * 1e9), "").message,
                 sequence=number - 7,
                 device_time_us=round(middle_s * 1e6),
                 pressure=ros_array(held.pressure_pa.astype(np.float32)),

@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 
-from tactile_cdma.ros.common.convert import stamp
+from tactile_cdma.ros.common.cdr import Heading
 
 from .loaded_skin import LoadedSkin
 from .message_judge import real_time_ahead_s
@@ -74,4 +74,4 @@ class SimulatedTime:
     def _run(self) -> None:
         while not self._stop.wait(TICK_S):
             now_ns = round((time.monotonic() + self._ahead_s) * 1e9)
-            self._publisher.publish(Clock(clock=stamp(now_ns)))
+            self._publisher.publish(Clock(clock=Heading(now_ns, "").message.stamp))

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from std_msgs.msg import Header
 
 from ...base.arrays import Floats
 from ...places.poses import Pose
 from ...readings.taxels import Coverage
+from ..common.cdr import Heading
 from ..common.touches import ID, STATE, Touches
 
 _MOST_TAXELS = 2**32 - 1
@@ -21,7 +21,7 @@ _MOVED = ("position", "normal", "force", "velocity")
 
 
 def body_contacts(
-    parts: Sequence[tuple[Pose, Touches]], absent: list[str], header: Header, sequence: int
+    parts: Sequence[tuple[Pose, Touches]], absent: list[str], heading: Heading, sequence: int
 ) -> Touches:
     """The contacts of a body, strongest first.
 
@@ -49,7 +49,7 @@ def body_contacts(
     patches = [patch for _, message in touched for patch in message.patches]
     taxels = [some for _, message in touched for some in message.taxels]
     return Touches(
-        header=header,
+        heading=heading,
         sequence=sequence,
         info_id=0,
         absent=absent,

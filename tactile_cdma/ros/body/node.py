@@ -12,7 +12,6 @@ import time
 from functools import partial
 from typing import Any
 
-from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import Clock, ClockType
@@ -28,7 +27,8 @@ from ...base.errors import TransformError
 from ...places.poses import Pose
 from ...views.cloud import BODY_POINT
 from ...views.rounds import Rounds
-from ..common.convert import nanoseconds, point_cloud
+from ..common.cdr import Heading
+from ..common.convert import nanoseconds, point_cloud, wrench_stamped
 from ..common.process import run_node
 from ..common.qos import PICTURE, RELIABLE, offered
 from ..common.touches import Touches
@@ -134,7 +134,7 @@ class BodyNode(Node):
         present = set(self._rounds.present(self._feeds, now_s))
         for name, feed in self._feeds.items():
             latest = feed.contacts if name in present else None
-            pose = self._pose(feed, latest.header.frame_id) if latest else None
+            pose = self._pose(feed, latest.heading.frame_id) if latest else None
             if latest and pose and latest.taxels_valid:
                 parts.append((pose, latest))
             else:
@@ -143,17 +143,17 @@ class BodyNode(Node):
         if absent and self._is_first and now_s - self._published_s <= patience_s:
             return
         self._published_s, self._is_first = now_s, False
-        header = self._header([message.header.stamp for _, message in parts])
-        found = body_contacts(parts, absent, header, self._sequence)
+        heading = self._heading([message.heading.stamp_ns for _, message in parts])
+        found = body_contacts(parts, absent, heading, self._sequence)
         self._sequence += 1
         self._contacts.publish(found.message)
         if self._wrench.get_subscription_count():
-            self._wrench.publish(WrenchStamped(header=header, wrench=found.wrench))
+            self._wrench.publish(wrench_stamped(heading, found.force_n, found.torque_nm))
 
-    def _header(self, stamps: list[Time]) -> Header:
-        """A header with the newest stamp; with the present time if there is none."""
-        newest = max(stamps, key=nanoseconds) if stamps else self.get_clock().now().to_msg()
-        return Header(stamp=newest, frame_id=self._values["frame_id"])
+    def _heading(self, stamps_ns: list[int]) -> Heading:
+        """A heading with the newest stamp; with the present time if there is none."""
+        newest_ns = max(stamps_ns) if stamps_ns else self.get_clock().now().nanoseconds
+        return Heading(newest_ns, self._values["frame_id"])
 
     # Points
 
@@ -165,7 +165,7 @@ class BodyNode(Node):
         """If due, publish the latest of every patch if any is new, or a patch has come or gone."""
         for feed in self._feeds.values():
             feed.poll()
-        now_s, stamps, clouds = time.monotonic(), [], []
+        now_s, stamps_ns, clouds = time.monotonic(), [], []
         present = [
             feed
             for feed in self._feeds.values()
@@ -180,10 +180,10 @@ class BodyNode(Node):
             pose = self._pose(feed, feed.array.header.frame_id) if feed.array else None
             cloud = feed.points(self._values["colour_max_kpa"] * 1e3, pose) if pose else None
             if feed.array and cloud is not None:
-                stamps.append(feed.array.header.stamp)
+                stamps_ns.append(nanoseconds(feed.array.header.stamp))
                 clouds.append(cloud)
         # Kept until the next one, as by the driver's Pictures.
-        self._cloud = point_cloud(BODY_POINT, clouds, self._header(stamps))
+        self._cloud = point_cloud(BODY_POINT, clouds, self._heading(stamps_ns))
         self._points.publish(self._cloud)
 
     # Diagnostics

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from std_msgs.msg import Header
 
 from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 
@@ -133,8 +132,7 @@ class PatchFeed:
         pressure_pa = np.frombuffer(self.array.pressure, dtype=np.float32)
         return cloud.points(pressure_pa, max_pa, pose)
 
-    def _hear(self, header: Header) -> None:
-        stamp_ns = nanoseconds(header.stamp)
+    def _hear(self, stamp_ns: int) -> None:
         self._counted += stamp_ns > self._stamp_ns  # once per frame, not per topic
         self._heard_s, self._stamp_ns = time.monotonic(), stamp_ns
         age_ns = self._node.get_clock().now().nanoseconds - stamp_ns
@@ -149,11 +147,11 @@ class PatchFeed:
                 throttle_duration_sec=COMPLAINT_S,
             )
             return
-        self._hear(contacts.header)
+        self._hear(contacts.heading.stamp_ns)
         self._on_contacts(self, contacts)
 
     def _take_array(self, message: TactileArray) -> None:
-        self._hear(message.header)
+        self._hear(nanoseconds(message.header.stamp))
         self.array, self.is_new = message, True
 
     def _take_info(self, message: TactileSkinInfo) -> None:

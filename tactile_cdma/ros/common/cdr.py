@@ -9,8 +9,9 @@ publishers take as well: plain CDR, little-endian (OMG DDS-XTypes 1.3, 7.4), the
 
 from __future__ import annotations
 
+from functools import lru_cache
 from struct import Struct
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -19,12 +20,44 @@ from std_msgs.msg import Header
 
 ENCAPSULATION = b"\0\1\0\0"
 """Begins a message: plain CDR, little-endian, no options. Places are counted from behind it."""
+PADDING = [bytes(count) for count in range(8)]
+"""Zeros to the next multiple of an alignment, by their number."""
 _COUNT, _STAMP = Struct("<I"), Struct("<iI")
-_PADDING = [bytes(count) for count in range(8)]
+_LAST_NS = 2**31 * 1_000_000_000 - 1  # of a message's time; others may send later ones
 
 
 class CdrError(ValueError):
     """Bytes that are no message of the expected type."""
+
+
+class Heading(NamedTuple):
+    """The header of a message: its ROS time, ns, and tf frame."""
+
+    stamp_ns: int
+    frame_id: str
+
+    @property
+    def fields(self) -> bytes:
+        """It as fields of a message; they begin at a multiple of 4."""
+        return _STAMP.pack(*self._time) + _string(self.frame_id)
+
+    @property
+    def message(self) -> Header:
+        """It as rclpy's message."""
+        seconds, nanoseconds = self._time
+        return Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id=self.frame_id)
+
+    @property
+    def _time(self) -> tuple[int, int]:
+        """Seconds and nanoseconds."""
+        return divmod(min(self.stamp_ns, _LAST_NS), 1_000_000_000)
+
+
+@lru_cache
+def _string(text: str) -> bytes:
+    """A string as a field, which begins at a multiple of 4."""
+    data = text.encode(errors="replace")
+    return b"%b%b\0" % (_COUNT.pack(len(data) + 1), data)
 
 
 class CdrWriter:
@@ -47,7 +80,7 @@ class CdrWriter:
     def add(self, data: bytes | memoryview, alignment: int = 1) -> None:
         """Write bytes at the next multiple of alignment."""
         if padding := -self._end % alignment:
-            self._parts.append(_PADDING[padding])
+            self._parts.append(PADDING[padding])
         self._parts.append(data)
         self._end += padding + len(data)
 
@@ -57,8 +90,7 @@ class CdrWriter:
 
     def text(self, text: str) -> None:
         """Write a string."""
-        data = text.encode(errors="replace")
-        self.add(b"%b%b\0" % (_COUNT.pack(len(data) + 1), data), 4)
+        self.add(_string(text), 4)
 
     def array(self, values: NDArray[np.generic]) -> None:
         """Write a sequence of numbers (m,), or of points and the like (m, …), little-endian."""
@@ -66,10 +98,9 @@ class CdrWriter:
         if values.size:
             self.add(np.ascontiguousarray(values).view(np.uint8).reshape(-1).data, values.itemsize)
 
-    def header(self, header: Header) -> None:
+    def header(self, heading: Heading) -> None:
         """Write a header."""
-        self.add(_STAMP.pack(header.stamp.sec, header.stamp.nanosec), 4)
-        self.text(header.frame_id)
+        self.add(heading.fields, 4)
 
 
 class CdrReader:
@@ -106,7 +137,7 @@ class CdrReader:
         """A string."""
         return self.take(self.count())[:-1].decode(errors="replace")
 
-    def header(self) -> Header:
+    def header(self) -> Heading:
         """A header."""
         seconds, nanoseconds = _STAMP.unpack(self.take(_STAMP.size, 4))
-        return Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id=self.text())
+        return Heading(seconds * 1_000_000_000 + nanoseconds, self.text())

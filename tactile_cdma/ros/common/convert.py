@@ -18,17 +18,17 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, Point32, Vector3
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointField
-from std_msgs.msg import Header
 
 from tactile_cdma.msg import TactileSkinInfo
 
+from ...base.arrays import Floats
 from ...config.skin_config import SkinConfig
 from ...driver.digitizer import Source
 from ...driver.pipeline import TactileFrame
 from ...places.layout import Layout
 from ...readings.baseline import Baseline
 from ...recording.message_fields import array_fields, info_fields
-from .cdr import CdrWriter
+from .cdr import ENCAPSULATION, PADDING, CdrWriter, Heading
 
 
 def ros_array(values: NDArray[np.generic]) -> array[float] | array[int]:
@@ -44,26 +44,46 @@ def by_taxel(layout: Layout, of_node: NDArray[np.float32]) -> array[float] | arr
 
 
 def tactile_array(
-    frame: TactileFrame, layout: Layout, header: Header, info_id: int, with_voltage: bool
+    frame: TactileFrame, layout: Layout, heading: Heading, info_id: int, with_voltage: bool
 ) -> bytes:
-    """One frame as the message TactileArray, which a manipulation stack subscribes to."""
-    fields = array_fields(frame, layout, info_id, np.asarray, with_voltage)
+    """One frame as the message TactileArray, which a manipulation stack subscribes to.
+
+    Written without CdrWriter, as every frame waits for it.
+    """
+    fields = array_fields(frame, layout, info_id, _as_bytes, with_voltage)
+    *numbers, pressure, voltage, status, noise_v = fields.values()
+    header = heading.fields
+    return b"".join(
+        (
+            ENCAPSULATION,
+            header,
+            PADDING[-len(header) % 8],
+            _ARRAY.pack(*numbers, len(status)),
+            pressure,
+            _COUNT.pack(len(voltage) // 4),
+            voltage,
+            _COUNT.pack(len(status)),
+            status,
+            PADDING[-len(status) % 4],
+            _FLOAT.pack(noise_v),
+        )
+    )
+
+
+def wrench_stamped(heading: Heading, force_n: Floats, torque_nm: Floats) -> bytes:
+    """The message WrenchStamped; force_n, torque_nm: (3,), N and N m."""
     writer = CdrWriter()
-    writer.header(header)
-    names = "sequence", "device_time_us", "info_id", "height", "width"
-    writer.add(_ARRAY.pack(*(fields[name] for name in names)), 8)
-    for name in ("pressure", "voltage", "status"):
-        writer.array(fields[name])
-    writer.add(_FLOAT.pack(fields["noise_rms"]), 4)
+    writer.header(heading)
+    writer.add(_WRENCH.pack(*force_n.tolist(), *torque_nm.tolist()), 8)
     return writer.message
 
 
 def skin_info(
-    config: SkinConfig, source: Source, baseline: Baseline, header: Header, info_id: int
+    config: SkinConfig, source: Source, baseline: Baseline, heading: Heading, info_id: int
 ) -> TactileSkinInfo:
     """What frames are read with: their source, layout, nodes, calibration, tare and drift."""
     fields = info_fields(config, source, info_id, ros_array, Point32)
-    message = TactileSkinInfo(header=header, **fields)
+    message = TactileSkinInfo(header=heading.message, **fields)
     if baseline.tared:
         message.tare = by_taxel(config.layout, baseline.tare_pa)
     if baseline.drift_v.any():
@@ -71,11 +91,11 @@ def skin_info(
     return message
 
 
-def image(picture: NDArray[np.generic], encoding: str, header: Header) -> bytes:
+def image(picture: NDArray[np.generic], encoding: str, heading: Heading) -> bytes:
     """A picture, (h, w) or (h, w, channels), as the message Image."""
     height, width = picture.shape[:2]
     writer = CdrWriter()
-    writer.header(header)
+    writer.header(heading)
     writer.add(_SIZE.pack(height, width), 4)
     writer.text(encoding)
     writer.add(b"\0")  # not big-endian
@@ -85,7 +105,7 @@ def image(picture: NDArray[np.generic], encoding: str, header: Header) -> bytes:
 
 
 def point_cloud(
-    kind: np.dtype[np.void], clouds: Sequence[NDArray[np.void]], header: Header
+    kind: np.dtype[np.void], clouds: Sequence[NDArray[np.void]], heading: Heading
 ) -> bytes:
     """PointCloud2 of one cloud after the other, with a field for each of kind's.
 
@@ -93,7 +113,7 @@ def point_cloud(
     """
     count = sum(map(len, clouds))
     writer = CdrWriter()
-    writer.header(header)
+    writer.header(heading)
     writer.add(_SIZE.pack(1, count), 4)
     writer.add(_point_fields(kind), 4)
     writer.add(_STEPS.pack(False, kind.itemsize, count * kind.itemsize), 4)
@@ -117,9 +137,14 @@ def _point_fields(kind: np.dtype[np.void]) -> bytes:
 
 
 _POINT_TYPES = {"<f4": PointField.FLOAT32, "<u4": PointField.UINT32}
-_ARRAY, _FLOAT = Struct("<QQIHH"), Struct("<f")
+_ARRAY, _COUNT, _FLOAT = Struct("<QQIHHI"), Struct("<I"), Struct("<f")
+_WRENCH = Struct("<6d")
 _SIZE = Struct("<II")
 _STEP, _STEPS, _FIELD = Struct("<I"), Struct("<?3xII"), Struct("<IB3xI")
+
+
+def _as_bytes(values: NDArray[np.generic]) -> bytes:
+    return values.tobytes()
 
 
 def diagnostic(
@@ -130,11 +155,6 @@ def diagnostic(
     return DiagnosticStatus(
         level=level, name=name, message=text, hardware_id=hardware_id, values=pairs
     )
-
-
-def stamp(nanoseconds: int) -> Time:
-    """A ROS time stamp."""
-    return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
 
 
 def nanoseconds(stamp: Time) -> int:

@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from struct import Struct
 
 import numpy as np
-from geometry_msgs.msg import Vector3, Wrench
 from numpy.typing import NDArray
-from std_msgs.msg import Header
 
 from ...base.arrays import Floats
-from .cdr import CdrReader, CdrWriter
+from .cdr import CdrReader, CdrWriter, Heading
 
 ID = np.dtype([("id", "<u4"), ("age", "<f4")])
 """The numbers of a TactileContact before those of STATE: id, and age in s."""
@@ -47,7 +45,7 @@ class Touches:
     contact, as uint16.
     """
 
-    header: Header
+    heading: Heading
     sequence: int
     info_id: int
     absent: list[str]
@@ -65,19 +63,10 @@ class Touches:
     taxels: list[bytes]
 
     @property
-    def wrench(self) -> Wrench:
-        """The resultant on the skin about the frame's origin."""
-        force, torque = (
-            Vector3(**dict(zip("xyz", values.tolist(), strict=True)))
-            for values in (self.force_n, self.torque_nm)
-        )
-        return Wrench(force=force, torque=torque)
-
-    @property
     def message(self) -> bytes:
         """The message."""
         writer = CdrWriter()
-        writer.header(self.header)
+        writer.header(self.heading)
         writer.add(_SEQUENCE.pack(self.sequence, self.info_id), 8)
         writer.count(len(self.absent))
         for name in self.absent:
@@ -100,7 +89,7 @@ class Touches:
     def read(cls, message: bytes) -> Touches:
         """Take a message apart; raises CdrError if it is none."""
         reader = CdrReader(message)
-        header = reader.header()
+        heading = reader.header()
         sequence, info_id = reader.numbers(_SEQUENCE, 8)
         absent = [reader.text() for _ in range(reader.count())]
         in_service, valid, touched, untouched = reader.numbers(_COVERAGE, 4)
@@ -113,7 +102,7 @@ class Touches:
             states.append(reader.take(STATE.itemsize, 8))
             taxels.append(reader.take(2 * int.from_bytes(states[-1][-4:], "little")))
         return cls(
-            header,
+            heading,
             sequence,
             info_id,
             absent,

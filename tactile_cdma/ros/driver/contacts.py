@@ -1,20 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Converts what touches the skin to messages: its resultant, and contact by contact."""
+"""Converts the contacts of a frame to their message."""
 
 from __future__ import annotations
 
 import numpy as np
-from geometry_msgs.msg import Wrench
-from std_msgs.msg import Header
 
 from ...readings.contact import Contacts
-from ..common.convert import vector
+from ..common.cdr import Heading
 from ..common.touches import ID, STATE, Touches
 
 
 def contacts_message(
-    contacts: Contacts, patch: str, header: Header, sequence: int, info_id: int
+    contacts: Contacts, patch: str, heading: Heading, sequence: int, info_id: int
 ) -> bytes:
     """All contacts of one frame. patch: fully qualified name of the node."""
     ids = np.empty(len(contacts), dtype=ID)
@@ -34,7 +32,7 @@ def contacts_message(
     }.items():
         states[field] = values
     return Touches(
-        header=header,
+        heading=heading,
         sequence=sequence,
         info_id=info_id,
         absent=[],
@@ -51,8 +49,3 @@ def contacts_message(
         states=states,
         taxels=[taxels.astype("<u2").tobytes() for taxels in contacts.taxels],
     ).message
-
-
-def wrench_of(contacts: Contacts) -> Wrench:
-    """The resultant of all contacts about the origin of the skin's frame; NaN if there is none."""
-    return Wrench(force=vector(contacts.total_force_n), torque=vector(contacts.total_torque_nm))

@@ -9,7 +9,6 @@ import math
 from geometry_msgs.msg import WrenchStamped
 from rclpy.lifecycle import LifecycleNode
 from rclpy.qos import qos_profile_sensor_data
-from std_msgs.msg import Header
 
 from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 
@@ -19,9 +18,10 @@ from ...driver.digitizer import Source
 from ...driver.pipeline import TactileFrame
 from ...readings.baseline import Baseline
 from ...readings.contact import ContactThresholds, ContactTracker
-from ..common.convert import skin_info, tactile_array
+from ..common.cdr import Heading
+from ..common.convert import skin_info, tactile_array, wrench_stamped
 from ..common.qos import LATCHED, RELIABLE
-from .contacts import contacts_message, wrench_of
+from .contacts import contacts_message
 from .stamps import Stamps
 
 COUNTED_S = 0.05
@@ -64,33 +64,34 @@ class FramePublishers:
         self._info_id += 1
         self._info.publish(skin_info(config, source, baseline, self._stamps.now(), self._info_id))
 
-    def publish(self, frame: TactileFrame) -> Header | None:
-        """Publish a frame; returns its header, or None if nothing was due or asked for.
+    def publish(self, frame: TactileFrame) -> Heading | None:
+        """Publish a frame; returns the heading of its messages, or None if nothing was published.
 
-        Runs in the driver's thread: from a decoded frame to the wire it is one publish. Several
-        messages share the header, which nobody changes once it is published.
+        Runs in the driver's thread: from a decoded frame to the wire it is one publish.
         """
         assert self._tracker is not None
         array, wrench, contacts = self._asked_for(frame.t_host)
-        header = None
+        heading = None
         if self._is_news(frame) and (array or wrench or contacts):
-            header = self._stamps.rising(frame.t_host)
-        if header and array:
+            heading = self._stamps.rising(frame.t_host)
+        if heading and array:
             with_voltage = bool(self._live["publish_voltage"])
             self._array.publish(
-                tactile_array(frame, self._layout, header, self._info_id, with_voltage)
+                tactile_array(frame, self._layout, heading, self._info_id, with_voltage)
             )
         if not (wrench or contacts):
             self._tracker.forget()
-            return header
+            return heading
         found = self._tracker.update(frame.readings, frame.t_middle)
-        if header and wrench:
-            self._wrench.publish(WrenchStamped(header=header, wrench=wrench_of(found)))
-        if header and contacts:
-            self._contacts.publish(
-                contacts_message(found, self._patch, header, frame.sequence, self._info_id)
+        if heading and wrench:
+            self._wrench.publish(
+                wrench_stamped(heading, found.total_force_n, found.total_torque_nm)
             )
-        return header
+        if heading and contacts:
+            self._contacts.publish(
+                contacts_message(found, self._patch, heading, frame.sequence, self._info_id)
+            )
+        return heading
 
     def _asked_for(self, t_host: float) -> tuple[bool, ...]:
         """Whether anybody subscribes to array, wrench and contacts, as of COUNTED_S ago or less."""

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
 
 from ...base.arrays import Floats, Floats32
@@ -19,7 +18,7 @@ from ...places.mesh import CORNERS, taxel_squares
 from ...readings.contact import Contacts
 from ...readings.taxels import Coverage
 from ...views.heatmap import SCALE_RGB, scale_steps
-from ..common.cdr import CdrWriter
+from ..common.cdr import CdrWriter, Heading
 
 SURFACE, ARROWS, TEXTS, BLIND = "skin", "contacts", "forces", "blind"
 """Namespaces of markers; rviz can hide each."""
@@ -60,7 +59,7 @@ class SkinMarkers:
         pressure_pa: NDArray[np.float32],
         max_pa: float,
         contacts: Contacts,
-        header: Header,
+        heading: Heading,
         lifetime_s: float,
     ) -> bytes:
         """The message MarkerArray of a frame; markers of contacts that ended are deleted.
@@ -92,7 +91,7 @@ class SkinMarkers:
         elif not self._was_certain:
             markers.append(_Marker(BLIND, 0, is_deleted=True))
         self._was_certain = contacts.coverage.is_certain
-        return _message(markers, header, lifetime_s)
+        return _message(markers, heading, lifetime_s)
 
     def _surface(self, pressure_pa: NDArray[np.float32], max_pa: float) -> _Marker:
         steps = scale_steps(pressure_pa[self._placed], max_pa).repeat(len(CORNERS))
@@ -131,13 +130,14 @@ class _Marker(NamedTuple):
     is_deleted: bool = False
 
 
-def _message(markers: Sequence[_Marker], header: Header, lifetime_s: float) -> bytes:
+def _message(markers: Sequence[_Marker], heading: Heading, lifetime_s: float) -> bytes:
     """The message MarkerArray."""
+    header = heading.fields
     lifetime = divmod(round(lifetime_s * 1e9), 1_000_000_000)
     writer = CdrWriter()
     writer.count(len(markers))
     for marker in markers:
-        writer.header(header)
+        writer.add(header, 4)
         writer.text(marker.namespace)
         action, look = Marker.ADD, (*CONTACT_RGBA, *lifetime)
         if marker.is_deleted:
@@ -156,7 +156,7 @@ def _no_texture() -> bytes:
     """Empty texture_resource, texture and uv_coordinates of a marker."""
     writer = CdrWriter()
     writer.text("")
-    writer.header(Header())
+    writer.header(Heading(0, ""))
     writer.text("")
     writer.count(0)
     writer.count(0)

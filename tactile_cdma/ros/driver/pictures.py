@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import Image, PointCloud2
-from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
 from ...config.parameters import Values
@@ -20,6 +19,7 @@ from ...driver.pipeline import TactileFrame
 from ...readings.contact import ContactTracker
 from ...views.cloud import POINT, Cloud
 from ...views.heatmap import heatmap, pressure_raster
+from ..common.cdr import Heading
 from ..common.convert import image, point_cloud
 from ..common.qos import PICTURE
 from .markers import SkinMarkers
@@ -30,7 +30,7 @@ TOPICS = {
     "points": PointCloud2,
     "markers": MarkerArray,
 }
-Drawings = Mapping[str, Callable[[TactileFrame, Header], bytes]]
+Drawings = Mapping[str, Callable[[TactileFrame, Heading], bytes]]
 LOOK_S = 0.25
 """Interval of checks for subscribers, s, while there are none; chosen: nobody minds the wait."""
 FADE_PERIODS, LEAST_FADE_S = 3, 1.0
@@ -47,16 +47,16 @@ class Pictures:
     """
 
     def __init__(
-        self, node: LifecycleNode, live: Values, header_at: Callable[[float], Header]
+        self, node: LifecycleNode, live: Values, heading_at: Callable[[float], Heading]
     ) -> None:
-        """live: the parameters' present values, kept by the node. header_at: host time, s."""
-        self._live, self._header_at = live, header_at
+        """live: the parameters' present values, kept by the node. heading_at: host time, s."""
+        self._live, self._heading_at = live, heading_at
         self._publishers = {
             name: node.create_lifecycle_publisher(kind, f"~/{name}", PICTURE)
             for name, kind in TOPICS.items()
         }
         self._drawings: Drawings | None = None
-        self._latest: tuple[TactileFrame, Header | None] | None = None
+        self._latest: tuple[TactileFrame, Heading | None] | None = None
         self._drawn: TactileFrame | None = None
         self._published: dict[str, bytes] = {}  # the last message of each topic
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -76,12 +76,12 @@ class Pictures:
         self._timer.cancel()
         self._drawings = self._latest = self._drawn = None
 
-    def take(self, frame: TactileFrame, header: Header | None) -> None:
+    def take(self, frame: TactileFrame, heading: Heading | None) -> None:
         """Keep the newest frame; in the driver's thread, which this must not hold up.
 
-        header: that of the frame's other messages, so that all have the same stamp; None: none yet.
+        heading: of the frame's other messages, so that all have the same stamp; None: none yet.
         """
-        self._latest = frame, header
+        self._latest = frame, heading
 
     def change(self, values: Values) -> None:
         """Use other values of parameters; all of them, and they fit each other."""
@@ -105,13 +105,13 @@ class Pictures:
     def _draw(self, topics: list[str]) -> None:
         if self._latest is None or self._drawings is None or self._latest[0] is self._drawn:
             return
-        frame, header = self._latest
+        frame, heading = self._latest
         self._drawn = frame
-        header = header or self._header_at(frame.t_host)
+        heading = heading or self._heading_at(frame.t_host)
         for topic in topics:
             # Kept, as its memory would go back to the system, and every page of the next message
             # be a fault: 3 ms for a heatmap of 3 MB.
-            self._published[topic] = self._drawings[topic](frame, header)
+            self._published[topic] = self._drawings[topic](frame, heading)
             self._publishers[topic].publish(self._published[topic])
 
 
@@ -124,22 +124,22 @@ def _drawings(config: SkinConfig, live: Values, tracker: ContactTracker) -> Draw
         """Pressures, and the top of the colour scale, Pa."""
         return frame.readings.pressure_pa, float(live["colour_max_kpa"]) * 1e3
 
-    def markers(frame: TactileFrame, header: Header) -> bytes:
+    def markers(frame: TactileFrame, heading: Heading) -> bytes:
         contacts = tracker.update(frame.readings, frame.t_middle)
         fade_s = FADE_PERIODS * max(_period_s(live), config.spec.frame_period_s)
-        return skin.markers(*seen(frame), contacts, header, max(LEAST_FADE_S, fade_s))
+        return skin.markers(*seen(frame), contacts, heading, max(LEAST_FADE_S, fade_s))
 
-    def colours(frame: TactileFrame, header: Header) -> bytes:
+    def colours(frame: TactileFrame, heading: Heading) -> bytes:
         pressure_pa, max_pa = seen(frame)
         picture = heatmap(pressure_pa, layout, max_pa, int(live["heatmap_pixels"]))
-        return image(picture, "rgb8", header)
+        return image(picture, "rgb8", heading)
 
     return {
         "heatmap": colours,
-        "pressure_image": lambda frame, header: image(
-            pressure_raster(frame.readings.pressure_pa, layout), "32FC1", header
+        "pressure_image": lambda frame, heading: image(
+            pressure_raster(frame.readings.pressure_pa, layout), "32FC1", heading
         ),
-        "points": lambda frame, header: point_cloud(POINT, [cloud.points(*seen(frame))], header),
+        "points": lambda frame, heading: point_cloud(POINT, [cloud.points(*seen(frame))], heading),
         "markers": markers,
     }
 
