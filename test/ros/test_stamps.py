@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from itertools import islice, repeat
 
@@ -11,6 +12,7 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
+from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.time import Time  # noqa: E402
 
 from tactile_cdma.ros.driver.stamps import STAMP_JITTER_NS, SURE_NS, TRIES, Stamps  # noqa: E402
@@ -22,10 +24,12 @@ HOUR_NS = 3600 * 10**9
 class Computer:
     """Its two clocks, and a node as far as Stamps knows one. Every reading takes 1 µs.
 
+    ros_time_is_active: ROS time is a clock of its own, not the system's.
     step_ns: ROS time minus the monotonic clock. waits_ns: what comes between two readings.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, ros_time_is_active: bool) -> None:
+        self.ros_time_is_active = ros_time_is_active
         self.step_ns = 1_700_000_000 * 10**9
         self.waits_ns: Iterator[int] = repeat(0)
         self._now_ns = 5 * 10**9
@@ -37,19 +41,21 @@ class Computer:
     def get_clock(self) -> Computer:
         return self
 
-    @property
-    def handle(self) -> Computer:
-        return self
+    def create_jump_callback(self, *_: object, **__: object) -> None:
+        """ROS time stays what it is."""
 
-    def get_now(self) -> Time:
+    def time_ns(self) -> int:
         read_ns = self.monotonic_ns()
         self._now_ns += next(self.waits_ns)
-        return Time(nanoseconds=read_ns + self.step_ns)
+        return read_ns + self.step_ns
+
+    def now(self) -> Time:
+        return Time(nanoseconds=self.time_ns())
 
 
-@pytest.fixture
-def computer(monkeypatch: pytest.MonkeyPatch) -> Computer:
-    computer = Computer()
+@pytest.fixture(params=[False, True], ids=["system", "simulated"])
+def computer(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Computer:
+    computer = Computer(request.param)
     monkeypatch.setattr("tactile_cdma.ros.driver.stamps.time", computer)
     return computer
 
@@ -82,3 +88,17 @@ def test_a_thread_that_is_held_up_between_two_clocks_stamps_right(computer: Comp
     computer.waits_ns = iter([5_000_000] * (TRIES - 1) + [0])
     [stamp_ns] = stamps_ns(computer, 4.0)
     assert stamp_ns == pytest.approx(4 * 10**9 + computer.step_ns, abs=SURE_NS)
+
+
+def test_stamps_follow_a_change_to_simulated_time_and_back() -> None:
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node("clocks", context=context)
+    stamps = Stamps(node, {"frame_id": "skin"})
+    for is_simulated in (False, True, False):
+        node.set_parameters([Parameter("use_sim_time", value=is_simulated)])
+        # Without a message on /clock, simulated time is 0.
+        now_ns = 0 if is_simulated else time.time_ns()
+        assert stamps.now().stamp_ns == pytest.approx(now_ns, abs=10**9)
+    node.destroy_node()
+    rclpy.shutdown(context=context)
