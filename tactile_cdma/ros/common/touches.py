@@ -33,6 +33,7 @@ STATE = np.dtype(
 )
 """The other numbers of a TactileContact as they lie in the message from a multiple of 8 on, in the
 units of TactileContact.msg; taxels: how many."""
+_ID, _STATE = np.dtype((np.void, ID.itemsize)), np.dtype((np.void, STATE.itemsize))
 _SEQUENCE, _COVERAGE, _AREA, _SUMS = Struct("<QI"), Struct("<II2?"), Struct("<f"), Struct("<9d")
 
 
@@ -77,12 +78,13 @@ class Touches:
         sums = np.concatenate([self.position_m, self.force_n, self.torque_nm])
         writer.add(sums.astype("<f8").tobytes(), 8)
         writer.count(len(self.patches))
-        ids, states = self.ids.tobytes(), self.states.tobytes()
-        for contact, (patch, taxels) in enumerate(zip(self.patches, self.taxels, strict=True)):
+        ids, states = self.ids.view(_ID).tolist(), self.states.view(_STATE).tolist()
+        for patch, number, state, taxels in zip(
+            self.patches, ids, states, self.taxels, strict=True
+        ):
             writer.text(patch)
-            writer.add(ids[contact * ID.itemsize :][: ID.itemsize], 4)
-            writer.add(states[contact * STATE.itemsize :][: STATE.itemsize], 8)
-            writer.add(taxels)
+            writer.add(number, 4)
+            writer.add(state + taxels, 8)
         return writer.message
 
     @classmethod
