@@ -57,7 +57,7 @@ class PatchFeed:
             node,
             (TactileSkinInfo, f"{node_name}/info", self._take_info, LATCHED),
             (TactileArray, f"{node_name}/tactile", self._take_array, LATEST),
-            polled=True,
+            is_awaited=False,
         )
 
     @property
@@ -114,7 +114,20 @@ class PatchFeed:
             self.array = self._cloud = None
             self.is_new = False
 
-    def poll(self) -> None:
+    @property
+    def is_awaited(self) -> bool:
+        """Whether new contacts are noticed on arrival, not when poll_contacts is called."""
+        return self._for_contacts.is_awaited
+
+    @is_awaited.setter
+    def is_awaited(self, is_awaited: bool) -> None:
+        self._for_contacts.is_awaited = is_awaited
+
+    def poll_contacts(self) -> None:
+        """Take contacts, if there are new ones."""
+        self._for_contacts.poll()
+
+    def poll_points(self) -> None:
         """Take the latest array, and info, if there are new ones."""
         self._for_points.poll()
 

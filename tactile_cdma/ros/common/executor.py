@@ -14,6 +14,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
 
+from rclpy.callback_groups import CallbackGroup
 from rclpy.executors import Executor
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
@@ -23,6 +24,26 @@ from rclpy.waitable import NumberOfEntities
 EVENTS_S = 0.2
 """Interval of looks at event handlers, s. Chosen: they report rare things, such as incompatible QoS
 at a subscriber, and waiting for the 2 of every topic takes longer than for all else."""
+
+
+class Gate(CallbackGroup):
+    """Group of subscriptions that are waited for only while is_open.
+
+    A message that arrives meanwhile stays in the middleware.
+    """
+
+    def __init__(self, is_open: bool) -> None:
+        super().__init__()
+        self.is_open = is_open
+
+    def can_execute(self, entity: object) -> bool:
+        return self.is_open
+
+    def beginning_execution(self, entity: object) -> bool:
+        return self.is_open
+
+    def ending_execution(self, entity: object) -> None:
+        pass
 
 
 class LeanExecutor(Executor):
@@ -36,6 +57,7 @@ class LeanExecutor(Executor):
         super().__init__()
         self._held = ExitStack()  # keeps what is waited for from being destroyed
         self._add: list[tuple[Callable[[Any], None], Any]] = []
+        self._gated: list[tuple[Gate, Callable[[Any], None], Any]] = []
         self._waitables: list[Any] = []
         self._call: dict[int, tuple[Callable[[Any], object], Any]] = {}  # by rcl's pointer
         self._has_changed, self._events_due_s = True, 0.0
@@ -63,6 +85,9 @@ class LeanExecutor(Executor):
         wait_set.clear_entities()
         for add, handle in self._add:
             add(handle)
+        for gate, add, handle in self._gated:
+            if gate.is_open:
+                add(handle)
         waitables = []
         if time.monotonic() >= self._events_due_s:
             self._events_due_s, waitables = time.monotonic() + EVENTS_S, self._waitables
@@ -91,7 +116,12 @@ class LeanExecutor(Executor):
         self._held.close()
         nodes, context = self.get_nodes(), self._context.handle
         timers, subscriptions, services, self._waitables = (
-            [entity for node in nodes for entity in getattr(node, kind) if self.can_execute(entity)]
+            [
+                entity
+                for node in nodes
+                for entity in getattr(node, kind)
+                if isinstance(entity.callback_group, Gate) or self.can_execute(entity)
+            ]
             for kind in ("timers", "subscriptions", "services", "waitables")
         )
         guards = [self._guard, self._sigint_gc]
@@ -109,7 +139,7 @@ class LeanExecutor(Executor):
             count.num_events,
             context,
         )
-        self._add, self._call = [], {}
+        self._add, self._gated, self._call = [], [], {}
         for kind, entities, call in (
             ("guard_condition", guards, None),
             ("timer", timers, _call_timer),
@@ -119,7 +149,10 @@ class LeanExecutor(Executor):
             add = getattr(self._wait_set, f"add_{kind}")
             for entity in entities:
                 self._held.enter_context(entity.handle)
-                self._add.append((add, entity.handle))
+                if call and isinstance(entity.callback_group, Gate):
+                    self._gated.append((entity.callback_group, add, entity.handle))
+                else:
+                    self._add.append((add, entity.handle))
                 if call:
                     self._call[entity.handle.pointer] = call, entity
         for held in (*self._waitables, context):

@@ -7,12 +7,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
-from .executor import take_message
+from .executor import Gate, take_message
 
 Topic = tuple[type, str, Callable[[Any], None], QoSProfile]
 """Type of the messages, name, callback, QoS."""
@@ -21,19 +20,30 @@ Topic = tuple[type, str, Callable[[Any], None], QoSProfile]
 class Following:
     """Some topics of a node, subscribed to together or not at all.
 
-    polled: executors do not wait for their messages; these stay in the middleware until poll().
-    Being woken by a message costs more than taking it, so this is for the latest message of many
-    topics that are needed only now and then. raw: callbacks get serialised messages, bytes.
+    is_awaited: executors wait for their messages; else these stay in the middleware until poll().
+    Being woken by a message costs more than taking it. raw: callbacks get serialised messages,
+    bytes.
     """
 
-    def __init__(self, node: Node, *topics: Topic, polled: bool = False, raw: bool = False) -> None:
+    def __init__(
+        self, node: Node, *topics: Topic, is_awaited: bool = True, raw: bool = False
+    ) -> None:
         self._node, self._topics, self._raw = node, topics, raw
-        self._group = _Never() if polled else None
+        self._gate = Gate(is_awaited)
         self._subscriptions: list[Subscription] = []
 
     def __bool__(self) -> bool:
         """Whether the topics are subscribed to."""
         return bool(self._subscriptions)
+
+    @property
+    def is_awaited(self) -> bool:
+        """Whether executors wait for their messages."""
+        return self._gate.is_open
+
+    @is_awaited.setter
+    def is_awaited(self, is_awaited: bool) -> None:
+        self._gate.is_open = is_awaited
 
     def follow(self, asked: bool) -> None:
         """Subscribe, or end the subscriptions."""
@@ -43,7 +53,7 @@ class Following:
             self._node.destroy_subscription(subscription)
         topics = self._topics if asked else ()
         self._subscriptions = [
-            self._node.create_subscription(*topic, callback_group=self._group, raw=self._raw)
+            self._node.create_subscription(*topic, callback_group=self._gate, raw=self._raw)
             for topic in topics
         ]
 
@@ -51,16 +61,3 @@ class Following:
         """Call back for one message of each topic, if there is one."""
         for subscription in self._subscriptions:
             take_message(subscription)
-
-
-class _Never(CallbackGroup):
-    """Group of what executors leave alone."""
-
-    def can_execute(self, entity: object) -> bool:
-        return False
-
-    def beginning_execution(self, entity: object) -> bool:
-        return False
-
-    def ending_execution(self, entity: object) -> None:
-        pass
