@@ -9,6 +9,7 @@
 #include <errno.h>
 #include <math.h>
 
+#include "contacts.h"
 #include "reader.h"
 #include "readings.h"
 #include "samples.h"
@@ -16,7 +17,7 @@
 #include "transform.h"
 #include "words.h"
 
-#define VERSION 5 /* raise with every change of what this module offers; see base/kernel.py */
+#define VERSION 6 /* raise with every change of what this module offers; see base/kernel.py */
 #define LONG_WORK (1 << 16)
 /* Values that take tens of microseconds: work below does not release the GIL, since to get it back
  * from a busy thread can take 5 ms. */
@@ -706,6 +707,65 @@ drop_words:
     return result;
 }
 
+/* ---- contacts ---------------------------------------------------------------------------------- */
+
+/* contact_pa, release_pa, rim_pa, the bit of saturation; neighbours (t, m), moments (t, 10), pressure,
+ * status; place, unread, and the arrays that are written: ints (6·t + 1), doubles (13·t), peak, flags. */
+static PyObject *gather_contacts(PyObject *module, PyObject *const *arguments, Py_ssize_t count)
+{
+    Py_buffer neighbours, a[5], moments, ints, doubles, flags;
+    double n[4];
+    PyObject *result = NULL;
+
+    (void)module;
+    if (!takes(count, 14) || get_numbers(arguments, 4, n) ||
+        get_array(arguments[4], &neighbours, 'i', 0, "neighbours"))
+        return NULL;
+    if (neighbours.ndim != 2) {
+        PyErr_SetString(PyExc_ValueError, "neighbours are not (t, m)");
+        goto drop_neighbours;
+    }
+    size_t t = (size_t)neighbours.shape[0];
+    PyObject *each[] = {arguments[6], arguments[7], arguments[8], arguments[9], arguments[12]};
+    if (get_arrays(each, 5, "fBiBf", 2, t, a))
+        goto drop_neighbours;
+    if (get_arrays(arguments + 5, 1, "d", 1, CONTACTS_MOMENTS * t, &moments))
+        goto drop_each;
+    if (get_arrays(arguments + 10, 1, "i", 0, 6 * t + 1, &ints))
+        goto drop_moments;
+    if (get_arrays(arguments + 11, 1, "d", 0, (CONTACTS_SUMS + 2) * t, &doubles))
+        goto drop_ints;
+    if (!get_arrays(arguments + 13, 1, "?", 0, 3 * t, &flags)) {
+        int32_t *whole = ints.buf;
+        double *sums = doubles.buf;
+        uint8_t *flag = flags.buf;
+        struct contacts_skin skin = {t, (size_t)neighbours.shape[1], neighbours.buf, moments.buf};
+        struct contacts_limits limits = {(float)n[0], (float)n[1], (float)n[2], (uint8_t)n[3]};
+        struct contacts_kept kept = {a[2].buf, a[3].buf};
+        _Static_assert(sizeof(struct contacts_load) == 2 * sizeof(double), "two doubles");
+        struct contacts_scratch scratch = {whole, whole + t, whole + 2 * t,
+                                           (struct contacts_load *)(sums + CONTACTS_SUMS * t)};
+        struct contacts_found found = {whole + 3 * t, whole + 4 * t, whole + 5 * t, sums,
+                                       a[4].buf,      flag,          flag + t,      flag + 2 * t};
+        size_t contacts = contacts_gather(&skin, &limits, a[0].buf, a[1].buf, &kept, &scratch, &found);
+        if (contacts == SIZE_MAX)
+            PyErr_SetString(PyExc_ValueError, "a neighbour is no taxel");
+        else
+            result = PyLong_FromSize_t(contacts);
+        release(1, &flags);
+    }
+    release(1, &doubles);
+drop_ints:
+    release(1, &ints);
+drop_moments:
+    release(1, &moments);
+drop_each:
+    release(5, a);
+drop_neighbours:
+    PyBuffer_Release(&neighbours);
+    return result;
+}
+
 /* ---- samples ----------------------------------------------------------------------------------- */
 
 static PyObject *to_volts(PyObject *module, PyObject *const *arguments, Py_ssize_t count)
@@ -827,6 +887,7 @@ static PyMethodDef functions[] = {
     {"convert", (PyCFunction)(void (*)(void))convert, METH_FASTCALL, NULL},
     {"finish", (PyCFunction)(void (*)(void))finish, METH_FASTCALL, NULL},
     {"count_words", (PyCFunction)(void (*)(void))count_words, METH_FASTCALL, NULL},
+    {"gather_contacts", (PyCFunction)(void (*)(void))gather_contacts, METH_FASTCALL, NULL},
     {"to_volts", (PyCFunction)(void (*)(void))to_volts, METH_FASTCALL, NULL},
     {"copy_samples", (PyCFunction)(void (*)(void))copy_samples, METH_FASTCALL, NULL},
     {"add_samples", add_samples, METH_O, NULL},

@@ -182,6 +182,30 @@ def count_words(
     written to.
     """
 
+def gather_contacts(
+    contact_pa: float,
+    release_pa: float,
+    rim_pa: float,
+    saturated: int,
+    neighbours: NDArray[np.int32],
+    moments: NDArray[np.float64],
+    pressure_pa: NDArray[np.float32],
+    status: NDArray[np.uint8],
+    place: NDArray[np.int32],
+    unread: NDArray[np.uint8],
+    ints: NDArray[np.int32],
+    doubles: NDArray[np.float64],
+    peak_pa: NDArray[np.float32],
+    flags: NDArray[np.bool_],
+    /,
+) -> int:
+    """As NumpyGatherer in readings/gather.py; returns the number of contacts.
+
+    place, unread: (t,), kept from frame to frame. ints: (6·t + 1,): scratch (3·t), taxels, before,
+    starts (t + 1). doubles: (13·t,): sums (t, 11), scratch. peak_pa: (t,). flags: (3·t,):
+    saturated, lower_bound, torn. Raises ValueError for a neighbour that is no taxel.
+    """
+
 def to_volts(
     zero: float, per_count: float, counts: NDArray[np.int16], volts: NDArray[np.float32], /
 ) -> None:

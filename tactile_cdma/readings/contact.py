@@ -12,19 +12,12 @@ from numpy.typing import NDArray
 
 from ..base.arrays import Bools, Floats, Floats32, Indices
 from ..base.errors import SpecError
-from ..places.components import connected
 from ..places.layout import Layout
-from .stages import Status
+from .gather import Gatherer
 from .taxels import Coverage, Readings
 
 SMOOTHING_S = 0.05
 """Time constant of velocities and force rates, s; chosen: 4 frames of the paper's skin."""
-RIM = 0.3
-"""Fraction of the release threshold above which taxels adjacent to a contact add to its force.
-
-Without them a soft contact of 6 kPa loses 3 % of its force. With all adjacent taxels, a skin whose
-zero is off by one count would add 8 % instead of 5 % (`make bench-contact`).
-"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,13 +145,8 @@ class ContactTracker:
     def __init__(self, layout: Layout, thresholds: ContactThresholds, first_id: int = 1) -> None:
         self.thresholds = thresholds
         self.next_id = first_id
-        self._beside = np.ascontiguousarray(layout.neighbours.T, dtype=np.intp)
-        self._moments = _moments(layout)
+        self._gatherer = Gatherer(layout)
         self._contacts = NO_CONTACTS
-        self._place = np.full(len(layout), -1)  # index of each taxel's contact; -1: none
-        self._unread = np.ones(len(layout), dtype=bool)  # taxels without a reading
-        none = np.zeros(0, dtype=np.intp)
-        self._linked = none, none  # taxels above the release threshold, and their labels
         self._readings: Readings | None = None
         self._used = thresholds
         self._t_s = math.nan
@@ -166,7 +154,7 @@ class ContactTracker:
     def forget(self) -> None:
         """Start over: all contacts of the next frame are new."""
         self._contacts, self._readings, self._t_s = NO_CONTACTS, None, math.nan
-        self._place[:], self._unread[:] = -1, True
+        self._gatherer.forget()
 
     def update(self, readings: Readings, t_s: float) -> Contacts:
         """The contacts of the frame at device time t_s, s."""
@@ -181,32 +169,24 @@ class ContactTracker:
         return self._contacts
 
     def _find(self, readings: Readings, passed_s: float) -> Contacts:
-        pressure_pa, coverage, last = readings.pressure_pa, readings.coverage, self._contacts
-        before, self._unread = self._unread, np.isnan(pressure_pa)
-        # NaN exceeds nothing.
-        if not len(last) and not (pressure_pa > self._used.contact_pa).any():
-            return last if coverage == last.coverage else replace(last, coverage=coverage)
-        taxels, labels, starts = self._touched(pressure_pa)
-        places = self._place[taxels]
-        self._place[:] = -1
-        self._place[taxels] = labels
-        if not len(taxels):
-            return replace(NO_CONTACTS, coverage=coverage)
-        saturated = readings.status[taxels] & _SATURATED > 0
-        at_least = saturated | self._beside_any(self._unread, taxels)
-        origin, torn = _origins(places, labels, len(last), len(starts))
-        changed = before != self._unread
-        torn |= _any(changed[taxels] | self._beside_any(changed, taxels), starts)
-        felt_pa, moments = pressure_pa[taxels], self._moments.take(taxels, axis=0)
-        rim, labels_of_rim = self._rim(pressure_pa)
-        sums = np.add.reduceat(moments * felt_pa[:, None].astype(np.float64), starts)
-        np.add.at(sums, labels_of_rim, self._moments[rim] * pressure_pa[rim, None])
+        coverage, last = readings.coverage, self._contacts
+        found = self._gatherer.gather(readings, self._used.contact_pa, self._used.release_pa)
+        count = len(found.starts)
+        if not count:
+            is_same = not len(last) and coverage == last.coverage
+            return last if is_same else replace(NO_CONTACTS, coverage=coverage)
+        each = np.append(found.starts, len(found.taxels))
+        labels = np.arange(count).repeat(each[1:] - each[:-1])
+        origin, torn = _origins(found.places, labels, len(last), count)
+        torn |= found.torn
+        sums = found.moments
         position_m, force_n = sums[:, 1:4] / sums[:, :1], -sums[:, 4:7]
         new = (origin < 0).nonzero()[0]
         ids, age_s = np.append(last.ids, 0)[origin], np.append(last.age_s, 0.0)[origin] + passed_s
         ids[new], age_s[new] = np.arange(self.next_id, self.next_id + len(new)), 0.0
         self.next_id += len(new)
         velocity, rate = _motion(position_m, force_n, last, origin, torn, passed_s)
+        begins, ends = each[:-1].tolist(), each[1:].tolist()
         return Contacts(
             coverage=coverage,
             ids=ids,
@@ -215,67 +195,14 @@ class ContactTracker:
             position_m=position_m,
             force_n=force_n,
             torque_nm=-sums[:, 7:10],
-            area_m2=np.add.reduceat(moments[:, 0], starts),
-            pressure_max_pa=np.maximum.reduceat(felt_pa, starts),
-            saturated=_any(saturated, starts),
-            lower_bound=_any(at_least, starts),
+            area_m2=found.area_m2,
+            pressure_max_pa=found.pressure_max_pa,
+            saturated=found.saturated,
+            lower_bound=found.lower_bound,
             velocity_m_s=velocity,
             force_rate_n_s=rate,
-            taxels=np.split(taxels, starts[1:]),
+            taxels=[found.taxels[a:b] for a, b in zip(begins, ends, strict=True)],
         )
-
-    def _touched(self, pressure_pa: Floats32) -> tuple[Indices, ...]:
-        """The taxels in contact, contact by contact, the strongest contact first.
-
-        Returns the taxels, (k,), rising within each contact; the index of each taxel's contact,
-        (k,), 0…c − 1; and the start of each contact in these arrays, (c,).
-        """
-        taxels = (pressure_pa > self._used.release_pa).nonzero()[0]
-        if not np.array_equal(taxels, self._linked[0]):
-            self._linked = taxels, connected(taxels, self._beside)
-        labels, felt_pa = self._linked[1], pressure_pa[taxels]
-        alive = (felt_pa > self._used.contact_pa) | (self._place[taxels] >= 0)
-        load = np.bincount(labels, felt_pa * self._moments[taxels, 0])
-        load *= np.bincount(labels, alive) > 0
-        strongest = (-load).argsort(kind="stable")
-        place = np.empty_like(strongest)
-        place[strongest] = np.arange(len(load))
-        places = place[labels]
-        order = places.argsort(kind="stable")
-        places = places[order]
-        starts = places.searchsorted(np.arange(np.count_nonzero(load) + 1))
-        kept = starts[-1]  # what is not a contact yet comes last
-        return taxels[order[:kept]], places[:kept], starts[:-1]
-
-    def _beside_any(self, flags: Bools, taxels: Indices) -> Bools:
-        """(k,) bool, taxels with at least one neighbour whose flag is set; flags: (t,)."""
-        if not flags.any():
-            return np.zeros(len(taxels), dtype=bool)
-        return np.asarray(flags[self._beside.take(taxels, axis=1)].any(axis=0))
-
-    def _rim(self, pressure_pa: Floats32) -> tuple[Indices, ...]:
-        """Pressed taxels adjacent to contacts, and the indices of these contacts."""
-        weak = ((pressure_pa > RIM * self._used.release_pa) & (self._place < 0)).nonzero()[0]
-        place = self._place[self._beside[:, weak]].max(axis=0)
-        beside = place >= 0
-        return weak[beside], place[beside]
-
-
-def _any(flags: Bools, starts: Indices) -> Bools:
-    """(c,) bool, contacts with at least one flag set; flags: (k,), contact by contact."""
-    if not flags.any():
-        return np.zeros(len(starts), dtype=bool)
-    return np.logical_or.reduceat(flags, starts)
-
-
-def _moments(layout: Layout) -> Floats:
-    """(t, 10) float64: load, load·position, force and torque per pascal on each taxel.
-
-    Force and torque along the normal, thus of the skin on the touching object.
-    """
-    area = layout.areas_m2.astype(np.float64)[:, None]
-    places, normals = layout.positions_m.astype(np.float64), layout.normals.astype(np.float64)
-    return np.hstack([area, area * places, area * normals, area * np.cross(places, normals)])
 
 
 def _origins(places: Indices, labels: Indices, before: int, count: int) -> tuple[Indices, Bools]:
@@ -286,6 +213,8 @@ def _origins(places: Indices, labels: Indices, before: int, count: int) -> tuple
     earlier contacts, −1 for new ones, and (count,) bool, where contacts merged or split.
     """
     torn = np.zeros(count, dtype=bool)
+    if before == count and np.array_equal(places, labels):  # as in most frames
+        return np.arange(count), torn
     held = places >= 0
     pairs = np.sort(labels[held] * before + places[held])
     if not len(pairs):
@@ -356,4 +285,3 @@ def _length(vectors: Floats) -> Floats:
 
 
 _TINY = np.finfo(np.float64).tiny
-_SATURATED = np.uint8(Status.SATURATED)

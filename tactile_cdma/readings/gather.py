@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Gathers the pressed taxels of a frame into contacts, compiled or in numpy.
+
+Both forms find the same contacts; sums differ by rounding only.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..base import kernel
+from ..base.arrays import Bools, Floats, Floats32, Indices
+from ..places.components import connected
+from ..places.layout import Layout
+from .stages import Status
+from .taxels import Readings
+
+RIM = 0.3
+"""Fraction of the release threshold above which taxels adjacent to a contact add to its force.
+
+Without them a soft contact of 6 kPa loses 3 % of its force. With all adjacent taxels, a skin whose
+zero is off by one count would add 8 % instead of 5 % (`make bench-contact`).
+"""
+
+
+class Gathered(NamedTuple):
+    """The c contacts of a frame and their k taxels, the strongest contact first.
+
+    taxels: (k,) int, contact by contact, rising within each. places: (k,) int, the contact of each
+    in the frame before, −1 for none. starts: (c,) int, where each contact begins among these.
+    moments: (c, 10) float64, sums of load (N), load·position (N m), force of the skin (N) and its
+    torque (N m), pressed taxels beside the contact included. area_m2: (c,) float64.
+    pressure_max_pa: (c,) float32. saturated: (c,) bool, a taxel is. lower_bound: (c,) bool, a taxel
+    is saturated, or one in or beside the contact has no reading. torn: (c,) bool, one of these had
+    a reading in the frame before and has none, or the other way round.
+    """
+
+    taxels: Indices
+    places: Indices
+    starts: Indices
+    moments: Floats
+    area_m2: Floats
+    pressure_max_pa: Floats32
+    saturated: Bools
+    lower_bound: Bools
+    torn: Bools
+
+
+class NumpyGatherer:
+    """Gathers frame by frame; it keeps each taxel's contact, and whether it had a reading."""
+
+    def __init__(self, layout: Layout) -> None:
+        self._beside = np.ascontiguousarray(layout.neighbours.T, dtype=np.intp)
+        self._moments = moments_of(layout)
+        self._place = np.full(len(layout), -1)  # index of each taxel's contact; -1: none
+        self._unread = np.ones(len(layout), dtype=bool)  # taxels without a reading
+        none = np.zeros(0, dtype=np.intp)
+        self._linked = none, none  # taxels and their labels, see connected, which is slow
+
+    def forget(self) -> None:
+        """Start over: no taxel was in contact, or had a reading."""
+        self._place[:], self._unread[:] = -1, True
+
+    def gather(self, readings: Readings, contact_pa: float, release_pa: float) -> Gathered:
+        """The contacts of a frame; thresholds: see ContactThresholds. The next call ends them."""
+        pressure_pa = readings.pressure_pa
+        before, self._unread = self._unread, np.isnan(pressure_pa)
+        if not (pressure_pa > contact_pa).any() and (self._place < 0).all():
+            return _NOTHING
+        taxels, labels, starts = self._touched(pressure_pa, contact_pa, release_pa)
+        places = self._place[taxels]
+        self._place[:] = -1
+        self._place[taxels] = labels
+        if not len(starts):
+            return _NOTHING
+        saturated = readings.status[taxels] & _SATURATED > 0
+        at_least = saturated | self._beside_any(self._unread, taxels)
+        changed = before != self._unread
+        torn = changed[taxels] | self._beside_any(changed, taxels)
+        felt_pa, moments = pressure_pa[taxels], self._moments.take(taxels, axis=0)
+        sums = np.add.reduceat(moments * felt_pa[:, None].astype(np.float64), starts)
+        rim, labels_of_rim = self._rim(pressure_pa, RIM * release_pa)
+        np.add.at(sums, labels_of_rim, self._moments[rim] * pressure_pa[rim, None])
+        return Gathered(
+            taxels,
+            places,
+            starts,
+            sums,
+            area_m2=np.add.reduceat(moments[:, 0], starts),
+            pressure_max_pa=np.maximum.reduceat(felt_pa, starts),
+            saturated=_any(saturated, starts),
+            lower_bound=_any(at_least, starts),
+            torn=_any(torn, starts),
+        )
+
+    def _touched(
+        self, pressure_pa: Floats32, contact_pa: float, release_pa: float
+    ) -> tuple[Indices, ...]:
+        """The taxels in contact, contact by contact, the strongest contact first.
+
+        Returns the taxels, (k,), rising within each contact; the index of each taxel's contact,
+        (k,), 0…c − 1; and the start of each contact in these arrays, (c,).
+        """
+        taxels = (pressure_pa > release_pa).nonzero()[0]
+        if not np.array_equal(taxels, self._linked[0]):
+            self._linked = taxels, connected(taxels, self._beside)
+        labels, felt_pa = self._linked[1], pressure_pa[taxels]
+        alive = (felt_pa > contact_pa) | (self._place[taxels] >= 0)
+        load = np.bincount(labels, felt_pa * self._moments[taxels, 0])
+        load *= np.bincount(labels, alive) > 0
+        strongest = (-load).argsort(kind="stable")
+        place = np.empty_like(strongest)
+        place[strongest] = np.arange(len(load))
+        places = place[labels]
+        order = places.argsort(kind="stable")
+        places = places[order]
+        starts = places.searchsorted(np.arange(np.count_nonzero(load) + 1))
+        kept = starts[-1]  # what is not a contact yet comes last
+        return taxels[order[:kept]], places[:kept], starts[:-1]
+
+    def _beside_any(self, flags: Bools, taxels: Indices) -> Bools:
+        """(k,) bool, taxels with at least one neighbour whose flag is set; flags: (t,)."""
+        if not flags.any():
+            return np.zeros(len(taxels), dtype=bool)
+        return np.asarray(flags[self._beside.take(taxels, axis=1)].any(axis=0))
+
+    def _rim(self, pressure_pa: Floats32, rim_pa: float) -> tuple[Indices, ...]:
+        """Pressed taxels adjacent to contacts, and the indices of these contacts."""
+        weak = ((pressure_pa > rim_pa) & (self._place < 0)).nonzero()[0]
+        place = self._place[self._beside[:, weak]].max(axis=0)
+        beside = place >= 0
+        return weak[beside], place[beside]
+
+
+class CompiledGatherer:
+    """As NumpyGatherer."""
+
+    def __init__(self, layout: Layout) -> None:
+        taxels = len(layout)
+        self._neighbours = np.ascontiguousarray(layout.neighbours, dtype=np.int32)
+        self._moments = moments_of(layout)
+        self._place = np.full(taxels, -1, dtype=np.int32)
+        self._unread = np.ones(taxels, dtype=np.uint8)
+        self._ints = np.empty(6 * taxels + 1, dtype=np.int32)
+        self._doubles = np.empty(13 * taxels)
+        self._peak_pa = np.empty(taxels, dtype=np.float32)
+        self._flags = np.empty(3 * taxels, dtype=bool)
+        self._taxels, self._places = self._ints[3 * taxels : 5 * taxels].reshape(2, -1)
+        self._starts = self._ints[5 * taxels :]
+        self._sums = self._doubles[: 11 * taxels].reshape(-1, 11)
+        self._by_flag = self._flags.reshape(3, -1)
+
+    def forget(self) -> None:
+        """See NumpyGatherer."""
+        self._place[:], self._unread[:] = -1, 1
+
+    def gather(self, readings: Readings, contact_pa: float, release_pa: float) -> Gathered:
+        """See NumpyGatherer."""
+        assert kernel.compiled is not None
+        count = kernel.compiled.gather_contacts(
+            contact_pa, release_pa, RIM * release_pa, Status.SATURATED, self._neighbours,
+            self._moments, readings.pressure_pa, readings.status, self._place, self._unread,
+            self._ints, self._doubles, self._peak_pa, self._flags,
+        )  # fmt: skip
+        if not count:
+            return _NOTHING
+        size, sums = int(self._starts[count]), self._sums[:count].copy()
+        return Gathered(
+            self._taxels[:size].astype(np.intp),
+            self._places[:size].astype(np.intp),
+            self._starts[:count].astype(np.intp),
+            sums[:, :10],
+            sums[:, 10],
+            self._peak_pa[:count].copy(),
+            *self._by_flag[:, :count].copy(),
+        )
+
+
+Gatherer = NumpyGatherer if kernel.compiled is None else CompiledGatherer
+
+
+def moments_of(layout: Layout) -> Floats:
+    """(t, 10) float64: load, load·position, force and torque per pascal on each taxel.
+
+    Force and torque along the normal, thus of the skin on the touching object.
+    """
+    area = layout.areas_m2.astype(np.float64)[:, None]
+    places, normals = layout.positions_m.astype(np.float64), layout.normals.astype(np.float64)
+    return np.hstack([area, area * places, area * normals, area * np.cross(places, normals)])
+
+
+def _any(flags: Bools, starts: Indices) -> Bools:
+    """(c,) bool, contacts with at least one flag set; flags: (k,), contact by contact."""
+    if not flags.any():
+        return np.zeros(len(starts), dtype=bool)
+    return np.logical_or.reduceat(flags, starts)
+
+
+_SATURATED = np.uint8(Status.SATURATED)
+_NO_TAXELS, _NO_FLAGS = np.zeros(0, dtype=np.intp), np.zeros(0, dtype=bool)
+_NOTHING = Gathered(
+    *(_NO_TAXELS, _NO_TAXELS, _NO_TAXELS, np.zeros((0, 10)), np.zeros(0)),
+    *(np.zeros(0, dtype=np.float32), _NO_FLAGS, _NO_FLAGS, _NO_FLAGS),
+)
