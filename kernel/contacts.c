@@ -7,8 +7,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define UNREAD 1  /* bits of contacts_kept.unread: the taxel has no reading, */
-#define CHANGED 2 /* and in the last frame it had one, or the other way round */
+/* Bits of contacts_kept.unread: the taxel has no reading; it had one in the frame before and has none, or
+ * the other way round. */
+enum { UNREAD = 1, CHANGED = 2 };
 
 static int32_t root_of(int32_t *root, int32_t taxel)
 {
@@ -98,8 +99,8 @@ static uint8_t note_unread(size_t taxels, const float *pressure_pa, uint8_t *unr
     uint8_t any = 0;
 
     for (size_t i = 0; i < taxels; i++) {
-        uint8_t now = isnan(pressure_pa[i]) ? UNREAD : 0;
-        unread[i] = now | (now != (unread[i] & UNREAD) ? CHANGED : 0);
+        bool now = isnan(pressure_pa[i]), before = unread[i] & UNREAD;
+        unread[i] = (uint8_t)((now ? UNREAD : 0) | (now != before ? CHANGED : 0));
         any |= unread[i];
     }
     return any;

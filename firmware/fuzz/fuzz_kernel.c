@@ -2,6 +2,7 @@
 
 /* The driver's compiled kernel (../kernel): arbitrary bytes through its scanner and a reference reader,
  * whole numbers through its transforms and sums without any trick, and any levels read as words. */
+#include "contacts.h"
 #include "reference.h"
 #include "readings.h"
 #include "samples.h"
@@ -337,6 +338,67 @@ static void add_samples(struct input *input)
     free(whole);
 }
 
+/* Contacts of frames of any pressures on a grid: every taxel is in one contact at most, and that is
+ * connected to nothing above the release but itself. */
+static void gather(size_t taxels, size_t width, size_t frames, const float *pressures_pa,
+                   const uint8_t *status)
+{
+    enum { NEAR = 4 };
+    int32_t *ints = malloc((NEAR + 7) * taxels * sizeof *ints + sizeof *ints);
+    double *doubles = calloc((CONTACTS_MOMENTS + CONTACTS_SUMS) * taxels, sizeof *doubles);
+    struct contacts_load *loads = malloc(taxels * sizeof *loads);
+    uint8_t *flags = malloc(4 * taxels);
+    float *peaks_pa = malloc(taxels * sizeof *peaks_pa);
+    int32_t *near = ints, *place = ints + NEAR * taxels, *rest = place + taxels;
+    const struct contacts_limits limits = {0.5f, 0.2f, 0.06f, 8};
+    const struct contacts_skin skin = {taxels, NEAR, near, doubles};
+    const struct contacts_kept kept = {place, flags};
+    const struct contacts_scratch scratch = {rest, rest + taxels, rest + 2 * taxels, loads};
+    const struct contacts_found found = {rest + 3 * taxels,  rest + 4 * taxels, rest + 5 * taxels,
+                                         doubles + CONTACTS_MOMENTS * taxels, peaks_pa,
+                                         flags + taxels,     flags + 2 * taxels, flags + 3 * taxels};
+
+    for (size_t i = 0; i < taxels; i++) {
+        bool left = i % width > 0, right = i % width + 1 < width && i + 1 < taxels;
+        int32_t own = (int32_t)i;
+        near[NEAR * i] = left ? own - 1 : own;
+        near[NEAR * i + 1] = right ? own + 1 : own;
+        near[NEAR * i + 2] = i >= width ? own - (int32_t)width : own;
+        near[NEAR * i + 3] = i + width < taxels ? own + (int32_t)width : own;
+        doubles[CONTACTS_MOMENTS * i] = 1;
+        place[i] = -1;
+        flags[i] = 1;
+    }
+    for (size_t frame = 0; frame < frames; frame++) {
+        const float *pressure_pa = pressures_pa + frame * taxels;
+        size_t in_contact = 0;
+        size_t count = contacts_gather(&skin, &limits, pressure_pa, status, &kept, &scratch, &found);
+        MUST(count <= taxels, WRONG_VALUE);
+        for (size_t c = 0; c < count; c++) {
+            MUST(found.starts[c] < found.starts[c + 1], WRONG_VALUE);
+            for (int32_t at = found.starts[c]; at < found.starts[c + 1]; at++)
+                MUST(place[found.taxels[at]] == (int32_t)c, WRONG_VALUE);
+            MUST(found.peak_pa[c] > limits.release_pa, WRONG_VALUE);
+        }
+        for (size_t i = 0; i < taxels; i++) {
+            in_contact += place[i] >= 0;
+            MUST(place[i] < 0 || pressure_pa[i] > limits.release_pa, WRONG_VALUE);
+            MUST(place[i] >= 0 || !(pressure_pa[i] > limits.contact_pa), WRONG_VALUE);
+            for (size_t n = 0; pressure_pa[i] > limits.release_pa && n < NEAR; n++) {
+                int32_t beside = near[NEAR * i + n];
+                MUST(!(pressure_pa[beside] > limits.release_pa) || place[beside] == place[i],
+                     WRONG_VALUE);
+            }
+        }
+        MUST(in_contact == (size_t)found.starts[count], WRONG_VALUE);
+    }
+    free(ints);
+    free(doubles);
+    free(loads);
+    free(flags);
+    free(peaks_pa);
+}
+
 /* Readings of any words: only those that are valid are numbers, and nodes out of service say so. */
 static void read_taxels(struct input *input)
 {
@@ -395,6 +457,7 @@ static void read_taxels(struct input *input)
         MUST(seen.suspected[i] >= 0 && (any || !seen.suspected[i]), WRONG_VALUE);
         MUST(seen.words[i] >= (float)active[i] && seen.words[i] <= 1, WRONG_VALUE);
     }
+    gather(nodes, 1 + nodes % 17, 6, floats, flags);
     free(flags);
     free(ints);
     free(floats);

@@ -43,8 +43,9 @@ def frames(layout: Layout, seed: int, density: float) -> list[Readings]:
     return found
 
 
-@given(st.sampled_from(LAYOUTS), st.integers(0, 2**32), st.sampled_from([0.02, 0.2, 0.7]))
-def test_compiled_is_as_numpy(layout: Layout, seed: int, density: float) -> None:
+@given(st.integers(0, 2), st.integers(0, 2**32), st.sampled_from([0.02, 0.2, 0.7]))
+def test_compiled_is_as_numpy(which: int, seed: int, density: float) -> None:
+    layout = LAYOUTS[which]
     by_numpy, compiled = NumpyGatherer(layout), CompiledGatherer(layout)
     for number, readings in enumerate(frames(layout, seed, density)):
         if number == 15:
@@ -57,7 +58,7 @@ def test_compiled_is_as_numpy(layout: Layout, seed: int, density: float) -> None
             assert same.shape == values.shape
             assert same.dtype == values.dtype
             if name in ("moments", "area_m2"):
-                np.testing.assert_allclose(same, values, rtol=1e-12, atol=1e-18)
+                np.testing.assert_allclose(same, values, rtol=1e-12, atol=1e-14)
             else:
                 np.testing.assert_array_equal(same, values)
 
