@@ -139,6 +139,12 @@ size_t contacts_gather(const struct contacts_skin *skin, const struct contacts_l
                        const struct contacts_found *found)
 {
     uint8_t any = note_unread(skin->taxels, pressure_pa, kept->unread);
+    bool is_touched = false;
+    for (size_t i = 0; i < skin->taxels; i++)
+        is_touched |= (pressure_pa[i] > limits->contact_pa) | (kept->place[i] >= 0);
+    found->starts[0] = 0;
+    if (!is_touched) /* nor was it in the frame before */
+        return 0;
     size_t components =
         connect(skin, pressure_pa, limits->release_pa, scratch->root, scratch->label);
     if (components == SIZE_MAX)

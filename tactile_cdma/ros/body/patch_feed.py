@@ -124,8 +124,9 @@ class PatchFeed:
         self._for_contacts.is_awaited = is_awaited
 
     def poll_contacts(self) -> None:
-        """Take contacts, if there are new ones."""
-        self._for_contacts.poll()
+        """Take all contacts that wait, or they would stay one frame late after a hold-up."""
+        for _ in range(FRESH.depth):
+            self._for_contacts.poll()
 
     def poll_points(self) -> None:
         """Take the latest array, and info, if there are new ones."""

@@ -126,7 +126,7 @@ class Sleeper(Gatherer):
         while woken := [name for name in sorted(self.awaited) if self.waiting[name]]:
             self.wakes += 1
             for name in self.waiting.keys() - self.awaited:
-                if self.waiting[name]:
+                while self.waiting[name]:
                     self.take(name, self.waiting[name].popleft())
             self.take(woken[0], self.waiting[woken[0]].popleft())
             self.awaited = self.rounds.awaited(self.waiting)
@@ -140,10 +140,16 @@ def slept(arrivals: list[tuple[float, str]]) -> Sleeper:
 
 
 @given(st.lists(st.floats(0.0, 0.0099), min_size=3, max_size=8, unique=True))
-def test_senders_in_order_make_the_same_rounds_of_fewer_wakes(phases_s: list[float]) -> None:
+def test_senders_in_order_need_fewer_wakes_for_timely_rounds(
+    phases_s: list[float],
+) -> None:
     arrivals = [n for i, phase_s in enumerate(phases_s) for n in steady(f"p{i}", 0.01, phase_s, 1)]
-    all_awaited, sleeper = gathered(arrivals), slept(arrivals)
-    assert sleeper.out[-50:] == all_awaited.out[-50:]
+    sleeper = slept(arrivals)
+    late = [(now_s, latest) for now_s, latest in sleeper.out if now_s > 0.5]
+    assert 49 <= len(late) <= 51
+    for now_s, latest in late:
+        assert len(latest) == len(phases_s)
+        assert now_s - min(latest.values()) < 0.0101
     assert sleeper.wakes < 2 * 100 + 5 * len(phases_s)
 
 
