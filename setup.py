@@ -19,6 +19,7 @@ kernel = Extension(
         "firmware/core/tactile_protocol.h",
     ],
     extra_compile_args=Path("kernel/options.txt").read_text().split(),
+    libraries=["m"],
     py_limited_api=True,
     optional=True,
 )

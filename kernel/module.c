@@ -1,13 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* The kernel as a Python module. Limited API of 3.11, the first with buffers: one build serves all
- * later Pythons. See tactile_cdma/_kernel.pyi for what it offers. */
-#define PY_SSIZE_T_CLEAN
-#define Py_LIMITED_API 0x030B0000
-#include <Python.h>
+/* The kernel as a Python module; see tactile_cdma/_kernel.pyi for what it offers. */
+#include "binding.h"
 
 #include <errno.h>
 #include <math.h>
+#include <string.h>
 
 #include "contacts.h"
 #include "reader.h"
@@ -17,60 +15,10 @@
 #include "transform.h"
 #include "words.h"
 
-#define VERSION 6 /* raise with every change of what this module offers; see base/kernel.py */
+#define VERSION 7 /* raise with every change of what this module offers; see base/kernel.py */
 #define LONG_WORK (1 << 16)
 /* Values that take tens of microseconds: work below does not release the GIL, since to get it back
  * from a busy thread can take 5 ms. */
-
-/* An object of one of this module's types, which holds one of the kernel's. */
-struct holder {
-    PyObject_HEAD
-    void *held;
-};
-
-static PyObject *hold(PyTypeObject *type, void *held)
-{
-    allocfunc allocate = (allocfunc)PyType_GetSlot(type, Py_tp_alloc);
-    PyObject *self = allocate(type, 0);
-
-    if (self)
-        ((struct holder *)self)->held = held;
-    return self;
-}
-
-static void *held_by(PyObject *self)
-{
-    return ((struct holder *)self)->held;
-}
-
-static void drop(PyObject *self)
-{
-    PyTypeObject *type = Py_TYPE(self);
-
-    ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
-    Py_DECREF(type);
-}
-
-/* A contiguous array of this type (struct's code), or -1 with an exception. `what` is its name. */
-static int get_array(PyObject *object, Py_buffer *buffer, char code, int flags, const char *what)
-{
-    if (PyObject_GetBuffer(object, buffer, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | flags))
-        return -1;
-    const char *format = buffer->format;
-    if (format[0] == code && format[1] == 0)
-        return 0;
-    PyErr_Format(PyExc_TypeError, "%s holds '%s', not '%c'", what, format, code);
-    PyBuffer_Release(buffer);
-    return -1;
-}
-
-/* Whether a function got as many arguments as it takes; if not, with an exception. */
-static bool takes(Py_ssize_t count, Py_ssize_t expected)
-{
-    if (count != expected)
-        PyErr_Format(PyExc_TypeError, "%zd arguments, not %zd", count, expected);
-    return count == expected;
-}
 
 /* ---- Transform --------------------------------------------------------------------------------- */
 
@@ -202,23 +150,6 @@ static void drop_scanner(PyObject *self)
     drop(self);
 }
 
-/* (type, sequence, payload) of a packet; the payload of well-formed samples is taken apart. */
-static PyObject *packet_tuple(const struct scanner_packet *packet)
-{
-    size_t samples = scanner_samples(packet);
-
-    if (!samples)
-        return Py_BuildValue("(BHy#)", packet->type, packet->sequence, packet->payload,
-                             (Py_ssize_t)packet->size);
-    struct tp_samples head;
-    PyObject *counts = PyBytes_FromStringAndSize(NULL, (Py_ssize_t)(samples * sizeof(int16_t)));
-    if (!counts)
-        return NULL;
-    scanner_copy_samples(packet, &head, PyBytes_AsString(counts));
-    return Py_BuildValue("(BH(KKBN))", packet->type, packet->sequence, head.device_time_us,
-                         head.first_index, head.flags, counts);
-}
-
 static PyObject *feed(PyObject *self, PyObject *data)
 {
     struct scanner *scanner = held_by(self);
@@ -269,11 +200,7 @@ static PyObject *counts(PyObject *self, PyObject *unused)
 
     (void)unused;
     scanner_counts(held_by(self), &seen);
-    return Py_BuildValue("{sKsKsKsKsKsKsKsKsKsK}", "bytes", seen.bytes, "packets", seen.packets,
-                         "crc_errors", seen.crc_errors, "framing_errors", seen.framing_errors,
-                         "malformed", seen.malformed, "lost_packets", seen.lost_packets, "jumps",
-                         seen.jumps, "repeated_packets", seen.repeated_packets, "resyncs",
-                         seen.resyncs, "text_bytes", seen.text_bytes);
+    return counts_dict(&seen);
 }
 
 static PyMethodDef scanner_methods[] = {
@@ -317,58 +244,12 @@ static PyObject *read_packets(PyObject *module, PyObject *const *arguments, Py_s
     size = reader_read((int)file, bytes, sizeof bytes, (int)timeout_ms, &had_waited);
     failure = errno;
     Py_END_ALLOW_THREADS
-    if (size < 0 && failure) {
-        errno = failure;
-        return PyErr_SetFromErrno(PyExc_OSError);
-    }
-    if (size < 0) {
-        PyErr_SetString(PyExc_OSError, "end of file");
-        return NULL;
-    }
+    if (size < 0)
+        return file_error(failure);
     return Py_BuildValue("(y#O)", bytes, (Py_ssize_t)size, had_waited ? Py_True : Py_False);
 }
 
 /* ---- words ------------------------------------------------------------------------------------- */
-
-/* Gets `count` arrays of `size` values each, of types that a letter of `codes` each names: those from
- * number `writable` on to be written to. Returns 0, or -1 with an exception, and then holds none. */
-static int get_arrays(PyObject *const *objects, size_t count, const char *codes, size_t writable,
-                      size_t size, Py_buffer *buffers)
-{
-    for (size_t i = 0; i < count; i++) {
-        int flags = i < writable ? 0 : PyBUF_WRITABLE;
-        int failed = get_array(objects[i], &buffers[i], codes[i], flags, "an array");
-        if (!failed && (size_t)(buffers[i].len / buffers[i].itemsize) != size) {
-            PyErr_Format(PyExc_ValueError, "an array of %zd values, not %zu",
-                         buffers[i].len / buffers[i].itemsize, size);
-            PyBuffer_Release(&buffers[i]);
-            failed = -1;
-        }
-        if (failed) {
-            while (i-- > 0)
-                PyBuffer_Release(&buffers[i]);
-            return -1;
-        }
-    }
-    return 0;
-}
-
-static void release(size_t count, Py_buffer *buffers)
-{
-    while (count-- > 0)
-        PyBuffer_Release(&buffers[count]);
-}
-
-/* Converts `count` numbers. Returns 0, or -1 with an exception. */
-static int get_numbers(PyObject *const *objects, size_t count, double *numbers)
-{
-    for (size_t i = 0; i < count; i++) {
-        numbers[i] = PyFloat_AsDouble(objects[i]);
-        if (numbers[i] == -1 && PyErr_Occurred())
-            return -1;
-    }
-    return 0;
-}
 
 static PyObject *measure(PyObject *module, PyObject *const *arguments, Py_ssize_t count)
 {
@@ -521,6 +402,31 @@ drop_out:
 drop_rows:
     PyBuffer_Release(&rows);
     return result;
+}
+
+/* first_row, nodes, begin and number of the spare rows; rows (k, N). */
+static PyObject *word_noise(PyObject *module, PyObject *const *arguments, Py_ssize_t count)
+{
+    Py_buffer rows;
+    double n[4];
+
+    (void)module;
+    if (!takes(count, 5) || get_numbers(arguments, 4, n) ||
+        get_array(arguments[4], &rows, 'f', 0, "rows"))
+        return NULL;
+    struct words_frame frame = {.first = (size_t)n[0], .nodes = (size_t)n[1]};
+    bool fits = rows.ndim == 2 && rows.shape[0] > 1 && n[0] >= 0 && n[1] >= 1 && n[2] >= 0 &&
+                n[3] >= 0 && n[0] + n[1] <= (double)rows.shape[1] &&
+                n[2] + n[3] <= (double)rows.shape[1];
+    double noise = NAN;
+    if (fits) {
+        frame.bits = (size_t)rows.shape[0];
+        frame.order = (size_t)rows.shape[1];
+        noise = words_noise(&frame, rows.buf, (size_t)n[2], (size_t)n[3]);
+    } else
+        PyErr_SetString(PyExc_ValueError, "rows are not (k, N) with those of nodes and noise in N");
+    release(1, &rows);
+    return fits ? PyFloat_FromDouble(noise) : NULL;
 }
 
 /* Numbers: first_row, per_noise, threshold, faint_share, sound_share, most_square, least_usual,
@@ -882,6 +788,7 @@ static PyMethodDef functions[] = {
     {"decide", (PyCFunction)(void (*)(void))decide, METH_FASTCALL, NULL},
     {"late", (PyCFunction)(void (*)(void))late, METH_FASTCALL, NULL},
     {"fit_words", (PyCFunction)(void (*)(void))fit_words, METH_FASTCALL, NULL},
+    {"word_noise", (PyCFunction)(void (*)(void))word_noise, METH_FASTCALL, NULL},
     {"read_words", (PyCFunction)(void (*)(void))read_words, METH_FASTCALL, NULL},
     {"hear", (PyCFunction)(void (*)(void))hear, METH_FASTCALL, NULL},
     {"convert", (PyCFunction)(void (*)(void))convert, METH_FASTCALL, NULL},
@@ -909,7 +816,8 @@ static int add_type(PyObject *module, PyType_Spec *spec)
 
 static int fill(PyObject *module)
 {
-    if (add_type(module, &transform_spec) || add_type(module, &scanner_spec))
+    if (add_type(module, &transform_spec) || add_type(module, &scanner_spec) ||
+        add_type(module, &steady_spec))
         return -1;
     if (PyModule_AddIntConstant(module, "VERSION", VERSION))
         return -1;

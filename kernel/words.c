@@ -321,6 +321,43 @@ void words_fit(const struct words_frame *frame, const float *rows, float *amplit
     *misfit = (float)total / (bits_power < tiny ? tiny : bits_power) - 1.0f;
 }
 
+/* ---- noise ------------------------------------------------------------------------------------- */
+
+/* A spoken word's levels scatter about their mean with the noise. The levels of a silent node are the
+ * noise itself: folded, their mean is 1.3 of their deviations only. */
+static double noise_of_words(const struct words_frame *frame, const float *rows)
+{
+    const double bits = (double)frame->bits;
+    double power = 0;
+
+    for (size_t node = 0; node < frame->nodes; node++) {
+        const float *levels = rows + frame->first + node;
+        double sum = 0, squares = 0, scatter = 0;
+        for (size_t bit = 0; bit < frame->bits; bit++) {
+            double level = fabs((double)levels[bit * frame->order]);
+            sum += level;
+            squares += level * level;
+        }
+        for (size_t bit = 0; bit < frame->bits; bit++) {
+            double off = fabs((double)levels[bit * frame->order]) - sum / bits;
+            scatter += off * off / (bits - 1);
+        }
+        power += sum / bits > 2.2 * sqrt(scatter) ? scatter : squares / bits;
+    }
+    return sqrt(power / (double)frame->nodes);
+}
+
+double words_noise(const struct words_frame *frame, const float *rows, size_t spare, size_t count)
+{
+    double power = 0;
+
+    if (count < 2)
+        return noise_of_words(frame, rows);
+    for (size_t bit = 0; bit < frame->bits; bit++)
+        power += power_of(rows + bit * frame->order + spare, count);
+    return sqrt(power / (double)(frame->bits * count));
+}
+
 /* ---- read -------------------------------------------------------------------------------------- */
 
 /* Whether words leave over less than a chip of the weakest: what out_of_place in lateness.py asks. */

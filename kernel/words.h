@@ -55,6 +55,10 @@ struct words_frame {
 void words_fit(const struct words_frame *frame, const float *rows, float *amplitude, float *uneven,
                float *pedestal, float *power, float *spread, float *misfit);
 
+/* Noise of one correlation, V RMS: of `count` spare rows from `spare` on, or of the words where fewer
+ * than two rows are spare; see node_levels in separate.py. */
+double words_noise(const struct words_frame *frame, const float *rows, size_t spare, size_t count);
+
 /* What words are read by, besides: see decode.py. per_noise: 1/V. least_usual: V, of the usual amplitude;
  * NaN where the expected ones are given. a_chip, few: see lateness.py. */
 struct words_reading {

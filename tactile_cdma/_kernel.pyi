@@ -6,11 +6,12 @@ They raise TypeError or ValueError for arrays of another type or size. base/kern
 whether the kernel is used.
 """
 
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .driver.timeline import PassedPacket
 from .wire.packets import Found
 
 VERSION: int
@@ -111,6 +112,11 @@ def fit_words(
     /,
 ) -> None:
     """As numpy_fit_words in framing/fit.py, into those after rows; swing_v: NaN if unknown."""
+
+def word_noise(
+    first_row: int, nodes: int, spare: int, spare_count: int, rows: NDArray[np.float32], /
+) -> float:
+    """As numpy_noise_of in code/separate.py."""
 
 def read_words(
     first_row: int,
@@ -254,3 +260,60 @@ class Scanner:
 
     def counts(self) -> dict[str, int]:
         """Fields of Counters."""
+
+@final
+class Steady:
+    """Follows a stream while it goes on as it was; see kernel/steady.h and driver/steady.py."""
+
+    def __new__(
+        cls,
+        scanner: object,
+        transform: object,
+        setting: NDArray[np.float64],
+        rows: NDArray[np.float32],
+        /,
+    ) -> Steady:
+        """scanner: shared with the parser. rows: (k, N), written to with every frame."""
+
+    def enter(
+        self,
+        origin: int,
+        end: int,
+        gap_begin: int,
+        mark: int,
+        last_us: int,
+        last_count: int,
+        level_v: float,
+        noise: float,
+        gap: tuple[float, float, float],
+        volts: NDArray[np.float64],
+        due: int,
+        over: int,
+        uses: int,
+        fit: tuple[object, ...] | None,
+        /,
+    ) -> None:
+        """Go on from a place between frames.
+
+        fit: chip, samples of the frame, begin and number of those after it, and the arrays of
+        ChipEdges.within. Raises ValueError for places beyond the `due` samples of a frame.
+        """
+
+    def give(self, data: bytes, t_host: float, backlog: bool, /) -> None:
+        """Bytes to go on with. Raises RuntimeError while others are not used up."""
+
+    def wait(
+        self, file: int, timeout_ms: int, /
+    ) -> tuple[int, Any, list[PassedPacket], float, bool]:
+        """Event; what was found; packets that passed; when the last bytes were read, s; backlog.
+
+        Found: start, noise (V), level (V) and share clipped of a frame, or a packet as Found.
+        Without the GIL; file −1: no more than the given bytes. Raises OSError where nothing can be
+        read, RuntimeError while another thread is here.
+        """
+
+    def leave(self) -> tuple[Any, ...]:
+        """Place and use of the timing, bytes and samples that are left; see driver/steady.py."""
+
+    def counts(self) -> dict[str, int]:
+        """As Scanner.counts, as of the last event: for any thread."""

@@ -61,6 +61,11 @@ class ClockKeeper:
         self._worker = ThreadPoolExecutor(1, "node clocks") if background else None
         self._coming: Future[Decorrelator | None] | None = None
 
+    @property
+    def settled(self) -> bool:
+        """Whether no work on the clocks is under way."""
+        return self._coming is None and not self.report.busy
+
     def begin(self) -> None:
         """Begin a roll call."""
         self.listener = RollCallListener(self._spec, self._sampling)

@@ -19,7 +19,13 @@ from ..code.separate import NodeLevels
 from ..framing.fit import word_floor
 from ..framing.limits import LIMITS
 from ..framing.line_timing import LineRecogniser
-from ..framing.marked_timing import MarkedFrame, MarkedLine, MarkedTiming, Verdict
+from ..framing.marked_timing import (
+    MarkedFrame,
+    MarkedLine,
+    MarkedTiming,
+    SteadyTiming,
+    Verdict,
+)
 from ..framing.timing import ABSURD, INCOMPLETE, MISFIT, Rails
 from .clock_keeper import ClockKeeper
 from .decorrelate import Decorrelator
@@ -82,6 +88,17 @@ class NodeRecogniser:
     def forget(self) -> None:
         """See Recogniser."""
         self._common.forget()
+
+    def steady(self) -> SteadyTiming | None:
+        """See Recogniser: not in roll calls, nor while one is evaluated, nor by least squares."""
+        clocks = self._clocks
+        if self._called or self._first_call is not None or not clocks.settled:
+            return None
+        return None if clocks.decorrelator else self._common.steady()
+
+    def passed(self, frames: int, uses: int) -> None:
+        """See Recogniser."""
+        self._common.passed(frames, uses)
 
     def recognise(self, frame: MarkedFrame) -> Verdict:
         """See Recogniser."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..base import kernel
 from ..base.arrays import Floats32
 from .frame import FrameSpec
 from .transform import correlate
@@ -43,12 +44,28 @@ def separate(chips: Floats32, spec: FrameSpec) -> NodeLevels:
 
 def node_levels(rows: Floats32, spec: FrameSpec) -> NodeLevels:
     """The nodes' share of all correlations, (k, N) float32, V; the spare rows show the noise."""
-    values = rows[:, spec.node_slice]
+    return NodeLevels(rows[:, spec.node_slice], noise_of(rows, spec), rows=rows)
+
+
+def numpy_noise_of(rows: Floats32, spec: FrameSpec) -> float:
+    """RMS noise of one correlation, V. rows: (k, N) V, correlations of all rows."""
     spare = rows[:, spec.spare_rows]
     if spare.shape[1] >= 2:
-        noise_v = math.sqrt(float(np.einsum("kr,kr->", spare, spare)) / spare.size)
-        return NodeLevels(values, noise_v, rows=rows)
-    return NodeLevels(values, _noise_of_words(values), rows=rows)
+        return math.sqrt(float(np.einsum("kr,kr->", spare, spare)) / spare.size)
+    return _noise_of_words(rows[:, spec.node_slice])
+
+
+def compiled_noise_of(rows: Floats32, spec: FrameSpec) -> float:
+    """As numpy_noise_of."""
+    assert kernel.compiled is not None
+    spare, rows = spec.spare_rows, np.ascontiguousarray(rows)
+    noise_v: float = kernel.compiled.word_noise(
+        spec.first_row, spec.nodes, spare.start, spare.stop - spare.start, rows
+    )
+    return noise_v
+
+
+noise_of = numpy_noise_of if kernel.compiled is None else compiled_noise_of
 
 
 def _noise_of_words(values: Floats32) -> float:

@@ -164,12 +164,17 @@ class _Stages:
                 values, to_scratch = goal, not to_scratch
 
 
+def is_compiled(book: CodeBook) -> bool:
+    """Whether the kernel multiplies with this book."""
+    return kernel.compiled is not None and max(book.plan) <= _LARGEST_BLOCK
+
+
 @lru_cache(maxsize=64)
 def _transform(plan: tuple[int, ...], spreading: bool = False) -> Transform:
     """The product with a code book of this plan, scaled by 1/N unless spreading."""
-    if kernel.compiled is None or max(plan) > _LARGEST_BLOCK:
-        return numpy_transform(plan, spreading)
-    return compiled_transform(plan, spreading)
+    if is_compiled(CodeBook(plan)):
+        return compiled_transform(plan, spreading)
+    return numpy_transform(plan, spreading)
 
 
 def compiled_transform(plan: tuple[int, ...], spreading: bool, lanes: int = 0) -> Transform:

@@ -161,25 +161,20 @@ class Driver:
         look_s, age_s = -math.inf, 0.0
         try:
             while not self._stop.is_set():
-                data, t_host = port.read()
-                with self._busy:
-                    frames = pipeline.feed(data, t_host, port.had_waited)
-                    t_decoded = time.monotonic()
-                    for frame in frames:
-                        self._on_frame(frame)
-                        self.vitals.note_frame(frame, t_host, t_decoded)
-                        contact_pa = pipeline.config.rest.contact_pa
-                        self.stuck.look(frame.readings, frame.t_middle, contact_pa)
-                age_s = t_host - frames[-1].t_host if frames else age_s
+                last, t_host = self._next(port)
+                age_s = t_host - last.t_host if last else age_s
+                if last and self.problem:
+                    self._report(None)
+                if last and t_host < look_s:
+                    continue
                 if t_host >= look_s:
                     waiting_bytes = port.waiting
                     self.vitals.note_read(waiting_bytes)
                     look_s = t_host + LOOK_S
                     if port.over_network and backlog.observe(waiting_bytes, age_s, t_host):
                         with self._busy:
+                            self._hand_on(pipeline.settle(), t_host)
                             pipeline.skipped(port.skip())
-                if frames and self.problem:
-                    self._report(None)
                 if request := session.watch(pipeline, t_host):
                     port.write(request)
                     if session.problem:
@@ -188,6 +183,31 @@ class Driver:
             pipeline.close()
             if self._stop.is_set():
                 port.write(session.close())
+
+    def _next(self, port: Port) -> tuple[TactileFrame | None, float]:
+        """Decode what comes next, and hand frames on: the last one, and when its bytes were read.
+
+        No frame where none came within READ_TIMEOUT_S.
+        """
+        pipeline = self.pipeline
+        if port.has_file and pipeline.is_steady:
+            waited = port.read_by(pipeline.wait)
+            t_host = waited.t_host if waited.frame else time.monotonic()
+            with self._busy:
+                return self._hand_on(pipeline.take(waited), t_host), t_host
+        data, t_host = port.read()
+        with self._busy:
+            return self._hand_on(pipeline.feed(data, t_host, port.had_waited), t_host), t_host
+
+    def _hand_on(self, frames: list[TactileFrame], t_host: float) -> TactileFrame | None:
+        """Pass decoded frames to whoever uses them; returns the last one."""
+        t_decoded = time.monotonic()
+        contact_pa = self.pipeline.config.rest.contact_pa
+        for frame in frames:
+            self._on_frame(frame)
+            self.vitals.note_frame(frame, t_host, t_decoded)
+            self.stuck.look(frame.readings, frame.t_middle, contact_pa)
+        return frames[-1] if frames else None
 
     def _report(self, problem: str | None) -> None:
         if problem != self.problem and not self._stop.is_set():

@@ -12,8 +12,11 @@ from ..config.parameters import GAP
 from ..config.skin_config import SkinConfig
 from ..framing.gap_timing import GapTiming
 from ..framing.line_timing import LineTiming
+from ..framing.marked_timing import MarkedTiming
 from ..framing.timing import FrameLevels, QuietBlock, SampleBlock
 from ..wire.messages import Info, Samples
+from ..wire.packets import PacketParser
+from .steady import SteadyStream, can_follow
 from .timeline import Pace, Place, Step
 
 
@@ -42,6 +45,13 @@ class LevelDecoder:
     def clocks(self) -> ClockKeeper | None:
         """Clocks of the nodes, where these may have their own."""
         return self.timing.clocks if isinstance(self.timing, NodeTiming) else None
+
+    def steady(self, parser: PacketParser) -> SteadyStream | None:
+        """What follows the stream where nothing has to be decided, if the kernel can."""
+        timing = self.timing
+        if not isinstance(timing, MarkedTiming) or not can_follow(timing):
+            return None
+        return SteadyStream(self._info, timing, self.pace, parser)
 
     @property
     def can_call_roll(self) -> bool:

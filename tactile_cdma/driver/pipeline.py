@@ -23,6 +23,7 @@ from ..words.health import NodeHealth
 from .clock import DeviceClock
 from .digitizer import DigitizerState, contradiction
 from .levels import LevelDecoder
+from .steady import NO_FILE, Event, SteadyStream, Waited
 from .timeline import Arrival, Step, StreamCounters, Timeline, sample_count
 
 
@@ -81,22 +82,86 @@ class Pipeline:
         self._background, self._most_repeated = background, most_repeated
         self._earlier_packets = Counters()
         self._levels: LevelDecoder | None = None  # while the digitizer can be decoded
+        self._steady: SteadyStream | None = None
 
     def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
         """Decode bytes that were read at t_host (monotonic, s). Any split gives the same frames.
 
         backlog: they had been waiting to be read.
         """
+        steady = self._steady
+        if steady is None or not steady.entered:
+            return self._by_packets(data, t_host, backlog)
+        frames: list[TactileFrame] = []
+        steady.give(data, t_host, backlog)
+        while self.is_steady:
+            waited = steady.wait(NO_FILE, 0)
+            frames += self.take(waited)
+            if waited.event is Event.MORE:
+                break
+        return frames
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether the kernel follows the stream, so that `wait` may be called."""
+        return self._steady is not None and self._steady.entered
+
+    def wait(self, file: int, timeout_ms: int) -> Waited:
+        """Wait for the next frame, or whatever has to be decided, from a file descriptor.
+
+        The only method that may run while others use the pipeline: what it brings is taken in by
+        `take`. Raises OSError where nothing can be read.
+        """
+        assert self._steady is not None
+        return self._steady.wait(file, timeout_ms)
+
+    def take(self, waited: Waited) -> list[TactileFrame]:
+        """The frames that the outcome of a wait gives."""
+        levels = self._levels
+        assert levels is not None
+        self.timeline.passed(waited.passed, levels.pace)
+        if waited.frame is not None:
+            return [self._frame(waited.frame, levels)]
+        if waited.event is Event.UNDECIDED:
+            return self._go_on()
+        if waited.packet is None:
+            return []
+        packet = self.parser.interpret(*waited.packet)
+        if packet is None or isinstance(packet, (Status, Ack)) or packet == self.digitizer.info:
+            self._hear(packet)
+            return []
+        return self._go_on(packet)
+
+    def settle(self) -> list[TactileFrame]:
+        """Decode what the kernel has read but not parsed, before bytes are left out."""
+        return self._go_on() if self.is_steady else []
+
+    def _go_on(self, packet: Received | None = None) -> list[TactileFrame]:
+        """Go on in stages: with the frame in progress, this packet, and the bytes behind it."""
+        assert self._steady is not None and self._levels is not None
+        heard, data, t_host, backlog = self._steady.leave()
+        frames = [self._frame(one, self._levels) for one in heard]
+        if packet is not None:
+            frames += self._take_packet(packet, t_host, backlog)
+        return frames + self._by_packets(data, t_host, backlog)
+
+    def _by_packets(self, data: bytes, t_host: float, backlog: bool) -> list[TactileFrame]:
         frames: list[TactileFrame] = []
         for packet in self.parser.feed(data):
-            if isinstance(packet, (Samples, Quiet)):
-                frames += self._decode(Arrival(packet, t_host, backlog))
-            else:
-                self._hear(packet)
+            frames += self._take_packet(packet, t_host, backlog)
+        if frames and self._steady is not None:
+            self._steady.try_enter(self.timeline)
         return frames
+
+    def _take_packet(self, packet: Received, t_host: float, backlog: bool) -> list[TactileFrame]:
+        if isinstance(packet, (Samples, Quiet)):
+            return self._decode(Arrival(packet, t_host, backlog))
+        self._hear(packet)
+        return []
 
     def follow(self, data: bytes, t_host: float) -> None:
         """Follow the stream and its clock as feed does, without looking for frames."""
+        self.settle()
         for packet in self.parser.feed(data):
             if not isinstance(packet, (Samples, Quiet)):
                 self._hear(packet)
@@ -106,11 +171,15 @@ class Pipeline:
 
     def flush(self) -> list[TactileFrame]:
         """At the end of a recording: a last frame that nothing followed."""
-        levels = self._levels
-        return [self._frame(heard, levels) for heard in levels.timing.flush()] if levels else []
+        frames, levels = self.settle(), self._levels
+        last = levels.timing.flush() if levels else []
+        return frames + [self._frame(heard, levels) for heard in last if levels]
 
     def skipped(self, count: int) -> None:
-        """Note that this many bytes were left out here, to catch up with the digitizer."""
+        """Note that this many bytes were left out here, to catch up with the digitizer.
+
+        `settle` comes first.
+        """
         self.counters.skipped_bytes += count
         self.parser.skip()
 
@@ -146,7 +215,10 @@ class Pipeline:
     @property
     def packet_counts(self) -> Counters:
         """The parser's counters, over all connections."""
-        return self._earlier_packets + self.parser.counters
+        steady = self._steady
+        if steady is None or not steady.entered:
+            return self._earlier_packets + self.parser.counters
+        return self._earlier_packets + self.parser.counters_of(steady.counts)
 
     @property
     def rejections(self) -> Rejections:
@@ -202,7 +274,7 @@ class Pipeline:
             words = words.doubted(~words.active)
         return words
 
-    def _hear(self, packet: Received) -> None:
+    def _hear(self, packet: Received | None) -> None:
         """Take in what the digitizer says about itself."""
         match packet:
             case Info():
@@ -234,9 +306,10 @@ class Pipeline:
         if self.problem is None:
             try:
                 self._levels = LevelDecoder(info, self.config, self._background)
+                self._steady = self._levels.steady(self.parser)
             except SpecError as error:
                 self.problem = f"the digitizer's sampling does not fit: {error}"
 
     def _drop_levels(self) -> None:
         self.close()
-        self._levels = None
+        self._levels = self._steady = None

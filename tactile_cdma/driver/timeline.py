@@ -18,7 +18,20 @@ from ..wire.messages import Info, Quiet, Samples, Status
 from ..wire.packets import SEQUENCES
 from .clock import DeviceClock
 
-AnySamples: TypeAlias = Samples | Quiet
+
+class Passed(NamedTuple):
+    """What is known of a packet of samples that only passed; see Timeline.passed."""
+
+    first_index: int
+    device_time_us: int
+    samples: int
+    sequence: int
+
+
+AnySamples: TypeAlias = Samples | Quiet | Passed
+
+PassedPacket: TypeAlias = tuple[int, int, int, int, float, bool]
+"""Index, device time (µs), count, sequence, t_host (s) and backlog of one; see Arrival."""
 
 CLOCK_SLACK_S = 0.05
 """s; device time and sample count that differ by more are not those of one stream. Chosen: far
@@ -60,7 +73,7 @@ class Arrival:
     backlog: it had been waiting to be read.
     """
 
-    packet: AnySamples
+    packet: Samples | Quiet
     t_host: float
     backlog: bool = False
 
@@ -73,7 +86,7 @@ class Place:
         near 2⁶⁴ and are no exact floats.
     """
 
-    packet: AnySamples
+    packet: Samples | Quiet
     index: int
     step: Step
 
@@ -103,34 +116,38 @@ class StreamCounters:
 
 
 class Pace:
-    """What packets of samples may claim, by the digitizer's description of itself."""
+    """What packets of samples may claim, by the digitizer's description of itself.
+
+    ahead_s, ahead: s, and share of the time counted, by which device time may run ahead.
+    longest_quiet: samples that a Quiet may stand for. most_quiet_v2: their variance, V².
+    """
 
     def __init__(self, info: Info, spec: FrameSpec) -> None:
         self.spec, self.rate_hz = spec, info.sample_rate_hz
         # Gaps between integrated frames have no samples: there, time runs ahead of their count.
         gaps = spec.frame_period_s / spec.frame_s - 1 if info.integrated else 0.0
-        self._ahead, self._ahead_s = gaps + CLOCK_TOLERANCE, CLOCK_SLACK_S
+        self.ahead, self.ahead_s = gaps + CLOCK_TOLERANCE, CLOCK_SLACK_S
         if info.integrated:
-            self._ahead_s += spec.frame_period_s
+            self.ahead_s += spec.frame_period_s
         range_v = (info.max_count - info.min_count) * info.volts_per_count
         deviation_v = 0.5 * (info.quiet_uv * 1e-6 or range_v) + info.volts_per_count
-        self._most_quiet_v2, self._v2_per_count = deviation_v**2, info.volts_per_count**2
-        self._longest_quiet = 2 * self.rate_hz * spec.frame_period_s
+        self.most_quiet_v2, self._v2_per_count = deviation_v**2, info.volts_per_count**2
+        self.longest_quiet = 2 * self.rate_hz * spec.frame_period_s
 
-    def is_plausible(self, packet: AnySamples) -> bool:
+    def is_plausible(self, packet: Samples | Quiet) -> bool:
         """Whether a clock can show this time, and silence last so long and vary so much."""
         if packet.device_time_us > MAX_DEVICE_TIME_US:
             return False
         return isinstance(packet, Samples) or (
-            packet.count <= self._longest_quiet
-            and packet.variance * self._v2_per_count <= self._most_quiet_v2
+            packet.count <= self.longest_quiet
+            and packet.variance * self._v2_per_count <= self.most_quiet_v2
         )
 
     def fits(self, before: AnySamples, packet: AnySamples) -> bool:
         """Whether device time has advanced between two packets as the count of samples says."""
         counted_s = (packet.first_index - before.first_index) / self.rate_hz
         ahead_s = (packet.device_time_us - before.device_time_us) * 1e-6 - counted_s
-        return -CLOCK_SLACK_S <= ahead_s <= self._ahead_s + self._ahead * counted_s
+        return -CLOCK_SLACK_S <= ahead_s <= self.ahead_s + self.ahead * counted_s
 
     def follows(self, before: AnySamples, packet: AnySamples) -> bool:
         """Whether a packet continues the stream after another one, with at most a short loss."""
@@ -204,6 +221,23 @@ class Timeline:
         self._counters.implausible_packets += held is not None
         return (self._enter(arrival, pace, self._step(arrival, pace)),)
 
+    @property
+    def place(self) -> tuple[int, AnySamples] | None:
+        """The digitizer's index of index 0, and the last packet; None while one is held back."""
+        if self._held is not None or self._last is None:
+            return None
+        return self._origin, self._last
+
+    def passed(self, packets: list[PassedPacket], pace: Pace) -> None:
+        """Enter packets that continue the stream, as accept would."""
+        for index, device_time_us, count, sequence, t_host, backlog in packets:
+            t_device = device_time_us * 1e-6
+            self._last = Passed(self._origin + index, device_time_us, count, sequence)
+            self._told_reset = False
+            self._anchors.append((index, t_device))
+            self._counters.samples += count
+            self.clock.observe(t_device + count / pace.rate_hz, t_host, backlog)
+
     def stamp(self, heard: FrameLevels, pace: Pace) -> Stamp:
         """Number and times of the next frame."""
         spec, counters = pace.spec, self._counters
@@ -273,7 +307,9 @@ class Timeline:
 
 def sample_count(packet: AnySamples) -> int:
     """Number of samples that a packet stands for."""
-    return packet.count if isinstance(packet, Quiet) else len(packet.counts)
+    if isinstance(packet, Samples):
+        return len(packet.counts)
+    return packet.count if isinstance(packet, Quiet) else packet.samples
 
 
 def end_index(packet: AnySamples) -> int:

@@ -98,13 +98,17 @@ class ChipEdges:
 
     def chips(self, line: Line) -> Floats32:
         """As integrate gives them: (k, N) float32, V."""
-        if line.received.size != self._size:
-            self._size = line.received.size
-            whole, self._share = _split(self._edges, self._size)
+        chips = mean_chips(line, *self.within(line.received.size))
+        return chips.reshape(self._spec.line_bits, self._spec.order)
+
+    def within(self, size: int) -> tuple[Int32s, Floats, Floats, Int32s]:
+        """The edges in a line of so many samples, as mean_chips takes them."""
+        if size != self._size:
+            self._size = size
+            whole, self._share = _split(self._edges, size)
             self._whole = whole.astype(np.int32)
             self._number = np.maximum(np.diff(whole + self._share), 0.5)
-        chips = mean_chips(line, self._whole, self._share, self._number, self._places)
-        return chips.reshape(self._spec.line_bits, self._spec.order)
+        return self._whole, self._share, self._number, self._places
 
 
 def numpy_mean_chips(

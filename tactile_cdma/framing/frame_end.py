@@ -30,11 +30,14 @@ class End(IntEnum):
 
 
 class FrameEnds:
-    """Looks at the line after each frame of a stream, and counts those that end in silence."""
+    """Looks at the line after each frame of a stream.
+
+    silent: how many frames ended in silence, in a row until that is proven.
+    """
 
     def __init__(self, spec: FrameSpec) -> None:
         self._spec = spec
-        self._silent = 0  # ends in a row, until proven
+        self.silent = 0
 
     def observe(
         self, line: Line, fit: Fit, amplitude: Floats32, noise: float, level_known: bool
@@ -63,7 +66,7 @@ class FrameEnds:
         by_chance = 4 * math.sqrt(noise * fit.chip / tail.size)
         most = noise * fit.chip * (2 + 8 / math.sqrt(tail.size))  # the fewer the more by chance
         if left < most and (spec.first_row > 0 or abs(mean) <= by_chance):
-            self._silent += 1
+            self.silent += 1
             return End.SILENCE
         least = float(amplitude[amplitude > 0].min(initial=np.inf))
         if spec.first_row == 0 and abs(mean) > LIMITS.rest * least + by_chance:
@@ -73,10 +76,10 @@ class FrameEnds:
             tail = line.volts[begin:stop] - self._baseline(line, fit, 0.5 * (begin + stop))
             left = min(left, dot(tail, tail) / tail.size)
         if left < rest:
-            self._silent += 1
+            self.silent += 1
             return End.SILENCE
-        if self._silent < LIMITS.proven_ends:
-            self._silent = 0
+        if self.silent < LIMITS.proven_ends:
+            self.silent = 0
             return End.OTHER
         quiet = int(np.count_nonzero(amplitude == 0))
         late = int(LIMITS.odd_share * (amplitude.size - quiet + 1))

@@ -18,7 +18,7 @@ from ..base.errors import SpecError
 from ..base.sums import sums
 from ..code.frame import BIPOLAR, FrameSpec
 from ..code.separate import NodeLevels
-from .fit import Fit, least_power, lowest_power
+from .fit import ChipEdges, Fit, least_power, lowest_power
 from .limits import LIMITS
 from .timing import (
     ABSURD,
@@ -40,7 +40,7 @@ the variance of 16 samples is right to a third (√(2/15))."""
 GAP_WEIGHT = 0.25
 """Weight of the newest gap in the running noise estimate. Chosen: averages about seven gaps."""
 
-_NOTHING = (0, 0.0, 0.0)
+_NOTHING = (0.0, 0.0, 0.0)
 
 
 class MarkedFrame(NamedTuple):
@@ -70,6 +70,38 @@ class Verdict(NamedTuple):
     rejected: Rejections | None = None
 
 
+class SteadyTiming(NamedTuple):
+    """How frames can be read while each is like the one before.
+
+    fit: the timing before; None where only silent frames can. edges: its chips. due: samples from
+    the mark on until a frame can be decided. uses: frames that may be read by this timing.
+    """
+
+    fit: Fit | None
+    edges: ChipEdges | None
+    due: int
+    uses: int
+
+
+class Place(NamedTuple):
+    """Where in the stream a MarkedTiming is, and what it has learnt of the line at rest.
+
+    end: stream index of the next sample. start: of the frame in progress. gap_begin: of the gap
+    after the last one, if no hole followed. mark: of the last mark, if no hole followed. volts:
+    (m,) float64, V, the samples before `end` that are still needed.
+    level_v, noise, gap: see MarkedLine.
+    """
+
+    end: int
+    start: int | None
+    gap_begin: int | None
+    mark: int | None
+    volts: Floats
+    level_v: float
+    noise: float
+    gap: tuple[float, float, float]
+
+
 class Recogniser(Protocol):
     """Decodes marked frames, one after the other."""
 
@@ -86,6 +118,12 @@ class Recogniser(Protocol):
     def forget(self) -> None:
         """Drop timing carried over from earlier frames, since a frame was rejected."""
 
+    def steady(self) -> SteadyTiming | None:
+        """How the next frames can be read; None where each has to be recognised."""
+
+    def passed(self, frames: int, uses: int) -> None:
+        """Note that frames were opened, and so many of them recognised, by `steady`."""
+
 
 class MarkedLine:
     """How the line is sampled, and its level and noise at rest: shared by stream and recogniser.
@@ -99,7 +137,7 @@ class MarkedLine:
 
     def __init__(self, spec: FrameSpec, rate_hz: float, rails_v: Rails) -> None:
         """Raises SpecError at a rate that line timing cannot use. rails_v: see share_clipped."""
-        self.spec, self._rails_v = spec, rails_v
+        self.spec, self.rails_v = spec, rails_v
         self.chip = rate_hz * spec.chip_s
         self.integrated = abs(self.chip - 1) < 0.01
         if not (self.integrated or self.chip >= 1.9):
@@ -115,7 +153,7 @@ class MarkedLine:
         self._mean_is_offset = spec.first_row > 0 and spec.drive == BIPOLAR
         self.level_v = self.noise = 0.0
         self.level_known = False
-        self._gap = _NOTHING  # samples not evaluated yet: count, sum, sum of squares
+        self.gap = _NOTHING  # samples not evaluated yet: count, sum, sum of squares
 
     @property
     def sample_noise_v(self) -> float:
@@ -129,13 +167,13 @@ class MarkedLine:
         total, squares = sums(volts)
         if math.isnan(total):
             return
-        gap = self._gap
-        self._gap = gap = (gap[0] + volts.size, gap[1] + total, gap[2] + squares)
+        gap = self.gap
+        self.gap = gap = (gap[0] + volts.size, gap[1] + total, gap[2] + squares)
         if gap[0] >= LEAST_REST:
             count, total, squares = gap
             mean = total / count
             self.at_rest(mean, max(0.0, squares - count * mean**2) / (count - 1))
-            self._gap = _NOTHING
+            self.gap = _NOTHING
 
     def at_rest(self, mean_v: float, variance_v2: float) -> None:
         """Learn level and noise from mean and variance of the samples of a gap."""
@@ -147,7 +185,7 @@ class MarkedLine:
 
     def clipped(self, volts: Floats) -> float:
         """Share of samples at a rail."""
-        return share_clipped(volts, self._rails_v)
+        return share_clipped(volts, self.rails_v)
 
     def gate(self, frame: MarkedFrame) -> Verdict | None:
         """Decide a frame that has too little power for any node, or absurd samples; else None."""
@@ -221,7 +259,7 @@ class MarkedTiming(Timing):
         super().__init__()
         self.line = line
         self._recogniser = recogniser
-        self._gap_size = math.ceil(line.spec.order * line.chip)
+        self.gap_size = math.ceil(line.spec.order * line.chip)  # most that is learnt from
         self._start: int | None = None  # the mark of the frame in progress
         self._due = 0
         self._mark: int | None = None  # the last mark, if no hole followed
@@ -233,10 +271,7 @@ class MarkedTiming(Timing):
         volts, slice_size = np.asarray(block.volts, np.float32), self.line.size
         for begin in range(0, volts.size, slice_size):  # keeps the buffer bounded
             self._samples.append(volts[begin : begin + slice_size])
-            while self._start is not None and self._samples.end >= self._due:
-                frames += self._decide(self._start, self._due, final=False)
-            if self._start is None:
-                self._samples.drop(self._samples.end - self._gap_size)
+            frames += self._decide_due()
         return frames
 
     def quiet(self, block: QuietBlock) -> list[FrameLevels]:
@@ -271,6 +306,43 @@ class MarkedTiming(Timing):
             self.rejections += INCOMPLETE
         self._start = self._mark = self._gap_begin = None
 
+    def steady(self) -> tuple[Place, SteadyTiming] | None:
+        """Where the stream is and how it can go on; None while that has to be decided here."""
+        line = self.line
+        if self._start is not None or self._mark is None or self._gap_begin is None:
+            return None
+        if line.integrated or not line.level_known or (timing := self._recogniser.steady()) is None:
+            return None
+        samples = self._samples
+        volts = samples.take(max(self._gap_begin, samples.end - self.gap_size), samples.end)
+        rest = line.level_v, line.noise, line.gap
+        return Place(samples.end, None, self._gap_begin, self._mark, volts, *rest), timing
+
+    def go_on(
+        self, place: Place, timing: SteadyTiming, frames: int, uses: int
+    ) -> list[FrameLevels]:
+        """Go on where the stream was followed to by `timing`; frames, uses: see Recogniser.passed.
+
+        Returns the frame in progress, if it can be decided.
+        """
+        self._recogniser.passed(frames, uses)
+        self.line.level_v, self.line.noise, self.line.gap = place.level_v, place.noise, place.gap
+        self._start, self._gap_begin, self._mark = place.start, place.gap_begin, place.mark
+        self._samples.restart(place.end - place.volts.size)
+        self._samples.append(place.volts.astype(np.float32))  # as they came
+        if place.start is not None:
+            self._due = place.start + timing.due
+        return self._decide_due()
+
+    def _decide_due(self) -> list[FrameLevels]:
+        """The frame in progress, if there are enough samples."""
+        frames: list[FrameLevels] = []
+        while self._start is not None and self._samples.end >= self._due:
+            frames += self._decide(self._start, self._due, final=False)
+        if self._start is None:
+            self._samples.drop(self._samples.end - self.gap_size)
+        return frames
+
     def _begin(self, block: SampleBlock | QuietBlock) -> list[FrameLevels]:
         """Join a block to the stream; a mark ends the frame in progress, which is returned."""
         self._join(block)
@@ -278,7 +350,7 @@ class MarkedTiming(Timing):
             return []
         frames, index = self._close(), block.first_index
         if self._gap_begin is not None:
-            gap_begin = max(self._gap_begin, index - self._gap_size)
+            gap_begin = max(self._gap_begin, index - self.gap_size)
             self.line.add_gap(self._samples.take(gap_begin, index))
         self._samples.drop(index)
         since = None if self._mark is None else index - self._mark

@@ -68,6 +68,8 @@ _COUNTERS = tuple(field.name for field in fields(Counters))
 class PacketParser:
     """Finds the packets in a stream of bytes, which may be cut, corrupted or no packets at all.
 
+    scanner: does it, but for what packets mean.
+
     Packets and counters do not depend on how the stream is divided over calls of `feed`.
     At most one packet's bytes are held back. Bytes before the first delimiter may be the rest of a
     packet or line noise, and may count as one framing or CRC error.
@@ -87,35 +89,39 @@ class PacketParser:
     def __init__(self, most_repeated: int = MAX_REPEATED) -> None:
         """most_repeated: 0 where packets are repeated on purpose, as by a recording in a loop."""
         scanner = Scanner if kernel.compiled is None else kernel.compiled.Scanner
-        self._scanner: Scanner = scanner(most_repeated)
+        self.scanner: Scanner = scanner(most_repeated)
         self._refused = Counters()  # what was intact, but cannot be used
 
     @property
     def counters(self) -> Counters:
         """A snapshot."""
-        return Counters(**self._scanner.counts()) + self._refused
+        return self.counters_of(self.scanner.counts())
+
+    def counters_of(self, counts: dict[str, int]) -> Counters:
+        """A snapshot; counts: of the scanner."""
+        return Counters(**counts) + self._refused
 
     @property
     def received(self) -> tuple[int, int]:
         """Bytes and intact packets so far; cheaper than all counters."""
-        counts = self._scanner.counts()
+        counts = self.scanner.counts()
         return counts["bytes"], counts["packets"]
 
     @property
     def held(self) -> int:
         """Bytes of an incomplete packet that are held back."""
-        return self._scanner.held()
+        return self.scanner.held()
 
     def feed(self, data: bytes) -> list[Received]:
         """The packets that these bytes complete."""
-        received = [self._interpret(*found) for found in self._scanner.feed(data)]
+        received = [self.interpret(*found) for found in self.scanner.feed(data)]
         return [packet for packet in received if packet is not None]
 
     def skip(self) -> None:
         """Bytes were left out here: the packet that they belonged to is lost, not broken."""
-        self._scanner.skip()
+        self.scanner.skip()
 
-    def _interpret(
+    def interpret(
         self, type_byte: int, sequence: int, payload: bytes | SampleBytes
     ) -> Received | None:
         """The packet of an intact body; Rejected for a command that cannot be used."""

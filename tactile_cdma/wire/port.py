@@ -9,7 +9,9 @@ import re
 import select
 import socket
 import time
+from collections.abc import Callable
 from contextlib import suppress
+from typing import TypeVar
 
 import serial
 
@@ -17,6 +19,8 @@ from ..base import kernel
 from ..base.errors import CaptureError, PortError
 from .discovery import device_of
 from .port_failures import NETWORK, TerminalError, lost, why_not_open
+
+T = TypeVar("T")
 
 READ_TIMEOUT_S = 0.1
 """s that a read waits for its first byte. Chosen: a driver that is told to stop waits this long."""
@@ -86,6 +90,18 @@ class Port:
         except _LOST as error:
             raise lost(self.url, "reading", error) from None
         return data, time.monotonic()
+
+    @property
+    def has_file(self) -> bool:
+        """Whether `read_by` can be used: there is a file descriptor to wait for."""
+        return self._poll is not None
+
+    def read_by(self, read: Callable[[int, int], T]) -> T:
+        """What `read` gives, which reads from a file descriptor for so many ms itself."""
+        try:
+            return read(self._serial.fileno(), round(READ_TIMEOUT_S * 1e3))
+        except _LOST as error:
+            raise lost(self.url, "reading", error) from None
 
     @property
     def waiting(self) -> int:

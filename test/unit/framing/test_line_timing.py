@@ -180,7 +180,7 @@ def test_frames_that_are_all_stretched_alike_reuse_timing(monkeypatch: pytest.Mo
     monkeypatch.setattr("tactile_cdma.framing.line_timing.refine", counted)
     timing, rng, stretched = LineTiming(SPEC, 4 / SPEC.chip_s), np.random.default_rng(3), 4.2
     chip = ((np.arange(1024) + 0.5) / stretched).astype(int)
-    for number in range(60):
+    for number in range(140):
         codes = rng.integers(0, 1024, 16)
         volts = np.append(line_chips(SPEC, codes).ravel(), 0.0)[np.minimum(chip, SPEC.chips)]
         volts = (volts + rng.normal(0, 0.01, 1024)).astype(np.float32)
@@ -188,7 +188,7 @@ def test_frames_that_are_all_stretched_alike_reuse_timing(monkeypatch: pytest.Mo
         assert len(frames) == 1 and frames[0].levels is not None
         assert frames[0].chip_samples == pytest.approx(stretched, rel=1e-3)
         assert np.array_equal(decode(frames[0].levels, SPEC).codes, codes)
-    assert len(calls) <= 3 * (1 + 60 // CARRIED_FRAMES)
+    assert len(calls) <= 3 * (1 + 140 // CARRIED_FRAMES)
 
 
 def test_timing_that_changes_is_noticed_at_once() -> None:
