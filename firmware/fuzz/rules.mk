@@ -11,7 +11,7 @@ FUZZ_OUT := $(BUILD)/fuzz
 FUZZ_UNPACK := python3 ../torture/fuzz/corpus.py unpack
 FUZZ_NAMES := framing setup digitizer node kernel $(if $(wildcard /usr/include/simavr/sim_avr.h),board)
 # The driver's, which this Makefile does not build otherwise:
-FUZZ_KERNEL := $(filter-out module,$(basename $(notdir $(wildcard ../kernel/*.c))))
+FUZZ_KERNEL := $(filter-out binding module module_%,$(basename $(notdir $(wildcard ../kernel/*.c))))
 FUZZ_SOURCES := $(addprefix fuzz/,commands.c framing.c host.c line.c settings.c) $(wildcard $(CORE)/*.c)
 FUZZ_HEADERS := $(wildcard fuzz/*.h sim/*.h $(CORE)/*.h ../kernel/*.h) fuzz/rules.mk
 FUZZ_CFLAGS := $(STRICT) -I fuzz -I sim -I ../kernel -O1 -g -fno-omit-frame-pointer
@@ -48,7 +48,7 @@ $$(FUZZ_OUT)/$(1)/kernel_sources/%.o: ../kernel/%.c $$(FUZZ_HEADERS)
 $$(FUZZ_OUT)/$(1)/kernel: $$(FUZZ_KERNEL:%=$$(FUZZ_OUT)/$(1)/kernel_sources/%.o)
 $$(FUZZ_OUT)/$(1)/board: $$(patsubst sim/%.c,$$(FUZZ_OUT)/$(1)/sim/%.o,$$(wildcard sim/*.c))
 $$(FUZZ_OUT)/$(1)/%: $$(FUZZ_OUT)/$(1)/fuzz/fuzz_%.o $$(FUZZ_SOURCES:%.c=$$(FUZZ_OUT)/$(1)/%.o) $(5)
-	$(2) $$(FUZZ_SANITIZE) $(4) $$(filter %.o,$$^) -o $$@ $$(if $$(filter board,$$*),-lsimavr -lelf -lm)
+	$(2) $$(FUZZ_SANITIZE) $(4) $$(filter %.o,$$^) -o $$@ $$(if $$(filter board,$$*),-lsimavr -lelf) -lm
 endef
 $(eval $(call fuzz_kind,libfuzzer,clang,-fsanitize=fuzzer-no-link,-fsanitize=fuzzer))
 $(eval $(call fuzz_kind,standalone,$$(CC),,,$$(FUZZ_OUT)/standalone/fuzz/standalone.o))

@@ -55,7 +55,8 @@ class DeviceClock:
         backlog: it had been waiting to be read, so it may have come long before.
         """
         interval = int(t_device // self._interval_s)
-        if not self._count or interval != self._interval:
+        is_first = not self._count or interval != self._interval
+        if is_first:
             self._interval = interval
             self._count += 1
         elif t_host - t_device >= self._lead_s:
@@ -64,7 +65,8 @@ class DeviceClock:
         self._device[newest], self._host[newest] = t_device, t_host
         self._is_backlog[newest] = backlog
         self._lead_s = t_host - t_device
-        self._fitted = False
+        if is_first or (self._fitted and t_host < self._on_line_s(t_device)):
+            self._fitted = False  # others move the line little, and at the next interval's fit
 
     @property
     def drift_ppm(self) -> float:
@@ -83,6 +85,10 @@ class DeviceClock:
         """Host time of a device time by the packets observed so far, s."""
         if not self._fitted:
             self._fit()
+        return self._on_line_s(t_device)
+
+    def _on_line_s(self, t_device: float) -> float:
+        """The same by the last fit."""
         return self._origin[1] + (t_device - self._origin[0]) * self._rate
 
     def _fit(self) -> None:

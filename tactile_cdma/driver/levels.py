@@ -49,7 +49,7 @@ class LevelDecoder:
     def steady(self, parser: PacketParser) -> SteadyStream | None:
         """What follows the stream where nothing has to be decided, if the kernel can."""
         timing = self.timing
-        if not isinstance(timing, MarkedTiming) or not can_follow(timing):
+        if not (parser.is_compiled and isinstance(timing, MarkedTiming) and can_follow(timing)):
             return None
         return SteadyStream(self._info, timing, self.pace, parser)
 

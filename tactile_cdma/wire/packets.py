@@ -108,6 +108,11 @@ class PacketParser:
         return counts["bytes"], counts["packets"]
 
     @property
+    def is_compiled(self) -> bool:
+        """Whether the kernel's scanner is used."""
+        return kernel.compiled is not None and isinstance(self.scanner, kernel.compiled.Scanner)
+
+    @property
     def held(self) -> int:
         """Bytes of an incomplete packet that are held back."""
         return self.scanner.held()

@@ -106,6 +106,18 @@ KERNEL_DEFECTS = {
         "root[other] = first;",
         "wrong value",
     ),
+    "a mark within a frame begins another": (
+        "steady.c",
+        "(sync && place->start >= 0) ||\n        !continues",
+        "!continues",
+        "wrong value",
+    ),
+    "a packet that is off in time continues the stream": (
+        "steady.c",
+        "return -setting->behind_s <= ahead_s && ahead_s",
+        "return ahead_s",
+        "wrong value",
+    ),
     "a run that is too long is not counted": (
         "scanner.c",
         "    if (size > MAX_RUN - before) {\n        scanner->seen.resyncs++;",
@@ -125,9 +137,10 @@ def test_a_defect_planted_in_the_kernel_is_found(defect: str, tmp_path: Path) ->
             text = text.replace(right, wrong)
         (tmp_path / path.name).write_text(text)
     own = [FIRMWARE / "fuzz" / f"{name}.c" for name in ("fuzz_kernel", "framing", "standalone")]
-    sources = [*own, *(path for path in tmp_path.glob("*.c") if path.name != "module.c")]
+    binding = {tmp_path / "binding.c", *tmp_path.glob("module*")}
+    sources = [*own, *(set(tmp_path.glob("*.c")) - binding)]
     program = tmp_path / "kernel"
     include = ("-I", tmp_path, "-I", FIRMWARE / "fuzz")
-    run(need("cc"), *STRICT, *include, "-g", *SANITIZE, *sources, "-o", program)
+    run(need("cc"), *STRICT, *include, "-g", *SANITIZE, *sources, "-lm", "-o", program)
     found = fuzz(program, "standalone", 20_000, 1, 20, 10)
     assert found.fault == fault, found.said
