@@ -8,7 +8,8 @@ second process costs, and what it delivers is compared with what the simulated n
 is what it costs before, when it only reads the same bytes from the same pty. A core that just woke
 up is slow: "replay" is what parsing and decoding the same bytes cost without pauses, and
 sleep_slowdown what a pause of one frame does to a plain loop. "Wake-ups" are the times that any of
-the process's threads had waited.
+the process's threads had waited. "Kernel" is the one call that waits, reads, parses and separates,
+"frames" what the rest of the pipeline does with its outcome.
 
 "Growth" is replay from 16 to 16,384 nodes, all active in 50 frames per second: more than a pty
 carries. Its exponent is that of time against nodes since the row before.
@@ -28,7 +29,7 @@ from dataclasses import dataclass
 from math import log
 from multiprocessing.connection import Connection
 from multiprocessing.synchronize import Event
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -40,6 +41,7 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.driver import Driver
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.driver.steady import Waited
 from tactile_cdma.framing.quiet_limit import quiet_uv
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.line import truth
@@ -47,7 +49,7 @@ from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.sim.pty import serve
 from tactile_cdma.wire._protocol import SyncMode
 from tactile_cdma.wire.messages import Configure, FrameLayout, Start
-from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from tactile_cdma.wire.packets import PacketWriter
 from tactile_cdma.wire.port import READ_SIZE, Port
 
 ALL = "scene=all&threshold=0&seed=1"
@@ -232,9 +234,8 @@ def measure(nodes: int, scene: str, kernel: str) -> dict[str, Any]:
         "frames": len(run.frames),
         "floor %": 100 * run.floor,
         "CPU %": share["process"],
-        "read %": share["read"],
-        "parse %": share["parse"],
-        "decode %": share["feed"] - share["parse"],
+        "kernel %": share["wait"] + share["read"],
+        "frames %": share["take"] + share["feed"],
         "replay µs": 1e6 * run.replay_s,
         "wake-ups/frame": run.wake_ups / expected,
         "latency ms": _median_ms(latencies),
@@ -257,45 +258,56 @@ def digitize(query: str, stop: Event, ready: Connection) -> None:
 def drive(nodes: int, path: str, results: Connection) -> None:
     """Run the driver's process."""
     spent: Counter[str] = Counter()
-    read = [0, 0.0]  # bytes so far, when the last ones came
+    read_s = [0.0]  # when the last bytes came
     time_stage(Port, "read", "read", spent)
-    time_stage(PacketParser, "feed", "parse", spent)
-    time_stage(Pipeline, "feed", "feed", spent)
-    timed_feed = Pipeline.feed
+    for method in ("feed", "wait", "take"):
+        time_stage(Pipeline, method, method, spent)
+    timed_feed, timed_wait = Pipeline.feed, Pipeline.wait
     recorded: list[tuple[bytes, float]] = []
-    warm_s = 0.0  # end of the warm-up
+    warm_s = 0.0  # end of the warm-up, in which all bytes come through `feed`
 
     def feed(
         self: Pipeline, data: bytes, t_host: float, backlog: bool = False
     ) -> list[TactileFrame]:
-        read[:] = read[0] + len(data), t_host
+        read_s[0] = t_host
         if time.monotonic() < warm_s:
             recorded.append((data, t_host))
         return timed_feed(self, data, t_host, backlog)
 
-    Pipeline.feed = feed  # type: ignore[method-assign]
+    def wait(self: Pipeline, file: int, timeout_ms: int) -> Waited:
+        waited = timed_wait(self, file, timeout_ms)
+        read_s[0] = waited.t_host
+        return waited
+
+    has_file = cast(Callable[[Port], bool], cast(property, Port.has_file).fget)
+    Pipeline.feed, Pipeline.wait = feed, wait  # type: ignore[method-assign]
+    Port.has_file = property(  # type: ignore[assignment, method-assign]
+        lambda port: time.monotonic() >= warm_s and has_file(port)
+    )
     frames: list[Delivered] = []
 
     def on_frame(frame: TactileFrame) -> None:
         now = time.monotonic()
         words = frame.words
         frames.append(
-            Delivered(now, now - read[1], frame.sequence, frame.t_start, words.codes, words.active)
+            Delivered(
+                now, now - read_s[0], frame.sequence, frame.t_start, words.codes, words.active
+            )
         )
 
     config = SkinConfig.of(parameters(nodes))
     floor = read_only(config, path)
     warm_s = time.monotonic() + WARM_UP_S
-    with Driver(config, path, BAUD, on_frame, lambda problem: None):
+    with Driver(config, path, BAUD, on_frame, lambda problem: None) as driver:
         time.sleep(WARM_UP_S)
-        begin_s, before, bytes_before = time.monotonic(), Counter(spent), read[0]
+        begin_s, before, counts = time.monotonic(), Counter(spent), driver.pipeline.packet_counts
         first, cpu_s, waits = len(frames), time.process_time(), wake_ups()
         time.sleep(MEASURED_S)
         waits = wake_ups() - waits
         spent["process"] = time.process_time() - cpu_s  # type: ignore[assignment]
         after, wall_s = Counter(spent), time.monotonic() - begin_s
         measured = frames[first:]
-        received = read[0] - bytes_before
+        received = driver.pipeline.packet_counts.bytes - counts.bytes
     after.subtract(before)
     replay_s = replay(config, recorded)
     results.send(Run(wall_s, dict(after), floor, waits, replay_s, int(received), measured))
@@ -380,7 +392,7 @@ def figure(rows: list[dict[str, Any]], grown: dict[str, dict[int, float]]) -> Fi
     cpu, latency, hot = picture.subplots(1, 3)
     nodes = [str(row["nodes"]) for row in rows]
     bottom = np.zeros(len(rows))
-    for stage in ("read", "parse", "decode"):
+    for stage in ("kernel", "frames"):
         height = np.array([row[f"{stage} %"] for row in rows])
         cpu.bar(nodes, height, bottom=bottom, label=stage)
         bottom += height

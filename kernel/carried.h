@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* A marked frame → what it says, by the timing of an earlier one: MarkedLine.gate and
- * LineRecogniser._by_carried in tactile_cdma/framing, as far as nothing about the frame is doubtful. */
+/* A marked frame → what it says, by the timing of an earlier one: MarkedLine.gate, and
+ * LineRecogniser._by_carried or _integrated in tactile_cdma/framing, as far as nothing about the frame is doubtful. */
 #ifndef TACTILE_CARRIED_H
 #define TACTILE_CARRIED_H
 
@@ -22,6 +22,10 @@ struct carried_line {
     double most_noise;         /* of a chip, V, in which no word is missed; infinite if unknown */
     double rail_low, rail_high; /* V: samples at these, or beyond, are clipped */
     double deafened, carried_noise, carried_misfit, loud;
+    bool integrated;     /* samples are chips; there is no timing, and no gap: then besides */
+    bool mean_is_offset; /* of a frame */
+    size_t heard;        /* samples of the frame */
+    double spread, misfit, left;
     const struct transform *transform; /* from chips to rows; of the frame's order */
 };
 
@@ -40,6 +44,7 @@ struct carried_rest {
 };
 
 struct carried_found {
+    double level;   /* of the line at rest, V */
     double noise;   /* V RMS: of a chip in a silent frame, of one correlation in another */
     double clipped; /* share of its samples */
 };
@@ -50,7 +55,8 @@ enum carried {
     CARRIED_HEARD,
 };
 
-/* volts: (count,) from the mark on, at least `size`; NaN where absurd. fit: NULL where there is none.
+/* volts: (count,) from the mark on, at least `size`; NaN where absurd. fit: NULL where there is none,
+ * or none is needed.
  * rows: (k, N), written to. scratch: (2, n). */
 enum carried carried_read(const struct carried_line *line, const struct carried_fit *fit,
                           const struct carried_rest *rest, const double *volts, size_t count,

@@ -106,7 +106,13 @@ static struct steady_setting setting_of(const double *n)
                  .deafened = n[16],
                  .carried_noise = n[17],
                  .carried_misfit = n[18],
-                 .loud = n[19]},
+                 .loud = n[19],
+                 .integrated = n[36] != 0,
+                 .mean_is_offset = n[37] != 0,
+                 .heard = (size_t)n[38],
+                 .spread = n[39],
+                 .misfit = n[40],
+                 .left = n[41]},
         .zero = (float)n[20],
         .per_count = (float)n[21],
         .zero_count = n[20],
@@ -128,7 +134,7 @@ static struct steady_setting setting_of(const double *n)
     };
 }
 
-#define NUMBERS 36
+#define NUMBERS 42
 
 static bool is_possible(const struct steady_setting *setting, size_t order, size_t values)
 {
@@ -137,7 +143,8 @@ static bool is_possible(const struct steady_setting *setting, size_t order, size
 
     return frame->bits && frame->bits <= WORDS_MOST_BITS && frame->order == order &&
            values == frame->bits * order && frame->nodes && frame->first + frame->nodes <= order &&
-           line->spare + line->spare_count <= order && line->size && line->size < 1 << 26 &&
+           line->spare + line->spare_count <= order && line->size &&
+           (!line->integrated || (line->size >= values && line->heard >= 1)) && line->size < 1 << 26 &&
            setting->gap_size && setting->gap_size < 1 << 26 && line->chip > 0 &&
            setting->rate_hz > 0 && setting->least_rest > 1;
 }
@@ -367,7 +374,7 @@ static PyObject *wait(PyObject *self, PyObject *const *arguments, Py_ssize_t cou
     else if (event == STEADY_HEARD || event == STEADY_SILENT) {
         const struct carried_found *frame = steady_found(steady);
         found = Py_BuildValue("(Lddd)", (long long)steady_start(steady), frame->noise,
-                              steady_place(steady)->level, frame->clipped);
+                              frame->level, frame->clipped);
     } else
         found = Py_NewRef(Py_None);
     if (!found) {

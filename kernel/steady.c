@@ -216,7 +216,12 @@ static enum steady_event heard(struct steady *steady, enum carried carried)
     struct steady_place *place = &steady->place;
 
     steady->decided = place->start;
-    place->start = -1;
+    place->start = place->gap_begin = -1;
+    place->level = steady->found.level;
+    if (steady->setting.line.integrated) { /* what follows is words, and no noise */
+        steady->uses += carried == CARRIED_HEARD;
+        return carried == CARRIED_HEARD ? STEADY_HEARD : STEADY_SILENT;
+    }
     if (carried == CARRIED_SILENT) {
         place->gap_begin = steady->decided + (int64_t)steady->setting.silent_over;
         return STEADY_SILENT;
@@ -309,9 +314,9 @@ static enum steady_event take_quiet(struct steady *steady, const struct scanner_
         place->gap_begin = place->gap_begin < 0 ? -1 : place->end;
         return STEADY_MORE;
     }
-    steady->found = (struct carried_found){noise, 0};
+    steady->found = (struct carried_found){place->level, noise, 0};
     enum steady_event event = heard(steady, CARRIED_SILENT);
-    place->gap_begin = place->end;
+    place->gap_begin = setting->line.integrated ? -1 : place->end;
     return event;
 }
 

@@ -116,12 +116,11 @@ class SteadyStream:
         origin, last = place
         if origin + at.end != last.first_index + sample_count(last):
             return
-        due, fit = self._timing.due, self._timing.fit
-        assert at.gap_begin is not None and at.mark is not None
+        fit, gap_begin = self._timing.fit, -1 if at.gap_begin is None else at.gap_begin
+        over = 0 if fit is None else math.ceil(fit.end(self._spec) + 0.5 * fit.chip)
         self._kernel.enter(
-            origin, at.end, at.gap_begin, at.mark, last.device_time_us, sample_count(last),
-            at.level_v, at.noise, at.gap, np.ascontiguousarray(at.volts), due,
-            0 if fit is None else math.ceil(fit.end(self._spec) + 0.5 * fit.chip),
+            origin, at.end, gap_begin, at.mark, last.device_time_us, sample_count(last), at.level_v,
+            at.noise, at.gap, np.ascontiguousarray(at.volts), self._timing.due, over,
             self._timing.uses, self._fit(),
         )  # fmt: skip
         self._frames, self.entered = 0, True
@@ -176,13 +175,15 @@ class SteadyStream:
     def _frame(
         self, event: Event, start: int, noise_v: float, level_v: float, clipped: float
     ) -> FrameLevels:
-        fit = self._line.nominal
-        if event is Event.SILENT:
-            return FrameLevels(start + fit.start, fit.chip, None, noise_v, level_v, clipped)
-        fit = self._timing.fit or fit
-        levels = NodeLevels(self._values, noise_v, rows=self._rows)
-        noise_rms_v = noise_v * self._root
-        return FrameLevels(start + fit.start, fit.chip, levels, noise_rms_v, level_v, clipped)
+        fit, levels = self._line.nominal, None
+        if event is Event.HEARD:
+            fit, levels = (
+                self._timing.fit or fit,
+                NodeLevels(self._values, noise_v, rows=self._rows),
+            )
+            noise_v *= self._root
+        begin = float(start) if self._line.integrated else start + fit.start
+        return FrameLevels(begin, fit.chip, levels, noise_v, level_v, clipped)
 
     def _fit(self) -> tuple[object, ...] | None:
         """The timing of the next frames, as the kernel takes it; None where it cannot be used."""
@@ -198,8 +199,7 @@ class SteadyStream:
 
 def can_follow(timing: MarkedTiming) -> bool:
     """Whether the kernel can follow a stream of such frames."""
-    line = timing.line
-    return not line.integrated and is_compiled(line.spec.book)
+    return is_compiled(timing.line.spec.book)
 
 
 def _setting(line: MarkedLine, info: Info, pace: Pace, gap_size: int) -> list[float]:
@@ -244,6 +244,12 @@ def _setting(line: MarkedLine, info: Info, pace: Pace, gap_size: int) -> list[fl
         MAX_DEVICE_TIME_US,
         pace.longest_quiet,
         pace.most_quiet_v2,
+        line.integrated,
+        line.integrated and line.mean_is_offset,
+        round(nominal.end(spec) + 0.5),
+        LIMITS.spread,
+        LIMITS.misfit,
+        LIMITS.left,
     ]
 
 

@@ -87,7 +87,7 @@ class Place(NamedTuple):
     """Where in the stream a MarkedTiming is, and what it has learnt of the line at rest.
 
     end: stream index of the next sample. start: of the frame in progress. gap_begin: of the gap
-    after the last one, if no hole followed. mark: of the last mark, if no hole followed. volts:
+    after the last one, if no hole followed. mark: index of the last mark. volts:
     (m,) float64, V, the samples before `end` that are still needed.
     level_v, noise, gap: see MarkedLine.
     """
@@ -95,7 +95,7 @@ class Place(NamedTuple):
     end: int
     start: int | None
     gap_begin: int | None
-    mark: int | None
+    mark: int
     volts: Floats
     level_v: float
     noise: float
@@ -150,7 +150,7 @@ class MarkedLine:
         self.size = math.ceil(length * self.chip - 0.5)
         self.least_power = least_power(spec)
         # All rows but the first have as many +1 as −1: without it a frame's mean is the offset.
-        self._mean_is_offset = spec.first_row > 0 and spec.drive == BIPOLAR
+        self.mean_is_offset = spec.first_row > 0 and spec.drive == BIPOLAR
         self.level_v = self.noise = 0.0
         self.level_known = False
         self.gap = _NOTHING  # samples not evaluated yet: count, sum, sum of squares
@@ -190,8 +190,8 @@ class MarkedLine:
     def gate(self, frame: MarkedFrame) -> Verdict | None:
         """Decide a frame that has too little power for any node, or absurd samples; else None."""
         volts = frame.volts[: self.size]
-        if self._mean_is_offset and not self.level_known:
-            self.level_v = float(volts.mean())
+        if self.mean_is_offset and not self.level_known:
+            self.level_v = sums(volts)[0] / volts.size
         power = self.sample_power(volts)
         if math.isnan(power):
             return Verdict(rejected=ABSURD)
@@ -309,12 +309,16 @@ class MarkedTiming(Timing):
     def steady(self) -> tuple[Place, SteadyTiming] | None:
         """Where the stream is and how it can go on; None while that has to be decided here."""
         line = self.line
-        if self._start is not None or self._mark is None or self._gap_begin is None:
+        samples, begin = self._samples, self._gap_begin
+        if line.integrated:
+            begin = samples.end
+        elif not line.level_known:
             return None
-        if line.integrated or not line.level_known or (timing := self._recogniser.steady()) is None:
+        if self._start is not None or self._mark is None or begin is None:
             return None
-        samples = self._samples
-        volts = samples.take(max(self._gap_begin, samples.end - self.gap_size), samples.end)
+        if (timing := self._recogniser.steady()) is None:
+            return None
+        volts = samples.take(max(begin, samples.end - self.gap_size), samples.end)
         rest = line.level_v, line.noise, line.gap
         return Place(samples.end, None, self._gap_begin, self._mark, volts, *rest), timing
 

@@ -29,6 +29,7 @@ pytestmark = pytest.mark.skipif(kernel.compiled is None, reason="the kernel is n
 
 SMALL: dict[str, object] = {}
 LARGE = {"nodes": 256, "chip_us": 8.0, "frame_period_ms": 40.0}
+CHIPS: dict[str, object] = {"samples_per_chip": 1}
 FULL = {"nodes": 16, "order": 16, "first_row": 0}
 FRAMES = 150  # more than twice what one timing is used for
 
@@ -121,6 +122,12 @@ CASES = [
     (FULL, "scene=all&threshold=0"),
     (FULL, "scene=moving&offset=0.3"),
     ({"resync_chips": 20, "guard_chips": 1, "frame_period_ms": 15.0}, "scene=moving"),
+    (CHIPS, "scene=moving&offset=0.2"),
+    (CHIPS, "scene=all&threshold=0&noise=0.3"),
+    (CHIPS, "scene=idle"),
+    (CHIPS | FULL, "scene=moving"),
+    (CHIPS | {"drive": "unipolar"}, "scene=moving"),
+    (LARGE | CHIPS, "scene=hand"),
     (LARGE, "scene=hand"),
     (LARGE, "scene=all&threshold=0"),
 ]
@@ -132,10 +139,13 @@ def test_frames_are_those_of_the_stages(parameters: dict[str, object], options: 
     compare(SkinConfig.of(parameters), data)
 
 
+@pytest.mark.parametrize("parameters", [SMALL, CHIPS])
 @pytest.mark.parametrize("options", ["scene=all&threshold=0", "scene=idle", "scene=moving"])
-def test_most_frames_of_a_sound_skin_are_left_to_the_kernel(options: str) -> None:
-    config = SkinConfig.of(SMALL)
-    followed = compare(config, sent((), f"sim://?seed=1&{options}", 200))
+def test_most_frames_of_a_sound_skin_are_left_to_the_kernel(
+    parameters: dict[str, object], options: str
+) -> None:
+    config = SkinConfig.of(parameters)
+    followed = compare(config, sent(tuple(parameters.items()), f"sim://?seed=1&{options}", 200))
     assert followed.steady_frames > 190 - 4 * (200 // CARRIED_FRAMES)
 
 
@@ -342,7 +352,7 @@ def test_arguments_that_do_not_fit_are_refused() -> None:
     levels = pipeline._levels
     assert isinstance(levels, LevelDecoder) and pipeline._steady is not None
     steady, parser = pipeline._steady._kernel, PacketParser()
-    rows, setting = np.empty((10, 20), np.float32), np.zeros(36)
+    rows, setting = np.empty((10, 20), np.float32), np.zeros(42)
     with pytest.raises(TypeError, match="not a Scanner"):
         kernel.compiled.Steady(3, 3, setting, rows)
     with pytest.raises(TypeError, match="not a Transform"):
@@ -350,7 +360,7 @@ def test_arguments_that_do_not_fit_are_refused() -> None:
     transform = kernel.compiled.Transform(2, (), 1.0)
     with pytest.raises(ValueError, match="no frame of this code"):
         kernel.compiled.Steady(parser.scanner, transform, setting, rows)
-    with pytest.raises(ValueError, match="36"):
+    with pytest.raises(ValueError, match="42"):
         kernel.compiled.Steady(parser.scanner, transform, setting[1:], rows)
     steady.leave()
     place = (0, 0, 0, 0, 0, 1, 0.0, 0.0, (0.0, 0.0, 0.0), np.empty(0))
