@@ -38,10 +38,11 @@ from matplotlib.ticker import LogLocator
 from tactile_cdma.config.parameters import Value
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.driver.steady import Waited
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire._protocol import TAIL_CHIPS
-from tactile_cdma.wire.messages import Received, Samples
+from tactile_cdma.wire.messages import Samples
 from tactile_cdma.wire.packets import PacketParser
 
 from .report import QUICK, ROOT, Report
@@ -66,7 +67,7 @@ WARM_UP_S = 1.0
 DOMAIN = 77
 PAPER_PERIOD_US = 12_800
 CHUNK = 65_536
-STAGES = ("bytes → read", "→ parsed", "→ decoded", "→ received", "of it publishing")
+STAGES = ("bytes → read", "→ separated", "→ decoded", "→ received", "of it publishing")
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +135,7 @@ def stages_ms(values: dict[str, Value]) -> list[float]:
     arrived = dict(received)
     sent_us = np.array(list(sent))
     times = []
-    for middle_us, read, parsed, decoded, published in passed[
+    for middle_us, read, separated, decoded, published in passed[
         passed[:, 0] > passed[0, 0] + WARM_UP_S * 1e6
     ]:
         nearest_us = int(sent_us[np.argmin(np.abs(sent_us - middle_us))])
@@ -143,7 +144,13 @@ def stages_ms(values: dict[str, Value]) -> list[float]:
             # The subscriber may be served before publishing returns.
             received_s = arrived[int(middle_us)] - decoded
             times.append(
-                [read - begun, parsed - read, decoded - parsed, received_s, published - decoded]
+                [
+                    read - begun,
+                    separated - read,
+                    decoded - separated,
+                    received_s,
+                    published - decoded,
+                ]
             )
     medians: list[float] = np.median(times, axis=0).tolist()
     return [round(1e3 * seconds, 3) for seconds in medians]
@@ -350,29 +357,28 @@ def noting_driver(notes: Path) -> None:
     from tactile_cdma.ros.driver.node import main as run
 
     rows: list[list[float]] = []
-    read = parsed = 0.0
-    feed, parse, publish_frame = Pipeline.feed, PacketParser.feed, SkinNode._publish_frame
+    read = separated = 0.0
+    feed, wait, publish_frame = Pipeline.feed, Pipeline.wait, SkinNode._publish_frame
 
     def noting_feed(
         self: Pipeline, data: bytes, t_host: float, backlog: bool = False
     ) -> list[TactileFrame]:
-        nonlocal read
-        read = t_host
+        nonlocal read, separated
+        read = separated = t_host  # the stages are not told apart
         return feed(self, data, t_host, backlog)
 
-    def noting_parse(self: PacketParser, data: bytes) -> list[Received]:
-        nonlocal parsed
-        packets = parse(self, data)
-        parsed = time.monotonic()
-        return packets
+    def noting_wait(self: Pipeline, file: int, timeout_ms: int) -> Waited:
+        nonlocal read, separated
+        waited = wait(self, file, timeout_ms)
+        read, separated = waited.t_host, time.monotonic()
+        return waited
 
     def noting_publish(self: SkinNode, frame: TactileFrame) -> None:
         decoded = time.monotonic()
         publish_frame(self, frame)
-        rows.append([round(1e6 * frame.t_middle), read, parsed, decoded, time.monotonic()])
+        rows.append([round(1e6 * frame.t_middle), read, separated, decoded, time.monotonic()])
 
-    Pipeline.feed = noting_feed  # type: ignore[method-assign]
-    PacketParser.feed = noting_parse  # type: ignore[method-assign]
+    Pipeline.feed, Pipeline.wait = noting_feed, noting_wait  # type: ignore[method-assign]
     SkinNode._publish_frame = noting_publish  # type: ignore[method-assign]
     try:
         run()
