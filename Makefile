@@ -34,7 +34,7 @@ ONLY ?=
 SEED ?= 1
 COUNT ?= 1000000
 SINCE ?= HEAD~1
-PYTEST ?= -n 4 --dist loadgroup
+PYTEST ?= -n 4 --dist loadgroup --timeout 300
 # Folders that `make check` tests: from bytes to frames.
 CORE = base code places wire words framing clocks readings config views driver door
 export LC_ALL ?= C.UTF-8
