@@ -611,7 +611,7 @@ static void follow_stream(struct input *input)
 
     while (input->left && size + 400 < sizeof wire) {
         uint8_t kind = input_u8(input), flags = kind >> 4 & 1;
-        struct tp_header header = {.sequence = sequence++};
+        struct tp_header header = {.sequence = sequence};
         uint64_t off = kind & 128 ? (uint64_t)(int8_t)input_u8(input) : 0;
         size_t body_size = sizeof header;
         if (kind % 4 == 3) {
@@ -650,6 +650,7 @@ static void follow_stream(struct input *input)
         }
         memcpy(body, &header, sizeof header);
         index += count;
+        sequence++;
         size += framing_wrap(body, body_size, wire + size);
     }
     uint8_t *exact = malloc(size + !size);

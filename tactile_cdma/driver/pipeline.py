@@ -94,7 +94,7 @@ class Pipeline:
             return self._by_packets(data, t_host, backlog)
         frames: list[TactileFrame] = []
         steady.give(data, t_host, backlog)
-        while self.is_steady:
+        while steady.entered:
             waited = steady.wait(NO_FILE, 0)
             frames += self.take(waited)
             if waited.event is Event.MORE:
@@ -134,7 +134,7 @@ class Pipeline:
 
     def settle(self) -> list[TactileFrame]:
         """Decode what the kernel has read but not parsed, before bytes are left out."""
-        return self._go_on() if self.is_steady else []
+        return self._go_on() if self._steady and self._steady.entered else []
 
     def _go_on(self, packet: Received | None = None) -> list[TactileFrame]:
         """Go on in stages: with the frame in progress, this packet, and the bytes behind it."""

@@ -178,6 +178,14 @@ def test_a_false_word_is_found(
     assert bad(tortured()) == ["wrong_values"]
 
 
+class Fed(Pipeline):
+    """All of its bytes come through `feed`."""
+
+    @property
+    def is_steady(self) -> bool:
+        return False
+
+
 def too_late(frame: TactileFrame) -> TactileFrame:
     return replace(frame, t_start=frame.t_start + 40e-6)
 
@@ -197,7 +205,7 @@ def test_a_false_time_or_pressure_is_found(
 ) -> None:
     maybe = on_call(7, change)
 
-    class Falsifying(Pipeline):
+    class Falsifying(Fed):
         def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
             return [maybe(frame) for frame in super().feed(data, t_host, backlog)]
 
@@ -223,7 +231,7 @@ def test_a_packet_that_is_not_counted_is_found(monkeypatch: pytest.MonkeyPatch, 
 
 @pytest.mark.parametrize("count", ["lost_samples", "lost_frames", "implausible_packets"])
 def test_a_loss_that_is_not_counted_is_found(monkeypatch: pytest.MonkeyPatch, count: str) -> None:
-    class Forgetting(Pipeline):
+    class Forgetting(Fed):
         def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
             frames = super().feed(data, t_host, backlog)
             setattr(self.counters, count, 0)
@@ -237,7 +245,7 @@ def test_a_loss_that_is_not_counted_is_found(monkeypatch: pytest.MonkeyPatch, co
 def test_a_frame_that_is_kept_back_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """It arrived whole, long after a fault, and is told as lost: streaming resumes too late."""
 
-    class Lazy(Pipeline):
+    class Lazy(Fed):
         def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
             frames = super().feed(data, t_host, backlog)
             return [frame for frame in frames if frame.sequence not in (3, 8, 13)]
@@ -247,7 +255,7 @@ def test_a_frame_that_is_kept_back_is_found(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_a_driver_that_stops_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Deaf(Pipeline):
+    class Deaf(Fed):
         def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
             frames = super().feed(data, t_host, backlog)
             return frames if self.counters.frames <= 5 else []
@@ -258,7 +266,7 @@ def test_a_driver_that_stops_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_driver_that_fails_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Failing(Pipeline):
+    class Failing(Fed):
         def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
             frames = super().feed(data, t_host, backlog)
             if self.counters.frames > 5:
@@ -273,7 +281,7 @@ def test_a_driver_that_fails_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_driver_that_fails_in_the_end_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing but what it tells shows that, and it tells of it late."""
 
-    class Failing(Pipeline):
+    class Failing(Fed):
         def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
             frames = super().feed(data, t_host, backlog)
             arrived = rig.man.ledger.counts.bytes
