@@ -220,7 +220,7 @@ def measure(nodes: int, scene: str, kernel: str) -> dict[str, Any]:
         digitizer.join()
     spec = config.spec
     latencies = [f.t_call - powered_up - f.t_start for f in run.frames]
-    share = {name: 100 * cpu_s / run.wall_s for name, cpu_s in run.cpu_s.items()}
+    share = Counter({name: 100 * cpu_s / run.wall_s for name, cpu_s in run.cpu_s.items()})
     expected = round(run.wall_s / spec.frame_period_s)
     sequences = [f.sequence for f in run.frames]
     lost = sequences[-1] - sequences[0] + 1 - len(sequences) if sequences else expected
