@@ -83,7 +83,7 @@ static bool is_a(PyObject *object, PyTypeObject *type, const char *name)
     return is == 1;
 }
 
-/* The numbers of a setting, in the order of SETTING in tactile_cdma/driver/steady.py. */
+/* The numbers of a setting, in the order of _setting in tactile_cdma/driver/steady.py. */
 static struct steady_setting setting_of(const double *n)
 {
     return (struct steady_setting){

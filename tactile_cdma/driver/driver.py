@@ -21,6 +21,7 @@ from ..wire.port import Port
 from .backlog import Backlog
 from .pipeline import Pipeline, TactileFrame
 from .session import Session
+from .steady import Event
 from .vitals import Vitals
 
 CONNECT_S = 0.5
@@ -192,7 +193,7 @@ class Driver:
         pipeline = self.pipeline
         if port.has_file and pipeline.is_steady:
             waited = port.read_by(pipeline.wait)
-            t_host = waited.t_host if waited.frame else time.monotonic()
+            t_host = time.monotonic() if waited.event is Event.MORE else waited.t_host
             with self._busy:
                 return self._hand_on(pipeline.take(waited), t_host), t_host
         data, t_host = port.read()

@@ -172,8 +172,9 @@ class Pipeline:
     def flush(self) -> list[TactileFrame]:
         """At the end of a recording: a last frame that nothing followed."""
         frames, levels = self.settle(), self._levels
-        last = levels.timing.flush() if levels else []
-        return frames + [self._frame(heard, levels) for heard in last if levels]
+        if levels is not None:
+            frames += [self._frame(heard, levels) for heard in levels.timing.flush()]
+        return frames
 
     def skipped(self, count: int) -> None:
         """Note that this many bytes were left out here, to catch up with the digitizer.

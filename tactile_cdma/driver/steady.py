@@ -17,10 +17,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ..base import kernel
-from ..code.frame import UNIPOLAR, FrameSpec
+from ..code.frame import UNIPOLAR
 from ..code.separate import NodeLevels
 from ..code.transform import compiled_transform, is_compiled
 from ..framing.fit import lowest_power
+from ..framing.frame_end import tail_of
 from ..framing.limits import LIMITS
 from ..framing.marked_timing import (
     GAP_WEIGHT,
@@ -30,8 +31,7 @@ from ..framing.marked_timing import (
     Place,
     SteadyTiming,
 )
-from ..framing.timing import ABSURD_V, RAIL_MARGIN, FrameLevels
-from ..wire._protocol import TAIL_CHIPS
+from ..framing.timing import ABSURD_V, FrameLevels, blinding_noise_v, within_rails
 from ..wire.messages import Info
 from ..wire.packets import Found, PacketParser
 from ..words.stages import LOUDEST_FLOOR
@@ -117,7 +117,7 @@ class SteadyStream:
         if origin + at.end != last.first_index + sample_count(last):
             return
         fit, gap_begin = self._timing.fit, -1 if at.gap_begin is None else at.gap_begin
-        over = 0 if fit is None else math.ceil(fit.end(self._spec) + 0.5 * fit.chip)
+        over = 0 if fit is None else self._line.over(fit)
         self._kernel.enter(
             origin, at.end, gap_begin, at.mark, last.device_time_us, sample_count(last), at.level_v,
             at.noise, at.gap, np.ascontiguousarray(at.volts), self._timing.due, over,
@@ -190,11 +190,10 @@ class SteadyStream:
         fit, edges, due, _ = self._timing
         if fit is None or edges is None:
             return None
-        end = fit.end(self._spec) + 0.5
-        begin, stop = math.ceil(end + 0.25 * fit.chip), math.floor(end + TAIL_CHIPS * fit.chip)
-        if stop > due or stop - begin < 0.5 * fit.chip or round(end) > due:
+        size, (begin, stop) = round(fit.end(self._spec) + 0.5), tail_of(fit, self._spec)
+        if stop > due or stop - begin < 0.5 * fit.chip or size > due:
             return None
-        return (fit.chip, round(end), begin, stop - begin, *edges.within(due))
+        return (fit.chip, size, begin, stop - begin, *edges.within(due))
 
 
 def can_follow(timing: MarkedTiming) -> bool:
@@ -205,8 +204,6 @@ def can_follow(timing: MarkedTiming) -> bool:
 def _setting(line: MarkedLine, info: Info, pace: Pace, gap_size: int) -> list[float]:
     """The numbers of setting_of in the kernel's module_steady.c, in its order."""
     spec, nominal, spare = line.spec, line.nominal, line.spec.spare_rows
-    low_v, high_v = line.rails_v or (-math.inf, math.inf)
-    margin_v = RAIL_MARGIN * (high_v - low_v) if line.rails_v else 0.0
     return [
         spec.line_bits,
         spec.order,
@@ -221,9 +218,8 @@ def _setting(line: MarkedLine, info: Info, pace: Pace, gap_size: int) -> list[fl
         line.size,
         line.chip,
         line.least_power,
-        _most_noise_v(spec),
-        low_v + margin_v,
-        high_v - margin_v,
+        blinding_noise_v(spec),
+        *within_rails(line.rails_v),
         LIMITS.deafened,
         LIMITS.carried_noise,
         LIMITS.carried_misfit,
@@ -236,7 +232,7 @@ def _setting(line: MarkedLine, info: Info, pace: Pace, gap_size: int) -> list[fl
         GAP_WEIGHT,
         LIMITS.rise,
         lowest_power(1e-3),
-        math.ceil(nominal.end(spec) + 0.5 * nominal.chip),
+        line.over(nominal),
         pace.rate_hz,
         CLOCK_SLACK_S,
         pace.ahead_s,
@@ -251,10 +247,3 @@ def _setting(line: MarkedLine, info: Info, pace: Pace, gap_size: int) -> list[fl
         LIMITS.misfit,
         LIMITS.left,
     ]
-
-
-def _most_noise_v(spec: FrameSpec) -> float:
-    """Noise of a chip, V, beyond which silence may be hidden; see timing.silence_hidden."""
-    if spec.node_swing_v is None:
-        return math.inf
-    return spec.node_swing_v * math.sqrt(spec.order) / LIMITS.blind_rho

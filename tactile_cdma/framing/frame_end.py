@@ -29,6 +29,12 @@ class End(IntEnum):
     SILENCE = 2
 
 
+def tail_of(fit: Fit, spec: FrameSpec) -> tuple[int, int]:
+    """Where the line is looked at after a frame, samples: begin and end."""
+    end = fit.end(spec) + 0.5
+    return math.ceil(end + 0.25 * fit.chip), math.floor(end + TAIL_CHIPS * fit.chip)
+
+
 class FrameEnds:
     """Looks at the line after each frame of a stream.
 
@@ -53,8 +59,7 @@ class FrameEnds:
         amplitude: (n,) V, of every node's word, 0 where silent. noise: variance of a chip's level,
         V². level_known: of the line at rest.
         """
-        spec, end = self._spec, fit.end(self._spec) + 0.5
-        begin, stop = math.ceil(end + 0.25 * fit.chip), math.floor(end + TAIL_CHIPS * fit.chip)
+        spec, (begin, stop) = self._spec, tail_of(fit, self._spec)
         tail = line.received[begin:stop]
         if tail.size < 0.5 * fit.chip:
             return End.SILENCE if level_known or spec.first_row > 0 else End.OTHER

@@ -248,7 +248,11 @@ class MarkedLine:
         # An integrated value's index is the begin of its chip, a raw sample's its instant.
         begin = float(start) if self.integrated else start + fit.start
         found = FrameLevels(begin, fit.chip, levels, noise_rms_v, self.level_v, clipped, doubtful)
-        return Verdict(found, start + math.ceil(fit.end(self.spec) + 0.5 * fit.chip))
+        return Verdict(found, start + self.over(fit))
+
+    def over(self, fit: Fit) -> int:
+        """Samples from the mark on until the line is at rest after a frame."""
+        return math.ceil(fit.end(self.spec) + 0.5 * fit.chip)
 
 
 class MarkedTiming(Timing):

@@ -218,10 +218,14 @@ def silence_hidden(clipped: float, noise_rms_v: float, spec: FrameSpec) -> Rejec
     """
     if clipped > LIMITS.deafened:
         return AT_RAIL
-    swing_v = spec.node_swing_v
-    if swing_v is not None and noise_rms_v * LIMITS.blind_rho > swing_v * math.sqrt(spec.order):
-        return NOISY
-    return None
+    return NOISY if noise_rms_v > blinding_noise_v(spec) else None
+
+
+def blinding_noise_v(spec: FrameSpec) -> float:
+    """Noise of one chip's level, V RMS, beyond which words may be missed; infinite if unknown."""
+    if spec.node_swing_v is None:
+        return math.inf
+    return spec.node_swing_v * math.sqrt(spec.order) / LIMITS.blind_rho
 
 
 def share_clipped(volts: Floats, rails_v: Rails) -> float:
@@ -230,8 +234,11 @@ def share_clipped(volts: Floats, rails_v: Rails) -> float:
     rails_v: lowest and highest level that the amplifier or the converter can give, V; None where
     unknown (nothing counts as clipped then).
     """
-    if rails_v is None or not volts.size:
-        return 0.0
-    low, high = rails_v
-    margin = RAIL_MARGIN * (high - low)
-    return outside(volts, low + margin, high - margin) / volts.size
+    return outside(volts, *within_rails(rails_v)) / volts.size if volts.size else 0.0
+
+
+def within_rails(rails_v: Rails) -> tuple[float, float]:
+    """Levels between which samples do not count as clipped, V; infinite where unknown."""
+    low, high = rails_v or (-math.inf, math.inf)
+    margin = RAIL_MARGIN * (high - low) if rails_v else 0.0
+    return low + margin, high - margin
