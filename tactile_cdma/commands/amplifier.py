@@ -9,6 +9,7 @@ import json
 import math
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from itertools import islice
 from typing import Any
 
@@ -19,7 +20,8 @@ from ..code.encode import line_chips
 from ..code.frame import FrameSpec
 from ..config.arguments import add_skin_options, given
 from ..config.skin_config import SkinConfig
-from ..hardware.amplifier import EXACT, FrontEnd, design
+from ..hardware.amplifier import ADC_HZ, BIAS_TOLERANCE, EXACT, TOLERANCE, FrontEnd, Stage, design
+from ..hardware.tolerance import scatter
 from ..sim.nodes import NodeRules, node_frames
 from ..sim.options import SimOptions
 from ..sim.scene import SCENES
@@ -43,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("--supply", float, 3.3, "supply of nodes and amplifier [V] (3.3)"),
         ("--adc-volts", float, 3.3, "range of the digitizer's converter [V] (3.3)"),
         ("--adc-bits", int, 12, "resolution of the digitizer's converter [bit] (12)"),
+        ("--adc-rate", float, ADC_HZ / 1e3, "samples of it at most [kS/s] (500)"),
         ("--active", float, 1.0, "largest share of nodes that transmit at once (1)"),
     ):
         parser.add_argument(name, type=kind, default=default, help=text)
@@ -59,6 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
         supply_v=arguments.supply,
         adc_volts=arguments.adc_volts,
         adc_bits=arguments.adc_bits,
+        adc_hz=arguments.adc_rate * 1e3,
         active=arguments.active,
     )
     print(
@@ -131,13 +135,21 @@ def resolution(spec: FrameSpec, front: FrontEnd) -> Resolution:
 
 def report(spec: FrameSpec, front: FrontEnd) -> dict[str, Any]:
     """Everything about a front end, as plain values by name."""
-    derived = [name for name, kind in vars(FrontEnd).items() if isinstance(kind, property)]
+    derived = [
+        name
+        for name, kind in vars(FrontEnd).items()
+        if isinstance(kind, property | cached_property) and name != "stages"
+    ]
     return {
-        "parameters": {"polarity": -1, "amplitude_mv": round(front.amplitude_v * 1e3, 2)},
+        "parameters": {
+            "polarity": front.polarity,
+            "amplitude_mv": round(front.amplitude_v * 1e3, 2),
+        },
         "parts": asdict(front) | {name: getattr(front, name) for name in derived},
         "gaussian_clipping": gaussian_clipping(front),
         "loads": {name: asdict(load) for name, load in loads(spec, front).items()},
         "converter": asdict(resolution(spec, front)),
+        "scatter": asdict(scatter(front)),
     }
 
 
@@ -147,22 +159,24 @@ def describe(spec: FrameSpec, front: FrontEnd) -> str:
     scenes = loads(spec, front)
     worst = max(scenes, key=lambda name: scenes[name].peak)
     clipped = [f"{name} {_share(load.clipped)}" for name, load in scenes.items() if load.clipped]
+    spread = scatter(front)
     lines = {
         "node": f"R1 {_si(front.series_ohm)}Ω from the pin; Rb {_si(front.bias_ohm)}Ω to supply "
         f"and {_si(front.bias_ohm)}Ω to ground",
         "follower": f"at {front.supply_v / 2:g} V ± {_si(front.node_level_v)}V; gain-bandwidth "
         f"{_si(front.follower_bandwidth_hz)}Hz or more, {_slew(front.follower_slew_v_per_s)}; "
-        f"then Rin {_si(front.input_ohm)}Ω to the line",
-        "amplifier": f"Rf {_si(front.feedback_ohm)}Ω, Cf {_si(front.feedback_f)}F "
-        f"({_si(front.corner_hz)}Hz), + input at {front.supply_v / 2:g} V; noise gain "
-        f"{front.noise_gain:.3g}",
-        "": f"gain-bandwidth {_si(front.gain_bandwidth_hz)}Hz or more, "
-        f"{_slew(front.slew_v_per_s)}, rail to rail",
+        f"then Rin {_si(front.nodes_stage.input_ohm)}Ω to the line",
+        **_amplifiers(front),
         "filter": f"R {_si(front.filter_ohm)}Ω, C {_si(front.filter_f)}F "
         f"({_si(front.filter_hz)}Hz)",
+        "settling": f"{front.unsettled:.1%} of a step is left at a chip's first sample, after "
+        f"{_si(front.sample_s)}s",
         "level": f"A = {_si(front.amplitude_v)}V, one node on the digitized line",
         "range": f"±{_si(front.room_v)}V = ±{front.room:.3g}·A = ±{front.full_scale:.3g}·√n·A, "
         f"n = {front.talking} nodes at once",
+        "tolerance": f"resistors {TOLERANCE:.1%}, those of half the supply {BIAS_TOLERANCE:.1%}: "
+        f"rest ±{_si(spread.rest_v)}V rms, levels within {spread.level:.1%}; of {spread.skins} "
+        f"skins {_share(spread.left)} leave the range",
         "clipping": f"share of chips, simulated: {', '.join(clipped) or 'none'} (largest peak "
         f"{scenes[worst].peak:.3g}·A: {worst}); Gaussian tail: {_share(gaussian_clipping(front))}",
         "converter": f"one count is {_si(front.count_v)}V, {seen.count:.2g}·A; quantisation alone: "
@@ -176,8 +190,40 @@ def describe(spec: FrameSpec, front: FrontEnd) -> str:
     body = "\n".join(
         f"{name + ':' if name.strip() else '':<11}{text}" for name, text in lines.items()
     )
-    parameters = f"polarity: -1\namplitude_mv: {front.amplitude_v * 1e3:.2f}"
+    parameters = f"polarity: {front.polarity}\namplitude_mv: {front.amplitude_v * 1e3:.2f}"
     return f"{head}\n\n{body}\n\nfor the parameter file:\n{parameters}"
+
+
+def _amplifiers(front: FrontEnd) -> dict[str, str]:
+    """The lines about the amplifiers."""
+    half = f"+ input at {front.supply_v / 2:g} V"
+    lines, nodes = {}, front.nodes_stage
+    speed = f"{_slew(front.slew_v_per_s)}, rail to rail"
+    if front.groups_stage is None:
+        lines["amplifier"] = f"{_feedback('f', nodes)}, {half}; noise gain {nodes.noise_gain:.3g}"
+        lines[""] = f"gain-bandwidth {_si(nodes.gain_bandwidth_hz)}Hz or more, {speed}"
+        return lines
+    last = front.groups_stage
+    lines["groups"] = (
+        f"{front.groups} of up to {nodes.inputs} nodes, an amplifier each: "
+        f"{_feedback('f', nodes)}, {half};"
+    )
+    lines["  "] = (
+        f"noise gain {nodes.noise_gain:.3g}, gain-bandwidth {_si(nodes.gain_bandwidth_hz)}Hz or "
+        f"more, {speed}; then Rg {_si(last.input_ohm)}Ω"
+    )
+    lines["sum"] = (
+        f"{_feedback('s', last)}, {half}; noise gain {last.noise_gain:.3g}, "
+        f"gain-bandwidth {_si(last.gain_bandwidth_hz)}Hz or more"
+    )
+    return lines
+
+
+def _feedback(name: str, stage: Stage) -> str:
+    return (
+        f"R{name} {_si(stage.feedback_ohm)}Ω, C{name} {_si(stage.feedback_f)}F "
+        f"({_si(stage.corner_hz)}Hz)"
+    )
 
 
 def _scenes(spec: FrameSpec, rng: np.random.Generator) -> dict[str, Iterable[NDArray[np.int64]]]:

@@ -15,8 +15,14 @@ every node, so that no wire is needed for it. The amplifier holds the line at ha
 adds up the nodes' currents. Its output is half the supply, minus Rf/Rin times the sum of all node
 levels: the polarity is −1, and A = node level · Rf/Rin.
 
+The noise gain 1 + n·Rf/Rin divides an amplifier's bandwidth. Where that leaves too little, nodes
+are wired in groups with an amplifier each, and another one adds up these, through Rg each, with
+Rs ∥ Cs: it inverts once more, so the polarity is +1, and A = node level · Rf/Rin · Rs/Rg.
+
 The sum of n nodes with random row signs has a peak of CREST·√n·A in the scenes that occur
-(`benchmarks/crest.py`), with natural signs n·A. A is as large as the converter has room for that.
+(`benchmarks/crest.py`), with natural signs n·A. A is as large as the converter has room for that,
+with a margin for the rest of the line, which parts are not exact enough to keep at half the supply.
+`make spice` simulates the circuit; its figures are in docs/results.md.
 """
 
 from __future__ import annotations
@@ -24,6 +30,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
 
 from ..base.errors import SpecError, check_limits
 from ..code.frame import BIPOLAR, DEFAULT_AMPLITUDE_V, FrameSpec
@@ -36,12 +45,26 @@ NODE_LEVEL_V = DEFAULT_AMPLITUDE_V
 """Level of a node behind its follower, V: the paper's; small, for the follower's range and slew."""
 SETTLED = 0.01
 """Share of a step that may be left when the first sample of a chip is taken; chosen."""
-SETTLING = 6.638
-"""Time constants in which two equal low passes settle to that: (1 + x)·e⁻ˣ = SETTLED."""
+ADC_HZ = 500e3
+"""Samples per second at most of the usual digitizer: an RP2040's converter."""
 LEAST_SAMPLES = 4
-"""Samples of a chip at least: a digitizer that sends one mean per chip takes several for it."""
+"""Samples of a chip at least, where it is long enough: a digitizer that sends one mean per chip
+takes several for it. Of a shorter one it takes a single one, late: firmware/core/setup.h."""
+LATE_SAMPLE = 7 / 8
+"""Place in a chip of its only sample."""
 LOOP_GAIN = 10.0
 """Of an amplifier at the corner of the feedback, so that the parts set the corner; chosen."""
+MOST_GAIN_BANDWIDTH_HZ = 80e6
+"""Gain-bandwidth of an amplifier above which nodes are wired in groups. Chosen: with a margin for
+cheap ones of the kind (100 MHz at 3.3 V, rail to rail, unity-gain stable: TLV3541)."""
+INPUT_F = 8e-12
+"""Capacitance at a follower's input with its copper and the released pin, F: data sheets give 3 to
+6 pF for the op-amp; the rest is chosen."""
+TOLERANCE, BIAS_TOLERANCE = 0.01, 0.001
+"""Of resistors, and of the two that make half the supply for an amplifier's + input: its noise gain
+multiplies their error."""
+SIGMAS = 3.0
+"""Standard deviations of the rest of the line that the range leaves room for; chosen."""
 E24 = (  # of the resistors; capacitors have every other value
     *(10, 11, 12, 13, 15, 16, 18, 20, 22, 24, 27, 30),
     *(33, 36, 39, 43, 47, 51, 56, 62, 68, 75, 82, 91),
@@ -55,10 +78,42 @@ times that, for the converter. Chosen."""
 
 
 @dataclass(frozen=True, slots=True)
+class Stage:
+    """An amplifier that adds up its inputs: Ω, F."""
+
+    inputs: int
+    input_ohm: float
+    feedback_ohm: float
+    feedback_f: float
+
+    @property
+    def gain(self) -> float:
+        """Of one input: Rf/Rin, or Rs/Rg."""
+        return self.feedback_ohm / self.input_ohm
+
+    @property
+    def noise_gain(self) -> float:
+        """Factor to the amplifier's own offset and noise, and divisor of its bandwidth."""
+        return 1 + self.inputs * self.gain
+
+    @property
+    def corner_hz(self) -> float:
+        """Corner of the feedback."""
+        return 1 / (2 * math.pi * self.feedback_ohm * self.feedback_f)
+
+    @property
+    def gain_bandwidth_hz(self) -> float:
+        """Least gain-bandwidth of the amplifier."""
+        return LOOP_GAIN * self.noise_gain * self.corner_hz
+
+
+@dataclass(frozen=True)
 class FrontEnd:
     """The parts, and what follows from them. Names as in the drawing above; Ω, F, V, s, Hz.
 
     talking: nodes that may send at once. room_v: largest swing of the output about its rest.
+    nodes_stage: adds up nodes, all or those of a group. groups_stage: adds up groups, if there are
+    any. sample_s: from a chip's begin to its first sample.
     """
 
     nodes: int
@@ -69,11 +124,26 @@ class FrontEnd:
     room_v: float
     series_ohm: float
     bias_ohm: float
-    input_ohm: float
-    feedback_ohm: float
-    feedback_f: float
+    nodes_stage: Stage
+    groups_stage: Stage | None
     filter_ohm: float
     filter_f: float
+    sample_s: float
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """The amplifiers between a node and the converter."""
+        return (self.nodes_stage, *([self.groups_stage] if self.groups_stage else []))
+
+    @property
+    def groups(self) -> int:
+        """Number of groups that nodes are wired in."""
+        return self.groups_stage.inputs if self.groups_stage else 1
+
+    @property
+    def polarity(self) -> int:
+        """Whether the line rises (1) or falls (−1) with a pin."""
+        return 1 if self.groups_stage else -1
 
     @property
     def node_level_v(self) -> float:
@@ -83,18 +153,13 @@ class FrontEnd:
 
     @property
     def gain(self) -> float:
-        """Rf/Rin."""
-        return self.feedback_ohm / self.input_ohm
+        """From a follower to the converter."""
+        return math.prod(stage.gain for stage in self.stages)
 
     @property
     def amplitude_v(self) -> float:
         """A, one node on the digitized line."""
         return self.node_level_v * self.gain
-
-    @property
-    def noise_gain(self) -> float:
-        """Factor to the amplifier's own offset and noise, and divisor of its bandwidth."""
-        return 1 + self.nodes * self.gain
 
     @property
     def room(self) -> float:
@@ -107,34 +172,37 @@ class FrontEnd:
         return self.room / math.sqrt(self.talking)
 
     @property
-    def corner_hz(self) -> float:
-        """Corner of the amplifier's feedback."""
-        return 1 / (2 * math.pi * self.feedback_ohm * self.feedback_f)
-
-    @property
     def filter_hz(self) -> float:
-        """Corner of the filter behind it."""
+        """Corner of the filter behind the amplifiers."""
         return 1 / (2 * math.pi * self.filter_ohm * self.filter_f)
 
     @property
-    def gain_bandwidth_hz(self) -> float:
-        """Least gain-bandwidth of the amplifier."""
-        return LOOP_GAIN * self.noise_gain * self.corner_hz
-
-    @property
     def slew_v_per_s(self) -> float:
-        """Least slew rate of the amplifier: end to end in one time constant of the feedback."""
-        return 2 * self.room_v * 2 * math.pi * self.corner_hz
+        """Least slew rate of the amplifiers: end to end in one time constant of the feedback."""
+        return 2 * self.room_v * 2 * math.pi * self.stages[-1].corner_hz
 
     @property
     def follower_bandwidth_hz(self) -> float:
         """Least gain-bandwidth of a follower."""
-        return LOOP_GAIN * self.corner_hz
+        return LOOP_GAIN * self.nodes_stage.corner_hz
 
     @property
     def follower_slew_v_per_s(self) -> float:
-        """Least slew rate of a follower."""
-        return 2 * self.node_level_v * 2 * math.pi * self.corner_hz
+        """Least slew rate of a follower: a step in half a time constant.
+
+        With a whole one, 1.0 % of a step is left at 16 nodes' first sample, so 0.8 % (make spice).
+        """
+        return 2 * 2 * self.node_level_v * 2 * math.pi * self.nodes_stage.corner_hz
+
+    @cached_property
+    def unsettled(self) -> float:
+        """Share of a step that is left at a chip's first sample, with parts as slow as allowed."""
+        poles = [attenuator_s(self.series_ohm, self.bias_ohm), self.filter_ohm * self.filter_f]
+        poles.append(1 / (2 * math.pi * self.follower_bandwidth_hz))
+        for stage in self.stages:
+            feedback_s = stage.feedback_ohm * stage.feedback_f
+            poles += [feedback_s, feedback_s / LOOP_GAIN]
+        return step_left(self.sample_s, poles)
 
     @property
     def count_v(self) -> float:
@@ -149,17 +217,20 @@ def design(
     supply_v: float = 3.3,
     adc_volts: float = 3.3,
     adc_bits: int = 12,
+    adc_hz: float = ADC_HZ,
     active: float = 1.0,
 ) -> FrontEnd:
     """The front end for a skin. active: largest share of the nodes that talk at once.
 
-    supply_v: of nodes and amplifier. adc_volts: the converter's range is 0…adc_volts.
+    supply_v: of nodes and amplifier. adc_volts: the converter's range is 0…adc_volts. adc_hz: its
+    samples per second at most; of shorter chips fewer are taken than asked for.
 
     Raises SpecError, naming value, limit and cause.
     """
     check_limits("supply_v", supply_v, 1.8, 5.5, "what nodes and amplifiers of this kind stand")
     check_limits("adc_volts", adc_volts, 0.1, 10.0, "what converters have")
     check_limits("adc_bits", adc_bits, 4, 24, "what converters have")
+    check_limits("adc_hz", adc_hz, 1.0, 1e9, "what converters have")
     check_limits("active", active, 1e-6, 1.0, "it is a share of the nodes")
     if spec.drive != BIPOLAR:
         raise SpecError(f"drive is {spec.drive!r}, but nodes that rest at mid-supply are {BIPOLAR}")
@@ -171,14 +242,14 @@ def design(
             f"and needs {supply_v / 10:g} V or more on either side: use a lower supply_v"
         )
     talking = math.ceil(active * spec.nodes)
-    peak = float(talking)
-    if spec.sign_seed is not None:
-        peak = min(peak, CREST * math.sqrt(talking))
     series_ohm, bias_ohm = _attenuator(2 * NODE_LEVEL_V / supply_v)
     level_v = supply_v * bias_ohm / (4 * series_ohm + 2 * bias_ohm)
-    input_ohm, feedback_ohm = _summing(room_v / peak / level_v)
-    samples = max(samples_per_chip, LEAST_SAMPLES)
-    low_pass_s = spec.chip_s / (2 * samples) / SETTLING  # the first sample is half a period in
+    sample_s = first_sample_s(spec.chip_s, samples_per_chip, adc_hz)
+    left_v = room_v
+    for _ in range(2):  # the margin depends on the gain, a little
+        level = room_v / level_v
+        stages, low_pass_s = _stages(spec, active, level, sample_s, (series_ohm, bias_ohm))
+        room_v = left_v - SIGMAS * rest_deviation_v(stages, supply_v)
     filter_f = 10.0 ** math.floor(math.log10(low_pass_s / FILTER_OHM))
     return FrontEnd(
         nodes=spec.nodes,
@@ -189,12 +260,118 @@ def design(
         room_v=room_v,
         series_ohm=series_ohm,
         bias_ohm=bias_ohm,
-        input_ohm=input_ohm,
-        feedback_ohm=feedback_ohm,
-        feedback_f=_below(low_pass_s / feedback_ohm, E12),
+        nodes_stage=stages[0],
+        groups_stage=stages[1] if len(stages) > 1 else None,
         filter_ohm=_below(low_pass_s / filter_f),
         filter_f=filter_f,
+        sample_s=sample_s,
     )
+
+
+def first_sample_s(chip_s: float, samples_per_chip: int, adc_hz: float = ADC_HZ) -> float:
+    """When the first sample of a chip is taken, s after it begins."""
+    most = int(chip_s * adc_hz * EXACT)
+    if most < LEAST_SAMPLES:
+        return LATE_SAMPLE * chip_s
+    return chip_s / (2 * min(max(samples_per_chip, LEAST_SAMPLES), most))
+
+
+def attenuator_s(series_ohm: float, bias_ohm: float) -> float:
+    """Time constant of a follower's input, s."""
+    return INPUT_F / (1 / series_ohm + 2 / bias_ohm)
+
+
+def step_left(t_s: float, poles_s: Sequence[float]) -> float:
+    """Share of a step that low passes in a row, of these time constants, leave at a time.
+
+    By partial fractions: Σ e^(−t/τᵢ) · Πⱼ τᵢ/(τᵢ − τⱼ).
+    """
+    # equal ones are moved apart, by far less than parts are accurate to
+    tau = np.array(poles_s) * (1 + 1e-3 * np.arange(len(poles_s)))
+    ratio = 1 - tau[None, :] / tau[:, None]
+    np.fill_diagonal(ratio, 1.0)
+    return float(np.sum(np.exp(-t_s / tau) / ratio.prod(axis=1)))
+
+
+def low_pass_s(sample_s: float, stages: int, attenuator: float) -> float:
+    """Time constant of each feedback and of the filter with which a step settles in time, s.
+
+    With followers and amplifiers that are LOOP_GAIN times as fast. attenuator: its time constant.
+    Raises SpecError where that leaves no time.
+    """
+
+    def left(tau: float) -> float:
+        low_passes, amplifiers = [tau] * (stages + 1), [tau / LOOP_GAIN] * (stages + 1)
+        return step_left(sample_s, [attenuator, *low_passes, *amplifiers])
+
+    low, high = 1e-3 * sample_s, sample_s
+    if left(low) > SETTLED:
+        raise SpecError(
+            f"the first sample of a chip is taken after {sample_s * 1e6:.3g} µs, in which the "
+            f"followers' inputs, with {attenuator * 1e9:.0f} ns, don't settle: use longer chips"
+        )
+    for _ in range(60):
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if left(middle) < SETTLED else (low, middle)
+    return low
+
+
+def rest_deviation_v(stages: Sequence[Stage], supply_v: float) -> float:
+    """Standard deviation of the output's rest, V: dividers whose parts are off within tolerance.
+
+    Two resistors with errors uniform in ±t shift a supply's half by S/4·√2·t/√3.
+    """
+
+    def divider_v(tolerance: float) -> float:
+        return supply_v / 4 * math.sqrt(2 / 3) * tolerance
+
+    deviation = divider_v(TOLERANCE)  # of a follower
+    for stage in stages:
+        inputs = stage.gain * math.sqrt(stage.inputs) * deviation
+        deviation = math.hypot(inputs, stage.noise_gain * divider_v(BIAS_TOLERANCE))
+    return deviation
+
+
+def _stages(
+    spec: FrameSpec,
+    active: float,
+    level: float,
+    sample_s: float,
+    attenuator: tuple[float, float],
+) -> tuple[list[Stage], float]:
+    """Amplifiers, and the time constant of each. level: the room in units of a follower's level.
+
+    Nodes are divided into as few groups as an amplifier of MOST_GAIN_BANDWIDTH_HZ allows.
+    """
+    tau = low_pass_s(sample_s, 1, attenuator_s(*attenuator))
+    whole = _stage(spec.nodes, level / _peak(spec, math.ceil(active * spec.nodes)), tau)
+    if whole.gain_bandwidth_hz <= MOST_GAIN_BANDWIDTH_HZ:
+        return [whole], tau
+    tau = low_pass_s(sample_s, 2, attenuator_s(*attenuator))
+    for groups in range(2, spec.nodes + 1):
+        size = -(-spec.nodes // groups)
+        group_peak = _peak(spec, math.ceil(active * size))
+        first = _stage(size, level / group_peak, tau)
+        total = level / _peak(spec, math.ceil(active * spec.nodes))
+        second = _stage(-(-spec.nodes // size), total / first.gain, tau)
+        if max(first.gain_bandwidth_hz, second.gain_bandwidth_hz) <= MOST_GAIN_BANDWIDTH_HZ:
+            return [first, second], tau
+    raise SpecError(
+        f"with a sample {sample_s * 1e6:.3g} µs after a chip's begin, even groups of few nodes "
+        f"need amplifiers of more than {MOST_GAIN_BANDWIDTH_HZ / 1e6:g} MHz: use longer chips"
+    )
+
+
+def _peak(spec: FrameSpec, talking: int) -> float:
+    """Peak of the sum of so many nodes, in units of one."""
+    if spec.sign_seed is None:
+        return float(talking)
+    return min(float(talking), CREST * math.sqrt(talking))
+
+
+def _stage(inputs: int, gain: float, tau: float) -> Stage:
+    input_ohm, feedback_ohm = _summing(gain)
+    return Stage(inputs, input_ohm, feedback_ohm, _below(tau / feedback_ohm, E12))
 
 
 def _attenuator(share: float) -> tuple[float, float]:

@@ -25,19 +25,30 @@ from ..wire.messages import WIRE, FrameLayout, Message
 
 @dataclass(frozen=True, slots=True)
 class Mcu:
-    """A microcontroller for nodes, and the limits of its firmware.
+    """A microcontroller for nodes with an image, and the limits of both.
 
-    order: longest code row that fits its memories. chip_ns: shortest chip it keeps up with, ns.
+    part: avrdude's name. order: longest code row that fits its memories. chip_ns, longest_chip_ns:
+    range of chips that it keeps up with, ns. chip_step_ns: chips are a multiple of this.
+    bits_restart: it starts anew at every bit. restart_s: least guard before a restart within the
+    frame, s: the restart's sync pulse, 64 µs ahead of it, must not begin before a node has released
+    the line.
     """
 
+    part: str
     order: int
     chip_ns: int
+    longest_chip_ns: int = 1_000_000
+    chip_step_ns: int = 1
+    bits_restart: bool = False
+    restart_s: float = 96e-6
 
 
-MCUS = {"atmega328p": Mcu(4096, 35_000), "attiny85": Mcu(1024, 40_000)}
-RESTART_S = 96e-6
-"""Least guard before a restart within the frame, s: the restart's sync pulse, 64 µs ahead of it,
-must not begin before a node has released the line."""
+FAST = "atmega328p-fast"
+MCUS = {
+    "atmega328p": Mcu("m328p", 4096, 35_000),
+    FAST: Mcu("m328p", 4096, 500, 16_000, 250, bits_restart=True, restart_s=72e-6),
+    "attiny85": Mcu("t85", 1024, 40_000),
+}
 MEASURING_S = 1e-3
 """Least gap after a frame, s, in which the node measures and gets ready for the next sync edge."""
 HEARTBEAT_S = 1.0
@@ -105,6 +116,7 @@ def node_memory(
     """
     if mcu not in MCUS:
         raise SpecError(f"mcu is {mcu!r}; it must be one of {', '.join(MCUS)}")
+    board = MCUS[mcu]
     check_limits("node", node, 1, spec.nodes, "nodes are counted from 1")
     check_limits("threshold", threshold, 0, 2**spec.bits - 1, f"codes have {spec.bits} bits")
     if heartbeat is None:
@@ -113,10 +125,18 @@ def node_memory(
     if rest is not None:
         check_limits("rest", rest, 0, 2**spec.bits - 1, f"codes have {spec.bits} bits")
     check_limits("bits", spec.bits, *_limits("bits"), "a node's converter has 10 bits")
-    check_limits("order", spec.order, 1, MCUS[mcu].order, f"the {mcu} holds no longer code row")
+    if spec.scramble:
+        raise SpecError("scramble is true, but the firmware of these nodes does not flip its chips")
+    check_limits("order", spec.order, 1, board.order, f"the {mcu} holds no longer code row")
     layout = FrameLayout.of(spec, samples_per_chip=1)  # whole nanoseconds and microseconds
-    longest = _limits("chip_ns")[1]
-    check_limits("chip_ns", layout.chip_ns, MCUS[mcu].chip_ns, longest, f"the {mcu} runs at 8 MHz")
+    _check_chip(layout.chip_ns, mcu)
+    if board.bits_restart and spec.resync_chips != spec.order:
+        guard_chips = math.ceil(board.restart_s / spec.chip_s - 1e-9)
+        raise SpecError(
+            f"resync_chips is {spec.resync_chips}, but an {mcu}, whose chips follow its own clock, "
+            f"starts anew at every bit: set resync_chips to {spec.order} and guard_chips to "
+            f"{guard_chips} or more"
+        )
     period_us = layout.frame_period_us
     check_limits(
         "frame_period_us", period_us, *_limits("frame_period_us"), "a node times the sync edges"
@@ -128,8 +148,9 @@ def node_memory(
             f"{MEASURING_S * 1e3:g} ms to measure in it: frame_period_ms must be at least "
             f"{(spec.frame_s + MEASURING_S) * 1e3:g}"
         )
-    if spec.span_chips > spec.chips and spec.guard_chips * spec.chip_s < RESTART_S * (1 - 1e-9):
-        needed = math.ceil(RESTART_S / spec.chip_s - 1e-9)
+    guard_s = spec.guard_chips * spec.chip_s
+    if spec.span_chips > spec.chips and guard_s < board.restart_s * (1 - 1e-9):
+        needed = math.ceil(board.restart_s / spec.chip_s - 1e-9)
         raise SpecError(
             f"guard_chips is {spec.guard_chips}, but to start anew within the frame a node "
             f"takes at least {needed} of {spec.chip_s * 1e6:g} µs"
@@ -155,6 +176,21 @@ def node_memory(
     (chips,) = spec.book.rows([record.row])
     body = record.pack() + np.packbits(chips > 0, bitorder="little").tobytes()
     return body + zlib.crc32(body).to_bytes(CRC_BYTES, "little")
+
+
+def _check_chip(chip_ns: int, mcu: str) -> None:
+    """Raises SpecError for a chip that this board cannot make."""
+    board, reason = MCUS[mcu], f"the {mcu} runs at 8 MHz"
+    fast = MCUS[FAST]
+    if fast.chip_ns <= chip_ns <= fast.longest_chip_ns:
+        reason += f"; an {FAST} makes such chips"
+    check_limits("chip_ns", chip_ns, board.chip_ns, board.longest_chip_ns, reason)
+    if odd := chip_ns % board.chip_step_ns:
+        below = chip_ns - odd
+        raise SpecError(
+            f"chip_ns is {chip_ns}; an {mcu} makes chips of whole cycles, in steps of "
+            f"{board.chip_step_ns} ns: {below} or {below + board.chip_step_ns}"
+        )
 
 
 def usual_heartbeat(frame_period_s: float) -> int:

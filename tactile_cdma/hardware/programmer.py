@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 from ..base.errors import NodeMemoryError
 from ..base.named_file import naming, read_named
 from .intel_hex import from_hex, to_hex
-from .node_memory import NodeRecord, read_node_memory
+from .node_memory import MCUS, NodeRecord, read_node_memory
 
 HEX, RAW = (".hex", ".eep"), (".bin",)
 """Endings of file names: Intel HEX, and the bare bytes."""
-PARTS = {"atmega328p": "m328p", "attiny85": "t85"}
-"""What avrdude calls the microcontrollers."""
 AVRDUDE = "avrdude"
 MOST_BYTES = 1 << 20
 """Largest file read; chosen: Intel HEX of 64 kB takes 180 kB."""
@@ -60,7 +58,7 @@ def read_memory(path: Path) -> tuple[NodeRecord, NDArray[np.int8]]:
 def avrdude(path: Path, mcu: str, programmer: str) -> list[str]:
     """The command that writes such a file to a node's EEPROM, and verifies it."""
     kind = "i" if _is_hex(path) else "r"
-    return [AVRDUDE, "-c", programmer, "-p", PARTS[mcu], "-U", f"eeprom:w:{path}:{kind}"]
+    return [AVRDUDE, "-c", programmer, "-p", MCUS[mcu].part, "-U", f"eeprom:w:{path}:{kind}"]
 
 
 def burn(path: Path, mcu: str, programmer: str) -> None:

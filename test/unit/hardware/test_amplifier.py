@@ -25,12 +25,19 @@ from tactile_cdma.hardware.amplifier import (
     CREST,
     E12,
     E24,
+    LATE_SAMPLE,
+    MOST_GAIN_BANDWIDTH_HZ,
     RAIL_V,
     SETTLED,
-    SETTLING,
+    SIGMAS,
     FrontEnd,
+    Stage,
     design,
+    first_sample_s,
+    rest_deviation_v,
+    step_left,
 )
+from tactile_cdma.hardware.tolerance import scatter
 
 README = Path(__file__).resolve().parents[3] / "firmware" / "README.md"
 PERIOD_S = 100.0
@@ -42,7 +49,7 @@ fronts = st.builds(
         active=active,
     ),
     st.one_of(st.integers(1, 40), st.integers(41, 1000)),
-    st.integers(1, 16),
+    st.integers(1, 8),
     st.floats(2.7, 5.0),
     st.floats(0.05, 1.0),
 )
@@ -62,6 +69,7 @@ def network(front: FrontEnd, pins: NDArray[np.int_], open_loop: float = 1e12) ->
     n = len(pins)
     line, output = n, n + 1
     matrix, currents = np.zeros((n + 2, n + 2)), np.zeros(n + 2)
+    stage = front.nodes_stage
     for node, pin in enumerate(pins):
         sources = [(front.bias_ohm, front.supply_v), (front.bias_ohm, 0.0)]
         if pin:
@@ -69,10 +77,10 @@ def network(front: FrontEnd, pins: NDArray[np.int_], open_loop: float = 1e12) ->
         for ohm, volts in sources:
             matrix[node, node] += 1 / ohm
             currents[node] += volts / ohm
-        matrix[line, line] += 1 / front.input_ohm
-        matrix[line, node] -= 1 / front.input_ohm
-    matrix[line, line] += 1 / front.feedback_ohm
-    matrix[line, output] -= 1 / front.feedback_ohm
+        matrix[line, line] += 1 / stage.input_ohm
+        matrix[line, node] -= 1 / stage.input_ohm
+    matrix[line, line] += 1 / stage.feedback_ohm
+    matrix[line, output] -= 1 / stage.feedback_ohm
     matrix[output, [output, line]] = 1 / open_loop, 1  # output = gain · (+ input − line)
     currents[output] = front.supply_v / 2
     return float(np.linalg.solve(matrix, currents)[output])
@@ -83,7 +91,8 @@ def test_the_output_is_rest_minus_a_times_the_sum_of_the_pins(
     front: FrontEnd, data: st.DataObject
 ) -> None:
     pins = np.array(data.draw(st.lists(st.sampled_from([-1, 0, 1]), min_size=1, max_size=20)))
-    expected = front.supply_v / 2 - front.amplitude_v * pins.sum()
+    each_v = front.node_level_v * front.nodes_stage.gain
+    expected = front.supply_v / 2 - each_v * pins.sum()
     assert network(front, pins) == pytest.approx(expected, abs=1e-6)
 
 
@@ -91,21 +100,21 @@ def test_the_noise_gain_divides_the_open_loop_gain() -> None:
     _, front = skin(40)
     pins = np.ones(40, int)
     ideal, real = (network(front, pins, gain) - network(front, -pins, gain) for gain in (1e12, 1e4))
-    assert ideal / real - 1 == pytest.approx(front.noise_gain / 1e4, rel=1e-3)
+    assert ideal / real - 1 == pytest.approx(front.nodes_stage.noise_gain / 1e4, rel=1e-3)
 
 
-@pytest.mark.parametrize("nodes", [1, 16, 64, 1000])
+@pytest.mark.parametrize("nodes", [1, 16, 64, 900])
 @pytest.mark.parametrize("wire", [0.0, 1.0])
 def test_the_gain_bandwidth_suffices_with_wire_on_the_line(nodes: int, wire: float) -> None:
     """At the corner of the feedback, where the amplifier's gain is GBW/f and lags by 90°.
 
     wire: capacitance of the line over what firmware/README.md allows, (noise gain − 1) · Cf.
     """
-    _, front = skin(nodes)
+    front = skin(nodes)[1].nodes_stage
     f = front.corner_hz
     feedback = 1 / (1 / front.feedback_ohm + 2j * math.pi * f * front.feedback_f)
     wire_f = wire * (front.noise_gain - 1) * front.feedback_f
-    noise_gain = 1 + feedback * (nodes / front.input_ohm + 2j * math.pi * f * wire_f)
+    noise_gain = 1 + feedback * (front.inputs / front.input_ohm + 2j * math.pi * f * wire_f)
     actual_over_ideal = 1 / (1 + noise_gain * 1j * f / front.gain_bandwidth_hz)
     assert abs(actual_over_ideal - 1) <= 0.1
     assert abs(actual_over_ideal - 1) > 0.05  # and it is not asked for more than is needed
@@ -118,16 +127,14 @@ def is_of(series: tuple[int, ...], value: float) -> bool:
 
 @given(fronts)
 def test_parts_are_those_that_one_can_buy(front: FrontEnd) -> None:
-    for ohm in (
-        front.series_ohm,
-        front.bias_ohm,
-        front.input_ohm,
-        front.feedback_ohm,
-        front.filter_ohm,
-    ):
+    for ohm in (front.series_ohm, front.bias_ohm, front.filter_ohm):
         assert is_of(E24, ohm)
-    assert is_of(E12, front.feedback_f) and is_of((10,), front.filter_f)
-    assert front.feedback_ohm >= 2e3 and front.input_ohm >= 2e3
+    for stage in front.stages:
+        assert is_of(E24, stage.input_ohm) and is_of(E24, stage.feedback_ohm)
+        assert is_of(E12, stage.feedback_f)
+        assert stage.feedback_ohm >= 2e3 and stage.input_ohm >= 2e3
+        assert stage.gain_bandwidth_hz <= MOST_GAIN_BANDWIDTH_HZ
+    assert is_of((10,), front.filter_f)
     assert 250 < front.filter_ohm <= 3000
 
 
@@ -135,22 +142,83 @@ def test_parts_are_those_that_one_can_buy(front: FrontEnd) -> None:
 def test_the_range_is_used_and_not_exceeded(front: FrontEnd) -> None:
     needed = min(front.talking, CREST * math.sqrt(front.talking))
     assert needed <= front.room * (1 + 1e-9)
-    assert front.room < 1.101 * needed  # neighbours in E24 are up to 10 % apart
+    assert front.room < 1.2 * needed  # neighbours in E24 are up to 10 % apart, Rf and Rin
     assert front.room_v <= min(front.supply_v / 2, 3.3 - front.supply_v / 2)
     assert front.node_level_v == pytest.approx(0.3, rel=0.03)
 
 
-def test_steps_have_settled_when_the_first_sample_is_taken() -> None:
-    assert (1 + SETTLING) * math.exp(-SETTLING) == pytest.approx(SETTLED, rel=1e-3)
-    for samples in (1, 2, 4, 16):
-        for chip_s in (1e-6, 20e-6, 50e-6, 1e-3):
-            spec = FrameSpec(chip_s=chip_s, frame_period_s=PERIOD_S)
-            front = design(spec, samples)
-            first_s = chip_s / (2 * max(samples, 4))  # a mean is of 4 samples or more
-            slow, fast = 1 / front.corner_hz, 1 / front.filter_hz
-            slow, fast = max(slow, fast) / (2 * math.pi), min(slow, fast) / (2 * math.pi)
-            left = slow * math.exp(-first_s / slow) - fast * math.exp(-first_s / fast)
-            assert SETTLED / 100 < left / (slow - fast) <= SETTLED
+def test_what_low_passes_leave_of_a_step() -> None:
+    """One and two poles in closed form; n of them by the steps of an integration."""
+    assert step_left(2.0, [1.0]) == pytest.approx(math.exp(-2), rel=1e-3)
+    assert step_left(6.638, [1.0, 1.0]) == pytest.approx((1 + 6.638) * math.exp(-6.638), rel=0.02)
+    poles_s, step_s = [0.1, 0.1, 0.1, 0.01, 0.03], 1e-5
+    values = np.zeros(len(poles_s))
+    for _ in range(round(0.7 / step_s)):
+        values += step_s / np.array(poles_s) * (np.append(1.0, values[:-1]) - values)
+    assert step_left(0.7, poles_s) == pytest.approx(1 - values[-1], rel=0.02)
+
+
+def test_when_a_chip_is_first_sampled() -> None:
+    """In the middle of its first period; where there is one only, as late as by the firmware."""
+    assert first_sample_s(50e-6, 4) == 6.25e-6
+    assert first_sample_s(50e-6, 16) == pytest.approx(50e-6 / 32)
+    assert first_sample_s(50e-6, 1) == 6.25e-6  # a mean is of 4 samples or more
+    assert first_sample_s(8e-6, 1) == 1e-6
+    assert first_sample_s(7e-6, 4) == LATE_SAMPLE * 7e-6  # the converter could take 3
+    assert first_sample_s(2e-6, 4) == LATE_SAMPLE * 2e-6
+    assert first_sample_s(2e-6, 4, adc_hz=2e6) == 0.25e-6
+    setup = (README.parent / "core" / "setup.c").read_text()
+    assert "samples_are_chips ? ticks * 3u / 8u" in setup and LATE_SAMPLE == 0.5 + 3 / 8
+
+
+@pytest.mark.parametrize("nodes", [2, 16, 64, 200, 900])
+@pytest.mark.parametrize("chip_s", [2e-6, 4e-6, 20e-6, 50e-6, 1e-3])
+def test_steps_have_settled_when_the_first_sample_is_taken(nodes: int, chip_s: float) -> None:
+    front = design(FrameSpec(nodes=nodes, chip_s=chip_s, frame_period_s=1e4), 4)
+    assert SETTLED / 20 < front.unsettled <= SETTLED
+
+
+def test_nodes_are_grouped_where_one_amplifier_is_too_slow() -> None:
+    _, slow = skin(900)
+    assert slow.groups == 1 and slow.polarity == -1
+    fast = design(FrameSpec(nodes=900, chip_s=2e-6, frame_period_s=PERIOD_S), 4)
+    assert fast.groups > 1 and fast.polarity == 1
+    assert fast.groups * fast.nodes_stage.inputs >= 900
+    assert (fast.groups - 1) * fast.nodes_stage.inputs < 900
+    gains = [stage.gain for stage in fast.stages]
+    assert fast.amplitude_v == pytest.approx(fast.node_level_v * gains[0] * gains[1])
+    # the sum of a group does not leave the range either
+    group_peak = CREST * math.sqrt(fast.nodes_stage.inputs) * fast.node_level_v * gains[0]
+    assert group_peak <= fast.room_v * (1 + 1e-9)
+    with pytest.raises(SpecError, match="groups of few nodes need amplifiers of more than 80 MHz"):
+        design(FrameSpec(nodes=900, chip_s=0.5e-6, frame_period_s=PERIOD_S), 1)
+    with pytest.raises(SpecError, match="followers' inputs, with 39 ns, don't settle"):
+        design(FrameSpec(nodes=9, chip_s=0.1e-6, frame_period_s=PERIOD_S), 1)
+
+
+@pytest.mark.parametrize(("nodes", "chip_s"), [(16, 50e-6), (64, 50e-6), (900, 2e-6)])
+def test_inexact_parts_stay_within_what_was_allowed_for(nodes: int, chip_s: float) -> None:
+    """Skins drawn at random, against the deviation by hand; 1 % would not do for half of it."""
+    front = design(FrameSpec(nodes=nodes, chip_s=chip_s, frame_period_s=PERIOD_S), 4)
+    drawn = scatter(front)
+    assert drawn.rest_v == pytest.approx(rest_deviation_v(front.stages, 3.3), rel=0.1)
+    assert drawn.left < 0.01
+    assert 0.02 < drawn.level < 0.06
+    coarse = scatter(front, bias_tolerance=0.01)
+    assert coarse.rest_v > 4 * drawn.rest_v
+    assert coarse.left > 0.3
+    margin_v = 3.3 / 2 - RAIL_V - front.room_v
+    assert margin_v == pytest.approx(SIGMAS * drawn.rest_v, rel=0.1)
+
+
+def test_the_share_of_skins_is_that_of_exact_sums() -> None:
+    """A front end without room, and one with more than enough."""
+    front = design(FrameSpec(nodes=16, frame_period_s=PERIOD_S), 4)
+    stage = front.nodes_stage
+    bigger = Stage(16, stage.input_ohm, 1.2 * stage.feedback_ohm, stage.feedback_f)
+    smaller = Stage(16, stage.input_ohm, 0.8 * stage.feedback_ohm, stage.feedback_f)
+    assert scatter(replace(front, nodes_stage=bigger)).left == 1.0
+    assert scatter(replace(front, nodes_stage=smaller)).left == 0.0
 
 
 def test_the_simulated_clipping_is_that_of_the_code_book() -> None:
@@ -248,8 +316,8 @@ def test_bad_input_is_named(changes: dict, options: dict, message: str) -> None:
 
 def test_a_lower_reference_costs_range() -> None:
     front = design(FrameSpec(), 4, adc_volts=3.0)
-    assert front.room_v == pytest.approx(3.0 - 1.65)
-    assert design(FrameSpec(), 4).room_v == pytest.approx(1.65 - RAIL_V)
+    assert front.room_v == pytest.approx(3.0 - 1.65, rel=0.03)
+    assert design(FrameSpec(), 4).room_v == pytest.approx(1.65 - RAIL_V, rel=0.03)
 
 
 def test_the_command_prints_parts_and_parameters(
@@ -260,8 +328,10 @@ def test_the_command_prints_parts_and_parameters(
     assert main(["amplifier", "--params", str(params), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     _, front = skin(64)
-    assert found["parts"]["feedback_ohm"] == front.feedback_ohm
-    assert found["parts"]["noise_gain"] == front.noise_gain
+    assert found["parts"]["nodes_stage"]["feedback_ohm"] == front.nodes_stage.feedback_ohm
+    assert found["parts"]["groups_stage"] is None
+    assert found["parts"]["gain"] == front.gain
+    assert found["scatter"]["left"] < 0.01
     assert found["loads"]["random codes"]["clipped"] == 0
     spec = SkinConfig.of({"nodes": 64, "frame_period_ms": 40.0, **found["parameters"]}).spec
     assert spec.polarity == -1
@@ -270,8 +340,8 @@ def test_the_command_prints_parts_and_parameters(
     assert main(["amplifier", "--nodes", "64"]) == 0
     text = capsys.readouterr().out
     assert "Rb 12 kΩ to supply and 12 kΩ to ground" in text
-    assert "Rin 20 kΩ" in text and "Rf 2.4 kΩ" in text
-    assert "polarity: -1\namplitude_mv: 36.00" in text
+    assert "Rin 33 kΩ" in text and "Rf 3.9 kΩ" in text
+    assert "polarity: -1\namplitude_mv: 35.45" in text
 
     assert main(["amplifier", "--nodes", "64", "--adc-volts", "1.1"]) == 1
     assert "use a lower supply_v" in capsys.readouterr().err
@@ -285,5 +355,6 @@ def test_the_values_in_the_document_are_those_of_the_command(nodes: int) -> None
     for cell in row.strip("| ").split(" | ")[1:]:
         for value in cell.split(", "):
             assert value in text, value
-    for ohm in (front.series_ohm, front.bias_ohm, front.input_ohm, front.feedback_ohm):
+    stage = front.nodes_stage
+    for ohm in (front.series_ohm, front.bias_ohm, stage.input_ohm, stage.feedback_ohm):
         assert f"| {ohm / 1e3:g} kΩ |" in row

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The analog chain as a netlist for ngspice: firmware/README.md's circuit, from pin to converter.
+
+Op-amps have the slowest bandwidth and slew rate that `tactile-cdma amplifier` allows, a second pole
+at SECOND_POLE times their bandwidth, an output resistance, input capacitances and voltage noise;
+wires have capacitance.
+
+Nodes that are alike and linear are lumped exactly: the current of n followers through Rin each is
+that of one through Rin/n with the mean of their voltages, which is what one follower makes of the
+mean of the pins. So are groups. What slews is not linear: a follower at its own node's step. So the
+step of a node, against which settling is judged, is that of a node by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_cdma.hardware.amplifier import INPUT_F, FrontEnd, Stage
+
+EDGE_S = 10e-9
+"""Rise and fall of a pin, s: an AVR's into some pF."""
+PIN_OHM = 30.0
+"""Of a pin's driver, Ω: an ATmega328P's at 3.3 V, by its data sheet's curves."""
+OUTPUT_OHM = 50.0
+"""Of an op-amp without feedback, Ω. Chosen, like the next one, as is usual of the kind."""
+SECOND_POLE = 3.0
+"""Frequency of an op-amp's second pole over its gain-bandwidth: a phase margin of 72°."""
+OPEN_LOOP = 1e5
+NOISE_OHM = 3.9e3
+"""A resistor whose noise is that of an op-amp's input: 8 nV/√Hz."""
+HALF_OHM, HALF_F = 10e3, 10e-12
+"""Of half the supply at an amplifier's + input."""
+FOLLOWER_F = 3e-12
+"""Of the op-amp's own at its input."""
+WIRE_F, NODE_F = 200e-12, 2e-12
+"""Capacitance of the line: 2 m of it, and every node's copper, F."""
+
+OPAMP = f"""\
+.subckt opamp plus minus out supply bandwidth=1e6 slew=1e6 half=1.65
+cplus plus 0 {FOLLOWER_F:g}
+cminus minus 0 {FOLLOWER_F:g}
+rnoise plus quiet {NOISE_OHM:g}
+.param gm={{2*3.14159265358979*bandwidth*1n}}
+bgm 0 x i={{slew*1n}}*tanh({{gm/(slew*1n)}}*(v(quiet)-v(minus)))
+cx x 0 1n
+rx x 0 {{{OPEN_LOOP:g}/gm}}
+rsecond x y 1k
+csecond y 0 {{1/(2*3.14159265358979*{SECOND_POLE:g}*bandwidth*1k)}}
+bout o 0 v={{half}}+{{half}}*tanh(v(y)/{{half}})
+rout o out {OUTPUT_OHM:g}
+.ends
+"""
+
+
+def netlist(front: FrontEnd, level_files: Sequence[str], end_s: float, step_s: float) -> str:
+    """A transient analysis of a front end whose nodes' levels, −1…1, are in files.
+
+    One file: the mean level of all. Two: that of the first node, and the mean of the others. n:
+    that of each, in one group.
+    """
+    counts = [1.0] * len(level_files)
+    counts[-1] += front.nodes / front.groups - len(level_files)
+    lines = [f"* {front.nodes} nodes, line, amplifiers, filter", *_head(front)]
+    for number, (file, count) in enumerate(zip(level_files, counts, strict=True)):
+        lines += [
+            f"a{number} %v([level{number}]) levels{number}",
+            f'.model levels{number} filesource (file="{file}" amploffset=[0] amplscale=[1])',
+            *_node(front, number, f"level{number}", count),
+        ]
+    half = "".join(f" v({name})={front.supply_v / 2:g}" for name in _amplified(front))
+    lines += _summed(front)
+    lines += [f".tran {step_s:g} {end_s:g} 0 {step_s:g}", f".nodeset{half}", ".save v(adc)", ".end"]
+    return "\n".join([*lines, ""])
+
+
+def noise_netlist(front: FrontEnd, depth: int, highest_hz: float) -> str:
+    """Noise at the converter, from 10 Hz to a frequency; prints onoise_total, V.
+
+    depth: amplifiers, counted from the converter, that are real in one path; one more than there
+    are: a node, too. All other paths end in their resistors. So the difference of two powers is
+    what one amplifier, or one node, adds.
+    """
+    lines = [f"* noise of {front.nodes} nodes' line", *_head(front), "vrest rest 0 {supply/2}"]
+    last = front.groups_stage
+    size, node = front.nodes_stage.inputs, len(front.stages)
+    lines += [*_filter(front), "valone alone 0 dc 0 ac 1"]
+    if last is not None:
+        lines += _stage("out", front, last, "sum")
+        alone = depth >= 2
+        others = front.groups - alone
+        lines.append(f"rgroups rest sum {last.input_ohm / others:g}")
+        if alone:
+            lines.append(f"rgroup nodes sum {last.input_ohm:g}")
+    if last is None or depth >= 2:
+        lines += _stage("out" if last is None else "nodes", front, front.nodes_stage, "line")
+        alone = depth > node
+        if size > alone:
+            lines.append(f"rothers rest line {front.nodes_stage.input_ohm / (size - alone):g}")
+        if alone:
+            lines += _node(front, 0, "alone", 1.0)
+    return "\n".join(
+        [
+            *lines,
+            f".noise v(adc) valone dec 20 10 {highest_hz:g}",
+            ".control",
+            "run",
+            "print onoise_total",
+            "quit",
+            ".endc",
+            ".end",
+            "",
+        ]
+    )
+
+
+def _head(front: FrontEnd) -> list[str]:
+    return [OPAMP, f".param supply={front.supply_v:g}", "vsupply supply 0 {supply}"]
+
+
+def _summed(front: FrontEnd) -> list[str]:
+    """From the line to the converter; all groups as one, through Rg/groups."""
+    nodes, last, groups = front.nodes_stage, front.groups_stage, front.groups
+    lines = _filter(front)
+    lines.append(f"cline line 0 {WIRE_F / groups + nodes.inputs * NODE_F:g}")
+    if last is None:
+        return lines + _stage("out", front, nodes, "line")
+    return [
+        *lines,
+        *_stage("nodes", front, nodes, "line"),
+        f"rgroups nodes sum {last.input_ohm / groups:g}",
+        f"csum sum 0 {groups * NODE_F:g}",
+        *_stage("out", front, last, "sum"),
+    ]
+
+
+def _amplified(front: FrontEnd) -> list[str]:
+    """Nodes at half the supply when nobody talks: where ngspice begins to look."""
+    return ["out", "adc", "line", "pins0", *(["nodes", "sum"] if front.groups_stage else [])]
+
+
+def _filter(front: FrontEnd) -> list[str]:
+    return [f"rfilter out adc {front.filter_ohm:g}", f"cfilter adc 0 {front.filter_f:g}"]
+
+
+def _node(front: FrontEnd, number: int, level: str, count: float) -> list[str]:
+    """One node in place of `count` of them: pin, attenuator, follower, Rin/count to the line."""
+    speed = f"bandwidth={front.follower_bandwidth_hz:g} slew={front.follower_slew_v_per_s:g}"
+    n = number
+    return [
+        f"bpin{n} pin{n} 0 v={{supply}}/2*(1+v({level}))",
+        f"rpin{n} pin{n} driven{n} {PIN_OHM:g}",
+        f"rseries{n} driven{n} node{n} {front.series_ohm:g}",
+        f"rup{n} supply node{n} {front.bias_ohm:g}",
+        f"rdown{n} node{n} 0 {front.bias_ohm:g}",
+        f"cnode{n} node{n} 0 {INPUT_F - FOLLOWER_F:g}",
+        f"xfollower{n} node{n} pins{n} pins{n} supply opamp {speed} half={front.supply_v / 2:g}",
+        f"rin{n} pins{n} line {front.nodes_stage.input_ohm / count:g}",
+    ]
+
+
+def _stage(name: str, front: FrontEnd, stage: Stage, summing: str) -> list[str]:
+    """A summing amplifier with its output at `name`."""
+    speed = f"bandwidth={stage.gain_bandwidth_hz:g} slew={front.slew_v_per_s:g}"
+    return [
+        f"rup{name} supply half{name} {HALF_OHM:g}",
+        f"rdown{name} half{name} 0 {HALF_OHM:g}",
+        f"chalf{name} half{name} 0 {HALF_F:g}",
+        f"x{name} half{name} {summing} {name} supply opamp {speed} half={front.supply_v / 2:g}",
+        f"rf{name} {name} {summing} {stage.feedback_ohm:g}",
+        f"cf{name} {name} {summing} {stage.feedback_f:g}",
+    ]
+
+
+def level_points(levels: NDArray[np.float64], chip_s: float) -> NDArray[np.float64]:
+    """Times and levels (m, 2) of a file: steps at the chips' ends, (span,) levels from 0 on."""
+    changes = np.flatnonzero(np.diff(levels, prepend=0.0, append=0.0))
+    before = np.append(0.0, levels)[changes]
+    after = np.append(levels, 0.0)[changes]
+    times = changes * chip_s
+    points = np.zeros((2 * changes.size + 2, 2))
+    points[1:-1:2] = np.column_stack((times + 1e-12, before))
+    points[2:-1:2] = np.column_stack((times + EDGE_S, after))
+    points[-1, 0] = (levels.size + 1) * chip_s
+    return points
+
+
+def steps_of(chip_s: float) -> float:
+    """Largest step of a transient analysis, s: 40 in a chip of 2 µs, 200 at most."""
+    return max(50e-9, chip_s / 200)

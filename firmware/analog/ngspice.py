@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Runs ngspice and reads what it finds."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+
+from circuit import level_points, netlist, noise_netlist, steps_of
+from tactile_cdma.hardware.amplifier import FrontEnd
+
+
+class SpiceError(RuntimeError):
+    """ngspice is not installed, or failed."""
+
+
+def waveform(
+    front: FrontEnd, levels: NDArray[np.float64], chip_s: float, end_s: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Times, s, and voltages at the converter, V, of a front end.
+
+    levels: (m, span) levels of nodes in every chip, −1…1, from time 0 on, and 0 after them: see
+    netlist.
+    """
+    with TemporaryDirectory() as folder:
+        files = [str(Path(folder) / f"levels{number}.txt") for number in range(len(levels))]
+        for file, own in zip(files, levels, strict=True):
+            np.savetxt(file, level_points(own, chip_s), fmt="%.17g")
+        raw = Path(folder) / "out.raw"
+        _run(Path(folder), netlist(front, files, end_s, steps_of(chip_s)), "-r", str(raw))
+        head, _, body = raw.read_bytes().partition(b"Binary:\n")
+        if b"No. Variables: 2" not in head:
+            raise SpiceError(f"ngspice wrote something else than two variables: {head.decode()}")
+        times, volts = np.frombuffer(body, "<f8").reshape(-1, 2).T
+        return times, volts
+
+
+def noise_v(front: FrontEnd) -> float:
+    """RMS noise at the converter, V, of all amplifiers, followers and resistors."""
+    powers = [_noise_v(front, depth) ** 2 for depth in range(1, len(front.stages) + 2)]
+    one_each = np.diff(powers)  # of an amplifier of a group, if there are any, and of a node
+    paths = [front.groups, front.nodes] if front.groups_stage else [front.nodes]
+    return float(np.sqrt(powers[0] + np.dot(paths, one_each)))
+
+
+def _noise_v(front: FrontEnd, depth: int) -> float:
+    with TemporaryDirectory() as folder:
+        said = _run(Path(folder), noise_netlist(front, depth, 1e9))
+    found = re.search(r"onoise_total = (\S+)", said)
+    if not found:
+        raise SpiceError(f"ngspice found no noise: {said[-500:]}")
+    return float(found[1])
+
+
+def _run(folder: Path, text: str, *options: str) -> str:
+    """What ngspice prints for a netlist."""
+    program = shutil.which("ngspice")
+    if program is None:
+        raise SpiceError("no ngspice on this machine: apt install ngspice")
+    source = folder / "circuit.cir"
+    source.write_text(text)
+    result = subprocess.run(
+        [program, "-b", *options, str(source)], capture_output=True, text=True, cwd=folder
+    )
+    said = result.stdout + result.stderr
+    if result.returncode or "aborted" in said:
+        raise SpiceError(f"ngspice failed: {said[-800:]}")
+    return said

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The analog chain in SPICE against what `tactile-cdma amplifier` computed: `make spice`.
+
+For each skin a frame in which all nodes send random words goes through the circuit, is sampled and
+quantised as the RP2040 does that, and decoded by the driver's pipeline.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ngspice import SpiceError, noise_v, waveform
+from tactile_cdma.code.encode import frame_levels, line_chips
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline
+from tactile_cdma.hardware.amplifier import RAIL_V, FrontEnd, design
+from tactile_cdma.wire._protocol import SyncMode
+from tactile_cdma.wire.messages import FrameLayout, Info, Packet, Samples
+from tactile_cdma.wire.packets import PacketWriter
+
+FAST = {
+    "chip_us": 2.0,
+    "order": 912,
+    "frame_period_ms": 19.96,
+    "resync_chips": 912,
+    "guard_chips": 40,
+    "samples_per_chip": 1,
+}
+SKINS: dict[int, dict[str, int | float]] = {
+    16: {},
+    64: {"frame_period_ms": 36.0},
+    900: FAST,
+}
+"""Parameters by number of nodes; the rest are the driver's defaults."""
+PERIODS = 3
+"""Periods that the decoder sees, all of them the same frame."""
+STEP_CHIPS = 8
+"""Chips of a step response: of the time before, and after."""
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """What SPICE says of a skin. A: as computed.
+
+    amplitude_v: of one node. unsettled: share of a step that is left at a chip's first sample.
+    overshoot: of a step, share. noise_v: RMS at the converter. headroom_v: from the frame's
+    extremes to the nearest rail. wrong: words of all frames decoded that are wrong or missing.
+    """
+
+    amplitude_v: float
+    unsettled: float
+    overshoot: float
+    noise_v: float
+    headroom_v: float
+    words: int
+    wrong: int
+
+
+def simulate(nodes: int, seed: int = 1) -> tuple[SkinConfig, FrontEnd, Figures]:
+    """Design, simulate and decode a skin."""
+    values = {"nodes": nodes, "rows": 0, "columns": 0, **SKINS[nodes]}
+    asked = SkinConfig.of({key: value for key, value in values.items() if value})
+    front = design(asked.spec, asked.samples_per_chip)
+    config = SkinConfig.of(
+        {
+            **{key: value for key, value in values.items() if value},
+            "polarity": front.polarity,
+            "amplitude_mv": round(front.amplitude_v * 1e3, 2),
+        }
+    )
+    spec, chip_s = config.spec, config.spec.chip_s
+    amplitude_v, unsettled, overshoot = _step(front, chip_s)
+    codes = np.random.default_rng(seed).integers(0, 2**spec.bits, nodes)
+    chips = line_chips(spec, codes, amplitude_v=spec.polarity / nodes)  # the pins' mean level
+    levels = frame_levels(chips, spec).astype(np.float64)[None]
+    times, volts = waveform(front, levels, chip_s, spec.frame_period_s)
+    decoded = [*_decoded(config, front, times, volts)]
+    wrong = sum(int(np.sum(np.where(active, said, -1) != codes)) for active, said in decoded)
+    top_v = min(front.supply_v - RAIL_V, front.adc_volts)
+    headroom_v = min(top_v - volts.max(), volts.min() - RAIL_V)
+    figures = Figures(
+        amplitude_v,
+        unsettled,
+        overshoot,
+        noise_v(front),
+        float(headroom_v),
+        len(decoded) * nodes,
+        wrong + (PERIODS - len(decoded)) * nodes,
+    )
+    return config, front, figures
+
+
+def _step(front: FrontEnd, chip_s: float) -> tuple[float, float, float]:
+    """Amplitude of a node, V; what a step leaves at the first sample; overshoot."""
+    alone = np.repeat([-1.0, 1.0, 1.0], STEP_CHIPS)
+    others = np.zeros_like(alone)  # they cancel out
+    times, volts = waveform(front, np.array([alone, others]), chip_s, alone.size * chip_s)
+    turn_s = STEP_CHIPS * chip_s
+    before, after = (np.interp(turn_s + at * chip_s, times, volts) for at in (-0.1, STEP_CHIPS - 1))
+    sampled = np.interp(turn_s + front.sample_s, times, volts)
+    later = volts[(times > turn_s) & (times < 2 * turn_s)]
+    beyond = max(((later - after) / (after - before)).max(), 0.0)
+    amplitude_v = abs(after - before) / 2
+    groups = front.groups  # lumped: the node steps in all of them at once
+    left = abs(after - sampled) / (2 * amplitude_v)
+    return float(amplitude_v / groups), float(left), float(beyond)
+
+
+def _decoded(
+    config: SkinConfig,
+    front: FrontEnd,
+    times: NDArray[np.float64],
+    volts: NDArray[np.float64],
+) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.int32]]]:
+    """Who spoke, and the codes, of the frames that the driver finds in PERIODS of these volts."""
+    spec, per_chip = config.spec, config.samples_per_chip
+    integrated = per_chip == 1
+    if integrated:
+        instants = spec.places * spec.chip_s + front.sample_s
+        period = spec.chips
+    else:
+        period = round(spec.frame_period_s / spec.chip_s * per_chip)
+        instants = (np.arange(period) + 0.5) * spec.chip_s / per_chip
+    counts = np.clip(np.interp(instants, times, volts) / front.count_v, 0, 4095).astype(np.int16)
+    step_s = spec.chip_s / per_chip
+    info = Info(
+        frame=FrameLayout.of(spec, per_chip),
+        sample_rate_uhz=round(1e6 / step_s),
+        volts_per_count=front.count_v,
+        zero_count=2048,
+        min_count=0,
+        max_count=4095,
+        sync_mode=SyncMode.DRIVE,
+        integrated=integrated,
+    )
+    packets: list[Packet] = [info]
+    for number in range(PERIODS + 1):  # the last one ends the frame before it
+        begin_us = round((1 + number * spec.frame_period_s) * 1e6)
+        for first in range(0, period, 4096):
+            part = counts[first : first + 4096]
+            late_us = (spec.places[first] * spec.chip_s if integrated else first * step_s) * 1e6
+            index = number * period + first
+            packets.append(Samples(begin_us + round(late_us), index, part, sync=first == 0))
+    pipeline, writer = Pipeline(config, background=False), PacketWriter()
+    frames = [f for p in packets for f in pipeline.feed(writer.encode(p), 0.0)]
+    yield from ((frame.words.active, frame.words.codes) for frame in frames[:PERIODS])
+
+
+def main() -> int:
+    """Print a line per skin and the wrong words last; exit code 1 if there are any."""
+    words = wrong = 0
+    for nodes in SKINS:
+        try:
+            config, front, found = simulate(nodes)
+        except SpiceError as error:
+            print(f"spice: {error}", file=sys.stderr)
+            return 1
+        print(
+            f"nodes={nodes} chip_us={config.spec.chip_s * 1e6:g} groups={front.groups} "
+            f"amplitude_mv={found.amplitude_v * 1e3:.2f} computed={front.amplitude_v * 1e3:.2f} "
+            f"unsettled={found.unsettled:.4f} computed={front.unsettled:.4f} "
+            f"overshoot={found.overshoot:.4f} noise_mv={found.noise_v * 1e3:.3f} "
+            f"headroom_mv={found.headroom_v * 1e3:.0f} words={found.words} wrong={found.wrong}",
+            flush=True,
+        )
+        words, wrong = words + found.words, wrong + found.wrong
+    print(f"words={words} wrong={wrong}")
+    return int(wrong > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
