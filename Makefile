@@ -7,10 +7,12 @@
 # make mutants wrong operators in the modules changed SINCE=HEAD~1: lists those that no unit test detects; COUNT=24
 # make firmware         build the images of nodes and digitizer, in firmware/build
 # make firmware-test    run them in emulators, 16 nodes on one wire; the last line has the counts
+# make firmware-thousand 900 fast nodes on one wire, to the pin, in half a minute; QUICK=1: 128 nodes
+# make spice            the analog circuit for 16, 64 and 900 nodes, simulated, against what was computed
 # make firmware-figures measure them: share of time awake, load of the digitizer
 # make setup   only create the environment in .venv; all other targets do this first
 # make bench-error, -doubt, -speed, -skip, -timing, -scale, -ros, -crest, -pressure, -contact,
-#              -pictures, -stuck, -body, -pareto, -sensor (prints only)
+#              -pictures, -stuck, -body, -pareto, -boards, -sensor (prints only)
 #              up to 7 min each, writes docs/img; QUICK=1: less than 40 s each, writes build/benchmarks
 #              bench-doubt ONLY=hum: conditions with this in their name
 # make torture faults of every kind, results compared with the truth; SEED=n, ONLY="line day"
@@ -50,7 +52,7 @@ endif
 
 BIN = $(VENV)/bin
 .DEFAULT_GOAL := help
-.PHONY: help run check test mutants lint setup bench-setup view view-setup torture soak fuzz fuzz-setup fuzz-packages audit audit-packages clean firmware firmware-test firmware-figures firmware-tools
+.PHONY: help run check test mutants lint setup bench-setup view view-setup torture soak fuzz fuzz-setup fuzz-packages audit audit-packages clean firmware firmware-test firmware-thousand firmware-figures firmware-tools spice
 
 help:
 	@sed -n '/^$$/q; s/^# //p' Makefile
@@ -80,7 +82,7 @@ lint: setup
 	@"$(BIN)/ruff" check .
 	@"$(BIN)/ruff" format --check --quiet .
 	@"$(BIN)/mypy"
-	@"$(BIN)/mypy" firmware/sim/*.py
+	@"$(BIN)/mypy" firmware/sim/*.py firmware/analog/*.py
 	@"$(BIN)/lint-imports" --no-logo --no-cache
 
 mutants: setup
@@ -95,6 +97,12 @@ firmware: firmware-tools
 
 firmware-test: firmware
 	@"$(BIN)/python" firmware/sim/check.py
+
+firmware-thousand: firmware
+	@"$(BIN)/python" firmware/sim/thousand.py $(if $(filter-out 0,$(QUICK)),--quick)
+
+spice: firmware-tools
+	@"$(BIN)/python" firmware/analog/spice.py
 
 firmware-figures: firmware
 	@"$(BIN)/python" firmware/sim/figures.py

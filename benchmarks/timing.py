@@ -20,13 +20,12 @@ Times are those of one thread.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
 from benchmarks.report import QUICK, Report, medians_s
@@ -35,13 +34,13 @@ from tactile_cdma.clocks.decorrelate import Decorrelator
 from tactile_cdma.clocks.node_clocks import NodeClocks, crosstalk
 from tactile_cdma.clocks.roll_call import RollCallListener
 from tactile_cdma.clocks.sampling import INTEGRATED, Sampling
-from tactile_cdma.code.codes import CodeBook, code_book
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.separate import NodeLevels, separate
 from tactile_cdma.framing.fit import Line, integrate
 from tactile_cdma.framing.gap_timing import GapTiming
 from tactile_cdma.framing.line_timing import LineTiming
 from tactile_cdma.framing.timing import FrameLevels, SampleBlock
+from tactile_cdma.wire.messages import FrameLayout
 
 RHO = 15.0
 CHIP_S = 10e-6
@@ -55,28 +54,16 @@ DELAYS = (0.5,) if QUICK else (0.1, 0.25, 0.5)
 DELAY_BESIDE_RATE = 0.3
 
 
-class ScrambledBook(CodeBook):
-    """A code book whose rows are all flipped in the same chips."""
-
-    def rows(self, indices: ArrayLike) -> NDArray[np.int8]:
-        mask = np.random.default_rng(self.order).choice(np.array([-1, 1], np.int8), self.order)
-        rows: NDArray[np.int8] = super().rows(indices) * mask
-        return rows
-
-
-@dataclass(frozen=True)
-class ScrambledSpec(FrameSpec):
-    """A frame whose chips all nodes flip alike, so that no row looks like another one shifted."""
-
-    @cached_property
-    def book(self) -> CodeBook:
-        return ScrambledBook(code_book(self.order).plan)
-
-
-def frame_spec(nodes: int, kind: type[FrameSpec] = FrameSpec) -> FrameSpec:
+def frame_spec(nodes: int, scramble: bool = False) -> FrameSpec:
     """A frame with room for the longest stretch and a gap, and a period of whole samples."""
     chips = 10 * FrameSpec(nodes=nodes, chip_s=1e-8, frame_period_s=1.0).order
-    return kind(nodes=nodes, chip_s=CHIP_S, frame_period_s=round(1.6 * chips) * CHIP_S)
+    period_s = round(1.6 * chips) * CHIP_S
+    return FrameSpec(nodes=nodes, chip_s=CHIP_S, frame_period_s=period_s, scramble=scramble)
+
+
+def through_the_wire(spec: FrameSpec) -> FrameSpec:
+    """What a host makes of a digitizer's description of this frame."""
+    return FrameLayout.unpack(FrameLayout.of(spec, 2).pack()).spec(spec.amplitude_v)
 
 
 def noise_of(spec: FrameSpec, per_chip: float) -> float:
@@ -153,7 +140,9 @@ def own_line(
         inside = (chip >= 0) & (chip < length)
         chip = (chip + slot.astype(int) * length)[inside]
         inside[inside], chip = chip < spec.chips, chip[chip < spec.chips]
-        line[inside] += bits[chip // spec.order, node] * spec.node_rows[node, chip % spec.order]
+        flips = 1.0 if spec.flips is None else spec.flips.ravel()[chip]
+        levels = bits[chip // spec.order, node] * spec.node_rows[node, chip % spec.order]
+        line[inside] += flips * levels
     return line
 
 
@@ -173,7 +162,7 @@ def called_clocks(
 def own_errors(nodes: int, rate: float, delay: float) -> dict[str, float]:
     """Share of wrong bits of each method, and the crosstalk that tells when plain fails."""
     per_chip, rng = 2, np.random.default_rng(2)
-    spec, scrambled = frame_spec(nodes), frame_spec(nodes, ScrambledSpec)
+    spec, scrambled = frame_spec(nodes), through_the_wire(frame_spec(nodes, scramble=True))
     resynced = replace(spec, resync_chips=RESYNC, guard_chips=GUARD)
     clocks = NodeClocks(
         rng.uniform(0, delay, nodes), rng.uniform(-rate, rate, nodes), np.ones(nodes, bool)
@@ -218,8 +207,8 @@ def sampling_rows() -> list[list[object]]:
         clocks = NodeClocks(
             rng.uniform(0, 0.5, nodes), rng.uniform(-0.005, 0.005, nodes), np.ones(nodes, bool)
         )
-        for kind in (FrameSpec, ScrambledSpec):
-            spec = frame_spec(nodes, kind)
+        for scramble in (False, True):
+            spec = frame_spec(nodes, scramble)
             for sampling in (INTEGRATED, Sampling(2.0), Sampling(4.0)):
                 samples = spec.chips if sampling is INTEGRATED else None
                 decorrelator = Decorrelator(spec, clocks, sampling, samples)
@@ -233,7 +222,7 @@ def sampling_rows() -> list[list[object]]:
                     [
                         nodes,
                         spec.order,
-                        "yes" if kind is ScrambledSpec else "no",
+                        "yes" if scramble else "no",
                         "chip means" if sampling is INTEGRATED else f"{sampling.per_chip:g}",
                         float(np.median(decorrelator.gain)),
                         float(decorrelator.gain.max()),

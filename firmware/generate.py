@@ -133,6 +133,7 @@ def python_tables(definition: Definition) -> str:
         "",
         f"VERSION = {definition['version']}",
         f"SAMPLE_XOR = 0x{definition['sample_xor']:04X}",
+        *(f"PACKED_{name.upper()} = {value}" for name, value in definition["packed"].items()),
         f"MAX_SAMPLES = {definition['max_samples']}",
         f"MAX_PACKET_US = {definition['max_packet_us']}",
         f"TAIL_CHIPS = {definition['tail_chips']}",
@@ -223,6 +224,10 @@ def c_header(definition: Definition) -> str:
         "",
         f"#define TP_VERSION {definition['version']}",
         f"#define TP_SAMPLE_XOR 0x{definition['sample_xor']:04X}u",
+        *(
+            f"#define TP_PACKED_{name.upper()} {value}"
+            for name, value in definition["packed"].items()
+        ),
         f"#define TP_MAX_SAMPLES {definition['max_samples']}",
         f"#define TP_MAX_PACKET_US {definition['max_packet_us']}",
         f"#define TP_TAIL_CHIPS {definition['tail_chips']}",
@@ -296,6 +301,8 @@ def c_struct(definition: Definition, name: str, message: Definition) -> Iterator
         yield f"    {c_type} {field['name']}{suffix}; /* {unit}{field['doc']} */"
     if "words" in message:
         yield "    uint16_t words[]; /* int16 counts, each XORed with TP_SAMPLE_XOR */"
+    if "values" in message:
+        yield "    uint8_t values[]; /* 12 bits each, XORed with those of TP_SAMPLE_XOR */"
     yield "};"
     offset = 0
     for field in message["fields"]:
@@ -375,6 +382,13 @@ def field_table(definition: Definition, name: str) -> str:
         rows.append(
             f"| {offset} | 2·m | u16 | `words` | | m = 1…{definition['max_samples']} i16 counts, "
             f"each XOR 0x{definition['sample_xor']:04X} |"
+        )
+    if "values" in message:
+        bits = definition["packed"]["bits"]
+        mask = definition["sample_xor"] & ((1 << bits) - 1)
+        rows.append(
+            f"| {offset} | ⌈1.5·m⌉ | u8 | `values` | | m = 1…{definition['max_samples']} values of "
+            f"{bits} bits, each XOR 0x{mask:03X} |"
         )
     return "\n".join(rows) + "\n"
 

@@ -27,6 +27,8 @@ from tactile_cdma.wire.messages import (
     GetInfo,
     Info,
     Message,
+    Pack,
+    Packed,
     Packet,
     Quiet,
     RollCall,
@@ -91,6 +93,14 @@ PACKETS: dict[str, tuple[int, Packet]] = {
     ),
     "quiet, extremes": (262, Quiet(0, 0, MOST, -MOST << 15, MOST << 30, overrun=True)),
     "samples, all zero on the wire": (258, Samples(0, 0, np.full(40, 0x5555, dtype=np.int16))),
+    "packed samples, an odd number": (
+        263,
+        Packed(5, 6, np.array([0, 4095, 2048], dtype=np.int16), sync=True),
+    ),
+    "packed samples, whole counts of eighths": (
+        264,
+        Packed(7, 8, np.arange(0, 4000, 8, dtype=np.int16) - 1000, base=-1000, step=8),
+    ),
     "status": (259, Status(2**40 + 3, 1, 2, 3, 4, 5, streaming=True)),
     "ack": (260, Ack(PacketType.CONFIGURE, 513, Result.UNSUPPORTED)),
     "get info": (0, GetInfo()),
@@ -101,6 +111,7 @@ PACKETS: dict[str, tuple[int, Packet]] = {
         Samples(3, 4, np.array([7, -7], dtype=np.int16), sync=True, called=True),
     ),
     "roll call": (3, RollCall()),
+    "pack": (4, Pack()),
     "configure": (2, Configure(PAPER, SyncMode.HEAR, integrated=True, quiet_uv=135_000)),
 }
 

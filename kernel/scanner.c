@@ -10,6 +10,8 @@
 #define COMMAND_BIT 0x80
 #define RESIDUE 0x2144DF1Cu /* the CRC-32 of any bytes that are followed by their own CRC-32 */
 #define FULL 255            /* COBS: length of a block that no zero follows */
+#define MOST_PACKED ((1 << TP_PACKED_BITS) - 1)
+#define PACKED_XOR (TP_SAMPLE_XOR & MOST_PACKED)
 #define HEADER_SIZE sizeof(struct tp_header)
 #define CRC_SIZE sizeof(uint32_t)
 #define MAX_RUN (TP_MAX_PACKET - 1)
@@ -170,7 +172,7 @@ static bool parse(struct scanner *scanner, const uint8_t *run, size_t size,
         scanner->repeated = 0;
         scanner->expected = (uint16_t)(sequence + 1);
         scanner->started = true;
-    } else if (header.type == TP_SAMPLES || header.type == TP_QUIET) {
+    } else if (header.type == TP_SAMPLES || header.type == TP_PACKED || header.type == TP_QUIET) {
         return false;
     }
     *packet = (struct scanner_packet){header.type, sequence, scanner->raw + HEADER_SIZE,
@@ -260,26 +262,72 @@ void scanner_counts(const struct scanner *scanner, struct scanner_counts *counts
         counts->text_bytes += text_bytes(scanner->run, scanner->partial);
 }
 
-size_t scanner_samples(const struct scanner_packet *packet)
+static size_t unpacked_samples(const struct scanner_packet *packet)
 {
     size_t head = sizeof(struct tp_samples), size = packet->size;
 
-    if (packet->type != TP_SAMPLES || size < head || (size - head) % 2 ||
-        (size - head) / 2 > TP_MAX_SAMPLES)
+    return size < head || (size - head) % 2 ? 0 : (size - head) / 2;
+}
+
+static size_t packed_samples(const struct scanner_packet *packet)
+{
+    struct tp_packed head;
+    size_t size = packet->size;
+
+    if (size < sizeof head || (size - sizeof head) % 3 == 1)
         return 0;
-    return (size - head) / 2;
+    memcpy(&head, packet->payload, sizeof head);
+    if (head.step < 1 || head.step > TP_PACKED_MOST_STEP || head.base + MOST_PACKED * head.step > INT16_MAX)
+        return 0;
+    return (size - sizeof head) / 3 * 2 + (size - sizeof head) % 3 / 2;
+}
+
+size_t scanner_samples(const struct scanner_packet *packet)
+{
+    size_t size = packet->type == TP_SAMPLES  ? unpacked_samples(packet)
+                  : packet->type == TP_PACKED ? packed_samples(packet)
+                                              : 0;
+
+    return size > TP_MAX_SAMPLES ? 0 : size;
+}
+
+static void put(uint8_t *to, uint16_t word)
+{
+    memcpy(to, &word, sizeof word);
+}
+
+static void copy_unpacked(const uint8_t *from, size_t size, uint8_t *to)
+{
+    for (; size; size--, from += 2, to += 2) {
+        uint16_t word;
+        memcpy(&word, from, sizeof word);
+        put(to, word ^ TP_SAMPLE_XOR);
+    }
+}
+
+static void copy_packed(const uint8_t *from, size_t size, int32_t base, int32_t step, uint8_t *to)
+{
+    for (; size > 1; size -= 2, from += 3, to += 4) {
+        int32_t a = from[0] | (from[1] & 15) << 8, b = from[1] >> 4 | from[2] << 4;
+        put(to, (uint16_t)(base + step * (a ^ PACKED_XOR)));
+        put(to + 2, (uint16_t)(base + step * (b ^ PACKED_XOR)));
+    }
+    if (size) {
+        int32_t last = from[0] | (from[1] & 15) << 8;
+        put(to, (uint16_t)(base + step * (last ^ PACKED_XOR)));
+    }
 }
 
 void scanner_copy_samples(const struct scanner_packet *packet, struct tp_samples *head, void *counts)
 {
-    uint8_t *to = counts;
-    const uint8_t *from = packet->payload + sizeof *head, *end = packet->payload + packet->size;
+    struct tp_packed packed;
+    size_t size = scanner_samples(packet);
 
-    memcpy(head, packet->payload, sizeof *head);
-    for (; from != end; from += 2, to += 2) {
-        uint16_t word;
-        memcpy(&word, from, sizeof word);
-        word ^= TP_SAMPLE_XOR;
-        memcpy(to, &word, sizeof word);
+    memcpy(head, packet->payload, sizeof *head); /* that of packed ones begins alike */
+    if (packet->type == TP_SAMPLES) {
+        copy_unpacked(packet->payload + sizeof *head, size, counts);
+        return;
     }
+    memcpy(&packed, packet->payload, sizeof packed);
+    copy_packed(packet->payload + sizeof packed, size, packed.base, packed.step, counts);
 }

@@ -40,9 +40,9 @@ void scanner_skip(struct scanner *scanner);
 size_t scanner_held(const struct scanner *scanner);
 void scanner_counts(const struct scanner *scanner, struct scanner_counts *counts);
 
-/* Number of samples in a packet, 0 if it is none of samples, or malformed. */
+/* Number of samples in a packet, packed or not; 0 if it is none of samples, or malformed. */
 size_t scanner_samples(const struct scanner_packet *packet);
-/* Copies them out; counts: int16, of any alignment. */
+/* Copies them out; counts: int16, of any alignment. packet: one that has some. */
 void scanner_copy_samples(const struct scanner_packet *packet, struct tp_samples *head, void *counts);
 
 #endif

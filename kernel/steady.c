@@ -344,7 +344,7 @@ enum steady_event steady_next(struct steady *steady, struct scanner_packet *pack
         steady->left -= taken;
         if (!packet->payload)
             continue;
-        if (packet->type == TP_SAMPLES)
+        if (packet->type == TP_SAMPLES || packet->type == TP_PACKED)
             event = take_samples(steady, packet);
         else
             event = packet->type == TP_QUIET ? take_quiet(steady, packet) : STEADY_PACKET;

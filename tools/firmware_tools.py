@@ -31,6 +31,7 @@ PACKAGES = {  # Debian's name: what tells that it is there, a program or a file
     "qemu-system-arm": "qemu-system-arm",
     "cppcheck": "cppcheck",
     "avrdude": "avrdude",
+    "ngspice": "ngspice",
     "make": "make",
     "gcc": "cc",
     "util-linux": "flock",

@@ -71,10 +71,13 @@ struct dg_hardware {
 
 /* What a node's board can do. */
 struct node_limits {
-    uint16_t order;        /* longest code row it has room for, chips */
-    uint16_t chip_ns;      /* shortest chip */
-    uint16_t measuring_us; /* shortest time from a frame's end to the next sync pulse */
-    uint16_t restart_us;   /* shortest time from a sub-slot's end to the next sub-slot */
+    uint16_t order;           /* longest code row it has room for, chips */
+    uint16_t chip_ns;         /* shortest chip … */
+    uint32_t longest_chip_ns; /* … and longest */
+    uint16_t chip_step_ns;    /* chips are a multiple of this */
+    bool bits_restart;        /* a sub-slot must be a bit */
+    uint16_t measuring_us;    /* shortest time from a frame's end to the next sync pulse */
+    uint16_t restart_us;      /* shortest time from a sub-slot's end to the next sub-slot */
 };
 
 /* Reads byte `address` of a node's memory. */

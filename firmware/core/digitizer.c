@@ -80,6 +80,7 @@ static enum tp_result configure(struct dg *dg, const struct tp_configure *asked)
         return TP_RESULT_UNSUPPORTED;
     stop(dg);
     dg->setup = setup;
+    dg->stream.packs = false;
     dg->ticks_per_sample = setup.ticks_per_sample;
     return TP_RESULT_OK;
 }
@@ -103,6 +104,7 @@ static enum tp_result obey(struct dg *dg)
     case TP_START:
     case TP_STOP:
     case TP_ROLL_CALL:
+    case TP_PACK:
         if (dg->reader.payload_size != 0)
             return TP_RESULT_BAD_LENGTH;
         break;
@@ -120,6 +122,8 @@ static enum tp_result obey(struct dg *dg)
         stop(dg);
     else if (type == TP_ROLL_CALL)
         return call_roll(dg);
+    else if (type == TP_PACK)
+        dg->stream.packs = true;
     return TP_RESULT_OK;
 }
 

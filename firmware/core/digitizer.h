@@ -60,9 +60,9 @@ struct dg {
     struct stream stream;
 };
 
-/* Power-up. output: the ring of bytes to send, at least DG_OUTPUT_MIN(sample_capacity). samples: room
- * for the samples of a packet, at most TP_MAX_SAMPLES; longer frames are sent in pieces and never as
- * QUIET. The digitizer keeps the pointers. */
+/* Power-up. output: the ring of bytes to send, at least DG_OUTPUT_MIN(samples of a packet). samples: room
+ * for as many, which may be fewer than TP_MAX_SAMPLES or more; longer frames are never sent as QUIET.
+ * The digitizer keeps the pointers. */
 void dg_init(struct dg *dg, const struct dg_board *board, uint8_t *output, size_t output_size,
              int16_t *samples, size_t sample_capacity, uint64_t now_us);
 

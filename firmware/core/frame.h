@@ -12,6 +12,20 @@ static inline uint8_t frame_line_bits(uint8_t bits, uint8_t parity)
     return (uint8_t)(bits + (parity != 0));
 }
 
+/* The bits of a word on the line, the first in bit 15: a code and, if asked for, its parity. */
+static inline uint16_t frame_word(uint16_t code, uint8_t bits, uint8_t parity)
+{
+    uint16_t word = (uint16_t)(code << (16u - bits));
+    uint8_t folded = (uint8_t)(word ^ word >> 8);
+
+    if (!parity)
+        return word;
+    folded ^= folded >> 4;
+    folded ^= folded >> 2;
+    folded ^= folded >> 1;
+    return word | (uint16_t)((folded & 1u) << (15u - bits));
+}
+
 /* Position of coded chip `chip`, in chips from the frame's start. */
 static inline uint32_t frame_place(uint32_t chip, uint16_t resync_chips, uint8_t guard_chips)
 {

@@ -30,6 +30,9 @@ static bool fits(const struct tp_node_record *record, const struct node_limits *
     uint32_t guard_ns = record->guard_chips * record->chip_ns;
 
     return record->order <= limits->order && record->chip_ns >= limits->chip_ns &&
+           record->chip_ns <= limits->longest_chip_ns &&
+           record->chip_ns % limits->chip_step_ns == 0 &&
+           (!limits->bits_restart || record->resync_chips == record->order) &&
            used_ns <= 1000u * (uint64_t)record->frame_period_us &&
            (span == chips || guard_ns >= 1000ul * limits->restart_us);
 }

@@ -59,7 +59,7 @@ bool pulses_next(struct pulses *pulses, struct dg_pulse *pulse)
 
     const struct setup *setup = pulses->setup;
     uint16_t resync_chips = setup->asked.frame.resync_chips;
-    pulse->tick = pulses->mark - LEAD_US * setup->ticks_per_us;
+    pulse->tick = pulses->mark - LEAD_US * setup->ticks_per_us - setup->early_ticks;
     if (pulses->chip) {
         uint64_t place = setup_chip_place(setup, pulses->chip);
         pulse->tick += (place + STRIDE_MILLI / 2) / STRIDE_MILLI;

@@ -42,18 +42,8 @@ static void begin_run(struct sequencer *s)
 
 void sequencer_start(struct sequencer *s, uint16_t code)
 {
-    uint16_t word = (uint16_t)(code << (16u - s->code_bits));
-
     s->bits_left = frame_line_bits(s->code_bits, s->parity);
-    if (s->parity) {
-        uint8_t folded = (uint8_t)(word ^ word >> 8);
-
-        folded ^= folded >> 4;
-        folded ^= folded >> 2;
-        folded ^= folded >> 1;
-        word |= (uint16_t)((folded & 1u) << (16u - s->bits_left));
-    }
-    s->word = word;
+    s->word = frame_word(code, s->code_bits, s->parity);
     s->slot_left = s->slot_chips;
     begin_bit(s);
     begin_run(s);

@@ -75,7 +75,8 @@ static bool sample_raw(struct setup *setup, const struct dg_board *board)
     return true;
 }
 
-/* Means of chips: averages as many evenly spaced samples as the converter can take. */
+/* Means of chips: averages as many evenly spaced samples as the converter can take. Few of them would
+ * include one that is taken before the line has settled: then a single late one is better. */
 static bool sample_means(struct setup *setup, const struct dg_board *board)
 {
     uint64_t chip_ticks = chip_length(setup) / STRIDE_MILLI;
@@ -84,7 +85,11 @@ static bool sample_means(struct setup *setup, const struct dg_board *board)
 
     if (mean > SETUP_MAX_MEAN)
         mean = SETUP_MAX_MEAN;
-    if (mean < setup->asked.frame.samples_per_chip || chip_ticks / mean > board->max_ticks)
+    if (mean < setup->asked.frame.samples_per_chip)
+        return false;
+    if (mean < SETUP_LEAST_MEAN && setup->asked.frame.samples_per_chip == 1)
+        mean = 1;
+    if (chip_ticks / mean > board->max_ticks)
         return false;
     setup->ticks_per_sample = (uint32_t)(chip_ticks / mean);
     setup->sample_rate_uhz = (1000000000000000ull + chip_ns / 2) / chip_ns;
@@ -129,8 +134,11 @@ bool setup_make(struct setup *setup, const struct dg_board *board,
     new.period = stride_of(new.period_ticks * STRIDE_MILLI, sample);
     new.chip = stride_of(chip, sample);
     new.guard = stride_of(chip * frame->guard_chips, sample);
+    new.samples_are_chips = asked->integrated && new.chip.samples == 1 && new.chip.rest == 0;
+    /* A chip's only sample is taken when the line has settled: at 7/8, instead of in the middle. */
+    new.early_ticks = new.samples_are_chips ? ticks * 3u / 8u : 0;
     new.frame_samples = (span * chip + sample - 1) / sample;
-    new.gap_samples = packet ? (uint32_t)packet : 1;
+    new.gap_samples = packet > TP_MAX_SAMPLES ? TP_MAX_SAMPLES : packet ? (uint32_t)packet : 1;
     new.quiet_counts = quiet_counts(&new, board);
     *setup = new;
     return true;

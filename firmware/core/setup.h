@@ -11,8 +11,10 @@
 #include "stride.h"
 #include "tactile_protocol.h"
 
+#define SETUP_LEAST_MEAN 4    /* of chips too short for that a single sample is taken. Chosen */
 #define SETUP_MAX_MEAN 4096   /* samples averaged per chip at most. Chosen; sum · 8 < 2²⁷ */
-#define SETUP_MEAN_SCALE 8    /* a mean is sent in 1/8 count: 12 bits and 3 more fit an int16 */
+#define SETUP_MEAN_SHIFT 3    /* a mean is sent in 1/8 count: 12 bits and 3 more fit an int16 */
+#define SETUP_MEAN_SCALE (1 << SETUP_MEAN_SHIFT)
 #define DG_FIRST_MARK_US 1000 /* least time from a stream's start to its first frame, µs. Chosen */
 
 struct setup {
@@ -28,6 +30,8 @@ struct setup {
     uint64_t period_ticks;  /* frame period */
     uint64_t frame_samples; /* raw samples in a frame and its tail */
     uint32_t chips;         /* coded chips in a frame */
+    bool samples_are_chips; /* integrated, from one sample each */
+    uint32_t early_ticks;   /* pulses are so much earlier than samples need; see setup.c */
     struct stride period, chip, guard;
 };
 

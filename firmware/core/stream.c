@@ -4,6 +4,8 @@
 
 #include <string.h>
 
+#define PACKED_PAIRS 64 /* packed at once. Chosen: their bytes lie on the stack */
+
 static uint32_t smaller(uint64_t a, uint64_t b)
 {
     return (uint32_t)(a < b ? a : b);
@@ -90,21 +92,79 @@ static void send_delayed(struct stream *stream)
     stream->delayed = false;
 }
 
-static void send_samples(struct stream *stream, uint32_t size)
+static void send_words_as_they_are(struct stream *stream, const uint16_t *words, uint32_t size)
 {
     struct tp_samples head = {
         .device_time_us = first_word_us(stream),
         .first_index = stream->index,
         .flags = flags(stream),
     };
-    size_t bytes = size * sizeof stream->words[0];
+    size_t bytes = size * sizeof words[0];
 
-    send_delayed(stream);
     if (packet_open(stream->writer, TP_SAMPLES, sizeof head + bytes, STREAM_RESERVE)) {
         packet_put(stream->writer, &head, sizeof head);
-        packet_put(stream->writer, stream->words, bytes);
+        packet_put(stream->writer, words, bytes);
         packet_close(stream->writer);
     }
+}
+
+/* Adds the counts of words, in steps of 2^shift, to the open packet: two of them in three bytes. */
+static void put_packed(struct packet_writer *writer, const uint16_t *words, uint32_t size,
+                       uint8_t shift)
+{
+    /* the lowest bits of the XOR, which are those of a value's, where a count is shifted */
+    const uint16_t mask = (uint16_t)(TP_SAMPLE_XOR << shift) ^ TP_SAMPLE_XOR;
+    uint8_t bytes[3 * PACKED_PAIRS];
+
+    while (size) {
+        uint32_t taken = size < 2 * PACKED_PAIRS ? size : 2 * PACKED_PAIRS;
+        uint8_t *next = bytes;
+
+        for (const uint16_t *word = words, *end = words + (taken & ~1u); word != end; word += 2) {
+            uint32_t a = (uint16_t)(word[0] ^ mask) >> shift, b = (uint16_t)(word[1] ^ mask) >> shift;
+            uint32_t pair = (a & 0xFFFu) | b << 12;
+            *next++ = (uint8_t)pair;
+            *next++ = (uint8_t)(pair >> 8);
+            *next++ = (uint8_t)(pair >> 16);
+        }
+        if (taken & 1u) {
+            uint32_t last = (uint16_t)(words[taken - 1] ^ mask) >> shift & 0xFFFu;
+            *next++ = (uint8_t)last;
+            *next++ = (uint8_t)(last >> 8);
+        }
+        packet_put(writer, bytes, (size_t)(next - bytes));
+        words += taken;
+        size -= taken;
+    }
+}
+
+static void send_packed(struct stream *stream, const uint16_t *words, uint32_t size, uint8_t shift)
+{
+    struct tp_packed head = {
+        .device_time_us = first_word_us(stream),
+        .first_index = stream->index,
+        .flags = flags(stream),
+        .step = (uint8_t)(1u << shift),
+    };
+
+    if (packet_open(stream->writer, TP_PACKED, sizeof head + (3 * size + 1) / 2, STREAM_RESERVE)) {
+        packet_put(stream->writer, &head, sizeof head);
+        put_packed(stream->writer, words, size, shift);
+        packet_close(stream->writer);
+    }
+}
+
+static void send_samples(struct stream *stream, const uint16_t *words, uint32_t size)
+{
+    const struct setup *setup = stream->setup;
+
+    send_delayed(stream);
+    if (stream->packs && setup->samples_are_chips)
+        send_packed(stream, words, size, SETUP_MEAN_SHIFT);
+    else if (stream->packs && !setup->asked.integrated)
+        send_packed(stream, words, size, 0);
+    else
+        send_words_as_they_are(stream, words, size);
 }
 
 /* Sends QUIET in place of the words; wait: delays it until the next packet. */
@@ -143,21 +203,40 @@ static bool may_be_quiet(const struct stream *stream)
     return stream->index == stream->mark_index && stream->held == whole;
 }
 
-/* Sends the words in progress as a packet. Returns whether it was QUIET. */
+static void pass_words(struct stream *stream, uint32_t size)
+{
+    stream->index += size;
+    stream->first_chip += size;
+    stream->overrun = false;
+}
+
+/* Sends the words in progress as packets. Returns whether it was one QUIET. */
 static bool send_words(struct stream *stream)
 {
     uint32_t size = stream->held;
     bool quiet = size && may_be_quiet(stream) && alike(stream);
 
-    if (quiet)
+    if (quiet) {
         leave_out(stream, size, stream->waiting);
-    else if (size)
-        send_samples(stream, size);
-    if (size)
-        stream->overrun = false;
-    stream->index += size;
+        pass_words(stream, size);
+    }
+    for (uint32_t first = 0, part; !quiet && first < size; first += part) {
+        part = smaller(size - first, TP_MAX_SAMPLES);
+        send_samples(stream, stream->words + first, part);
+        pass_words(stream, part);
+    }
     forget_words(stream);
     return quiet;
+}
+
+/* Words at which those in progress are sent. A frame that may still be QUIET is held as long as there is
+ * room. */
+static uint32_t limit(const struct stream *stream)
+{
+    bool in_frame = stream->part != STREAM_GAP && stream->index == stream->mark_index;
+
+    return in_frame && stream->setup->quiet_counts && alike(stream) ? stream->capacity
+                                                                   : stream->limit;
 }
 
 /* The gap is not quiet throughout: sends the words held in packets of the usual size. */
@@ -181,6 +260,12 @@ static void wait_no_more(struct stream *stream)
 
 /* Parts of a frame period */
 
+/* Where samples are chips: the chip of the next sample. */
+static uint32_t present_chip(const struct stream *stream)
+{
+    return stream->chip + (uint32_t)(stream->part_samples - stream->left);
+}
+
 static void begin_part(struct stream *stream, enum stream_part part, uint64_t samples)
 {
     stream->part = part;
@@ -198,17 +283,31 @@ static void begin_gap(struct stream *stream)
 
 static void begin_chip(struct stream *stream)
 {
+    if (stream->setup->samples_are_chips) {
+        uint32_t left = smaller(stream->slot_left, stream->setup->chips - stream->chip);
+        begin_part(stream, STREAM_CHIPS, left);
+        stream->period_left -= left;
+        return;
+    }
     begin_part(stream, STREAM_CHIP, stride_walk(&stream->setup->chip, &stream->chip_phase));
     stream->period_left -= stream->left;
     stream->sum = 0;
     stream->chip_broken = false;
 }
 
+/* The next sample is the first of a chip that follows a restart. */
+static void begin_slot(struct stream *stream)
+{
+    uint16_t resync_chips = stream->setup->asked.frame.resync_chips;
+
+    stream->slot_left = resync_chips ? resync_chips : UINT32_MAX;
+    begin_chip(stream);
+}
+
 static void begin_guard(struct stream *stream)
 {
     begin_part(stream, STREAM_GUARD, stride_walk(&stream->setup->guard, &stream->chip_phase));
     stream->period_left -= stream->left;
-    stream->slot_left = stream->setup->asked.frame.resync_chips;
 }
 
 /* The next sample is the first of a frame. */
@@ -221,11 +320,10 @@ static void begin_frame(struct stream *stream)
     stream->mark_index = stream->index;
     stream->chip_phase = stream->phase;
     stream->period_left = stride_walk(&setup->period, &stream->phase);
-    stream->limit = stream->capacity;
+    stream->limit = smaller(stream->capacity, TP_MAX_SAMPLES);
     if (setup->asked.integrated) {
         stream->chip = 0;
-        stream->slot_left = setup->asked.frame.resync_chips;
-        begin_chip(stream);
+        begin_slot(stream);
     } else {
         uint64_t samples = setup->frame_samples;
         if (samples > stream->period_left)
@@ -239,7 +337,7 @@ static void hold(struct stream *stream, uint16_t word)
 {
     stream->words[stream->held] = word;
     measure(stream, stream->held, stream->held + 1);
-    if (++stream->held == stream->limit)
+    if (++stream->held >= limit(stream))
         send_words(stream);
 }
 
@@ -248,6 +346,19 @@ static void lose_words(struct stream *stream, uint32_t size)
     stream->index += size;
     stream->samples_lost += size;
     stream->overrun = true;
+}
+
+/* Goes on after a chip. */
+static void go_on(struct stream *stream)
+{
+    if (stream->chip == stream->setup->chips) {
+        send_words(stream);
+        begin_part(stream, STREAM_GAP, stream->period_left);
+    } else if (stream->slot_left == 0) {
+        begin_guard(stream);
+    } else {
+        begin_chip(stream);
+    }
 }
 
 static void end_chip(struct stream *stream)
@@ -259,19 +370,12 @@ static void end_chip(struct stream *stream)
         if (stream->held == 0)
             stream->first_chip = stream->chip;
         uint32_t samples = (uint32_t)stream->part_samples;
-        uint32_t mean = (stream->sum * SETUP_MEAN_SCALE + samples / 2) / samples;
+        uint32_t mean = ((stream->sum << SETUP_MEAN_SHIFT) + samples / 2) / samples;
         hold(stream, (uint16_t)(mean ^ TP_SAMPLE_XOR));
     }
     stream->chip++;
     stream->slot_left--;
-    if (stream->chip == stream->setup->chips) {
-        send_words(stream);
-        begin_part(stream, STREAM_GAP, stream->period_left);
-    } else if (stream->slot_left == 0 && stream->setup->asked.frame.resync_chips) {
-        begin_guard(stream);
-    } else {
-        begin_chip(stream);
-    }
+    go_on(stream);
 }
 
 static void end_part(struct stream *stream)
@@ -289,8 +393,13 @@ static void end_part(struct stream *stream)
     case STREAM_CHIP:
         end_chip(stream);
         break;
+    case STREAM_CHIPS:
+        stream->chip += (uint32_t)stream->part_samples;
+        stream->slot_left -= (uint32_t)stream->part_samples;
+        go_on(stream);
+        break;
     case STREAM_GUARD:
-        begin_chip(stream);
+        begin_slot(stream);
         break;
     }
 }
@@ -304,7 +413,7 @@ void stream_init(struct stream *stream, const struct pulses *pulses, struct pack
     stream->pulses = pulses;
     stream->writer = writer;
     stream->words = words;
-    stream->capacity = smaller(capacity, TP_MAX_SAMPLES);
+    stream->capacity = (uint32_t)capacity;
 }
 
 void stream_begin(struct stream *stream, const struct setup *setup, uint64_t start_us)
@@ -337,22 +446,32 @@ static void hold_samples(struct stream *stream, const uint16_t *counts, uint32_t
 {
     uint16_t *words = stream->words + stream->held;
 
-    for (uint32_t i = 0; i < size; i++)
-        words[i] = counts[i] ^ TP_SAMPLE_XOR;
+    if (stream->held == 0)
+        stream->first_chip = present_chip(stream);
+    if (stream->setup->asked.integrated)
+        for (uint32_t i = 0; i < size; i++)
+            words[i] = (uint16_t)(counts[i] << SETUP_MEAN_SHIFT) ^ TP_SAMPLE_XOR;
+    else
+        for (uint32_t i = 0; i < size; i++)
+            words[i] = counts[i] ^ TP_SAMPLE_XOR;
     measure(stream, stream->held, stream->held + size);
     stream->held += size;
     if (stream->waiting && !alike(stream))
         wait_no_more(stream);
 }
 
+/* Whether the samples of the present part are words. */
+static bool has_words(const struct stream *stream)
+{
+    return stream->part == STREAM_CHIPS || !stream->setup->asked.integrated;
+}
+
 void stream_samples(struct stream *stream, const uint16_t *counts, size_t size)
 {
-    bool integrated = stream->setup->asked.integrated;
-
     while (size) {
         uint32_t taken = smaller(size, stream->left);
-        if (!integrated) {
-            taken = smaller(taken, stream->limit - stream->held);
+        if (has_words(stream)) {
+            taken = smaller(taken, limit(stream) - stream->held);
             hold_samples(stream, counts, taken);
         } else if (stream->part == STREAM_CHIP) {
             add_samples(stream, counts, taken);
@@ -360,30 +479,26 @@ void stream_samples(struct stream *stream, const uint16_t *counts, size_t size)
         counts += taken;
         size -= taken;
         stream->left -= taken;
-        if (stream->left && !integrated && stream->held == stream->limit)
-            send_words(stream);
         while (stream->left == 0)
             end_part(stream);
+        if (stream->held >= limit(stream))
+            send_words(stream);
     }
 }
 
 void stream_lost(struct stream *stream, uint32_t size)
 {
-    bool integrated = stream->setup->asked.integrated;
-
-    if (!integrated) {
-        if (stream->waiting)
-            wait_no_more(stream);
-        send_words(stream);
-    }
     while (size) {
         uint32_t lost = smaller(size, stream->left);
+        if (has_words(stream)) {
+            if (stream->waiting)
+                wait_no_more(stream);
+            send_words(stream);
+            lose_words(stream, lost);
+        }
         size -= lost;
         stream->left -= lost;
-        if (integrated)
-            stream->chip_broken = true;
-        else
-            lose_words(stream, lost);
+        stream->chip_broken = true;
         while (stream->left == 0)
             end_part(stream);
     }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* Turns samples into SAMPLES and QUIET packets, as docs/protocol.md says. */
+/* Turns samples into SAMPLES, PACKED and QUIET packets, as docs/protocol.md says. */
 #ifndef TACTILE_STREAM_H
 #define TACTILE_STREAM_H
 
@@ -12,7 +12,7 @@
 #include "pulses.h"
 #include "setup.h"
 
-/* Bytes of the output ring reserved for packets other than SAMPLES and QUIET. Chosen. */
+/* Bytes of the output ring reserved for packets other than these. Chosen. */
 #define STREAM_RESERVE 1024
 
 /* Parts of a frame period. */
@@ -20,6 +20,7 @@ enum stream_part {
     STREAM_GAP,   /* between frames */
     STREAM_FRAME, /* raw: a frame and its tail */
     STREAM_CHIP,  /* integrated: one chip of a frame */
+    STREAM_CHIPS, /* integrated, where samples are chips: all of them up to a guard or the frame's end */
     STREAM_GUARD, /* integrated: the pause before the nodes restart */
 };
 
@@ -27,7 +28,8 @@ struct stream {
     const struct setup *setup;
     const struct pulses *pulses;
     struct packet_writer *writer;
-    uint16_t *words; /* of the packet in progress, as sent */
+    bool packs;      /* sends PACKED where counts fit */
+    uint16_t *words; /* of the packet in progress, as in SAMPLES */
     uint32_t capacity;
     uint32_t samples_lost; /* since power-up */
 
@@ -42,7 +44,7 @@ struct stream {
 
     uint64_t index;      /* of the first word in progress */
     uint32_t held;       /* words in progress */
-    uint32_t limit;      /* words at which the packet is sent */
+    uint32_t limit;      /* words at which the packet is sent, unless it may become QUIET */
     int32_t low, high;   /* their extremes, until these are too far apart for QUIET */
     uint64_t mark_index; /* of the latest frame's first word */
     bool overrun;        /* words just before those in progress were lost */
@@ -53,7 +55,7 @@ struct stream {
 
     uint32_t chip;       /* number of the present chip in its frame */
     uint32_t first_chip; /* chip of the first word in progress */
-    uint32_t slot_left;  /* chips to the next restart */
+    uint32_t slot_left;  /* chips to the next restart; without restarts more than a frame has */
     uint32_t chip_phase;
     uint32_t sum;     /* of the chip's samples */
     bool chip_broken; /* some of its samples were lost */

@@ -20,6 +20,8 @@
 
 #define TP_VERSION 3
 #define TP_SAMPLE_XOR 0x5555u
+#define TP_PACKED_BITS 12
+#define TP_PACKED_MOST_STEP 8
 #define TP_MAX_SAMPLES 8192
 #define TP_MAX_PACKET_US 3000
 #define TP_TAIL_CHIPS 3
@@ -40,6 +42,7 @@
 /* packet types */
 #define TP_INFO 0x01
 #define TP_SAMPLES 0x02
+#define TP_PACKED 0x06
 #define TP_QUIET 0x05
 #define TP_STATUS 0x03
 #define TP_ACK 0x04
@@ -48,6 +51,7 @@
 #define TP_STOP 0x83
 #define TP_CONFIGURE 0x84
 #define TP_ROLL_CALL 0x85
+#define TP_PACK 0x86
 
 /* flags of struct tp_samples and struct tp_quiet */
 #define TP_FLAG_SYNC 0x01 /* the first sample is the first of a frame */
@@ -59,6 +63,13 @@ enum tp_sync_mode {
     TP_SYNC_MODE_NONE = 0, /* there is none; the host finds frames in the waveform */
     TP_SYNC_MODE_DRIVE = 1, /* the digitizer drives the sync line */
     TP_SYNC_MODE_HEAR = 2, /* the digitizer hears a sync line that another device drives */
+};
+
+/* Signs of the code rows, and of all chips. */
+enum tp_signs {
+    TP_SIGNS_SEEDED = 0, /* every row has a sign of its own, by sign_seed */
+    TP_SIGNS_NATURAL = 1, /* all rows have sign +1, the seed is ignored */
+    TP_SIGNS_SCRAMBLED = 2, /* as SEEDED, and all nodes flip their chips alike, by sign_seed */
 };
 
 /* Levels of a chip on the line. */
@@ -101,7 +112,7 @@ struct __attribute__((packed)) tp_frame_layout {
     uint32_t frame_period_us; /* µs: from the first chip of a frame to that of the next */
     uint16_t first_row; /* code row of the first node */
     uint32_t sign_seed; /* seed of the row signs */
-    uint8_t natural_signs; /* 1: all rows have sign +1, the seed is ignored */
+    uint8_t signs; /* signs of rows and chips */
     uint8_t drive; /* levels of a chip */
     int8_t polarity; /* sense of the amplifier */
     uint16_t samples_per_chip; /* samples per chip; if integrated, the minimum number averaged into one word */
@@ -116,7 +127,7 @@ TP_ASSERT_AT(tp_frame_layout, chip_ns, 7);
 TP_ASSERT_AT(tp_frame_layout, frame_period_us, 11);
 TP_ASSERT_AT(tp_frame_layout, first_row, 15);
 TP_ASSERT_AT(tp_frame_layout, sign_seed, 17);
-TP_ASSERT_AT(tp_frame_layout, natural_signs, 21);
+TP_ASSERT_AT(tp_frame_layout, signs, 21);
 TP_ASSERT_AT(tp_frame_layout, drive, 22);
 TP_ASSERT_AT(tp_frame_layout, polarity, 23);
 TP_ASSERT_AT(tp_frame_layout, samples_per_chip, 24);
@@ -180,7 +191,7 @@ static inline bool tp_node_record_in_range(const struct tp_node_record *m)
            m->parity <= 1u &&
            m->order >= 1u &&
            m->order <= 4096u &&
-           m->chip_ns >= 20000u &&
+           m->chip_ns >= 500u &&
            m->chip_ns <= 1000000u &&
            m->frame_period_us >= 1000u &&
            m->frame_period_us <= 10000000u &&
@@ -229,6 +240,22 @@ TP_ASSERT_AT(tp_samples, device_time_us, 0);
 TP_ASSERT_AT(tp_samples, first_index, 8);
 TP_ASSERT_AT(tp_samples, flags, 16);
 _Static_assert(sizeof(struct tp_samples) == 17, "size of tp_samples");
+
+/* Consecutive samples of the line, in 12 bits each. */
+struct __attribute__((packed)) tp_packed {
+    uint64_t device_time_us; /* µs: as in SAMPLES */
+    uint64_t first_index; /* as in SAMPLES */
+    uint8_t flags; /* as in SAMPLES */
+    int16_t base; /* count: count of value 0, before the XOR */
+    uint8_t step; /* count: from one value to the next; base + 4095 · step fits an i16 */
+    uint8_t values[]; /* 12 bits each, XORed with those of TP_SAMPLE_XOR */
+};
+TP_ASSERT_AT(tp_packed, device_time_us, 0);
+TP_ASSERT_AT(tp_packed, first_index, 8);
+TP_ASSERT_AT(tp_packed, flags, 16);
+TP_ASSERT_AT(tp_packed, base, 17);
+TP_ASSERT_AT(tp_packed, step, 19);
+_Static_assert(sizeof(struct tp_packed) == 20, "size of tp_packed");
 
 /* Consecutive samples in which no node transmitted, as sums. */
 struct __attribute__((packed)) tp_quiet {
@@ -300,7 +327,7 @@ static inline bool tp_configure_in_range(const struct tp_configure *m)
            m->frame.chip_ns >= 10u &&
            m->frame.chip_ns <= 1000000000u &&
            m->frame.frame_period_us >= 1u &&
-           m->frame.natural_signs <= 1u &&
+           (m->frame.signs == 0 || m->frame.signs == 1 || m->frame.signs == 2) &&
            (m->frame.drive == 0 || m->frame.drive == 1) &&
            (m->frame.polarity == 1 || m->frame.polarity == -1) &&
            m->frame.samples_per_chip >= 1u &&

@@ -21,12 +21,12 @@ size_t commands_plain(struct input *input, uint8_t type, uint8_t *wire)
 
 size_t commands_any(struct input *input, uint8_t *wire)
 {
-    static const uint8_t types[] = {TP_GET_INFO, TP_START, TP_STOP, TP_ROLL_CALL};
+    static const uint8_t types[] = {TP_GET_INFO, TP_START, TP_STOP, TP_ROLL_CALL, TP_PACK};
     uint8_t type = input_u8(input);
     const uint8_t *payload;
 
     if (type < 0xC0)
-        return commands_plain(input, types[type % 4], wire);
+        return commands_plain(input, types[type % sizeof types], wire);
     type = input_u8(input);
     size_t most = type == TP_CONFIGURE ? sizeof(struct tp_configure) : input_u8(input);
     size_t size = input_bytes(input, &payload, most);

@@ -17,6 +17,24 @@
 #define MOST_ORDER 1024
 
 /* What the scanner finds in bytes, in pieces of a size; size 0: at once. */
+/* A sample by docs/protocol.md: a word, or 12 bits from half byte 3·i on. */
+static int sample_of(const struct scanner_packet *packet, size_t i)
+{
+    struct tp_packed head;
+
+    if (packet->type == TP_SAMPLES) {
+        int16_t word;
+        memcpy(&word, packet->payload + sizeof(struct tp_samples) + 2 * i, sizeof word);
+        return (int16_t)(word ^ 0x5555);
+    }
+    memcpy(&head, packet->payload, sizeof head);
+    const uint8_t *at = packet->payload + sizeof head + 3 * i / 2;
+    int value = i % 2 ? at[0] >> 4 | at[1] << 4 : at[0] | (at[1] & 15) << 8;
+    int sample = head.base + (value ^ 0x555) * head.step;
+    MUST(sample >= INT16_MIN && sample <= INT16_MAX, WRONG_VALUE);
+    return sample;
+}
+
 static struct scanner_counts scan(const uint8_t *bytes, size_t size, size_t piece, bool compare)
 {
     static uint8_t body[FRAMING_MAX_RUN];
@@ -49,11 +67,8 @@ static struct scanner_counts scan(const uint8_t *bytes, size_t size, size_t piec
         struct tp_samples head;
         if (samples)
             scanner_copy_samples(&packet, &head, words);
-        for (size_t i = 0; i < samples; i++) {
-            uint16_t word;
-            memcpy(&word, packet.payload + sizeof head + 2 * i, sizeof word);
-            MUST((word ^ words[i]) == TP_SAMPLE_XOR, WRONG_VALUE);
-        }
+        for (size_t i = 0; i < samples; i++)
+            MUST((int16_t)words[i] == sample_of(&packet, i), WRONG_VALUE);
         free(words);
     }
     scanner_counts(scanner, &counts);
@@ -628,14 +643,19 @@ static void follow_stream(struct input *input)
             memcpy(body + body_size, &quiet, sizeof quiet);
             body_size += sizeof quiet;
         } else {
-            struct tp_samples samples = {.device_time_us = index + (kind & 64 ? off : 0),
-                                         .first_index = index + (kind & 64 ? 0 : off),
-                                         .flags = flags};
+            struct tp_packed samples = {.device_time_us = index + (kind & 64 ? off : 0),
+                                        .first_index = index + (kind & 64 ? 0 : off),
+                                        .flags = flags,
+                                        .base = -2048,
+                                        .step = 1};
             uint8_t shape = input_u8(input), level = input_u8(input);
+            bool packs = (kind & 6) == 6;
             count = 1 + shape % 30;
-            header.type = kind == 32 ? TP_STATUS : TP_SAMPLES;
-            memcpy(body + body_size, &samples, sizeof samples);
-            body_size += sizeof samples;
+            header.type = kind == 32 ? TP_STATUS : packs ? TP_PACKED : TP_SAMPLES;
+            size_t head_size = packs ? sizeof samples : sizeof(struct tp_samples);
+            memcpy(body + body_size, &samples, head_size); /* both begin alike */
+            body_size += head_size;
+            uint8_t *values = body + body_size;
             for (size_t i = 0; i < count; i++) {
                 /* A word of the second row, silence, or anything. */
                 bool is_frame = flags && i < 16, bit = i < 8 ? shape & 64 : shape & 128;
@@ -644,9 +664,14 @@ static void follow_stream(struct input *input)
                             : is_frame && level & 8  ? 3 + spoken
                                                      : 3 + (int)(i % 3);
                 uint16_t word = (uint16_t)(int16_t)volts ^ TP_SAMPLE_XOR;
-                memcpy(body + body_size, &word, sizeof word);
-                body_size += sizeof word;
+                unsigned value = (unsigned)(volts + 2048) ^ 0x555u;
+                if (!packs)
+                    memcpy(values + 2 * i, &word, sizeof word);
+                for (size_t half = 3 * i; packs && half < 3 * i + 3; half++, value >>= 4)
+                    values[half / 2] = (uint8_t)(half % 2 ? values[half / 2] | (value & 15u) << 4
+                                                          : value & 15u);
             }
+            body_size += packs ? (3 * count + 1) / 2 : 2 * count;
         }
         memcpy(body, &header, sizeof header);
         index += count;

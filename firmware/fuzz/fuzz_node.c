@@ -17,7 +17,7 @@
 #define TICKS_PER_US 8
 #define UNIT_TICKS (TP_SYNC_UNIT_US * TICKS_PER_US)
 
-static const struct node_limits limits = {8 * ROW_OCTETS, 30000, 900, 96};
+static const struct node_limits limits = {8 * ROW_OCTETS, 30000, 1000000, 1, false, 900, 96};
 static uint8_t memory[MEMORY];
 
 static uint8_t read_memory(uint16_t address)

@@ -46,7 +46,7 @@ static enum tp_result configured(struct host *host, const uint8_t *payload)
 static enum tp_result done(struct host *host, uint8_t type, const uint8_t *payload, size_t size)
 {
     if (type != TP_GET_INFO && type != TP_START && type != TP_STOP && type != TP_CONFIGURE &&
-        type != TP_ROLL_CALL)
+        type != TP_ROLL_CALL && type != TP_PACK)
         return TP_RESULT_UNKNOWN_COMMAND;
     if (size != (type == TP_CONFIGURE ? sizeof(struct tp_configure) : 0))
         return TP_RESULT_BAD_LENGTH;
@@ -56,6 +56,8 @@ static enum tp_result done(struct host *host, uint8_t type, const uint8_t *paylo
         if (!host->running || !host->settings.marked || host->settings.asked.integrated)
             return TP_RESULT_UNSUPPORTED;
         host->call_asked = true;
+    } else if (type == TP_PACK) {
+        host->packs = true;
     } else if (type != TP_GET_INFO) {
         host->restarted |= type == TP_START || host->running;
         host->running = type == TP_START;
@@ -155,6 +157,30 @@ static void check_samples(const struct host *host, const uint8_t *payload, size_
     host->samples(host->context, &packet, host->packet_begin);
 }
 
+static void check_packed(const struct host *host, const uint8_t *payload, size_t size)
+{
+    static uint8_t words[2 * TP_MAX_SAMPLES];
+    struct tp_packed head;
+
+    MUST(size > sizeof head && (size - sizeof head) % 3 != 1, WRONG_VALUE);
+    memcpy(&head, payload, sizeof head);
+    struct line_packet packet = {
+        .device_time_us = head.device_time_us,
+        .first = head.first_index,
+        .flags = head.flags,
+        .count = (uint32_t)((size - sizeof head) * 2 / 3),
+        .words = words,
+    };
+    MUST(host->packs && packet.count <= TP_MAX_SAMPLES, WRONG_VALUE);
+    for (uint32_t i = 0; i < packet.count; i++) { /* 12 bits from half byte 3·i on */
+        const uint8_t *at = payload + sizeof head + 3 * i / 2;
+        unsigned value = i % 2 ? at[0] >> 4 | (unsigned)at[1] << 4 : at[0] | (at[1] & 15u) << 8;
+        uint16_t word = (uint16_t)(head.base + (int)((value ^ 0x555u) * head.step)) ^ TP_SAMPLE_XOR;
+        memcpy(words + 2 * i, &word, sizeof word);
+    }
+    host->samples(host->context, &packet, host->packet_begin);
+}
+
 static void check_quiet(const struct host *host, const uint8_t *payload, size_t size)
 {
     struct tp_quiet quiet;
@@ -205,6 +231,9 @@ static void packet(struct host *host, const uint8_t *body, size_t size)
         break;
     case TP_SAMPLES:
         check_samples(host, payload, size);
+        break;
+    case TP_PACKED:
+        check_packed(host, payload, size);
         break;
     default:
         MUST(header.type == TP_QUIET, WRONG_VALUE);

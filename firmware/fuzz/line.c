@@ -48,7 +48,13 @@ void line_pulse(struct line *line, const struct dg_pulse *pulse, bool call)
     uint8_t units = line->chip ? TP_SYNC_RESTART : call ? TP_SYNC_CALL : TP_SYNC_FRAME;
 
     MUST(settings->marked, WRONG_VALUE);
-    MUST(pulse->tick == (announced + 500) / 1000 - LEAD_US * settings->ticks_per_us, WRONG_VALUE);
+    wide sample = (wide)1000 * settings->ticks_per_sample;
+    /* a chip's only sample is taken at 7/8 of it */
+    uint64_t early = settings->asked.integrated && settings->chip == sample
+                         ? settings->ticks_per_sample * 3 / 8
+                         : 0;
+    MUST(pulse->tick == (announced + 500) / 1000 - LEAD_US * settings->ticks_per_us - early,
+         WRONG_VALUE);
     MUST(pulse->units == units, WRONG_VALUE);
     if (line->chip == 0) {
         if (line->frame >= line->frames) {

@@ -148,6 +148,7 @@ struct host {
     bool running;             /* … */
     bool restarted;           /* since the harness has looked */
     bool call_asked;          /* … and not yet begun */
+    bool packs;               /* packed samples were ever asked for */
     uint32_t refused, errors;
     struct host_run sent;
 

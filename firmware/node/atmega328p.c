@@ -28,16 +28,22 @@ void board_init(void)
     wdt_enable(WDTO_250MS);
     clock_prescale_set(clock_div_1);
 
-    PRR = _BV(PRTWI) | _BV(PRTIM2) | _BV(PRTIM0) | _BV(PRSPI) | _BV(PRUSART0);
+    PRR = _BV(PRTWI) | _BV(PRTIM2) | _BV(PRTIM0) | _BV(PRSPI);
     ACSR = _BV(ACD);
     DIDR0 = _BV(ADC0D);
     /* unconnected pins are pulled up, so that they don't float */
     PORTB = (uint8_t)~(_BV(BOARD_LINE) | _BV(BOARD_SYNC));
     PORTC = (uint8_t)~_BV(PC0);
+#ifdef NODE_FAST
+    PORTD = (uint8_t)~(_BV(BOARD_LED) | _BV(PD1) | _BV(PD4)); /* the line, and the chips' clock */
+    DDRD = _BV(BOARD_LED) | _BV(PD4);
+#else
     PORTD = (uint8_t)~_BV(BOARD_LED);
     DDRD = _BV(BOARD_LED);
+    PRR |= _BV(PRUSART0);
+#endif
 
-    TCCR1B = _BV(CS10);
+    TCCR1B = BOARD_COUNTING;
     TIMSK1 = _BV(TOIE1);
     ADMUX = _BV(REFS0); /* AVcc is the reference, channel 0 */
     /* sleep mode stays idle, the reset value: timer and capture run on */

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 
 /* ATmega328P at 8 MHz (crystal), 3.3 V: sync on PB0 (ICP1), line on PB1 (OC1A), sensor on PC0 (ADC0),
- * LED on PD7.
+ * LED on PD7. With NODE_FAST the line is on PD1 (TXD), and PD4 (XCK) stays unconnected.
  *
  * Timer1 counts cycles. It captures edges of the sync line and generates those of the analog line, so
- * neither contains interrupt latency. Fuses: crystal, no division by 8, brown-out at 2.7 V,
+ * neither contains interrupt latency; with NODE_FAST the USART generates these. Fuses: crystal, no division by 8, brown-out at 2.7 V,
  * EEPROM kept when the chip is erased (low 0xFD, high 0xD1, extended 0xFD).
  */
 #ifndef NODE_ATMEGA328P_H
@@ -19,8 +19,20 @@
 #define BOARD_MATCH_vect TIMER1_COMPA_vect
 #define BOARD_SYNC_vect TIMER1_CAPT_vect
 
-#define BOARD_ORDER 4096     /* 512 bytes of the 1 kB EEPROM, and of the 2 kB RAM */
+#define BOARD_ORDER 4096 /* 512 bytes of the 1 kB EEPROM, and of the 2 kB RAM */
+#ifdef NODE_FAST
+#define BOARD_CHIP_NS 500u /* shortest that test_fast_node.py runs without a wrong edge */
+#define BOARD_LONGEST_CHIP_NS 16000u
+#define BOARD_CHIP_STEP_NS 250u
+#define BOARD_BITS_RESTART true
+#define BOARD_RESTART_US 72u
+#else
 #define BOARD_CHIP_NS 35000u /* shortest that test_node_image.py runs without a wrong edge */
+#define BOARD_LONGEST_CHIP_NS 1000000u
+#define BOARD_CHIP_STEP_NS 1u
+#define BOARD_BITS_RESTART false
+#define BOARD_RESTART_US 96u
+#endif
 
 #define BOARD_LINE PB1
 #define BOARD_SYNC PB0
@@ -37,6 +49,15 @@ static BOARD_INLINE uint32_t board_time(uint16_t count)
     if (TIFR1 & _BV(TOV1) && count < 0x8000u)
         overflows++; /* its interrupt is pending */
     return (uint32_t)overflows << 16 | count;
+}
+
+/* Counts an overflow of the timer in place of its interrupt, where interrupts are off for long. */
+static BOARD_INLINE void board_note_overflow(void)
+{
+    if (TIFR1 & _BV(TOV1)) {
+        TIFR1 = _BV(TOV1);
+        board_overflows++;
+    }
 }
 
 static BOARD_INLINE void board_level(bool high)
@@ -83,9 +104,14 @@ static BOARD_INLINE void board_matches_off(void)
     TIMSK1 &= (uint8_t)~_BV(OCIE1A);
 }
 
+/* Of TCCR1B: the timer counts cycles, and a capture takes a level that lasts for 4 of them, so that a spike
+ * in a pulse does not end it. */
+#define BOARD_COUNTING (_BV(ICNC1) | _BV(CS10))
+#define BOARD_CANCELLER_CYCLES 4u
+
 static BOARD_INLINE void board_sync_on(void)
 {
-    TCCR1B = _BV(CS10) | _BV(ICES1); /* the next rising edge first */
+    TCCR1B = BOARD_COUNTING | _BV(ICES1); /* the next rising edge first */
     TIFR1 = _BV(ICF1);
     TIMSK1 |= _BV(ICIE1);
 }
@@ -103,12 +129,12 @@ static BOARD_INLINE bool board_sync_edge(uint32_t *when)
 {
     bool rising = TCCR1B & _BV(ICES1);
 
-    *when = board_time(ICR1);
-    TCCR1B = rising ? _BV(CS10) : _BV(CS10) | _BV(ICES1);
+    *when = board_time(ICR1) - BOARD_CANCELLER_CYCLES;
+    TCCR1B = rising ? BOARD_COUNTING : BOARD_COUNTING | _BV(ICES1);
     TIFR1 = _BV(ICF1); /* changing the edge may look like one */
     if (rising && !(PINB & _BV(BOARD_SYNC)) && !(TIFR1 & _BV(ICF1))) {
         /* already low: a glitch, unless another interrupt delayed this one beyond a restart pulse */
-        TCCR1B = _BV(CS10) | _BV(ICES1);
+        TCCR1B = BOARD_COUNTING | _BV(ICES1);
         return (uint16_t)(TCNT1 - (uint16_t)*when) >= BOARD_LATE_LOOK;
     }
     return rising;
@@ -118,7 +144,7 @@ static BOARD_INLINE bool board_sync_fell(uint16_t rise, uint16_t *length)
 {
     if (!(TIFR1 & _BV(ICF1)))
         return false;
-    *length = ICR1 - rise;
+    *length = ICR1 - BOARD_CANCELLER_CYCLES - rise;
     return true;
 }
 

@@ -17,10 +17,14 @@
 #define MEASURING_US 800u
 #define REST_READINGS 8 /* averaged to learn the code at rest. Chosen */
 
-/* measuring_us: the reading, and 100 µs for the frame to end before it. restart_us: a restart's pulse
- * begins 64 µs before its sub-slot, and the line must be released by then. */
-static const struct node_limits limits = {
-    .order = BOARD_ORDER, .chip_ns = BOARD_CHIP_NS, .measuring_us = 900, .restart_us = 96};
+/* measuring_us: the reading, and 100 µs for the frame to end before it. */
+static const struct node_limits limits = {.order = BOARD_ORDER,
+                                          .chip_ns = BOARD_CHIP_NS,
+                                          .longest_chip_ns = BOARD_LONGEST_CHIP_NS,
+                                          .chip_step_ns = BOARD_CHIP_STEP_NS,
+                                          .bits_restart = BOARD_BITS_RESTART,
+                                          .measuring_us = 900,
+                                          .restart_us = BOARD_RESTART_US};
 
 static struct tp_node_record record;
 static uint8_t row[BOARD_ORDER / 8];

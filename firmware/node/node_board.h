@@ -32,7 +32,11 @@ uint8_t board_memory_byte(uint16_t address);
  *
  *   BOARD_TICKS_PER_US   a power of two
  *   BOARD_ORDER          longest code row, chips
- *   BOARD_CHIP_NS        shortest chip that the interrupts can keep up with
+ *   BOARD_CHIP_NS        shortest chip that it can keep up with
+ *   BOARD_LONGEST_CHIP_NS, BOARD_CHIP_STEP_NS    longest chip; all are a multiple of the step
+ *   BOARD_BITS_RESTART   whether a sub-slot must be a bit
+ *   BOARD_RESTART_US     shortest time from a sub-slot's end to the next: a restart's pulse begins 64 µs
+ *                        before its sub-slot, and the line must be released by then
  *   BOARD_MATCH_vect     interrupt of the latch's match
  *   BOARD_SYNC_vect      interrupt of the sync line's edges
  *   BOARD_SPIN_TICKS     shortest time to an edge that board_spin can wait for

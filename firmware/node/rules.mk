@@ -1,20 +1,26 @@
-# Images of the sensing nodes: one main, one board each.
+# Images of the sensing nodes: one main, one board each, and a way to make chips.
 NODE_BUILD := $(BUILD)/node
-NODE_CORE := crc32 discipline event node_memory sequencer
-NODE_OWN := avr main talk
-NODE_MCUS := atmega328p attiny85
+NODE_SOURCES := $(addprefix node/,avr.c main.c talk.c) \
+	$(addprefix $(CORE)/,crc32.c discipline.c event.c node_memory.c sequencer.c)
 NODE_FLAGS := $(STRICT) -Os -flto -ffreestanding -DCRC32_SMALL -DF_CPU=8000000UL \
 	-ffunction-sections -fdata-sections -Wl,--gc-sections
 NODE_HEADERS := $(wildcard node/*.h $(CORE)/*.h)
-NODE_IMAGES := $(NODE_MCUS:%=$(NODE_BUILD)/node-%.elf)
+NODE_IMAGES := $(addprefix $(NODE_BUILD)/node-,atmega328p.elf atmega328p-fast.elf attiny85.elf)
 
 .PHONY: node
 node: $(NODE_IMAGES) $(NODE_IMAGES:.elf=.hex)
 
-$(NODE_BUILD)/node-%.elf: node/%.c $(NODE_OWN:%=node/%.c) $(NODE_CORE:%=$(CORE)/%.c) $(NODE_HEADERS)
+$(NODE_BUILD)/node-atmega328p.elf: node/atmega328p.c node/chips_match.c
+$(NODE_BUILD)/node-atmega328p.elf: NODE_MCU := -mmcu=atmega328p
+$(NODE_BUILD)/node-atmega328p-fast.elf: node/atmega328p.c node/chips_usart.c
+$(NODE_BUILD)/node-atmega328p-fast.elf: NODE_MCU := -mmcu=atmega328p -DNODE_FAST
+$(NODE_BUILD)/node-attiny85.elf: node/attiny85.c node/chips_match.c
+$(NODE_BUILD)/node-attiny85.elf: NODE_MCU := -mmcu=attiny85
+
+$(NODE_IMAGES): $(NODE_SOURCES) $(NODE_HEADERS)
 	@mkdir -p $(@D)
-	avr-gcc $(NODE_FLAGS) -mmcu=$* $(filter %.c,$^) -o $@
-	@avr-size -C --mcu=$* $@ | grep -E '^(Program|Data)' | sed 's/^/$*: /'
+	avr-gcc $(NODE_FLAGS) $(NODE_MCU) $(filter %.c,$^) -o $@
+	@avr-size -C --mcu=$(patsubst -mmcu=%,%,$(firstword $(NODE_MCU))) $@ | grep -E '^(Program|Data)' | sed 's/^/$(@F): /'
 
 $(NODE_BUILD)/node-%.hex: $(NODE_BUILD)/node-%.elf
 	avr-objcopy -O ihex -R .eeprom $< $@

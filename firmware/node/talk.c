@@ -4,38 +4,12 @@
 
 #include <util/atomic.h>
 
+#include "chips.h"
 #include "node_board.h"
-#include "sequencer.h"
 #include "sync_pulse.h"
 
 #define UNIT_TICKS (TP_SYNC_UNIT_US * BOARD_TICKS_PER_US)
 #define LONGEST_PULSE_TICKS (TP_SYNC_CALL * UNIT_TICKS + UNIT_TICKS / 2u)
-/* The interrupt that ends a sub-slot comes this long before its end, because another interrupt may be
- * running and the next sub-slot is prepared in it. Chosen. */
-#define RELEASE_LEAD_TICKS (46u * BOARD_TICKS_PER_US)
-/* If the last chip is shorter than this, the interrupt at its beginning waits for its end: the release
- * lead above and the time of one more interrupt. Chosen. */
-#define SHORT_CHIP_TICKS (60u * BOARD_TICKS_PER_US)
-
-enum state {
-    SILENT,    /* the line is released */
-    TALKING,   /* a chip is on the line, and another follows */
-    LAST,      /* the last chip of a sub-slot is on the line */
-    PAUSED,    /* the line is released until a restart pulse */
-};
-
-static struct sequencer sequencer;
-static volatile uint8_t state;
-
-static uint32_t edge_q16;          /* (time of the last edge + ½) · 2¹⁶ modulo 2³² */
-static uint32_t chip_q16, lead_q16;
-static bool chips_are_short;
-
-/* End of the chip planned last: its time, what follows (enum sequencer_next), and the level of that.
- * The timer is set to it when the chip begins. */
-static uint16_t next_edge;
-static uint8_t next;
-static bool next_level;
 
 static volatile uint8_t plan;      /* pulses that begin a transmission: bit per length in units */
 
@@ -52,108 +26,18 @@ static uint8_t guard_chips;
 static struct talk_frame frame;
 volatile uint8_t talk_began;
 
-static BOARD_INLINE void fall_silent(void)
+/* The bit of a length in units, below 4: an AVR would shift in a loop. */
+static BOARD_INLINE uint8_t bit_of(uint8_t units)
 {
-    board_release();
-    board_matches_off();
-    state = SILENT;
-    board_sync_on();
-}
+    uint8_t bit = units & 2u ? 4u : 1u;
 
-/* Goes to the next chip of the sequencer. */
-static BOARD_INLINE void step(void)
-{
-    next = sequencer_step(&sequencer);
-    next_level = sequencer_level(&sequencer);
-}
-
-/* Sets the latch, while the line is released, to a sub-slot's first level. */
-static void get_ready(void)
-{
-    board_latch(sequencer_level(&sequencer));
-    step();
-}
-
-static void end_slot(void)
-{
-    bool pauses = next == SEQUENCER_GUARD, level = sequencer_level(&sequencer);
-
-    if (pauses)
-        step(); /* now, because the restart's pulse may follow 16 µs after the slot */
-    if (board_ticks_until(next_edge) >= BOARD_SPIN_TICKS)
-        board_spin(next_edge);
-    fall_silent();
-    if (pauses) {
-        state = PAUSED;
-        board_latch(level);
-    }
-}
-
-/* A sub-slot's last chip has begun, or its end is near. Not inlined: keeps the common path short. */
-static __attribute__((noinline)) void last_chip(void)
-{
-    bool ends = state == LAST || chips_are_short;
-
-    state = LAST;
-    if (ends || !board_match(board_match_level(), (uint16_t)(next_edge - RELEASE_LEAD_TICKS)))
-        end_slot();
-}
-
-/* A chip has begun: sets the timer for the next one first, then prepares the one after that. */
-static BOARD_INLINE void chip_began(void)
-{
-    if (next != SEQUENCER_CHIP) {
-        last_chip();
-    } else if (board_match(next_level, next_edge)) {
-        edge_q16 += chip_q16;
-        next_edge = (uint16_t)(edge_q16 >> 16);
-        step();
-    } else {
-        fall_silent(); /* too late: silence is better than a wrong word */
-    }
-}
-
-ISR(BOARD_MATCH_vect)
-{
-    if (!board_match_is_last())
-        return;
-    if (state == TALKING)
-        chip_began();
-    else
-        last_chip();
-}
-
-/* Prepares the first chip after the present pulse; returns its time. */
-static BOARD_INLINE uint16_t aim(void)
-{
-    uint32_t start_q16 = (rise << 16) + lead_q16 + 0x8000u;
-    uint16_t start = (uint16_t)(start_q16 >> 16);
-
-    edge_q16 = start_q16 + chip_q16;
-    next_edge = (uint16_t)(edge_q16 >> 16);
-    board_match_past(start);
-    return start;
-}
-
-/* Begins a sub-slot at a time near ahead. False if it is too late for that. */
-static BOARD_INLINE bool begin_slot(uint16_t start)
-{
-    if (board_ticks_until(start) < BOARD_SPIN_TICKS)
-        return false;
-    board_spin(start);
-    board_drive();
-    board_matches_on();
-    board_sync_off();
-    state = TALKING;
-    slot_rise = rise;
-    chip_began();
-    return true;
+    return units & 1u ? (uint8_t)(bit << 1) : bit;
 }
 
 /* Lengths of a pulse beginning now that this node answers: bit per length in units. */
 static BOARD_INLINE uint8_t answers(void)
 {
-    if (state == PAUSED && rise - slot_rise - restart_earliest <= restart_width)
+    if (chips_paused() && rise - slot_rise - restart_earliest <= restart_width)
         return 1u << TP_SYNC_RESTART;
     return may_frame ? plan : 0;
 }
@@ -175,7 +59,7 @@ static BOARD_INLINE void pulse_ended(uint8_t units, bool spoke)
 ISR(BOARD_SYNC_vect)
 {
     uint32_t when;
-    uint16_t start, length;
+    uint16_t at, length;
     uint8_t ours, units;
     bool over, spoke = false;
 
@@ -191,23 +75,26 @@ ISR(BOARD_SYNC_vect)
     over = board_sync_over((uint16_t)rise, ours == 1u << TP_SYNC_RESTART, &length);
     if (!over && !ours)
         return;
-    start = aim();
+    at = chips_aim(rise);
+    __asm__ volatile("" : "+r"(at)); /* worked out here, not after the pulse */
     while (!over) {
         if (board_ticks_since((uint16_t)rise) >= LONGEST_PULSE_TICKS)
             return; /* too long; its falling edge will be an interrupt */
         over = board_sync_fell((uint16_t)rise, &length);
     }
     units = sync_pulse_units(length, UNIT_TICKS);
-    if (ours & 1u << units)
-        spoke = begin_slot(start);
-    if (!spoke)
+    if (ours & bit_of(units))
+        spoke = chips_begin(at);
+    if (spoke)
+        slot_rise = rise;
+    else
         board_sync_on();
     pulse_ended(units, spoke);
 }
 
-void talk_init(const struct tp_node_record *record, const uint8_t *row)
+void talk_init(const struct tp_node_record *record, uint8_t *row)
 {
-    sequencer_init(&sequencer, record, row);
+    chips_init(record, row);
     frame.when = board_now() - 0x80000000u; /* long ago */
     guard_chips = record->guard_chips;
     slot_places = record->resync_chips ? record->resync_chips + guard_chips : 0;
@@ -222,14 +109,10 @@ void talk_plan(const struct discipline *clock, uint16_t code, bool talks, bool t
 
     if (slot_places)
         slot_ticks = (uint32_t)((uint64_t)slot_places * clock->chip_q16 >> 16);
-    sequencer_start(&sequencer, code);
-    chip_q16 = clock->chip_q16;
-    chips_are_short = chip_q16 >> 16 < SHORT_CHIP_TICKS;
-    lead_q16 = clock->lead_q16;
+    chips_plan(clock, code);
     /* a guard allows for clocks that are off by as much */
     restart_earliest = slot_ticks - guard_ticks;
     restart_width = 2u * guard_ticks;
-    get_ready();
     ATOMIC_BLOCK (ATOMIC_RESTORESTATE)
         earliest = discipline_earliest(clock);
     plan = (uint8_t)(talks << TP_SYNC_FRAME | talks_first << TP_SYNC_CALL);
@@ -239,10 +122,7 @@ void talk_stop(void)
 {
     ATOMIC_BLOCK (ATOMIC_RESTORESTATE) {
         plan = 0;
-        /* if silent already, it listens: do not restart that, or the end of a present pulse is lost */
-        if (state == TALKING || state == LAST)
-            fall_silent();
-        state = SILENT;
+        chips_stop();
     }
 }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* Transmits in interrupts: listens to the sync line and generates the chips.
+/* Transmits in interrupts: listens to the sync line, whose pulses start the chips of chips.h.
  *
  * main.c plans every frame before it begins. When a pulse ends, a few µs before the first chip, its
  * length tells whether it begins that frame; everything else has been prepared by then.
@@ -23,7 +23,8 @@ struct talk_frame {
 /* Not 0: a frame has begun that talk_take has not yet returned. */
 extern volatile uint8_t talk_began;
 
-void talk_init(const struct tp_node_record *record, const uint8_t *row);
+/* row: as chips_init takes it. */
+void talk_init(const struct tp_node_record *record, uint8_t *row);
 
 /* Plans the next frame: the code, and whether to transmit it in an ordinary frame (talks) and in the
  * first frame of a roll call (talks_first). talk_stop must have released the line. */

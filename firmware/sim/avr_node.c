@@ -18,15 +18,21 @@
 #include <simavr/sim_elf.h>
 #include <simavr/sim_interrupts.h>
 
+#include "avr_usart.h"
+
 #define RESPONSE_CYCLES 4 /* to an interrupt, and as many again out of sleep */
+#define CANCELLER_CYCLES 4 /* for which a noise canceller wants a level to last */
 #define CODES 1024        /* of the converter */
 /* simavr's converter gives ⌊mV · 1023 / supply in mV⌋: with this supply, mV are codes */
 #define SUPPLY_OF_CODES 1023
 
-/* A microcontroller's pins, and registers that simavr doesn't name. */
+/* A microcontroller's pins with an image, and registers that simavr doesn't name. */
 struct wiring {
-    const char *mcu;
-    uint8_t sync_pin, out_pin; /* of port B */
+    const char *mcu, *core; /* its name here, and simavr's */
+    bool usart;             /* TXD is the output pin */
+    uint8_t sync_pin;       /* of port B */
+    char out_port;
+    uint8_t out_pin;
     char led_port;
     uint8_t led_pin;
     uint8_t sensor;       /* channel of the converter */
@@ -34,13 +40,22 @@ struct wiring {
     avr_regbit_t psr;     /* reset of Timer0's prescaler, beside foc; or none */
     avr_regbit_t sleep;   /* SE */
     avr_regbit_t mode;    /* SM, of which 0 is idle */
+    avr_regbit_t canceller; /* of the sync pin's capture; or none */
 };
 
+#define ATMEGA328P(name, is_usart, port, pin)                                                      \
+    {.mcu = name, .core = "atmega328p", .usart = is_usart, .sync_pin = 0, .out_port = port,         \
+     .out_pin = pin, .led_port = 'D', .led_pin = 7, .sensor = 0,                                    \
+     .foc = {.reg = 0x82, .bit = 7, .mask = 1}, .sleep = {.reg = 0x53, .bit = 0, .mask = 1},         \
+     .mode = {.reg = 0x53, .bit = 1, .mask = 7}, .canceller = {.reg = 0x81, .bit = 7, .mask = 1}}
+
 static const struct wiring wirings[] = {
-    {"atmega328p", 0, 1, 'D', 7, 0, {.reg = 0x82, .bit = 7, .mask = 1}, {0},
-     {.reg = 0x53, .bit = 0, .mask = 1}, {.reg = 0x53, .bit = 1, .mask = 7}},
-    {"attiny85", 2, 1, 'B', 4, 3, {.reg = 0x4C, .bit = 2, .mask = 1},
-     {.reg = 0x4C, .bit = 0, .mask = 1}, {.reg = 0x55, .bit = 5, .mask = 1}, {.reg = 0x55, .bit = 3, .mask = 3}},
+    ATMEGA328P("atmega328p", false, 'B', 1),
+    ATMEGA328P("atmega328p-fast", true, 'D', 1),
+    {.mcu = "attiny85", .core = "attiny85", .sync_pin = 2, .out_port = 'B', .out_pin = 1,
+     .led_port = 'B', .led_pin = 4, .sensor = 3, .foc = {.reg = 0x4C, .bit = 2, .mask = 1},
+     .psr = {.reg = 0x4C, .bit = 0, .mask = 1}, .sleep = {.reg = 0x55, .bit = 5, .mask = 1},
+     .mode = {.reg = 0x55, .bit = 3, .mask = 3}},
 };
 
 /* A register whose writes are observed, with simavr's own handler or NULL. */
@@ -56,19 +71,21 @@ struct avr_node {
     avr_t *avr;
     avr_run_t run; /* simavr's own; another where a watchdog reset is due */
     const struct wiring *wiring;
-    avr_ioport_t *port, *led;
+    avr_ioport_t *port, *out, *led; /* port: of the sync pin */
     avr_timer_t *timer;
     avr_timer_t *prescaled;        /* Timer0, if its prescaler is modelled */
     int64_t prescaler;             /* cycle at which that one was 0 */
     uint64_t clock_mhz; /* millihertz */
     double supply_v;
-    int64_t start_ns;
+    int64_t start_ns, delay_ns;
 
     const struct sync_line *sync;
     uint64_t seen;                 /* edges of the sync line */
     avr_cycle_count_t sync_cycle;  /* of the next one */
     bool sync_level;
+    avr_cycle_count_t settled;     /* cycle at which the canceller lets an edge through, or UINT64_MAX */
 
+    struct avr_usart usart;
     struct tap taps[TAPS];
     bool touched;        /* a register of the output pin was written, by the last instruction */
     bool driven, latched, port_bit, latch; /* the output pin: as its driver has it */
@@ -97,9 +114,9 @@ static int64_t time_of(const struct avr_node *node, avr_cycle_count_t cycle)
 
 /* The output pin */
 
-static void log_edge(struct avr_node *node, int8_t level)
+static void log_edge(struct avr_node *node, avr_cycle_count_t cycle, int8_t level)
 {
-    int64_t t_ns = time_of(node, node->avr->cycle);
+    int64_t t_ns = time_of(node, cycle);
     struct pin_edge *last = node->size ? &node->edges[node->size - 1] : NULL;
 
     if (last && last->t_ns == t_ns) { /* a level of zero duration is no edge */
@@ -118,7 +135,16 @@ static void log_edge(struct avr_node *node, int8_t level)
 static void log_level(struct avr_node *node)
 {
     bool high = node->latched ? node->latch : node->port_bit;
-    log_edge(node, !node->driven ? 0 : high ? 1 : -1);
+    int8_t level = !node->driven ? 0 : high ? 1 : -1;
+
+    if (node->wiring->usart && node->usart.level)
+        level = node->usart.level;
+    log_edge(node, node->avr->cycle, level);
+}
+
+static void on_usart(void *param, avr_cycle_count_t cycle, int8_t level)
+{
+    log_edge(param, cycle, level);
 }
 
 static uint8_t compare_mode(const struct avr_node *node)
@@ -151,9 +177,9 @@ static void settle_pin(struct avr_node *node)
     uint8_t bit = (uint8_t)(1u << node->wiring->out_pin);
     bool pulled_up = !node->driven && node->port_bit;
 
-    node->driven = data[node->port->r_ddr] & bit;
-    node->port_bit = data[node->port->r_port] & bit;
-    node->latched = compare_mode(node) != avr_timer_com_normal;
+    node->driven = data[node->out->r_ddr] & bit;
+    node->port_bit = data[node->out->r_port] & bit;
+    node->latched = !node->wiring->usart && compare_mode(node) != avr_timer_com_normal;
     node->counters.pull_ups += !pulled_up && !node->driven && node->port_bit;
     if (avr_regbit_get(node->avr, node->wiring->foc)) {
         avr_regbit_clear(node->avr, node->wiring->foc);
@@ -273,12 +299,20 @@ static void *peripheral(avr_t *avr, const char *kind, char name)
     return NULL;
 }
 
-/* Sets the sync pin's level without an edge. */
+/* Sets the sync pin's level, which nothing but the program sees yet. */
 static void show_sync_level(struct avr_node *node)
 {
+    uint8_t *pins = &node->avr->data[node->port->r_pin];
+    uint8_t bit = (uint8_t)(1u << node->wiring->sync_pin);
+
+    *pins = node->sync_level ? *pins | bit : *pins & (uint8_t)~bit;
+}
+
+/* Sets it without an edge. */
+static void start_sync_level(struct avr_node *node)
+{
     node->port->io.irq[node->wiring->sync_pin].value = node->sync_level;
-    if (node->sync_level)
-        node->avr->data[node->port->r_pin] |= (uint8_t)(1u << node->wiring->sync_pin);
+    show_sync_level(node);
 }
 
 /* After each reset: undoes connections that simavr makes by itself, restores what it forgets. */
@@ -287,7 +321,10 @@ static void after_reset(struct avr_node *node)
     avr_extint_set_strict_lvl_trig(node->avr, 0, 0);
     avr_unconnect_irq(&node->timer->io.irq[TIMER_IRQ_OUT_COMP + AVR_TIMER_COMPA],
                       &node->port->io.irq[node->wiring->out_pin]);
-    show_sync_level(node);
+    start_sync_level(node);
+    node->settled = UINT64_MAX;
+    if (node->wiring->usart)
+        avr_usart_reset(&node->usart);
     node->latch = false;
     settle_pin(node);
 }
@@ -298,6 +335,7 @@ static void prepare(struct avr_node *node)
     avr_extint_t *extint = peripheral(avr, "extint", 0);
 
     node->port = peripheral(avr, "port", 'B');
+    node->out = peripheral(avr, "port", node->wiring->out_port);
     node->led = peripheral(avr, "port", node->wiring->led_port);
     node->timer = peripheral(avr, "timer", '1');
     if (!node->timer->wgm[0].reg) { /* the ATtiny85's, of which simavr knows little */
@@ -307,9 +345,9 @@ static void prepare(struct avr_node *node)
     }
     replace_interrupt(avr, &node->timer->overflow);
     replace_interrupt(avr, &extint->eint[0].vector);
-    tap(node, TAP_DDR, node->port->r_ddr);
-    tap(node, TAP_PORT, node->port->r_port);
-    tap(node, TAP_PIN, node->port->r_pin);
+    tap(node, TAP_DDR, node->out->r_ddr);
+    tap(node, TAP_PORT, node->out->r_port);
+    tap(node, TAP_PIN, node->out->r_pin);
     tap(node, TAP_COM, node->timer->comp[AVR_TIMER_COMPA].com.reg);
     tap(node, TAP_FOC, node->wiring->foc.reg);
     if (node->wiring->psr.reg) {
@@ -319,6 +357,8 @@ static void prepare(struct avr_node *node)
         /* its phase at power-up is arbitrary: it has run since time 0 */
         node->prescaler = -(int64_t)((__int128)node->start_ns * node->clock_mhz / 1000000000000);
     }
+    if (node->wiring->usart)
+        avr_usart_init(&node->usart, avr, on_usart, node);
     avr_irq_register_notify(&node->timer->io.irq[TIMER_IRQ_OUT_COMP + AVR_TIMER_COMPA],
                             on_compare, node);
     avr->vcc = avr->avcc = avr->aref = SUPPLY_OF_CODES;
@@ -339,31 +379,46 @@ static void look_ahead(struct avr_node *node)
 {
     const struct sync_edge *edge = next_edge(node);
 
-    node->sync_cycle = edge ? cycle_at(node, edge->t_ns) : UINT64_MAX;
+    node->sync_cycle = edge ? cycle_at(node, edge->t_ns + node->delay_ns) : UINT64_MAX;
 }
 
 /* Of edges before power-up only the resulting level counts. */
 static void skip_past(struct avr_node *node)
 {
-    for (const struct sync_edge *edge; (edge = next_edge(node)) && edge->t_ns <= node->start_ns;
+    for (const struct sync_edge *edge; (edge = next_edge(node)) && edge->t_ns + node->delay_ns <= node->start_ns;
          node->seen++)
         node->sync_level = edge->level;
-    show_sync_level(node);
+    start_sync_level(node);
+}
+
+/* The sync pin's level reaches whatever listens to its edges. */
+static void pass_edge(struct avr_node *node)
+{
+    node->settled = UINT64_MAX;
+    avr_raise_irq(&node->port->io.irq[node->wiring->sync_pin], node->sync_level);
 }
 
 static void take_edge(struct avr_node *node)
 {
+    bool waits = node->settled != UINT64_MAX;
+
     node->sync_level = next_edge(node)->level;
     node->seen++;
     look_ahead(node);
-    avr_raise_irq(&node->port->io.irq[node->wiring->sync_pin], node->sync_level);
+    if (!node->wiring->canceller.reg || !avr_regbit_get(node->avr, node->wiring->canceller)) {
+        pass_edge(node);
+        return;
+    }
+    show_sync_level(node); /* the program sees it at once */
+    node->settled = waits ? UINT64_MAX : node->avr->cycle + CANCELLER_CYCLES;
 }
 
 static avr_cycle_count_t next_event(const struct avr_node *node)
 {
     const struct avr_cycle_timer_slot_t *timer = node->avr->cycle_timers.timer;
+    avr_cycle_count_t next = node->sync_cycle < node->settled ? node->sync_cycle : node->settled;
 
-    return timer && timer->when < node->sync_cycle ? timer->when : node->sync_cycle;
+    return timer && timer->when < next ? timer->when : next;
 }
 
 /* Processes all events due by now, each at its own cycle. */
@@ -377,7 +432,9 @@ static void process_events(struct avr_node *node)
         if (due > now || avr->run != node->run)
             break;
         avr->cycle = due;
-        if (due == node->sync_cycle)
+        if (due == node->settled)
+            pass_edge(node);
+        else if (due == node->sync_cycle)
             take_edge(node);
         else
             avr_cycle_timer_process(avr);
@@ -422,6 +479,8 @@ static void reset_by_watchdog(struct avr_node *node)
 static void catch_up(struct avr_node *node)
 {
     process_events(node);
+    if (node->wiring->usart)
+        avr_usart_run(&node->usart);
     if (node->touched)
         settle_pin(node);
 }
@@ -502,6 +561,7 @@ bool node_led(const struct avr_node *node)
 void node_count(const struct avr_node *node, struct node_counters *counters)
 {
     *counters = node->counters;
+    counters->faults += node->usart.faults;
 }
 
 /* Powering up */
@@ -553,9 +613,10 @@ struct avr_node *node_create(const struct node_plan *plan, const struct sync_lin
         return NULL;
     }
     node = calloc(1, sizeof *node);
-    *node = (struct avr_node){.avr = avr_make_mcu_by_name(plan->mcu), .wiring = wiring,
+    *node = (struct avr_node){.avr = avr_make_mcu_by_name(wiring->core), .wiring = wiring,
                               .clock_mhz = (uint64_t)llround(plan->clock_hz * 1e3),
                               .supply_v = plan->supply_v, .start_ns = plan->start_ns,
+                              .delay_ns = plan->delay_ns,
                               .sync = sync, .seen = sync->dropped};
     avr_init(node->avr);
     obstacle = load(node->avr, plan->image);

@@ -14,10 +14,12 @@
  *   - Ones written to a timer's or INT0's flag register clear these flags (simavr: all flags of the
  *     timer, none of INT0), and these interrupts then wait no longer (simavr: their places in its
  *     queue stay taken); enabling an interrupt whose flag is set raises it (simavr: never).
+ *   - Timer1's noise canceller delays an edge by 4 cycles, and drops a shorter pulse (simavr: has none).
+ *   - The USART as master of a serial bus: avr_usart.h.
  *   - SLEEP does nothing without SE. The ATtiny85's Timer1 counts, to 255.
  *   - The converter's code is ⌊1024 · V / AVcc⌋; its only reference is AVcc.
  *
- * Left out: delays of the input synchronisers, the noise canceller, PRR, fuses, brown-out, sleep
+ * Left out: delays of the input synchronisers, PRR, fuses, brown-out, sleep
  * modes other than idle (they are counted). SBI on a PIN register toggles, as in simavr, all bits
  * that are set; a timer is read as it is when the reading instruction begins.
  */
@@ -54,6 +56,7 @@ struct node_plan {
     double supply_v;
     double gain;      /* of its input of the amplifier */
     int64_t start_ns; /* when it is powered up */
+    int64_t delay_ns; /* of the sync line's edges on the way to its pin */
 };
 
 struct avr_node;

@@ -6,6 +6,7 @@
 
 with nodes whose clocks differ by ±2 % and supplies by ±3 %, a moving contact, and every node
 transmitting in every frame. The digitizer is the core on a virtual board, then the RP2040's image.
+Fast nodes have crystals, ±100 ppm; their edges are compared in test/firmware/test_fast_node.py.
 """
 
 from __future__ import annotations
@@ -21,14 +22,26 @@ from numpy.typing import NDArray
 from emulated import EmulatedNodes, EmulatedSkin, EmulationError
 from rp2040 import EmulatorError
 from rp2040_skin import Rp2040Skin
-from skin import Digitized, PressedSkin, reference_amplifier, reference_nodes
+from skin import Digitized, PressedSkin, Spread, reference_amplifier, reference_nodes
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.hardware.node_memory import FAST
 from tactile_cdma.sim.scene import SCENES
 from tactile_cdma.wire._protocol import SYNC_LEAD, SYNC_UNIT_US
 from trial import Trial, edge_errors, press_and_decode
 
 PARAMS = Path(__file__).resolve().parents[2] / "config" / "wired_skin.yaml"
+THOUSAND = PARAMS.with_name("thousand_skin.yaml")
+FAST_SKIN = {
+    "nodes": 60,
+    "rows": 6,
+    "columns": 10,
+    "order": 64,
+    "resync_chips": 64,
+    "frame_period_ms": 3.2,
+    "amplitude_mv": 35.45,
+}
+"""Fewer of these nodes, of a shorter code."""
 FRAMES = 300
 """Per trial. Chosen: seconds of emulation."""
 HISTORY_S = 60.0
@@ -56,6 +69,14 @@ def on_rp2040(config: SkinConfig, frames: int) -> tuple[Trial, str]:
         return trial, f"{edges(skin, config, by_pulse)} cpu_load={skin.chip.load:.2f}"
 
 
+def fast_on_virtual_board(frames: int) -> tuple[Trial, str]:
+    """Trial of 60 nodes with chips of 2 µs on the core's virtual board."""
+    config = SkinConfig.of(read_file(THOUSAND) | FAST_SKIN)
+    nodes = reference_nodes(config, Spread(clock=100e-6), mcu=FAST, threshold=0)
+    with EmulatedSkin(nodes, reference_amplifier(config), history_s=0.1) as skin:
+        return press(skin, skin, config, frames), f"nodes={config.spec.nodes}"
+
+
 def edges(nodes: EmulatedNodes, config: SkinConfig, words: dict[int, NDArray[np.int32]]) -> str:
     """Largest error of an edge, and largest change of the error from one edge to the next, µs."""
     errors_us = [errors / 1e3 for errors in edge_errors(nodes, config.spec, words)]
@@ -77,6 +98,7 @@ def main() -> int:
     plan: dict[str, Callable[[], tuple[Trial, str]]] = {
         "16 ATmega328P, core": lambda: on_virtual_board(config, "atmega328p", FRAMES),
         "16 ATtiny85, core": lambda: on_virtual_board(config, "attiny85", FRAMES),
+        "60 fast ATmega328P, core": lambda: fast_on_virtual_board(FRAMES),
         "16 ATmega328P, RP2040": lambda: on_rp2040(config, FRAMES),
     }
     for name, run in plan.items():

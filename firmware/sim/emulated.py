@@ -53,6 +53,7 @@ class Node:
     image: its firmware, an ELF file. mcu: "atmega328p" or "attiny85". memory: the beginning of its
     EEPROM. clock_hz: true frequency of its nominal 8 MHz oscillator. supply_v: V. gain: of its
     input of the amplifier; its level on the line is gain · supply_v / 2. start_ns: power-up.
+    delay_ns: of the sync line's edges on the way to its pin.
     """
 
     image: Path
@@ -62,6 +63,7 @@ class Node:
     supply_v: float = 3.3
     gain: float = 0.06
     start_ns: int = 0
+    delay_ns: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +102,7 @@ class _Plan(ctypes.Structure):
         ("supply_v", c_double),
         ("gain", c_double),
         ("start_ns", c_int64),
+        ("delay_ns", c_int64),
     )
 
 
@@ -160,6 +163,7 @@ class EmulatedNodes:
             node.supply_v,
             node.gain,
             node.start_ns,
+            node.delay_ns,
         )
         error = ctypes.create_string_buffer(1024)
         if self._library.skin_add(self._skin, byref(plan), error, len(error)) < 0:

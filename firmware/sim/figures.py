@@ -9,7 +9,7 @@ import sys
 import numpy as np
 from numpy.typing import NDArray
 
-from check import PARAMS
+from check import FAST_SKIN, PARAMS, THOUSAND
 from emulated import EmulatedSkin, EmulationError
 from rp2040 import CPU_HZ, EmulatorError, Rp2040
 from rp2040_skin import IMAGE
@@ -18,8 +18,8 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.session import Session
-from tactile_cdma.hardware.node_memory import MCUS
-from tactile_cdma.wire.messages import Configure, FrameLayout, Samples, Start, Status
+from tactile_cdma.hardware.node_memory import FAST, MCUS
+from tactile_cdma.wire.messages import Configure, FrameLayout, Pack, Samples, Start, Status
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 
 SETTLED_NS, SPAN_NS = 300_000_000, 1_000_000_000
@@ -27,6 +27,7 @@ READY_S, SPAN_S = 0.1, 1.2
 LINKS = {  # name: chip, s; samples per chip; whether over USB
     "USB, 80 kS/s": (50e-6, 4, True),
     "USB, 500 kS/s": (8e-6, 4, True),
+    "USB, chips of 2 µs, packed": (2e-6, 1, True),
     "UART, 80 kS/s": (50e-6, 4, False),
     "UART, 90 kS/s": (33.33e-6, 3, False),
 }
@@ -49,8 +50,12 @@ def share_awake(config: SkinConfig, mcu: str, threshold: int) -> float:
 
 def digitizer(chip_s: float, samples_per_chip: int, usb: bool) -> tuple[float, int, int]:
     """CPU load of the RP2040 while streaming; samples received; samples lost, packets dropped."""
-    spec = FrameSpec(chip_s=chip_s, frame_period_s=round(1.2 * 200 * chip_s, 6))
-    commands = Configure(FrameLayout.of(spec, samples_per_chip)), Start()
+    order = 20 if samples_per_chip > 1 else 912
+    period_s = round(1.2 * 10 * order * chip_s, 6)
+    spec = FrameSpec(chip_s=chip_s, frame_period_s=period_s, order=order)
+    one = samples_per_chip == 1
+    layout = FrameLayout.of(spec, samples_per_chip)
+    commands = Configure(layout, integrated=one), *[Pack()] * one, Start()
     parser, writer = PacketParser(), PacketWriter()
     with Rp2040(IMAGE, _noise) as chip:
         if usb:
@@ -75,7 +80,8 @@ def main() -> int:
     config = SkinConfig.of(read_file(PARAMS))
     try:
         for mcu in MCUS:
-            silent, talking = (share_awake(config, mcu, threshold) for threshold in (1, 0))
+            skin = SkinConfig.of(read_file(THOUSAND) | FAST_SKIN) if mcu == FAST else config
+            silent, talking = (share_awake(skin, mcu, threshold) for threshold in (1, 0))
             print(f"{mcu}: awake_silent={silent:.3f} awake_talking={talking:.3f}", flush=True)
         for name, how in LINKS.items():
             load, samples, lost = digitizer(*how)

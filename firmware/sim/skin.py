@@ -30,10 +30,12 @@ class Spread:
     """Tolerances of the nodes, uniform within ± these relative errors.
 
     clock: of the oscillators. supply: of the supplies, and so of the levels on the line.
+    skew_ns: longest delay of the sync line at a node; uniform from 0.
     """
 
     clock: float = 0.02
     supply: float = 0.03
+    skew_ns: float = 0.0
     seed: int = 1
 
 
@@ -45,6 +47,7 @@ def reference_nodes(
     discipline: bool = True,
     threshold: int = 1,
     heartbeat: int | None = None,
+    rest: int | None = None,
 ) -> list[Node]:
     """The nodes of a skin, each with the memory that `tactile-cdma node` would give it.
 
@@ -60,6 +63,7 @@ def reference_nodes(
     rng = np.random.default_rng(spread.seed)
     clocks = rng.permutation(np.linspace(-spread.clock, spread.clock, spec.nodes))
     supplies = rng.uniform(-spread.supply, spread.supply, spec.nodes)
+    delays_ns = rng.uniform(0, spread.skew_ns, spec.nodes)
     return [
         Node(
             image=IMAGES / f"node-{mcu}.elf",
@@ -70,11 +74,13 @@ def reference_nodes(
                 threshold=threshold,
                 heartbeat=heartbeat,
                 discipline=discipline,
+                rest=rest,
                 mcu=mcu,
             ),
             clock_hz=CLOCK_HZ * (1 + clocks[number]),
             supply_v=SUPPLY_V * (1 + supplies[number]),
             gain=spec.amplitude_v / (SUPPLY_V / 2),
+            delay_ns=round(delays_ns[number]),
         )
         for number in range(spec.nodes)
     ]

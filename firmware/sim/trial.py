@@ -21,8 +21,8 @@ from tactile_cdma.wire.packets import PacketParser
 
 STEP_NS = 20_000_000
 SETTLING = 16
-"""First frames, not counted: nodes measure the sync period and their code at rest. Chosen."""
-PATIENCE_NS = 3_000_000_000
+"""Frames that suffice for that. Chosen."""
+PATIENCE_NS = 1_000_000_000
 """A trial ends when no frame has come for this long, ns. Chosen."""
 BEFORE_MARK_NS = 200_000
 """Nodes have measured by this time before a frame, ns: they begin 0.8 ms before its pulse."""
@@ -49,12 +49,17 @@ class Trial:
         return len(self.words)
 
 
-def press_and_decode(skin: PressedSkin, config: SkinConfig, frames: int) -> Trial:
-    """Run until this many frames have been decoded, or none has come for PATIENCE_NS."""
+def press_and_decode(
+    skin: PressedSkin, config: SkinConfig, frames: int, settling: int = SETTLING
+) -> Trial:
+    """Run until this many frames have been decoded, or none has come for PATIENCE_NS.
+
+    settling: first frames, not counted: nodes measure the sync period and their code at rest.
+    """
     trial, marks = Trial(), Marks(config)
     pipeline, parser = Pipeline(config, background=False), PacketParser()
     skin.write(Session(config).open())
-    last_ns, settling = skin.now_ns, SETTLING
+    last_ns = skin.now_ns
     while trial.frames < frames and skin.now_ns - last_ns < PATIENCE_NS:
         skin.run(skin.now_ns + STEP_NS)
         data = skin.read()
@@ -84,6 +89,7 @@ class Marks:
     """Nominal start times of frames, from the digitizer's packets; exact to 1 µs."""
 
     def __init__(self, config: SkinConfig) -> None:
+        self._integrated = config.samples_per_chip == 1
         self._sample_us = config.spec.chip_s * 1e6 / config.samples_per_chip
         self._start_us = 0
         self._marks_ns: list[int] = []
@@ -94,7 +100,9 @@ class Marks:
             return
         if packet.first_index == 0:  # taken half a period after the stream's start
             self._start_us = packet.device_time_us - int(self._sample_us / 2)
-        if packet.sync:
+        if packet.sync and self._integrated:  # its index does not count the time of gaps
+            self._marks_ns.append(1000 * packet.device_time_us)
+        elif packet.sync:
             mark_us = self._start_us + packet.first_index * self._sample_us
             self._marks_ns.append(round(1e3 * mark_us))
 

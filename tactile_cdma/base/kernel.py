@@ -16,7 +16,7 @@ from .errors import ParameterError
 
 VARIABLE = "TACTILE_CDMA_KERNEL"
 """Environment variable: numpy or compiled; unset or empty for compiled where there is one."""
-VERSION = 7
+VERSION = 8
 """Of the functions that this package expects in the kernel."""
 
 

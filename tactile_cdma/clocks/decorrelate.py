@@ -197,8 +197,9 @@ class Decorrelator:
         edge = np.array(float(bit * self.spec.order))
         begin = edge + self.clocks.displacement(edge)
         chip = 1.0 + self.clocks.rate_error
-        nodes = row_samples(rows, begin, chip, first, stop, self.sampling)
-        if self.spec.first_row == 0:
+        flips = 1 if self.spec.flips is None else self.spec.flips[bit].astype(np.int8)
+        nodes = row_samples(rows * flips, begin, chip, first, stop, self.sampling)
+        if self.spec.first_row == 0 and not self.spec.scramble:
             return nodes
         ones = np.ones_like(rows)
         pedestal = row_samples(ones, begin, chip, first, stop, self.sampling).mean(axis=0)

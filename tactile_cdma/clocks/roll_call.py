@@ -164,6 +164,8 @@ class RowSearch:
     ) -> None:
         self.chips, self.bits = spec.chips, spec.line_bits
         self.row, self.sums = row, RunningSum(line, sampling)
+        flips = 1.0 if spec.flips is None else spec.flips
+        self.rows = np.broadcast_to(row * flips, (self.bits, row.size)).astype(float)
 
     def explained(self, begin: Floats, end: Floats) -> tuple[Floats, Floats]:
         """Mean magnitude of the bits' amplitudes, V, and samples per bit; begin, end: (h,) chips.
@@ -174,7 +176,8 @@ class RowSearch:
         rate = 1 + (end - begin) / self.chips
         edges = begin[:, None] + rate[:, None] * np.arange(self.chips + 1)
         sums, counts = self.sums.until(edges)
-        levels = np.diff(sums).reshape(len(begin), self.bits, -1) @ self.row.astype(float)
+        chips = np.diff(sums).reshape(len(begin), self.bits, -1)
+        levels = np.einsum("hkn,kn->hk", chips, self.rows)
         count = np.maximum(counts[:, -1] - counts[:, 0], 1.0) / self.bits
         return np.abs(levels).mean(axis=1) / count, count
 
@@ -197,8 +200,8 @@ class RowSearch:
         possible = np.abs(end - begin) <= reach
         begin, end = begin[possible], end[possible]
         total = np.zeros(begin.size)
-        for first in range(0, self.chips, order):
-            chips = displaced[first : first + order] * self.row[:, None]
+        for first, row in zip(range(0, self.chips, order), self.rows, strict=True):
+            chips = displaced[first : first + order] * row[:, None]
             pieces = np.add.reduceat(chips, starts, axis=0)
             middles = first + np.append(starts[1:] + starts[:-1], starts[-1] + order) / 2
             late = begin[:, None] + (end - begin)[:, None] * (middles / self.chips)

@@ -124,12 +124,32 @@ def row_signs(rows: Indices, seed: int | None) -> NDArray[np.int8]:
     """
     if seed is None:
         return np.ones(len(rows), dtype=np.int8)
+    return np.where(_hash(rows, seed) >> np.uint64(31), -1, 1).astype(np.int8)
+
+
+SCRAMBLE_FROM = 2**16
+"""First number that is hashed for the scrambler's words: rows have smaller ones."""
+
+
+def chip_flips(chips: int, seed: int) -> NDArray[np.int8]:
+    """What all nodes multiply the chips of a frame by, if they scramble: (chips,) int8 of ±1.
+
+    Chip i is flipped where bit i mod 32 of a word is set: the hash of the row signs' seed and
+    SCRAMBLE_FROM + ⌊i/32⌋.
+    """
+    words = _hash(SCRAMBLE_FROM + np.arange(-(-chips // 32)), seed).astype("<u4")
+    bits = np.unpackbits(words.view(np.uint8), bitorder="little")[:chips]
+    return (1 - 2 * bits.astype(np.int8)).astype(np.int8)
+
+
+def _hash(numbers: Indices, seed: int) -> NDArray[np.uint64]:
+    """MurmurHash3's 32-bit finalizer of seed + number·φ."""
     golden, mask = 0x9E3779B9, 0xFFFFFFFF
-    h = (np.uint64(seed) + np.asarray(rows, dtype=np.uint64) * np.uint64(golden)) & np.uint64(mask)
+    each = np.asarray(numbers, dtype=np.uint64)
+    h: NDArray[np.uint64] = (np.uint64(seed) + each * np.uint64(golden)) & np.uint64(mask)
     for shift, factor in ((16, 0x85EBCA6B), (13, 0xC2B2AE35)):
         h = ((h ^ (h >> np.uint64(shift))) * np.uint64(factor)) & np.uint64(mask)
-    h ^= h >> np.uint64(16)
-    return np.where(h >> np.uint64(31), -1, 1).astype(np.int8)
+    return h ^ (h >> np.uint64(16))
 
 
 @cache

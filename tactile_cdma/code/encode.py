@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..base.arrays import Floats32
 from ..base.errors import SpecError
+from .chips import chips_of
 from .frame import DEFAULT_AMPLITUDE_V, UNIPOLAR, FrameSpec
-from .transform import spread
 
 
 def word_bits(codes: ArrayLike, bits: int) -> NDArray[np.uint8]:
@@ -51,7 +51,7 @@ def line_chips(
         bits = with_parity(bits)
     symbols = np.zeros((spec.line_bits, spec.order), dtype=np.float32)
     symbols[:, spec.rows] = (2.0 * bits.T - 1.0) * (spec.signs * level_v)
-    chips = spread(symbols, spec.book)
+    chips = chips_of(symbols, spec)
     if spec.drive == UNIPOLAR:
         chips = (chips + level_v.sum()) / 2
     return np.asarray(spec.polarity * chips, dtype=np.float32)

@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 
 from ..base.arrays import Indices
 from ..base.errors import SpecError
-from .codes import CodeBook, code_book, default_order, is_feasible, row_signs, smallest_order
+from .codes import (
+    CodeBook,
+    chip_flips,
+    code_book,
+    default_order,
+    is_feasible,
+    row_signs,
+    smallest_order,
+)
 
 BIPOLAR, UNIPOLAR = "bipolar", "unipolar"
 DEFAULT_AMPLITUDE_V = 0.3
@@ -52,6 +60,8 @@ class FrameSpec:
     resync_chips: chips after which nodes with clocks of their own start anew, at a sync edge; 0: at
         the frame's first chip only.
     guard_chips: pause before each such restart, chips, in which slow nodes finish.
+    scramble: all nodes flip their chips alike, by a pseudo-random sequence as long as the frame, so
+        that no row looks like another one that is late, and a frame like none that is shifted.
 
     Raises SpecError for a field out of range or a combination that cannot work.
     """
@@ -69,6 +79,7 @@ class FrameSpec:
     parity: bool = False
     resync_chips: int = 0
     guard_chips: int = 0
+    scramble: bool = False
 
     def __post_init__(self) -> None:
         for name, (low, high) in _RANGES.items():
@@ -94,6 +105,13 @@ class FrameSpec:
                 "unipolar drive cannot use code row 0: a 0 bit on the all-ones row looks like "
                 "silence; set first_row to 1 or drive to bipolar"
             )
+        if self.scramble and self.drive == UNIPOLAR:
+            raise SpecError(
+                "unipolar drive cannot be scrambled: the level that its nodes have in common would "
+                "show in all rows; set scramble to false or drive to bipolar"
+            )
+        if self.scramble and self.sign_seed is None:
+            raise SpecError("scramble takes its sequence from sign_seed: set that to 0 or more")
         if bool(self.resync_chips) != bool(self.guard_chips):
             raise SpecError(
                 f"resync_chips is {self.resync_chips} and guard_chips {self.guard_chips}: "
@@ -132,6 +150,15 @@ class FrameSpec:
         if self.resync_chips:
             chip += chip // self.resync_chips * self.guard_chips
         return chip
+
+    @cached_property
+    def flips(self) -> NDArray[np.float32] | None:
+        """What nodes that scramble multiply their chips by, (k, N) float32 of ±1; else None."""
+        if not self.scramble:
+            return None
+        assert self.sign_seed is not None
+        flips = chip_flips(self.chips, self.sign_seed).astype(np.float32)
+        return flips.reshape(self.line_bits, self.order)
 
     @property
     def frame_s(self) -> float:

@@ -11,8 +11,8 @@ import numpy as np
 
 from ..base import kernel
 from ..base.arrays import Floats32
+from .chips import rows_of
 from .frame import FrameSpec
-from .transform import correlate
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ def separate(chips: Floats32, spec: FrameSpec) -> NodeLevels:
 
     chips: (k, N) float32, V, free of DC if row 0 is assigned.
     """
-    return node_levels(correlate(chips, spec.book), spec)
+    return node_levels(rows_of(chips, spec), spec)
 
 
 def node_levels(rows: Floats32, spec: FrameSpec) -> NodeLevels:

@@ -124,6 +124,9 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("first_row", 1, "code row of node 1; the paper uses 0", "", (0, 65_535)),
     Parameter("sign_seed", 1,
         "seed of the random row signs; -1: natural signs, as in the paper", "", (-1, 2**32 - 1)),
+    Parameter("scramble", False,
+        "all nodes flip their chips by one sequence made from sign_seed, so that late nodes and "
+        "shifted frames look like no other"),
     Parameter("resync_chips", 0,
         "chips between the sync edges at which nodes restart their chip timers; 0: at the "
         "frame's start only", "", (0, 65_535)),

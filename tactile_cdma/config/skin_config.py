@@ -25,7 +25,7 @@ from .parameters import DEFAULTS, GAP, NATURAL_SIGNS, Values, check_values
 
 _FRAME_PARAMETERS = (
     *("nodes", "bits", "parity", "order", "first_row", "resync_chips", "guard_chips"),
-    *("drive", "polarity"),
+    *("drive", "polarity", "scramble"),
 )
 """Parameters that are fields of FrameSpec as they are."""
 

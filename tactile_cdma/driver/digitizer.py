@@ -10,7 +10,7 @@ from enum import IntEnum
 from ..config.parameters import GAP, REPLAY, SIMULATION
 from ..config.skin_config import SkinConfig
 from ..framing.quiet_limit import quiet_uv
-from ..wire._protocol import PacketType, Result, SyncMode
+from ..wire._protocol import PacketType, Result, Signs, SyncMode
 from ..wire.identity import is_simulated, shown_id
 from ..wire.messages import Ack, FrameLayout, Info, Status
 
@@ -141,7 +141,9 @@ class DigitizerState:
         self.status, self.streaming = status, status.streaming
 
     def hear_ack(self, ack: Ack) -> None:
-        """Take in the answer to a command."""
+        """Take in the answer to a command; a digitizer need not know how to pack samples."""
+        if ack.command == PacketType.PACK:
+            return
         if ack.result != Result.OK:
             self.refusal = ack
             return
@@ -185,7 +187,7 @@ def contradiction(info: Info, config: SkinConfig) -> str | None:
         )
     theirs, ours = info.frame, FrameLayout.of(config.spec, config.samples_per_chip)
     # A digitizer may sample faster or slower than asked: its rate is in INFO and is what counts.
-    aside = {"samples_per_chip"} | ({"sign_seed"} if ours.natural_signs else set())
+    aside = {"samples_per_chip"} | ({"sign_seed"} if ours.signs == Signs.NATURAL else set())
     different = [
         f"{field.name} {getattr(theirs, field.name)} (parameters: {getattr(ours, field.name)})"
         for field in fields(FrameLayout)

@@ -11,7 +11,18 @@ from ..config.parameters import GAP
 from ..config.skin_config import SkinConfig
 from ..framing.quiet_limit import quiet_uv
 from ..wire._protocol import SyncMode
-from ..wire.messages import Configure, FrameLayout, GetInfo, Info, Packet, RollCall, Start, Stop
+from ..wire.messages import (
+    Command,
+    Configure,
+    FrameLayout,
+    GetInfo,
+    Info,
+    Pack,
+    Packet,
+    RollCall,
+    Start,
+    Stop,
+)
 from ..wire.packets import PacketWriter, diagnose
 from .digitizer import DigitizerState
 from .pipeline import Pipeline
@@ -23,6 +34,9 @@ SOON_S, ANSWER_S = 0.1, 0.5
 """s since START until a STATUS that denies streaming is answered by another START: SOON_S where
 START was acknowledged, ANSWER_S where it was not, as the STATUS may have crossed it on the wire.
 Part of the protocol (docs/protocol.md)."""
+PACKED_FROM_HZ = 200_000
+"""Samples per second above which packed ones are asked for. Chosen: 0.4 MB/s of words, a third of
+what full-speed USB can carry; older digitizers, which refuse, are hardly ever set so."""
 MOST_CALLS = 3
 """Roll calls in a row that may fail; chosen, since one that failed thrice has a lasting cause."""
 
@@ -49,7 +63,7 @@ class Session:
         self.problem: str | None = None
         self._config = config
         self._writer = PacketWriter()
-        self._setting = () if config is None else (_setting(config),)
+        self._setting = () if config is None else _setting(config)
         self._ours = config is None or config.digitizer_id is None
         self._known: Info | None = None  # the digitizer's last introduction
         self._calls_left, self._next_call_s = MOST_CALLS, -math.inf
@@ -164,10 +178,13 @@ class Session:
         return b"".join(map(self._writer.encode, packets))
 
 
-def _setting(config: SkinConfig) -> Configure:
-    """The request that sets the digitizer by the parameters."""
+def _setting(config: SkinConfig) -> tuple[Command, ...]:
+    """The requests that set the digitizer by the parameters."""
     layout = FrameLayout.of(config.spec, config.samples_per_chip)
     integrated = config.samples_per_chip == 1
     if config.timing == GAP:
-        return Configure(layout, SyncMode.NONE, integrated)
-    return Configure(layout, SyncMode.DRIVE, integrated, quiet_uv(config.spec))
+        configure = Configure(layout, SyncMode.NONE, integrated)
+    else:
+        configure = Configure(layout, SyncMode.DRIVE, integrated, quiet_uv(config.spec))
+    packs = config.samples_per_chip > PACKED_FROM_HZ * config.spec.chip_s
+    return (configure, Pack()) if packs else (configure,)

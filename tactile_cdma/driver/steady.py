@@ -198,7 +198,8 @@ class SteadyStream:
 
 def can_follow(timing: MarkedTiming) -> bool:
     """Whether the kernel can follow a stream of such frames."""
-    return is_compiled(timing.line.spec.book)
+    spec = timing.line.spec
+    return is_compiled(spec.book) and not spec.scramble
 
 
 def _setting(line: MarkedLine, info: Info, pace: Pace, gap_size: int) -> list[float]:

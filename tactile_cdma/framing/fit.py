@@ -17,8 +17,8 @@ import numpy as np
 from ..base import kernel
 from ..base.arrays import Floats, Floats32, Indices, Int32s
 from ..base.sums import dot
+from ..code.chips import chips_of, rows_of
 from ..code.frame import UNIPOLAR, FrameSpec
-from ..code.transform import correlate, spread
 from ..words.decode import usual_amplitude
 from ..words.stages import LOUDEST_FLOOR
 from .limits import LIMITS
@@ -240,7 +240,7 @@ class WordFit:
 
 def read_words(chips: Floats32, spec: FrameSpec) -> WordFit:
     """Words of each candidate: chips (c, k, N) float32, V."""
-    return fit_words(correlate(chips, spec.book), spec)
+    return fit_words(rows_of(chips, spec), spec)
 
 
 def numpy_fit_words(rows: Floats32, spec: FrameSpec) -> WordFit:
@@ -355,7 +355,7 @@ def refine(
     for share in REACHES:
         words = read_words(integrate(line, np.array([start]), np.array([chip]), spec), spec)
         symbols[:, nodes] = np.sign(words.rows[0, :, nodes]) * words.amplitude[0]
-        levels[1:-1] = spread(symbols, spec.book).ravel() + words.pedestal[0]
+        levels[1:-1] = chips_of(symbols, spec).ravel() + words.pedestal[0]
         before, after = levels[:-1], levels[1:]
         edges, reach = start + chip * steps, share * chip
         left, right = line.integral(np.stack((edges - reach, edges + reach)))

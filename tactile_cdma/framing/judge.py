@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..base.arrays import Bools, Floats, Floats32
+from ..code.chips import chips_of
 from ..code.frame import FrameSpec
-from ..code.transform import spread
 from .fit import Fit, Line, WordFit, integrate, read_words, refine
 from .limits import LIMITS
 from .raster import Expected
@@ -184,7 +184,7 @@ class Judge:
         symbols = np.zeros_like(words.rows)
         symbols[..., spec.node_slice] = spoken * words.amplitude[:, None]
         model = np.zeros_like(levels)
-        model[own] = spread(symbols, spec.book).reshape(start.size, -1) + words.pedestal[:, None]
+        model[own] = chips_of(symbols, spec).reshape(start.size, -1) + words.pedestal[:, None]
         seen = np.arange(levels.shape[1]) < count[:, None]
         share = seen * (chip / chip.mean())[:, None]
         return _Compared(levels, words, spoken, np.abs(levels - model), share)

@@ -24,6 +24,7 @@ from .timing import (
     ABSURD,
     AT_RAIL,
     INCOMPLETE,
+    NOISY,
     FrameLevels,
     QuietBlock,
     Rails,
@@ -149,8 +150,9 @@ class MarkedLine:
         length = spec.chips if self.integrated else spec.span_chips
         self.size = math.ceil(length * self.chip - 0.5)
         self.least_power = least_power(spec)
-        # All rows but the first have as many +1 as −1: without it a frame's mean is the offset.
-        self.mean_is_offset = spec.first_row > 0 and spec.drive == BIPOLAR
+        # All rows but the first have as many +1 as −1: without it a frame's mean is the offset. So
+        # it is, nearly, where rows are scrambled: off by √(n/kN)·A, of which a row shows a √N-th.
+        self.mean_is_offset = (spec.first_row > 0 or spec.scramble) and spec.drive == BIPOLAR
         self.level_v = self.noise = 0.0
         self.level_known = False
         self.gap = _NOTHING  # samples not evaluated yet: count, sum, sum of squares
@@ -222,6 +224,10 @@ class MarkedLine:
         clipped, noise_v = self.clipped(frame.volts[: self.size]), math.sqrt(power / self.chip)
         if reason := silence_hidden(clipped, max(noise_v, math.sqrt(self.noise)), self.spec):
             return Verdict(over=frame.start + frame.volts.size, rejected=reason)
+        most = self.noise * self.chip + (self.spec.node_swing_v or 0.0) ** 2 / 4
+        if self.spec.scramble and power > most:
+            # Scrambled chips that are late show in no row, but as noise that the gap has not.
+            return Verdict(over=frame.start + frame.volts.size, rejected=NOISY)
         return self._decided(frame.start, fit or self.nominal, None, noise_v, clipped)
 
     def heard(

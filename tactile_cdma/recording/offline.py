@@ -79,6 +79,7 @@ def parameters_of(info: Info) -> dict[str, Value]:
         "timing": GAP if info.sync_mode == SyncMode.NONE else LINE,
         "samples_per_chip": info.frame.samples_per_chip,
         "parity": spec.parity,
+        "scramble": spec.scramble,
         "resync_chips": spec.resync_chips,
         "guard_chips": spec.guard_chips,
     }

@@ -12,14 +12,19 @@ import math
 import time
 from collections.abc import Callable, Iterator
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..base.errors import SpecError
-from ..wire._protocol import SIMULATED_ID, Result, SyncMode
+from ..wire._protocol import PACKED_BITS, SIMULATED_ID, Result, SyncMode
 from ..wire.messages import (
     Command,
     Configure,
     FrameLayout,
     GetInfo,
     Info,
+    Pack,
+    Packed,
     Packet,
     Quiet,
     Rejected,
@@ -78,6 +83,7 @@ class VirtualDigitizer:
         self._roll_calls = RollCalls()
         self._parser, self._writer = PacketParser(), PacketWriter()
         self._commands = 0
+        self._packs = False
         self._output = bytearray(1)  # a delimiter ends whatever was on the line before
         self._overrun = False  # before the next block
         self._truth: Iterator[NodeFrame] | None = None
@@ -186,6 +192,8 @@ class VirtualDigitizer:
                     self._roll_calls.asked = True
                 else:
                     result = Result.UNSUPPORTED
+            case Pack():
+                self._packs = True
             case Configure():
                 result = self._configure(command)
         self.commands_refused += result != Result.OK
@@ -208,11 +216,11 @@ class VirtualDigitizer:
         except SpecError:
             return Result.UNSUPPORTED
         self._schedule.stop()
-        self._truth = None
+        self._truth, self._packs = None, False
         return Result.OK
 
     def _send_block(self, block: Block) -> None:
-        make = Quiet.of if block.quiet else Samples
+        make = Quiet.of if block.quiet else self._samples
         packet = make(
             round((self.started_s + block.begin_s) * 1e6),
             block.first_index + self._index_lost,
@@ -223,6 +231,15 @@ class VirtualDigitizer:
         )
         self._overrun = False
         self._send(packet)
+
+    def _samples(
+        self, device_time_us: int, first_index: int, counts: NDArray[np.int16], **marks: bool
+    ) -> Samples:
+        channel = self.options.channel
+        if self._packs and channel.adc_bits <= PACKED_BITS:
+            base = channel.min_count
+            return Packed(device_time_us, first_index, counts, base=base, **marks)
+        return Samples(device_time_us, first_index, counts, **marks)
 
     def _report(self) -> None:
         seen = self._parser.counters

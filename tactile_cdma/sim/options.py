@@ -92,6 +92,7 @@ class SimOptions:
     frame_period_ms: float | None = None
     first_row: int | None = None
     sign_seed: int | None = None
+    scramble: bool | None = None
     resync_chips: int | None = None
     guard_chips: int | None = None
     drive: str | None = None
@@ -267,7 +268,7 @@ class SimOptions:
 
     def _pinned_fields(self) -> dict[str, Any]:
         """The fields of FrameSpec that these options pin."""
-        names = "nodes bits parity order first_row drive polarity resync_chips guard_chips"
+        names = "nodes bits parity order first_row drive polarity scramble resync_chips guard_chips"
         pins: dict[str, Any] = {name: getattr(self, name) for name in names.split()}
         # The wire carries whole ns and µs.
         if self.chip_us is not None:

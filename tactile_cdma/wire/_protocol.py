@@ -9,6 +9,8 @@ from typing import NamedTuple
 
 VERSION = 3
 SAMPLE_XOR = 0x5555
+PACKED_BITS = 12
+PACKED_MOST_STEP = 8
 MAX_SAMPLES = 8192
 MAX_PACKET_US = 3000
 TAIL_CHIPS = 3
@@ -32,6 +34,7 @@ class PacketType(IntEnum):
 
     INFO = 0x01
     SAMPLES = 0x02
+    PACKED = 0x06
     QUIET = 0x05
     STATUS = 0x03
     ACK = 0x04
@@ -40,6 +43,7 @@ class PacketType(IntEnum):
     STOP = 0x83
     CONFIGURE = 0x84
     ROLL_CALL = 0x85
+    PACK = 0x86
 
 
 class SyncMode(IntEnum):
@@ -48,6 +52,14 @@ class SyncMode(IntEnum):
     NONE = 0
     DRIVE = 1
     HEAR = 2
+
+
+class Signs(IntEnum):
+    """Signs of the code rows, and of all chips."""
+
+    SEEDED = 0
+    NATURAL = 1
+    SCRAMBLED = 2
 
 
 class Drive(IntEnum):
@@ -92,16 +104,16 @@ FIELDS: dict[str, tuple[Field, ...]] = {
     "FrameLayout": (Field("nodes", "H", range(1, 65536)), Field("bits", "B", range(8, 17)),
         Field("order", "I", range(1, 65537)), Field("chip_ns", "I", range(10, 1000000001)),
         Field("frame_period_us", "I", range(1, 4294967296)), Field("first_row", "H", U16),
-        Field("sign_seed", "I", U32), Field("natural_signs", "B", bool),
-        Field("drive", "B", Drive), Field("polarity", "b", Polarity),
-        Field("samples_per_chip", "H", range(1, 65536)), Field("parity", "B", bool),
-        Field("resync_chips", "H", U16), Field("guard_chips", "B", U8),),
+        Field("sign_seed", "I", U32), Field("signs", "B", Signs), Field("drive", "B", Drive),
+        Field("polarity", "b", Polarity), Field("samples_per_chip", "H", range(1, 65536)),
+        Field("parity", "B", bool), Field("resync_chips", "H", U16),
+        Field("guard_chips", "B", U8),),
     "NodeRecord": (Field("magic", "I", range(1314145108, 1314145109)),
         Field("version", "B", range(1, 2)), Field("node", "H", range(1, 65536)),
         Field("nodes", "H", range(1, 65536)), Field("row", "H", U16),
         Field("sign", "b", Polarity), Field("bits", "B", range(8, 11)),
         Field("parity", "B", bool), Field("order", "H", range(1, 4097)),
-        Field("chip_ns", "I", range(20000, 1000001)),
+        Field("chip_ns", "I", range(500, 1000001)),
         Field("frame_period_us", "I", range(1000, 10000001)), Field("resync_chips", "H", U16),
         Field("guard_chips", "B", U8), Field("discipline", "B", bool), Field("rest", "H", U16),
         Field("threshold", "H", U16), Field("heartbeat", "H", U16), Field("turn", "H", U16),),
@@ -114,6 +126,8 @@ FIELDS: dict[str, tuple[Field, ...]] = {
         Field("frame", "FrameLayout"), Field("quiet_uv", "I", U32),),
     "Samples": (Field("device_time_us", "Q", U64), Field("first_index", "Q", U64),
         Field("flags", "B", U8),),
+    "Packed": (Field("device_time_us", "Q", U64), Field("first_index", "Q", U64),
+        Field("flags", "B", U8), Field("base", "h", I16), Field("step", "B", range(1, 9)),),
     "Quiet": (Field("device_time_us", "Q", U64), Field("first_index", "Q", U64),
         Field("flags", "B", U8), Field("count", "I", range(1, 4294967296)),
         Field("sum", "q", I64), Field("sum_of_squares", "Q", U64),),
@@ -129,5 +143,6 @@ FIELDS: dict[str, tuple[Field, ...]] = {
     "Configure": (Field("frame", "FrameLayout"), Field("sync_mode", "B", SyncMode),
         Field("integrated", "B", bool), Field("quiet_uv", "I", U32),),
     "RollCall": (),
+    "Pack": (),
 }
 # fmt: on

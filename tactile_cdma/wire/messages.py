@@ -26,6 +26,8 @@ from ._protocol import (
     FLAG_OVERRUN,
     FLAG_SYNC,
     MAX_SAMPLES,
+    PACKED_BITS,
+    PACKED_MOST_STEP,
     SAMPLE_XOR,
     VERSION,
     Drive,
@@ -33,6 +35,7 @@ from ._protocol import (
     PacketType,
     Polarity,
     Result,
+    Signs,
     SyncMode,
 )
 from .counts import to_volts
@@ -92,7 +95,7 @@ class FrameLayout(Message):
     frame_period_us: int
     first_row: int
     sign_seed: int
-    natural_signs: bool
+    signs: Signs
     drive: Drive
     polarity: Polarity
     samples_per_chip: int
@@ -107,7 +110,7 @@ class FrameLayout(Message):
             chip_ns=_whole("chip_s", spec.chip_s, 10**9, "nanoseconds"),
             frame_period_us=_whole("frame_period_s", spec.frame_period_s, 10**6, "microseconds"),
             sign_seed=spec.sign_seed or 0,
-            natural_signs=spec.sign_seed is None,
+            signs=_signs(spec),
             drive=Drive[spec.drive.upper()],
             polarity=Polarity(spec.polarity),
             samples_per_chip=samples_per_chip,
@@ -119,7 +122,8 @@ class FrameLayout(Message):
         return FrameSpec(
             chip_s=self.chip_ns / 10**9,  # rounds once, as the literal 50e-6 does
             frame_period_s=self.frame_period_us / 10**6,
-            sign_seed=None if self.natural_signs else self.sign_seed,
+            sign_seed=None if self.signs == Signs.NATURAL else self.sign_seed,
+            scramble=self.signs == Signs.SCRAMBLED,
             drive=self.drive.name.lower(),
             polarity=int(self.polarity),
             amplitude_v=amplitude_v,
@@ -210,6 +214,10 @@ class Stretch(Packet):
         return FLAG_SYNC * self.sync | FLAG_OVERRUN * self.overrun | FLAG_CALLED * self.called
 
 
+def _place(stretch: Stretch) -> tuple[int, int, int]:
+    return stretch.device_time_us, stretch.first_index, stretch.flags
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples(Stretch):
     """Consecutive samples one by one.
@@ -233,7 +241,7 @@ class Samples(Stretch):
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Samples):
             return NotImplemented
-        same = [*self._values()] == [*other._values()]
+        same = _place(self) == _place(other)
         return same and np.array_equal(self.counts, other.counts)
 
     def pack(self) -> bytes:
@@ -261,6 +269,73 @@ class Samples(Stretch):
         for put, value in zip(_PUT, (*values, np.frombuffer(counts, _INT16)), strict=True):
             put(packet, value)
         return packet
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Packed(Samples):
+    """Samples on their way in 12 bits each; who receives it gets Samples.
+
+    base: count of value 0. step: counts from one value to the next; base + 4095 · step fits int16.
+    Raises SpecError for counts that are not among these.
+    """
+
+    TYPE = PacketType.PACKED
+
+    base: int = field(default=0, kw_only=True)
+    step: int = field(default=1, kw_only=True)
+
+    def __post_init__(self) -> None:
+        Samples.__post_init__(self)
+        _check_packing(self.base, self.step)
+        values, odd = np.divmod(self.counts.astype(np.int32) - self.base, self.step)
+        if odd.any() or values.min() < 0 or values.max() > _MOST_PACKED:
+            raise SpecError(
+                f"counts from {self.counts.min()} to {self.counts.max()} are not within "
+                f"{self.base}…{self.base + _MOST_PACKED * self.step} in steps of {self.step}"
+            )
+
+    def pack(self) -> bytes:
+        head = WIRE["Packed"].pack(*self._values())
+        values = (self.counts.astype(np.int32) - self.base) // self.step
+        return head + _pack_12(values.astype(np.uint16) ^ _PACKED_MASK)
+
+    @classmethod
+    def unpack(cls, data: bytes, sequence: int = 0) -> Samples:  # type: ignore[override]
+        head = WIRE["Packed"]
+        time_us, index, flags, base, step = head.unpack_from(data)
+        _check_packing(base, step)
+        values = _unpack_12(data[head.size :]) ^ _PACKED_MASK
+        counts = (base + step * values.astype(np.int32)).astype(np.int16)
+        return Samples(time_us, index, counts, sequence=sequence, **_MARKS[flags])
+
+
+def _check_packing(base: int, step: int) -> None:
+    if not (1 <= step <= PACKED_MOST_STEP and -(2**15) <= base <= 2**15 - 1 - _MOST_PACKED * step):
+        raise SpecError(
+            f"packed samples of base {base} and step {step}: a step is 1…{PACKED_MOST_STEP}, and "
+            "all counts must fit 16 bits"
+        )
+
+
+def _pack_12(values: NDArray[np.uint16]) -> bytes:
+    """Values below 4096, two in three bytes; the unused bits of the last byte are 0."""
+    odd = values.size % 2
+    pairs = np.append(values, np.zeros(odd, np.uint16)).reshape(-1, 2)
+    low, high = pairs.T
+    packed = np.stack((low & 255, low >> 8 | (high & 15) << 4, high >> 4), axis=1)
+    return packed.astype(np.uint8).tobytes()[: packed.size - odd]
+
+
+def _unpack_12(data: bytes) -> NDArray[np.uint16]:
+    """The inverse. Raises SpecError for a number of bytes that no values have."""
+    if len(data) % 3 == 1:
+        raise SpecError(f"{len(data)} bytes of packed samples: 1.5 for each, rounded up")
+    odd = len(data) % 3 // 2
+    low, middle, high = (
+        np.frombuffer(data + bytes(odd), np.uint8).astype(np.uint16).reshape(-1, 3).T
+    )
+    values = np.stack((low | (middle & 15) << 8, middle >> 4 | high << 4), axis=1).reshape(-1)
+    return values[: values.size - odd]
 
 
 @dataclass(frozen=True, slots=True)
@@ -398,6 +473,13 @@ class RollCall(Command):
 
 
 @dataclass(frozen=True, slots=True)
+class Pack(Command):
+    """Asks for Packed in place of Samples, until the next Configure."""
+
+    TYPE = PacketType.PACK
+
+
+@dataclass(frozen=True, slots=True)
 class OtherVersion:
     """An Info of another protocol version; its text is for people."""
 
@@ -454,6 +536,12 @@ def _checked(wire: Field, value: Any) -> Any:
     return value
 
 
+def _signs(spec: FrameSpec) -> Signs:
+    if spec.scramble:
+        return Signs.SCRAMBLED
+    return Signs.NATURAL if spec.sign_seed is None else Signs.SEEDED
+
+
 def _whole(name: str, seconds: float, per_second: int, unit: str) -> int:
     """Seconds as a whole number of units. Raises SpecError if rounding would change the time."""
     count = round(seconds * per_second)
@@ -468,7 +556,20 @@ WIRE = {name: struct.Struct("<" + _codes(name)) for name in FIELDS}
 """Layout of every message's bytes; of Samples, of what comes before the samples."""
 PACKETS: dict[int, type[Packet]] = {
     kind.TYPE: kind
-    for kind in (Info, Samples, Quiet, Status, Ack, GetInfo, Start, Stop, Configure, RollCall)
+    for kind in (
+        Info,
+        Samples,
+        Packed,
+        Quiet,
+        Status,
+        Ack,
+        GetInfo,
+        Start,
+        Stop,
+        Configure,
+        RollCall,
+        Pack,
+    )
 }
 """Packets by the first byte of their body."""
 _AS_IN_SPEC = ("nodes", "bits", "order", "first_row", "parity", "resync_chips", "guard_chips")
@@ -483,5 +584,7 @@ _MARKS = [{name: bool(flags & bit) for name, bit in _FLAGS.items()} for flags in
 _MARK_VALUES = [tuple(marks.values()) for marks in _MARKS]
 """The marks of a stretch by its flags."""
 _SAMPLE_MASK = np.int16(SAMPLE_XOR)
+_MOST_PACKED = 2**PACKED_BITS - 1
+_PACKED_MASK = np.uint16(SAMPLE_XOR & _MOST_PACKED)
 _INT16 = np.dtype(np.int16)
 _WORD = np.dtype("<i2")

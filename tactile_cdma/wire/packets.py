@@ -231,7 +231,7 @@ class Scanner:
         if sequence == self._expected or self._count_step(type_byte, sequence, crc):
             self._past[sequence], self._repeated = crc, 0
             self._expected = (sequence + 1) % SEQUENCES
-        elif type_byte in (PacketType.SAMPLES, PacketType.QUIET):
+        elif type_byte in (PacketType.SAMPLES, PacketType.PACKED, PacketType.QUIET):
             return None
         return type_byte, sequence, raw[_HEADER.size : -_CRC.size]
 

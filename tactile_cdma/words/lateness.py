@@ -16,10 +16,11 @@ import numpy as np
 
 from ..base import kernel
 from ..base.arrays import Bools, Floats32
+from ..code.chips import chips_of, rows_of
 from ..code.codes import CodeBook
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
-from ..code.transform import correlate, spread
+from ..code.transform import correlate
 
 EDGE = 2
 """Chips at either end of a bit that are looked at. Chosen: later nodes miss these, too."""
@@ -67,6 +68,9 @@ def displaced(
 ) -> Bools | None:
     """As out_of_place, of words that leave over that much."""
     assert levels.rows is not None
+    if spec.scramble:
+        others = late_scrambled(levels, amplitude, active, expected, spec)
+        return others if others.any() else None
     spoken = amplitude[active]
     least = float(spoken.min())
     if spoken.size <= FEW and (
@@ -82,6 +86,28 @@ def displaced(
 def least_left(spec: FrameSpec) -> float:
     """Energy that is left over for a closer look, in chips of the weakest word."""
     return A_CHIP if spec.order > 2 * EDGE else math.inf  # a bit of so few chips is all edges
+
+
+def late_scrambled(
+    levels: NodeLevels, amplitude: Floats32, active: Bools, expected: float, spec: FrameSpec
+) -> Bools:
+    """Nodes whose words show when the chips are read early or late, (n,) bool.
+
+    Scrambled chips that are late by whole chips show in no row; read as late as they are, they are
+    words again. They are looked for in what the words that are in time leave over.
+    """
+    _, _, left = _taken_apart(levels, amplitude, active, spec)
+    chips = np.pad(chips_of(left, spec).ravel(), EDGE)
+    least = LATE_SHARE * min(expected, float(amplitude[active].min()))
+    found = np.zeros(spec.nodes, np.bool_)
+    for late_chips in (*range(-EDGE, 0), *range(1, EDGE + 1)):
+        first = EDGE + late_chips
+        read = chips[first : first + spec.chips].reshape(left.shape)
+        mean = np.abs(rows_of(read, spec)[:, spec.node_slice]).mean(axis=0)
+        # Noise, as which all else shows: mean of |r|, and how far it scatters by chance.
+        by_chance = float(np.median(mean)) * (1 + BY_CHANCE * 0.76 / math.sqrt(spec.line_bits))
+        found |= mean > max(least, by_chance)
+    return found
 
 
 def numpy_late(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec) -> Bools:
@@ -145,9 +171,9 @@ def delays(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSp
     The words' common delay is in the frame's timing already.
     """
     signs, _, left = _taken_apart(levels, amplitude, active, spec)
-    chips = np.pad(spread(left, spec.book).ravel(), 1)
+    chips = np.pad(chips_of(left, spec).ravel(), 1)
     turned = (chips[2:] - chips[:-2]).reshape(left.shape)
-    early = correlate(turned, spec.book)[:, spec.node_slice]
+    early = rows_of(turned, spec)[:, spec.node_slice]
     late_chips: Floats32 = (early * signs).mean(axis=0) / np.maximum(amplitude, np.float32(1e-30))
     return late_chips
 
@@ -161,7 +187,7 @@ def _taken_apart(
     meant = np.zeros_like(levels.rows)
     meant[:, spec.node_slice] = signs * amplitude
     left = levels.rows - meant
-    if spec.first_row > 0:
+    if spec.first_row > 0 and not spec.scramble:
         left[:, 0] = 0.0  # the line's offset
     return signs, meant, left
 

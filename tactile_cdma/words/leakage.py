@@ -12,9 +12,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..base.arrays import Bools, Floats32
+from ..code.chips import chips_of, rows_of
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
-from ..code.transform import correlate, spread
 
 TAPS = (1, -1)
 """Distances, in chips, from which a chip may hold a share: behind a low-pass of the chip before,
@@ -34,14 +34,14 @@ def unexplained(levels: NodeLevels, loud: Bools, faint: Bools, spec: FrameSpec) 
     symbols = np.zeros((spec.line_bits, spec.order), np.float32)
     symbols[:, spec.node_slice] = values - _uneven(values, signs)
     symbols[:, spec.node_slice] *= loud
-    chips = spread(symbols, spec.book).ravel()
+    chips = chips_of(symbols, spec).ravel()
     beside = np.zeros((len(TAPS), chips.size), np.float32)
     for shifted, tap in zip(beside, TAPS, strict=True):
         if tap > 0:
             shifted[tap:] = chips[:-tap]
         else:
             shifted[:tap] = chips[-tap:]
-    rows = correlate(beside.reshape(len(TAPS), *symbols.shape), spec.book)
+    rows = rows_of(beside.reshape(len(TAPS), *symbols.shape), spec)
     leaked = rows[..., spec.node_slice]
     cause, effect = _uneven(leaked, signs) * ~faint, _uneven(values, signs) * ~faint
     if levels.rows is not None:

@@ -26,6 +26,8 @@ POWER_UP_NS = 20_000_000
 """Time from power-up to the first frame pulse."""
 MEASURED_NS = 950_000
 """Time before a frame at which a node has ended the last one and not yet measured."""
+SLOW = ("atmega328p", "attiny85")
+"""Boards that time every chip by an interrupt."""
 CLOCK_KNOWN = 2
 """Frames in which a node measures its clock before it transmits."""
 
@@ -113,4 +115,4 @@ def image(build: Path, mcu: str) -> Path:
     return build / "node" / f"node-{mcu}.elf"
 
 
-__all__ = ["EDGE", "Bench", "EmulatedNodes", "Node", "expected", "image", "slots", "volts"]
+__all__ = ["EDGE", "SLOW", "Bench", "EmulatedNodes", "Node", "expected", "image", "slots", "volts"]

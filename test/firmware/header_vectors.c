@@ -41,7 +41,7 @@ static size_t cobs_encode(const uint8_t *data, size_t size, uint8_t *out)
 }
 
 static void check(const char *name, uint8_t type, uint16_t sequence, const void *payload,
-                  size_t payload_size, const int16_t *counts, size_t count_size,
+                  size_t payload_size, const int16_t *counts, size_t count_size, int base, int step,
                   const char *expected)
 {
     static uint8_t raw[TP_MAX_RAW], wire[TP_MAX_PACKET];
@@ -54,7 +54,15 @@ static void check(const char *name, uint8_t type, uint16_t sequence, const void 
     if (payload_size)
         memcpy(raw + size, payload, payload_size);
     size += payload_size;
-    for (size_t i = 0; i < count_size; i++) {
+    for (size_t i = 0; step && i < count_size; i++) { /* half a byte at a time */
+        unsigned value = (unsigned)((counts[i] - base) / step) ^ (TP_SAMPLE_XOR & 0xFFFu);
+        for (size_t nibble = 3 * i; nibble < 3 * i + 3; nibble++, value >>= 4) {
+            uint8_t *byte = raw + size + nibble / 2;
+            *byte = (uint8_t)(nibble % 2 ? *byte | (value & 15u) << 4 : value & 15u);
+        }
+    }
+    size += step ? (3 * count_size + 1) / 2 : 0;
+    for (size_t i = 0; !step && i < count_size; i++) {
         uint16_t word = (uint16_t)counts[i] ^ TP_SAMPLE_XOR;
         memcpy(raw + size, &word, sizeof word);
         size += sizeof word;

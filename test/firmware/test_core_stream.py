@@ -22,12 +22,22 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.sim.nodes import RollCalls
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.packets import stream
-from tactile_cdma.wire._protocol import MAX_SAMPLES, TAIL_CHIPS, Drive, Polarity, SyncMode
+from tactile_cdma.wire._protocol import (
+    MAX_SAMPLES,
+    TAIL_CHIPS,
+    Drive,
+    PacketType,
+    Polarity,
+    Signs,
+    SyncMode,
+)
+from tactile_cdma.wire.cobs import cobs_decode
 from tactile_cdma.wire.messages import (
     Ack,
     Configure,
     FrameLayout,
     Info,
+    Pack,
     Packet,
     Quiet,
     RollCall,
@@ -331,7 +341,10 @@ HALF = Fraction(1, 2)
 @st.composite
 def layouts(draw: st.DrawFn) -> FrameLayout:
     """Frames of any awkward length, in which pulses of the sync line have time."""
-    chip_ns = draw(st.integers(20_000, 60_000))
+    short = draw(st.booleans())  # 2000 ns is a sample's period, and the others are nearly two
+    chip_ns = draw(
+        st.sampled_from([2000, 2000, 2001, 3999]) if short else st.integers(20_000, 60_000)
+    )
     resync_chips = draw(st.sampled_from([0, 0, 7, 11]))
     frame = FrameLayout(
         nodes=3,
@@ -341,13 +354,13 @@ def layouts(draw: st.DrawFn) -> FrameLayout:
         frame_period_us=1,
         first_row=1,
         sign_seed=1,
-        natural_signs=False,
+        signs=Signs.SEEDED,
         drive=Drive.BIPOLAR,
         polarity=Polarity.NORMAL,
-        samples_per_chip=draw(st.integers(1, 7)),
+        samples_per_chip=1 if short else draw(st.integers(1, 7)),
         parity=draw(st.booleans()),
         resync_chips=resync_chips,
-        guard_chips=draw(st.integers(0, 3)) if resync_chips else 0,
+        guard_chips=draw(st.integers(0, 3)) + 64 * short if resync_chips else 0,
     )
     span = Rules(Configure(frame), 1, 1).places[-1] + 1
     rest_us = draw(st.integers(0, 200) | st.integers(0, 20_000))
@@ -358,6 +371,7 @@ def layouts(draw: st.DrawFn) -> FrameLayout:
 @given(
     frame=layouts(),
     integrated=st.booleans(),
+    packs=st.booleans(),
     quiet=st.booleans(),
     capacity=st.integers(1, 300) | st.just(8192),
     size=st.integers(1, 4000),
@@ -369,6 +383,7 @@ def test_packets_follow_the_rules_exactly(
     core: ctypes.CDLL,
     frame: FrameLayout,
     integrated: bool,
+    packs: bool,
     quiet: bool,
     capacity: int,
     size: int,
@@ -379,7 +394,7 @@ def test_packets_follow_the_rules_exactly(
     quiet_uv = 100_000 if quiet and integrated else 0
     asked = Configure(frame, SyncMode.DRIVE, integrated, quiet_uv)
     digitizer = CoreDigitizer(core, capacity=capacity, output=1 << 20, now_us=START_US)
-    digitizer.send(asked, Start())
+    digitizer.send(asked, *[Pack()] * packs, Start())
     accepted = not any(isinstance(p, Ack) and p.result for p in digitizer.packets())
     if not accepted:
         digitizer.close()
@@ -407,7 +422,12 @@ def test_packets_follow_the_rules_exactly(
             else:
                 digitizer.samples(counts[number:stop])
             number, missing = stop, not missing
-    got = of_line(digitizer.packets())
+    sent = digitizer.take()
+    fits = not integrated or frame.chip_ns == 2000
+    kinds = {body[0] for body in map(cobs_decode, sent.split(b"\0")[:-1]) if body}
+    assert kinds <= {PacketType.QUIET, PacketType.PACKED if packs and fits else PacketType.SAMPLES}
+    got = of_line(digitizer.parser.feed(sent))
+    assert not digitizer.parser.counters.malformed
     if integrated:
         quiet_counts = int(quiet_uv * 1e-6 / (digitizer.board.volts_per_count / 8))
         expected = rules.integrated(counts, lost, quiet_counts)
@@ -417,3 +437,90 @@ def test_packets_follow_the_rules_exactly(
     assert len(expected) - len(got) <= 1  # the last one may wait for more
     assert all(isinstance(p, Quiet) or len(p.counts) <= MAX_SAMPLES for p in got)
     digitizer.close()
+
+
+THOUSAND = FrameLayout(
+    nodes=900,
+    bits=10,
+    order=912,
+    chip_ns=2000,
+    frame_period_us=19_950,
+    first_row=1,
+    sign_seed=1,
+    signs=Signs.SEEDED,
+    drive=Drive.BIPOLAR,
+    polarity=Polarity.INVERTED,
+    samples_per_chip=1,
+    resync_chips=912,
+    guard_chips=40,
+)
+WHOLE = 9120
+
+
+@pytest.mark.parametrize("packs", [False, True])
+def test_a_frame_longer_than_a_packet(core: ctypes.CDLL, packs: bool) -> None:
+    """Where there is room to hold it, it is quiet as a whole; if not, packets are full."""
+    asked = Configure(THOUSAND, SyncMode.DRIVE, True, 2 * round(3.3 / 4096 * 1e6))
+    digitizer = CoreDigitizer(core, capacity=2 * MAX_SAMPLES, output=1 << 20, now_us=START_US)
+    digitizer.send(asked, *[Pack()] * packs, Start())
+    digitizer.packets()
+    period, first = 9975, 500
+    line = 2048 + (np.arange(first + 6 * period) % 2)
+    touched = first + 2 * period
+    line[touched + 9000] = 3000  # beyond the first packet, within a chip of the last bit
+    line[touched + period + 10] = 3000
+    line[touched + 2 * period + 920] = 3000  # in a guard, which is not sent
+    digitizer.samples(line.astype(np.uint16))
+    packets = of_line(digitizer.packets())
+    sizes = [
+        packet.count if isinstance(packet, Quiet) else packet.counts.size for packet in packets
+    ]
+    assert [type(packet) for packet in packets] == [Quiet] * 2 + [Samples] * 4 + [Quiet] * 2
+    assert sizes == [WHOLE] * 2 + [MAX_SAMPLES, WHOLE - MAX_SAMPLES] * 2 + [WHOLE] * 2
+    assert [packet.sync for packet in packets] == [True] * 3 + [False, True, False, True, True]
+    assert [packet.first_index for packet in packets] == [*np.cumsum([0, *sizes[:-1]])]
+    words = np.concatenate([packet.counts for packet in packets if isinstance(packet, Samples)])
+    chips = np.array([line[touched + place] for place in Rules(asked, 96, 1).places])
+    np.testing.assert_array_equal(words[:WHOLE], 8 * chips)
+    mark_us = START_US + 2 * touched
+    second = Rules(asked, 96, 1).places[MAX_SAMPLES]
+    assert [p.device_time_us for p in packets[2:4]] == [mark_us, mark_us + 2 * second]
+
+
+def test_pack_lasts_until_a_configuration_is_accepted(core: ctypes.CDLL) -> None:
+    """So a host that does not know of it never gets what it cannot read."""
+    asked = Configure(FrameLayout.of(FrameSpec(), 4))
+
+    def kinds(digitizer: CoreDigitizer) -> set[int]:
+        digitizer.samples(np.full(2000, MIDDLE, np.uint16))
+        bodies = map(cobs_decode, digitizer.take().split(b"\0")[:-1])
+        return {body[0] for body in bodies if body} & {PacketType.SAMPLES, PacketType.PACKED}
+
+    digitizer = CoreDigitizer(core, output=1 << 20)
+    digitizer.send(asked, Start())
+    assert kinds(digitizer) == {PacketType.SAMPLES}
+    digitizer.send(Pack())
+    assert kinds(digitizer) == {PacketType.PACKED}
+    digitizer.send(Start())
+    assert kinds(digitizer) == {PacketType.PACKED}
+    digitizer.send(replace(asked, frame=replace(asked.frame, chip_ns=10)))  # refused
+    assert kinds(digitizer) == {PacketType.PACKED}
+    digitizer.send(asked, Start())
+    assert kinds(digitizer) == {PacketType.SAMPLES}
+
+
+def test_a_chips_only_sample_is_taken_late(core: ctypes.CDLL) -> None:
+    """At 7/8 of it, by pulses that are earlier than those for a sample in the middle."""
+    digitizer = CoreDigitizer(core, output=1 << 20)
+    digitizer.send(Configure(THOUSAND, SyncMode.DRIVE, True), Pack(), Start())
+    announced = [pulse.announces for pulse in digitizer.pulses(11)]
+    first = 48 * FIRST_MARK_US - 3 * 96 // 8
+    places = Rules(Configure(THOUSAND), 96, 1).places[::912]
+    assert announced[:10] == [first + 96 * place for place in places]
+    assert announced[10] == first + 48 * 19_950
+    several = replace(THOUSAND, chip_ns=8000, frame_period_us=80_000)
+    digitizer.send(Configure(several, SyncMode.DRIVE, True), Start())
+    assert digitizer.pulses(1)[0].announces == 48 * FIRST_MARK_US
+    assert digitizer.ticks_per_sample == 96
+    digitizer.send(Configure(replace(several, chip_ns=6000), SyncMode.DRIVE, True), Start())
+    assert digitizer.ticks_per_sample == 288

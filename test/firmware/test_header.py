@@ -77,15 +77,16 @@ def test_structs_give_the_vectors(tmp_path: Path) -> None:
 def c_check(vector: dict[str, Any]) -> str:
     """One vector as a call of check() in header_vectors.c."""
     fields = dict(vector["fields"])
-    counts, payload, counts_given = fields.pop("counts", []), "NULL, 0", "NULL, 0"
+    counts, payload, counts_given = fields.pop("counts", []), "NULL, 0", "NULL, 0, 0, 0"
     declarations = []
-    if vector["packet"] in ("Samples", "Quiet"):
+    if vector["packet"] in ("Samples", "Packed", "Quiet"):
         flags = FLAG_SYNC * fields.pop("sync") | FLAG_OVERRUN * fields.pop("overrun")
         flags |= FLAG_CALLED * fields.pop("called")
         fields["flags"] = flags
-    if vector["packet"] == "Samples":
+    if counts:
         declarations.append(f"static const int16_t counts[] = {c_value(counts)};")
-        counts_given = f"counts, {len(counts)}"
+        base, step = fields.get("base", 0), fields.get("step", 0)
+        counts_given = f"counts, {len(counts)}, {base}, {step}"
     type_name = PacketType(vector["type"]).name
     if fields:
         tag = f"struct tp_{type_name.lower()}"

@@ -27,7 +27,7 @@ GOOD, BLANK, CORRUPT, INVALID, UNFIT = range(5)
 FRAME, CALL, MISSED = range(3)
 ORDERS = [order for order in range(1, 421) if is_feasible(order)] + [1024, 4096]
 SPEC = FrameSpec(nodes=4, order=16)
-CHIP_NS, MEASURING_US, RESTART_US = 30_000, 900, 80
+CHIP_NS, LONGEST_CHIP_NS, MEASURING_US, RESTART_US = 30_000, 900_000, 900, 80
 RECORD_BYTES = WIRE["NodeRecord"].size
 
 
@@ -37,6 +37,9 @@ class Limits(ctypes.Structure):
     _fields_ = (
         ("order", ctypes.c_uint16),
         ("chip_ns", ctypes.c_uint16),
+        ("longest_chip_ns", ctypes.c_uint32),
+        ("chip_step_ns", ctypes.c_uint16),
+        ("bits_restart", ctypes.c_bool),
         ("measuring_us", ctypes.c_uint16),
         ("restart_us", ctypes.c_uint16),
     )
@@ -46,7 +49,7 @@ def load(core: ctypes.CDLL, memory: bytes, order: int = 4096) -> tuple[int, byte
     """The fault that the node finds in a memory; its record and its row."""
     record = ctypes.create_string_buffer(RECORD_BYTES)
     row = ctypes.create_string_buffer((order + 7) // 8)
-    limits = Limits(order, CHIP_NS, MEASURING_US, RESTART_US)
+    limits = Limits(order, CHIP_NS, LONGEST_CHIP_NS, 1, False, MEASURING_US, RESTART_US)
     fault = core.shim_load(memory, len(memory), ctypes.byref(limits), record, row)
     return fault, record.raw, row.raw
 
@@ -133,7 +136,9 @@ def test_no_flipped_bit_is_believed(core: ctypes.CDLL, bit: int) -> None:
         ({"discipline": 2}, INVALID),
         ({"version": 2}, INVALID),
         ({"order": 0}, INVALID),
-        ({"chip_ns": 19_999}, INVALID),
+        ({"chip_ns": 499}, INVALID),
+        ({"chip_ns": 900_000, "frame_period_us": 200_000}, GOOD),
+        ({"chip_ns": 900_001, "frame_period_us": 200_000}, UNFIT),
         ({"chip_ns": 29_999}, UNFIT),
         ({"chip_ns": 30_000}, GOOD),
         ({"resync_chips": 32}, INVALID),

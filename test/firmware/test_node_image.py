@@ -19,6 +19,7 @@ from emulated_node import (
     LEAD_NS,
     MEASURED_NS,
     POWER_UP_NS,
+    SLOW,
     UNIT_NS,
     Bench,
     EmulatedNodes,
@@ -132,7 +133,7 @@ SHAPES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("mcu", SLOW)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_words_of_every_shape(build: Path, mcu: str, shape: str) -> None:
     """The first and the last node, fast and slow clocks, all kinds of codes."""
@@ -153,7 +154,7 @@ def test_words_of_every_shape(build: Path, mcu: str, shape: str) -> None:
                     assert_says(skin, start, code, which, node)
 
 
-@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("mcu", SLOW)
 def test_every_code(build: Path, mcu: str) -> None:
     """All 1024, rails included, with pulses at any time of the node's timers."""
     spec = FrameSpec(nodes=1, order=2, chip_s=40e-6, frame_period_s=2.049e-3)
@@ -166,7 +167,7 @@ def test_every_code(build: Path, mcu: str) -> None:
             skin.skin.forget(start)
 
 
-@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("mcu", SLOW)
 @pytest.mark.parametrize("turns", [1, 2, 6])
 def test_periods_of_whole_turns_of_the_timers(build: Path, mcu: str, turns: int) -> None:
     """What the node does now and then by its timers, it does not do just when pulses come."""
@@ -180,7 +181,7 @@ def test_periods_of_whole_turns_of_the_timers(build: Path, mcu: str, turns: int)
                 assert_says(skin, skin.frame(frame), REST >> 2)
 
 
-@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("mcu", SLOW)
 @pytest.mark.parametrize("sensor_v", [-0.5, 0.0, 3.3, 5.0])
 def test_sensor_at_the_rails(build: Path, mcu: str, sensor_v: float) -> None:
     with bench(build, SPEC, mcu, **SPEECH) as skin:
@@ -189,7 +190,7 @@ def test_sensor_at_the_rails(build: Path, mcu: str, sensor_v: float) -> None:
         assert_says(skin, skin.frame(number), 0 if sensor_v <= 0 else 1023)
 
 
-@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("mcu", SLOW)
 def test_without_discipline_chips_are_the_clocks_own(build: Path, mcu: str) -> None:
     """And start anew with every sub-slot; a node that doesn't measure need not wait, either."""
     error = 0.01
@@ -205,7 +206,7 @@ def test_without_discipline_chips_are_the_clocks_own(build: Path, mcu: str) -> N
         assert np.median(errors_ns) <= EDGE_NS and errors_ns.max() <= BUSY_NS
 
 
-@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("mcu", SLOW)
 def test_clock_that_wanders(build: Path, mcu: str) -> None:
     """A digitizer whose period changes is followed from frame to frame."""
     with bench(build, SPEC, mcu, **SPEECH) as skin:
@@ -222,7 +223,7 @@ def test_clock_that_wanders(build: Path, mcu: str) -> None:
             at += round(skin.period_ns * 1.001**number)
 
 
-@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("mcu", SLOW)
 def test_what_is_no_frame_pulse_is_ignored(build: Path, mcu: str) -> None:
     """Glitches, restart pulses that nobody waits for, pulses too long, early and doubled ones."""
     with bench(build, SPEC, mcu, **SPEECH) as skin:
@@ -256,7 +257,7 @@ def test_what_is_no_frame_pulse_is_ignored(build: Path, mcu: str) -> None:
             assert_says(skin, start, REST)
 
 
-@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("mcu", SLOW)
 def test_missing_and_late_pulses(build: Path, mcu: str) -> None:
     """A missing pulse costs its frame; a late one is obeyed, and bends no chip."""
     with bench(build, SPEC, mcu, clock_hz=8.2e6, **SPEECH) as skin:
@@ -271,7 +272,7 @@ def test_missing_and_late_pulses(build: Path, mcu: str) -> None:
         assert_says(skin, skin.frame(number + 5, late_ns=late), REST)
 
 
-@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("mcu", SLOW)
 @pytest.mark.parametrize("share", [-0.06, -0.05, -0.01, 0.005, 0.02, 0.05, 0.1])
 def test_pulses_that_start_anew_bend_no_chip(build: Path, mcu: str, share: float) -> None:
     """A digitizer that begins again does so in another phase; the node's clock is the same."""
@@ -285,7 +286,7 @@ def test_pulses_that_start_anew_bend_no_chip(build: Path, mcu: str, share: float
             assert_says(skin, skin.frame(frame, late_ns=late), REST)
 
 
-@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("mcu", SLOW)
 def test_line_without_pulses_for_long(build: Path, mcu: str) -> None:
     """The node keeps measuring, so that its first word afterwards is true."""
     with bench(build, SPEC, mcu, **SPEECH) as skin:
@@ -296,7 +297,7 @@ def test_line_without_pulses_for_long(build: Path, mcu: str) -> None:
         assert skin.skin.counters(0).watchdog_resets == 0
 
 
-@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("mcu", SLOW)
 def test_restart_pulses_at_any_time_of_the_timers(build: Path, mcu: str) -> None:
     """What else a node does in interrupts makes it miss none."""
     # each frame is 3 µs further in the timers' turns than the one before
@@ -337,7 +338,7 @@ def test_sub_slots_of_one_chip_at_any_time_of_the_timer(build: Path, error: floa
                 assert_says(skin, start, REST, node=node)
 
 
-@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("mcu", SLOW)
 def test_missing_restart_ends_the_frame(build: Path, mcu: str) -> None:
     spec = SHAPES["restarts"]
     with bench(build, spec, mcu, **SPEECH) as skin:
@@ -376,7 +377,7 @@ def test_restart_pulse_that_is_over_before_it_is_served(build: Path, shape: str)
             assert_says(skin, skin.frame(number), REST)
 
 
-@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("mcu", SLOW)
 def test_pulse_while_the_node_gets_ready(build: Path, mcu: str) -> None:
     """A slow clock, not yet known, has it measure just when the pulse comes."""
     spec = FrameSpec(nodes=11, order=12, bits=9, parity=True, chip_s=40e-6, frame_period_s=7.8e-3)
@@ -391,7 +392,7 @@ def test_pulse_while_the_node_gets_ready(build: Path, mcu: str) -> None:
         assert spoke(skin, start) == list(range(len(nodes)))
 
 
-@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("mcu", SLOW)
 @pytest.mark.parametrize("error", [-0.09, -0.02, 0.0, 0.02, 0.09])
 @pytest.mark.parametrize("jump", [-0.06, -0.01, 0.01, 0.06, 0.12])
 def test_digitizer_that_starts_anew(build: Path, mcu: str, error: float, jump: float) -> None:
@@ -428,7 +429,7 @@ MEMORIES = {
 }
 
 
-@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("mcu", SLOW)
 @pytest.mark.parametrize("memory", MEMORIES)
 def test_node_without_a_memory_is_silent_and_blinks(build: Path, mcu: str, memory: str) -> None:
     """As often as its fault's number says, then a pause."""
@@ -448,7 +449,7 @@ def test_node_without_a_memory_is_silent_and_blinks(build: Path, mcu: str, memor
         assert skin.skin.counters(0).watchdog_resets == 0
 
 
-@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("mcu", SLOW)
 def test_healthy_node_is_dark(build: Path, mcu: str) -> None:
     with bench(build, SPEC, mcu) as skin:
         for number in range(100):
@@ -461,7 +462,7 @@ def spoke(bench: Bench, start_ns: int) -> list[int]:
     return [n for n in range(len(bench.skin.nodes)) if not is_silent(bench, start_ns, n)]
 
 
-@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("mcu", SLOW)
 def test_events(build: Path, mcu: str) -> None:
     """Silent at rest; talks while pressed, and once more to tell of the release; heartbeats."""
     with bench(build, SPEC, mcu, (1, 2, 3, 4), threshold=2, heartbeat=20, rest=REST) as skin:
@@ -481,7 +482,7 @@ def test_events(build: Path, mcu: str) -> None:
             assert set(nodes) == beating | pressed, number
 
 
-@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("mcu", SLOW)
 @pytest.mark.parametrize("clock_hz", [7.2e6, 8e6, 8.8e6])
 def test_roll_call(build: Path, mcu: str, clock_hz: float) -> None:
     """Everyone alone once, in turn, even who is pressed; the first right after the pulse."""
@@ -501,7 +502,7 @@ def test_roll_call(build: Path, mcu: str, clock_hz: float) -> None:
         assert spoke(skin, skin.frame(number + 5)) == [0, 1, 2, 3]
 
 
-@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("mcu", SLOW)
 def test_pulses_of_any_length(build: Path, mcu: str) -> None:
     """However little time is left after a pulse, the word is right in time or not said."""
     spec = FrameSpec(nodes=1, order=2, bits=8, chip_s=60e-6, frame_period_s=3e-3)
@@ -523,7 +524,7 @@ def test_pulses_of_any_length(build: Path, mcu: str) -> None:
         assert lengths[0] < 28_000 and lengths[-1] > 50_000
 
 
-@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("mcu", SLOW)
 def test_turns_are_kept_over_missing_pulses(build: Path, mcu: str) -> None:
     """Frames are counted by time where they aren't heard: in a roll call and for heartbeats."""
     with bench(build, SPEC, mcu, (1, 2, 3, 4), threshold=100, heartbeat=20, rest=REST) as skin:
@@ -537,7 +538,7 @@ def test_turns_are_kept_over_missing_pulses(build: Path, mcu: str) -> None:
         }
 
 
-@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("mcu", SLOW)
 def test_clock_is_not_measured_over_missing_pulses(build: Path, mcu: str) -> None:
     with bench(build, SPEC, mcu, clock_hz=8.24e6, **SPEECH) as skin:
         for number in (0, 2, 3):
@@ -545,7 +546,7 @@ def test_clock_is_not_measured_over_missing_pulses(build: Path, mcu: str) -> Non
         assert_says(skin, skin.frame(4), REST)
 
 
-@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("mcu", SLOW)
 def test_rest_is_learnt(build: Path, mcu: str) -> None:
     with bench(build, SPEC, mcu, threshold=3, heartbeat=0, rest=None) as skin:
         skin.skin.press(volts(777, 10))
@@ -557,7 +558,7 @@ def test_rest_is_learnt(build: Path, mcu: str) -> None:
         assert said == [False] * 12 + [True, True, True, False]
 
 
-@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("mcu", SLOW)
 def test_silent_node_sleeps(build: Path, mcu: str, record_property: Callable[..., None]) -> None:
     """Share of time awake: silent, and talking in every frame."""
     shares = {}
@@ -579,7 +580,7 @@ def test_silent_node_sleeps(build: Path, mcu: str, record_property: Callable[...
     assert shares["talking"] < 0.5
 
 
-@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("mcu", SLOW)
 def test_late_starters_join(build: Path, mcu: str) -> None:
     """Powered up in the middle of a frame, at any time in it: silent until the clock is known."""
     memory = node_memory(SPEC, 1, mcu=mcu, **SPEECH)
@@ -596,7 +597,7 @@ def test_late_starters_join(build: Path, mcu: str) -> None:
         assert spoke(skin, start) == list(range(len(made)))
 
 
-@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("mcu", SLOW)
 def test_prescalers_at_power_up_are_anywhere(build: Path, mcu: str) -> None:
     """Time is told right by both timers of an ATtiny85, wherever their prescalers were."""
     memory = node_memory(SPEC, 1, mcu=mcu, **SPEECH)
@@ -613,7 +614,7 @@ def test_prescalers_at_power_up_are_anywhere(build: Path, mcu: str) -> None:
                     assert is_silent(skin, start, node)
 
 
-@pytest.mark.parametrize("mcu", MCUS)
+@pytest.mark.parametrize("mcu", SLOW)
 def test_node_that_hangs_starts_anew(build: Path, mcu: str) -> None:
     """A storm on the sync line leaves no time for anything.
 

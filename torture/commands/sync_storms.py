@@ -11,10 +11,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_cdma.code.encode import frame_levels, line_chips
+from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.hardware.node_memory import MCUS, node_memory
-from tactile_cdma.wire._protocol import SYNC_FRAME, SYNC_LEAD, SYNC_UNIT_US
+from tactile_cdma.hardware.node_memory import FAST, MCUS, node_memory
+from tactile_cdma.wire._protocol import SYNC_FRAME, SYNC_LEAD, SYNC_RESTART, SYNC_UNIT_US
 
 from ..outcome import Outcome, Plan
 from .c_fuzzing import BUILD, FIRMWARE, SIMAVR, build
@@ -23,9 +23,11 @@ sys.path.append(str(FIRMWARE / "sim"))
 from emulated import EmulatedNodes, Node
 
 SPEC = FrameSpec(nodes=4, order=16)
+FAST_SPEC = FrameSpec(
+    nodes=4, order=16, chip_s=2e-6, resync_chips=16, guard_chips=40, frame_period_s=3e-3
+)
+"""For the image that makes no longer chips, and starts anew at every bit."""
 NODE = 2
-PERIOD_NS = round(SPEC.frame_period_s * 1e9)
-CHIP_NS = round(SPEC.chip_s * 1e9)
 UNIT_NS, LEAD_NS = SYNC_UNIT_US * 1000, SYNC_LEAD * SYNC_UNIT_US * 1000
 RECOVERY = 12
 """Frames after a storm: a node may have to wait for a roll call's end and relearn the period."""
@@ -41,7 +43,9 @@ def storms(plan: Plan) -> Iterator[Outcome]:
     build("node")
     build("sim")
     for mcu in MCUS:
-        yield storms_at(node_of(mcu, node_memory(SPEC, NODE, mcu=mcu, threshold=0, rest=225)), plan)
+        spec = FAST_SPEC if mcu == FAST else SPEC
+        memory = node_memory(spec, NODE, mcu=mcu, threshold=0, rest=225)
+        yield storms_at(node_of(mcu, memory), plan, spec)
 
 
 def node_of(mcu: str, memory: bytes) -> Node:
@@ -49,30 +53,33 @@ def node_of(mcu: str, memory: bytes) -> Node:
     return Node(BUILD / "node" / f"node-{mcu}.elf", mcu, memory)
 
 
-def storms_at(node: Node, plan: Plan) -> Outcome:
+def storms_at(node: Node, plan: Plan, spec: FrameSpec = SPEC) -> Outcome:
     """Storms of up to 60 ms at one node, which must send the right word after each.
 
     None is as long as the watchdog, 250 ms: if that has to help, the node hung.
     """
-    rng = np.random.default_rng(plan.seed)
+    rng, period_ns = np.random.default_rng(plan.seed), round(spec.frame_period_s * 1e9)
     count, wrong, hangs, now_ns = (10 if plan.quick else 400), 0, 0, 100_000_000
     with EmulatedNodes([node]) as skin:
         for _ in range(count):
-            code = int(rng.integers(1, 2**SPEC.bits - 1))
+            code = int(rng.integers(1, 2**spec.bits - 1))
             skin.press(
-                code / 2**SPEC.bits * VREF_V
+                code / 2**spec.bits * VREF_V
             )  # the middle of a code, as the converter rounds
-            now_ns = storm(skin, rng, now_ns)
+            now_ns = storm(skin, rng, now_ns, period_ns)
             for frame in range(RECOVERY):
-                start_ns = now_ns + LEAD_NS + frame * PERIOD_NS
-                pulse(skin, start_ns - LEAD_NS, SYNC_FRAME * UNIT_NS)
-                skin.run(start_ns + PERIOD_NS - 2 * LEAD_NS)
+                start_ns = now_ns + LEAD_NS + frame * period_ns
+                for place in spec.places[:: spec.resync_chips or spec.chips]:
+                    units = SYNC_RESTART if place else SYNC_FRAME
+                    due_ns = start_ns + round(place * spec.chip_s * 1e9)
+                    pulse(skin, due_ns - LEAD_NS, units * UNIT_NS)
+                skin.run(start_ns + period_ns - 2 * LEAD_NS)
                 if frame >= RECOVERY - JUDGED:
-                    said = levels(skin.edges(0), start_ns)
+                    said = levels(skin.edges(0), start_ns, spec)
                     hangs += not said.any()
-                    wrong += bool(said.any()) and not np.array_equal(said, expected(code))
+                    wrong += bool(said.any()) and not np.array_equal(said, expected(code, spec))
                 skin.forget(start_ns)
-            now_ns += (RECOVERY + 1) * PERIOD_NS
+            now_ns += (RECOVERY + 1) * period_ns
         hangs += skin.counters(0).watchdog_resets
     return Outcome(
         f"storms on the sync line of an emulated {node.mcu}",
@@ -83,10 +90,10 @@ def storms_at(node: Node, plan: Plan) -> Outcome:
     )
 
 
-def storm(skin: EmulatedNodes, rng: np.random.Generator, now_ns: int) -> int:
+def storm(skin: EmulatedNodes, rng: np.random.Generator, now_ns: int, period_ns: int) -> int:
     """Send pulses of any length and distance, some dense, some like frames; returns the end."""
     end_ns = now_ns + int(rng.integers(1_000_000, 60_000_000))
-    apart_ns = int(rng.choice([10_000, 100_000, 1_000_000, PERIOD_NS]))
+    apart_ns = int(rng.choice([10_000, 100_000, 1_000_000, period_ns]))
     longest_ns = int(rng.choice([500, 20_000, 60_000, 1_000_000]))
     while now_ns < end_ns:
         length_ns = int(rng.integers(100, longest_ns))
@@ -101,15 +108,15 @@ def pulse(skin: EmulatedNodes, rise_ns: int, length_ns: int) -> None:
     skin.sync(rise_ns + length_ns, False)
 
 
-def levels(edges: NDArray[np.void], start_ns: int) -> NDArray[np.int8]:
-    """Levels of the pin in the middle of every chip of a frame, (k·N,)."""
-    middles_ns = start_ns + (np.arange(SPEC.chips) + 0.5) * CHIP_NS
+def levels(edges: NDArray[np.void], start_ns: int, spec: FrameSpec) -> NDArray[np.int8]:
+    """Levels of the pin in the middle of every coded chip of a frame, (k·N,)."""
+    middles_ns = start_ns + (spec.places + 0.5) * spec.chip_s * 1e9
     since_start = np.append(np.int8(0), edges["level"])
     return np.asarray(since_start[np.searchsorted(edges["t_ns"], middles_ns)], np.int8)
 
 
-def expected(code: int) -> NDArray[np.int8]:
+def expected(code: int, spec: FrameSpec) -> NDArray[np.int8]:
     """The levels of a node that sends this code, (k·N,)."""
-    active = np.arange(SPEC.nodes) == NODE - 1
-    chips = line_chips(SPEC, np.full(SPEC.nodes, code), active, amplitude_v=1.0)
-    return np.asarray(frame_levels(chips * SPEC.polarity, SPEC), np.int8)
+    active = np.arange(spec.nodes) == NODE - 1
+    chips = line_chips(spec, np.full(spec.nodes, code), active, amplitude_v=1.0)
+    return np.asarray(chips.ravel() * spec.polarity, np.int8)

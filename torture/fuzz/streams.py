@@ -24,6 +24,8 @@ from tactile_cdma.wire.messages import (
     FrameLayout,
     GetInfo,
     Info,
+    Pack,
+    Packed,
     Packet,
     Quiet,
     Received,
@@ -178,7 +180,7 @@ def read_offline(data: bytes) -> None:
 def read_commands(data: bytes) -> None:
     """Commands to the virtual digitizer that make sense or not: each has one answer."""
     digitizer = VirtualDigitizer(SimOptions(), lambda: 0.0)
-    kinds = (Configure.TYPE, GetInfo.TYPE, Start.TYPE, Stop.TYPE, RollCall.TYPE)
+    kinds = (Configure.TYPE, GetInfo.TYPE, Start.TYPE, Stop.TYPE, RollCall.TYPE, Pack.TYPE)
     for kind, payload in _changed(data, kinds):
         if kind == Configure.TYPE and int.from_bytes(payload[:2], "little") > 256:
             continue  # such skins are simulated, but not quickly
@@ -202,6 +204,7 @@ def _templates() -> Mapping[int, bytes]:
     packets: list[Packet] = [
         info,
         Samples(0, 0, counts, sync=True),
+        Packed(0, 0, counts, sync=True, base=-2048),
         Quiet(0, 0, samples, 0, 0, sync=True),
         Status(0),
         Ack(PacketType.START, 0),
@@ -209,6 +212,7 @@ def _templates() -> Mapping[int, bytes]:
         Start(),
         Stop(),
         RollCall(),
+        Pack(),
         Configure(layout),
     ]
     return {packet.TYPE: packet.pack() for packet in packets}

@@ -7,11 +7,12 @@
 
 #define TICK_IDLE_US 10000u     /* chosen: the reports of each second come within 1 % of it */
 #define TICK_STREAMING_US 250u  /* 125 samples at 500 kS/s: half of DG_CHUNK */
-#define SAMPLE_CAPACITY TP_MAX_SAMPLES
+/* Chosen: two packets, so that a silent frame of 1,500 nodes can be held until it is over. */
+#define SAMPLE_CAPACITY (2 * TP_MAX_SAMPLES)
 /* Bytes. Chosen: a slow host may fall 98 ms behind a stream of 1 MB/s. */
 #define OUTPUT_SIZE 98304u
 
-_Static_assert(OUTPUT_SIZE >= DG_OUTPUT_MIN(SAMPLE_CAPACITY), "output ring too small");
+_Static_assert(OUTPUT_SIZE >= DG_OUTPUT_MIN(TP_MAX_SAMPLES), "output ring too small");
 
 static struct dg_board board = {
     .ticks_per_us = TICKS_PER_US,
@@ -83,6 +84,10 @@ int main(void)
     SIO->oe_set = 1u << PIN_LED;
     IO_BANK0->gpio[PIN_LED].ctrl = IO_SIO;
     PADS_BANK0->gpio[PIN_LED] = PAD_DRIVE_4MA;
+    SIO->out_set = 1u << PIN_REGULATOR;
+    SIO->oe_set = 1u << PIN_REGULATOR;
+    IO_BANK0->gpio[PIN_REGULATOR].ctrl = IO_SIO;
+    PADS_BANK0->gpio[PIN_REGULATOR] = PAD_DRIVE_4MA;
     flash_id(board.id);
     sampler_init();
     sync_stop();

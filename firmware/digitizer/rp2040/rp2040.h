@@ -15,7 +15,14 @@
 
 #define TICKS_PER_US 48u /* of the ADC's clock, and of the PWM's */
 
-enum pin { PIN_UART_TX = 0, PIN_UART_RX = 1, PIN_SYNC = 16, PIN_LED = 25, PIN_LINE = 26 };
+enum pin {
+    PIN_UART_TX = 0,
+    PIN_UART_RX = 1,
+    PIN_SYNC = 16,
+    PIN_REGULATOR = 23, /* of a Pico: high for less ripple, which the converter would see */
+    PIN_LED = 25,
+    PIN_LINE = 26,
+};
 enum dma { DMA_SAMPLES_A, DMA_SAMPLES_B, DMA_UART };
 
 /* clocks: crystal, PLLs, watchdog, time, and the tick that wakes main() */

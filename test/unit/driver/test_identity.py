@@ -57,8 +57,8 @@ def test_zeros_name_no_board() -> None:
 class Talk:
     """A session, its pipeline and a digitizer, a step of time after the other."""
 
-    def __init__(self, digitizer_id: str) -> None:
-        config = SkinConfig.of({"digitizer_id": digitizer_id})
+    def __init__(self, digitizer_id: str, config: SkinConfig | None = None) -> None:
+        config = config or SkinConfig.of({"digitizer_id": digitizer_id})
         self.session, self.pipeline = Session(config), Pipeline(config)
         self.now_s = 0.0
         self.sent: list[object] = []

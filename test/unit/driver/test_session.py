@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import pytest
 from test_identity import Talk
@@ -14,8 +16,8 @@ from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.driver.session import PATIENCE_S, SOON_S, Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.wire._protocol import Result
-from tactile_cdma.wire.messages import Ack, Configure, GetInfo, Packet, Start, Status
-from tactile_cdma.wire.packets import PacketWriter
+from tactile_cdma.wire.messages import Ack, Command, Configure, GetInfo, Pack, Packet, Start, Status
+from tactile_cdma.wire.packets import PacketParser, PacketWriter
 
 CONFIG = SkinConfig.of({})
 OPENING = [Configure, GetInfo, Start]
@@ -109,3 +111,34 @@ def test_other_bytes_after_packets_are_said() -> None:
     line.pipeline.feed(b"hello" * 100, 2.1)
     assert line.hears(4.0)
     assert "another device" in (line.session.problem or "")
+
+
+THOUSAND = {"nodes": 900, "order": 912, "chip_us": 2.0, "frame_period_ms": 19.95,
+            "resync_chips": 912, "guard_chips": 40, "samples_per_chip": 1}  # fmt: skip
+
+
+def test_a_busy_link_is_asked_to_pack() -> None:
+    asked = PacketParser().feed(Session(SkinConfig.of(THOUSAND)).open())
+    assert [type(command) for command in asked] == [Configure, Pack, GetInfo, Start]
+    assert [type(p) for p in PacketParser().feed(Session(CONFIG).open())] == OPENING
+
+
+def test_a_digitizer_that_cannot_pack_streams_all_the_same() -> None:
+    """One of before: it refuses the command, and that is no problem of anybody's."""
+    talk = Talk("", SkinConfig.of(THOUSAND))
+    talk.digitizer._obey = partial(without_pack, talk.digitizer, talk.digitizer._obey)
+    talk.open()
+    assert len(talk.go_on(0.5)) > 20
+    assert talk.digitizer.commands_refused == 1
+    assert talk.pipeline.digitizer.refusal is None
+    assert talk.session.problem is None
+
+
+def without_pack(
+    digitizer: VirtualDigitizer, obey: Callable[[Command], None], command: Command
+) -> None:
+    if not isinstance(command, Pack):
+        obey(command)
+        return
+    digitizer.commands_refused += 1
+    digitizer._send(command.ack(Result.UNKNOWN_COMMAND))

@@ -22,7 +22,7 @@ from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.steady import Event
 from tactile_cdma.framing.line_timing import CARRIED_FRAMES
 from tactile_cdma.wire._protocol import Result
-from tactile_cdma.wire.messages import Ack, Info, Quiet, Samples, Status
+from tactile_cdma.wire.messages import Ack, Info, Packed, Quiet, Samples, Status
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 
 pytestmark = pytest.mark.skipif(kernel.compiled is None, reason="the kernel is not used")
@@ -259,6 +259,30 @@ SPOILT = {
 def test_packets_that_do_not_go_on_are_left_to_the_stages(what: str, options: str) -> None:
     data = edited(sent((), f"sim://?seed=1&{options}"), SPOILT[what])
     compare(SkinConfig.of(SMALL), data)
+
+
+@pytest.mark.parametrize("parameters", [SMALL, CHIPS])
+def test_packed_samples_are_followed_like_others(parameters: dict[str, object]) -> None:
+    """Frame for frame the same, and by the kernel, though packets come in either form."""
+    config = SkinConfig.of(parameters)
+    data = sent(tuple(parameters.items()), "sim://?seed=1&scene=all&threshold=0", 200)
+
+    def pack(number: int, packet: object) -> object:
+        if not isinstance(packet, Samples) or number % 7 == 0:
+            return packet
+        values = {item.name: getattr(packet, item.name) for item in fields(packet)}
+        return Packed(**values, base=-2048)
+
+    packed = edited(data, pack)
+    assert len(packed) < 0.85 * len(data)
+    followed = compare(config, packed)
+    assert followed.steady_frames > 190 - 4 * (200 // CARRIED_FRAMES)
+    plain, _ = outcome(Followed(config), data, 997)
+    frames, _ = outcome(Followed(config), packed, 997)  # at other times: of fewer bytes
+    assert len(frames) == len(plain)
+    for one, other in zip(frames, plain, strict=True):
+        np.testing.assert_array_equal(one.words.codes, other.words.codes)
+        np.testing.assert_array_equal(one.words.rho, other.words.rho)
 
 
 def at_the_rail(number: int, packet: object) -> object:

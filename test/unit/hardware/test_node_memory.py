@@ -19,11 +19,17 @@ from tactile_cdma.base.errors import NodeMemoryError, SpecError
 from tactile_cdma.code.codes import smallest_order
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.hardware.intel_hex import from_hex, to_hex
-from tactile_cdma.hardware.node_memory import MCUS, MEASURING_S, node_memory, read_node_memory
+from tactile_cdma.hardware.node_memory import (
+    FAST,
+    MCUS,
+    MEASURING_S,
+    node_memory,
+    read_node_memory,
+)
 from tactile_cdma.wire._protocol import FIELDS, NODE_LEARN_REST
 from tactile_cdma.wire.messages import WIRE
 
-EEPROM = {"atmega328p": 1024, "attiny85": 512}
+EEPROM = {"atmega328p": 1024, FAST: 1024, "attiny85": 512}
 """Bytes, by the data sheets."""
 SPEC = FrameSpec()
 MEMORY = node_memory(SPEC, 5)
@@ -124,7 +130,7 @@ def test_heartbeat_is_a_second_unless_told_otherwise(frame_period_s: float, hear
         ({}, {"threshold": 1024}, "threshold is 1024"),
         ({}, {"heartbeat": 65_536}, "heartbeat is 65536; it must lie within 0…65535"),
         ({}, {"rest": 1024}, "rest is 1024; it must lie within 0…1023: codes have 10 bits"),
-        ({}, {"mcu": "z80"}, "mcu is 'z80'; it must be one of atmega328p, attiny85"),
+        ({}, {"mcu": "z80"}, "mcu is 'z80'; it must be one of atmega328p, atmega328p-fast"),
         ({"bits": 11}, {}, "bits is 11; it must lie within 8…10: a node's converter has 10 bits"),
         ({"order": 4160, "frame_period_s": 5.0}, {}, "order is 4160; it must lie within 1…4096"),
         ({"chip_s": 19e-6}, {}, "chip_ns is 19000; it must lie within 35000…1000000"),
@@ -151,6 +157,30 @@ def test_heartbeat_is_a_second_unless_told_otherwise(frame_period_s: float, hear
             {},
             "guard_chips is 2, but to start anew within the frame a node takes at least 3",
         ),
+        (
+            {"chip_s": 2e-6},
+            {},
+            "chip_ns is 2000; it must lie within 35000…1000000: the atmega328p runs at 8 MHz; an "
+            "atmega328p-fast makes such chips",
+        ),
+        ({}, {"mcu": FAST}, "chip_ns is 50000; it must lie within 500…16000: the atmega328p-fast"),
+        (
+            {"chip_s": 2.1e-6},
+            {"mcu": FAST},
+            "chip_ns is 2100; an atmega328p-fast makes chips of whole cycles, in steps of 250 ns: "
+            "2000 or 2250",
+        ),
+        (
+            {"chip_s": 2e-6, "order": 912, "nodes": 900, "frame_period_s": 0.02},
+            {"mcu": FAST},
+            "resync_chips is 0, but an atmega328p-fast, whose chips follow its own clock, "
+            "starts anew at every bit: set resync_chips to 912 and guard_chips to 36 or more",
+        ),
+        (
+            {"chip_s": 2e-6, "order": 20, "resync_chips": 20, "guard_chips": 35},
+            {"mcu": FAST},
+            "guard_chips is 35, but to start anew within the frame a node takes at least 36",
+        ),
     ],
 )
 def test_what_a_node_cannot_do_is_refused_by_name(
@@ -174,7 +204,10 @@ def test_the_limits_themselves_are_allowed() -> None:
 
 @pytest.mark.parametrize("mcu", MCUS)
 def test_the_longest_row_fits_the_eeprom(mcu: str) -> None:
-    spec = FrameSpec(order=MCUS[mcu].order, frame_period_s=5.0)
+    board = MCUS[mcu]
+    restarts = {"resync_chips": board.order, "guard_chips": 5} if board.bits_restart else {}
+    chip_s = min(50_000, board.longest_chip_ns) / 1e9
+    spec = FrameSpec(order=board.order, chip_s=chip_s, frame_period_s=5.0, **restarts)
     assert len(node_memory(spec, 1, mcu=mcu)) <= EEPROM[mcu]
 
 

@@ -27,6 +27,7 @@ from tactile_cdma.wire.messages import (
     FrameLayout,
     GetInfo,
     Info,
+    Pack,
     Quiet,
     Received,
     RollCall,
@@ -506,3 +507,21 @@ def test_restarts_keep_clocks_together() -> None:
         sent = line_chips(spec, bench.digitizer.truth(1).codes)
         errors.append(np.abs(chips - sent).mean())
     assert errors[1] < 0.25 * errors[0]
+
+
+@pytest.mark.parametrize(("query", "packs"), [("", True), ("adc_bits=14", False)])
+def test_samples_are_packed_on_request(query: str, packs: bool) -> None:
+    """Until the next configuration, and where a converter has no more than 12 bits."""
+    plain, packed = Bench(f"scene=all&threshold=0&{query}"), Bench(f"scene=all&threshold=0&{query}")
+    layout = plain.digitizer.info().frame
+    sizes, received = [], []
+    for bench, commands in ((plain, []), (packed, [Pack()])):
+        bench.send(Configure(layout), *commands, Start())
+        received.append(samples(bench.run(0.5, 0.01)))
+        sizes.append(bench.parser.counters.bytes)
+    assert received[0] == received[1]
+    assert (sizes[1] < 0.8 * sizes[0]) == packs
+    packed.send(Configure(layout), Start())
+    before = packed.parser.counters.bytes
+    packed.run(0.5, 0.01)
+    assert packed.parser.counters.bytes - before > 0.95 * sizes[0]

@@ -56,8 +56,8 @@ def test_both_languages_agree(needs_cc: None) -> None:
         ("digitizer.c", "            dg->reader.errors++;", "            {}", COUNTS[1:2]),
         (
             "stream.c",
-            "counts[i] ^ TP_SAMPLE_XOR",
-            "(counts[i] & 0xFFEu) ^ TP_SAMPLE_XOR",
+            "= counts[i] ^ TP_SAMPLE_XOR",
+            "= (counts[i] & 0xFFEu) ^ TP_SAMPLE_XOR",
             COUNTS[:1],
         ),
         ("stream.c", "    stream->samples_lost += size;", "", COUNTS[1:2]),

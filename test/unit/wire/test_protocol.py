@@ -30,6 +30,7 @@ from tactile_cdma.wire._protocol import (
     FIELDS,
     MAX_GAP,
     MAX_SAMPLES,
+    PACKED_MOST_STEP,
     VERSION,
     Drive,
     Field,
@@ -46,6 +47,8 @@ from tactile_cdma.wire.messages import (
     GetInfo,
     Info,
     OtherVersion,
+    Pack,
+    Packed,
     Packet,
     Quiet,
     Received,
@@ -61,6 +64,7 @@ from tactile_cdma.wire.packets import (
     Counters,
     PacketParser,
     PacketWriter,
+    Scanner,
     diagnose,
     wrap,
 )
@@ -122,8 +126,18 @@ QUIET = st.builds(
     overrun=st.booleans(),
     called=st.booleans(),
 )
-FIXED = (Info, Status, Ack, GetInfo, Start, Stop, Configure)
+FIXED = (Info, Status, Ack, GetInfo, Start, Stop, Configure, Pack)
 PACKETS = st.one_of(SAMPLES, QUIET, *(messages(kind) for kind in FIXED))
+
+
+@st.composite
+def packed(draw: st.DrawFn) -> Packed:
+    """Samples to be sent in 12 bits each, of any base and step."""
+    step = draw(st.integers(1, PACKED_MOST_STEP))
+    base = draw(st.integers(-(2**15), 2**15 - 1 - 4095 * step))
+    values = draw(st.lists(st.integers(0, 4095), min_size=1, max_size=300))
+    counts = (base + step * np.array(values)).astype(np.int16)
+    return Packed(draw(st.integers(0, 2**64 - 1)), 7, counts, sync=True, base=base, step=step)
 
 
 def parse(data: bytes) -> tuple[list[Received], Counters]:
@@ -148,6 +162,39 @@ def test_what_is_encoded_is_parsed(first: int, packets: list[Packet]) -> None:
     ]
     assert [repr(a) for a in map(plain, received)] == [repr(a) for a in map(plain, packets)]
     assert counters == Counters(bytes=counters.bytes, packets=len(packets))
+
+
+@given(packed())
+def test_packed_samples_arrive_as_samples_in_fewer_bytes(packet: Packed) -> None:
+    wire = PacketWriter(5).encode(packet)
+    received, counters = parse(wire)
+    assert received == [packet]
+    assert type(received[0]) is Samples
+    assert not counters.malformed
+    numpy = PacketParser()
+    numpy.scanner = Scanner(0)
+    assert [repr(plain(p)) for p in numpy.feed(wire)] == [repr(plain(p)) for p in received]
+    size = packet.counts.size
+    assert len(wire) <= 29 + (3 * size + 1) // 2 + size // 160 + 1
+
+
+def test_two_packed_values_fill_three_bytes() -> None:
+    """Written out by docs/protocol.md: 0xABC and 0x123, then 0x456 alone, each XOR 0x555."""
+    counts = np.array([0xABC, 0x123, 0x456], np.int16)
+    payload = Packed(0, 0, counts).pack()
+    assert payload[17:20] == bytes([0, 0, 1])
+    assert payload[20:] == bytes([0xE9, 0x6F, 0x47, 0x03, 0x01])
+
+
+@pytest.mark.parametrize(
+    ("counts", "base", "step"),
+    [([-1], 0, 1), ([4096], 0, 1), ([9], 0, 8), ([0], 2**15 - 4095, 1), ([0], 0, 9), ([0], 0, 0)],
+)
+def test_counts_that_do_not_fit_12_bits_are_refused(
+    counts: list[int], base: int, step: int
+) -> None:
+    with pytest.raises(SpecError):
+        Packed(0, 0, np.array(counts, np.int16), base=base, step=step)
 
 
 def plain(packet: Received) -> dict[str, Any]:
@@ -482,6 +529,13 @@ def test_an_ack_names_the_command_that_arrived() -> None:
         (PacketType.SAMPLES, b""),
         (PacketType.SAMPLES, bytes(17)),
         (PacketType.SAMPLES, bytes(20)),
+        (PacketType.PACKED, b""),
+        (PacketType.PACKED, bytes(19) + b"\1"),
+        (PacketType.PACKED, bytes(19) + b"\1" + bytes(4)),
+        (PacketType.PACKED, bytes(19) + b"\0" + bytes(3)),
+        (PacketType.PACKED, bytes(19) + b"\x09" + bytes(3)),
+        (PacketType.PACKED, bytes(17) + b"\xff\x7f\1" + bytes(3)),
+        (PacketType.PACKED, bytes(19) + b"\1" + bytes(3 * (MAX_SAMPLES // 2) + 2)),
         (PacketType.QUIET, bytes(37)),
         (PacketType.QUIET, bytes(17) + b"\1\0\0\0\2" + bytes(15)),
         (PacketType.QUIET, bytes(36)),

@@ -1,0 +1,33 @@
+// SPDX-License-Identifier: Apache-2.0
+
+/* Puts the chips of a word on the line, one sub-slot after the other: chips_match.c by matches of a
+ * timer, chips_usart.c by a shift register, for chips that are too short for an interrupt each.
+ */
+#ifndef NODE_CHIPS_H
+#define NODE_CHIPS_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "discipline.h"
+#include "tactile_protocol.h"
+
+/* row: the record's; it may be rearranged in place, and stays in use. */
+void chips_init(const struct tp_node_record *record, uint8_t *row);
+
+/* Prepares a word, the lowest bits of `code`. chips_stop must have released the line. */
+void chips_plan(const struct discipline *clock, uint16_t code);
+
+/* For interrupts. Prepares the sub-slot that a pulse announces, which began at `rise`; returns when
+ * chips_begin has to begin. */
+uint16_t chips_aim(uint32_t rise);
+/* Begins the sub-slot then, and listens to the sync line again after it. False if it is too late. */
+bool chips_begin(uint16_t at);
+
+/* Whether the line is released until a restart pulse comes. */
+bool chips_paused(void);
+
+/* Releases the line and discards the word; interrupts are off. */
+void chips_stop(void);
+
+#endif

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""A thousand nodes on one wire, to the pin: `make firmware-thousand`.
+
+    900 images of the fast node (simavr) → pins → analog line → the RP2040's image → USB → driver
+
+Crystals are off by up to 50 ppm, levels by 1 %, the sync line reaches nodes up to 0.2 µs late, and
+all nodes send another random word in every frame. Every word is compared with what was pressed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from emulated import EmulationError
+from rp2040 import EmulatorError
+from rp2040_skin import Rp2040Skin
+from skin import PressedSkin, Spread, reference_amplifier, reference_nodes
+from tactile_cdma.base.errors import TactileError
+from tactile_cdma.config.parameters import Value, read_file
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.hardware.node_memory import FAST
+from tactile_cdma.recording.recording_file import Recorder
+from tactile_cdma.sim.scene import Skin
+from trial import Trial, press_and_decode
+
+PARAMS = Path(__file__).resolve().parents[2] / "config" / "thousand_skin.yaml"
+SPREAD = Spread(clock=50e-6, supply=0.01, skew_ns=200)
+FRAMES = 12
+SETTLING = 4
+"""First frames, not counted: nodes start up and measure two periods of the sync line."""
+HEAVIEST_PA = 140e3
+"""Largest pressure, Pa: the end of the usual curve's range."""
+QUICK = {"nodes": 128, "rows": 8, "columns": 16, "order": 912}
+"""Fewer nodes, with all else as it is."""
+
+
+STREAM_BYTES = 4096
+"""More at once than a digitizer sends that does not stream."""
+
+
+class RandomPresses:
+    """A scene in which no taxel knows anything of another, or of its own past."""
+
+    def __init__(self, seed: int) -> None:
+        self._rng = np.random.default_rng(seed)
+
+    def __call__(self, t_s: float, skin: Skin) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        """Pressures at a time: (n,) Pa."""
+        return self._rng.uniform(0, HEAVIEST_PA, len(skin.positions_m))
+
+
+class Listener:
+    """The digitizer of a skin, and what it says: how much, and a recording of it.
+
+    A `skin.Digitized`.
+    """
+
+    def __init__(self, skin: Rp2040Skin, recorder: Recorder | None) -> None:
+        self._skin, self._recorder = skin, recorder
+        self._bytes, self._since_ns = 0, 0
+        self._origin_s = time.monotonic()
+
+    @property
+    def now_ns(self) -> int:
+        """How far the emulation has come."""
+        return self._skin.now_ns
+
+    @property
+    def bytes_per_s(self) -> float:
+        """Of the stream, since it is under way."""
+        return self._bytes / ((self.now_ns - self._since_ns) * 1e-9)
+
+    def run(self, t_ns: int) -> None:
+        """Run everything to a time."""
+        self._skin.run(t_ns)
+
+    def write(self, data: bytes) -> None:
+        """Bytes from the host reach the digitizer."""
+        self._skin.write(data)
+
+    def read(self) -> bytes:
+        """What the host has received since the last call."""
+        data = self._skin.read()
+        if self._since_ns:
+            self._bytes += len(data)
+        elif len(data) > STREAM_BYTES:
+            self._since_ns = self.now_ns
+        if self._recorder is not None:
+            self._recorder.write(data, self._origin_s + self.now_ns * 1e-9)
+        return data
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """A trial, and what it asked of the digitizer.
+
+    cpu_load: share of time awake. bytes_per_s: over USB.
+    """
+
+    trial: Trial
+    cpu_load: float
+    bytes_per_s: float
+
+
+def on_one_wire(
+    values: dict[str, Value],
+    frames: int = FRAMES,
+    spread: Spread = SPREAD,
+    record: Path | None = None,
+) -> Outcome:
+    """Run a skin of these parameters until so many frames have come. record: a file to write."""
+    config = SkinConfig.of(values)
+    nodes = reference_nodes(config, spread, mcu=FAST, threshold=0, rest=0)
+    with ExitStack() as stack:
+        recorder = None
+        if record is not None:
+            recorder = stack.enter_context(Recorder(record, "emulated RP2040", 0, values))
+        skin = stack.enter_context(Rp2040Skin(nodes, reference_amplifier(config)))
+        listener = Listener(skin, recorder)
+        pressed = PressedSkin(config, RandomPresses(spread.seed), skin, listener)
+        trial = press_and_decode(pressed, config, frames, SETTLING)
+        return Outcome(trial, skin.chip.load, listener.bytes_per_s)
+
+
+def main() -> int:
+    """Print the counts last; exit code 1 on any error."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="128 nodes")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--record", type=Path, metavar="FILE", help="record what USB carries")
+    arguments = parser.parse_args()
+    values = read_file(PARAMS) | (QUICK if arguments.quick else {})
+    spread, begin = replace(SPREAD, seed=arguments.seed), time.monotonic()
+    try:
+        found = on_one_wire(values, FRAMES, spread, arguments.record)
+    except (EmulationError, EmulatorError, OSError, TactileError) as error:
+        print(f"firmware-thousand: {error}", file=sys.stderr)
+        return 1
+    trial, spec = found.trial, SkinConfig.of(values).spec
+    print(f"cpu_load={found.cpu_load:.2f} ({time.monotonic() - begin:.0f} s)")
+    print(
+        f"nodes={spec.nodes} order={spec.order} chip_us={spec.chip_s * 1e6:g} "
+        f"frame_ms={spec.frame_period_s * 1e3:g} frames={trial.frames} wrong={trial.wrong} "
+        f"missed={trial.silent} lost_samples={trial.lost_samples} "
+        f"usb_kb_s={found.bytes_per_s / 1e3:.0f}"
+    )
+    return int(trial.frames < FRAMES or trial.wrong + trial.silent + trial.lost_samples > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""`make firmware-thousand`: fast nodes on one wire; it must be able to fail. 900 on a topic."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import need
+
+from skin import Spread
+from tactile_cdma.config.parameters import read_file
+from tactile_cdma.readings.stages import Status
+from thousand import FRAMES, PARAMS, QUICK, SPREAD, on_one_wire
+
+VALUES = read_file(PARAMS)
+FEW = VALUES | QUICK | {"nodes": 20, "rows": 4, "columns": 5}
+USB_BYTES_PER_S = 19 * 64 * 1000
+"""What full-speed USB can carry in bulk: 19 packets of 64 bytes in a millisecond."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def images(built: Callable[[str], Path], emulator: None, rp2040_image: Path) -> None:
+    need("avr-gcc")
+    built("node")
+
+
+def test_every_word_of_128_nodes_is_right() -> None:
+    found = on_one_wire(VALUES | QUICK)
+    trial = found.trial
+    assert trial.frames >= FRAMES
+    assert (trial.wrong, trial.silent, trial.lost_samples) == (0, 0, 0)
+    assert found.bytes_per_s < 0.6 * USB_BYTES_PER_S
+    assert found.cpu_load < 0.6
+    codes = np.array([*trial.words.values()])
+    assert np.unique(codes).size > 400, "nodes say all kinds of words"
+
+
+@pytest.mark.parametrize(
+    "spread",
+    [replace(SPREAD, clock=3e-3), replace(SPREAD, skew_ns=4000)],
+    ids=["crystals that are none", "a sync line that is too long"],
+)
+def test_nodes_out_of_time_are_counted(spread: Spread) -> None:
+    trial = on_one_wire(FEW, 4, spread).trial
+    assert trial.frames < 4 or trial.wrong > 4
+
+
+@pytest.mark.ros
+def test_the_driver_publishes_900_taxels(tmp_path: Path) -> None:
+    """What the digitizer's image sent of 900 nodes' images, from a recording, on a topic."""
+    rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+    from skin_client import running, wait_for
+
+    recording = tmp_path / "thousand.skin"
+    trial = on_one_wire(VALUES, 4, record=recording).trial
+    assert (trial.wrong, trial.silent, trial.lost_samples) == (0, 0, 0)
+    pressed = {tuple(codes) for codes in trial.words.values()}
+    rclpy.init()
+    try:
+        values = {**VALUES, "port": f"replay://{recording}?loop=true", "publish_voltage": True}
+        with running(**values) as (_, client):
+            wait_for(lambda: len(client.arrays) >= 12)
+    finally:
+        rclpy.shutdown()
+    assert all(len(message.pressure) == 900 for message in client.arrays)
+    # in the first frames nodes are silent: they measure the sync line's period
+    heard = [message for message in client.arrays if not np.isnan(message.voltage).any()]
+    lsb_v = 3.3 / 1024
+    said = {tuple(np.round(np.array(m.voltage) / lsb_v).astype(int)) for m in heard}
+    assert pressed <= said
+    doubts = Status.LOW_SNR | Status.STALE | Status.WEAK | Status.FAULTY
+    assert not any(np.any(np.array(m.status) & doubts) for m in heard)

@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Frames whose chips all nodes flip alike: the sequence, by the document, and what it serves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from simulated import run, stream
+
+from tactile_cdma.base.errors import SpecError
+from tactile_cdma.clocks.decorrelate import Decorrelator
+from tactile_cdma.clocks.node_clocks import NodeClocks
+from tactile_cdma.clocks.sampling import Sampling
+from tactile_cdma.code.chips import chips_of, rows_of
+from tactile_cdma.code.codes import chip_flips
+from tactile_cdma.code.encode import line_chips
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.code.separate import separate
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.framing.gap_timing import GapTiming
+from tactile_cdma.framing.line_timing import LineTiming
+from tactile_cdma.framing.timing import SampleBlock
+from tactile_cdma.hardware.node_memory import node_memory
+from tactile_cdma.wire._protocol import Signs
+from tactile_cdma.wire.messages import FrameLayout
+from tactile_cdma.words.decode import Words, decode
+
+MASK = 0xFFFFFFFF
+
+
+def test_the_sequence_is_that_of_the_document() -> None:
+    """Written out by docs/protocol.md."""
+    for seed in (0, 1, 0xDEADBEEF):
+        flips = chip_flips(100, seed)
+        for chip in range(100):
+            r = 65_536 + chip // 32
+            h = (seed + r * 0x9E3779B9) & MASK
+            h = ((h ^ h >> 16) * 0x85EBCA6B) & MASK
+            h = ((h ^ h >> 13) * 0xC2B2AE35) & MASK
+            h ^= h >> 16
+            assert flips[chip] == (-1 if h >> chip % 32 & 1 else 1)
+
+
+def test_it_is_balanced_and_unlike_itself_shifted() -> None:
+    flips = chip_flips(9120, 1).astype(float)
+    assert abs(flips.mean()) < 4 / np.sqrt(flips.size)
+    for shift in range(1, 200):
+        assert abs((flips[shift:] * flips[:-shift]).mean()) < 5 / np.sqrt(flips.size)
+
+
+def test_rows_and_chips_are_each_others_inverse() -> None:
+    spec = FrameSpec(nodes=19, order=20, first_row=0, scramble=True)
+    rows = np.random.default_rng(1).normal(size=(spec.line_bits, 20)).astype(np.float32)
+    np.testing.assert_allclose(rows_of(chips_of(rows, spec), spec), rows, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [({"drive": "unipolar"}, "would show in all rows"), ({"sign_seed": None}, "from sign_seed")],
+)
+def test_what_cannot_be_scrambled_is_refused(fields: dict, message: str) -> None:
+    with pytest.raises(SpecError, match=message):
+        FrameSpec(scramble=True, **fields)
+    with pytest.raises(SpecError, match="does not flip its chips"):
+        node_memory(FrameSpec(scramble=True), 1)
+
+
+def test_the_wire_carries_it() -> None:
+    layout = FrameLayout.of(FrameSpec(scramble=True), 4)
+    assert layout.signs == Signs.SCRAMBLED
+    assert FrameLayout.unpack(layout.pack()).spec(0.3) == FrameSpec(scramble=True)
+    assert not FrameLayout.of(FrameSpec(), 4).spec().scramble
+
+
+@pytest.mark.parametrize("samples_per_chip", [1, 4])
+@pytest.mark.parametrize("parity", [False, True])
+def test_a_scrambled_skin_is_decoded(samples_per_chip: int, parity: bool) -> None:
+    """And, told nothing of it, hardly a word is."""
+    values = {"scramble": True, "samples_per_chip": samples_per_chip, "parity": parity}
+    config = SkinConfig.of(values)
+    data = stream(config, "sim://?seed=1&scene=all&threshold=0&offset=0.2&noise=0.02", 40)
+    frames = run(config, data)
+    plain = run(SkinConfig.of({**values, "scramble": False}), data)
+    assert len(frames) >= 38
+    assert all(f.words.active.all() and not f.words.doubtful.any() for f in frames)
+    assert not plain  # the digitizer's description contradicts the parameters
+
+
+def line_of(
+    spec: FrameSpec, codes: NDArray[np.int64], active: NDArray[np.bool_], late: int, by: int
+) -> NDArray[np.float32]:
+    """Chips of these nodes, of which one is late by whole chips; negative: early."""
+    own = np.arange(spec.nodes) == late
+    chips = line_chips(spec, codes, active & ~own).ravel()
+    other = np.pad(line_chips(spec, codes, active & own).ravel(), 2)
+    return chips + other[2 - by : 2 - by + chips.size]
+
+
+@pytest.mark.parametrize(("nodes", "order"), [(16, 20), (60, 64), (900, 912)])
+@pytest.mark.parametrize("by", [-2, -1, 1, 2])
+def test_nodes_that_are_late_by_chips_are_named_and_disturb_nobody(
+    nodes: int, order: int, by: int
+) -> None:
+    """They show in no row, and so look silent: that must be in doubt, and only that."""
+    spec = FrameSpec(nodes=nodes, order=order, scramble=True, frame_period_s=10.0, amplitude_v=0.3)
+    rng = np.random.default_rng(by + 5)
+    for _ in range(20):
+        codes, active = rng.integers(0, 1024, nodes), rng.random(nodes) < 0.5
+        late = int(rng.integers(nodes))
+        active[late] = True
+
+        def words(by: int) -> Words:
+            chips = line_of(spec, codes, active, late, by)  # noqa: B023
+            chips = chips + rng.normal(0, 0.1, chips.size)
+            return decode(separate(chips.astype(np.float32).reshape(-1, order), spec), spec)
+
+        found = words(by)
+        assert found.doubtful[late]
+        others = (np.arange(nodes) != late) & active
+        sure = others & ~found.doubtful
+        assert found.active[sure].all()
+        if order > 20:  # of so few chips a late one disturbs all
+            assert sure.sum() >= others.sum() - 3
+        np.testing.assert_array_equal(found.codes[sure], codes[sure])
+        sound = words(0)
+        assert not sound.doubtful.any()
+        np.testing.assert_array_equal(sound.active, active)
+
+
+@pytest.mark.parametrize("scramble", [False, True])
+def test_frames_of_two_nodes_with_one_word_are_no_longer_ties(scramble: bool) -> None:
+    """Gap timing, starts anywhere: shifted by a chip such a frame looks like another one."""
+    spec = FrameSpec(scramble=scramble, amplitude_v=0.3)
+    rng, per_chip, frames = np.random.default_rng(3), 8, 150
+    period = round(spec.frame_period_s / spec.chip_s * per_chip)
+    timing = GapTiming(spec, per_chip / spec.chip_s)
+    lines, truth = [], []
+    for _ in range(frames):
+        active = np.zeros(16, bool)
+        active[rng.choice(16, 2, replace=False)] = True
+        codes = np.full(16, rng.integers(0, 1024))
+        line, begin = np.zeros(period), 200 + int(rng.integers(0, 60))
+        line[begin : begin + spec.chips * per_chip] = np.repeat(
+            line_chips(spec, codes, active).ravel(), per_chip
+        )
+        lines.append(line + rng.normal(0, 0.03, period))
+        truth.append((codes, active))
+    found = timing.feed(SampleBlock(0, np.concatenate(lines).astype(np.float32))) + timing.flush()
+    doubtful = 0
+    for frame in found:
+        assert frame.levels is not None
+        words = decode(frame.levels, spec)
+        if frame.doubtful is not None:
+            words = words.doubted(frame.doubtful)
+        codes, active = truth[int(frame.start // period)]
+        sure = words.active & ~words.doubtful
+        assert not (sure & ((words.codes != codes) | ~active)).any()
+        doubtful += bool(words.doubtful.any())
+    assert len(found) == frames
+    assert doubtful == 0 if scramble else doubtful > frames / 10
+
+
+@pytest.mark.parametrize("samples_per_chip", [1, 4])
+def test_a_lone_late_node_is_not_called_silence(samples_per_chip: int) -> None:
+    """Its chips are noise that the gap has not: such frames are rejected, silent ones are not."""
+    spec = FrameSpec(scramble=True, amplitude_v=0.3)
+    timing = LineTiming(spec, samples_per_chip / spec.chip_s)
+    rng, all_nodes = np.random.default_rng(1), np.ones(16, bool)
+    gap = 0 if samples_per_chip == 1 else round(2.8e-3 / spec.chip_s) * samples_per_chip
+    index, heard = 0, []
+    for number in range(30):
+        codes = rng.integers(0, 1024, 16)
+        chips = {
+            0: lambda c: line_chips(spec, c, all_nodes).ravel(),
+            1: lambda c: line_of(spec, c, np.arange(16) == 5, 5, 1),
+            2: lambda c: np.zeros(spec.chips),
+        }[number % 3](codes)
+        volts = np.append(np.repeat(chips, samples_per_chip), np.zeros(gap))
+        volts += rng.normal(0, 0.02, volts.size)
+        block = SampleBlock(index, volts.astype(np.float32), sync=True)
+        heard += [(frame, number) for frame in timing.feed(block)]
+        index += volts.size
+    said = {number: frame.levels is not None for frame, number in heard}
+    decided = {kind: [said[n] for n in said if n % 3 == kind] for kind in range(3)}
+    assert len(decided[0]) >= 9 and all(decided[0])
+    assert not decided[1]
+    assert len(decided[2]) >= 9 and not any(decided[2])
+
+
+def test_nodes_a_chip_apart_are_told_apart() -> None:
+    """Rows of Paley's orders are each other's shifts; flipped, no waveform is another one's."""
+    unresolved = []
+    for scramble in (False, True):
+        spec = FrameSpec(nodes=10, order=20, scramble=scramble, frame_period_s=0.02)
+        clocks = NodeClocks(np.arange(10) % 2.0, np.zeros(10), np.ones(10, bool))
+        found = Decorrelator(spec, clocks, Sampling(4.0, 0.5))
+        unresolved.append(len(found.unresolved))
+    assert unresolved[0] > 0
+    assert unresolved[1] == 0
