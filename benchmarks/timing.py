@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
+from statistics import median
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -29,6 +30,8 @@ from matplotlib.figure import Figure
 from threadpoolctl import threadpool_limits
 
 from benchmarks.report import QUICK, Report, medians_s
+from benchmarks.scale import replay
+from benchmarks.skip import record
 from tactile_cdma.clocks.clock_tracking import ClockTracker
 from tactile_cdma.clocks.decorrelate import Decorrelator
 from tactile_cdma.clocks.node_clocks import NodeClocks, crosstalk
@@ -36,6 +39,7 @@ from tactile_cdma.clocks.roll_call import RollCallListener
 from tactile_cdma.clocks.sampling import INTEGRATED, Sampling
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.separate import NodeLevels, separate
+from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.framing.fit import Line, integrate
 from tactile_cdma.framing.gap_timing import GapTiming
 from tactile_cdma.framing.line_timing import LineTiming
@@ -52,6 +56,11 @@ JITTERS = (0.0, 0.1) if QUICK else (0.0, 0.02, 0.04, 0.06, 0.08, 0.1)
 RATES = (0.001, 0.01) if QUICK else (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02)
 DELAYS = (0.5,) if QUICK else (0.1, 0.25, 0.5)
 DELAY_BESIDE_RATE = 0.3
+SCRAMBLED: dict[int, dict[str, int | float]] = {
+    16: {},
+    900: {"order": 912, "chip_us": 2.0, "frame_period_ms": 20.0, "samples_per_chip": 1},
+}
+"""Skins whose decoding is timed with and without the scrambler: parameters by nodes."""
 
 
 def frame_spec(nodes: int, scramble: bool = False) -> FrameSpec:
@@ -275,6 +284,23 @@ def costs(report: Report) -> float:
     return last
 
 
+def scrambling_costs(report: Report) -> dict[int, float]:
+    """Table of CPU times per frame of replay; returns by what the scrambler multiplies them."""
+    rows: list[list[object]] = []
+    ratios: dict[int, float] = {}
+    for nodes, values in SCRAMBLED.items():
+        seconds = []
+        for scramble in (False, True):
+            config = SkinConfig.of({"nodes": nodes, **values, "scramble": scramble})
+            reads = record(config, 1.0, True, 100 if QUICK else 1000).reads
+            chunks = [(data, t_host) for t_host, data in reads]
+            seconds.append(median(replay(config, chunks) for _ in range(5)))
+        ratios[nodes] = seconds[1] / seconds[0]
+        rows.append([nodes, *(1e6 * each for each in seconds), ratios[nodes]])
+    report.table(["nodes", "replay µs", "scrambled µs", "ratio"], rows)
+    return ratios
+
+
 COLOURS = {
     "plain": "C3",
     "line": "C2",
@@ -355,6 +381,7 @@ def main() -> None:
     headers = "nodes,order,scrambled,samples/chip,median gain,worst gain,unresolved,BER"
     report.table(headers.split(","), sampling_rows())
     decorrelate_ms = costs(report)
+    scrambling = scrambling_costs(report)
     report.finish(
         figure,
         plain_ber=max(some["plain"] for some in (stretched, jittered, drifting, delayed)),
@@ -363,6 +390,8 @@ def main() -> None:
         decorrelated_ber=max(drifting["decorrelated"], delayed["decorrelated"]),
         scrambled_ber=max(drifting["scrambled"], delayed["scrambled"]),
         decorrelate_ms_256=decorrelate_ms,
+        scrambled_cost_16=scrambling[16],
+        scrambled_cost_900=scrambling[900],
     )
 
 

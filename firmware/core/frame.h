@@ -26,6 +26,12 @@ static inline uint16_t frame_word(uint16_t code, uint8_t bits, uint8_t parity)
     return word | (uint16_t)((folded & 1u) << (15u - bits));
 }
 
+/* Chips that fill up the first octet of a row, whose own chips end with an octet. */
+static inline uint8_t frame_unused(uint16_t order)
+{
+    return (uint8_t)(-order & 7);
+}
+
 /* Position of coded chip `chip`, in chips from the frame's start. */
 static inline uint32_t frame_place(uint32_t chip, uint16_t resync_chips, uint8_t guard_chips)
 {

@@ -5,7 +5,11 @@
 void sequencer_init(struct sequencer *s, const struct tp_node_record *record, const uint8_t *row)
 {
     s->row = row;
+    s->unused = frame_unused(record->order);
+    s->head = (uint8_t)(*row >> s->unused);
     s->order = record->order;
+    s->scramble = record->scramble;
+    s->scrambles = record->scramble != 0;
     /* a frame has at most 11 · 4096 = 45,056 chips, fewer than UINT16_MAX */
     s->slot_chips = record->resync_chips ? record->resync_chips : UINT16_MAX;
     s->negative = record->sign < 0;
@@ -13,20 +17,22 @@ void sequencer_init(struct sequencer *s, const struct tp_node_record *record, co
     s->parity = record->parity;
 }
 
-static void load_octet(struct sequencer *s)
+/* Loads chips of the row; unused: chips of their octet that are not among them. */
+static void load(struct sequencer *s, uint8_t octet, uint8_t unused)
 {
     bool inverted = s->negative == !!(s->word & 0x8000u);
 
-    s->chips = inverted ? (uint8_t)~*s->octet : *s->octet;
-    s->octet++;
-    s->octet_left = 8;
+    s->chips = inverted ? (uint8_t)~octet : octet;
+    if (s->scrambles)
+        s->chips ^= (uint8_t)(scrambler_octet(&s->flips) >> unused);
+    s->octet_left = (uint8_t)(8u - unused);
 }
 
 static void begin_bit(struct sequencer *s)
 {
     s->bit_left = s->order;
-    s->octet = s->row;
-    load_octet(s);
+    s->octet = s->row + 1;
+    load(s, s->head, s->unused);
 }
 
 static void begin_run(struct sequencer *s)
@@ -45,6 +51,7 @@ void sequencer_start(struct sequencer *s, uint16_t code)
     s->bits_left = frame_line_bits(s->code_bits, s->parity);
     s->word = frame_word(code, s->code_bits, s->parity);
     s->slot_left = s->slot_chips;
+    scrambler_start(&s->flips, s->scramble);
     begin_bit(s);
     begin_run(s);
 }
@@ -62,7 +69,7 @@ enum sequencer_next sequencer_turn(struct sequencer *s)
         s->word = (uint16_t)(s->word << 1);
         begin_bit(s);
     } else if (s->octet_left == 0) {
-        load_octet(s);
+        load(s, *s->octet++, 0);
     } else {
         s->chips >>= 1;
     }

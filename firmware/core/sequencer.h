@@ -14,6 +14,7 @@
 #include <stdint.h>
 
 #include "frame.h"
+#include "scrambler.h"
 #include "tactile_protocol.h"
 
 /* What follows a chip. */
@@ -24,8 +25,12 @@ enum sequencer_next {
 };
 
 struct sequencer {
-    const uint8_t *row;    /* chips of a bit, least significant first, 1 for + */
+    const uint8_t *row;    /* chips of a bit, least significant first, 1 for +; ends with an octet */
+    uint8_t head;          /* chips of its first octet, without what fills it up … */
+    uint8_t unused;        /* … which are so many */
     uint16_t order;        /* chips per bit */
+    uint32_t scramble;     /* state of the scrambler before a word … */
+    bool scrambles;        /* … which is not 0 */
     uint16_t slot_chips;   /* chips between guards; without guards more than a frame has */
     bool negative;         /* sign of the row */
     uint8_t code_bits;     /* of a word, without parity */
@@ -38,6 +43,7 @@ struct sequencer {
     uint16_t bit_left;     /* … of the bit … */
     uint16_t slot_left;    /* … and of the sub-slot */
     const uint8_t *octet;  /* the row's next octet */
+    struct scrambler flips;
     uint16_t word;         /* bits to send, the present one in bit 15 */
     uint8_t bits_left;     /* including the present one */
 };

@@ -36,7 +36,7 @@
 #define TP_SYNC_CALL 3u
 #define TP_SYNC_LEAD 4u
 #define TP_NODE_MAGIC 1314145108u
-#define TP_NODE_VERSION 1u
+#define TP_NODE_VERSION 2u
 #define TP_NODE_LEARN_REST 65535u
 
 /* packet types */
@@ -136,7 +136,7 @@ TP_ASSERT_AT(tp_frame_layout, resync_chips, 27);
 TP_ASSERT_AT(tp_frame_layout, guard_chips, 29);
 _Static_assert(sizeof(struct tp_frame_layout) == 30, "size of tp_frame_layout");
 
-/* Begins a node's EEPROM. Chips follow: order bits, least significant first, 1 for +1; then CRC-32. */
+/* Begins a node's EEPROM. Chips follow, least significant bit first, 1 for +1: the last one ends an octet, and what fills up the first octet is as if the row came before itself. Then CRC-32. */
 struct __attribute__((packed)) tp_node_record {
     uint32_t magic; /* marks a node's record */
     uint8_t version; /* version of the record */
@@ -151,6 +151,7 @@ struct __attribute__((packed)) tp_node_record {
     uint32_t frame_period_us; /* µs: from the first chip of a frame to that of the next */
     uint16_t resync_chips; /* chips between restarts at a sync edge; 0: never */
     uint8_t guard_chips; /* pause before each such restart, in chips */
+    uint32_t scramble; /* state of the scrambler before a frame; 0: chips are not flipped */
     uint8_t discipline; /* 1: chip times follow the period of the sync edges */
     uint16_t rest; /* code at rest; 65535: learnt after power-up */
     uint16_t threshold; /* LSB: the node transmits while its code differs by more than this from its rest or from the last one sent; 0: always */
@@ -170,19 +171,20 @@ TP_ASSERT_AT(tp_node_record, chip_ns, 16);
 TP_ASSERT_AT(tp_node_record, frame_period_us, 20);
 TP_ASSERT_AT(tp_node_record, resync_chips, 24);
 TP_ASSERT_AT(tp_node_record, guard_chips, 26);
-TP_ASSERT_AT(tp_node_record, discipline, 27);
-TP_ASSERT_AT(tp_node_record, rest, 28);
-TP_ASSERT_AT(tp_node_record, threshold, 30);
-TP_ASSERT_AT(tp_node_record, heartbeat, 32);
-TP_ASSERT_AT(tp_node_record, turn, 34);
-_Static_assert(sizeof(struct tp_node_record) == 36, "size of tp_node_record");
+TP_ASSERT_AT(tp_node_record, scramble, 27);
+TP_ASSERT_AT(tp_node_record, discipline, 31);
+TP_ASSERT_AT(tp_node_record, rest, 32);
+TP_ASSERT_AT(tp_node_record, threshold, 34);
+TP_ASSERT_AT(tp_node_record, heartbeat, 36);
+TP_ASSERT_AT(tp_node_record, turn, 38);
+_Static_assert(sizeof(struct tp_node_record) == 40, "size of tp_node_record");
 /* Whether every field is within its range. */
 static inline bool tp_node_record_in_range(const struct tp_node_record *m)
 {
     return m->magic >= 1314145108u &&
            m->magic <= 1314145108u &&
-           m->version >= 1u &&
-           m->version <= 1u &&
+           m->version >= 2u &&
+           m->version <= 2u &&
            m->node >= 1u &&
            m->nodes >= 1u &&
            (m->sign == 1 || m->sign == -1) &&

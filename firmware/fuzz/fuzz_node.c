@@ -17,7 +17,7 @@
 #define TICKS_PER_US 8
 #define UNIT_TICKS (TP_SYNC_UNIT_US * TICKS_PER_US)
 
-static const struct node_limits limits = {8 * ROW_OCTETS, 30000, 1000000, 1, false, 900, 96};
+static const struct node_limits limits = {8 * ROW_OCTETS, 30000, 30000, 1000000, 1, false, 900, 96};
 static uint8_t memory[MEMORY];
 
 static uint8_t read_memory(uint16_t address)
@@ -50,6 +50,8 @@ static struct tp_node_record record_of(struct input *input)
         record.resync_chips = 1 + input_u16(input) % 500;
         record.guard_chips = 4 + input_u8(input) % 8;
     }
+    if (flags & 0x10)
+        record.scramble = input_u32(input);
     uint32_t chips = (record.bits + record.parity) * (uint32_t)record.order;
     uint64_t span = frame_span(chips, record.resync_chips, record.guard_chips);
     record.frame_period_us = (uint32_t)(span * record.chip_ns / 1000) + 965 + input_u16(input);
@@ -95,22 +97,37 @@ static void check_record(const struct tp_node_record *record)
     MUST(used_ns + 964000 <= record->frame_period_us * 1000ull, WRONG_VALUE);
 }
 
+/* Octet of the scrambler whose state before the frame is this one. */
+static uint8_t octet_at(uint32_t state, uint32_t octet)
+{
+    for (uint32_t i = 0; i <= octet; i++) {
+        uint8_t old = (uint8_t)(state ^ state << 1), newest = (uint8_t)(state >> 24);
+        state = state >> 8 | (uint32_t)(uint8_t)(newest ^ newest >> 3 ^ old ^ old >> 1) << 24;
+    }
+    return (uint8_t)(state >> 24);
+}
+
 /* Compares every chip of a word with the definition of a frame. */
 static void check_chips(const struct tp_node_record *record, const uint8_t *row, uint16_t code)
 {
     struct sequencer sequencer;
     uint32_t bits = record->bits + record->parity;
     uint16_t word = code & (uint16_t)((1u << record->bits) - 1);
+    uint32_t octets = (record->order + 7u) / 8, flipped_at = UINT32_MAX;
+    uint8_t flipped = 0;
 
     if (record->parity)
         word = (uint16_t)(word << 1 | __builtin_parity(word));
     sequencer_init(&sequencer, record, row);
     sequencer_start(&sequencer, code);
     for (uint32_t chip = 0, all = bits * record->order; chip < all; chip++) {
-        uint32_t place = chip % record->order;
+        uint32_t place = 8 * octets - record->order + chip % record->order;
+        uint32_t octet = chip / record->order * octets + place / 8;
+        if (octet != flipped_at)
+            flipped = octet_at(record->scramble, flipped_at = octet);
         bool one = word >> (bits - 1 - chip / record->order) & 1;
         bool plus = row[place / 8] >> place % 8 & 1;
-        bool high = (one == plus) == (record->sign > 0);
+        bool high = ((one == plus) == (record->sign > 0)) != (flipped >> place % 8 & 1);
         bool guard = record->resync_chips && (chip + 1) % record->resync_chips == 0;
         enum sequencer_next next = chip + 1 == all ? SEQUENCER_END
                                    : guard         ? SEQUENCER_GUARD

@@ -22,12 +22,14 @@
 #define BOARD_ORDER 4096 /* 512 bytes of the 1 kB EEPROM, and of the 2 kB RAM */
 #ifdef NODE_FAST
 #define BOARD_CHIP_NS 500u /* shortest that test_fast_node.py runs without a wrong edge */
+#define BOARD_SCRAMBLED_CHIP_NS 1750u
 #define BOARD_LONGEST_CHIP_NS 16000u
 #define BOARD_CHIP_STEP_NS 250u
 #define BOARD_BITS_RESTART true
 #define BOARD_RESTART_US 72u
 #else
 #define BOARD_CHIP_NS 35000u /* shortest that test_node_image.py runs without a wrong edge */
+#define BOARD_SCRAMBLED_CHIP_NS 35000u
 #define BOARD_LONGEST_CHIP_NS 1000000u
 #define BOARD_CHIP_STEP_NS 1u
 #define BOARD_BITS_RESTART false

@@ -12,8 +12,8 @@
 #include "discipline.h"
 #include "tactile_protocol.h"
 
-/* row: the record's; it may be rearranged in place, and stays in use. */
-void chips_init(const struct tp_node_record *record, uint8_t *row);
+/* row: the record's; it stays in use. */
+void chips_init(const struct tp_node_record *record, const uint8_t *row);
 
 /* Prepares a word, the lowest bits of `code`. chips_stop must have released the line. */
 void chips_plan(const struct discipline *clock, uint16_t code);

@@ -98,7 +98,7 @@ ISR(BOARD_MATCH_vect)
         last_chip();
 }
 
-void chips_init(const struct tp_node_record *record, uint8_t *row)
+void chips_init(const struct tp_node_record *record, const uint8_t *row)
 {
     sequencer_init(&sequencer, record, row);
 }

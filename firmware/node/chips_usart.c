@@ -16,6 +16,7 @@
 
 #include "frame.h"
 #include "node_board.h"
+#include "scrambler.h"
 
 #define CHIP_STEP_CYCLES 2u
 #define STEPS_PER_US (BOARD_TICKS_PER_US / CHIP_STEP_CYCLES)
@@ -25,8 +26,7 @@
  * oscilloscope (docs/firmware.md): an error is common to all nodes. */
 #define START_CYCLES 19u
 
-static uint8_t *row;    /* ends with an octet; the chips that fill up its first one are its last ones */
-static uint8_t *row_end;
+static const uint8_t *row, *row_end;
 static uint8_t unused;  /* of the first octet's chips; even, as orders are */
 static uint8_t divider; /* UBRR0 */
 static bool negative;
@@ -37,22 +37,22 @@ static uint16_t word;      /* bits to send, the next one in bit 15 */
 static uint8_t bits_left;
 static volatile bool paused;
 
+static uint32_t scramble;     /* state of the scrambler before a word … */
+static bool scrambles;        /* … which is not 0 */
+static struct scrambler scrambler;
+static uint8_t flips[2];      /* of the next two octets; there is no time for them between pulse and bit */
+
 static uint8_t flip;          /* of the bit: 0xFF inverts the row's chips */
-static uint8_t guard, first;  /* its first two octets */
-static uint8_t wait;          /* turns of 4 cycles between them and UBRR0 */
+static uint8_t guard, first, second; /* octets to begin with */
+static uint8_t wait;          /* turns of 4 cycles between the first two and UBRR0 */
 
-void chips_init(const struct tp_node_record *record, uint8_t *chips)
+void chips_init(const struct tp_node_record *record, const uint8_t *chips)
 {
-    uint16_t octets = (record->order + 7u) / 8u;
-
     row = chips;
-    row_end = chips + octets;
-    unused = (uint8_t)(8u * octets - record->order);
-    if (unused) {
-        for (uint16_t i = octets - 1u; i; i--)
-            row[i] = (uint8_t)(row[i] << unused | row[i - 1] >> (8u - unused));
-        row[0] = (uint8_t)(row[0] << unused | row_end[-1] >> (8u - unused));
-    }
+    row_end = chips + (record->order + 7u) / 8u;
+    unused = frame_unused(record->order);
+    scramble = record->scramble;
+    scrambles = scramble != 0;
     divider = (uint8_t)(record->chip_ns * STEPS_PER_US / 1000u - 1u);
     negative = record->sign < 0;
     bits = record->bits;
@@ -65,6 +65,9 @@ void chips_plan(const struct discipline *clock, uint16_t code)
     word = frame_word(code, bits, parity);
     bits_left = frame_line_bits(bits, parity);
     lead_q16 = clock->lead_q16;
+    scrambler_start(&scrambler, scramble);
+    flips[0] = scrambler_octet(&scrambler);
+    flips[1] = scrambler_octet(&scrambler);
 }
 
 uint16_t chips_aim(uint32_t rise)
@@ -73,7 +76,8 @@ uint16_t chips_aim(uint32_t rise)
 
     flip = negative == !!(word & 0x8000u) ? 0xFF : 0;
     guard = row_end[-1] ^ flip;
-    first = *row ^ flip;
+    first = row[0] ^ flip ^ flips[0];
+    second = row[1] ^ flip ^ flips[1]; /* of a row of one octet nobody sends it */
     wait = (uint8_t)(3u + unused / 2u);
     UBRR0 = 0;
     return start - START_CYCLES - CHIP_STEP_CYCLES * unused - divider;
@@ -82,16 +86,17 @@ uint16_t chips_aim(uint32_t rise)
 /* Returns while the last chips are in the transmitter, which releases the line after them. */
 bool chips_begin(uint16_t at)
 {
-    const uint8_t *octet = row + 1, *end = row_end;
+    const uint8_t *octet = row + 2, *end = row_end;
     uint8_t on = _BV(TXEN0), octet_0 = guard, octet_1 = first, rate = divider, turns = wait;
-    uint8_t mask = flip, chips = *octet++ ^ mask;
+    uint8_t mask = flip, chips = second;
+    bool flipping = scrambles;
 
     if (board_ticks_until(at) < BOARD_SPIN_TICKS)
         return false;
     /* Nothing is left to be loaded between board_spin and the cycle that it waits for; nor after UBRR0,
      * as the next octet may be due 17 cycles later. */
     __asm__ volatile("" : "+r"(on), "+r"(octet_0), "+r"(octet_1), "+r"(rate), "+r"(turns),
-                          "+r"(octet), "+r"(end), "+r"(mask), "+r"(chips));
+                          "+r"(octet), "+r"(end), "+r"(mask), "+r"(chips), "+r"(flipping));
     board_spin(at);
     __asm__ volatile("sts %[control], %[on]   \n\t"
                      "sts %[data], %[octet_0] \n\t"
@@ -110,12 +115,18 @@ bool chips_begin(uint16_t at)
             ;
         UDR0 = chips;
         chips = *octet++ ^ mask;
+        if (flipping)
+            chips ^= flips[1] = scrambler_octet(&scrambler);
         board_note_overflow();
     }
     UCSR0B = 0;
     word = (uint16_t)(word << 1);
     paused = --bits_left;
-    board_sync_on();
+    board_sync_on(); /* a restart's pulse may be due */
+    if (flipping) {
+        flips[0] = flips[1]; /* that of an octet that was not sent */
+        flips[1] = scrambler_octet(&scrambler);
+    }
     return true;
 }
 

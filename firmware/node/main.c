@@ -20,6 +20,7 @@
 /* measuring_us: the reading, and 100 µs for the frame to end before it. */
 static const struct node_limits limits = {.order = BOARD_ORDER,
                                           .chip_ns = BOARD_CHIP_NS,
+                                          .scrambled_chip_ns = BOARD_SCRAMBLED_CHIP_NS,
                                           .longest_chip_ns = BOARD_LONGEST_CHIP_NS,
                                           .chip_step_ns = BOARD_CHIP_STEP_NS,
                                           .bits_restart = BOARD_BITS_RESTART,

@@ -92,7 +92,7 @@ ISR(BOARD_SYNC_vect)
     pulse_ended(units, spoke);
 }
 
-void talk_init(const struct tp_node_record *record, uint8_t *row)
+void talk_init(const struct tp_node_record *record, const uint8_t *row)
 {
     chips_init(record, row);
     frame.when = board_now() - 0x80000000u; /* long ago */

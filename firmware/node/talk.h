@@ -24,7 +24,7 @@ struct talk_frame {
 extern volatile uint8_t talk_began;
 
 /* row: as chips_init takes it. */
-void talk_init(const struct tp_node_record *record, uint8_t *row);
+void talk_init(const struct tp_node_record *record, const uint8_t *row);
 
 /* Plans the next frame: the code, and whether to transmit it in an ordinary frame (talks) and in the
  * first frame of a roll call (talks_first). talk_stop must have released the line. */

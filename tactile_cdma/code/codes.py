@@ -127,22 +127,34 @@ def row_signs(rows: Indices, seed: int | None) -> NDArray[np.int8]:
     return np.where(_hash(rows, seed) >> np.uint64(31), -1, 1).astype(np.int8)
 
 
-SCRAMBLE_FROM = 2**16
-"""First number that is hashed for the scrambler's words: rows have smaller ones."""
+SCRAMBLER = 2**16
+"""The number that is hashed for the scrambler's state: rows have smaller ones."""
 
 
-def chip_flips(chips: int, seed: int) -> NDArray[np.int8]:
-    """What all nodes multiply the chips of a frame by, if they scramble: (chips,) int8 of ±1.
+def scrambler_state(seed: int) -> int:
+    """State of the scrambler before a frame, 1…2³² − 1; seed: that of the row signs."""
+    (state,) = _hash([SCRAMBLER], seed)
+    return int(state) or 1
 
-    Chip i is flipped where bit i mod 32 of a word is set: the hash of the row signs' seed and
-    SCRAMBLE_FROM + ⌊i/32⌋.
+
+def chip_flips(bits: int, order: int, seed: int) -> NDArray[np.int8]:
+    """What all nodes that scramble multiply the chips of a frame by: (bits, order) int8 of ±1.
+
+    A xorshift of octets (Marsaglia 2003) with the period 2³² − 1: the next one is made of the
+    newest and the oldest of four. A bit takes the next ⌈order / 8⌉ octets, least significant bit
+    first, and flips its chips where the last `order` of their bits are set.
     """
-    words = _hash(SCRAMBLE_FROM + np.arange(-(-chips // 32)), seed).astype("<u4")
-    bits = np.unpackbits(words.view(np.uint8), bitorder="little")[:chips]
-    return (1 - 2 * bits.astype(np.int8)).astype(np.int8)
+    octets = -(-order // 8)
+    made = bytearray(scrambler_state(seed).to_bytes(4, "little"))
+    for _ in range(bits * octets):
+        newest, oldest = made[-1], made[-4] ^ (made[-4] << 1 & 0xFF)
+        made.append(newest ^ newest >> 3 ^ oldest ^ oldest >> 1)
+    own = np.frombuffer(made, np.uint8, offset=4).reshape(bits, octets)
+    flipped = np.unpackbits(own, axis=1, bitorder="little")[:, -order:]
+    return (1 - 2 * flipped.astype(np.int8)).astype(np.int8)
 
 
-def _hash(numbers: Indices, seed: int) -> NDArray[np.uint64]:
+def _hash(numbers: ArrayLike, seed: int) -> NDArray[np.uint64]:
     """MurmurHash3's 32-bit finalizer of seed + number·φ."""
     golden, mask = 0x9E3779B9, 0xFFFFFFFF
     each = np.asarray(numbers, dtype=np.uint64)

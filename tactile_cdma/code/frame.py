@@ -24,6 +24,8 @@ from .codes import (
 
 BIPOLAR, UNIPOLAR = "bipolar", "unipolar"
 DEFAULT_AMPLITUDE_V = 0.3
+LEAST_SCRAMBLED = 4
+"""Least order of which chips are flipped."""
 """Level of one node on the line, V, in the paper: about 300 mV."""
 MAX_STRETCH = 0.11
 """Largest relative stretch of a frame that is searched for. The paper's hardware reaches 0.10 (8.0
@@ -110,6 +112,11 @@ class FrameSpec:
                 "unipolar drive cannot be scrambled: the level that its nodes have in common would "
                 "show in all rows; set scramble to false or drive to bipolar"
             )
+        if self.scramble and self.order < LEAST_SCRAMBLED:
+            raise SpecError(
+                f"order is {self.order}: rows of fewer than {LEAST_SCRAMBLED} chips are not told "
+                "apart by flipping chips; set scramble to false or use a longer order"
+            )
         if self.scramble and self.sign_seed is None:
             raise SpecError("scramble takes its sequence from sign_seed: set that to 0 or more")
         if bool(self.resync_chips) != bool(self.guard_chips):
@@ -157,8 +164,7 @@ class FrameSpec:
         if not self.scramble:
             return None
         assert self.sign_seed is not None
-        flips = chip_flips(self.chips, self.sign_seed).astype(np.float32)
-        return flips.reshape(self.line_bits, self.order)
+        return chip_flips(self.line_bits, self.order, self.sign_seed).astype(np.float32)
 
     @property
     def frame_s(self) -> float:

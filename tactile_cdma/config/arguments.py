@@ -15,9 +15,9 @@ from .parameters import BY_NAME, NATURAL_SIGNS, Value, read_file, unknown
 
 _NAMES = (
     *("nodes", "bits", "chip_us", "frame_period_ms", "order", "first_row", "sign_seed", "drive"),
-    *("polarity", "amplitude_mv", "timing", "samples_per_chip", "vref_v"),
+    *("polarity", "amplitude_mv", "timing", "samples_per_chip", "vref_v", "parity", "scramble"),
 )
-"""Parameters that are options: --nodes, …, --samples-per-chip, --vref."""
+"""Parameters that are options: --nodes, …, --vref, --parity and --no-parity, …"""
 
 
 def add_skin_options(
@@ -30,7 +30,11 @@ def add_skin_options(
     for name in _NAMES:
         option, parameter = "--" + name.removesuffix("_v").replace("_", "-"), BY_NAME[name]
         kind, text = type(parameter.default), parameter.description.replace("%", "%%")
-        group.add_argument(option, type=kind, dest=name, help=text)
+        if kind is bool:
+            either = argparse.BooleanOptionalAction
+            group.add_argument(option, action=either, default=None, dest=name, help=text)
+        else:
+            group.add_argument(option, type=kind, dest=name, help=text)
     group.add_argument(
         "--natural-signs",
         action="store_const",

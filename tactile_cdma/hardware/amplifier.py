@@ -245,9 +245,10 @@ def design(
     series_ohm, bias_ohm = _attenuator(2 * NODE_LEVEL_V / supply_v)
     level_v = supply_v * bias_ohm / (4 * series_ohm + 2 * bias_ohm)
     sample_s = first_sample_s(spec.chip_s, samples_per_chip, adc_hz)
-    left_v = room_v
-    for _ in range(2):  # the margin depends on the gain, a little
-        level = room_v / level_v
+    left_v, used_v = room_v, math.inf
+    while used_v > room_v:  # the margin depends on the gain, a little
+        used_v = room_v
+        level = used_v / level_v
         stages, low_pass_s = _stages(spec, active, level, sample_s, (series_ohm, bias_ohm))
         room_v = left_v - SIGMAS * rest_deviation_v(stages, supply_v)
     filter_f = 10.0 ** math.floor(math.log10(low_pass_s / FILTER_OHM))

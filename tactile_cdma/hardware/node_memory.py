@@ -3,8 +3,8 @@
 """A node's EEPROM: what a sensing node has to know about its skin.
 
 The bytes are a NodeRecord (firmware/protocol.yaml), the chips of the node's code row, 1 for +1,
-least significant bit first, and the CRC-32 of both. The row's sign is in the record, not in the
-chips.
+least significant bit first, and the CRC-32 of both. The last chip ends an octet; what fills up the
+first octet is as if the row came before itself. The row's sign is in the record, not in the chips.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import NodeMemoryError, SpecError, check_limits
+from ..code.codes import scrambler_state
 from ..code.frame import FrameSpec
 from ..config.parameters import LINE
 from ..wire._protocol import FIELDS, NODE_LEARN_REST, NODE_MAGIC, NODE_VERSION, Polarity
@@ -28,7 +29,8 @@ class Mcu:
     """A microcontroller for nodes with an image, and the limits of both.
 
     part: avrdude's name. order: longest code row that fits its memories. chip_ns, longest_chip_ns:
-    range of chips that it keeps up with, ns. chip_step_ns: chips are a multiple of this.
+    range of chips that it keeps up with, ns. scrambled_chip_ns: shortest chip that it flips, ns.
+    chip_step_ns: chips are a multiple of this.
     bits_restart: it starts anew at every bit. restart_s: least guard before a restart within the
     frame, s: the restart's sync pulse, 64 µs ahead of it, must not begin before a node has released
     the line.
@@ -37,6 +39,7 @@ class Mcu:
     part: str
     order: int
     chip_ns: int
+    scrambled_chip_ns: int
     longest_chip_ns: int = 1_000_000
     chip_step_ns: int = 1
     bits_restart: bool = False
@@ -45,9 +48,9 @@ class Mcu:
 
 FAST = "atmega328p-fast"
 MCUS = {
-    "atmega328p": Mcu("m328p", 4096, 35_000),
-    FAST: Mcu("m328p", 4096, 500, 16_000, 250, bits_restart=True, restart_s=72e-6),
-    "attiny85": Mcu("t85", 1024, 40_000),
+    "atmega328p": Mcu("m328p", 4096, 35_000, 35_000),
+    FAST: Mcu("m328p", 4096, 500, 1750, 16_000, 250, bits_restart=True, restart_s=72e-6),
+    "attiny85": Mcu("t85", 1024, 40_000, 40_000),
 }
 MEASURING_S = 1e-3
 """Least gap after a frame, s, in which the node measures and gets ready for the next sync edge."""
@@ -61,7 +64,8 @@ class NodeRecord(Message):
     """The beginning of a node's EEPROM, in the integers stored there.
 
     node: counted from 1. row: of the code book; for whoever reads the memory, as the chips follow.
-    rest: code at rest, or NODE_LEARN_REST. threshold: LSB. heartbeat, turn: frames.
+    scramble: state of the scrambler before a frame, or 0. rest: code at rest, or NODE_LEARN_REST.
+    threshold: LSB. heartbeat, turn: frames.
     """
 
     magic: int = NODE_MAGIC
@@ -77,6 +81,7 @@ class NodeRecord(Message):
     frame_period_us: int
     resync_chips: int
     guard_chips: int
+    scramble: int
     discipline: bool
     rest: int
     threshold: int
@@ -125,11 +130,9 @@ def node_memory(
     if rest is not None:
         check_limits("rest", rest, 0, 2**spec.bits - 1, f"codes have {spec.bits} bits")
     check_limits("bits", spec.bits, *_limits("bits"), "a node's converter has 10 bits")
-    if spec.scramble:
-        raise SpecError("scramble is true, but the firmware of these nodes does not flip its chips")
     check_limits("order", spec.order, 1, board.order, f"the {mcu} holds no longer code row")
     layout = FrameLayout.of(spec, samples_per_chip=1)  # whole nanoseconds and microseconds
-    _check_chip(layout.chip_ns, mcu)
+    _check_chip(layout.chip_ns, mcu, spec.scramble)
     if board.bits_restart and spec.resync_chips != spec.order:
         guard_chips = math.ceil(board.restart_s / spec.chip_s - 1e-9)
         raise SpecError(
@@ -167,6 +170,7 @@ def node_memory(
         frame_period_us=layout.frame_period_us,
         resync_chips=spec.resync_chips,
         guard_chips=spec.guard_chips,
+        scramble=scrambler_state(spec.sign_seed or 0) if spec.scramble else 0,
         discipline=discipline,
         rest=NODE_LEARN_REST if rest is None else rest,
         threshold=threshold,
@@ -174,17 +178,23 @@ def node_memory(
         turn=(node - 1) * heartbeat // spec.nodes,
     )
     (chips,) = spec.book.rows([record.row])
-    body = record.pack() + np.packbits(chips > 0, bitorder="little").tobytes()
+    filled = np.take(chips > 0, np.arange(-(-spec.order % 8), spec.order), mode="wrap")
+    body = record.pack() + np.packbits(filled, bitorder="little").tobytes()
     return body + zlib.crc32(body).to_bytes(CRC_BYTES, "little")
 
 
-def _check_chip(chip_ns: int, mcu: str) -> None:
+def _check_chip(chip_ns: int, mcu: str, scramble: bool) -> None:
     """Raises SpecError for a chip that this board cannot make."""
     board, reason = MCUS[mcu], f"the {mcu} runs at 8 MHz"
     fast = MCUS[FAST]
     if fast.chip_ns <= chip_ns <= fast.longest_chip_ns:
         reason += f"; an {FAST} makes such chips"
     check_limits("chip_ns", chip_ns, board.chip_ns, board.longest_chip_ns, reason)
+    if scramble and chip_ns < board.scrambled_chip_ns:
+        raise SpecError(
+            f"chip_ns is {chip_ns}; an {mcu} that scrambles takes {board.scrambled_chip_ns} or "
+            "more: set scramble to false or use longer chips"
+        )
     if odd := chip_ns % board.chip_step_ns:
         below = chip_ns - odd
         raise SpecError(
@@ -238,7 +248,7 @@ def read_node_memory(data: bytes) -> tuple[NodeRecord, NDArray[np.int8]]:
     except SpecError as error:
         raise NodeMemoryError(f"the memory is intact, but not for this firmware: {error}") from None
     packed = np.frombuffer(body, np.uint8, offset=wire.size)
-    positive = np.unpackbits(packed, count=record.order, bitorder="little")
+    positive = np.unpackbits(packed[: _octets(record.order)], bitorder="little")[-record.order :]
     return record, np.where(positive, 1, -1).astype(np.int8)
 
 
@@ -256,6 +266,7 @@ def describe_memory(record: NodeRecord, chips: NDArray[np.int8]) -> str:
         "chip": f"{record.chip_ns / 1e3:g} µs"
         + (", following the sync edges" if record.discipline else ", of the node's own clock"),
         "frame": f"every {record.frame_period_us / 1e3:g} ms",
+        "scrambler": f"from state 0x{record.scramble:08X}" if record.scramble else "none",
         "restarts": restart if record.resync_chips else "none",
         "talks": change if record.threshold else "in every frame",
         "heartbeat": beat if record.heartbeat else "none",
@@ -265,7 +276,12 @@ def describe_memory(record: NodeRecord, chips: NDArray[np.int8]) -> str:
 
 def _size(order: int) -> int:
     """Bytes of record, chips and CRC."""
-    return WIRE["NodeRecord"].size + (order + 7) // 8 + CRC_BYTES
+    return WIRE["NodeRecord"].size + _octets(order) + CRC_BYTES
+
+
+def _octets(order: int) -> int:
+    """Bytes of a row."""
+    return -(-order // 8)
 
 
 def _limits(name: str) -> tuple[int, int]:

@@ -22,7 +22,7 @@ SYNC_FRAME = 2
 SYNC_CALL = 3
 SYNC_LEAD = 4
 NODE_MAGIC = 1314145108
-NODE_VERSION = 1
+NODE_VERSION = 2
 NODE_LEARN_REST = 65535
 FLAG_SYNC = 0x01
 FLAG_OVERRUN = 0x02
@@ -109,14 +109,15 @@ FIELDS: dict[str, tuple[Field, ...]] = {
         Field("parity", "B", bool), Field("resync_chips", "H", U16),
         Field("guard_chips", "B", U8),),
     "NodeRecord": (Field("magic", "I", range(1314145108, 1314145109)),
-        Field("version", "B", range(1, 2)), Field("node", "H", range(1, 65536)),
+        Field("version", "B", range(2, 3)), Field("node", "H", range(1, 65536)),
         Field("nodes", "H", range(1, 65536)), Field("row", "H", U16),
         Field("sign", "b", Polarity), Field("bits", "B", range(8, 11)),
         Field("parity", "B", bool), Field("order", "H", range(1, 4097)),
         Field("chip_ns", "I", range(500, 1000001)),
         Field("frame_period_us", "I", range(1000, 10000001)), Field("resync_chips", "H", U16),
-        Field("guard_chips", "B", U8), Field("discipline", "B", bool), Field("rest", "H", U16),
-        Field("threshold", "H", U16), Field("heartbeat", "H", U16), Field("turn", "H", U16),),
+        Field("guard_chips", "B", U8), Field("scramble", "I", U32),
+        Field("discipline", "B", bool), Field("rest", "H", U16), Field("threshold", "H", U16),
+        Field("heartbeat", "H", U16), Field("turn", "H", U16),),
     "Info": (Field("version", "B", U8), Field("firmware_major", "B", U8),
         Field("firmware_minor", "B", U8), Field("digitizer_id", "8s"),
         Field("sample_rate_uhz", "Q", range(1, 18446744073709551616)),

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from tactile_cdma.code.encode import frame_levels, line_chips
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.hardware.node_memory import FAST, node_memory
+from tactile_cdma.hardware.node_memory import FAST, MCUS, node_memory
 
 CYCLE_NS = 125
 EDGE_NS = 2 * CYCLE_NS
@@ -40,6 +40,7 @@ PRELUDE_NS = 4_000
 """Longest time before a sub-slot, beside half a chip, for which the transmitter drives the line."""
 PPM = 1e-6
 REST = 225
+SCRAMBLED_S = MCUS[FAST].scrambled_chip_ns * 1e-9
 SPEECH = {"threshold": 0, "rest": REST}
 CODES = (0, 1023, 0b0101101110)
 
@@ -64,6 +65,11 @@ SHAPES = {
     "slow chips that outlast the timer": fast(60, 1024, 16e-6),
     "longest row": fast(4000, 4096),
     "parity, 8 bits": fast(31, 32, bits=8, parity=True),
+    "scrambled": fast(900, 912, scramble=True),
+    "scrambled, shortest chips": fast(1000, 1024, SCRAMBLED_S, scramble=True),
+    "scrambled, half an octet": fast(19, 20, SCRAMBLED_S, scramble=True, parity=True),
+    "scrambled, shortest row": fast(3, 4, SCRAMBLED_S, scramble=True),
+    "scrambled, slow": fast(3, 4, 16e-6, scramble=True),
 }  # fmt: skip
 
 

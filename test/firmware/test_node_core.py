@@ -27,7 +27,8 @@ GOOD, BLANK, CORRUPT, INVALID, UNFIT = range(5)
 FRAME, CALL, MISSED = range(3)
 ORDERS = [order for order in range(1, 421) if is_feasible(order)] + [1024, 4096]
 SPEC = FrameSpec(nodes=4, order=16)
-CHIP_NS, LONGEST_CHIP_NS, MEASURING_US, RESTART_US = 30_000, 900_000, 900, 80
+CHIP_NS, SCRAMBLED_CHIP_NS, LONGEST_CHIP_NS = 30_000, 33_000, 900_000
+MEASURING_US, RESTART_US = 900, 80
 RECORD_BYTES = WIRE["NodeRecord"].size
 
 
@@ -37,6 +38,7 @@ class Limits(ctypes.Structure):
     _fields_ = (
         ("order", ctypes.c_uint16),
         ("chip_ns", ctypes.c_uint16),
+        ("scrambled_chip_ns", ctypes.c_uint16),
         ("longest_chip_ns", ctypes.c_uint32),
         ("chip_step_ns", ctypes.c_uint16),
         ("bits_restart", ctypes.c_bool),
@@ -49,7 +51,9 @@ def load(core: ctypes.CDLL, memory: bytes, order: int = 4096) -> tuple[int, byte
     """The fault that the node finds in a memory; its record and its row."""
     record = ctypes.create_string_buffer(RECORD_BYTES)
     row = ctypes.create_string_buffer((order + 7) // 8)
-    limits = Limits(order, CHIP_NS, LONGEST_CHIP_NS, 1, False, MEASURING_US, RESTART_US)
+    limits = Limits(
+        order, CHIP_NS, SCRAMBLED_CHIP_NS, LONGEST_CHIP_NS, 1, False, MEASURING_US, RESTART_US
+    )
     fault = core.shim_load(memory, len(memory), ctypes.byref(limits), record, row)
     return fault, record.raw, row.raw
 
@@ -70,6 +74,7 @@ def specs(draw: st.DrawFn) -> FrameSpec:
     first_row = draw(st.integers(0, order - 1))
     resync = draw(st.one_of(st.just(0), st.integers(1, 4000)))
     guard = draw(st.integers(3, 255)) if resync else 0  # 96 µs at least
+    seed = draw(st.one_of(st.none(), st.integers(0, 2**32 - 1)))
     spec = FrameSpec(
         nodes=draw(st.integers(1, order - first_row)),
         bits=draw(st.integers(8, 10)),
@@ -77,7 +82,8 @@ def specs(draw: st.DrawFn) -> FrameSpec:
         chip_s=draw(st.sampled_from([35e-6, 50e-6, 61.7e-6])),
         frame_period_s=1e6,
         first_row=first_row,
-        sign_seed=draw(st.one_of(st.none(), st.integers(0, 2**32 - 1))),
+        sign_seed=seed,
+        scramble=seed is not None and order >= 4 and draw(st.booleans()),
         polarity=draw(st.sampled_from([1, -1])),
         parity=draw(st.booleans()),
         resync_chips=resync,
@@ -134,13 +140,15 @@ def test_no_flipped_bit_is_believed(core: ctypes.CDLL, bit: int) -> None:
         ({"sign": 0}, INVALID),
         ({"parity": 2}, INVALID),
         ({"discipline": 2}, INVALID),
-        ({"version": 2}, INVALID),
+        ({"version": 1}, INVALID),
         ({"order": 0}, INVALID),
         ({"chip_ns": 499}, INVALID),
         ({"chip_ns": 900_000, "frame_period_us": 200_000}, GOOD),
         ({"chip_ns": 900_001, "frame_period_us": 200_000}, UNFIT),
         ({"chip_ns": 29_999}, UNFIT),
         ({"chip_ns": 30_000}, GOOD),
+        ({"chip_ns": 32_999, "scramble": 1}, UNFIT),
+        ({"chip_ns": 33_000, "scramble": 1}, GOOD),
         ({"resync_chips": 32}, INVALID),
         ({"guard_chips": 2}, INVALID),
         ({"resync_chips": 32, "guard_chips": 2}, GOOD),

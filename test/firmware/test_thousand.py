@@ -40,6 +40,12 @@ def test_every_word_of_128_nodes_is_right() -> None:
     assert np.unique(codes).size > 400, "nodes say all kinds of words"
 
 
+def test_scrambled_nodes_are_heard() -> None:
+    trial = on_one_wire(FEW | {"scramble": True}, 4).trial
+    assert trial.frames >= 4
+    assert (trial.wrong, trial.silent, trial.lost_samples) == (0, 0, 0)
+
+
 @pytest.mark.parametrize(
     "spread",
     [replace(SPREAD, clock=3e-3), replace(SPREAD, skew_ns=4000)],

@@ -14,7 +14,7 @@ from tactile_cdma.clocks.decorrelate import Decorrelator
 from tactile_cdma.clocks.node_clocks import NodeClocks
 from tactile_cdma.clocks.sampling import Sampling
 from tactile_cdma.code.chips import chips_of, rows_of
-from tactile_cdma.code.codes import chip_flips
+from tactile_cdma.code.codes import chip_flips, scrambler_state
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.separate import separate
@@ -22,7 +22,6 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.framing.gap_timing import GapTiming
 from tactile_cdma.framing.line_timing import LineTiming
 from tactile_cdma.framing.timing import SampleBlock
-from tactile_cdma.hardware.node_memory import node_memory
 from tactile_cdma.wire._protocol import Signs
 from tactile_cdma.wire.messages import FrameLayout
 from tactile_cdma.words.decode import Words, decode
@@ -33,21 +32,40 @@ MASK = 0xFFFFFFFF
 def test_the_sequence_is_that_of_the_document() -> None:
     """Written out by docs/protocol.md."""
     for seed in (0, 1, 0xDEADBEEF):
-        flips = chip_flips(100, seed)
-        for chip in range(100):
-            r = 65_536 + chip // 32
-            h = (seed + r * 0x9E3779B9) & MASK
-            h = ((h ^ h >> 16) * 0x85EBCA6B) & MASK
-            h = ((h ^ h >> 13) * 0xC2B2AE35) & MASK
-            h ^= h >> 16
-            assert flips[chip] == (-1 if h >> chip % 32 & 1 else 1)
+        h = (seed + 65_536 * 0x9E3779B9) & MASK
+        h = ((h ^ h >> 16) * 0x85EBCA6B) & MASK
+        h = ((h ^ h >> 13) * 0xC2B2AE35) & MASK
+        h ^= h >> 16
+        octets = [h & 255, h >> 8 & 255, h >> 16 & 255, h >> 24]
+        while len(octets) < 4 + 30:
+            a, d = octets[-4], octets[-1]
+            t = (a ^ (a << 1)) % 256
+            octets.append(d ^ (d >> 3) ^ t ^ (t >> 1))
+        del octets[:4]
+        for order in (1, 2, 8, 20, 24):
+            size = (order + 7) // 8
+            for bit, flips in enumerate(chip_flips(10, order, seed)):
+                for chip in range(order):
+                    place = 8 * size - order + chip
+                    octet = octets[bit * size + place // 8]
+                    assert flips[chip] == (-1 if octet >> place % 8 & 1 else 1)
 
 
-def test_it_is_balanced_and_unlike_itself_shifted() -> None:
-    flips = chip_flips(9120, 1).astype(float)
+def test_no_seed_stops_it() -> None:
+    """The state 0 would stay 0, and flip nothing; this seed's hash is 0."""
+    seed = -65_536 * 0x9E3779B9 & MASK
+    assert scrambler_state(seed) == 1
+    assert (chip_flips(10, 20, seed) < 0).any()
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("order", [912, 20])
+def test_it_is_balanced_and_unlike_itself_shifted(order: int, seed: int) -> None:
+    flips = chip_flips(10, order, seed).ravel().astype(float)
     assert abs(flips.mean()) < 4 / np.sqrt(flips.size)
-    for shift in range(1, 200):
-        assert abs((flips[shift:] * flips[:-shift]).mean()) < 5 / np.sqrt(flips.size)
+    for shift in range(1, min(200, flips.size // 2)):
+        both = flips[shift:] * flips[:-shift]
+        assert abs(both.mean()) < 5 / np.sqrt(both.size)
 
 
 def test_rows_and_chips_are_each_others_inverse() -> None:
@@ -58,13 +76,15 @@ def test_rows_and_chips_are_each_others_inverse() -> None:
 
 @pytest.mark.parametrize(
     ("fields", "message"),
-    [({"drive": "unipolar"}, "would show in all rows"), ({"sign_seed": None}, "from sign_seed")],
+    [
+        ({"nodes": 1, "order": 2, "first_row": 0}, "order is 2: rows of fewer than 4 chips"),
+        ({"drive": "unipolar"}, "would show in all rows"),
+        ({"sign_seed": None}, "from sign_seed"),
+    ],
 )
 def test_what_cannot_be_scrambled_is_refused(fields: dict, message: str) -> None:
     with pytest.raises(SpecError, match=message):
         FrameSpec(scramble=True, **fields)
-    with pytest.raises(SpecError, match="does not flip its chips"):
-        node_memory(FrameSpec(scramble=True), 1)
 
 
 def test_the_wire_carries_it() -> None:
@@ -84,7 +104,10 @@ def test_a_scrambled_skin_is_decoded(samples_per_chip: int, parity: bool) -> Non
     frames = run(config, data)
     plain = run(SkinConfig.of({**values, "scramble": False}), data)
     assert len(frames) >= 38
-    assert all(f.words.active.all() and not f.words.doubtful.any() for f in frames)
+    assert all(f.words.active.all() for f in frames)
+    doubtful = sum(f.words.doubtful.any() for f in frames)
+    # of chip means the level at rest is a guess: now and then a frame is said to be in doubt
+    assert doubtful <= (1 if samples_per_chip == 1 else 0)
     assert not plain  # the digitizer's description contradicts the parameters
 
 
@@ -190,12 +213,17 @@ def test_a_lone_late_node_is_not_called_silence(samples_per_chip: int) -> None:
 
 
 def test_nodes_a_chip_apart_are_told_apart() -> None:
-    """Rows of Paley's orders are each other's shifts; flipped, no waveform is another one's."""
-    unresolved = []
-    for scramble in (False, True):
-        spec = FrameSpec(nodes=10, order=20, scramble=scramble, frame_period_s=0.02)
-        clocks = NodeClocks(np.arange(10) % 2.0, np.zeros(10), np.ones(10, bool))
-        found = Decorrelator(spec, clocks, Sampling(4.0, 0.5))
-        unresolved.append(len(found.unresolved))
-    assert unresolved[0] > 0
-    assert unresolved[1] == 0
+    """Rows of Paley's orders are each other's shifts; flipped, hardly two waveforms are alike."""
+
+    def skins_with_twins(scramble: bool) -> int:
+        count = 0
+        for seed in range(12):
+            spec = FrameSpec(
+                nodes=10, order=20, scramble=scramble, sign_seed=seed, frame_period_s=0.02
+            )
+            clocks = NodeClocks(np.arange(10) % 2.0, np.zeros(10), np.ones(10, bool))
+            count += bool(len(Decorrelator(spec, clocks, Sampling(4.0, 0.5)).unresolved))
+        return count
+
+    assert skins_with_twins(scramble=False) == 12
+    assert skins_with_twins(scramble=True) <= 2  # of so short a code some are, by chance

@@ -11,10 +11,13 @@ import time
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 from simulated import scope_capture
 
+from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.commands.cli import main
+from tactile_cdma.sim.channel import Channel
 
 ROOT = Path(__file__).resolve().parents[3]
 COMMAND = [sys.executable, "-m", "tactile_cdma"]
@@ -48,6 +51,22 @@ def test_a_recording_decodes_without_being_told_anything(
     node = frames[0]["nodes"][0]
     assert node["code"] == int(node["bits"], 2)
     assert node["voltage"] == pytest.approx(node["code"] * 3.3 / 1024, abs=1e-4)
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_a_scope_capture_of_scrambled_nodes_is_decoded_if_told_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], told: bool
+) -> None:
+    spec, path = FrameSpec(scramble=True, parity=True), tmp_path / "scope.csv"
+    codes = np.arange(16) * 60 + 17
+    frames = [(codes, np.ones(16, bool))] * 6
+    time_s, volts = scope_capture(spec, frames, 200e3, Channel(noise_rms_v=0.01))
+    np.savetxt(path, np.column_stack((time_s, volts)), delimiter=",")
+    options = ["--timing", "gap", "--parity", "--scramble" if told else "--no-scramble", "--json"]
+    main(["decode", str(path), *options])
+    found = frames_of(capsys.readouterr().out)
+    said = [[node["code"] for node in frame["nodes"]] for frame in found]
+    assert (said == [codes.tolist()] * 6) is told
 
 
 def test_a_truncated_recording_gives_its_whole_frames(

@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import NodeMemoryError, SpecError
-from tactile_cdma.code.codes import smallest_order
+from tactile_cdma.code.codes import scrambler_state, smallest_order
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.hardware.intel_hex import from_hex, to_hex
 from tactile_cdma.hardware.node_memory import (
@@ -44,6 +44,7 @@ def specs(draw: st.DrawFn) -> FrameSpec:
     bits, parity = draw(st.integers(8, 10)), draw(st.booleans())
     chip_s = draw(st.integers(40_000, 100_000)) / 1e9
     resync = draw(st.sampled_from([0, 16, 32]))
+    seed = draw(st.one_of(st.none(), st.integers(0, 2**32 - 1)))
     span = 1.3 * (bits + 1) * order * chip_s
     return FrameSpec(
         nodes=nodes,
@@ -52,7 +53,8 @@ def specs(draw: st.DrawFn) -> FrameSpec:
         chip_s=chip_s,
         frame_period_s=(int(span * 1e6) + draw(st.integers(2_000, 50_000))) / 1e6,
         first_row=first_row,
-        sign_seed=draw(st.one_of(st.none(), st.integers(0, 2**32 - 1))),
+        sign_seed=seed,
+        scramble=seed is not None and order >= 4 and draw(st.booleans()),
         parity=parity,
         resync_chips=resync,
         guard_chips=3 if resync else 0,
@@ -79,6 +81,7 @@ def test_what_is_written_reads_back(spec: FrameSpec, data: st.DataObject) -> Non
     assert record.chip_ns / 10**9 == spec.chip_s
     assert record.frame_period_us / 10**6 == spec.frame_period_s
     assert (record.resync_chips, record.guard_chips) == (spec.resync_chips, spec.guard_chips)
+    assert record.scramble == (scrambler_state(spec.sign_seed) if spec.scramble else 0)
     assert record.rest == (NODE_LEARN_REST if rest is None else rest)
     assert (record.threshold, record.heartbeat) == (threshold, heartbeat)
     assert record.discipline == discipline
@@ -86,15 +89,16 @@ def test_what_is_written_reads_back(spec: FrameSpec, data: st.DataObject) -> Non
 
 def test_the_bytes_lie_where_the_document_says() -> None:
     chips = SPEC.node_rows[4]
+    filled = [*chips[-4:], *chips]
     packed = bytes(
-        sum(1 << bit for bit, chip in enumerate(chips[start : start + 8]) if chip > 0)
-        for start in range(0, len(chips), 8)
+        sum(1 << bit for bit, chip in enumerate(filled[start : start + 8]) if chip > 0)
+        for start in range(0, len(filled), 8)
     )
     head = b"TCTN" + struct.pack(
-        "<BHHHbBBHIIHBBHHHH",
-        *(1, 5, 16, 5, SPEC.signs[4], 10, 0, 20, 50_000, 12_800, 0, 0, 1, 65_535, 1, 78, 19),
+        "<BHHHbBBHIIHBIBHHHH",
+        *(2, 5, 16, 5, SPEC.signs[4], 10, 0, 20, 50_000, 12_800, 0, 0, 0, 1, 65_535, 1, 78, 19),
     )
-    assert len(head) == 36
+    assert len(head) == 40
     crc = zlib.crc32(head + packed)
     assert head + packed + struct.pack("<I", crc) == MEMORY
 
@@ -171,6 +175,11 @@ def test_heartbeat_is_a_second_unless_told_otherwise(frame_period_s: float, hear
             "2000 or 2250",
         ),
         (
+            {"chip_s": 1e-6, "scramble": True},
+            {"mcu": FAST},
+            "chip_ns is 1000; an atmega328p-fast that scrambles takes",
+        ),
+        (
             {"chip_s": 2e-6, "order": 912, "nodes": 900, "frame_period_s": 0.02},
             {"mcu": FAST},
             "resync_chips is 0, but an atmega328p-fast, whose chips follow its own clock, "
@@ -198,7 +207,7 @@ def test_the_limits_themselves_are_allowed() -> None:
     longest = FrameSpec(nodes=4095, order=4096, chip_s=35e-6, frame_period_s=1.5)
     assert node_memory(FrameSpec(chip_s=35e-6, resync_chips=32, guard_chips=3), 1)
     memory = node_memory(longest, 4095, threshold=1023, heartbeat=65_535, rest=1023)
-    assert len(memory) == 552
+    assert len(memory) == 556
     assert read_node_memory(memory)[0].turn == 4094 * 65_535 // 4095
 
 
@@ -224,11 +233,11 @@ def with_field(name: str, value: int, *, seal: bool = True) -> bytes:
     [
         (b"", "is blank"),
         (bytes([0xFF]) * 1024, "is blank"),
-        (MEMORY[:35], "35 bytes are no node's memory; its record takes 36"),
-        (MEMORY[:-1], "is truncated: a row of 20 chips takes 43 bytes, there are 42"),
+        (MEMORY[:35], "35 bytes are no node's memory; its record takes 40"),
+        (MEMORY[:-1], "is truncated: a row of 20 chips takes 47 bytes, there are 46"),
         (with_field("magic", 0x12345678), "begins with 0x12345678, not 0x4E544354"),
-        (with_field("version", 2), "a record of version 2"),
-        (with_field("order", 4000), "is truncated: a row of 4000 chips takes 540 bytes"),
+        (with_field("version", 1), "a record of version 1, this is for 2"),
+        (with_field("order", 4000), "is truncated: a row of 4000 chips takes 544 bytes"),
         (with_field("row", 6, seal=False), "is damaged"),
         (with_field("bits", 11), "not for this firmware: bits is 11"),
         (with_field("sign", 0), "not for this firmware: sign is 0"),
