@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,8 +21,8 @@ from tactile_cdma.wire.messages import Quiet, Samples
 from tactile_cdma.wire.packets import PacketParser
 
 STEP_NS = 20_000_000
-SETTLING = 16
-"""Frames that suffice for that. Chosen."""
+SETTLING_S = 0.2
+"""Time in which nodes learn their code at rest (70 ms) and the sync period, s. Chosen."""
 PATIENCE_NS = 1_000_000_000
 """A trial ends when no frame has come for this long, ns. Chosen."""
 BEFORE_MARK_NS = 200_000
@@ -50,12 +51,14 @@ class Trial:
 
 
 def press_and_decode(
-    skin: PressedSkin, config: SkinConfig, frames: int, settling: int = SETTLING
+    skin: PressedSkin, config: SkinConfig, frames: int, settling: int | None = None
 ) -> Trial:
     """Run until this many frames have been decoded, or none has come for PATIENCE_NS.
 
-    settling: first frames, not counted: nodes measure the sync period and their code at rest.
+    settling: first frames, not counted; None: those of SETTLING_S.
     """
+    if settling is None:
+        settling = math.ceil(SETTLING_S / config.spec.frame_period_s)
     trial, marks = Trial(), Marks(config)
     pipeline, parser = Pipeline(config, background=False), PacketParser()
     skin.write(Session(config).open())
