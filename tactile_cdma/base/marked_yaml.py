@@ -25,6 +25,7 @@ MOST_BYTES = 1 << 24
 """Bytes of a file; chosen."""
 MOST_DEPTH = 16
 """Levels of nesting; chosen well above the 4 or so that our files have."""
+_TOO_DEEP = f"nested deeper than {MOST_DEPTH} levels"
 MOST_EVENTS = 1 << 21
 """Values, keys, and beginnings and ends of lists: twice what 65,535 taxels need with all keys."""
 MOST_TEXT = 1 << 16
@@ -199,7 +200,10 @@ def read_marked(path: Path, error: type[TactileError]) -> Marked:
     except yaml.YAMLError as problem:
         mark = getattr(problem, "problem_mark", None)
         said = getattr(problem, "problem", None) or " ".join(str(problem).split())
-        raise origin.refuse(f"not a YAML file: {said}", mark.line + 1 if mark else None) from None
+        line = mark.line + 1 if mark else None
+        if "nesting depth" in said:  # newer parsers look ahead, and refuse it before _value does
+            raise origin.refuse(_TOO_DEEP, line) from None
+        raise origin.refuse(f"not a YAML file: {said}", line) from None
 
 
 def _bounded(events: Iterator[yaml.Event], origin: Origin) -> Iterator[yaml.Event]:
@@ -227,7 +231,7 @@ def _document(events: Iterator[yaml.Event], origin: Origin) -> Marked:
 def _value(event: yaml.Event, events: Iterator[yaml.Event], origin: Origin, depth: int) -> Marked:
     line = _line(event)
     if depth > MOST_DEPTH:
-        raise origin.refuse(f"nested deeper than {MOST_DEPTH} levels", line)
+        raise origin.refuse(_TOO_DEEP, line)
     if isinstance(event, yaml.ScalarEvent):
         # Without libyaml plain scalars have no style, with it an empty one.
         return Marked(event.value, line, bool(event.style), origin)
