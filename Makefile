@@ -82,7 +82,7 @@ lint: setup
 	@"$(BIN)/ruff" check .
 	@"$(BIN)/ruff" format --check --quiet .
 	@"$(BIN)/mypy"
-	@"$(BIN)/mypy" firmware/sim/*.py firmware/analog/*.py
+	@"$(BIN)/mypy" firmware/sim/*.py firmware/analog/*.py firmware/boards/*.py
 	@"$(BIN)/lint-imports" --no-logo --no-cache
 
 mutants: setup

@@ -17,7 +17,6 @@ from pathlib import Path
 import symbols as s
 from drawing import Placed, Point, Sheet, Symbol
 from parts import part
-
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.hardware.amplifier import FrontEnd, Stage, design
 
@@ -330,7 +329,7 @@ def node(name: str, fronts: Fronts, users: tuple[str, Sequence[str]], *, fast: b
     sheet.note(
         f"{where}\nUnused pins are pulled up by the firmware.\n"
         "Rref of the sensor: its resistance at mid range, so measure it.",
-        (right + 10, 39),
+        (right + 10, 40),
     )
     return sheet
 
@@ -420,7 +419,7 @@ def digitizer(fronts: Fronts) -> Sheet:
     sheet.note(
         "The nodes' supply is the amplifier's and the converter's reference, too:\n"
         "then its error moves nothing. The two 10k of 0.1 % set the rest of the line.",
-        (20, 51),
+        (20, 51.5),
     )
     return sheet
 
@@ -454,7 +453,7 @@ def group(front: FrontEnd) -> Sheet:
     sheet.note(
         "Each group: a regulator, half a supply (two 10k of 0.1 %) and a sync buffer of its own.\n"
         "Cable to the digitizer: ground beside OUT and SYNC; all of the same length, within 10 m.",
-        (22, 40),
+        (22, 40.5),
     )
     return sheet
 
@@ -464,11 +463,11 @@ def fast_digitizer(front: FrontEnd) -> Sheet:
     last = front.groups_stage
     if last is None:
         raise ValueError(f"{front.nodes} nodes need no groups: draw a digitizer without them")
-    sheet = Sheet("digitizer-fast", f"digitizer of {last.inputs} groups", (110, 56))
+    sheet = Sheet("digitizer-fast", f"digitizer of {last.inputs} groups", (110, 60))
     rows = -(-last.inputs // 2)
     buses = []
     for column in range(2):
-        places = [(4.5 + 17 * column, 6 + 7 * row) for row in range(rows)]
+        places = [(4.5 + 17 * column, 6 + 8 * row) for row in range(rows)]
         ends = []
         for at in places[: last.inputs - column * rows]:
             cable = sheet.place(s.GROUP, at, "Group", fields=_bought("Group"))
@@ -503,6 +502,6 @@ def fast_digitizer(front: FrontEnd) -> Sheet:
     sheet.note(
         "Amplifier and converter have an exact reference; groups have regulators of their own.\n"
         "The two 10k of 0.1 % set the rest of the line. Keep the summing point (SUM) short.",
-        (50, 51),
+        (50, 51.5),
     )
     return sheet
