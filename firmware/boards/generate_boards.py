@@ -18,10 +18,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import symbols
-from boards import all_boards
 from drawing import LIBRARY, library_text
 from kicad import KicadError, check, draw
 from parts_list import csv_text, markdown
+from schematics import all_boards
 
 ROOT = Path(__file__).resolve().parents[2]
 KICAD = Path("firmware/boards/kicad")

@@ -10,10 +10,10 @@ from collections import Counter
 from collections.abc import Sequence
 from math import ceil
 
-from boards import FEW, MANY, MORE, STRIP_NODES, front_end
 from drawing import Sheet
 from netlist import Component, components, parse
 from parts import SENSOR_SHEET, SUPPLY_5V, Part, part
+from schematics import FEW, MANY, MORE, STRIP_NODES, front_end
 
 SKINS = (FEW, MORE, MANY)
 

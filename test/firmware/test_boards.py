@@ -20,6 +20,7 @@ from kicad import BOARDS, KicadError, check
 from kicad import netlist as kicads_netlist
 from netlist import Netlist, read
 from parts import OPAMPS, TYPICAL, part
+from schematics import FAST_SYNC_OHM, SYNC_OHM
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.hardware.amplifier import FrontEnd, Stage, design
@@ -49,6 +50,10 @@ PACKAGES = {  # pin numbers as KiCad's own library of symbols has them
 }
 needs_kicad = pytest.mark.skipif(
     shutil.which("kicad-cli") is None, reason="no kicad-cli on this machine (Debian 13: kicad)"
+)
+
+needs_ngspice = pytest.mark.skipif(
+    shutil.which("ngspice") is None, reason="no ngspice on this machine: apt install ngspice"
 )
 
 
@@ -440,3 +445,25 @@ def test_wires_that_meet_get_a_junction_and_those_that_cross_none(tmp_path: Path
 def test_a_slanted_wire_is_refused() -> None:
     with pytest.raises(ValueError, match="neither level nor upright"):
         Sheet("x", "x", (20, 20)).wire((0, 0), (1, 2))
+
+
+# Bring-up
+
+
+@needs_ngspice
+@pytest.mark.parametrize(("nodes", "ohm"), [(16, SYNC_OHM), (64, SYNC_OHM), (70, FAST_SYNC_OHM)])
+def test_a_sync_edge_is_clean_at_both_ends(nodes: int, ohm: float) -> None:
+    """In SPICE: a pin stands half a volt above its supply, and is surely high at 0.6 of it."""
+    from scope import sync_edge
+
+    for node in (1, nodes):
+        edge = sync_edge(nodes, node, ohm)
+        assert edge.volts.max() < 3.3 + 0.5
+        assert (edge.volts[edge.times > 100e-9] > 0.6 * 3.3).all()
+
+
+@needs_ngspice
+def test_without_its_resistor_a_sync_edge_is_not_clean() -> None:
+    from scope import sync_edge
+
+    assert sync_edge(16, 16, 10.0).volts.max() > 3.3 + 0.5

@@ -27,10 +27,13 @@ from spice import SKINS
 STRIP_NODES = 8
 FEW, MORE, MANY = 16, 64, 900
 """Nodes of the skins that there are boards for: the same boards for the first two."""
-REF_OHM = 4.7e3
-"""Of a sensor's divider: where Velostat is thought to be at mid range. Measure yours."""
-SYNC_OHM, SYNC_DOWN_OHM = 33.0, 100e3
-"""At the beginning of a sync line, and at the input of its buffer."""
+REF_OHM = 3.3e3
+"""Of a sensor's divider, to begin with: the geometric mean of what docs/building.md cites."""
+SYNC_OHM, FAST_SYNC_OHM = 68.0, 33.0
+"""Between a buffer and its sync line: with that of 16 to 64 slow nodes on some metres, and of a
+group's 70 on 2 m, an edge overshoots by less than a pin stands (test_boards.py, in SPICE)."""
+SYNC_DOWN_OHM = 100e3
+"""At the input of a sync line's buffer."""
 CABLE_OHM = 51.0
 """Keeps a group's amplifier from ringing with its cable; 0.4 % of Rg."""
 BYPASS_F = 100e-9
@@ -161,7 +164,7 @@ def _stage(sheet: Sheet, at: Point, stage: Stage, use: str, supply: Symbol) -> t
     return summing, output
 
 
-def _buffer(sheet: Sheet, at: Point, supply: Symbol) -> tuple[Point, Point]:
+def _buffer(sheet: Sheet, at: Point, supply: Symbol, ohm: float) -> tuple[Point, Point]:
     """A sync line's buffer; returns the places of its input and of the line's beginning."""
     buffer = sheet.place(s.BUFFER, at, "74LVC1G17", fields=_bought("74LVC1G17"))
     begin, output = buffer.pin("A"), buffer.pin("Y")
@@ -171,7 +174,7 @@ def _buffer(sheet: Sheet, at: Point, supply: Symbol) -> tuple[Point, Point]:
     sheet.power(s.GND, (source[0], begin[1] + 2))
     sheet.power(supply, buffer.pin("VCC"))
     sheet.power(s.GND, buffer.pin("GND"))
-    _resistor(sheet, (end[0] - 1, end[1]), SYNC_OHM, turn=90)
+    _resistor(sheet, (end[0] - 1, end[1]), ohm, turn=90)
     sheet.wire(output, (end[0] - 2, end[1]))
     return source, end
 
@@ -407,7 +410,7 @@ def digitizer(fronts: Fronts) -> Sheet:
     pico = _pico(sheet, (64, 28), s.V3)
     _filter(sheet, front, output, pico.pin("GPIO26"))
     sheet.unconnected(pico.pin("3V3"))
-    source, end = _buffer(sheet, (16, 38), s.V3)
+    source, end = _buffer(sheet, (16, 38), s.V3, SYNC_OHM)
     sheet.label("SYNC_PICO", source, 180)
     sheet.stub("SYNC", end, everywhere=True)
     _regulator(sheet, (9, 47), s.REGULATOR, s.V3)
@@ -438,7 +441,7 @@ def group(front: FrontEnd) -> Sheet:
     x, _ = out.pin("OUT")
     _grounds(sheet, out, ("2", "4"), x - 1)
     sheet.stub("SYNC_IN", out.pin("SYNC"), 180, 2)
-    source, end = _buffer(sheet, (54, 33), s.V3)
+    source, end = _buffer(sheet, (54, 33), s.V3, FAST_SYNC_OHM)
     sheet.label("SYNC_IN", source, 180)
     sheet.stub("SYNC", end, everywhere=True)
     supply = sheet.place(s.SUPPLY, (4.5, 36), "5 V", fields=_bought("Supply5V"))
@@ -491,7 +494,7 @@ def fast_digitizer(front: FrontEnd) -> Sheet:
     x, y = pico.pin("3V3")
     sheet.wire((x, y), (x - 4, y))
     sheet.power(s.V3, (x - 4, y))
-    source, end = _buffer(sheet, (48, 38), s.V3)
+    source, end = _buffer(sheet, (48, 38), s.V3, FAST_SYNC_OHM)
     sheet.label("SYNC_PICO", source, 180)
     sheet.stub("SYNC", end)
     _regulator(sheet, (41, 47), s.REFERENCE, s.VA)
