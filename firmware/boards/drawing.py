@@ -236,17 +236,16 @@ class Sheet:
         ]
 
     def _property(self, placed: Placed, key: str, text: str) -> str:
+        """A property, where it is out of the way of the part's pins."""
         symbol, (x, y), turn = placed.symbol, placed.at, placed.turn
         shown = key in ("Reference", "Value", "Note")
         if symbol.power:
             shown = key == "Value"
             up = symbol.pins[0].angle == 90
-            place, side = ((x, y - 1.35), "") if up else ((x, y + 1.5), "")
+            place, side = (x, y - 1.35 if up else y + 1.5), ""
         elif symbol.names:  # a box: above and below it
             row = {"Reference": -1.7, "Value": -0.7}.get(key, 0.0)
             place, side = (x - _half_width(symbol), y - symbol.height / 2 + row), "left"
-            if key == "Note":
-                place = (place[0], y + symbol.height / 2 + 0.7)
         elif turn in (90, 270):
             row = {"Reference": -0.85, "Value": 0.9, "Note": 1.6}.get(key, 0.0)
             place, side = (x, y + row), ""
@@ -281,10 +280,11 @@ def symbol_text(symbol: Symbol, library: str = "") -> str:
     """A symbol's definition, of a sheet or of a library."""
     name = library + symbol.name
     kind = "(power) " if symbol.power else ""
-    hide = "" if symbol.names else "(pin_names (offset 0) (hide yes)) (pin_numbers (hide yes)) "
-    names = "(pin_names (offset 0.762)) " if symbol.names else hide
+    names = "(pin_names (offset 0.762)) "
+    if not symbol.names:
+        names = "(pin_numbers hide) (pin_names (offset 0) hide) "
     pins = "\n    ".join(
-        f"(pin {pin.kind} line {_at_up(pin.at, pin.angle)} (length {pin.length * MM:g}) "
+        f"(pin {pin.kind} line {_at(pin.at, pin.angle)} (length {pin.length * MM:g}) "
         f'(name "{pin.name}" (effects (font (size 1.27 1.27)))) '
         f'(number "{pin.number}" (effects (font (size 1.27 1.27)))))'
         for pin in symbol.pins
@@ -319,10 +319,6 @@ def _mm(at: Point) -> str:
 
 def _at(at: Point, angle: int | None = None) -> str:
     return f"(at {_mm(at)}{'' if angle is None else f' {angle}'})"
-
-
-def _at_up(at: Point, angle: int) -> str:
-    return f"(at {_mm(at)} {angle})"
 
 
 def _uuid(name: str) -> uuid.UUID:

@@ -164,19 +164,22 @@ def _stage(sheet: Sheet, at: Point, stage: Stage, use: str, supply: Symbol) -> t
     return summing, output
 
 
-def _buffer(sheet: Sheet, at: Point, supply: Symbol, ohm: float) -> tuple[Point, Point]:
-    """A sync line's buffer; returns the places of its input and of the line's beginning."""
+def _buffer(
+    sheet: Sheet, at: Point, supply: Symbol, source: str, ohm: float, *, to_nodes: bool = True
+) -> None:
+    """A sync line's buffer from a net to SYNC."""
     buffer = sheet.place(s.BUFFER, at, "74LVC1G17", fields=_bought("74LVC1G17"))
-    begin, output = buffer.pin("A"), buffer.pin("Y")
-    source, end = (begin[0] - 3, begin[1]), (output[0] + 5, output[1])
-    sheet.wire(source, begin)
-    _resistor(sheet, (source[0], begin[1] + 1), SYNC_DOWN_OHM)
-    sheet.power(s.GND, (source[0], begin[1] + 2))
+    (x, y), output = buffer.pin("A"), buffer.pin("Y")
+    sheet.label(source, (x - 3, y), 180)
+    sheet.wire((x - 3, y), (x, y))
+    _resistor(sheet, (x - 3, y + 1), SYNC_DOWN_OHM)
+    sheet.power(s.GND, (x - 3, y + 2))
     sheet.power(supply, buffer.pin("VCC"))
     sheet.power(s.GND, buffer.pin("GND"))
-    _resistor(sheet, (end[0] - 1, end[1]), ohm, turn=90)
+    end = (output[0] + 5, output[1])
     sheet.wire(output, (end[0] - 2, end[1]))
-    return source, end
+    _resistor(sheet, (end[0] - 1, end[1]), ohm, turn=90)
+    sheet.stub("SYNC", end, everywhere=to_nodes)
 
 
 def _regulator(sheet: Sheet, at: Point, symbol: Symbol, output: Symbol) -> None:
@@ -225,8 +228,8 @@ def _flags(sheet: Sheet, at: Point, *supplies: Symbol) -> None:
 def node(name: str, fronts: Fronts, users: tuple[str, Sequence[str]], *, fast: bool) -> Sheet:
     """A sensing node: ATmega328P, sensor, attenuator, follower."""
     front, more = fronts.first, fronts.more
-    sheet = Sheet(name, f"sensing node{', fast' if fast else ''}", (80, 56), users)
-    mcu = sheet.place(s.NODE_MCU, (29, 26), "ATmega328P-AU", fields=_bought("ATmega328P-A"))
+    sheet = Sheet(name, f"sensing node{', fast' if fast else ''}", (80, 44), users)
+    mcu = sheet.place(s.NODE_MCU, (29, 20), "ATmega328P-AU", fields=_bought("ATmega328P-A"))
     x, top = mcu.pin("4")
     for number in ("4", "6", "18"):
         pin = mcu.pin(number)
@@ -313,7 +316,7 @@ def node(name: str, fronts: Fronts, users: tuple[str, Sequence[str]], *, fast: b
     )
     _bypass(
         sheet,
-        (right + 10, 33),
+        (right + 10, 27),
         s.V3,
         [
             (BYPASS_F, "VCC"),
@@ -332,7 +335,7 @@ def node(name: str, fronts: Fronts, users: tuple[str, Sequence[str]], *, fast: b
     sheet.note(
         f"{where}\nUnused pins are pulled up by the firmware.\n"
         "Rref of the sensor: its resistance at mid range, so measure it.",
-        (right + 10, 40),
+        (right + 10, 34),
     )
     return sheet
 
@@ -354,6 +357,15 @@ def strip(name: str, file: str) -> Sheet:
         (26, 20),
     )
     return sheet
+
+
+def _summed_line(sheet: Sheet, stage: Stage, use: str) -> Point:
+    """A cable to nodes and the amplifier of their line; returns the place of its output."""
+    line = _skin_connector(sheet, (4.5, 17))
+    summing, output = _stage(sheet, (32, line[1] - 1), stage, use, s.V3)
+    sheet.wire(line, summing)
+    sheet.label("LINE", (line[0] + 3, line[1]))
+    return output
 
 
 def _pico(sheet: Sheet, at: Point, reference: Symbol) -> Placed:
@@ -402,38 +414,30 @@ def digitizer(fronts: Fronts) -> Sheet:
         front.filter_ohm,
     ):
         raise ValueError(f"{MORE} nodes need another amplifier than {FEW}: draw two boards")
-    sheet = Sheet("digitizer", "digitizer", (82, 56))
-    line = _skin_connector(sheet, (4.5, 22))
-    summing, output = _stage(sheet, (32, line[1] - 1), front.nodes_stage, "amplifier", s.V3)
-    sheet.wire(line, summing)
-    sheet.label("LINE", (line[0] + 3, line[1]))
-    pico = _pico(sheet, (64, 28), s.V3)
+    sheet = Sheet("digitizer", "digitizer", (82, 51))
+    output = _summed_line(sheet, front.nodes_stage, "amplifier")
+    pico = _pico(sheet, (64, 23), s.V3)
     _filter(sheet, front, output, pico.pin("GPIO26"))
     sheet.unconnected(pico.pin("3V3"))
-    source, end = _buffer(sheet, (16, 38), s.V3, SYNC_OHM)
-    sheet.label("SYNC_PICO", source, 180)
-    sheet.stub("SYNC", end, everywhere=True)
-    _regulator(sheet, (9, 47), s.REGULATOR, s.V3)
-    _bypass(sheet, (20, 45), s.V5, [(10e-6, "regulator")])
+    _buffer(sheet, (16, 33), s.V3, "SYNC_PICO", SYNC_OHM)
+    _regulator(sheet, (9, 42), s.REGULATOR, s.V3)
+    _bypass(sheet, (20, 40), s.V5, [(10e-6, "regulator")])
     _bypass(
-        sheet, (26, 45), s.V3, [(100e-6, "skin"), (BYPASS_F, "amplifier"), (BYPASS_F, "buffer")]
+        sheet, (26, 40), s.V3, [(100e-6, "skin"), (BYPASS_F, "amplifier"), (BYPASS_F, "buffer")]
     )
-    _flags(sheet, (8, 53), s.GND)
+    _flags(sheet, (8, 48), s.GND)
     sheet.note(
         "The nodes' supply is the amplifier's and the converter's reference, too:\n"
         "then its error moves nothing. The two 10k of 0.1 % set the rest of the line.",
-        (20, 51.5),
+        (20, 46.5),
     )
     return sheet
 
 
 def group(front: FrontEnd) -> Sheet:
     """The board of a group of fast nodes: supply, first amplifier, buffer of the sync line."""
-    sheet = Sheet("group", f"group of up to {front.nodes_stage.inputs} fast nodes", (72, 46))
-    line = _skin_connector(sheet, (4.5, 22))
-    summing, output = _stage(sheet, (32, line[1] - 1), front.nodes_stage, "group amplifier", s.V3)
-    sheet.wire(line, summing)
-    sheet.label("LINE", (line[0] + 3, line[1]))
+    sheet = Sheet("group", f"group of up to {front.nodes_stage.inputs} fast nodes", (72, 41))
+    output = _summed_line(sheet, front.nodes_stage, "group amplifier")
     _resistor(sheet, (output[0] + 3, output[1]), CABLE_OHM, turn=90)
     sheet.wire(output, (output[0] + 2, output[1]))
     out = sheet.place(s.GROUP_END, (64.5, output[1] + 2), "Digitizer", fields=_bought("Group"))
@@ -441,22 +445,20 @@ def group(front: FrontEnd) -> Sheet:
     x, _ = out.pin("OUT")
     _grounds(sheet, out, ("2", "4"), x - 1)
     sheet.stub("SYNC_IN", out.pin("SYNC"), 180, 2)
-    source, end = _buffer(sheet, (54, 33), s.V3, FAST_SYNC_OHM)
-    sheet.label("SYNC_IN", source, 180)
-    sheet.stub("SYNC", end, everywhere=True)
-    supply = sheet.place(s.SUPPLY, (4.5, 36), "5 V", fields=_bought("Supply5V"))
+    _buffer(sheet, (54, 28), s.V3, "SYNC_IN", FAST_SYNC_OHM)
+    supply = sheet.place(s.SUPPLY, (4.5, 31), "5 V", fields=_bought("Supply5V"))
     sheet.power(s.V5, supply.pin("5V"))
     sheet.power(s.GND, supply.pin("GND"))
-    _regulator(sheet, (16, 36), s.REGULATOR, s.V3)
-    _bypass(sheet, (26, 34), s.V5, [(10e-6, "regulator")])
+    _regulator(sheet, (16, 31), s.REGULATOR, s.V3)
+    _bypass(sheet, (26, 29), s.V5, [(10e-6, "regulator")])
     _bypass(
-        sheet, (32, 34), s.V3, [(100e-6, "group"), (BYPASS_F, "amplifier"), (BYPASS_F, "buffer")]
+        sheet, (32, 29), s.V3, [(100e-6, "group"), (BYPASS_F, "amplifier"), (BYPASS_F, "buffer")]
     )
-    _flags(sheet, (8, 43), s.GND, s.V5)
+    _flags(sheet, (8, 38), s.GND, s.V5)
     sheet.note(
         "Each group: a regulator, half a supply (two 10k of 0.1 %) and a sync buffer of its own.\n"
         "Cable to the digitizer: ground beside OUT and SYNC; all of the same length, within 10 m.",
-        (22, 40.5),
+        (22, 35.5),
     )
     return sheet
 
@@ -494,9 +496,7 @@ def fast_digitizer(front: FrontEnd) -> Sheet:
     x, y = pico.pin("3V3")
     sheet.wire((x, y), (x - 4, y))
     sheet.power(s.V3, (x - 4, y))
-    source, end = _buffer(sheet, (48, 38), s.V3, FAST_SYNC_OHM)
-    sheet.label("SYNC_PICO", source, 180)
-    sheet.stub("SYNC", end)
+    _buffer(sheet, (48, 38), s.V3, "SYNC_PICO", FAST_SYNC_OHM, to_nodes=False)
     _regulator(sheet, (41, 47), s.REFERENCE, s.VA)
     _bypass(sheet, (50, 45), s.V5, [(10e-6, "reference")])
     _bypass(sheet, (56, 45), s.VA, [(1e-6, "reference"), (BYPASS_F, "amplifier")])

@@ -38,8 +38,8 @@ SENSOR_V = 2.14
 LEAD_S = SYNC_LEAD * SYNC_UNIT_US * 1e-6
 BUFFER_OHM = 15.0
 """Of a 74LVC1G17's output at 3.3 V, by its data sheet's curves."""
-WIRE_OHM, WIRE_S = 100.0, 6e-9
-"""Impedance of a sync wire beside ground, and delay of a metre of it, insulated and loaded."""
+WIRE_H, WIRE_F = 600e-9, 60e-12
+"""Of a metre of sync wire beside ground: 100 Ω, 6 ns."""
 WIRE_M, INPUT_F = 2.0, 10e-12
 """Length of the wire, and capacitance of a node's sync input with its copper."""
 
@@ -105,12 +105,12 @@ def sync(config: SkinConfig, end_s: float) -> Trace:
 
 def sync_edge(nodes: int, at: int, ohm: float) -> Trace:
     """The rising edge at a node, counted from 1, in SPICE: buffer, resistor, wire and inputs."""
-    delay_s = WIRE_S * WIRE_M / nodes
+    henry, farad = (each * WIRE_M / nodes for each in (WIRE_H, WIRE_F))
     lines = ["* sync line", "vpin pin 0 pulse(0 3.3 20n 2n 2n 1u 2u)"]
     lines.append(f"rpin pin n0 {BUFFER_OHM + ohm:g}")
     for node in range(1, nodes + 1):
-        lines.append(f"t{node} n{node - 1} 0 n{node} 0 z0={WIRE_OHM:g} td={delay_s:g}")
-        lines.append(f"c{node} n{node} 0 {INPUT_F:g}")
+        lines.append(f"l{node} n{node - 1} n{node} {henry:g}")
+        lines.append(f"c{node} n{node} 0 {farad + INPUT_F:g}")
     lines += [".tran 0.2n 500n 0 0.2n", f".save v(n{at})", ".end", ""]
     times, volts = transient("\n".join(lines))
     return Trace(f"node {at} of {nodes}", times - 20e-9, volts)
