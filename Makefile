@@ -9,6 +9,8 @@
 # make firmware-test    run them in emulators, 16 nodes on one wire; the last line has the counts
 # make firmware-thousand 900 fast nodes on one wire, to the pin, in half a minute; QUICK=1: 128 nodes
 # make spice            the analog circuit for 16, 64 and 900 nodes, simulated, against what was computed
+# make boards  schematics of the boards and the parts lists, from the computed values; checked and drawn where KiCad is
+# make scope   what an oscilloscope should show while a skin is put to work, from emulation and SPICE
 # make firmware-figures measure them: share of time awake, load of the digitizer
 # make setup   only create the environment in .venv; all other targets do this first
 # make bench-error, -doubt, -speed, -skip, -timing, -scale, -ros, -crest, -pressure, -contact,
@@ -52,7 +54,7 @@ endif
 
 BIN = $(VENV)/bin
 .DEFAULT_GOAL := help
-.PHONY: help run check test mutants lint setup bench-setup view view-setup torture soak fuzz fuzz-setup fuzz-packages audit audit-packages clean firmware firmware-test firmware-thousand firmware-figures firmware-tools spice
+.PHONY: help run check test mutants lint setup bench-setup view view-setup torture soak fuzz fuzz-setup fuzz-packages audit audit-packages clean firmware firmware-test firmware-thousand firmware-figures firmware-tools spice boards scope
 
 help:
 	@sed -n '/^$$/q; s/^# //p' Makefile
@@ -82,7 +84,7 @@ lint: setup
 	@"$(BIN)/ruff" check .
 	@"$(BIN)/ruff" format --check --quiet .
 	@"$(BIN)/mypy"
-	@"$(BIN)/mypy" firmware/sim/*.py firmware/analog/*.py
+	@"$(BIN)/mypy" firmware/sim/*.py firmware/analog/*.py firmware/boards/*.py
 	@"$(BIN)/lint-imports" --no-logo --no-cache
 
 mutants: setup
@@ -103,6 +105,12 @@ firmware-thousand: firmware
 
 spice: firmware-tools
 	@"$(BIN)/python" firmware/analog/spice.py
+
+boards: setup
+	@"$(BIN)/python" firmware/boards/generate_boards.py $(if $(shell command -v kicad-cli),--draw)
+
+scope: firmware
+	@"$(BIN)/python" firmware/boards/scope.py
 
 firmware-figures: firmware
 	@"$(BIN)/python" firmware/sim/figures.py

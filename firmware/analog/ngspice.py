@@ -33,13 +33,19 @@ def waveform(
         files = [str(Path(folder) / f"levels{number}.txt") for number in range(len(levels))]
         for file, own in zip(files, levels, strict=True):
             np.savetxt(file, level_points(own, chip_s), fmt="%.17g")
+        return transient(netlist(front, files, end_s, steps_of(chip_s)))
+
+
+def transient(text: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Times, s, and voltages, V, of a netlist's transient analysis that saves one of them."""
+    with TemporaryDirectory() as folder:
         raw = Path(folder) / "out.raw"
-        _run(Path(folder), netlist(front, files, end_s, steps_of(chip_s)), "-r", str(raw))
+        _run(Path(folder), text, "-r", str(raw))
         head, _, body = raw.read_bytes().partition(b"Binary:\n")
-        if b"No. Variables: 2" not in head:
-            raise SpiceError(f"ngspice wrote something else than two variables: {head.decode()}")
-        times, volts = np.frombuffer(body, "<f8").reshape(-1, 2).T
-        return times, volts
+    if b"No. Variables: 2" not in head:
+        raise SpiceError(f"ngspice wrote something else than two variables: {head.decode()}")
+    times, volts = np.frombuffer(body, "<f8").reshape(-1, 2).T
+    return times, volts
 
 
 def noise_v(front: FrontEnd) -> float:

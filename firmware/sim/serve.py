@@ -13,10 +13,11 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from emulated import EmulatedSkin, EmulationError
+from emulated import EmulatedSkin, EmulationError, Node
 from skin import PressedSkin, reference_amplifier, reference_nodes
 from tactile_cdma.base.errors import TactileError
 from tactile_cdma.config.parameters import read_file
@@ -67,11 +68,17 @@ class LiveSkin:
         return data
 
 
+def wired(nodes: Sequence[Node], count: int) -> list[Node]:
+    """Nodes of which only the first so many reach the line."""
+    return [*nodes[:count], *(replace(node, gain=0.0) for node in nodes[count:])]
+
+
 def main() -> int:
     """Serve until SIGINT or SIGTERM; print the tty's path when ready."""
     parser = argparse.ArgumentParser(description="The emulated skin behind a tty.")
     parser.add_argument("--params", type=Path, required=True, help="ROS 2 parameter file")
     parser.add_argument("--scene", choices=SCENES, default="moving", help="what touches it")
+    parser.add_argument("--wired", type=int, help="only the first so many nodes are on the line")
     parser.add_argument("--link", type=Path, help="symbolic link to make to the tty")
     arguments = parser.parse_args()
     stop = threading.Event()
@@ -79,8 +86,11 @@ def main() -> int:
         signal.signal(number, lambda *_: stop.set())
     try:
         config = SkinConfig.of(read_file(arguments.params))
-        with EmulatedSkin(reference_nodes(config), reference_amplifier(config)) as nodes:
-            skin = PressedSkin(config, SCENES[arguments.scene], nodes, nodes)
+        nodes = reference_nodes(config)
+        if arguments.wired is not None:
+            nodes = wired(nodes, arguments.wired)
+        with EmulatedSkin(nodes, reference_amplifier(config)) as emulated:
+            skin = PressedSkin(config, SCENES[arguments.scene], emulated, emulated)
             serve(lambda: LiveSkin(skin), arguments.link, stop, lambda p: print(p, flush=True))
     except (EmulationError, TactileError) as error:
         print(f"{Path(__file__).name}: {error}", file=sys.stderr)

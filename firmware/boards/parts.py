@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Which part to buy for each symbol and value, and what it costs.
+
+Data sheet figures and pin-outs are as remembered, prices are estimates for late 2026 at some
+hundred pieces, in US dollars: check both before ordering.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+TYPICAL = 1.25
+"""An op-amp's typical figures over the computed need, at least: they scatter by some 20 %."""
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A part that one can buy. footprint: of KiCad's libraries; cost in US dollars."""
+
+    maker: str
+    number: str
+    cost: float
+    footprint: str
+    what: str
+
+
+@dataclass(frozen=True, slots=True)
+class OpAmp(Part):
+    """Typical figures of its data sheet: Hz, V/s; all are unity-gain stable at 3.3 V.
+
+    rail_to_rail: input and output.
+    """
+
+    gain_bandwidth_hz: float
+    slew_v_per_s: float
+    rail_to_rail: bool = True
+
+
+_SOT = "Package_TO_SOT_SMD:SOT-23-5"
+_TI = "Texas Instruments"
+TLV9061 = OpAmp(_TI, "TLV9061IDBVR", 0.35, _SOT, "op-amp, 10 MHz, 6.5 V/µs", 10e6, 6.5e6)
+OPA322 = OpAmp(_TI, "OPA322AIDBVR", 1.00, _SOT, "op-amp, 20 MHz, 10 V/µs", 20e6, 10e6)
+OPA365 = OpAmp(_TI, "OPA365AIDBVR", 1.80, _SOT, "op-amp, 50 MHz, 25 V/µs", 50e6, 25e6)
+TLV3541 = OpAmp(_TI, "TLV3541IDBVR", 1.60, _SOT, "op-amp, 100 MHz, 150 V/µs", 100e6, 150e6)
+OPAMPS = {
+    "follower": TLV9061,
+    "fast follower": OPA322,
+    "amplifier": OPA365,
+    "group amplifier": TLV3541,
+    "sum": TLV3541,
+}
+"""By use, as the schematics name it."""
+
+_0603, _0805 = "Resistor_SMD:R_0603_1608Metric", "Capacitor_SMD:C_0805_2012Metric"
+_C0603 = "Capacitor_SMD:C_0603_1608Metric"
+_LARGE_CAPACITORS = {
+    "10n": ("GRM188R71H103KA01D", 0.02, _C0603, "X7R 50 V"),
+    "100n": ("GRM188R71C104KA01D", 0.02, _C0603, "X7R 16 V"),
+    "1u": ("GRM188R71A105KA61D", 0.05, _C0603, "X7R 10 V"),
+    "4.7u": ("GRM21BR71A475KA73L", 0.10, _0805, "X7R 10 V"),
+    "10u": ("GRM21BR61C106KE15L", 0.12, _0805, "X5R 16 V"),
+    "100u": ("GRM32ER60J107ME20L", 0.60, "Capacitor_SMD:C_1210_3225Metric", "X5R 6.3 V"),
+}
+_JST = "Connector_JST:JST_GH_SM{0:02d}B-GHS-TB_1x{0:02d}-1MP_P1.25mm_Horizontal"
+
+
+def _gh(pins: int, cost: float) -> Part:
+    return Part(
+        "JST", f"SM{pins:02d}B-GHS-TB", cost, _JST.format(pins), f"connector GH, {pins} pins"
+    )
+
+
+_OTHERS = {
+    "ATmega328P-A": Part(
+        "Microchip", "ATMEGA328P-AU", 2.00, "Package_QFP:TQFP-32_7x7mm_P0.8mm", "microcontroller"
+    ),
+    "Crystal": Part(
+        "Abracon",
+        "ABLS-8.000MHZ-B4-T",
+        0.25,
+        "Crystal:Crystal_SMD_HC49-SD",
+        "crystal 8 MHz, 18 pF, ±30 ppm",
+    ),
+    "LED": Part("Würth", "150060GS75000", 0.12, "LED_SMD:LED_0603_1608Metric", "LED, green"),
+    "Pico": Part("Raspberry Pi", "SC0915", 4.00, "Module:RaspberryPi_Pico_SMD", "RP2040 board"),
+    "74LVC1G17": Part(_TI, "SN74LVC1G17DBVR", 0.10, _SOT, "buffer, Schmitt trigger, ±24 mA"),
+    "TLV1117LV33": Part(
+        _TI,
+        "TLV1117LV33DCYR",
+        0.40,
+        "Package_TO_SOT_SMD:SOT-223-3_TabPin2",
+        "regulator 3.3 V, 1 A, ±1.5 %",
+    ),
+    "REF3033": Part(
+        _TI, "REF3033AIDBZR", 1.10, "Package_TO_SOT_SMD:SOT-23", "reference 3.3 V, 25 mA, ±0.2 %"
+    ),
+    "Skin": _gh(6, 0.45),
+    "Group": _gh(4, 0.35),
+    "UART": _gh(3, 0.30),
+    "Supply5V": Part(
+        "Phoenix Contact",
+        "1935161",
+        0.60,
+        "TerminalBlock_Phoenix:TerminalBlock_Phoenix_PT-1,5-2-5.0-H_1x02_P5.00mm_Horizontal",
+        "terminal, 2 poles",
+    ),
+}
+
+
+def part(symbol: str, value: str = "") -> Part:
+    """The part of a symbol; value: of a resistor or capacitor, or what an op-amp is used for.
+
+    Raises KeyError where there is none.
+    """
+    if symbol == "R":
+        return _resistor(value)
+    if symbol == "C":
+        return _capacitor(value)
+    return OPAMPS[value] if symbol == "OpAmp" else _OTHERS[symbol.removesuffix("End")]
+
+
+def _resistor(value: str) -> Part:
+    """Yageo's, whose numbers tell the value: 3.9k is 3K9, 820 is 820R."""
+    ohm, _, tight = value.partition(" ")
+    digits, letter = re.fullmatch(r"([0-9.]+)(k?)", ohm).groups()  # type: ignore[union-attr]
+    unit = letter.upper() or "R"
+    code = digits.replace(".", unit) if "." in digits else digits + unit
+    series, cost, what = ("RT0603BRD07", 0.15, "0.1 %") if tight else ("RC0603FR-07", 0.01, "1 %")
+    return Part("Yageo", f"{series}{code}L", cost, _0603, f"{ohm} Ω, {what}".replace("k Ω", " kΩ"))
+
+
+def _capacitor(value: str) -> Part:
+    """Murata's; of C0G up to 1 nF, whose numbers tell the value: 220 pF is 221."""
+    if value in _LARGE_CAPACITORS:
+        number, cost, footprint, what = _LARGE_CAPACITORS[value]
+        return Part("Murata", number, cost, footprint, f"{_farad(value)}, {what}")
+    pico = float(value[:-1]) * {"p": 1, "n": 1000}[value[-1]]
+    zeros = len(f"{pico:g}") - 2
+    code = f"{pico / 10**zeros:g}{zeros}"
+    return Part("Murata", f"GRM1885C1H{code}JA01D", 0.03, _C0603, f"{_farad(value)}, C0G 50 V, 5 %")
+
+
+def _farad(value: str) -> str:
+    return f"{value[:-1]} {value[-1].replace('u', 'µ')}F"
+
+
+SENSOR_SHEET = Part("Adafruit", "1361", 5.00, "", "Velostat, 280 mm × 280 mm × 0.1 mm")
+SUPPLY_5V = Part("Mean Well", "LRS-50-5", 18.00, "", "supply 5 V, 10 A")
+"""What no schematic shows."""

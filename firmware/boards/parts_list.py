@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Parts lists of skins of 16, 64 and 900 nodes: what the schematics show, times the boards."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections import Counter
+from collections.abc import Sequence
+from math import ceil
+
+from drawing import Sheet
+from netlist import Component, components, parse
+from parts import SENSOR_SHEET, SUPPLY_5V, Part, part
+from schematics import FEW, MANY, MORE, STRIP_NODES, front_end
+
+SKINS = (FEW, MORE, MANY)
+
+
+def boards_of(nodes: int) -> dict[str, int]:
+    """How many of each board a skin has. Strips of a group are not shared with another one."""
+    front = front_end(nodes)
+    if front.groups == 1:
+        return {"node": nodes, "strip": ceil(nodes / STRIP_NODES), "digitizer": 1}
+    size = front.nodes_stage.inputs
+    sizes = [min(size, nodes - begin) for begin in range(0, nodes, size)]
+    strips = sum(ceil(group / STRIP_NODES) for group in sizes)
+    return {"node-fast": nodes, "strip-fast": strips, "group": len(sizes), "digitizer-fast": 1}
+
+
+def needed(sheets: Sequence[Sheet], nodes: int) -> Counter[Part]:
+    """The parts of a skin, without boards, cables and assembly."""
+    counts: Counter[Part] = Counter()
+    of_board = {sheet.name: [c for c, _ in components(parse(sheet.text()))] for sheet in sheets}
+    for board, number in boards_of(nodes).items():
+        for component in of_board[board]:
+            if "MPN" in component.fields:
+                counts[bought(component, nodes)] += number
+    counts[SENSOR_SHEET] = ceil(nodes / SENSOR_SHEET_TAXELS)
+    if front_end(nodes).groups > 1:
+        counts[SUPPLY_5V] = 1
+    return counts
+
+
+SENSOR_SHEET_TAXELS = 27 * 27
+"""Squares of 10 mm in a sheet of 280 mm, with a margin."""
+
+
+def bought(component: Component, nodes: int) -> Part:
+    """The part of a symbol on a skin's boards."""
+    fields, key = component.fields, "MPN"
+    value = fields.get("Use", component.value)
+    if nodes == MORE and f"MPN{MORE}" in fields:
+        value, key = fields["Note"].partition(":")[0], f"MPN{MORE}"
+    found = part(component.symbol, value)
+    if found.number != fields[key]:
+        raise ValueError(f"{component.reference} is {fields[key]}, not {found.number}")
+    return found
+
+
+def csv_text(sheets: Sequence[Sheet]) -> str:
+    """All parts as CSV: a line per part, quantities and costs by number of nodes."""
+    counts = {nodes: needed(sheets, nodes) for nodes in SKINS}
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(
+        ["maker", "number", "what", "footprint", "usd_each", *(f"for_{n}_nodes" for n in SKINS)]
+    )
+    for p in _ordered(counts):
+        row = [p.maker, p.number, p.what, p.footprint, f"{p.cost:.2f}"]
+        writer.writerow([*row, *(counts[n][p] for n in SKINS)])
+    return out.getvalue()
+
+
+def markdown(sheets: Sequence[Sheet]) -> str:
+    """The same as a table, with the sums."""
+    counts = {nodes: needed(sheets, nodes) for nodes in SKINS}
+    lines = [
+        "| | maker's number | US$ | " + " | ".join(f"{n} nodes" for n in SKINS) + " |",
+        "|---|---|--:|" + "--:|" * len(SKINS),
+    ]
+    for p in _ordered(counts):
+        numbers = " | ".join(str(counts[n][p] or "") for n in SKINS)
+        lines.append(f"| {p.what} | {p.maker} {p.number} | {p.cost:.2f} | {numbers} |")
+    sums = [sum(p.cost * count for p, count in counts[n].items()) for n in SKINS]
+    lines.append("| **all parts, US$** | | | " + " | ".join(f"**{s:.0f}**" for s in sums) + " |")
+    each = " | ".join(f"{s / n:.2f}" for s, n in zip(sums, SKINS, strict=True))
+    lines.append(f"| per node | | | {each} |")
+    boards = [boards_of(n) for n in SKINS]
+    for name in ("strip", "digitizer", "group"):
+        numbers = " | ".join(
+            str(sum(count for board, count in b.items() if board.startswith(name)) or "")
+            for b in boards
+        )
+        lines.append(f"| boards: {name} | | | {numbers} |")
+    return "\n".join([*lines, ""])
+
+
+def _ordered(counts: dict[int, Counter[Part]]) -> list[Part]:
+    """Every part, what costs most with MANY nodes first."""
+    every = {p for c in counts.values() for p in c}
+    most = max(SKINS)
+    return sorted(every, key=lambda p: (-p.cost * counts[most][p], -p.cost, p.number))

@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""What an oscilloscope should show while a skin is put to work: `make scope`, into docs/img.
+
+Pins are those of the nodes' images under simavr; the circuit between them and the converter is in
+SPICE, like the sync line. The digitizer's pulses are those of docs/protocol.md.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(ROOT / "firmware" / folder) for folder in ("analog", "sim")]
+from emulated import EmulatedNodes  # noqa: E402
+from ngspice import transient, waveform  # noqa: E402
+from schematics import SYNC_OHM  # noqa: E402
+from skin import Spread, reference_nodes  # noqa: E402
+from tactile_cdma.config.parameters import read_file  # noqa: E402
+from tactile_cdma.config.skin_config import SkinConfig  # noqa: E402
+from tactile_cdma.hardware.amplifier import FrontEnd, design  # noqa: E402
+from tactile_cdma.hardware.node_memory import FAST  # noqa: E402
+from tactile_cdma.wire._protocol import SYNC_FRAME, SYNC_LEAD, SYNC_RESTART, SYNC_UNIT_US  # noqa: E402
+
+IMAGES, CONFIG = ROOT / "docs" / "img", ROOT / "config"
+WARM_UP_FRAMES = 20
+"""Until nodes have learnt their code at rest and the period."""
+SENSOR_V = 2.14
+"""At every sensor: a code with ones and zeros."""
+LEAD_S = SYNC_LEAD * SYNC_UNIT_US * 1e-6
+BUFFER_OHM = 15.0
+"""Of a 74LVC1G17's output at 3.3 V, by its data sheet's curves."""
+WIRE_H, WIRE_F = 600e-9, 60e-12
+"""Of a metre of sync wire beside ground: 100 Ω, 6 ns."""
+WIRE_M, INPUT_F = 2.0, 10e-12
+"""Length of the wire, and capacitance of a node's sync input with its copper."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """Times, s after the rising edge of a frame's pulse, and voltages."""
+
+    name: str
+    times: NDArray[np.float64]
+    volts: NDArray[np.float64]
+
+
+def pulses(config: SkinConfig) -> NDArray[np.float64]:
+    """Begin and end of every pulse of a frame, s after its first one: (m, 2)."""
+    spec = config.spec
+    step = spec.resync_chips or spec.chips
+    begins = spec.places[::step] * spec.chip_s
+    units = np.where(np.arange(begins.size) == 0, SYNC_FRAME, SYNC_RESTART)
+    return np.column_stack((begins, begins + units * SYNC_UNIT_US * 1e-6))
+
+
+def pins(config: SkinConfig, mcu: str, step_s: float, span_s: float) -> NDArray[np.float64]:
+    """Levels of the nodes' pins, −1…1, from a frame's pulse on: (n, span/step)."""
+    period_s = config.spec.frame_period_s
+    with EmulatedNodes(reference_nodes(config, Spread(clock=50e-6), mcu=mcu, threshold=0)) as nodes:
+        nodes.press(SENSOR_V)
+        for frame in range(1, WARM_UP_FRAMES + 1):
+            begin_s = frame * period_s
+            for rise, fall in pulses(config):
+                nodes.sync(round((begin_s + rise) * 1e9), True)
+                nodes.sync(round((begin_s + fall) * 1e9), False)
+            nodes.run(round((begin_s + period_s - 1e-3) * 1e9))
+        instants = (begin_s + np.arange(0, span_s, step_s)) * 1e9
+        levels = np.zeros((len(nodes.nodes), instants.size))
+        for node, row in enumerate(levels):
+            edges = nodes.edges(node)
+            before = np.searchsorted(edges["t_ns"], instants, side="right")
+            row[:] = np.append(0, edges["level"])[before]
+        return levels
+
+
+def line(front: FrontEnd, levels: NDArray[np.float64], step_s: float, name: str) -> Trace:
+    """The voltage at the converter; levels of one node, or the mean of all."""
+    times, volts = waveform(front, levels, step_s, levels.shape[1] * step_s)
+    if len(levels) > 1:  # groups are lumped: the node is in each of them
+        rest_v = front.supply_v / 2
+        volts = rest_v + (volts - rest_v) / front.groups
+    return Trace(name, times, volts)
+
+
+def sync(config: SkinConfig, end_s: float) -> Trace:
+    """The sync pin of a frame."""
+    edges = [
+        (t, level) for pulse in pulses(config) for t, level in zip(pulse, (3.3, 0), strict=True)
+    ]
+    times, volts = [0.0], [0.0]
+    for t, level in edges:
+        times += [t, t]
+        volts += [volts[-1], level]
+    return Trace("sync", np.array([*times, end_s]), np.array([*volts, volts[-1]]))
+
+
+def sync_edge(nodes: int, at: int, ohm: float) -> Trace:
+    """The rising edge at a node, counted from 1, in SPICE: buffer, resistor, wire and inputs."""
+    henry, farad = (each * WIRE_M / nodes for each in (WIRE_H, WIRE_F))
+    lines = ["* sync line", "vpin pin 0 pulse(0 3.3 20n 2n 2n 1u 2u)"]
+    lines.append(f"rpin pin n0 {BUFFER_OHM + ohm:g}")
+    for node in range(1, nodes + 1):
+        lines.append(f"l{node} n{node - 1} n{node} {henry:g}")
+        lines.append(f"c{node} n{node} 0 {farad + INPUT_F:g}")
+    lines += [".tran 0.2n 500n 0 0.2n", f".save v(n{at})", ".end", ""]
+    times, volts = transient("\n".join(lines))
+    return Trace(f"node {at} of {nodes}", times - 20e-9, volts)
+
+
+def draw(file: str, panels: list[tuple[str, float, list[Trace]]]) -> None:
+    """A screen per panel: title, seconds per unit of its axis, traces with their scales."""
+    figure = Figure(figsize=(7.5, 2.1 * len(panels)), layout="constrained")
+    for axes, (title, unit_s, traces) in zip(
+        np.atleast_1d(figure.subplots(len(panels))), panels, strict=True
+    ):
+        _screen(axes, title, unit_s, traces)
+    figure.savefig(IMAGES / file, dpi=80, pil_kwargs={"optimize": True})
+    print(f"docs/img/{file}")
+
+
+def _screen(axes: Axes, title: str, unit_s: float, traces: list[Trace]) -> None:
+    for trace, color in zip(traces, ("tab:orange", "tab:blue"), strict=False):
+        axes.plot(trace.times / unit_s, trace.volts, color=color, lw=1, label=trace.name)
+    unit = {1e-3: "ms", 1e-6: "µs", 1e-9: "ns"}[unit_s]
+    axes.set(title=title, xlabel=f"after the pulse's edge [{unit}]", ylabel="V")
+    axes.title.set_fontsize(9)
+    axes.grid(alpha=0.4)
+    axes.legend(fontsize=7, loc="upper right")
+
+
+def cut(trace: Trace, begin_s: float, end_s: float) -> Trace:
+    """A part of a trace."""
+    inside = (trace.times >= begin_s) & (trace.times <= end_s)
+    return Trace(trace.name, trace.times[inside], trace.volts[inside])
+
+
+def main() -> int:
+    """Draw the pictures of docs/building.md."""
+    matplotlib.use("Agg")
+    slow = SkinConfig.of(read_file(CONFIG / "wired_skin.yaml"))
+    front, period_s = design(slow.spec, slow.samples_per_chip), slow.spec.frame_period_s
+    pulse = sync(slow, period_s)
+    twice = Trace("GPIO16", np.append(pulse.times, pulse.times + period_s), np.tile(pulse.volts, 2))
+    rest = Trace("GPIO26", twice.times[[0, -1]], np.full(2, front.supply_v / 2))
+    title = "1  digitizer alone: a pulse of 32 µs for every frame, the line at rest"
+    draw("scope-digitizer.png", [(title, 1e-3, [twice, rest])])
+
+    title = "2  sync line at the first and the last of 16 nodes"
+    draw("scope-sync.png", [(title, 1e-9, [sync_edge(16, at, SYNC_OHM) for at in (1, 16)])])
+
+    step_s = 1e-6
+    levels = pins(slow, "atmega328p", step_s, LEAD_S + slow.spec.frame_s + 1e-3)
+    one = np.array([levels[0], np.zeros_like(levels[0])])
+    alone = line(front, one, step_s, "GPIO26")
+    title = f"3  one node: ±{front.amplitude_v * 1e3:.0f} mV about half the supply, then released"
+    first = "3  its first chips of 50 µs, from 64 µs after the pulse's edge on"
+    draw("scope-node.png", [(title, 1e-3, [alone]), (first, 1e-6, [cut(alone, 0.0, 700e-6)])])
+    everyone = line(front, levels.mean(axis=0)[None], step_s, "GPIO26")
+    draw("scope-all.png", [("4  all 16 nodes, sensors at one voltage", 1e-3, [everyone])])
+
+    values = read_file(CONFIG / "thousand_skin.yaml")
+    fast = SkinConfig.of(values)
+    front, step_s = design(fast.spec, fast.samples_per_chip), 0.125e-6
+    single = SkinConfig.of(values | {"nodes": 1, "rows": 1, "columns": 1})
+    (own,) = pins(single, FAST, step_s, 110e-6)
+    alone = line(front, np.array([own, np.zeros_like(own)]), step_s, "GPIO26")
+    title = "5  one fast node of 900: 3 µs of chips that nobody uses, from 64 µs on chips of 2 µs"
+    draw("scope-fast.png", [(title, 1e-6, [cut(alone, 50e-6, 105e-6)])])
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

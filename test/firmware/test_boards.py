@@ -1,0 +1,469 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The schematics: pins are the firmware's, values the calculator's, parts fast enough."""
+
+from __future__ import annotations
+
+import csv
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from conftest import FIRMWARE
+
+from drawing import Sheet
+from kicad import BOARDS, KicadError, check
+from kicad import netlist as kicads_netlist
+from netlist import Netlist, read
+from parts import OPAMPS, TYPICAL, part
+from schematics import FAST_SYNC_OHM, SYNC_OHM
+from tactile_cdma.config.parameters import read_file
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.hardware.amplifier import FrontEnd, Stage, design
+
+ROOT = FIRMWARE.parent
+KICAD = FIRMWARE / "boards" / "kicad"
+GENERATOR = FIRMWARE / "boards" / "generate_boards.py"
+NODES = {"strip": "PB1", "strip-fast": "PD1"}
+"""The pin of the line, by strip."""
+DIGITIZERS = ("digitizer", "digitizer-fast")
+UNITS = {"": 1.0, "k": 1e3, "u": 1e-6, "n": 1e-9, "p": 1e-12}
+PACKAGES = {  # pin numbers as KiCad's own library of symbols has them
+    "ATmega328P-A": (
+        "PD3 PD4 GND VCC GND VCC PB6 PB7 PD5 PD6 PD7 PB0 PB1 PB2 PB3 PB4 PB5 AVCC ADC6 AREF GND "
+        "ADC7 PC0 PC1 PC2 PC3 PC4 PC5 PC6 PD0 PD1 PD2"
+    ),
+    "Pico": (
+        "GPIO0 GPIO1 GND GPIO2 GPIO3 GPIO4 GPIO5 GND GPIO6 GPIO7 GPIO8 GPIO9 GND GPIO10 GPIO11 "
+        "GPIO12 GPIO13 GND GPIO14 GPIO15 GPIO16 GPIO17 GND GPIO18 GPIO19 GPIO20 GPIO21 GND GPIO22 "
+        "RUN GPIO26 GPIO27 AGND GPIO28 ADC_VREF 3V3 3V3_EN GND VSYS VBUS"
+    ),
+    "OpAmp": "OUT V- + - V+",
+    "74LVC1G17": "NC A GND Y VCC",
+    "TLV1117LV33": "GND OUT IN",
+    "REF3033": "IN OUT GND",
+    "LED": "A K",
+}
+needs_kicad = pytest.mark.skipif(
+    shutil.which("kicad-cli") is None, reason="no kicad-cli on this machine (Debian 13: kicad)"
+)
+
+needs_ngspice = pytest.mark.skipif(
+    shutil.which("ngspice") is None, reason="no ngspice on this machine: apt install ngspice"
+)
+
+
+@pytest.fixture(scope="module")
+def boards() -> dict[str, Netlist]:
+    return {board: read(KICAD / f"{board}.kicad_sch") for board in BOARDS}
+
+
+def front_of(nodes: int) -> FrontEnd:
+    """The design of the skin in a parameter file, or of `nodes` slow ones."""
+    values = {"nodes": nodes, "frame_period_ms": 36.0}
+    if nodes == 900:
+        values = read_file(ROOT / "config" / "thousand_skin.yaml")
+    config = SkinConfig.of(values)
+    return design(config.spec, config.samples_per_chip)
+
+
+def fronts() -> dict[str, FrontEnd]:
+    """By board."""
+    few, many = front_of(16), front_of(900)
+    return {
+        board: many if board in ("strip-fast", *DIGITIZERS[1:], "group") else few
+        for board in BOARDS
+    }
+
+
+def value(board: Netlist, reference: str) -> float:
+    """Of a resistor or capacitor, Ω or F."""
+    number, letter = re.match(r"([0-9.]+)([a-z]?)", board.components[reference].value).groups()
+    return float(number) * UNITS[letter]
+
+
+def pin_at(board: Netlist, reference: str, name: str) -> str:
+    """The number of the pin of this name, or of the port among its names."""
+    (number,) = [
+        number for number, its in board.components[reference].pins.items() if name in its.split("/")
+    ]
+    return number
+
+
+def one(board: Netlist, symbol: str) -> str:
+    """The reference of the only part with this symbol."""
+    (reference,) = [r for r, c in board.components.items() if c.symbol == symbol]
+    return reference
+
+
+def beyond(board: Netlist, net: frozenset[tuple[str, str]], symbol: str) -> dict[str, frozenset]:
+    """Parts of two pins at a net, with what is at their other pin."""
+    found = {}
+    for reference, number in net:
+        if board.components[reference].symbol == symbol:
+            found[reference] = board.net(reference, {"1": "2", "2": "1"}[number])
+    return found
+
+
+def across(board: Netlist, symbol: str, one_net: frozenset, other: frozenset) -> float:
+    """The value of the only part of two pins between two nets."""
+    ((reference, _),) = [
+        (r, net) for r, net in beyond(board, one_net, symbol).items() if net == other
+    ]
+    return value(board, reference)
+
+
+def nodes_of(board: Netlist) -> list[tuple[str, str]]:
+    """Microcontroller and follower of every node of a strip."""
+    mcus = sorted(r for r, c in board.components.items() if c.symbol == "ATmega328P-A")
+    return [(mcu, f"{mcu[:-1]}2") for mcu in mcus]
+
+
+# Files
+
+
+def test_generated_files_are_fresh() -> None:
+    result = subprocess.run(
+        [sys.executable, str(GENERATOR), "--check"], capture_output=True, text=True, timeout=60
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
+
+
+@needs_kicad
+def test_kicads_rules_find_nothing() -> None:
+    assert check(KICAD) == f"boards={len(BOARDS)} violations=0"
+
+
+@needs_kicad
+def test_kicads_rules_find_a_wire_that_is_missing(tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(KICAD, KICAD / f".{tmp_path.name}"))
+    try:
+        file = folder / "digitizer.kicad_sch"
+        text = file.read_text()
+        file.write_text(re.sub(r"\n\(wire [^\n]*", "", text, count=1))
+        with pytest.raises(KicadError, match="not connected"):
+            check(folder)
+    finally:
+        shutil.rmtree(folder)
+
+
+@needs_kicad
+@pytest.mark.parametrize("board", BOARDS)
+def test_nets_are_those_that_kicad_finds(board: str, boards: dict[str, Netlist]) -> None:
+    kicads = {
+        frozenset((node.get("ref"), node.get("pin")) for node in net.iter("node"))
+        for net in ElementTree.fromstring(kicads_netlist(KICAD, board)).iter("net")
+    }
+    assert set(boards[board].nets) == kicads
+
+
+# Pins
+
+
+@pytest.mark.parametrize("symbol", PACKAGES)
+def test_pins_are_those_of_the_package(symbol: str, boards: dict[str, Netlist]) -> None:
+    found = [
+        c for board in boards.values() for c in board.components.values() if c.symbol == symbol
+    ]
+    assert found
+    for component in found:
+        names = [component.pins[str(i + 1)].split("/")[0] for i in range(len(component.pins))]
+        assert names == PACKAGES[symbol].split()
+
+
+@pytest.mark.parametrize("strip", NODES)
+def test_a_nodes_pins_are_those_of_its_firmware(strip: str, boards: dict[str, Netlist]) -> None:
+    """As the header of the microcontroller defines them."""
+    board = boards[strip]
+    header = (FIRMWARE / "node" / "atmega328p.h").read_text()
+    defined = dict(re.findall(r"#define BOARD_(LINE|SYNC|LED) (P[A-D][0-7])", header))
+    assert defined["LINE"] == NODES["strip"]
+    assert f"NODE_FAST the line is on {NODES['strip-fast']} (TXD)" in header
+    sensor_port = re.search(r"sensor on (PC0) \(ADC0\)", header)
+    assert sensor_port is not None
+    nodes = nodes_of(board)
+    assert len(nodes) == 8
+    for mcu, follower in nodes:
+        pins = {name: board.net(mcu, pin_at(board, mcu, name)) for name in ("PB1", "PD1", "PD4")}
+        line = pins.pop(NODES[strip])
+        ((_, input_net),) = beyond(board, line, "R").items()
+        assert len(line) == 2 and (follower, pin_at(board, follower, "+")) in input_net
+        assert all(len(net) == 1 for net in pins.values())  # the other line pin, and XCK
+        assert board.net(mcu, pin_at(board, mcu, defined["SYNC"])) == board.names["SYNC"]
+        sense = board.net(mcu, pin_at(board, mcu, sensor_port[1]))
+        assert {board.components[r].symbol for r, _ in sense} >= {"Sensor", "R", "C"}
+        assert board.names["+3V3"] in beyond(board, sense, "R").values()
+        led = board.net(mcu, pin_at(board, mcu, defined["LED"]))
+        ((_, anode),) = beyond(board, led, "R").items()
+        (diode,) = [r for r, _ in anode if board.components[r].symbol == "LED"]
+        assert (diode, "1") in anode and board.net(diode, "K") == board.names["GND"]
+        for supply, name in (("4", "+3V3"), ("6", "+3V3"), ("18", "+3V3"), ("21", "GND")):
+            assert board.net(mcu, supply) == board.names[name]
+        reference = board.net(mcu, "AREF")
+        assert [board.components[r].symbol for r, _ in reference if r != mcu] == ["C"]
+
+
+def test_the_fast_nodes_line_has_no_pull_up_and_its_clock_is_an_output() -> None:
+    """In the firmware: PD1 and PD4 are not among the pins that it pulls up, PD4 is driven."""
+    source = (FIRMWARE / "node" / "atmega328p.c").read_text()
+    fast = source.partition("#ifdef NODE_FAST")[2].partition("#else")[0]
+    assert re.search(r"PORTD = \(uint8_t\)~\(.*_BV\(PD1\).*_BV\(PD4\)", fast)
+    assert re.search(r"DDRD = .*_BV\(PD4\)", fast)
+    note = (KICAD / "node-fast.kicad_sch").read_text()
+    assert "pull-up is off" in note and "PD4 (XCK) is an output" in note
+
+
+@pytest.mark.parametrize("name", DIGITIZERS)
+def test_a_digitizers_pins_are_those_of_its_firmware(name: str, boards: dict[str, Netlist]) -> None:
+    board, pico = boards[name], one(boards[name], "Pico")
+    header = (FIRMWARE / "digitizer" / "rp2040" / "rp2040.h").read_text()
+    gpio = {key: int(n) for key, n in re.findall(r"PIN_(\w+) = (\d+)", header)}
+    line, sync = (board.net(pico, f"GPIO{gpio[key]}") for key in ("LINE", "SYNC"))
+    amplifier = one(board, "OpAmp")
+    assert board.net(amplifier, "OUT") in beyond(board, line, "R").values()
+    assert board.names["GND"] in beyond(board, line, "C").values()
+    buffer = one(board, "74LVC1G17")
+    assert (buffer, pin_at(board, buffer, "A")) in sync
+    assert board.names["GND"] in beyond(board, sync, "R").values()  # low while the board starts
+    (begun,) = beyond(board, board.net(buffer, "Y"), "R").values()
+    assert begun == board.names["SYNC"]
+    uart = one(board, "UART")
+    assert (uart, pin_at(board, uart, "TX")) in board.net(pico, f"GPIO{gpio['UART_TX']}")
+    assert (uart, pin_at(board, uart, "RX")) in board.net(pico, f"GPIO{gpio['UART_RX']}")
+    text = (KICAD / f"{name}.kicad_sch").read_text()
+    assert f"GPIO{gpio['REGULATOR']}, inside the Pico, is its regulator's mode pin" in text
+    used = {(pico, number) for net in (line, sync) for r, number in net if r == pico}
+    assert len(used) == 2
+    reference = board.net(pico, "ADC_VREF")
+    supply = board.net(amplifier, "V+")
+    assert reference == supply != board.net(pico, "3V3")
+    assert board.net(pico, "AGND") == board.names["GND"]
+    assert board.net(pico, "VBUS") == board.names["+5V"]
+
+
+@pytest.mark.parametrize("board", BOARDS)
+def test_every_amplifier_and_buffer_is_supplied(board: str, boards: dict[str, Netlist]) -> None:
+    netlist = boards[board]
+    for reference, component in netlist.components.items():
+        for name in ("V-", "GND"):
+            if name in component.pins.values() and component.symbol not in ("Pico", "ATmega328P-A"):
+                numbers = [n for n, its in component.pins.items() if its == name]
+                assert all(netlist.net(reference, n) == netlist.names["GND"] for n in numbers)
+        for name in ("V+", "VCC"):
+            if name in component.pins.values() and component.symbol in ("OpAmp", "74LVC1G17"):
+                net = netlist.net(reference, name)
+                assert net in (netlist.names.get("+3V3"), netlist.names.get("+3V3A"))
+                assert netlist.names["GND"] in beyond(netlist, net, "C").values()
+
+
+def test_cables_of_strips_digitizer_and_group_agree(boards: dict[str, Netlist]) -> None:
+    """And ground is next to line and sync."""
+    pins = {
+        tuple(c.pins[str(i + 1)] for i in range(len(c.pins)))
+        for board in boards.values()
+        for c in board.components.values()
+        if c.symbol in ("Skin", "SkinEnd")
+    }
+    assert pins == {("+3V3", "GND", "LINE", "GND", "SYNC", "GND")}
+    for name, board in boards.items():
+        for reference, component in board.components.items():
+            if component.symbol in ("Skin", "SkinEnd"):
+                for number, net in component.pins.items():
+                    assert (reference, number) in board.names[net], (name, net)
+
+
+# Values
+
+
+@pytest.mark.parametrize("strip", NODES)
+def test_a_nodes_values_are_the_calculators(strip: str, boards: dict[str, Netlist]) -> None:
+    board, front = boards[strip], fronts()[strip]
+    for mcu, follower in nodes_of(board):
+        line = board.net(mcu, pin_at(board, mcu, NODES[strip]))
+        plus, out = board.net(follower, "+"), board.net(follower, "OUT")
+        assert across(board, "R", line, plus) == pytest.approx(front.series_ohm)
+        for supply in ("+3V3", "GND"):
+            assert across(board, "R", plus, board.names[supply]) == pytest.approx(front.bias_ohm)
+        assert board.net(follower, "-") == out
+        into_line = across(board, "R", out, board.names["LINE"])
+        assert into_line == pytest.approx(front.nodes_stage.input_ohm)
+
+
+def test_64_nodes_differ_where_the_schematic_says_so(boards: dict[str, Netlist]) -> None:
+    few, more = front_of(16), front_of(64)
+    same = ("series_ohm", "bias_ohm", "filter_ohm", "filter_f")
+    assert all(getattr(few, name) == getattr(more, name) for name in same)
+    assert few.nodes_stage.feedback_ohm == more.nodes_stage.feedback_ohm
+    assert few.nodes_stage.feedback_f == more.nodes_stage.feedback_f
+    board = boards["strip"]
+    noted = [c for c in board.components.values() if "64 nodes" in c.fields.get("Note", "")]
+    assert len(noted) == 8
+    for component in noted:
+        assert (component.reference, "2") in board.names["LINE"]
+        ohm = re.match(r"([0-9.]+)k: 64 nodes", component.fields["Note"])
+        assert ohm and float(ohm[1]) * 1e3 == pytest.approx(more.nodes_stage.input_ohm)
+        assert component.fields["MPN64"] == part("R", f"{ohm[1]}k").number
+
+
+def stage_of(board: str) -> Stage:
+    front = fronts()[board]
+    stage = front.groups_stage if board == "digitizer-fast" else front.nodes_stage
+    assert stage is not None
+    return stage
+
+
+@pytest.mark.parametrize("name", [*DIGITIZERS, "group"])
+def test_an_amplifiers_values_are_the_calculators(name: str, boards: dict[str, Netlist]) -> None:
+    board, stage = boards[name], stage_of(name)
+    amplifier = one(board, "OpAmp")
+    summing, out, half = (board.net(amplifier, pin) for pin in ("-", "OUT", "+"))
+    assert across(board, "R", summing, out) == pytest.approx(stage.feedback_ohm)
+    assert across(board, "C", summing, out) == pytest.approx(stage.feedback_f)
+    dividers = beyond(board, half, "R")
+    supply = board.net(amplifier, "V+")
+    assert set(dividers.values()) == {supply, board.names["GND"]} and len(dividers) == 2
+    for reference in dividers:
+        component = board.components[reference]
+        assert (component.value, component.fields["MPN"]) == ("10k 0.1%", "RT0603BRD0710KL")
+    assert across(board, "C", half, board.names["GND"]) == pytest.approx(10e-12)
+
+
+@pytest.mark.parametrize("name", DIGITIZERS)
+def test_a_filters_values_are_the_calculators(name: str, boards: dict[str, Netlist]) -> None:
+    board, front = boards[name], fronts()[name]
+    line = board.net(one(board, "Pico"), "GPIO26")
+    assert across(board, "R", board.net(one(board, "OpAmp"), "OUT"), line) == front.filter_ohm
+    assert across(board, "C", line, board.names["GND"]) == pytest.approx(front.filter_f)
+
+
+def test_every_group_is_added_up_and_gets_the_sync(boards: dict[str, Netlist]) -> None:
+    board, stage = boards["digitizer-fast"], stage_of("digitizer-fast")
+    summing = board.net(one(board, "OpAmp"), "-")
+    cables = [r for r, c in board.components.items() if c.symbol == "Group"]
+    assert len(cables) == stage.inputs
+    for cable in cables:
+        assert across(board, "R", board.net(cable, "OUT"), summing) == stage.input_ohm
+        assert (cable, pin_at(board, cable, "SYNC")) in board.names["SYNC"]
+
+
+def test_a_group_has_supply_half_and_sync_buffer_of_its_own(boards: dict[str, Netlist]) -> None:
+    board = boards["group"]
+    regulator, buffer, cable = (one(board, s) for s in ("TLV1117LV33", "74LVC1G17", "GroupEnd"))
+    assert board.net(regulator, "OUT") == board.names["+3V3"]
+    assert board.net(regulator, "IN") == board.names["+5V"]
+    assert (buffer, "2") in board.net(cable, "SYNC")
+    (begun,) = beyond(board, board.net(buffer, "Y"), "R").values()
+    assert begun == board.names["SYNC"] != board.net(cable, "SYNC")
+    series = across(board, "R", board.net(one(board, "OpAmp"), "OUT"), board.net(cable, "OUT"))
+    assert series < 0.005 * stage_of("digitizer-fast").input_ohm  # does not change A
+    large = [c for c in board.components.values() if c.value == "100u"]
+    assert len(large) == 1
+
+
+# Parts
+
+
+def test_op_amps_are_as_fast_as_the_calculator_asks() -> None:
+    few, more, many = (front_of(nodes) for nodes in (16, 64, 900))
+    groups = many.groups_stage
+    assert groups is not None
+    followers = {"follower": (few, more), "fast follower": (many,)}
+    stages = {
+        "amplifier": [(few, few.nodes_stage), (more, more.nodes_stage)],
+        "group amplifier": [(many, many.nodes_stage)],
+        "sum": [(many, groups)],
+    }
+    assert {*followers, *stages} == set(OPAMPS)
+    for use, skins in followers.items():
+        for front in skins:
+            assert OPAMPS[use].gain_bandwidth_hz >= TYPICAL * front.follower_bandwidth_hz
+            assert OPAMPS[use].slew_v_per_s >= TYPICAL * front.follower_slew_v_per_s
+    for use, wanted in stages.items():
+        for front, stage in wanted:
+            assert OPAMPS[use].gain_bandwidth_hz >= TYPICAL * stage.gain_bandwidth_hz
+            assert OPAMPS[use].slew_v_per_s >= TYPICAL * front.slew_v_per_s
+            assert OPAMPS[use].rail_to_rail
+
+
+def test_the_parts_list_counts_what_the_boards_show(boards: dict[str, Netlist]) -> None:
+    """Against counts by hand: 16 nodes on 2 strips; 12 groups of 70 on 9 strips, one of 60 on 8."""
+    with (FIRMWARE / "boards" / "parts.csv").open(newline="") as file:
+        rows = {row["number"]: row for row in csv.DictReader(file)}
+    assert len(rows) > 40
+
+    def count(number: str) -> tuple[int, ...]:
+        return tuple(int(rows[number][f"for_{n}_nodes"]) for n in (16, 64, 900))
+
+    assert count("ATMEGA328P-AU") == (16, 64, 900)
+    assert count("SC0915") == (1, 1, 1)
+    assert count("SM06B-GHS-TB") == (2 * 2 + 1, 2 * 8 + 1, 2 * (12 * 9 + 8) + 13)
+    assert count("RC0603FR-0733KL") == (0, 64, 0)
+    assert count("RC0603FR-0712KL") == (3 * 16, 2 * 64, 2 * 900)
+    assert count("RT0603BRD0710KL") == (2, 2, 2 * 14)
+    assert count("TLV3541IDBVR") == (0, 0, 14)
+    numbers = {c.fields.get("MPN") for board in boards.values() for c in board.components.values()}
+    assert numbers - {None} <= rows.keys()
+
+
+@pytest.mark.parametrize(
+    ("value", "number"),
+    [
+        *(("820", "RC0603FR-07820RL"), ("3.9k", "RC0603FR-073K9L"), ("100k", "RC0603FR-07100KL")),
+        *(("10k 0.1%", "RT0603BRD0710KL"), ("33", "RC0603FR-0733RL")),
+    ],
+)
+def test_resistors_numbers(value: str, number: str) -> None:
+    assert part("R", value).number == number
+
+
+@pytest.mark.parametrize(
+    ("value", "number"),
+    [
+        *(("220p", "GRM1885C1H221JA01D"), ("10p", "GRM1885C1H100JA01D")),
+        *(("1n", "GRM1885C1H102JA01D"), ("100n", "GRM188R71C104KA01D")),
+    ],
+)
+def test_capacitors_numbers(value: str, number: str) -> None:
+    assert part("C", value).number == number
+
+
+# Drawing
+
+
+def test_wires_that_meet_get_a_junction_and_those_that_cross_none(tmp_path: Path) -> None:
+    sheet = Sheet("x", "x", (20, 20))
+    sheet.wire((0, 4), (8, 4))
+    sheet.wire((4, 4), (4, 8))
+    sheet.wire((6, 0), (6, 8))
+    assert sheet.text().count("(junction") == 1
+
+
+def test_a_slanted_wire_is_refused() -> None:
+    with pytest.raises(ValueError, match="neither level nor upright"):
+        Sheet("x", "x", (20, 20)).wire((0, 0), (1, 2))
+
+
+# Bring-up
+
+
+@needs_ngspice
+@pytest.mark.parametrize(("nodes", "ohm"), [(16, SYNC_OHM), (64, SYNC_OHM), (70, FAST_SYNC_OHM)])
+def test_a_sync_edge_is_clean_at_both_ends(nodes: int, ohm: float) -> None:
+    """In SPICE: a pin stands half a volt above its supply, and is surely high at 0.6 of it."""
+    from scope import sync_edge
+
+    for node in (1, nodes):
+        edge = sync_edge(nodes, node, ohm)
+        assert edge.volts.max() < 3.3 + 0.5
+        assert (edge.volts[edge.times > 100e-9] > 0.6 * 3.3).all()
+
+
+@needs_ngspice
+def test_without_its_resistor_a_sync_edge_is_not_clean() -> None:
+    from scope import sync_edge
+
+    assert sync_edge(16, 16, 10.0).volts.max() > 3.3 + 0.5
