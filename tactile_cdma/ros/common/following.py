@@ -13,8 +13,8 @@ from rclpy.subscription import Subscription
 
 from .executor import Gate, take_message
 
-Topic = tuple[type, str, Callable[[Any], None], QoSProfile]
-"""Type of the messages, name, callback, QoS."""
+Topic = tuple[type, str, Callable[..., None], QoSProfile]
+"""Type of the messages, name, callback (see take_message), QoS."""
 
 
 class Following:

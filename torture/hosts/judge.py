@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Compares what the body said, and what arrived, with what the patches' own hosts heard."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from .listener import BODY_CONTACTS, CONTACTS, Heard
+
+NETWORK_S = 0.5
+"""How much older than stale_after_s a body's data may be: its look at who is silent comes every
+0.2 s, and a repeated message was under way for some frames. Chosen above both."""
+
+
+@dataclass(frozen=True, slots=True)
+class Arrivals:
+    """Messages of one kind: sent, and arrived of these; gaps: losses that the sequence shows.
+
+    disordered: messages that came twice or after a later one.
+    """
+
+    sent: int
+    arrived: int
+    gaps: int
+    disordered: int
+    ages_ms: Sequence[float]
+
+    @property
+    def lost(self) -> int:
+        """Messages that did not arrive."""
+        return self.sent - self.arrived
+
+    def age_ms(self, percent: float) -> float:
+        """A percentile of the ages on arrival, ms; NaN without any."""
+        return float(np.percentile(self.ages_ms, percent)) if self.ages_ms else math.nan
+
+
+def arrivals(kind: str, patch: str, truth: Iterable[Heard], heard: Iterable[Heard]) -> Arrivals:
+    """What came of the messages of one kind, from the first that came to the last."""
+    came = [h for h in heard if (h.kind, h.patch) == (kind, patch)]
+    numbers = [h.sequence for h in came]
+    if not numbers:
+        return Arrivals(0, 0, 0, 0, [])
+    span = range(min(numbers), max(numbers) + 1)
+    sent = {h.sequence for h in truth if (h.kind, h.patch) == (kind, patch)}.intersection(span)
+    steps = [after - before for before, after in pairwise(numbers)]
+    return Arrivals(
+        len(sent),
+        len(sent.intersection(numbers)),
+        sum(step - 1 for step in steps if step > 0),
+        sum(step <= 0 for step in steps),
+        [1e3 * h.age_s for h in came],
+    )
+
+
+def false_claims(
+    truth: Sequence[Heard],
+    body: Iterable[Heard],
+    patches: Iterable[str],
+    oldest_s: float,
+) -> list[Heard]:
+    """The body's messages that say touched or untouched where it cannot know that.
+
+    It may know what a patch's own host heard within oldest_s (s) before the message. "Untouched"
+    needs such a frame of every patch that was untouched, "touched" one of any that was touched.
+    """
+    frames = [h for h in truth if h.kind == CONTACTS]
+    untouched_s = [[f.t_s for f in frames if f.patch == p and f.untouched] for p in patches]
+    touched_s = sorted(f.t_s for f in frames if f.touched)
+
+    def was(times_s: Sequence[float], t_s: float) -> bool:
+        return bisect_left(times_s, t_s - oldest_s) < bisect_right(times_s, t_s)
+
+    return [
+        message
+        for message in body
+        if message.kind == BODY_CONTACTS
+        and (
+            (message.untouched and not all(was(times_s, message.t_s) for times_s in untouched_s))
+            or (message.touched and not was(touched_s, message.t_s))
+        )
+    ]
+
+
+def not_missed(
+    body: Iterable[Heard], cut: Iterable[str], begin_s: float, end_s: float, oldest_s: float
+) -> list[Heard]:
+    """The body's messages in a cut that do not list the patches behind it as absent.
+
+    Those of the first oldest_s are excepted: a patch that was just heard is there.
+    """
+    return [
+        message
+        for message in body
+        if message.kind == BODY_CONTACTS
+        and begin_s + oldest_s < message.t_s < end_s
+        and not set(cut).issubset(message.absent)
+    ]
