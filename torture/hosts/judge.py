@@ -12,11 +12,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from .listener import BODY_CONTACTS, CONTACTS, Heard
+from .heard import BODY_CONTACTS, CONTACTS, Heard
 
-NETWORK_S = 0.5
-"""How much older than stale_after_s a body's data may be: its look at who is silent comes every
-0.2 s, and a repeated message was under way for some frames. Chosen above both."""
+SLACK_S = 1.0
+"""How much older than stale_after_s a body's data may be: it looks every 0.2 s at who is silent,
+messages are under way, and on a busy machine they wait for its turn. Chosen above all that."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +72,8 @@ def false_claims(
     needs such a frame of every patch that was untouched, "touched" one of any that was touched.
     """
     frames = [h for h in truth if h.kind == CONTACTS]
-    untouched_s = [[f.t_s for f in frames if f.patch == p and f.untouched] for p in patches]
-    touched_s = sorted(f.t_s for f in frames if f.touched)
+    untouched_s = [[f.sent_s for f in frames if f.patch == p and f.untouched] for p in patches]
+    touched_s = sorted(f.sent_s for f in frames if f.touched)
 
     def was(times_s: Sequence[float], t_s: float) -> bool:
         return bisect_left(times_s, t_s - oldest_s) < bisect_right(times_s, t_s)
@@ -83,23 +83,24 @@ def false_claims(
         for message in body
         if message.kind == BODY_CONTACTS
         and (
-            (message.untouched and not all(was(times_s, message.t_s) for times_s in untouched_s))
-            or (message.touched and not was(touched_s, message.t_s))
+            (message.untouched and not all(was(times_s, message.sent_s) for times_s in untouched_s))
+            or (message.touched and not was(touched_s, message.sent_s))
         )
     ]
 
 
-def not_missed(
+def deaf_claims(
     body: Iterable[Heard], cut: Iterable[str], begin_s: float, end_s: float, oldest_s: float
 ) -> list[Heard]:
-    """The body's messages in a cut that do not list the patches behind it as absent.
+    """The body's messages in a cut that claim to know of patches behind it.
 
-    Those of the first oldest_s are excepted: a patch that was just heard is there.
+    They do not list one as absent, or say that nothing touches the body. Those of the first
+    oldest_s are excepted: a patch that was just heard is there.
     """
     return [
         message
         for message in body
         if message.kind == BODY_CONTACTS
-        and begin_s + oldest_s < message.t_s < end_s
-        and not set(cut).issubset(message.absent)
+        and begin_s + oldest_s < message.sent_s < end_s
+        and (message.untouched or not set(cut).issubset(message.absent))
     ]

@@ -89,6 +89,7 @@ class Network:
     def __init__(self, names: Sequence[str], seed: int = 0) -> None:
         self._names, self._seed = names, seed
         self.hosts: dict[str, Host] = {}
+        self._weather, self._before = Weather(), Counts()
         self._stack = ExitStack()
 
     def __enter__(self) -> Network:
@@ -106,10 +107,25 @@ class Network:
     def __exit__(self, *_: object) -> None:
         self._stack.close()
 
-    def set(self, weather: Weather) -> Counts:
-        """Change the weather; returns what was counted up to now."""
+    def set(self, weather: Weather) -> None:
+        """Change the weather."""
+        self._weather = weather
+        self._counted()
+
+    def count_anew(self) -> None:
+        """Begin to count again from 0."""
+        self._before = self._counted()
+
+    @property
+    def counts(self) -> Counts:
+        """What happened to the frames since then."""
+        now, before = asdict(self._counted()), asdict(self._before)
+        return Counts(**{name: count - before[name] for name, count in now.items()})
+
+    def _counted(self) -> Counts:
+        """Tell the relay the weather; it answers with what it has counted."""
         assert self._relay.stdin is not None and self._relay.stdout is not None
-        print(json.dumps(asdict(weather)), file=self._relay.stdin, flush=True)
+        print(json.dumps(asdict(self._weather)), file=self._relay.stdin, flush=True)
         return Counts(**json.loads(self._relay.stdout.readline()))
 
     def _plug(self, host: Host) -> None:

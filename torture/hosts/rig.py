@@ -10,12 +10,13 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from subprocess import DEVNULL, PIPE
 
-from .listener import BODY_CONTACTS, CONTACTS, Heard
+from .clock import WrongClock
+from .heard import BODY_CONTACTS, CONTACTS, Heard
 from .network import Host, Network
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -28,7 +29,6 @@ PERIOD_S = 0.04
 """Of frames: 25 a second."""
 STALE_AFTER_S = 1.0
 """The body's default."""
-OFFSET_SOURCE = Path(__file__).with_name("clock_offset.c")
 _TURN_S = 0.05
 
 
@@ -37,6 +37,7 @@ class Rig:
 
     patience_s: what takes longer hangs. heard: all that arrived on the third host. truth: what the
     patches' own hosts heard of them. processes: the programs on the hosts.
+    clocks: those of the hosts.
     """
 
     def __init__(
@@ -58,16 +59,11 @@ class Rig:
             "ROS_HOME": str(folder / "ros"),
             **(environment or {}),
         }
+        self.clocks = {host: WrongClock(folder, host) for host in network.hosts}
         self.processes: list[subprocess.Popen[str]] = []
         self._stack = ExitStack()
 
     def __enter__(self) -> Rig:
-        for side in SIDES:
-            self.set_clock(side, 0.0)
-        library = self._folder / "clock_offset.so"
-        compile_it = ["cc", "-O2", "-shared", "-fPIC", "-o", str(library), str(OFFSET_SOURCE)]
-        subprocess.run(compile_it, check=True)
-        self._environment["LD_PRELOAD"] = str(library)
         with ExitStack() as stack:
             self._log = stack.enter_context((self._folder / "nodes.log").open("a"))
             for side in SIDES:
@@ -81,17 +77,6 @@ class Rig:
 
     def __exit__(self, *_: object) -> None:
         self._stack.close()
-
-    def set_clock(self, host: str, offset_s: float) -> None:
-        """Set the wall clock of a host to this host's plus an offset."""
-        # In one write, so that nobody reads half of it.
-        with self._clock_file(host).open(
-            "r+b" if self._clock_file(host).exists() else "wb"
-        ) as file:
-            file.write(round(offset_s * 1e9).to_bytes(8, sys.byteorder, signed=True))
-
-    def _clock_file(self, host: str) -> Path:
-        return self._folder / f"clock_{host}"
 
     def waits_for(self, condition: Callable[[], object]) -> float:
         """Time until a condition holds, s; counts a hang if that is longer than patience_s."""
@@ -111,13 +96,30 @@ class Rig:
     def is_whole(self) -> bool:
         """Whether the body hears all patches now."""
         newest = self.newest
-        return newest is not None and newest.absent == [] and newest.t_s > time.monotonic() - 0.5
+        return newest is not None and not newest.absent and self._is_new(newest)
 
-    def feels(self, side: str, touched: bool) -> bool:
-        """Whether this is what the newest frame of a patch says on its own host."""
+    def is_touched(self) -> bool:
+        """Whether the body says so now."""
+        newest = self.newest
+        return newest is not None and newest.touched and self._is_new(newest)
+
+    def is_untouched(self) -> bool:
+        """Whether the body says so now."""
+        newest = self.newest
+        return newest is not None and newest.untouched and self._is_new(newest)
+
+    def misses(self, sides: Iterable[str]) -> bool:
+        """Whether the body says that these patches are absent."""
+        newest = self.newest
+        return newest is not None and {PATCHES[side] for side in sides}.issubset(newest.absent)
+
+    def _is_new(self, message: Heard) -> bool:
+        return message.sent_s > time.monotonic() - STALE_AFTER_S
+
+    def feels(self, side: str) -> bool:
+        """Whether a patch is touched, by the newest frame that its own host heard."""
         mine = (h for h in reversed(self.truth) if (h.kind, h.patch) == (CONTACTS, PATCHES[side]))
-        newest = next(mine, None)
-        return newest is not None and (newest.touched if touched else newest.untouched)
+        return next((frame.touched for frame in mine), False)
 
     def said(self, side: str) -> str:
         """What the body says of a patch in its newest report; empty without one."""
@@ -152,10 +154,7 @@ class Rig:
     def _running(
         self, host: Host, command: Sequence[str], output: object
     ) -> Iterator[subprocess.Popen[str]]:
-        environment = {
-            **self._environment,
-            "CLOCK_OFFSET_FILE": str(self._clock_file(host.name)),
-        }
+        environment = {**self._environment, **self.clocks[host.name].environment}
         process = host.start(
             command, environment, stdin=DEVNULL, stdout=output, stderr=self._log, cwd=ROOT
         )
