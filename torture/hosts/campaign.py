@@ -25,7 +25,7 @@ from tempfile import TemporaryDirectory
 
 from ..outcome import Outcome, Plan, Tally
 from .heard import ARRAYS, BODY_CONTACTS, CONTACTS, Heard
-from .judge import SLACK_S, arrivals, deaf_claims, false_claims
+from .judge import SLACK_S, arrivals, deaf_claims, false_claims, untold
 from .network import Network, why_not
 from .relay import Weather
 from .rig import BRAIN, PATCHES, RIGHT, SIDES, STALE_AFTER_S, Rig
@@ -97,9 +97,8 @@ class Trial:
         tally = Tally(times=counts.lost if weather.loss else counts.forwarded)
         words = []
         for kind in (ARRAYS, CONTACTS):
-            found = [arrivals(kind, patch, self._truth, self._heard) for patch in PATCHES.values()]
+            found = [arrivals(kind, patch, self._heard) for patch in PATCHES.values()]
             sent, arrived = sum(f.sent for f in found), sum(f.arrived for f in found)
-            tally.uncounted_losses += sum(abs(f.lost - f.gaps) for f in found)
             tally.wrong_values += sum(f.disordered for f in found)
             tally.hangs += sum(not f.arrived for f in found)
             p50, p99 = (max(f.age_ms(percent) for f in found) for percent in (50, 99))
@@ -134,11 +133,10 @@ class Trial:
             rig.waits_for(partial(self._has_come, cut, end_s))
             false = deaf_claims(self._heard, gone, begin_s, end_s, OLDEST_S)
             self._note(tally, false)
-        found = [arrivals(CONTACTS, patch, self._truth, self._heard) for patch in gone]
-        tally.uncounted_losses += sum(abs(f.lost - f.gaps) for f in found)
+        lost = sum(arrivals(CONTACTS, patch, self._heard).lost for patch in gone)
         said = (
             f"absent after {max(told_s):.1f} s at most, there {max(back_s):.1f} s after its end; "
-            f"{sum(f.lost for f in found)} frames lost and counted"
+            f"{lost} frames lost and counted"
         )
         return self._outcome(tally, f"{what} cut off for {seconds:g} s", said)
 
@@ -188,15 +186,11 @@ class Trial:
     def _begin(self) -> None:
         """Judge from here on."""
         self._rig.network.count_anew()
-        self._heard_from, self._truth_from = len(self._rig.heard), len(self._rig.truth)
+        self._heard_from = len(self._rig.heard)
 
     @property
     def _heard(self) -> list[Heard]:
         return self._rig.heard[self._heard_from :]
-
-    @property
-    def _truth(self) -> list[Heard]:
-        return self._rig.truth[self._truth_from :]
 
     def _said(self) -> list[str]:
         """All that the body said of its patches."""
@@ -215,6 +209,9 @@ class Trial:
         self._note(tally, false)
         numbers = [h.sequence for h in self._heard if h.kind == BODY_CONTACTS]
         tally.uncounted_losses += sum(after - before != 1 for before, after in pairwise(numbers))
+        tally.uncounted_losses += sum(
+            untold(patch, rig.truth, self._heard) for patch in PATCHES.values()
+        )
         tally.crashes += rig.ended()
         tally.hangs, rig.hangs = tally.hangs + rig.hangs, 0
         self._begin()

@@ -21,43 +21,52 @@ messages are under way, and on a busy machine they wait for its turn. Chosen abo
 
 @dataclass(frozen=True, slots=True)
 class Arrivals:
-    """Messages of one kind: sent, and arrived of these; gaps: losses that the sequence shows.
+    """Messages of one kind that arrived, and the losses that their sequence shows.
 
     disordered: messages that came twice or after a later one.
     """
 
-    sent: int
     arrived: int
-    gaps: int
+    lost: int
     disordered: int
     ages_ms: Sequence[float]
 
     @property
-    def lost(self) -> int:
-        """Messages that did not arrive."""
-        return self.sent - self.arrived
+    def sent(self) -> int:
+        """Messages sent, from the first one that arrived to the last one."""
+        return self.arrived + self.lost
 
     def age_ms(self, percent: float) -> float:
         """A percentile of the ages on arrival, ms; NaN without any."""
         return float(np.percentile(self.ages_ms, percent)) if self.ages_ms else math.nan
 
 
-def arrivals(kind: str, patch: str, truth: Iterable[Heard], heard: Iterable[Heard]) -> Arrivals:
-    """What came of the messages of one kind, from the first that came to the last."""
+def arrivals(kind: str, patch: str, heard: Iterable[Heard]) -> Arrivals:
+    """What came of the messages of one kind."""
     came = [h for h in heard if (h.kind, h.patch) == (kind, patch)]
-    numbers = [h.sequence for h in came]
-    if not numbers:
-        return Arrivals(0, 0, 0, 0, [])
-    span = range(min(numbers), max(numbers) + 1)
-    sent = {h.sequence for h in truth if (h.kind, h.patch) == (kind, patch)}.intersection(span)
-    steps = [after - before for before, after in pairwise(numbers)]
+    steps = [after.sequence - before.sequence for before, after in pairwise(came)]
     return Arrivals(
-        len(sent),
-        len(sent.intersection(numbers)),
+        len(came),
         sum(step - 1 for step in steps if step > 0),
         sum(step <= 0 for step in steps),
         [1e3 * h.age_s for h in came],
     )
+
+
+def untold(patch: str, truth: Iterable[Heard], heard: Iterable[Heard]) -> int:
+    """Losses of a patch's contacts that their sequence does not show, or shows wrongly.
+
+    A message is known by when it was sent, whatever its number.
+    """
+    sent_ns, came_ns = (
+        {h.sent_ns for h in messages if (h.kind, h.patch) == (CONTACTS, patch)}
+        for messages in (truth, heard)
+    )
+    if not came_ns:
+        return 0
+    first_ns, last_ns = min(came_ns), max(came_ns)
+    lost = sum(first_ns < at_ns < last_ns for at_ns in sent_ns - came_ns)
+    return abs(lost - arrivals(CONTACTS, patch, heard).lost)
 
 
 def false_claims(

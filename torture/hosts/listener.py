@@ -56,11 +56,12 @@ def main() -> None:
 
 
 def _take(kind: str, patch: str, message: Any, info: dict[str, int]) -> None:
-    now_ns, now_s = time.time_ns(), time.monotonic()
+    now_ns, now_s, sent_ns = time.time_ns(), time.monotonic(), info["source_timestamp"]
     heard = Heard(
         kind,
         patch,
-        sent_s=now_s - (now_ns - info["source_timestamp"]) * 1e-9,
+        sent_s=now_s - (now_ns - sent_ns) * 1e-9,
+        sent_ns=sent_ns,
         sequence=message.sequence,
         age_s=(now_ns - nanoseconds(message.header.stamp)) * 1e-9,
         touched=kind != ARRAYS and message.touched,

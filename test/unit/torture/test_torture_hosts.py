@@ -16,7 +16,7 @@ import pytest
 
 from torture.hosts.clock import WrongClock
 from torture.hosts.heard import BODY, BODY_CONTACTS, CONTACTS, Heard
-from torture.hosts.judge import arrivals, deaf_claims, false_claims
+from torture.hosts.judge import arrivals, deaf_claims, false_claims, untold
 from torture.hosts.relay import Switch, Weather
 
 BROADCAST, MULTICAST = b"\xff" * 6, b"\x01\x00\x5e\x00\x00\x01"
@@ -110,20 +110,21 @@ A, B = "/a/skin", "/b/skin"
 def frames(patch: str, count: int = 10) -> list[Heard]:
     """Untouched, one every 0.1 s."""
     return [
-        Heard(CONTACTS, patch, 0.1 * number, sequence=7 + number, untouched=True)
+        Heard(CONTACTS, patch, 0.1 * number, 10 + number, sequence=7 + number, untouched=True)
         for number in range(count)
     ]
 
 
 def test_losses_are_known_by_gaps_and_untold_ones_are_found() -> None:
     truth = frames(A)
-    told = arrivals(CONTACTS, A, truth, [*truth[:4], *truth[6:]])
-    assert (told.sent, told.arrived, told.lost, told.gaps, told.disordered) == (10, 8, 2, 2, 0)
+    heard = [*truth[:4], *truth[6:]]
+    came = arrivals(CONTACTS, A, heard)
+    assert (came.sent, came.arrived, came.lost, came.disordered) == (10, 8, 2, 0)
+    assert untold(A, truth, heard + frames(B)) == untold(A, truth, []) == 0
     hidden = [*truth[:4], *(replace(f, sequence=f.sequence - 2) for f in truth[6:])]
-    untold = arrivals(CONTACTS, A, truth[:4] + truth[6:] + frames(B), hidden)
-    assert untold.lost != untold.gaps
-    twice = arrivals(CONTACTS, A, truth, [*truth, truth[3]])
-    assert twice.disordered == 1
+    assert untold(A, truth, hidden) == 2
+    assert untold(A, heard, heard) == 2  # a gap that nothing was lost in
+    assert arrivals(CONTACTS, A, [*truth, truth[3]]).disordered == 1
 
 
 def body(sent_s: float, **content: object) -> Heard:
