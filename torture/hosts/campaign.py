@@ -83,6 +83,7 @@ class Trial:
     def __init__(self, rig: Rig) -> None:
         self._rig, self._weather = rig, FINE
         rig.waits_for(rig.is_whole)
+        rig.waits_for(rig.is_witnessed)
         self._begin()
 
     def weather(self, fault: str, weather: Weather, seconds: float) -> Outcome:

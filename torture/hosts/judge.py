@@ -60,12 +60,14 @@ def untold(patch: str, truth: Iterable[Heard], heard: Iterable[Heard]) -> int:
     message is known by when it was sent, whatever its number. Fewer are no fault: on a busy
     machine the truth may lack some itself, or not have come yet.
     """
-    sent_ns = sorted(h.sent_ns for h in truth if (h.kind, h.patch) == (CONTACTS, patch))
+    known = [h.sent_ns for h in truth if (h.kind, h.patch) == (CONTACTS, patch)]
+    place = {sent_ns: number for number, sent_ns in enumerate(known)}  # a clock may be set back
     came = [h for h in heard if (h.kind, h.patch) == (CONTACTS, patch)]
     found = 0
     for before, after in pairwise(came):
-        between = bisect_left(sent_ns, after.sent_ns) - bisect_right(sent_ns, before.sent_ns)
-        found += max(0, between - (after.sequence - before.sequence - 1))
+        if before.sent_ns in place and after.sent_ns in place:
+            steps = place[after.sent_ns] - place[before.sent_ns]
+            found += max(0, steps - (after.sequence - before.sequence))
     return found
 
 

@@ -98,6 +98,12 @@ class Rig:
         newest = self.newest
         return newest is not None and not newest.absent and self._is_new(newest)
 
+    def is_witnessed(self) -> bool:
+        """Whether what the body says now can be compared with what the patches' hosts heard."""
+        long_ago_s = time.monotonic() - STALE_AFTER_S
+        witnessed = {h.patch for h in self.truth if h.kind == CONTACTS and h.sent_s < long_ago_s}
+        return witnessed.issuperset(PATCHES.values())
+
     def is_touched(self) -> bool:
         """Whether the body says so now."""
         newest = self.newest
