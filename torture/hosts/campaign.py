@@ -30,8 +30,9 @@ from .network import Network, why_not
 from .relay import Weather
 from .rig import BRAIN, PATCHES, RIGHT, SIDES, STALE_AFTER_S, Rig
 
-PATIENCE_S = 30.0
-"""Time without progress that counts as a hang, s."""
+PATIENCE_S = 60.0
+"""Time without progress that counts as a hang, s: six programs start at once, which takes 20 s on a
+busy machine."""
 FINE = Weather()
 BAD = Weather(delay_s=0.01, jitter_s=0.005, loss=0.05)
 """A poor Wi-Fi; all later faults happen in it."""

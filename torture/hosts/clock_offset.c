@@ -1,4 +1,4 @@
-/* SPDX-License-Identifier: Apache-2.0 */
+// SPDX-License-Identifier: Apache-2.0
 
 /* The wall clock of a process, off by the nanoseconds (int64_t) that the file CLOCK_OFFSET_FILE
  * holds at the moment: preloaded, it is another computer's clock.

@@ -17,8 +17,8 @@ from subprocess import PIPE
 
 from .relay import Counts, Weather
 
-TOOLS = ("unshare", "nsenter", "ip")
-"""Debian's util-linux and iproute2."""
+TOOLS = {"unshare": "util-linux", "nsenter": "util-linux", "ip": "iproute2", "cc": "gcc"}
+"""Programs that hosts and their clocks take, and Debian's packages with them."""
 TUN = Path("/dev/net/tun")
 NETWORK = "10.91.0"
 """Addresses of the hosts; nothing of them is seen outside of their namespaces."""
@@ -32,9 +32,9 @@ def why_not() -> str:
     """Why there cannot be hosts on this machine; empty if there can."""
     if os.geteuid():
         return "network namespaces need root"
-    for tool in TOOLS:
+    for tool, package in TOOLS.items():
         if not shutil.which(tool):
-            return f"no {tool}: apt install util-linux iproute2"
+            return f"no {tool}: apt install {package}"
     if not TUN.exists():
         return f"no {TUN}: the kernel has no TAP interfaces, or this container none"
     try:

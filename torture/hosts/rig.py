@@ -36,8 +36,8 @@ class Rig:
     """Use as a context manager.
 
     patience_s: what takes longer hangs. heard: all that arrived on the third host. truth: what the
-    patches' own hosts heard of them. processes: the programs on the hosts.
-    clocks: those of the hosts.
+    patches' own hosts heard of them. processes: the programs on the hosts. clocks: those of the
+    hosts.
     """
 
     def __init__(
@@ -148,8 +148,9 @@ class Rig:
 
         def read() -> None:
             assert process.stdout is not None
-            for line in process.stdout:
-                to.append(Heard(**json.loads(line)))
+            with process.stdout as lines:
+                for line in lines:
+                    to.append(Heard(**json.loads(line)))
 
         thread = threading.Thread(target=read)
         thread.start()
