@@ -117,6 +117,8 @@ class Trial:
         rig, tally, told_s, back_s = self._rig, Tally(times=times), [], []
         gone = [PATCHES[side] for side in cut]
         for _ in range(times):
+            # A loss is a gap between two that came, and a lost packet holds the first one up.
+            rig.waits_for(partial(self._has_come, cut, time.monotonic()))
             rig.waits_for(rig.is_untouched)
             self._set(replace(self._weather, cut=tuple(cut)))
             begin_s = time.monotonic()
