@@ -29,7 +29,7 @@ LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 FRESH = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT)
 """For contacts: a node that falls behind goes on with the newest instead of staying late. Reliable,
 a lost packet would hold up all that follow until it is repeated: on a network that loses 5 % of
-them, the body took 20 of 25 frames a second, some 0.4 s late (ONLY=hosts make torture)."""
+them, the body took 20 of 25 frames a second, some 0.4 s late (make torture ONLY=hosts)."""
 NewContacts = Callable[["PatchFeed", Touches], None]
 MessageInfo = dict[str, int]
 """What the middleware knows of a message: source_timestamp, received_timestamp, ns."""
@@ -82,14 +82,14 @@ class PatchFeed:
         return late_s if late_s < math.inf else 0.0
 
     def underway_s(self) -> float:
-        """Least time that a message took since the last call, s; 0 if none arrived.
+        """Least time that a message took since the last call, s; NaN if that is not known.
 
         From its sending, by the clock of its driver's computer, to its arrival, by the clock of
         this one: delay of the network plus offset of the clocks. The least, because the network
         delays some messages more than others.
         """
         underway_s, self._underway_s = self._underway_s, math.inf
-        return underway_s if underway_s < math.inf else 0.0
+        return underway_s if underway_s < math.inf else math.nan
 
     def rate_hz(self, now_s: float) -> float:
         """Rate of the frames received since the last call."""

@@ -86,7 +86,9 @@ def _judged(feed: PatchFeed, fault: str, stale_after_s: float, now_s: float) -> 
             f"its stamps are {late_s:+.1f} s off this computer's time: is use_sim_time the same "
             "for both, or is a computer too busy?"
         )
-    state = f"{rate_hz:.1f} Hz, {underway_s * 1e3:.0f} ms on the way"
+    state = f"{rate_hz:.1f} Hz"
+    if math.isfinite(underway_s):
+        state += f", {underway_s * 1e3:.0f} ms on the way"
     if coverage and not coverage.is_whole:
         state += f", {coverage.valid} of {coverage.in_service} taxels valid"
     return complaint, state
