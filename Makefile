@@ -18,7 +18,7 @@
 #              up to 7 min each, writes docs/img; QUICK=1: less than 40 s each, writes build/benchmarks
 #              bench-doubt ONLY=hum: conditions with this in their name
 # make torture faults of every kind, results compared with the truth; SEED=n, ONLY="line day"
-#              up to 30 min; QUICK=1: 50 s; docs/reliability.md has the results of the last full run
+#              up to 30 min; QUICK=1: a minute; docs/reliability.md has the results of the last full run
 # make soak    the driver node in real time for SECONDS=3600
 # make fuzz    hostile inputs to every reader of data: COUNT=1000000 for Python and for each C harness
 # make audit   known advisories for installed packages; upper bounds and lock files of requirements

@@ -30,6 +30,7 @@ CAMPAIGNS = {  # name: time limit, s, quick and full; the longest campaign first
     "signals": (45, 900),
     "hostile": (45, 900),
     "commands": (45, 900),
+    "hosts": (90, 900),
 }
 WIDTH = 58
 

@@ -8,8 +8,13 @@ The patches are publishers of the test, which can do what no driver does.
 from __future__ import annotations
 
 import math
+import os
+import shutil
+import subprocess
+import sys
 from array import array
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -40,8 +45,10 @@ from tactile_cdma.ros.common.cdr import Heading  # noqa: E402
 from tactile_cdma.ros.common.qos import LATCHED  # noqa: E402
 from tactile_cdma.ros.common.touches import Touches  # noqa: E402
 from tactile_cdma.views.cloud import BODY_POINT  # noqa: E402
+from torture.hosts.clock import WrongClock  # noqa: E402
 
 pytestmark = pytest.mark.ros
+ROOT = Path(__file__).resolve().parents[2]
 STALE_AFTER_S = 1.0
 
 
@@ -324,10 +331,39 @@ def test_late_messages_are_no_wrong_clock_but_a_wrong_clock_is_said(world: World
         world.a.touch(age_s=0.0)
         world.a.touch(age_s=5.0)
 
-    wait(world, lambda: world.said.get("/a/skin", "").endswith("Hz"), busy)
+    wait(world, lambda: "Hz" in world.said.get("/a/skin", ""), busy)
     for age_s, text in ((5.0, "+5.0 s off"), (-7200.0, "-7200.0 s off")):
         wait(
             world,
             lambda text=text: text in world.said.get("/a/skin", ""),
             lambda age_s=age_s: world.a.touch(age_s),
         )
+
+
+@pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler")
+def test_a_driver_on_a_computer_whose_clock_is_off_by_50_ms_is_named(
+    world: World, tmp_path: Path
+) -> None:
+    """A driver whose wall clock is another one's: its frames are as fresh as ever."""
+    clock = WrongClock(tmp_path, "driver")
+    driver = subprocess.Popen(
+        [sys.executable, str(ROOT / "scripts" / "skin_driver"), "--ros-args", "-r", "__ns:=/a"],
+        env={**os.environ, **clock.environment},
+    )
+
+    def said() -> str:
+        world.mount(0.0, child="skin")
+        return world.said.get("/a/skin", "")
+
+    try:
+        wait(world, lambda: "ms on the way" in said())
+        clock.set(0.05)
+        wait(world, lambda: "is ahead of this one's by 0.0" in said())
+        clock.set(-0.05)
+        wait(world, lambda: "its messages take 0.0" in said())
+        assert world.contacts[-1].absent == ["/b/skin"]  # it goes on being used
+        clock.set(0.0)
+        wait(world, lambda: "ms on the way" in said())
+    finally:
+        driver.terminate()
+        driver.wait()

@@ -173,6 +173,16 @@ def test_raw_topics_are_bytes(world: World) -> None:
     assert b"it\0" in got[0]
 
 
+def test_a_callback_of_two_arguments_gets_when_a_message_was_sent_and_came(world: World) -> None:
+    infos: list[dict[str, int]] = []
+    begin_ns = time.time_ns()
+    world.node.create_subscription(Header, "said", lambda _, info: infos.append(info), LATCHED)
+    world.publisher("one")
+    world.until(lambda: infos)
+    [info] = infos
+    assert begin_ns < info["source_timestamp"] < info["received_timestamp"] < time.time_ns()
+
+
 def test_an_error_in_a_callback_reaches_who_spins(world: World) -> None:
     def fail() -> None:
         raise ArithmeticError

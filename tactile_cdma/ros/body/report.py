@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -12,9 +13,14 @@ from ...base.listing import listed
 from ..common.convert import diagnostic
 from .patch_feed import PatchFeed
 
-CLOCKS_APART_S = 0.5
-"""A message of this age, s, or from so far in the future, means clocks that disagree; chosen above
-every delay of transport."""
+STAMPS_OFF_S = 0.5
+"""A frame whose stamp is off by this, s, is not from now; chosen above what frames take to come."""
+AHEAD_S = 5e-3
+"""A message that arrives so long before it was sent, s, means a clock that is ahead. Chosen above
+what chrony leaves on Wi-Fi; a sound clock cannot do that, however slow the network."""
+BEHIND_S = 30e-3
+"""A message that takes so long, s, means a clock that is behind or a slow network. Chosen above the
+quickest message of a second on a sound Wi-Fi, a few ms."""
 
 
 def body_status(
@@ -46,26 +52,43 @@ def body_status(
 
 def _judged(feed: PatchFeed, fault: str, stale_after_s: float, now_s: float) -> tuple[str, str]:
     """What is wrong and what to do, empty if nothing is; and what a patch in order shows."""
-    silent, coverage = feed.silent_s(now_s) > stale_after_s, feed.coverage
-    late_s, rate_hz = feed.late_s(), feed.rate_hz(now_s)
+    silent_s, coverage = feed.silent_s(now_s), feed.coverage
+    silent = silent_s > stale_after_s
+    late_s, underway_s, rate_hz = feed.late_s(), feed.underway_s(), feed.rate_hz(now_s)
     if not feed.is_followed:
         return "", "its driver is there" if feed.has_driver else "its driver was not seen yet"
     complaint = fault
     if silent and not feed.has_driver:
         complaint = "no driver: does it run, in this ROS domain, on a computer that is discovered?"
     elif silent:
-        complaint = "its driver is there, but silent: its own entries here say why"
+        since = f" for {silent_s:.0f} s" if silent_s < math.inf else ""
+        complaint = (
+            f"its driver is there, but silent{since}: its own entries here say why; if those stay "
+            "away, too, the network to its computer is cut"
+        )
     elif not fault and coverage and not coverage.valid:
         complaint = (
             f"none of its {coverage.in_service} taxels in service has a valid reading: its own "
             "entry 'nodes' here says why"
         )
-    elif not fault and abs(late_s) > CLOCKS_APART_S:
+    elif not fault and underway_s < -AHEAD_S:
         complaint = (
-            f"its stamps are {late_s:+.1f} s off this computer's clock: have both computers "
-            "follow one time server, or is this one too busy?"
+            f"the clock of its computer is ahead of this one's by {-underway_s:.3f} s and the time "
+            "that messages take: have both computers follow one time server"
+        )
+    elif not fault and underway_s > BEHIND_S:
+        complaint = (
+            f"its messages take {underway_s:.3f} s by the computers' clocks: that of its computer "
+            "is behind this one's, or the network is slow (ping tells)"
+        )
+    elif not fault and abs(late_s) > STAMPS_OFF_S:
+        complaint = (
+            f"its stamps are {late_s:+.1f} s off this computer's time: is use_sim_time the same "
+            "for both, or is a computer too busy?"
         )
     state = f"{rate_hz:.1f} Hz"
+    if math.isfinite(underway_s):
+        state += f", {underway_s * 1e3:.0f} ms on the way"
     if coverage and not coverage.is_whole:
         state += f", {coverage.valid} of {coverage.in_service} taxels valid"
     return complaint, state

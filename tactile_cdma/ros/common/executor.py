@@ -12,6 +12,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import lru_cache
+from inspect import signature
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
@@ -163,11 +165,22 @@ class LeanExecutor(Executor):
 
 
 def take_message(subscription: Any) -> bool:
-    """Take a waiting message and call back with it; returns False if none waits."""
+    """Take a waiting message and call back with it; returns False if none waits.
+
+    A callback that needs two arguments gets what the middleware knows of the message, too: a
+    dictionary with source_timestamp and received_timestamp, ns. So it is in rclpy since Iron.
+    """
     taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
     if taken:
-        subscription.callback(taken[0])
+        callback = subscription.callback
+        callback(*taken if _needs_two(callback) else taken[:1])
     return bool(taken)
+
+
+@lru_cache
+def _needs_two(callback: Callable[..., object]) -> bool:
+    required = [p for p in signature(callback).parameters.values() if p.default is p.empty]
+    return len(required) == 2
 
 
 def _call_timer(timer: Any) -> None:

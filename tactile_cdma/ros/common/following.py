@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -13,8 +12,8 @@ from rclpy.subscription import Subscription
 
 from .executor import Gate, take_message
 
-Topic = tuple[type, str, Callable[[Any], None], QoSProfile]
-"""Type of the messages, name, callback, QoS."""
+Topic = tuple[type, str, Callable[..., None], QoSProfile]
+"""Type of the messages, name, callback (see take_message), QoS."""
 
 
 class Following:
