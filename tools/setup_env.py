@@ -27,7 +27,7 @@ import time
 from pathlib import Path
 
 CHECKOUT = Path(__file__).resolve().parent.parent
-SUPPORTED = ((3, 12), (3, 11))  # the ROS wheels exist for these
+SUPPORTED = ((3, 12), (3, 11), (3, 13), (3, 14))  # the ROS wheels exist for these
 LAYOUT = "1"  # raise when this script changes so that older venvs will not do
 
 CORE_REQUIREMENTS = ("requirements.txt", "requirements-dev.txt")
@@ -301,9 +301,11 @@ def choose_interpreter(any_version: bool) -> tuple[str, str]:
 
 def unsupported(version: str) -> str:
     """Say what to do about a Python the ROS wheels do not exist for."""
+    known = sorted(f"{major}.{minor}" for major, minor in SUPPORTED)
     return (
-        f"ROS 2 from PyPI needs Python 3.12 or 3.11, and this is {version}; install one of them "
-        "(apt install python3.12-venv python3.12-dev, or pyenv), or source a ROS 2 installation"
+        f"ROS 2 from PyPI needs Python {', '.join(known[:-1])} or {known[-1]}, and this is {version}; "
+        f"install one of them (apt install python{known[-1]}-venv python{known[-1]}-dev, or pyenv), "
+        "or source a ROS 2 installation"
     )
 
 

@@ -18,6 +18,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 ROOT = Path(__file__).resolve().parents[2]
 BIN = Path(sys.prefix, "bin")
+PATH = f"{BIN}{os.pathsep}{os.environ['PATH']}"  # of colcon, and of cmake where the system has none
 IGNORED = shutil.ignore_patterns(".*", "build", "install", "log", "__pycache__", "*.egg-info")
 
 
@@ -35,7 +36,7 @@ def run(*command: str | Path, cwd: Path, env: dict[str, str] | None = None) -> s
 
 
 def test_colcon_build(tmp_path: Path) -> None:
-    colcon = shutil.which("colcon", path=f"{BIN}{os.pathsep}{os.environ['PATH']}")
+    colcon = shutil.which("colcon", path=PATH)
     assert colcon is not None, "colcon is missing from the environment"
     source = shutil.copytree(ROOT, tmp_path / "src" / "tactile_cdma", ignore=IGNORED)
     # Half a minute of compiling is saved: make setup has built all messages by the same CMakeLists.
@@ -59,7 +60,7 @@ def build(colcon: str, workspace: Path) -> None:
         # C++ is not used here: not optimising it saves half of the time
         *("-DCMAKE_BUILD_TYPE=Debug", "-DCMAKE_CXX_FLAGS=-O0", "--no-warn-unused-cli"),
         cwd=workspace,
-        env={**os.environ, "CMAKE_PREFIX_PATH": os.environ["AMENT_PREFIX_PATH"]},
+        env={**os.environ, "PATH": PATH, "CMAKE_PREFIX_PATH": os.environ["AMENT_PREFIX_PATH"]},
     )
 
 
