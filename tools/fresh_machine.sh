@@ -25,9 +25,10 @@ trap 'rm -rf --one-file-system "$folder"' EXIT
 inside() {
     local passed=(PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root TERM=dumb LC_ALL=C.UTF-8 DEBIAN_FRONTEND=noninteractive)
     local name
-    for name in PIP_INDEX_URL PIP_CERT PIP_DEFAULT_TIMEOUT {http,https,no}_proxy {HTTP,HTTPS,NO}_PROXY; do
+    for name in PIP_INDEX_URL PIP_DEFAULT_TIMEOUT {http,https,no}_proxy {HTTP,HTTPS,NO}_PROXY; do
         [ -z "${!name:-}" ] || passed+=("$name=${!name}")
     done
+    [ ! -e "$root/root/ca.crt" ] || passed+=(PIP_CERT=/root/ca.crt)
     unshare --mount --pid --fork --kill-child sh -c '
         root=$1; shift
         mount -t proc proc "$root/proc"
@@ -56,7 +57,7 @@ echo "== debootstrap $suite"
 debootstrap --variant=minbase "$suite" "$root" > "$folder/debootstrap.log" || { tail "$folder/debootstrap.log"; exit 1; }
 cp /etc/resolv.conf /etc/hosts "$root/etc/"
 apt-config dump Acquire | grep -i proxy > "$root/etc/apt/apt.conf.d/00proxy" || true
-if [ -n "${PIP_CERT:-}" ]; then install -D "$PIP_CERT" "$root$PIP_CERT"; fi
+[ -z "${PIP_CERT:-}" ] || cp "$PIP_CERT" "$root/root/ca.crt"
 mkdir "$root/root/tactile_cdma"
 git -C "$checkout" archive HEAD | tar -x -C "$root/root/tactile_cdma"
 inside apt-get -qq update
