@@ -303,9 +303,9 @@ def unsupported(version: str) -> str:
     """Say what to do about a Python the ROS wheels do not exist for."""
     known = sorted(f"{major}.{minor}" for major, minor in SUPPORTED)
     return (
-        f"ROS 2 from PyPI needs Python {', '.join(known[:-1])} or {known[-1]}, and this is {version}; "
-        f"install one of them (apt install python{known[-1]}-venv python{known[-1]}-dev, or pyenv), "
-        "or source a ROS 2 installation"
+        f"ROS 2 from PyPI needs Python {', '.join(known)}, and this is {version}; install one of "
+        f"them (apt install python{known[0]}-venv python{known[0]}-dev, or pyenv), or source a "
+        "ROS 2 installation"
     )
 
 
