@@ -13,6 +13,10 @@ an interrupted one is repaired: a venv that is not stamped complete is made anew
 
 from __future__ import annotations
 
+import signal
+
+signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C during the imports: no traceback
+
 import argparse
 import fcntl
 import hashlib
@@ -28,7 +32,7 @@ from pathlib import Path
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 SUPPORTED = ((3, 12), (3, 11), (3, 13), (3, 14))  # the ROS wheels exist for these
-LAYOUT = "1"  # raise when this script changes so that older venvs will not do
+LAYOUT = "2"  # raise when this script changes so that older venvs will not do
 
 CORE_REQUIREMENTS = ("requirements.txt", "requirements-dev.txt")
 # Of the ROS 2 distributions that PyPI has.
@@ -46,6 +50,7 @@ class SetupError(Exception):
 
 def main() -> int:
     """Bring .venv up to date; say what is being done only if something is."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     parser = argparse.ArgumentParser(description="Make or update the environment in .venv.")
     parser.add_argument("--venv", type=Path, default=CHECKOUT / ".venv")
     parser.add_argument("--distro", default="", help=f"default: {DEFAULT_DISTRO}")
@@ -205,7 +210,9 @@ def adapt_venv(venv: Path) -> None:
     command = venv / "bin" / "tactile-cdma"
     command.write_text(
         f"#!/bin/sh\n'''exec' \"{python}\" \"$0\" \"$@\"\n' '''\n"
-        "import sys\n\nfrom tactile_cdma.__main__ import main\n\nsys.exit(main())\n"
+        "import signal\nimport sys\n\n"
+        "signal.signal(signal.SIGINT, signal.SIG_DFL)  # no traceback of the imports\n\n"
+        "from tactile_cdma.__main__ import main\n\nsys.exit(main())\n"
     )
     command.chmod(0o755)
 

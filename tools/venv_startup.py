@@ -7,6 +7,7 @@ before ros_wheels_bootstrapper.pth, which restarts Python once to set LD_LIBRARY
 """
 
 import os
+import signal
 import sys
 
 
@@ -19,7 +20,8 @@ def start(checkout: str) -> None:
     lib = os.path.join(sys.prefix, "lib")
     if lib in os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep):
         return
-    # The loader reads LD_LIBRARY_PATH only at process start.
+    # The loader reads LD_LIBRARY_PATH only at process start. Ctrl-C until then: no traceback.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
     if os.path.exists(os.path.join(os.path.dirname(__file__), "ros_wheels_bootstrapper.pth")):
         # A parent process from another venv may have left its "done" mark.
         os.environ.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)

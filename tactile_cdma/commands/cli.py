@@ -40,15 +40,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit code."""
     if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal of another alphabet, odd file names
         sys.stdout.reconfigure(errors="backslashreplace")
-    parser = argparse.ArgumentParser(prog="tactile-cdma", description=__doc__)
-    parser.add_argument("--version", action="version", version=__version__)
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for name, (module, text) in SUBCOMMANDS.items():
-        subcommand = commands.add_parser(name, help=text)
-        subcommand.set_defaults(run=module.run, parser=subcommand)
-        module.add_arguments(subcommand)
-    arguments = parser.parse_args(argv)
     try:
+        arguments = make_parser().parse_args(argv)
         code: int = arguments.run(arguments)
         return code
     except BrokenPipeError:  # the reader of our output has seen enough
@@ -59,6 +52,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 1
     except KeyboardInterrupt:
         return INTERRUPTED
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The parser of all subcommands; what it parses has run(arguments), and parser for errors."""
+    parser = argparse.ArgumentParser(prog="tactile-cdma", description=__doc__)
+    parser.add_argument("--version", action="version", version=__version__)
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    for name, (module, text) in SUBCOMMANDS.items():
+        subcommand = commands.add_parser(name, help=text)
+        subcommand.set_defaults(run=module.run, parser=subcommand)
+        module.add_arguments(subcommand)
+    return parser
 
 
 if __name__ == "__main__":
