@@ -15,7 +15,7 @@ from .. import __version__
 from ..base.errors import TactileError
 from ..calibrating import command as calibrate
 from ..doctor import command as doctor
-from . import amplifier, decode, export, info, layout, node, ports, record, simulate
+from . import amplifier, completion, decode, export, info, layout, node, ports, record, simulate
 
 SUBCOMMANDS: dict[str, tuple[ModuleType, str]] = {
     "decode": (decode, "decode a recording or an oscilloscope capture"),
@@ -29,6 +29,7 @@ SUBCOMMANDS: dict[str, tuple[ModuleType, str]] = {
     "doctor": (doctor, "check this installation or a port, and report problems"),
     "layout": (layout, "check a layout file and draw it with node numbers"),
     "calibrate": (calibrate, "fit the nodes' curves to known loads"),
+    "completion": (completion, "print the completion of this command for bash"),
 }
 """Subcommands: module and help text. A module has add_arguments(parser), and run(arguments), which
 returns the exit code."""
