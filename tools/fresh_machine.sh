@@ -56,7 +56,8 @@ step() {
 echo "== debootstrap $suite"
 debootstrap --variant=minbase "$suite" "$root" > "$folder/debootstrap.log" || { tail "$folder/debootstrap.log"; exit 1; }
 cp /etc/resolv.conf /etc/hosts "$root/etc/"
-apt-config dump Acquire | grep -i proxy > "$root/etc/apt/apt.conf.d/00proxy" || true
+echo 'Acquire::Check-Valid-Until "false";' > "$root/etc/apt/apt.conf.d/00network"  # a mirror of sid may lag
+apt-config dump Acquire | grep -i proxy >> "$root/etc/apt/apt.conf.d/00network" || true
 [ -z "${PIP_CERT:-}" ] || cp "$PIP_CERT" "$root/root/ca.crt"
 mkdir "$root/root/tactile_cdma"
 git -C "$checkout" archive HEAD | tar -x -C "$root/root/tactile_cdma"
