@@ -206,6 +206,9 @@ def adapt_venv(venv: Path) -> None:
     startup.with_suffix(".pth").write_text(
         f"import _tactile_cdma_venv; _tactile_cdma_venv.start({str(CHECKOUT)!r})\n"
     )
+    Path(site_packages, "zz_tactile_cdma_venv.pth").write_text(
+        "import _tactile_cdma_venv; _tactile_cdma_venv.end()\n"
+    )
     # sh finds the interpreter, so that blanks or great length of its path do no harm.
     command = venv / "bin" / "tactile-cdma"
     command.write_text(

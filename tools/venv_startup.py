@@ -3,12 +3,16 @@
 """Runs when the Python of .venv starts, so that plain `.venv/bin/python` finds everything.
 
 setup_env.py copies this file into the venv; a .pth file there calls start(). That line must sort
-before ros_wheels_bootstrapper.pth, which restarts Python once to set LD_LIBRARY_PATH.
+before ros_wheels_bootstrapper.pth, which restarts Python once to set LD_LIBRARY_PATH. Another one,
+the last, calls end().
 """
 
+import _signal as signal  # `signal` itself takes as long to load as all of Python
 import os
-import signal
 import sys
+
+if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C while Python starts: no traceback
 
 
 def start(checkout: str) -> None:
@@ -20,14 +24,19 @@ def start(checkout: str) -> None:
     lib = os.path.join(sys.prefix, "lib")
     if lib in os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep):
         return
-    # The loader reads LD_LIBRARY_PATH only at process start. Ctrl-C until then: no traceback.
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    # The loader reads LD_LIBRARY_PATH only at process start.
     if os.path.exists(os.path.join(os.path.dirname(__file__), "ros_wheels_bootstrapper.pth")):
         # A parent process from another venv may have left its "done" mark.
         os.environ.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)
     else:
         _prepend("LD_LIBRARY_PATH", lib)
         os.execv(sys.executable, sys.orig_argv)  # noqa: S606  # itself
+
+
+def end() -> None:
+    """Let Ctrl-C raise KeyboardInterrupt, as usual."""
+    if signal.getsignal(signal.SIGINT) == signal.SIG_DFL:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _prepend(variable: str, path: str) -> None:
