@@ -70,7 +70,7 @@ step test make test "$@"
 
 printf '\n== %s: %s; README names: %s\n' "$suite" "$(inside python3 --version)" "$NAMED_IN_README"
 echo "installed besides, or missing:"
-sed -nE 's/^\[0\/4\] apt-get (install .*)/  make run: \1/p; s/^(setup|firmware): .*needed on this machine: (.*)/  \1: \2/p' "$folder/run.log" "$folder/test.log"
+sed -nE 's/^\[0\/4\] apt-get (install .*)/  make run: \1/p; s/^firmware: apt-get (install .*)/  make test: \1/p; s/^(setup|firmware): .*needed on this machine: (.*)/  \1: \2/p' "$folder/run.log" "$folder/test.log"
 sed -nE 's/^SKIPPED (.*)/  skipped \1/p' "$folder/test.log"
 # shellcheck disable=SC2154
 echo "run=$run test=$test run_s=$run_s test_s=$test_s"
