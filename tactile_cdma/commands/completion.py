@@ -50,9 +50,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 def script(parser: argparse.ArgumentParser, version: str) -> str:
     """The completion of a parser whose arguments all belong to subcommands."""
-    [commands] = (action for action in parser._actions if isinstance(action.choices, dict))
+    [commands] = (a.choices for a in parser._actions if isinstance(a.choices, dict))
     options, choices = [], []
-    for name, subcommand in commands.choices.items():
+    for name, subcommand in commands.items():
         known = [option for action in subcommand._actions for option in action.option_strings]
         options.append(f"            {name}) words='{' '.join(known)}' ;;")
         for action in subcommand._actions:
@@ -63,7 +63,7 @@ def script(parser: argparse.ArgumentParser, version: str) -> str:
                 choices.append(f"        {cases}) words='{words}' ;;")
     return SCRIPT.format(
         version=version,
-        commands=" ".join(commands.choices),
+        commands=" ".join(commands),
         options="\n".join(options),
         choices="\n".join(choices),
     )
