@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import io
+import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -44,15 +45,26 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         arguments = make_parser().parse_args(argv)
         code: int = arguments.run(arguments)
+        sys.stdout.flush()
         return code
     except BrokenPipeError:  # the reader of our output has seen enough
         sys.stderr.close()
         return 0
     except (TactileError, OSError) as error:  # a full disk behind our output, for one
         print(f"tactile-cdma: {error}", file=sys.stderr)
+        _let_go_of_output()
         return 1
     except KeyboardInterrupt:
         return INTERRUPTED
+
+
+def _let_go_of_output() -> None:
+    """Discard output that cannot be written; Python would try once more when it ends."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        with open(os.devnull, "w") as nowhere:
+            os.dup2(nowhere.fileno(), sys.stdout.fileno())
 
 
 def make_parser() -> argparse.ArgumentParser:
