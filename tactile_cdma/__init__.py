@@ -42,7 +42,7 @@ __all__ = [
 # The messages that a build generates lie beside the installed package, not in a checkout.
 __path__ = extend_path(__path__, __name__)
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 if TYPE_CHECKING:
     from .driver.digitizer import Origin

@@ -12,7 +12,7 @@ from .base.errors import ParameterError
 
 def main() -> int:
     """Load the command and run it; returns the exit code."""
-    handler = signal.signal(signal.SIGINT, signal.SIG_DFL)  # no traceback of imports
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C during the imports: no traceback
     try:
         from .commands.cli import main as run
     except ModuleNotFoundError as error:
@@ -24,7 +24,7 @@ def main() -> int:
     except ParameterError as error:  # in an environment variable
         print(f"tactile-cdma: {error}", file=sys.stderr)
         return 1
-    signal.signal(signal.SIGINT, handler)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     return run()
 
 

@@ -26,7 +26,7 @@ from .base.errors import ParameterError, PortError, RecordingEndError, RestError
 from .config.parameters import BY_NAME, REPLAY, Value, Values, check_values, read_file
 from .config.skin_config import SkinConfig
 from .driver.digitizer import Source
-from .driver.driver import WAITING, Driver
+from .driver.driver import NOT_YET, Driver
 from .driver.pipeline import Pipeline, TactileFrame
 from .places.layout import Layout
 from .recording.capture import read_bytes
@@ -204,7 +204,7 @@ class Skin:
         """
         with self._opening:
             driver, inbox = self._running(), self._inbox
-            if driver.problem not in (None, WAITING):  # the first frames may be on their way
+            if driver.problem not in NOT_YET:  # the first frames may be on their way
                 raise RestError(f"not tared: no frames arrive: {driver.problem}")
             with inbox.unbounded(), driver.between_frames() as pipeline:
                 taxels = pipeline.taxels

@@ -4,12 +4,15 @@
 
 from __future__ import annotations
 
+import signal
+
+signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C during the imports: no traceback
+
 import argparse
 import ctypes
 import json
 import math
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -40,6 +43,7 @@ USAGE = (
 
 def main() -> int:
     """Run all; the exit code is the viewer's, or 1 if the drivers ended by themselves."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     parser = argparse.ArgumentParser(
         prog="make run", usage=USAGE, description=__doc__, allow_abbrev=False
     )
@@ -224,4 +228,7 @@ def _end_with_parent() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        sys.exit(main())
+    except KeyboardInterrupt:
+        sys.exit(128 + signal.SIGINT)

@@ -13,6 +13,10 @@ an interrupted one is repaired: a venv that is not stamped complete is made anew
 
 from __future__ import annotations
 
+import signal
+
+signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C during the imports: no traceback
+
 import argparse
 import fcntl
 import hashlib
@@ -27,8 +31,8 @@ import time
 from pathlib import Path
 
 CHECKOUT = Path(__file__).resolve().parent.parent
-SUPPORTED = ((3, 12), (3, 11))  # the ROS wheels exist for these
-LAYOUT = "1"  # raise when this script changes so that older venvs will not do
+SUPPORTED = ((3, 12), (3, 11), (3, 13), (3, 14))  # the ROS wheels exist for these
+LAYOUT = "2"  # raise when this script changes so that older venvs will not do
 
 CORE_REQUIREMENTS = ("requirements.txt", "requirements-dev.txt")
 # Of the ROS 2 distributions that PyPI has.
@@ -46,6 +50,7 @@ class SetupError(Exception):
 
 def main() -> int:
     """Bring .venv up to date; say what is being done only if something is."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     parser = argparse.ArgumentParser(description="Make or update the environment in .venv.")
     parser.add_argument("--venv", type=Path, default=CHECKOUT / ".venv")
     parser.add_argument("--distro", default="", help=f"default: {DEFAULT_DISTRO}")
@@ -201,11 +206,16 @@ def adapt_venv(venv: Path) -> None:
     startup.with_suffix(".pth").write_text(
         f"import _tactile_cdma_venv; _tactile_cdma_venv.start({str(CHECKOUT)!r})\n"
     )
+    Path(site_packages, "zz_tactile_cdma_venv.pth").write_text(
+        "import _tactile_cdma_venv; _tactile_cdma_venv.end()\n"
+    )
     # sh finds the interpreter, so that blanks or great length of its path do no harm.
     command = venv / "bin" / "tactile-cdma"
     command.write_text(
         f"#!/bin/sh\n'''exec' \"{python}\" \"$0\" \"$@\"\n' '''\n"
-        "import sys\n\nfrom tactile_cdma.__main__ import main\n\nsys.exit(main())\n"
+        "import signal\nimport sys\n\n"
+        "signal.signal(signal.SIGINT, signal.SIG_DFL)  # no traceback of the imports\n\n"
+        "from tactile_cdma.__main__ import main\n\nsys.exit(main())\n"
     )
     command.chmod(0o755)
 
@@ -213,6 +223,8 @@ def adapt_venv(venv: Path) -> None:
 def build_messages(venv: Path, use_installation: bool) -> None:
     """Build this package with colcon, into the venv itself, and messages that PyPI lacks.
 
+    Optimised, but with assertions, as a plain `colcon build` has them: so all tests are run with
+    these. They do not show in the benchmarks.
     The kernel is part of it: a machine that can compile the messages can compile the kernel.
     """
     step(4, "building the messages and the kernel")
@@ -239,7 +251,8 @@ def build_messages(venv: Path, use_installation: bool) -> None:
             "--symlink-install",
             "--cmake-args",
             "-DBUILD_TESTING=OFF",
-            "-DCMAKE_BUILD_TYPE=Release",
+            "-DCMAKE_C_FLAGS=-O2",
+            "-DCMAKE_CXX_FLAGS=-O2",
             f"-DPython3_EXECUTABLE={venv / 'bin' / 'python'}",
             "--no-warn-unused-cli",
         ],
@@ -301,9 +314,11 @@ def choose_interpreter(any_version: bool) -> tuple[str, str]:
 
 def unsupported(version: str) -> str:
     """Say what to do about a Python the ROS wheels do not exist for."""
+    known = sorted(f"{major}.{minor}" for major, minor in SUPPORTED)
     return (
-        f"ROS 2 from PyPI needs Python 3.12 or 3.11, and this is {version}; install one of them "
-        "(apt install python3.12-venv python3.12-dev, or pyenv), or source a ROS 2 installation"
+        f"ROS 2 from PyPI needs Python {', '.join(known)}, and this is {version}; install one of "
+        f"them (apt install python{known[0]}-venv python{known[0]}-dev, or pyenv), or source a "
+        "ROS 2 installation"
     )
 
 

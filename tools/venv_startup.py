@@ -3,11 +3,16 @@
 """Runs when the Python of .venv starts, so that plain `.venv/bin/python` finds everything.
 
 setup_env.py copies this file into the venv; a .pth file there calls start(). That line must sort
-before ros_wheels_bootstrapper.pth, which restarts Python once to set LD_LIBRARY_PATH.
+before ros_wheels_bootstrapper.pth, which restarts Python once to set LD_LIBRARY_PATH. Another one,
+the last, calls end().
 """
 
+import _signal as signal  # `signal` itself takes as long to load as all of Python
 import os
 import sys
+
+if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C while Python starts: no traceback
 
 
 def start(checkout: str) -> None:
@@ -26,6 +31,12 @@ def start(checkout: str) -> None:
     else:
         _prepend("LD_LIBRARY_PATH", lib)
         os.execv(sys.executable, sys.orig_argv)  # noqa: S606  # itself
+
+
+def end() -> None:
+    """Let Ctrl-C raise KeyboardInterrupt, as usual."""
+    if signal.getsignal(signal.SIGINT) == signal.SIG_DFL:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _prepend(variable: str, path: str) -> None:

@@ -80,7 +80,8 @@ static void step(struct bench *bench)
         write(bench, bytes, size);
         break;
     case 1:
-        write(bench, wire, commands_any(&bench->input, wire));
+        size = commands_any(&bench->input, wire);
+        write(bench, wire, size);
         break;
     case 2:
         size = commands_configure(&bench->input, &as_emulated, wire);

@@ -13,6 +13,7 @@ TactileError
 ├── CaptureError      a capture or recording that is empty, truncated or of another format
 ├── CalibrationError  a calibration file, or loads to calibrate from, that cannot be used
 ├── NodeMemoryError   a node's memory that is blank, damaged or not for this firmware
+├── MissingPackageError  an optional package that a command needs is not installed
 ├── RestError         a tare that cannot be taken now; an unusable file of tare and drift
 └── TransformError    tf frames that are not connected, or that form a cycle
 """
@@ -68,6 +69,10 @@ class CalibrationError(TactileError, ValueError):
 
 class NodeMemoryError(TactileError, ValueError):
     """A node's memory that is blank, damaged or not for this firmware."""
+
+
+class MissingPackageError(TactileError, ImportError):
+    """An optional package that a command needs is not installed."""
 
 
 class RestError(TactileError):

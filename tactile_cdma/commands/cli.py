@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import io
+import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -15,7 +16,7 @@ from .. import __version__
 from ..base.errors import TactileError
 from ..calibrating import command as calibrate
 from ..doctor import command as doctor
-from . import amplifier, decode, export, info, layout, node, ports, record, simulate
+from . import amplifier, completion, decode, export, info, layout, node, ports, record, simulate
 
 SUBCOMMANDS: dict[str, tuple[ModuleType, str]] = {
     "decode": (decode, "decode a recording or an oscilloscope capture"),
@@ -29,6 +30,7 @@ SUBCOMMANDS: dict[str, tuple[ModuleType, str]] = {
     "doctor": (doctor, "check this installation or a port, and report problems"),
     "layout": (layout, "check a layout file and draw it with node numbers"),
     "calibrate": (calibrate, "fit the nodes' curves to known loads"),
+    "completion": (completion, "print the completion of this command for bash"),
 }
 """Subcommands: module and help text. A module has add_arguments(parser), and run(arguments), which
 returns the exit code."""
@@ -40,6 +42,33 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit code."""
     if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal of another alphabet, odd file names
         sys.stdout.reconfigure(errors="backslashreplace")
+    try:
+        arguments = make_parser().parse_args(argv)
+        code: int = arguments.run(arguments)
+        sys.stdout.flush()
+        return code
+    except BrokenPipeError:  # the reader of our output has seen enough
+        sys.stderr.close()
+        return 0
+    except (TactileError, OSError) as error:  # a full disk behind our output, for one
+        print(f"tactile-cdma: {error}", file=sys.stderr)
+        _let_go_of_output()
+        return 1
+    except KeyboardInterrupt:
+        return INTERRUPTED
+
+
+def _let_go_of_output() -> None:
+    """Discard output that cannot be written; Python would try once more when it ends."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        with open(os.devnull, "w") as nowhere:
+            os.dup2(nowhere.fileno(), sys.stdout.fileno())
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The parser of all subcommands; what it parses has run(arguments), and parser for errors."""
     parser = argparse.ArgumentParser(prog="tactile-cdma", description=__doc__)
     parser.add_argument("--version", action="version", version=__version__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
@@ -47,18 +76,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         subcommand = commands.add_parser(name, help=text)
         subcommand.set_defaults(run=module.run, parser=subcommand)
         module.add_arguments(subcommand)
-    arguments = parser.parse_args(argv)
-    try:
-        code: int = arguments.run(arguments)
-        return code
-    except BrokenPipeError:  # the reader of our output has seen enough
-        sys.stderr.close()
-        return 0
-    except (TactileError, OSError) as error:  # a full disk behind our output, for one
-        print(f"tactile-cdma: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        return INTERRUPTED
+    return parser
 
 
 if __name__ == "__main__":

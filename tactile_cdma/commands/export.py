@@ -13,6 +13,7 @@ from pathlib import Path
 from .. import __version__
 from ..base.errors import CaptureError
 from ..base.named_file import naming
+from ..base.optional import needed_for
 from ..config.arguments import add_skin_options, given
 from ..config.parameters import BY_NAME
 from ..driver.pipeline import TactileFrame
@@ -63,7 +64,8 @@ def _write(
 ) -> int:
     config, source, values = capture.config, capture.source, capture.values
     if bag:
-        from ..recording.bag_export import write_bag  # slow to load, and needed here only
+        with needed_for("--bag", "rosbags"):
+            from ..recording.bag_export import write_bag
 
         frame_id = str(values.get("frame_id", BY_NAME["frame_id"].default))
         return write_bag(output, frames, config, source, frame_id)

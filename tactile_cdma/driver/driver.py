@@ -18,6 +18,7 @@ from ..readings.stuck import StuckNodes
 from ..wire.discovery import is_away
 from ..wire.packets import MAX_REPEATED
 from ..wire.port import Port
+from ..wire.port_failures import is_remote
 from .backlog import Backlog
 from .pipeline import Pipeline, TactileFrame
 from .session import Session
@@ -33,8 +34,12 @@ AWAY_S = 0.02
 """s between looks for a device that is missing. Chosen: a look takes microseconds."""
 LOOK_S = 0.05
 """s between looks at how much waits in the port. Chosen: a look takes 10 µs."""
+CONNECTING = "connecting to the host of the port"
+"""The problem while a port on another machine is opened for the first time."""
 WAITING = "waiting for the first frame"
 """The problem right after a port was opened."""
+NOT_YET = (None, CONNECTING, WAITING)
+"""Problems that pass by themselves, if nothing is wrong."""
 
 
 class Driver:
@@ -144,6 +149,8 @@ class Driver:
         if first is not None:
             return first
         self._opening = True
+        if not self.problem and is_remote(self.url):
+            self._report(CONNECTING)
         try:
             return Port(self.url, self._baud)
         finally:
@@ -155,7 +162,7 @@ class Driver:
         session = Session(pipeline.config)
         with self._busy:
             pipeline.reconnected()
-        if not self.problem:
+        if self.problem in NOT_YET:
             self._report(WAITING)
         port.write(session.open())
         backlog = Backlog(pipeline.config.spec.frame_period_s)

@@ -239,7 +239,9 @@ class LineRecogniser:
     def _is_astray(self, words: WordFit) -> bool:
         """Whether somebody speaks on a row that no node has, as one that is late may do."""
         spare = words.rows[0, :, self._spec.spare_rows]
-        return spare.size > 0 and not self._line.is_silent(np.abs(spare).mean(axis=0))
+        return spare.size > 0 and not self._line.is_silent(
+            np.abs(spare).mean(axis=0, dtype=np.float32)
+        )
 
     def _faint(self, frame: MarkedFrame, power: float) -> Verdict:
         """A silent frame, from the power of its chips, V²."""

@@ -63,7 +63,13 @@ def in_words(ports: Sequence[SerialPort]) -> str:
 
 
 def device_of(url: str) -> str:
-    """The device that usb://SERIAL is now; any other URL unchanged. Raises PortError."""
+    """The device that usb://SERIAL is now; of any other URL, its scheme in lower case.
+
+    Raises PortError.
+    """
+    scheme, mark, rest = url.partition("://")
+    if mark:
+        url = scheme.lower() + mark + rest
     return find_usb(url, serial_ports()) if url.startswith(USB) else url
 
 

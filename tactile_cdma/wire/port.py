@@ -18,7 +18,7 @@ import serial
 from ..base import kernel
 from ..base.errors import CaptureError, PortError
 from .discovery import device_of
-from .port_failures import NETWORK, TerminalError, lost, why_not_open
+from .port_failures import NETWORK, SOCKET, TerminalError, lost, why_not_open
 
 T = TypeVar("T")
 
@@ -55,14 +55,14 @@ class Port:
 
     def __init__(self, url: str, baud: int) -> None:
         self.url = url
-        self.over_network = url.startswith(NETWORK)
+        # Looked up at every opening: a board that is plugged in again may be another device.
+        pyserial_url = device_of(url)
+        self.over_network = pyserial_url.startswith(NETWORK)
         self.had_waited = False
-        if url.lower().startswith(SPY):
+        if pyserial_url.startswith(SPY):
             raise PortError(
                 f"{url}: {SPY} would write a file; tactile-cdma record keeps the bytes of a port"
             )
-        # Looked up at every opening: a board that is plugged in again may be another device.
-        pyserial_url = device_of(url)
         try:
             self._serial = serial.serial_for_url(pyserial_url, do_not_open=True)
             self._serial.baudrate = baud
@@ -178,7 +178,7 @@ class Port:
 
 def _poll(port: serial.SerialBase, url: str) -> select.poll | None:
     """Waits for a port that has a file descriptor; None where only pyserial can read it."""
-    if not hasattr(select, "poll") or ("://" in url and not url.startswith("socket://")):
+    if not hasattr(select, "poll") or ("://" in url and not url.startswith(SOCKET)):
         return None
     poll = select.poll()
     poll.register(port.fileno(), select.POLLIN)
@@ -193,6 +193,6 @@ def _reduce_latency(port: serial.SerialBase) -> None:
 
 def _limit_wait_for_host(port: serial.SerialBase, url: str) -> None:
     """Make a socket fail HOST_GONE_S after its host has gone."""
-    if url.startswith("socket://") and hasattr(socket, "TCP_USER_TIMEOUT"):
+    if url.startswith(SOCKET) and hasattr(socket, "TCP_USER_TIMEOUT"):
         with socket.fromfd(port.fileno(), socket.AF_INET, socket.SOCK_STREAM) as link:
             link.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(HOST_GONE_S * 1e3))

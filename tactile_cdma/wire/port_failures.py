@@ -17,8 +17,10 @@ try:
 except ImportError:  # not a POSIX system
     TerminalError = OSError  # type: ignore[misc, assignment]
 
-NETWORK = ("socket://", "rfc2217://")
+SOCKET = "socket://"
+NETWORK = (SOCKET, "rfc2217://")
 """Begin the URLs of ports on another machine."""
+NO_HOST = f"host and port (1…65535) are not named, as in {SOCKET}192.168.0.7:4000"
 _NOT_SERIAL = (errno.ENOTTY, errno.EISDIR, errno.ENXIO)
 
 
@@ -42,13 +44,25 @@ def why_not_open(error: Exception, device: str) -> str:
     if "could not configure port" in str(error).lower() or code in _NOT_SERIAL:
         return "not a serial port"
     if device.startswith(NETWORK) and not _names_host_and_port(device):
-        return f"host and port (1…65535) are not named, as in {NETWORK[0]}192.168.0.7:4000"
+        return NO_HOST
     if isinstance(error, ValueError) and "protocol" in str(error):
         return (
             "unknown kind of port; use a device path, usb://SERIAL, sim://, replay://FILE, "
             "socket://host:port or rfc2217://…"
         )
     return str(error)
+
+
+def is_remote(url: str) -> bool:
+    """Whether a port is on another machine, where it may take seconds to open.
+
+    Raises PortError where a URL of such a port does not name host and port.
+    """
+    if not url.lower().startswith(NETWORK):
+        return False
+    if not _names_host_and_port(url):
+        raise PortError(f"{url}: {NO_HOST}")
+    return True
 
 
 def lost(url: str, doing: str, error: Exception) -> PortError:

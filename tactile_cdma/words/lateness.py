@@ -174,7 +174,8 @@ def delays(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSp
     chips = np.pad(chips_of(left, spec).ravel(), 1)
     turned = (chips[2:] - chips[:-2]).reshape(left.shape)
     early = rows_of(turned, spec)[:, spec.node_slice]
-    late_chips: Floats32 = (early * signs).mean(axis=0) / np.maximum(amplitude, np.float32(1e-30))
+    late_chips: Floats32 = (early * signs).mean(axis=0, dtype=np.float32)
+    late_chips /= np.maximum(amplitude, np.float32(1e-30))
     return late_chips
 
 

@@ -34,8 +34,14 @@ CHECKS = ("--enable=warning,performance,portability", "--error-exitcode=1", "--s
 IGNORED = (
     "--suppress=missingIncludeSystem",
     "--suppress=comparePointers:*/start.c",  # a section's begin and end, named by the linker
+    # Found by newer ones only. What allocates are the emulators and fuzzers, which may crash then.
+    "--suppress=normalCheckLevelMaxBranches",
+    "--suppress=nullPointerOutOfMemory",
+    "--suppress=nullPointerArithmeticOutOfMemory",
 )
 NODE = FIRMWARE / "node"
+COUNTER = FIRMWARE / "digitizer" / "replay" / "mps2.c"
+"""Defines for ARM what is a macro elsewhere."""
 AVR = (
     "-DCRC32_SMALL",
     "-DEMPTY_INTERRUPT(vector)=void vector(void) {}",
@@ -49,7 +55,7 @@ AVR = (
 @pytest.mark.parametrize(
     "sources",
     [
-        ("-i", FIRMWARE / "build", "-i", NODE, FIRMWARE),
+        ("-i", FIRMWARE / "build", "-i", NODE, "-i", COUNTER, FIRMWARE),
         ("-D__AVR_ATmega328P__", "-i", NODE / "attiny85.c", *AVR),
         ("-D__AVR_ATtiny85__", "-i", NODE / "atmega328p.c", *AVR),
     ],

@@ -141,6 +141,15 @@ def test_a_name_that_no_topic_can_have_is_one_clear_error(tmp_path: Path) -> Non
     assert not (tmp_path / "bag").exists()
 
 
+def test_without_rosbags_skin_bag_is_one_clear_error(tmp_path: Path) -> None:
+    start = "import runpy, sys; sys.modules['rosbags'] = None; runpy.run_path(sys.argv[1])"
+    command = [sys.executable, "-c", start, str(ROOT / "scripts" / "skin_bag"), str(tmp_path)]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert run.returncode == 1
+    assert run.stderr.startswith("skin_bag needs the Python package rosbags, which is")
+    assert "pip install rosbags" in run.stderr and len(run.stderr.splitlines()) == 1
+
+
 def test_the_bag_knows_our_types_as_ros_does(tmp_path: Path) -> None:
     """By their hashes, or others take them for other types."""
     from tactile_cdma.recording.message_types import message_types

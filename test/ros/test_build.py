@@ -7,6 +7,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -18,6 +19,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 ROOT = Path(__file__).resolve().parents[2]
 BIN = Path(sys.prefix, "bin")
+PATH = f"{BIN}{os.pathsep}{os.environ['PATH']}"  # of colcon, and of cmake where the system has none
 IGNORED = shutil.ignore_patterns(".*", "build", "install", "log", "__pycache__", "*.egg-info")
 
 
@@ -35,7 +37,7 @@ def run(*command: str | Path, cwd: Path, env: dict[str, str] | None = None) -> s
 
 
 def test_colcon_build(tmp_path: Path) -> None:
-    colcon = shutil.which("colcon", path=f"{BIN}{os.pathsep}{os.environ['PATH']}")
+    colcon = shutil.which("colcon", path=PATH)
     assert colcon is not None, "colcon is missing from the environment"
     source = shutil.copytree(ROOT, tmp_path / "src" / "tactile_cdma", ignore=IGNORED)
     # Half a minute of compiling is saved: make setup has built all messages by the same CMakeLists.
@@ -52,15 +54,34 @@ def test_colcon_build(tmp_path: Path) -> None:
 
 
 def build(colcon: str, workspace: Path) -> None:
-    """Build the package of a workspace, and install it; by links, make setup does it."""
+    """Build the package of a workspace for release, and install it.
+
+    make setup does it by links, and with assertions.
+    """
     run(
         *(colcon, "--log-base", "log", "build", "--install-base", "install"),
         *("--cmake-args", "-DBUILD_TESTING=OFF", f"-DPython3_EXECUTABLE={sys.executable}"),
         # C++ is not used here: not optimising it saves half of the time
-        *("-DCMAKE_BUILD_TYPE=Debug", "-DCMAKE_CXX_FLAGS=-O0", "--no-warn-unused-cli"),
+        *("-DCMAKE_BUILD_TYPE=Release", "-DCMAKE_CXX_FLAGS_RELEASE=-O0 -DNDEBUG"),
+        "--no-warn-unused-cli",
         cwd=workspace,
-        env={**os.environ, "CMAKE_PREFIX_PATH": os.environ["AMENT_PREFIX_PATH"]},
+        env={**os.environ, "PATH": PATH, "CMAKE_PREFIX_PATH": os.environ["AMENT_PREFIX_PATH"]},
     )
+
+
+WRONG_FIELD = """
+from rclpy.serialization import serialize_message
+from tactile_cdma.msg import TactileArray
+message = TactileArray()
+message._pressure = "no numbers"
+serialize_message(message)
+"""
+
+
+@pytest.mark.skipif(not Path(sys.prefix, "setup.json").exists(), reason="not built by make setup")
+def test_the_tests_run_with_the_assertions_of_a_plain_build() -> None:
+    done = subprocess.run([sys.executable, "-c", WRONG_FIELD], capture_output=True, text=True)
+    assert done.returncode == -signal.SIGABRT and "Assertion" in done.stderr
 
 
 def imported_from(workspace: Path) -> Path:

@@ -8,6 +8,7 @@ import gc
 import os
 import tempfile
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -20,11 +21,13 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
 from lifecycle_msgs.msg import State, Transition  # noqa: E402
+from mute_host import mute_host  # noqa: E402
 from rclpy._rclpy_pybind11 import RCLError  # noqa: E402
 from rclpy.lifecycle import TransitionCallbackReturn  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 
 from skin_client import plugged, running, wait_for  # noqa: E402
+from tactile_cdma.driver.driver import CONNECTING  # noqa: E402
 from tactile_cdma.ros.driver.node import SkinNode  # noqa: E402
 from tactile_cdma.wire.port import Port  # noqa: E402
 
@@ -233,3 +236,18 @@ def test_transitions_work_by_call_too_and_a_node_may_go_in_any_state() -> None:
             assert getattr(node, f"trigger_{impossible}")() != TransitionCallbackReturn.SUCCESS
         node.destroy_node()
         assert readers() == []
+
+
+def test_a_host_that_does_not_answer_holds_up_nothing() -> None:
+    """An attempt to connect lasts 5 s; no transition waits for it."""
+    down, up = ("deactivate", "cleanup"), ("configure", "activate")
+    with mute_host() as url, running(port=url) as (_, client):
+        wait_for(lambda: client.diagnostics[-1].message == CONNECTING)
+        for names in (down, up, down):
+            begin_s = time.monotonic()
+            for name in names:
+                assert client.change(transition_id("", name))
+            assert time.monotonic() - begin_s < 3.0
+        assert client.set(port="socket://") == (True, "")
+        assert not client.change(transition_id("", "configure"))
+        wait_for(lambda: "host and port" in client.diagnostics[-1].message)

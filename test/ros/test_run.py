@@ -156,11 +156,12 @@ def test_signals_end_the_driver_in_order(number: signal.Signals) -> None:
 
 
 @pytest.mark.parametrize(
-    "script",
-    ["skin_driver", "skin_body", "skin_view", "skin_body_view", "skin_bag", "tactile-cdma"],
+    "program",
+    [*sorted(ROOT.glob("scripts/*")), ROOT / "tools" / "run.py"],
+    ids=lambda path: path.name,
 )
-def test_ctrl_c_while_a_program_starts_ends_it_without_a_traceback(script: str) -> None:
-    command = [sys.executable, "-X", "importtime", str(ROOT / "scripts" / script)]
+def test_ctrl_c_while_a_program_starts_ends_it_without_a_traceback(program: Path) -> None:
+    command = [sys.executable, "-X", "importtime", str(program)]
     node = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     with ended(node):
         read_until(node, " numpy.version")

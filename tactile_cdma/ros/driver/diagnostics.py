@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from ...base.listing import listed
 from ...driver import checkup
 from ...driver.digitizer import SourceWatch
-from ...driver.driver import WAITING, Driver
+from ...driver.driver import NOT_YET, Driver
 from ...driver.findings import Level, Settling, worst
 from ...driver.pipeline import Pipeline, TactileFrame
 from ...driver.vitals import Window
@@ -87,7 +87,7 @@ class SkinReport:
         }
         if driver.problem:  # which leaves nodes and link unknown
             self._start_over()
-            level = Level.WARN if driver.problem == WAITING else Level.ERROR
+            level = Level.WARN if driver.problem in NOT_YET else Level.ERROR
             judged = dict.fromkeys(ENTRIES, (Level.STALE, NO_FRAMES))
             judged |= {STREAM: (level, driver.problem), HOST: (Level.OK, "ok")}
             return self._entries(judged, values)

@@ -23,13 +23,14 @@ from ...config.body_file import NODE_NAME
 from ...config.parameters import Values
 from ...config.skin_config import SkinConfig
 from ...driver.digitizer import SourceWatch
-from ...driver.driver import WAITING, Driver
+from ...driver.driver import NOT_YET, Driver
 from ...driver.pipeline import TactileFrame
 from ...driver.rest_keeper import RestKeeper
 from ...driver.session import Session
 from ...readings.rest_file import rest_path
 from ...wire.messages import Info
 from ...wire.port import Port
+from ...wire.port_failures import is_remote
 from ..common.lifecycle import ManagedNode, reported
 from ..common.process import run_node
 from ..common.qos import LATCHED
@@ -53,9 +54,10 @@ RETRY_S = 2.0
 class SkinNode(ManagedNode):
     """Publishes one skin patch.
 
-    configure checks the parameters and opens the port, activate streams, deactivate stops and
-    closes the port. With `autostart` the node does both by itself, and tries again for as long
-    as the reason for a failure lasts. Decoding runs in the Driver's thread.
+    configure checks the parameters and opens the port, unless that is on another machine; activate
+    streams, deactivate stops and closes the port. With `autostart` the node does both by itself,
+    and tries again for as long as the reason for a failure lasts. Decoding runs in the Driver's
+    thread.
     """
 
     def __init__(self, **node_options: Any) -> None:
@@ -139,7 +141,8 @@ class SkinNode(ManagedNode):
             Session(config)  # refuses what a digitizer cannot be told
             transform = transform_of(self._live)
             path = rest_path(str(self._live["state_folder"]), self.get_fully_qualified_name())
-            self._port = Port(url, int(self._live["baud"]))
+            if not is_remote(url):  # else the driver does it, which holds up nothing
+                self._port = Port(url, int(self._live["baud"]))
         except TactileError as error:
             if str(error) != self._last_failure:
                 self._last_failure = str(error)
@@ -159,8 +162,9 @@ class SkinNode(ManagedNode):
         config, spec = self._rest.config, self._rest.config.spec
         url, baud = self._watch.source.port, int(self._live["baud"])
         self._driver = Driver(config, url, baud, self._publish_frame, self._log_problem)
+        begun = "opened" if self._port else "connecting to"
         self.get_logger().info(
-            f"opened {url} for {spec.nodes} nodes: order {spec.order}, "
+            f"{begun} {url} for {spec.nodes} nodes: order {spec.order}, "
             f"{spec.bits} bits, a frame every {spec.frame_period_s * 1e3:g} ms"
         )
         self._heard = None
@@ -274,7 +278,7 @@ class SkinNode(ManagedNode):
         self._diagnostics_publisher.publish(DiagnosticArray(header=header, status=entries))
 
     def _log_problem(self, problem: str | None) -> None:
-        if problem is None or problem == WAITING:
+        if problem in NOT_YET:
             self.get_logger().info(problem or "receiving frames")
         else:
             self.get_logger().error(problem)

@@ -17,10 +17,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import serial
+from mute_host import mute_host
 
 from tactile_cdma.base.errors import PortError, SpecError
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.driver.driver import WAITING, Driver
+from tactile_cdma.driver.driver import CONNECTING, WAITING, Driver
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
@@ -382,25 +383,6 @@ def test_calls_between_frames_cost_none() -> None:
     assert all(frame.words.active.all() for frame in watch.frames[1:])
 
 
-@contextmanager
-def mute_host() -> Iterator[str]:
-    """URL of a host that lets nobody in: its queue of connections is full."""
-    with socket.socket() as server:
-        server.bind(("127.0.0.1", 0))
-        server.listen(0)
-        waiting = []
-        try:
-            with suppress(TimeoutError):
-                while True:
-                    waiting.append(socket.socket())
-                    waiting[-1].settimeout(0.3)
-                    waiting[-1].connect(server.getsockname())
-            yield "socket://{}:{}".format(*server.getsockname())
-        finally:
-            for client in waiting:
-                client.close()
-
-
 def connecting(url: str) -> bool:
     return any(thread.name == f"skin {url}" for thread in threading.enumerate())
 
@@ -414,4 +396,4 @@ def test_stopping_does_not_wait_for_a_host_that_does_not_answer() -> None:
         driver.stop()
         assert connecting(url)  # pyserial tries for 5 s
     wait_for(lambda: not connecting(url))
-    assert watch.problems == []
+    assert watch.problems == [CONNECTING]

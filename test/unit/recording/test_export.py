@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import csv
 import json
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -211,3 +212,17 @@ def test_a_recording_without_frames_leaves_no_file(
     assert main(["export", str(path), "-o", str(tmp_path / options[0]), *options[1:]]) == 1
     assert len(capsys.readouterr().err.splitlines()) == 1
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_bag_without_rosbags_is_one_clear_error(
+    skin: tuple[Path, list[TactileFrame]],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delitem(sys.modules, "tactile_cdma.recording.bag_export")
+    monkeypatch.setitem(sys.modules, "rosbags.interfaces", None)
+    assert main(["export", str(skin[0]), "-o", str(tmp_path / "bag"), "--bag"]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("tactile-cdma: --bag needs the Python package rosbags, which is not")
+    assert "pip install rosbags" in said and not (tmp_path / "bag").exists()

@@ -36,10 +36,10 @@ def pty_port() -> Iterator[tuple[FileIO, Port]]:
 
 
 @contextmanager
-def socket_port() -> Iterator[tuple[socket.socket, Port]]:
+def socket_port(scheme: str = "socket") -> Iterator[tuple[socket.socket, Port]]:
     with (
         socket.create_server(("127.0.0.1", 0)) as server,
-        Port(f"socket://127.0.0.1:{server.getsockname()[1]}", 115_200) as port,
+        Port(f"{scheme}://127.0.0.1:{server.getsockname()[1]}", 115_200) as port,
     ):
         connection, _ = server.accept()
         with connection:
@@ -195,6 +195,13 @@ def test_skipped_bytes_are_counted_and_later_ones_are_read() -> None:
         port.close()
         with pytest.raises(PortError, match="unplugged"):
             port.skip()
+
+
+def test_a_socket_in_capitals_is_a_socket() -> None:
+    with socket_port("SOCKET") as (_, port):
+        assert port.over_network and port.has_file
+    with pytest.raises(PortError, match="are not named"):
+        Port("Socket://localhost", 0)
 
 
 def test_bytes_waiting_in_a_virtual_port_are_skipped_too() -> None:

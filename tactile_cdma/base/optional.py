@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Packages that only some commands need: where one is missing, one clear error says so."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from .errors import MissingPackageError
+
+
+@contextmanager
+def needed_for(what: str, package: str) -> Iterator[None]:
+    """For the imports of what needs an optional package of PyPI, which is imported by that name.
+
+    what: the command or option that needs it. Raises MissingPackageError where it is missing.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != package:
+            raise
+        raise MissingPackageError(
+            f"{what} needs the Python package {package}, which is not installed: pip install "
+            f"{package} (with --break-system-packages where pip refuses the system's Python)"
+        ) from None
