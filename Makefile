@@ -83,6 +83,7 @@ lint: setup
 	@"$(BIN)/ruff" format --check --quiet .
 	@"$(BIN)/mypy"
 	@"$(BIN)/mypy" firmware/sim/*.py firmware/analog/*.py
+	@"$(BIN)/mypy" examples/*.py
 	@"$(BIN)/lint-imports" --no-logo --no-cache
 
 mutants: setup

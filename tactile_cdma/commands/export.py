@@ -106,6 +106,8 @@ def _add_lerobot_options(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read and write; returns the exit code."""
     with terminable(), Progress() as progress:
+        if arguments.lerobot is not None and arguments.bag:
+            raise ParameterError("--bag and --lerobot are two outputs: ask for one")
         if arguments.lerobot is not None:
             return _lerobot(arguments, progress)
         if arguments.bag:
@@ -159,7 +161,7 @@ def _lerobot(arguments: argparse.Namespace, progress: Progress) -> int:
 def _tables(arguments: argparse.Namespace, progress: Progress) -> int:
     output: Path = arguments.output
     if arguments.fps is not None or arguments.clock is not None:
-        raise ParameterError("tables have the skin's own frames; --fps, --clock: --lerobot")
+        raise ParameterError("a table has the skin's frames; --fps, --clock go with --lerobot")
     if output.suffix not in _WRITERS:
         suffixes = ", ".join(f"*{suffix}" for suffix in _WRITERS)
         raise CaptureError(f"{output}: name it {suffixes}, or ask for --bag or --lerobot")

@@ -12,6 +12,9 @@ from typing import Any
 from ..base.errors import CaptureError, ParameterError
 from .samples import NANO, Source
 
+EMPTY = "std_msgs/msg/Empty"
+MARKS = ("std_msgs/msg/Bool", "std_msgs/msg/String", EMPTY)
+"""Types of topics that mark episodes."""
 FOREVER_NS = 1 << 62
 """An end that is not known yet."""
 
@@ -88,15 +91,12 @@ def _marked(marks: list[tuple[int, Any]], topic: str, task: str, end_ns: int) ->
     episodes: list[Episode] = []
     begun: tuple[int, str] | None = None
     for time_ns, message in marks:
-        begins, text = True, task
-        if hasattr(message, "data"):
-            if not isinstance(message.data, bool | str):
-                raise CaptureError(f"{topic}: marks are std_msgs Bool, String or Empty")
-            begins = bool(message.data)
-            text = message.data if isinstance(message.data, str) else task
+        if (kind := message.__msgtype__) not in MARKS:
+            raise CaptureError(f"{topic} is {kind}; marks are {', '.join(MARKS)}")
+        said = True if kind == EMPTY else message.data
         if begun is not None:
             episodes.append(Episode(begun[0], time_ns - 1, begun[1]))
-        begun = (time_ns, text) if begins else None
+        begun = (time_ns, said if isinstance(said, str) else task) if said else None
     if begun is not None:
         episodes.append(Episode(begun[0], end_ns, begun[1]))
     return episodes

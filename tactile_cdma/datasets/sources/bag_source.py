@@ -108,9 +108,7 @@ class BagSource:
         for topic in topics:
             if topic not in arrays:
                 there = ", ".join(arrays) or "none"
-                raise CaptureError(
-                    f"{self.path}: no frames of a skin in {topic} (there are {there})"
-                )
+                raise CaptureError(f"{self.path}: no skin's frames in {topic} (but in {there})")
         names: set[str] = set()
         for topic in topics or arrays:
             stem = topic.rpartition("/")[0]
@@ -189,9 +187,7 @@ class BagSource:
         except (AnyReaderError, ReaderError, SerdeError) as error:
             raise CaptureError(f"{self.path}: {error}") from None
         except FileNotFoundError:
-            raise CaptureError(
-                f"{self.path}: no bag: a folder with metadata.yaml, or one file"
-            ) from None
+            raise CaptureError(f"{self.path}: no bag, which has a metadata.yaml") from None
         except KeyError as error:
             raise CaptureError(f"{self.path}: the definition of {error} is not known") from None
 
