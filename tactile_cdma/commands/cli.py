@@ -20,8 +20,8 @@ from . import amplifier, decode, export, info, layout, node, ports, record, simu
 SUBCOMMANDS: dict[str, tuple[ModuleType, str]] = {
     "decode": (decode, "decode a recording or an oscilloscope capture"),
     "record": (record, "write the bytes of a port to a file"),
-    "info": (info, "describe a recording and check that it is intact"),
-    "export": (export, "write a recording's frames as NPZ, CSV or a rosbag2 folder"),
+    "info": (info, "say what is in a recording, bag, table or dataset"),
+    "export": (export, "write frames as NPZ, CSV, Parquet, LeRobotDataset or bag"),
     "simulate": (simulate, "run a virtual digitizer behind a real tty"),
     "node": (node, "write or read the EEPROM contents of sensing nodes"),
     "amplifier": (amplifier, "choose the parts between nodes and digitizer"),

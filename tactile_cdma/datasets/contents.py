@@ -48,9 +48,9 @@ def contents(path: Path, progress: Progress) -> Lines:
 
 def source_lines(about: Mapping[str, Any]) -> Lines:
     """Which skin it was, and whether anything was touched."""
-    unnamed = "not named"
-    yield "skin", str(about.get("skin") or unnamed)
-    yield "calibration", str(about.get("calibration_id") or "default curve, or not known")
+    yield "skin", str(about.get("skin") or "not named")
+    calibration = about.get("calibration_id")
+    yield "calibration", "not known" if calibration is None else str(calibration) or "default curve"
     measured = about.get("measured_by", "unknown")
     simulated = ": nothing was touched" if measured == "simulated" else ""
     yield "measured by", f"{measured} {about.get('digitizer_id', '')}".strip() + simulated

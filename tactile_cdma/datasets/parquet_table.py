@@ -16,8 +16,8 @@ from .arrow import array_column, array_type, pyarrow
 from .samples import Patch
 from .tables import PER_FRAME, PER_TAXEL, Frames, column_type, columns, places
 
-GROUP_BYTES = 16 << 20
-"""Of a row group, which is held in memory; chosen."""
+GROUP_ROWS, GROUP_BYTES = 4096, 16 << 20
+"""The most of a row group, which is held in memory; chosen."""
 METADATA = b"tactile_cdma"
 """Key of the file's metadata: JSON with about and the arrays of the taxels."""
 
@@ -43,7 +43,7 @@ class ParquetTable:
         row_bytes = sum(
             np.dtype(dtype).itemsize * int(np.prod(shape)) for dtype, shape in columns.values()
         )
-        self._most = max(1, GROUP_BYTES // row_bytes)
+        self._most = max(1, min(GROUP_ROWS, GROUP_BYTES // row_bytes))
         self._rows: list[Mapping[str, Any]] = []
         self._replacing = replacing(path)
 

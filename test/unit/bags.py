@@ -107,11 +107,11 @@ class BagMaker:
             )
 
     def camera(self, topic: str, seconds: float, rate_hz: float, compressed: bool = False) -> None:
-        """Images of 8 × 6 pixels, whose red is the number of the image."""
+        """Images of 8 × 6 pixels, whose red is the number of the image (modulo 256)."""
         for i in range(round(seconds * rate_hz)):
             t_s = (i + 0.25) / rate_hz
             pixels = np.zeros((6, 8, 3), dtype=np.uint8)
-            pixels[:, :, 0], pixels[:, :, 1] = i, 200
+            pixels[:, :, 0], pixels[:, :, 1] = i % 256, 200
             header = self.header(t_s)
             if compressed:
                 file = io.BytesIO()
@@ -144,6 +144,47 @@ class BagMaker:
                 position=np.array([t_s, -t_s]),
                 velocity=nothing,
                 effort=nothing,
+            )
+
+    def contacts(self, node: str, seconds: float, end_s: float) -> None:
+        """Contacts and wrench until end_s: unknown before 1 s, from then on a force of −t N."""
+        vector = lambda *xyz: self.make(  # noqa: E731
+            "geometry_msgs/msg/Vector3", **dict(zip("xyz", xyz, strict=True))
+        )
+        for i in range(round(min(seconds, end_s) / PERIOD_S)):
+            t_s = (i + 0.5) * PERIOD_S
+            known = t_s >= 1.0
+            value = -t_s if known else np.nan
+            wrench = self.make(
+                "geometry_msgs/msg/Wrench",
+                force=vector(0.0, 0.0, value),
+                torque=vector(value, 0.0, 0.0),
+            )
+            place = dict.fromkeys("xyz", 0.01 if known else np.nan)
+            header = self.header(t_s)
+            self.add(
+                t_s + 0.004,
+                f"{node}/wrench",
+                "geometry_msgs/msg/WrenchStamped",
+                header=header,
+                wrench=wrench,
+            )
+            self.add(
+                t_s + 0.004,
+                f"{node}/contacts",
+                "tactile_cdma/msg/TactileContacts",
+                header=header,
+                sequence=i,
+                info_id=1,
+                absent=[],
+                taxels_in_service=TAXELS,
+                taxels_valid=TAXELS,
+                touched=known,
+                untouched=False,
+                area=2.5e-5 if known else np.nan,
+                position=self.make("geometry_msgs/msg/Point", **place),
+                wrench=wrench,
+                contacts=[],
             )
 
     def write(self, path: Path, sqlite: bool = False) -> Path:

@@ -43,6 +43,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     maker.camera("/front/image_raw", SECONDS, 30)
     maker.camera("/wrist/image_raw/compressed", SECONDS, 15, compressed=True)
     maker.joints("/joint_states", SECONDS)
+    maker.contacts("/skin", SECONDS, end_s=2.0)
     for seen_s, text in ((0.7, "grip"), (1.5, ""), (2.0, "lift"), (2.6, "")):
         maker.add(seen_s, "/task", "std_msgs/msg/String", data=text)
     return maker.write(tmp_path_factory.mktemp("lerobot") / "session")
@@ -203,6 +204,25 @@ def test_images_joints_and_actions_ride_along(bag: Path, tmp_path: Path) -> None
     colours = meta(tmp_path / "out", "stats.json")["observation.images.front"]
     assert np.shape(colours["mean"]) == (3, 1, 1)
     assert np.ravel(colours["mean"])[1:] == pytest.approx([200 / 255, 0])
+
+
+def test_contacts_and_wrench_are_zero_and_masked_where_they_are_unknown(
+    bag: Path, tmp_path: Path
+) -> None:
+    table = exported(bag, tmp_path / "out")
+    t_s = seconds(table)
+    measured_s = (np.floor(t_s / PERIOD_S - 0.5 + 1e-6) + 0.5) * PERIOD_S
+    measured_s = np.minimum(measured_s, (round(2.0 / PERIOD_S) - 0.5) * PERIOD_S)
+    known = (measured_s >= 1.0) & (t_s - measured_s <= 0.5)  # what is older is not the present
+    assert (~known).any() and known.any() and not known[-1]
+    force = np.where(known, -measured_s, 0)
+    wrench, valid = (array(table, f"observation.wrench.skin{end}") for end in ("", ".valid"))
+    assert wrench[:, 2] == pytest.approx(force, rel=1e-6)
+    assert (valid[:, 2] == known).all()
+    contacts, valid = (array(table, f"observation.contacts.skin{end}") for end in ("", ".valid"))
+    assert (contacts[:, 0] == known).all()
+    assert contacts[:, 4] == pytest.approx(np.where(known, 0.01, 0))
+    assert (valid[:, 4] == known).all()
 
 
 def test_a_camera_is_the_clock(bag: Path, tmp_path: Path) -> None:
