@@ -179,7 +179,7 @@ def _lerobot_data(path: Path, features: Mapping[str, Any], fps: float) -> Lines:
             for batch in data.iter_batches(_READ_ROWS, columns=[*masks, *clock]):
                 for name, counts in masks.items():
                     values = _flat(batch.column(name))
-                    counts += np.array([np.count_nonzero(~values), len(values)])
+                    counts += np.array([np.count_nonzero(values == 0), len(values)])
                 times = [batch.column(name).to_pylist() for name in clock]
                 for moment in zip(*times, strict=True):
                     gaps += last[0] == moment[0] and moment[1] - last[1] > 1.5 * NANO / fps

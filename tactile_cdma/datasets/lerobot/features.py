@@ -24,7 +24,12 @@ PNG_OR_JPEG = "image"
 
 @dataclass(frozen=True, slots=True)
 class Feature:
-    """A column of the dataset. dtype: numpy's name, or PNG_OR_JPEG. names: of axes or elements."""
+    """A column of the dataset.
+
+    dtype: numpy's name, or PNG_OR_JPEG. names: of axes or elements. pooled: one statistic for all
+    elements. mask: 1 for a valid element of the column before, 0 for others; float32, since LeRobot
+    normalises all that is called observation, and cannot do that with bool.
+    """
 
     name: str
     dtype: str
@@ -32,6 +37,7 @@ class Feature:
     names: tuple[str, ...]
     unit: str = ""
     pooled: bool = False
+    mask: bool = False
 
     def content(self) -> dict[str, Any]:
         """As in meta/info.json."""
@@ -51,12 +57,12 @@ def features_of(streams: Iterable[Stream], slots: Mapping[str, int], mode: str) 
                 size, taxels = (slots[stream.key], *size), ("sample", "taxel")
             features += [
                 Feature(name, "float32", size, taxels, "Pa", pooled=True),
-                Feature(f"{name}.valid", "bool", size, taxels),
+                Feature(f"{name}.valid", "float32", size, taxels, mask=True),
                 Feature(f"{name}.age_s", "float32", (len(ages),), ages, "s"),
             ]
         elif stream.kind in (CONTACTS, WRENCH):
             features.append(Feature(name, "float32", size, stream.names))
-            features.append(Feature(f"{name}.valid", "bool", size, stream.names))
+            features.append(Feature(f"{name}.valid", "float32", size, stream.names, mask=True))
         elif stream.kind in (STATE, ACTION):
             features.append(Feature(name, "float32", size, stream.names))
         else:

@@ -62,6 +62,28 @@ class Statistics:
         return np.broadcast_to(value, self._shape)
 
 
+class MaskStatistics:
+    """Of a mask: such that normalising by mean and deviation leaves it as it is.
+
+    The true ones of a mask that is 1 throughout would make the first 0 that a robot sees −10⁸.
+    """
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self._shape, self._count = shape, 0
+
+    def add(self) -> None:
+        """Count one more."""
+        self._count += 1
+
+    def content(self) -> dict[str, Any]:
+        """As in meta/stats.json."""
+        values = {"min": 0.0, "max": 1.0, "mean": 0.0, "std": 1.0}
+        content: dict[str, Any] = {
+            name: np.full(self._shape, value).tolist() for name, value in values.items()
+        }
+        return content | {"count": [self._count]}
+
+
 class ImageStatistics:
     """The same of a camera, per colour over all pixels, scaled to 0…1."""
 

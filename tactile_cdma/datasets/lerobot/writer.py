@@ -20,7 +20,7 @@ import numpy as np
 from ..arrow import array_column, array_type, pyarrow
 from ..sources.images import decoded
 from .features import PNG_OR_JPEG, Feature
-from .statistics import ImageStatistics, Statistics
+from .statistics import ImageStatistics, MaskStatistics, Statistics
 
 VERSION = "v3.0"
 FILE_MB, CHUNK_FILES = 100, 1000
@@ -52,12 +52,7 @@ class DatasetWriter:
         self._schema = self._arrow.schema(
             [(feature.name, _type(feature)) for feature in self._features]
         )
-        self._statistics = {
-            feature.name: ImageStatistics()
-            if feature.dtype == PNG_OR_JPEG
-            else Statistics(feature.shape, feature.pooled)
-            for feature in self._features
-        }
+        self._statistics = {feature.name: _statistics(feature) for feature in self._features}
         self._tasks: dict[str, int] = {}
         self._episodes: list[dict[str, Any]] = []
         self._rows: list[dict[str, Any]] = []
@@ -148,6 +143,8 @@ class DatasetWriter:
         for name, statistics in self._statistics.items():
             if isinstance(statistics, Statistics):
                 statistics.add(row[name], row.get(f"{name}.valid"))
+            elif isinstance(statistics, MaskStatistics):
+                statistics.add()
             elif not self.frames % self._fps:  # an image per second is enough
                 statistics.add(decoded(row[name], name))
 
@@ -195,6 +192,14 @@ class DatasetWriter:
         }
         table = table.replace_schema_metadata({"pandas": json.dumps(described)})
         library.parquet.write_table(table, self._folder / "meta/tasks.parquet")
+
+
+def _statistics(feature: Feature) -> Statistics | MaskStatistics | ImageStatistics:
+    if feature.dtype == PNG_OR_JPEG:
+        return ImageStatistics()
+    return (
+        MaskStatistics(feature.shape) if feature.mask else Statistics(feature.shape, feature.pooled)
+    )
 
 
 def _type(feature: Feature) -> Any:

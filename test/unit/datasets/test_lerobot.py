@@ -57,7 +57,11 @@ def exported(bag: Path, folder: Path, *options: str) -> Any:
 
 
 def array(table: Any, name: str) -> NDArray[Any]:
-    return np.array(table.column(name).to_pylist())
+    values = np.array(table.column(name).to_pylist())
+    if not name.endswith(".valid"):
+        return values
+    assert set(np.unique(values)) <= {0, 1}
+    return values.astype(bool)
 
 
 def seconds(table: Any) -> NDArray[np.float64]:
@@ -297,6 +301,8 @@ def test_statistics_are_of_valid_readings_and_one_for_all_taxels(bag: Path, tmp_
     ):
         assert np.array(found[PALM][name]) == pytest.approx(np.full((3, TAXELS), value), rel=1e-5)
     assert found[PALM]["min"][0][0] > 5e3  # no filled zero
+    assert np.unique(found[f"{PALM}.valid"]["std"]) == 1  # normalising must not blow up a mask
+    assert not np.any(found[f"{PALM}.valid"]["mean"])
     ages = array(table, f"{PALM}.age_s")
     assert found[f"{PALM}.age_s"]["mean"] == pytest.approx(ages.mean(axis=0), rel=1e-5)
 
