@@ -14,7 +14,7 @@ import numpy as np
 from ..base.whole_file import replacing
 from .arrow import array_column, array_type, pyarrow
 from .samples import Patch
-from .tables import PER_FRAME, PER_TAXEL, Frames, column_type, columns, places
+from .tables import PER_FRAME, PER_TAXEL, Frames, column_type, columns, known, places
 
 GROUP_ROWS, GROUP_BYTES = 4096, 16 << 20
 """The most of a row group, which is held in memory; chosen."""
@@ -80,7 +80,7 @@ def write_parquet(path: Path, frames: Frames, patch: Patch, about: Mapping[str, 
         name: (column_type(name).str, ()) for name in PER_FRAME
     }
     kinds |= {name: (column_type(name).str, (len(patch),)) for name in PER_TAXEL}
-    constants = {name: array.tolist() for name, array in places(patch).items()}
+    constants = {name: known(array) for name, array in places(patch).items()}
     count = 0
     with ParquetTable(path, kinds, {"about": about} | constants) as table:
         for episode, frame in frames:

@@ -118,6 +118,11 @@ def places(patch: Patch) -> dict[str, NDArray[Any]]:
     }
 
 
+def known(values: NDArray[Any]) -> Any:
+    """An array as lists for JSON, which has no NaN; None where it is not known."""
+    return values.tolist() if np.isfinite(values).all() else None
+
+
 def _taxels(patch: Patch) -> str:
     found = places(patch)
     lines = ["taxel,node,x_m,y_m,z_m,normal_x,normal_y,normal_z,area_m2"]

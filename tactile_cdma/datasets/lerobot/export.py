@@ -22,6 +22,7 @@ from ..frames import LATENESS_NS
 from ..progress import Progress, fraction
 from ..samples import NANO, TACTILE, Source, Stream, patches_of, shown_taxels
 from ..sources.opening import Wanted, has_times, open_source
+from ..tables import known
 from ..touch import HOLD, STALE_S, WINDOW, TouchStream, slots
 from .features import Feature, cells, column, features_of, obstacle
 from .writer import DatasetWriter
@@ -223,9 +224,9 @@ def _about(layout: _Layout, plan: Plan, patches: list[dict[str, Any]]) -> dict[s
                 "rows": patch.rows,
                 "columns": patch.columns,
                 "node": patch.nodes.tolist(),
-                "position_m": _known(patch.positions_m),
-                "normal": _known(patch.normals),
-                "area_m2": _known(patch.areas_m2),
+                "position_m": known(patch.positions_m),
+                "normal": known(patch.normals),
+                "area_m2": known(patch.areas_m2),
                 "samples": layout.slots[stream.key],
             }
     return {
@@ -239,8 +240,3 @@ def _about(layout: _Layout, plan: Plan, patches: list[dict[str, Any]]) -> dict[s
         "taxels": taxels,
         "patches": patches,
     }
-
-
-def _known(values: Any) -> Any:
-    """An array as lists, for JSON, which has no NaN; None where it is not known."""
-    return values.tolist() if np.isfinite(values).all() else None

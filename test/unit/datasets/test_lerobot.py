@@ -289,6 +289,25 @@ def test_metadata_is_as_lerobot_reads_it(bag: Path, tmp_path: Path) -> None:
     assert np.shape(about["taxels"]["skin"]["position_m"]) == (TAXELS, 3)
 
 
+def test_lerobot_itself_loads_it(bag: Path, tmp_path: Path) -> None:
+    """Runs where lerobot is installed, which is by hand: with 0.4.4."""
+    loading = pytest.importorskip("lerobot.datasets.lerobot_dataset")
+    torch = pytest.importorskip("torch")
+    table = exported(bag, tmp_path / "out", "--action", "/joint_states", "--marks", "/task")
+    steps = {SKIN: [-1 / FPS, 0.0], "action": [0.0, 1 / FPS, 2 / FPS]}
+    dataset = loading.LeRobotDataset("me/touch", root=tmp_path / "out", delta_timestamps=steps)
+    assert dataset.num_episodes == 2 and len(dataset) == len(table)
+    item = dataset[10]
+    window = torch.as_tensor(array(table, SKIN)[9:11].astype(np.float32))
+    assert torch.equal(item[SKIN], window)
+    assert item["unix_time_ns"] == array(table, "unix_time_ns")[10]
+    assert item["task"] == "grip" and item["observation.images.front"].shape == (3, 6, 8)
+    [batch] = list(torch.utils.data.DataLoader(dataset, batch_size=len(dataset)))
+    assert batch[SKIN].shape == (len(table), 2, 3, TAXELS)
+    assert batch[f"{SKIN}.valid"].dtype == torch.float32
+    assert batch["action"].shape == (len(table), 3, 2)
+
+
 def test_statistics_are_of_valid_readings_and_one_for_all_taxels(bag: Path, tmp_path: Path) -> None:
     table = exported(bag, tmp_path / "out", "--nan", "zero")
     found = meta(tmp_path / "out", "stats.json")
