@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.errors import CaptureError
+from ..base.errors import CaptureError, TactileError
 from ..base.named_file import naming
 from .arrow import pyarrow
 from .lerobot.features import TIME
@@ -164,6 +164,8 @@ def _lerobot(path: Path) -> Lines:
             yield "patch", f"{patch['patch']} of {patch['file']}"
             yield from source_lines(patch)
         yield from _lerobot_data(path, features, fps)
+    except TactileError:  # a missing library is a ValueError as well
+        raise
     except (KeyError, ValueError, TypeError, AttributeError) as error:
         raise CaptureError(f"{path}: no dataset of LeRobot v3: {error!r}") from None
 
