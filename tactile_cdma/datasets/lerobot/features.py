@@ -13,7 +13,7 @@ import numpy as np
 from ...base.arrays import Bools, Floats32
 from ..alignment import Row
 from ..samples import ACTION, CONTACTS, IMAGE, STATE, TACTILE, WRENCH, RawImage, Stream
-from ..sources.images import encoded
+from ..sources.images import check_size, encoded
 from ..touch import DROP, WINDOW, Touch
 
 TIME = "unix_time_ns"
@@ -105,6 +105,7 @@ def cells(row: Row, streams: Iterable[Stream]) -> dict[str, Any]:
         elif stream.kind in (CONTACTS, WRENCH):
             found[name], found[f"{name}.valid"] = _filled(value, stream.shape)
         elif isinstance(value, RawImage):
+            check_size(value.message, stream.key, stream.shape)
             found[name] = encoded(value.message, stream.key)
         else:
             found[name] = value

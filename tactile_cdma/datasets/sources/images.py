@@ -53,6 +53,18 @@ def encoded(message: Any, topic: str) -> bytes:
     return file.getvalue()
 
 
+def check_size(message: Any, topic: str, shape: tuple[int, ...]) -> None:
+    """Raises CaptureError for a plain image of another size than its first: (height, width, 3).
+
+    A compressed one would have to be decoded to know.
+    """
+    if hasattr(message, "encoding") and (message.height, message.width) != shape[:2]:
+        raise CaptureError(
+            f"{topic}: an image of {message.width} × {message.height} pixels after others of "
+            f"{shape[1]} × {shape[0]}: a dataset has one size; choose by --start and --end"
+        )
+
+
 def decoded(file: bytes, topic: str) -> NDArray[np.uint8]:
     """(height, width, 3) the pixels of an encoded image. Raises CaptureError for a broken one."""
     from PIL import Image

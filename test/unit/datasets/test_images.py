@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from tactile_cdma.base.errors import CaptureError
-from tactile_cdma.datasets.sources.images import decoded, encoded, problem
+from tactile_cdma.datasets.sources.images import check_size, decoded, encoded, problem
 
 RNG = np.random.default_rng(1)
 PIXELS = RNG.integers(0, 256, (5, 7, 3), dtype=np.uint8)
@@ -67,3 +67,12 @@ def test_what_is_no_image_is_named() -> None:
             encoded(message, "/camera")
     with pytest.raises(CaptureError, match="/camera"):
         decoded(b"\x89PNG\r\n\x1a\n and no more", "/camera")
+
+
+def test_another_size_is_told() -> None:
+    message = image("rgb8", PIXELS)
+    check_size(message, "/camera", (5, 7, 3))
+    with pytest.raises(
+        CaptureError, match="/camera: an image of 7 × 5 pixels after others of 5 × 7"
+    ):
+        check_size(message, "/camera", (7, 5, 3))
