@@ -85,6 +85,7 @@ lint: setup
 	@"$(BIN)/ruff" format --check --quiet .
 	@"$(BIN)/mypy"
 	@"$(BIN)/mypy" firmware/sim/*.py firmware/analog/*.py firmware/boards/*.py
+	@"$(BIN)/mypy" examples/*.py
 	@"$(BIN)/lint-imports" --no-logo --no-cache
 
 mutants: setup

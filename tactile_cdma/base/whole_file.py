@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Atomic replacement of files: readers find either the old content or the new one."""
+"""Atomic replacement of files and folders: readers find the old content or the new one."""
 
 from __future__ import annotations
 
 import errno
 import os
 import secrets
+import shutil
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -46,3 +47,27 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
         with suppress(OSError):
             unfinished.unlink()
         raise
+
+
+@contextmanager
+def whole_folder(path: Path) -> Iterator[Path]:
+    """An empty folder beside `path` to write in; it gets that name when the context ends.
+
+    What was there is replaced. Raises OSError. After that, or any exception in the context, nothing
+    has changed.
+    """
+    path = Path(os.path.abspath(path))
+    unfinished = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    replaced = path.with_name(f"{unfinished.name}.old")
+    unfinished.mkdir()
+    try:
+        yield unfinished
+        with suppress(FileNotFoundError):
+            os.rename(path, replaced)
+        os.rename(unfinished, path)
+    except BaseException:
+        shutil.rmtree(unfinished, ignore_errors=True)
+        if replaced.exists() and not path.exists():
+            os.rename(replaced, path)
+        raise
+    shutil.rmtree(replaced, ignore_errors=True)

@@ -1,99 +1,250 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The subcommand `tactile-cdma export`: writes a recording's frames for other programs."""
+"""The subcommand `tactile-cdma export`: writes frames of recordings and bags for other programs."""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable
+from functools import partial
 from itertools import chain
 from pathlib import Path
 
-from .. import __version__
-from ..base.errors import CaptureError
+from ..base.errors import CaptureError, ParameterError
+from ..base.interrupt import terminable
 from ..base.named_file import naming
 from ..base.optional import needed_for
-from ..config.arguments import add_skin_options, given
+from ..config.arguments import add_skin_options, finite, given
 from ..config.parameters import BY_NAME
-from ..driver.pipeline import TactileFrame
-from ..recording.capture import is_text
-from ..recording.frame_table import about_path, taxels_path, write_csv, write_npz
-from ..recording.offline import RawCapture
-from ..recording.recording_file import is_recording
+from ..datasets.episodes import find_episodes, parse_interval
+from ..datasets.frames import PatchFrames, paths_of
+from ..datasets.lerobot.export import Plan, write_lerobot
+from ..datasets.parquet_table import write_parquet
+from ..datasets.progress import Progress
+from ..datasets.samples import Source, patches_of
+from ..datasets.sources.opening import Wanted, has_times, is_bag, open_source
+from ..datasets.sources.recording_source import RecordingSource
+from ..datasets.tables import about_path, taxels_path, write_csv, write_npz
+from ..datasets.touch import HOLD, MODES, POLICIES, WINDOW
+
+_WRITERS = {".npz": write_npz, ".csv": write_csv, ".parquet": write_parquet}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand."""
-    parser.add_argument("file", type=Path, help="recording, or raw bytes of a port")
     parser.add_argument(
+        "files", type=Path, nargs="+", metavar="FILE", help="recordings, raw bytes, or bags"
+    )
+    outputs = parser.add_mutually_exclusive_group(required=True)
+    outputs.add_argument(
         "-o",
         "--output",
         type=Path,
-        required=True,
         metavar="OUT",
-        help="OUT.npz: numpy arrays; OUT.csv: a row per frame, and OUT.taxels.csv, OUT.about.json",
+        help="OUT.npz: numpy arrays; OUT.csv: a row per frame, and OUT.taxels.csv, OUT.about.json; "
+        "OUT.parquet. Several patches: OUT.PATCH.npz, …",
+    )
+    outputs.add_argument(
+        "--lerobot", type=Path, metavar="OUT", help="a new folder: a LeRobotDataset v3"
     )
     parser.add_argument(
         "--bag", action="store_true", help="OUT is a new folder: a bag (MCAP) of tactile and info"
     )
     parser.add_argument("--force", action="store_true", help="overwrite existing files")
+    _add_choices(parser)
+    _add_lerobot_options(parser)
     add_skin_options(parser)
 
 
+def _add_choices(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("what to export")
+    group.add_argument(
+        "--topic", action="append", default=[], help="arrays of a bag; repeat it; default: all"
+    )
+    group.add_argument("--start", type=finite, metavar="S", help="s from each file's beginning")
+    group.add_argument("--end", type=finite, metavar="S", help="s from each file's beginning")
+    group.add_argument(
+        "--episode",
+        action="append",
+        default=[],
+        metavar="START:END",
+        help="an episode, s from each file's beginning; repeat it; default: each file is one",
+    )
+    group.add_argument(
+        "--marks", metavar="TOPIC", help="episodes by a topic: Bool, String or Empty"
+    )
+    group.add_argument(
+        "--from-first-complete",
+        action="store_true",
+        help="leave out what is before every taxel has had a valid reading",
+    )
+
+
+def _add_lerobot_options(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("with --lerobot")
+    clock = group.add_mutually_exclusive_group()
+    clock.add_argument("--fps", type=int, metavar="N", help="rows per s")
+    clock.add_argument("--clock", metavar="TOPIC", help="a row per message of a camera, say")
+    group.add_argument(
+        "--samples",
+        choices=MODES,
+        default=WINDOW,
+        help="frames of the skin per row: all of the interval, their mean, the last (%(default)s)",
+    )
+    group.add_argument(
+        "--nan",
+        choices=POLICIES,
+        default=HOLD,
+        help="taxels without a reading: last valid one, 0, or leave the row out (%(default)s)",
+    )
+    group.add_argument("--image", action="append", metavar="TOPIC", help="repeat it; default: all")
+    group.add_argument("--state", metavar="TOPIC", help="observation.state: joints, or an array")
+    group.add_argument("--action", metavar="TOPIC", help="action: joints, or an array")
+    group.add_argument("--task", default="", help="what was done, in words")
+
+
 def run(arguments: argparse.Namespace) -> int:
-    """Decode and write; returns the exit code."""
-    path, output = arguments.file, arguments.output
-    _check(path, output, arguments.bag, arguments.force)
-    capture = RawCapture(path, given(arguments))
-    frames = capture.timed_frames()
-    first = next(frames, None)
-    if first is None:
-        raise CaptureError(f"{path}: {capture.pipeline.problem or 'no frame found'}")
-    with naming(output, CaptureError):
-        count = _write(capture, chain([first], frames), output, arguments.bag)
-    for note in capture.notes:
-        print(f"tactile-cdma: {path}: {note}", file=sys.stderr)
-    lost, taxels = capture.pipeline.counters.lost_frames, len(capture.config.layout.nodes)
-    print(f"frames={count} lost_frames={lost} taxels={taxels}")
+    """Read and write; returns the exit code."""
+    with terminable(), Progress() as progress:
+        if arguments.lerobot is not None and arguments.bag:
+            raise ParameterError("--bag and --lerobot are two outputs: ask for one")
+        if arguments.lerobot is not None:
+            return _lerobot(arguments, progress)
+        if arguments.bag:
+            return _bag(arguments)
+        return _tables(arguments, progress)
+
+
+def _lerobot(arguments: argparse.Namespace, progress: Progress) -> int:
+    folder: Path = arguments.lerobot
+    if arguments.fps is None and arguments.clock is None:
+        raise ParameterError("--lerobot needs --fps N, or --clock with the topic of a camera")
+    if arguments.fps is not None and not 1 <= arguments.fps <= 1000:
+        raise ParameterError(f"--fps is {arguments.fps}; it must lie within 1…1000")
+    if folder.exists() and not (arguments.force and (folder / "meta/info.json").is_file()):
+        raise CaptureError(f"{folder}: exists already; --force replaces a dataset, nothing else")
+    plan = Plan(
+        fps=arguments.fps,
+        clock=arguments.clock,
+        mode=arguments.samples,
+        policy=arguments.nan,
+        task=arguments.task,
+        intervals=[parse_interval(text) for text in arguments.episode],
+        marks=arguments.marks,
+        start_s=arguments.start,
+        end_s=arguments.end,
+        from_first_complete=arguments.from_first_complete,
+    )
+    wanted = Wanted(
+        given(arguments),
+        arguments.topic,
+        derived=True,
+        cameras=arguments.image,
+        state=arguments.state,
+        action=arguments.action,
+    )
+    with naming(folder, CaptureError):
+        outcome = write_lerobot(folder, arguments.files, wanted, plan, progress)
+    for reason, rows in outcome.left_out.items():
+        outcome.notes.append(f"{rows} rows are left out: {reason}")
+    for stream, late in outcome.late.items():
+        if late:
+            outcome.notes.append(f"{stream}: {late} messages came after their row was written")
+    _tell(outcome.notes)
+    print(
+        f"episodes={outcome.episodes} frames={outcome.frames} fps={outcome.fps} "
+        f"left_out={outcome.left_out.total()}"
+    )
     return 0
 
 
-def _write(
-    capture: RawCapture, frames: Iterator[tuple[TactileFrame, float]], output: Path, bag: bool
-) -> int:
-    config, source, values = capture.config, capture.source, capture.values
-    if bag:
-        with needed_for("--bag", "rosbags"):
-            from ..recording.bag_export import write_bag
+def _tables(arguments: argparse.Namespace, progress: Progress) -> int:
+    output: Path = arguments.output
+    if arguments.fps is not None or arguments.clock is not None:
+        raise ParameterError("a table has the skin's frames; --fps, --clock go with --lerobot")
+    if output.suffix not in _WRITERS:
+        suffixes = ", ".join(f"*{suffix}" for suffix in _WRITERS)
+        raise CaptureError(f"{output}: name it {suffixes}, or ask for --bag or --lerobot")
+    sources = [
+        open_source(path, Wanted(given(arguments), arguments.topic)) for path in arguments.files
+    ]
+    names = [stream.feature for stream in patches_of(sources[0])]
+    if not names:
+        raise CaptureError(f"{arguments.files[0]}: no frames of a skin in this bag")
+    paths = paths_of(output, names)
+    for path in paths.values():
+        _check_new(path, arguments.force)
+    episodes = partial(
+        find_episodes,
+        task="",
+        intervals=[parse_interval(text) for text in arguments.episode],
+        marks=arguments.marks,
+        start_s=arguments.start,
+        end_s=arguments.end,
+    )
+    notes: list[str] = []
+    for name, path in paths.items():
+        frames = PatchFrames(sources, name, episodes, progress, arguments.from_first_complete)
+        count, taxels = _write(frames, sources, name, path)
+        patch = "" if len(names) == 1 else f"patch={name} "
+        left_out = f" left_out={frames.left_out}" if arguments.from_first_complete else ""
+        print(f"{patch}frames={count} lost_frames={frames.missing} taxels={taxels}{left_out}")
+        notes += [f"{source.path}: {note}" for source in sources for note in source.notes]
+    _tell(notes)
+    return 0
 
-        frame_id = str(values.get("frame_id", BY_NAME["frame_id"].default))
-        return write_bag(output, frames, config, source, frame_id)
-    about = {
-        "file": capture.path.name,
-        "origin": source.origin.name.lower(),
-        "measured_by": source.measured_by.name.lower(),
-        "skin": config.skin,
-        "digitizer_id": (source.digitizer_id or b"").hex().upper(),
-        "parameters": values,
-        "package_version": __version__,
-    }
-    if output.suffix == ".npz":
-        return write_npz(output, frames, config.layout, about)
-    return write_csv(output, frames, config.layout, about)
+
+def _write(frames: PatchFrames, sources: list[Source], name: str, path: Path) -> tuple[int, int]:
+    """Write one patch; returns how many frames and taxels. Raises CaptureError for no frame."""
+    with naming(path, CaptureError):
+        rows = iter(frames)
+        if (first := next(rows, None)) is None:
+            raise CaptureError(f"{sources[0].path}: {sources[0].problem or 'no frame found'}")
+        patch = next(stream.patch for stream in patches_of(sources[0]) if stream.feature == name)
+        assert patch is not None
+        about = dict(patch.about)
+        if len(sources) > 1:
+            about["files"] = [source.path.name for source in sources]
+        count = _WRITERS[path.suffix](path, chain([first], rows), patch, about)
+    return count, len(patch)
 
 
-def _check(path: Path, output: Path, bag: bool, force: bool) -> None:
-    """Raises CaptureError for a file that cannot be exported, or not to this output."""
-    if is_text(path):
-        raise CaptureError(f"{path}: text; of an oscilloscope's capture decode --json makes frames")
-    if bag and not is_recording(path):
+def _bag(arguments: argparse.Namespace) -> int:
+    """A recording as a bag."""
+    with needed_for("--bag", "rosbags"):
+        from ..recording.bag_export import write_bag  # slow to load, and needed here only
+
+    output: Path = arguments.output
+    if output is None or len(arguments.files) > 1:
+        raise ParameterError("--bag makes one folder, -o OUT, of one recording")
+    [path] = arguments.files
+    if is_bag(path):
+        raise CaptureError(f"{path}: is a bag already")
+    source = RecordingSource(path, given(arguments), derived=False)
+    if not has_times(path):
         raise CaptureError(f"{path}: bytes alone have no times, which a bag needs")
-    if bag:
-        return
-    if output.suffix not in (".npz", ".csv"):
-        raise CaptureError(f"{output}: name it *.npz or *.csv, or ask for a folder with --bag")
-    beside = [] if output.suffix == ".npz" else [taxels_path(output), about_path(output)]
+    capture = source.capture
+    frames = capture.timed_frames()
+    if (first := next(frames, None)) is None:
+        raise CaptureError(f"{path}: {source.problem or 'no frame found'}")
+    frame_id = str(capture.values.get("frame_id", BY_NAME["frame_id"].default))
+    with naming(output, CaptureError):
+        count = write_bag(output, chain([first], frames), capture.config, capture.source, frame_id)
+    lost, taxels = capture.pipeline.counters.lost_frames, len(capture.config.layout.nodes)
+    print(f"frames={count} lost_frames={lost} taxels={taxels}")
+    _tell(f"{path}: {note}" for note in source.notes)
+    return 0
+
+
+def _check_new(output: Path, force: bool) -> None:
+    """Raises CaptureError where a file would be overwritten."""
+    beside = [taxels_path(output), about_path(output)] if output.suffix == ".csv" else []
     for file in [output, *beside]:
         if file.exists() and not force:
             raise CaptureError(f"{file}: exists already; --force overwrites it")
+
+
+def _tell(notes: Iterable[str]) -> None:
+    for note in dict.fromkeys(notes):
+        print(f"tactile-cdma: {note}", file=sys.stderr)

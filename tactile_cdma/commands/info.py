@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The subcommand `tactile-cdma info`: describes a recording and checks that it is intact."""
+"""The subcommand `tactile-cdma info`: says what is in a recording, bag, table or dataset."""
 
 from __future__ import annotations
 
@@ -8,10 +8,14 @@ import argparse
 from datetime import UTC, datetime
 from pathlib import Path
 
-from ..base.errors import CaptureError, TactileError
+from ..base.errors import TactileError
 from ..base.plain_text import plain
 from ..config.arguments import add_skin_options, given
 from ..config.parameters import Value
+from ..datasets.contents import contents
+from ..datasets.progress import Progress
+from ..datasets.sources.recording_source import skin_frame
+from ..datasets.survey import FrameSurvey
 from ..recording.container import Description
 from ..recording.offline import RawCapture
 from ..recording.recording_file import describe, is_recording, survey
@@ -19,15 +23,20 @@ from ..recording.recording_file import describe, is_recording, survey
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand."""
-    parser.add_argument("file", type=Path, help="recording")
+    parser.add_argument(
+        "file", type=Path, help="recording, bag, NPZ, Parquet, or folder of a LeRobot dataset"
+    )
     add_skin_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print all that can be said of a recording; returns 1 where it is damaged."""
+    """Print all that can be said of a file; returns 1 for a recording that is damaged."""
     path: Path = arguments.file
-    if not is_recording(path):
-        raise CaptureError(f"{path}: no recording; decode reads files of bytes alone")
+    if path.is_dir() or not is_recording(path):
+        with Progress() as progress:
+            for name, value in contents(path, progress):
+                print(f"{name}: {plain(value)}")
+        return 0
     description, found = describe(path), survey(path)
     for name, value in _about(description).items():
         print(f"{name}: {plain(value)}")
@@ -55,8 +64,9 @@ def _say_frames(path: Path, asked: dict[str, Value]) -> None:
     except TactileError as error:
         print(f"frames: none, {error}")
         return
-    for _ in capture.frames():
-        pass
+    survey = FrameSurvey()
+    for frame, wall_s in capture.timed_frames():
+        survey.take(skin_frame(frame, wall_s))
     print(f"digitizer: {capture.source.digitizer}")
     pipeline = capture.pipeline
     counters, packets, spec = pipeline.counters, pipeline.parser.counters, pipeline.config.spec
@@ -64,7 +74,11 @@ def _say_frames(path: Path, asked: dict[str, Value]) -> None:
         f"skin: {spec.nodes} nodes, {spec.bits} bits, order {spec.order}, "
         f"a frame every {spec.frame_period_s * 1e3:g} ms"
     )
+    print(f"calibration: {capture.config.calibration.identity or 'default curve'}")
     print(f"frames: {counters.frames}, lost {counters.lost_frames}")
+    for name, value in survey.lines():
+        if name != "frames":
+            print(f"{name}: {value}")
     print(
         f"packets: {packets.packets}, lost {packets.lost_packets}, CRC errors {packets.crc_errors}"
     )

@@ -1,3 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Recordings and captures: files, offline decoding, tables and bags for other programs."""
+"""Recordings and captures: files, offline decoding, bags for other programs."""

@@ -5,14 +5,16 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from tactile_cdma.base.interrupt import terminable
 from tactile_cdma.base.named_file import expanded, open_named, read_named
-from tactile_cdma.base.whole_file import replace_file, replacing
+from tactile_cdma.base.whole_file import replace_file, replacing, whole_folder
 
 
 def test_a_file_is_read_up_to_its_limit(tmp_path: Path) -> None:
@@ -137,3 +139,24 @@ def test_what_is_not_a_regular_file_is_not_replaced(tmp_path: Path) -> None:
         with pytest.raises(OSError, match="not a file"):
             replace_file(path, "text")
     assert pipe.is_fifo()
+
+
+def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    with whole_folder(folder) as unfinished:
+        (unfinished / "one").write_text("1")
+        assert not folder.exists()
+    with pytest.raises(KeyboardInterrupt), whole_folder(folder) as unfinished:
+        (unfinished / "two").write_text("2")
+        raise KeyboardInterrupt
+    assert [path.name for path in tmp_path.rglob("*")] == ["data", "one"]
+    with whole_folder(folder) as unfinished:
+        (unfinished / "two").write_text("2")
+    assert [path.name for path in tmp_path.rglob("*")] == ["data", "two"]
+
+
+def test_sigterm_interrupts_as_ctrl_c_does() -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(KeyboardInterrupt), terminable():
+        signal.raise_signal(signal.SIGTERM)
+    assert signal.getsignal(signal.SIGTERM) == before

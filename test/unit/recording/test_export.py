@@ -18,11 +18,13 @@ from simulated import record
 from tactile_cdma.base.errors import CaptureError
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.datasets.samples import SkinFrame
+from tactile_cdma.datasets.sources.recording_source import RecordingSource
+from tactile_cdma.datasets.tables import write_npz
 from tactile_cdma.driver.digitizer import Source
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.recording.bag_export import write_bag
 from tactile_cdma.recording.capture import read_bytes
-from tactile_cdma.recording.frame_table import write_npz
 from tactile_cdma.recording.offline import offline_values, raw_frames
 from tactile_cdma.recording.recording_file import Recorder, describe
 from tactile_cdma.sim.options import SimOptions
@@ -163,13 +165,13 @@ def test_bytes_alone_have_no_wall_time(
 def test_an_output_that_cannot_be_is_told_before_the_work(
     skin: tuple[Path, list[TactileFrame]], tmp_path: Path
 ) -> None:
-    def unwanted() -> Iterator[tuple[TactileFrame, float]]:
+    def unwanted() -> Iterator[tuple[int, SkinFrame]]:
         raise AssertionError("frames were asked for")
         yield
 
-    layout = SkinConfig.of({}).layout
+    patch = RecordingSource(skin[0], {}, derived=False).patch
     with pytest.raises(FileNotFoundError):
-        write_npz(tmp_path / "none" / "out.npz", unwanted(), layout, {})
+        write_npz(tmp_path / "none" / "out.npz", unwanted(), patch, {})
 
 
 def test_a_bag_refuses_times_that_ros_cannot_tell(
@@ -190,7 +192,7 @@ def test_what_cannot_be_exported_is_one_clear_error(
     scope.write_text("0,1\n" * 100)
     for arguments, message in (
         ([path, "-o", output], "--force overwrites it"),
-        ([path, "-o", tmp_path / "out.hdf5"], "name it *.npz or *.csv"),
+        ([path, "-o", tmp_path / "out.hdf5"], "name it *.npz, *.csv"),
         ([path, "-o", tmp_path / "none" / "out.npz"], "No such file"),
         ([path, "-o", tmp_path, "--bag"], "exists already"),
         ([tmp_path / "none.skin", "-o", tmp_path / "x.npz"], "No such file"),

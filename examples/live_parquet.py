@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Logs every frame of a skin to Parquet while a live picture shows it.
+
+    python examples/live_parquet.py sim:// touch.parquet --seconds 10
+    python examples/live_parquet.py /dev/ttyACM0 touch.parquet       # Ctrl-C ends
+
+Needs pyarrow (the extra [datasets]). One thread logs the frames as they come, 78 per second; the
+main thread draws the newest one, so that no frame waits for the picture. The file appears when the
+log ends. Without a screen (MPLBACKEND=Agg), --picture FILE keeps the last picture. Afterwards:
+
+    pandas.read_parquet("touch.parquet")["pressure_pa"].iloc[-1]     # (16,) Pa; NaN: no reading
+"""
+
+from __future__ import annotations
+
+import argparse
+import threading
+import time
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from tactile_cdma import Frame, Skin
+from tactile_cdma.datasets.parquet_table import ParquetTable
+
+PICTURES_HZ = 10
+FULL_SCALE_KPA = 50
+
+
+def log(skin: Skin, output: Path, newest: deque[Frame], stop: threading.Event) -> int:
+    """Write every frame until told to stop; returns how many."""
+    taxels, frames = (len(skin.layout),), 0
+    columns = {
+        "unix_time_s": ("f8", ()),
+        "sequence": ("u8", ()),
+        "pressure_pa": ("f4", taxels),
+        "status": ("u1", taxels),
+    }
+    about = {"port": skin.port, "digitizer": skin.source.digitizer}
+    with ParquetTable(output, columns, about) as table:
+        while not stop.is_set():
+            frame = skin.read()
+            row = {
+                "unix_time_s": time.time() - (time.monotonic() - frame.t_host),
+                "sequence": frame.sequence,
+                "pressure_pa": frame.pressure_pa,
+                "status": frame.status,
+            }
+            table.add(row)
+            newest.append(frame)
+            frames += 1
+    return frames
+
+
+def main() -> None:
+    """Log and draw until the time is over."""
+    parser = argparse.ArgumentParser(description="logs a skin to Parquet and shows it")
+    parser.add_argument("port", help="device, sim:// or replay://FILE")
+    parser.add_argument("output", type=Path, help="the Parquet file")
+    parser.add_argument("--nodes", type=int, default=16)
+    parser.add_argument("--seconds", type=float, default=float("inf"))
+    parser.add_argument("--picture", type=Path, help="keep the last picture in this file")
+    arguments = parser.parse_args()
+
+    skin = Skin(arguments.port, nodes=arguments.nodes)
+    shape = skin.layout.rows, skin.layout.columns
+    figure, axes = plt.subplots()
+    image = axes.imshow(np.full(shape, np.nan), vmin=0, vmax=FULL_SCALE_KPA)
+    figure.colorbar(image, label="kPa")
+    plt.show(block=False)
+
+    newest: deque[Frame] = deque(maxlen=1)
+    stop = threading.Event()
+    with skin, ThreadPoolExecutor(1) as pool:
+        logged = pool.submit(log, skin, arguments.output, newest, stop)
+        end_s = time.monotonic() + arguments.seconds
+        try:
+            while time.monotonic() < end_s and not logged.done():
+                if newest:
+                    image.set_data(newest[-1].pressure_pa.reshape(shape) / 1e3)
+                    figure.canvas.draw()
+                figure.canvas.flush_events()
+                time.sleep(1 / PICTURES_HZ)
+        except KeyboardInterrupt:
+            pass  # the log is completed below
+        finally:
+            stop.set()
+        print(f"frames={logged.result()} dropped={skin.dropped}")
+    if arguments.picture:
+        figure.savefig(arguments.picture)
+
+
+if __name__ == "__main__":
+    main()

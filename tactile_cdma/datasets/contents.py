@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""What is in a file or folder, in names and texts for people: bags, tables, LeRobot's datasets."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.errors import CaptureError, TactileError
+from ..base.named_file import naming
+from .arrow import pyarrow
+from .lerobot.features import TIME
+from .parquet_table import METADATA
+from .progress import Progress, fraction
+from .samples import NANO, SkinFrame, patches_of
+from .sources.opening import Wanted, is_bag, open_source
+from .survey import FrameSurvey
+
+Lines = Iterator[tuple[str, str]]
+_READ_ROWS = 1024
+"""Rows of a table that are held in memory; chosen."""
+_PER_TAXEL = ("pressure_pa", "status")
+_USED = ("sequence", "device_time_s", "wall_time_s", *_PER_TAXEL)
+"""Columns that a survey needs."""
+LEROBOT_INFO, LEROBOT_ABOUT = Path("meta/info.json"), Path("meta/tactile.json")
+
+
+def contents(path: Path, progress: Progress) -> Lines:
+    """Of anything but recordings. Raises CaptureError for what is none of these."""
+    if (path / LEROBOT_INFO).is_file():
+        return _lerobot(path)
+    if is_bag(path):
+        return _bag(path, progress)
+    readers = {".npz": _npz, ".parquet": _parquet}
+    if path.suffix not in readers:
+        raise CaptureError(
+            f"{path}: no recording, bag, NPZ, Parquet or LeRobot folder; decode reads bytes alone"
+        )
+    return readers[path.suffix](path)
+
+
+def source_lines(about: Mapping[str, Any]) -> Lines:
+    """Which skin it was, and whether anything was touched."""
+    yield "skin", str(about.get("skin") or "not named")
+    calibration = about.get("calibration_id")
+    yield "calibration", "not known" if calibration is None else str(calibration) or "default curve"
+    measured = about.get("measured_by", "unknown")
+    simulated = ": nothing was touched" if measured == "simulated" else ""
+    yield "measured by", f"{measured} {about.get('digitizer_id', '')}".strip() + simulated
+
+
+def _bag(path: Path, progress: Progress) -> Lines:
+    source = open_source(path, Wanted())
+    from .sources.bag_source import BagSource  # slow to load, and needed here only
+
+    assert isinstance(source, BagSource)
+    length_s = (source.end_ns - source.begin_ns) / NANO
+    messages = sum(number for _, number in source.counts.values())
+    yield "bag", f"{length_s:.3f} s, {messages} messages in {len(source.counts)} topics"
+    for topic, (kind, number) in sorted(source.counts.items()):
+        rate = f", {number / length_s:.2f} Hz" if length_s > 0 and number > 1 else ""
+        yield topic, f"{kind}, {number} messages{rate}"
+    surveys = {stream.key: FrameSurvey() for stream in patches_of(source)}
+    for sample in source.samples(None, None):
+        progress.at(fraction(sample.seen_ns, source.begin_ns, source.end_ns), path.name)
+        if isinstance(sample.value, SkinFrame):
+            surveys[sample.stream].take(sample.value)
+    for stream in patches_of(source):
+        patch = stream.patch
+        assert patch is not None
+        yield f"patch {patch.name}", f"{patch.rows} × {patch.columns} taxels of {patch.topic}"
+        yield from source_lines(patch.about)
+        yield from surveys[stream.key].lines()
+    for note in source.notes:
+        yield "note", note
+
+
+def _npz(path: Path) -> Lines:
+    try:
+        with naming(path, CaptureError), np.load(path, allow_pickle=False) as table:
+            about = json.loads(str(table["about"]))
+            rows, columns = (int(number) for number in table["shape"])
+        yield "table", f"NPZ, {rows} × {columns} taxels"
+        yield from source_lines(about)
+        survey = FrameSurvey()
+        with zipfile.ZipFile(path) as archive:
+            columns_of = zip(*(_rows_of(archive, name) for name in _USED), strict=True)
+            for values in columns_of:
+                survey.take(_frame(dict(zip(_USED, values, strict=True))))
+    except (KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise CaptureError(f"{path}: no table of tactile-cdma: {error}") from None
+    yield from survey.lines()
+
+
+def _rows_of(archive: zipfile.ZipFile, name: str) -> Iterator[Any]:
+    """The rows of an array in an NPZ file, without holding all of it."""
+    with archive.open(f"{name}.npy") as file:
+        if np.lib.format.read_magic(file) != (1, 0):
+            raise ValueError(f"{name} is not in version 1.0 of the format")
+        shape, _, dtype = np.lib.format.read_array_header_1_0(file)
+        if dtype.hasobject:
+            raise ValueError(f"{name} holds objects")
+        cells = int(np.prod(shape[1:], dtype=np.int64))
+        for begin in range(0, shape[0], _READ_ROWS):
+            rows = min(_READ_ROWS, shape[0] - begin)
+            data = file.read(rows * cells * dtype.itemsize)
+            yield from np.frombuffer(data, dtype).reshape(rows, *shape[1:])
+
+
+def _parquet(path: Path) -> Lines:
+    library = pyarrow()
+    survey = FrameSurvey()
+    try:
+        with naming(path, CaptureError), library.parquet.ParquetFile(path) as file:
+            metadata = json.loads((file.schema_arrow.metadata or {})[METADATA])
+            rows, columns = metadata["shape"]
+            yield "table", f"Parquet, {rows} × {columns} taxels"
+            yield from source_lines(metadata["about"])
+            for batch in file.iter_batches(_READ_ROWS, columns=list(_USED)):
+                found = {name: _flat(batch.column(name)) for name in _USED}
+                for name in _PER_TAXEL:
+                    found[name] = found[name].reshape(batch.num_rows, -1)
+                for i in range(batch.num_rows):
+                    survey.take(_frame({name: values[i] for name, values in found.items()}))
+    except (KeyError, ValueError, TypeError, library.ArrowException) as error:
+        raise CaptureError(f"{path}: no table of tactile-cdma: {error}") from None
+    yield from survey.lines()
+
+
+def _frame(row: Mapping[str, Any]) -> SkinFrame:
+    return SkinFrame(
+        sequence=int(row["sequence"]),
+        device_time_s=float(row["device_time_s"]),
+        wall_time_s=float(row["wall_time_s"]),
+        noise_v=float("nan"),
+        pressure_pa=row["pressure_pa"],
+        voltage_v=row["pressure_pa"],
+        status=row["status"],
+    )
+
+
+def _lerobot(path: Path) -> Lines:
+    try:
+        info = json.loads((path / LEROBOT_INFO).read_text("utf-8"))
+        about_path = path / LEROBOT_ABOUT
+        about = json.loads(about_path.read_text("utf-8")) if about_path.is_file() else {}
+        features, frames, fps = info["features"], info["total_frames"], info["fps"]
+        yield "dataset", f"LeRobot {info['codebase_version']}, {info['total_episodes']} episodes"
+        yield "frames", f"{frames} in {frames / fps:.3f} s, {fps} Hz"
+        for name, feature in features.items():
+            unit = about.get("units", {}).get(name, "")
+            shape = " × ".join(map(str, feature["shape"]))
+            yield name, f"{feature['dtype']}, {shape} {unit}".strip()
+        if about:
+            yield "readings", f"{about['samples']} per frame; NaN: {about['nan']}"
+        for patch in about.get("patches", ()):
+            yield "patch", f"{patch['patch']} of {patch['file']}"
+            yield from source_lines(patch)
+        yield from _lerobot_data(path, features, fps)
+    except TactileError:  # a missing library is a ValueError as well
+        raise
+    except (KeyError, ValueError, TypeError, AttributeError) as error:
+        raise CaptureError(f"{path}: no dataset of LeRobot v3: {error!r}") from None
+
+
+def _lerobot_data(path: Path, features: Mapping[str, Any], fps: float) -> Lines:
+    """Shares of invalid readings, and gaps: ticks that are missing between rows."""
+    library = pyarrow()
+    masks = {name: np.zeros(2, dtype=np.int64) for name in features if name.endswith(".valid")}
+    clock = ("episode_index", TIME) if TIME in features else ()
+    gaps, last = 0, (-1, 0)
+    for file in sorted(path.glob("data/*/*.parquet")):
+        with library.parquet.ParquetFile(file) as data:
+            for batch in data.iter_batches(_READ_ROWS, columns=[*masks, *clock]):
+                for name, counts in masks.items():
+                    values = _flat(batch.column(name))
+                    counts += np.array([np.count_nonzero(values == 0), len(values)])
+                times = [batch.column(name).to_pylist() for name in clock]
+                for moment in zip(*times, strict=True):
+                    gaps += last[0] == moment[0] and moment[1] - last[1] > 1.5 * NANO / fps
+                    last = moment
+    if clock:
+        yield "gaps", f"{gaps} between rows of an episode" if gaps else "none within episodes"
+    for name, (invalid, number) in masks.items():
+        yield name.removesuffix(".valid"), f"{invalid / max(int(number), 1):.2%} invalid"
+
+
+def _flat(column: Any) -> NDArray[Any]:
+    """The numbers of a column, whatever lists they are in."""
+    while hasattr(column.type, "value_type"):
+        column = column.flatten()
+    return np.asarray(column.to_numpy(zero_copy_only=False))

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Where episodes begin and end: whole files, intervals that are given, or a topic's marks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+from ..base.errors import CaptureError, ParameterError
+from .samples import NANO, Source
+
+EMPTY = "std_msgs/msg/Empty"
+MARKS = ("std_msgs/msg/Bool", "std_msgs/msg/String", EMPTY)
+"""Types of topics that mark episodes."""
+FOREVER_NS = 1 << 62
+"""An end that is not known yet."""
+
+
+@dataclass(frozen=True, slots=True)
+class Episode:
+    """An interval of a source, Unix time in ns, both ends included, and what was done in it."""
+
+    begin_ns: int
+    end_ns: int
+    task: str
+
+
+def parse_interval(text: str) -> tuple[float, float]:
+    """START:END in s from the beginning of a file. Raises ParameterError."""
+    start, colon, end = text.partition(":")
+    try:
+        begin_s, end_s = float(start), float(end)
+    except ValueError:
+        begin_s = end_s = float("nan")
+    if not colon or not 0 <= begin_s < end_s < float("inf"):
+        raise ParameterError(f"episode {text!r}: START:END in s, such as 12.5:30")
+    return begin_s, end_s
+
+
+def find_episodes(
+    source: Source,
+    task: str,
+    intervals: Sequence[tuple[float, float]] = (),
+    marks: str | None = None,
+    start_s: float | None = None,
+    end_s: float | None = None,
+) -> list[Episode]:
+    """The episodes of a source, in order: intervals if given, by a topic's marks, else all of it.
+
+    start_s, end_s: bounds, s from the beginning of the file. Raises CaptureError where episodes
+    overlap, or none is left.
+    """
+    bounded = start_s is not None or end_s is not None or intervals
+    if bounded and not source.begin_ns:
+        raise CaptureError(
+            f"{source.path}: bytes alone have no times; record with tactile-cdma record"
+        )
+    # A stamp is the middle of a frame, before the file's first record perhaps.
+    first_ns = 0 if start_s is None else source.begin_ns + round(start_s * NANO)
+    last_ns = FOREVER_NS if end_s is None else source.begin_ns + round(end_s * NANO)
+    if marks is not None:
+        found = _marked(source.marks(marks), marks, task, source.end_ns)
+    elif intervals:
+        found = [
+            Episode(source.begin_ns + round(a * NANO), source.begin_ns + round(b * NANO), task)
+            for a, b in sorted(intervals)
+        ]
+    else:
+        found = [Episode(first_ns, last_ns, task)]
+    for one, next_ in pairwise(found):
+        if next_.begin_ns < one.end_ns:
+            begin_s = (next_.begin_ns - source.begin_ns) / NANO
+            raise CaptureError(f"{source.path}: the episode at {begin_s:g} s begins in another")
+    cut = [
+        Episode(max(first_ns, one.begin_ns), min(last_ns, one.end_ns), one.task) for one in found
+    ]
+    if not (kept := [one for one in cut if one.begin_ns < one.end_ns]):
+        raise CaptureError(f"{source.path}: no episode" + (f" in {marks}" if marks else ""))
+    return kept
+
+
+def _marked(marks: list[tuple[int, Any]], topic: str, task: str, end_ns: int) -> list[Episode]:
+    """Episodes by messages of Bool, String or Empty.
+
+    Bool: true begins, false ends. String: a text begins an episode and is its task, an empty one
+    ends it. Empty: each ends one episode and begins the next.
+    """
+    episodes: list[Episode] = []
+    begun: tuple[int, str] | None = None
+    for time_ns, message in marks:
+        if (kind := message.__msgtype__) not in MARKS:
+            raise CaptureError(f"{topic} is {kind}; marks are {', '.join(MARKS)}")
+        said = True if kind == EMPTY else message.data
+        if begun is not None:
+            episodes.append(Episode(begun[0], time_ns - 1, begun[1]))
+        begun = (time_ns, said if isinstance(said, str) else task) if said else None
+    if begun is not None:
+        episodes.append(Episode(begun[0], end_ns, begun[1]))
+    return episodes

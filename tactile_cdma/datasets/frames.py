@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The frames of one patch, from one or many sources, as rows for a table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from ..base.errors import CaptureError
+from .episodes import FOREVER_NS, Episode
+from .progress import Progress, fraction
+from .samples import (
+    NANO,
+    Completeness,
+    Patch,
+    SkinFrame,
+    Source,
+    Stream,
+    check_same,
+    patches_of,
+)
+
+LATENESS_NS = NANO
+"""Messages are read for so long after an episode's end, as they are recorded after their stamp;
+chosen, far above what that takes."""
+
+
+class PatchFrames:
+    """Iterates over the frames of one patch in the episodes of all files: number of episode, frame.
+
+    episodes: of a file. from_first_complete: in every file, begin where every taxel in service has
+    had a valid reading. left_out: frames before that. missing: frame periods between two frames of
+    an episode without one, by the sequence: lost, or not published. Raises CaptureError where files
+    do not fit together, or a patch is never complete.
+    """
+
+    def __init__(
+        self,
+        sources: Sequence[Source],
+        name: str,
+        episodes: Callable[[Source], Sequence[Episode]],
+        progress: Progress,
+        from_first_complete: bool = False,
+    ) -> None:
+        self._sources, self._name, self._progress = sources, name, progress
+        self._episodes, self._from_first_complete = episodes, from_first_complete
+        self.left_out = self.missing = 0
+
+    def __iter__(self) -> Iterator[tuple[int, SkinFrame]]:
+        first: Patch | None = None
+        before = 0
+        for source in self._sources:
+            stream = self._stream(source)
+            assert stream.patch is not None
+            first = first or stream.patch
+            check_same(first, stream.patch, source.path)
+            episodes = self._episodes(source)
+            yield from self._of(source, stream.key, episodes, before)
+            before += len(episodes)
+
+    def _stream(self, source: Source) -> Stream:
+        for stream in patches_of(source):
+            if stream.feature == self._name:
+                return stream
+        raise CaptureError(f"{source.path}: no patch {self._name}, which the first file has")
+
+    def _of(
+        self, source: Source, key: str, episodes: Sequence[Episode], before: int
+    ) -> Iterator[tuple[int, SkinFrame]]:
+        """Frames of one file; before: number of its first episode."""
+        seen, last = Completeness(), (-1, 0)
+        last_ns = episodes[-1].end_ns
+        until_ns = last_ns + LATENESS_NS if last_ns < FOREVER_NS else None
+        for sample in source.samples(None, until_ns):
+            frame = sample.value
+            if sample.stream != key or not isinstance(frame, SkinFrame):
+                continue
+            self._progress.at(
+                fraction(sample.seen_ns, source.begin_ns, source.end_ns), source.path.name
+            )
+            if self._from_first_complete and not seen.is_complete:
+                seen.take(frame)
+                if not seen.is_complete:
+                    self.left_out += 1
+                    continue
+            for number, episode in enumerate(episodes):
+                if episode.begin_ns <= sample.stamp_ns <= episode.end_ns:
+                    if last[0] == number and frame.sequence > last[1]:
+                        self.missing += frame.sequence - last[1] - 1
+                    last = (number, frame.sequence)
+                    yield before + number, frame
+                    break
+        if self._from_first_complete:
+            seen.check(source.path, self._name)
+
+
+def paths_of(output: Path, names: Sequence[str]) -> dict[str, Path]:
+    """The file of every patch: OUT.npz, or OUT.left_palm.npz, … where there are several."""
+    if len(names) == 1:
+        return {names[0]: output}
+    return {name: output.with_name(f"{output.stem}.{name}{output.suffix}") for name in names}

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Which columns a dataset has, and what a row puts into them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...base.arrays import Bools, Floats32
+from ..alignment import Row
+from ..samples import ACTION, CONTACTS, IMAGE, STATE, TACTILE, WRENCH, RawImage, Stream
+from ..sources.images import check_size, encoded
+from ..touch import DROP, WINDOW, Touch
+
+TIME = "unix_time_ns"
+"""Feature: the tick as Unix time; an integer, as torch makes float32 of the others. Not called
+observation: policies take no notice of it."""
+PNG_OR_JPEG = "image"
+
+
+@dataclass(frozen=True, slots=True)
+class Feature:
+    """A column of the dataset.
+
+    dtype: numpy's name, or PNG_OR_JPEG. names: of axes or elements. pooled: one statistic for all
+    elements. mask: 1 for a valid element of the column before, 0 for others; float32, since LeRobot
+    normalises all that is called observation, and cannot do that with bool.
+    """
+
+    name: str
+    dtype: str
+    shape: tuple[int, ...]
+    names: tuple[str, ...]
+    unit: str = ""
+    pooled: bool = False
+    mask: bool = False
+
+    def content(self) -> dict[str, Any]:
+        """As in meta/info.json."""
+        names = list(self.names) if self.names else None
+        return {"dtype": self.dtype, "shape": list(self.shape), "names": names}
+
+
+def features_of(streams: Iterable[Stream], slots: Mapping[str, int], mode: str) -> list[Feature]:
+    """The columns for some streams. slots: samples of a tick, by the patches' keys."""
+    features = [Feature(TIME, "int64", (1,), (TIME,), "ns")]
+    for stream in streams:
+        name, size = column(stream), stream.shape
+        if stream.kind == TACTILE:
+            taxels = tuple(f"taxel_{i}" for i in range(size[0]))
+            ages = tuple(f"age_{i}" for i in range(slots[stream.key]))
+            if mode == WINDOW:
+                size, taxels = (slots[stream.key], *size), ("sample", "taxel")
+            features += [
+                Feature(name, "float32", size, taxels, "Pa", pooled=True),
+                Feature(f"{name}.valid", "float32", size, taxels, mask=True),
+                Feature(f"{name}.age_s", "float32", (len(ages),), ages, "s"),
+            ]
+        elif stream.kind in (CONTACTS, WRENCH):
+            features.append(Feature(name, "float32", size, stream.names))
+            features.append(Feature(f"{name}.valid", "float32", size, stream.names, mask=True))
+        elif stream.kind in (STATE, ACTION):
+            features.append(Feature(name, "float32", size, stream.names))
+        else:
+            features.append(Feature(name, PNG_OR_JPEG, size, ("height", "width", "channels")))
+    return features
+
+
+def column(stream: Stream) -> str:
+    """The name of a stream's feature."""
+    if stream.kind == ACTION:
+        return "action"
+    if stream.kind == STATE:
+        return "observation.state"
+    group = "images" if stream.kind == IMAGE else stream.kind
+    return f"observation.{group}.{stream.feature}"
+
+
+def obstacle(row: Row, streams: Iterable[Stream], policy: str) -> str | None:
+    """Why a row has to be left out, in words; None if it is whole."""
+    for stream in streams:
+        value = row.values.get(stream.key)
+        if value is None and stream.kind not in (CONTACTS, WRENCH):
+            return f"{column(stream)} had not begun"
+        if isinstance(value, Touch) and policy == DROP and not value.complete:
+            return f"a taxel of {column(stream)} had no valid reading"
+    return None
+
+
+def cells(row: Row, streams: Iterable[Stream]) -> dict[str, Any]:
+    """What a row without an obstacle puts into the columns."""
+    found: dict[str, Any] = {TIME: np.array([row.tick.time_ns])}
+    for stream in streams:
+        name, value = column(stream), row.values.get(stream.key)
+        if isinstance(value, Touch):
+            found |= {
+                name: value.pressure_pa,
+                f"{name}.valid": value.valid,
+                f"{name}.age_s": value.age_s,
+            }
+        elif stream.kind in (CONTACTS, WRENCH):
+            found[name], found[f"{name}.valid"] = _filled(value, stream.shape)
+        elif isinstance(value, RawImage):
+            check_size(value.message, stream.key, stream.shape)
+            found[name] = encoded(value.message, stream.key)
+        else:
+            found[name] = value
+    return found
+
+
+def _filled(value: Any, shape: tuple[int, ...]) -> tuple[Floats32, Bools]:
+    """Values with 0 for NaN, and which were none."""
+    values = np.full(shape, np.nan, dtype=np.float32) if value is None else value
+    valid = np.isfinite(values)
+    return np.where(valid, values, np.float32(0)), valid

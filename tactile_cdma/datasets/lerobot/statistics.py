@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Statistics of features over a whole dataset, kept while it is written, for normalising."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...base.arrays import Floats
+
+
+class Statistics:
+    """Minimum, maximum, mean and standard deviation of one feature, per element.
+
+    shape: of the feature. pooled: one value for all elements, so that a taxel that nothing ever
+    touched is not scaled up to noise. Sums are float64: 2⁵³ exceeds 10¹¹ readings of 10⁵ Pa by far
+    less than their rounding matters.
+    """
+
+    def __init__(self, shape: tuple[int, ...], pooled: bool = False) -> None:
+        self._shape, self._pooled = shape, pooled
+        kept = () if pooled else shape
+        self._count = np.zeros(kept)
+        self._sum, self._squares = np.zeros(kept), np.zeros(kept)
+        self._low, self._high = np.full(kept, np.inf), np.full(kept, -np.inf)
+
+    def add(self, values: NDArray[Any], valid: NDArray[np.bool_] | None = None) -> None:
+        """Take in one value of the feature; elements that are not valid are left out."""
+        values = np.asarray(values, dtype=np.float64)
+        if self._pooled:
+            kept = values.ravel() if valid is None else values[valid]
+            if not kept.size:
+                return
+            count, total, squares = kept.size, kept.sum(), np.square(kept).sum()
+            low, high = kept.min(), kept.max()
+        else:
+            count, total, squares, low, high = 1, values, np.square(values), values, values
+        self._count += count
+        self._sum += total
+        self._squares += squares
+        self._low, self._high = np.minimum(self._low, low), np.maximum(self._high, high)
+
+    def content(self) -> dict[str, Any]:
+        """As in meta/stats.json; zeros where there was no value."""
+        count = np.maximum(self._count, 1)
+        mean = self._sum / count
+        variance = np.maximum(self._squares / count - np.square(mean), 0.0)
+        some = self._count > 0
+        values = {
+            "min": np.where(some, self._low, 0.0),
+            "max": np.where(some, self._high, 0.0),
+            "mean": mean,
+            "std": np.sqrt(variance),
+        }
+        content = {name: self._full(value).tolist() for name, value in values.items()}
+        return content | {"count": [int(self._count.max())]}
+
+    def _full(self, value: Floats) -> Floats:
+        return np.broadcast_to(value, self._shape)
+
+
+class MaskStatistics:
+    """Of a mask: such that normalising by mean and deviation leaves it as it is.
+
+    The true ones of a mask that is 1 throughout would make the first 0 that a robot sees −10⁸.
+    """
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self._shape, self._count = shape, 0
+
+    def add(self) -> None:
+        """Count one more."""
+        self._count += 1
+
+    def content(self) -> dict[str, Any]:
+        """As in meta/stats.json."""
+        values = {"min": 0.0, "max": 1.0, "mean": 0.0, "std": 1.0}
+        content: dict[str, Any] = {
+            name: np.full(self._shape, value).tolist() for name, value in values.items()
+        }
+        return content | {"count": [self._count]}
+
+
+class ImageStatistics:
+    """The same of a camera, per colour over all pixels, scaled to 0…1."""
+
+    def __init__(self) -> None:
+        self._images = 0
+        self._each = [Statistics((1, 1), pooled=True) for _ in range(3)]
+
+    def add(self, pixels: NDArray[np.uint8]) -> None:
+        """(height, width, 3) one image."""
+        self._images += 1
+        for colour, statistics in enumerate(self._each):
+            statistics.add(pixels[::4, ::4, colour] / 255.0)  # every sixteenth pixel is enough
+
+    def content(self) -> dict[str, Any]:
+        """As in meta/stats.json."""
+        each = [statistics.content() for statistics in self._each]
+        names = ("min", "max", "mean", "std")
+        content: dict[str, Any] = {name: [one[name] for one in each] for name in names}
+        return content | {"count": [self._images]}

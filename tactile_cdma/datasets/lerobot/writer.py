@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Writes the files of a LeRobotDataset v3: data in Parquet, images embedded, and its metadata.
+
+    meta/info.json  meta/stats.json  meta/tasks.parquet  meta/episodes/chunk-000/file-000.parquet
+    data/chunk-000/file-000.parquet …
+
+The layout is that of lerobot 0.4: an episode lies in one file, and files hold many episodes.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..arrow import array_column, array_type, pyarrow
+from ..sources.images import decoded
+from .features import PNG_OR_JPEG, Feature
+from .statistics import ImageStatistics, MaskStatistics, Statistics
+
+VERSION = "v3.0"
+FILE_MB, CHUNK_FILES = 100, 1000
+"""A new data file begins after so many MB, a new folder after so many files: lerobot's own."""
+GROUP_ROWS, GROUP_BYTES = 512, 32 << 20
+"""Rows, and bytes of their images, that are held in memory; chosen."""
+DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+EPISODES = "meta/episodes/chunk-000/file-000.parquet"
+COUNTERS = (
+    Feature("timestamp", "float32", (1,), ()),
+    Feature("frame_index", "int64", (1,), ()),
+    Feature("episode_index", "int64", (1,), ()),
+    Feature("index", "int64", (1,), ()),
+    Feature("task_index", "int64", (1,), ()),
+)
+"""Columns that every dataset has; the order of the rows is their index."""
+
+
+class DatasetWriter:
+    """Writes into an empty folder: begin(), add() rows, begin() the next episode, …, finish().
+
+    episodes, frames: written so far.
+    """
+
+    def __init__(self, folder: Path, features: Sequence[Feature], fps: int) -> None:
+        self._folder, self._fps = folder, fps
+        self._features = (*features, *COUNTERS)
+        self._arrow = pyarrow()
+        self._schema = self._arrow.schema(
+            [(feature.name, _type(feature)) for feature in self._features]
+        )
+        self._statistics = {feature.name: _statistics(feature) for feature in self._features}
+        self._tasks: dict[str, int] = {}
+        self._episodes: list[dict[str, Any]] = []
+        self._rows: list[dict[str, Any]] = []
+        self._held_bytes = 0
+        self._file_index = 0
+        self._parquet: Any = None
+        self.frames = 0
+
+    @property
+    def episodes(self) -> int:
+        return len(self._episodes)
+
+    def begin(self, task: str) -> None:
+        """Begin an episode; it has to get a row."""
+        self._flush()
+        if self._parquet is not None and self._path().stat().st_size > FILE_MB << 20:
+            self._close()
+            self._file_index += 1
+        chunk, file = divmod(self._file_index, CHUNK_FILES)
+        self._tasks.setdefault(task, len(self._tasks))
+        self._episodes.append(
+            {
+                "episode_index": self.episodes,
+                "tasks": [task],
+                "length": 0,
+                "data/chunk_index": chunk,
+                "data/file_index": file,
+                "dataset_from_index": self.frames,
+                "dataset_to_index": self.frames,
+                "meta/episodes/chunk_index": 0,
+                "meta/episodes/file_index": 0,
+            }
+        )
+
+    def add(self, cells: Mapping[str, Any]) -> None:
+        """Add a row to the episode that was begun last: arrays, and images as files' bytes."""
+        episode = self._episodes[-1]
+        counters = {
+            "timestamp": episode["length"] / self._fps,
+            "frame_index": episode["length"],
+            "episode_index": episode["episode_index"],
+            "index": self.frames,
+            "task_index": self._tasks[episode["tasks"][0]],
+        }
+        row = {**cells, **{name: np.array([value]) for name, value in counters.items()}}
+        self._rows.append(row)
+        self._observe(row)
+        episode["length"] += 1
+        episode["dataset_to_index"] = self.frames = self.frames + 1
+        self._held_bytes += sum(len(cell) for cell in cells.values() if isinstance(cell, bytes))
+        if len(self._rows) >= GROUP_ROWS or self._held_bytes >= GROUP_BYTES:
+            self._flush()
+
+    def finish(self) -> None:
+        """Write what is left, and the metadata."""
+        self._flush()
+        self._close()
+        (self._folder / "meta").mkdir()
+        info = {
+            "codebase_version": VERSION,
+            "robot_type": None,
+            "total_episodes": self.episodes,
+            "total_frames": self.frames,
+            "total_tasks": len(self._tasks),
+            "chunks_size": CHUNK_FILES,
+            "data_files_size_in_mb": FILE_MB,
+            "video_files_size_in_mb": 200,
+            "fps": self._fps,
+            "splits": {"train": f"0:{self.episodes}"},
+            "data_path": DATA,
+            "video_path": None,
+            "features": {feature.name: feature.content() for feature in self._features},
+        }
+        self.write_json("meta/info.json", info)
+        statistics = {name: one.content() for name, one in self._statistics.items()}
+        self.write_json("meta/stats.json", statistics)
+        self._write_tasks()
+        path = self._folder / EPISODES
+        path.parent.mkdir(parents=True)
+        self._arrow.parquet.write_table(self._arrow.Table.from_pylist(self._episodes), path)
+
+    def write_json(self, name: str, content: Mapping[str, Any]) -> None:
+        """Write a file of metadata."""
+        path = self._folder / name
+        path.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", "utf-8")
+
+    def _observe(self, row: Mapping[str, Any]) -> None:
+        for name, statistics in self._statistics.items():
+            if isinstance(statistics, Statistics):
+                statistics.add(row[name], row.get(f"{name}.valid"))
+            elif isinstance(statistics, MaskStatistics):
+                statistics.add()
+            elif not self.frames % self._fps:  # an image per second is enough
+                statistics.add(decoded(row[name], name))
+
+    def _flush(self) -> None:
+        """Write the rows that are held as a group."""
+        if not self._rows:
+            return
+        columns = [self._column(feature) for feature in self._features]
+        if self._parquet is None:
+            path = self._path()
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._parquet = self._arrow.parquet.ParquetWriter(path, self._schema)
+        self._parquet.write_table(self._arrow.Table.from_arrays(columns, schema=self._schema))
+        self._rows, self._held_bytes = [], 0
+
+    def _column(self, feature: Feature) -> Any:
+        found = [row[feature.name] for row in self._rows]
+        if feature.dtype == PNG_OR_JPEG:
+            return self._arrow.array(
+                [{"bytes": file, "path": None} for file in found], _type(feature)
+            )
+        dtype = np.dtype(feature.dtype)
+        return array_column(np.stack([np.asarray(cell, dtype=dtype) for cell in found]))
+
+    def _path(self) -> Path:
+        chunk, file = divmod(self._file_index, CHUNK_FILES)
+        return self._folder / DATA.format(chunk_index=chunk, file_index=file)
+
+    def _close(self) -> None:
+        if self._parquet is not None:
+            self._parquet.close()
+            self._parquet = None
+
+    def _write_tasks(self) -> None:
+        """As pandas writes a table whose index is the task."""
+        library = self._arrow
+        table = library.table({"task_index": list(self._tasks.values()), "task": list(self._tasks)})
+        described = {
+            "index_columns": ["task"],
+            "column_indexes": [],
+            "columns": [
+                _pandas_column("task_index", "int64", "int64"),
+                _pandas_column("task", "unicode", "object"),
+            ],
+        }
+        table = table.replace_schema_metadata({"pandas": json.dumps(described)})
+        library.parquet.write_table(table, self._folder / "meta/tasks.parquet")
+
+
+def _statistics(feature: Feature) -> Statistics | MaskStatistics | ImageStatistics:
+    if feature.dtype == PNG_OR_JPEG:
+        return ImageStatistics()
+    return (
+        MaskStatistics(feature.shape) if feature.mask else Statistics(feature.shape, feature.pooled)
+    )
+
+
+def _type(feature: Feature) -> Any:
+    """The Parquet type of a column."""
+    if feature.dtype == PNG_OR_JPEG:
+        library = pyarrow()
+        return library.struct([("bytes", library.binary()), ("path", library.string())])
+    return array_type(feature.dtype, feature.shape)
+
+
+def _pandas_column(name: str, pandas_type: str, numpy_type: str) -> dict[str, Any]:
+    return {
+        "name": name,
+        "field_name": name,
+        "pandas_type": pandas_type,
+        "numpy_type": numpy_type,
+        "metadata": None,
+    }

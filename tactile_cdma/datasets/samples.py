@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""What every source hands on: constant data of a patch, its frames, samples of other topics."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.arrays import Bools, Floats32
+from ..base.errors import CaptureError
+from ..readings.stages import Status
+
+CONTACT_NAMES = ("touched", "untouched", "contacts", "area_m2", "x_m", "y_m", "z_m")
+"""Elements of a sample of contacts; x, y, z: centre of pressure in the patch's frame."""
+WRENCH_NAMES = ("force_x_n", "force_y_n", "force_z_n", "torque_x_nm", "torque_y_nm", "torque_z_nm")
+NANO = 1_000_000_000
+MOST_SHOWN = 8
+"""Taxels that a message names; chosen."""
+TACTILE, CONTACTS, WRENCH, STATE, ACTION, IMAGE = (
+    *("tactile", "contacts", "wrench"),
+    *("state", "action", "image"),
+)
+"""Kinds of streams."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Patch:
+    """What is the same in all frames of one skin patch with t taxels.
+
+    name: as features are called, [a-z0-9_]. topic: of its frames; empty for a recording.
+    nodes: (t,) uint16, from 1; 0: none. positions_m, normals: (t, 3) float32; areas_m2: (t,)
+    float32. All are NaN or 0 where a bag does not hold the patch's info.
+    frame_period_s: nominal; NaN if unknown.
+    about: file, origin, measured_by, digitizer_id, skin, calibration_id, and what else is known.
+    """
+
+    name: str
+    topic: str
+    rows: int
+    columns: int
+    nodes: NDArray[np.uint16]
+    positions_m: Floats32
+    normals: Floats32
+    areas_m2: Floats32
+    frame_period_s: float
+    about: Mapping[str, Any]
+
+    def __len__(self) -> int:
+        return len(self.nodes)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SkinFrame:
+    """One frame of a patch, as in TactileArray.
+
+    wall_time_s: Unix time of its middle; NaN for raw bytes. device_time_s: the same moment on the
+    digitizer's clock. pressure_pa, voltage_v: (t,) float32, NaN: no valid reading. status: (t,)
+    uint8, bits of Status.
+    """
+
+    sequence: int
+    device_time_s: float
+    wall_time_s: float
+    noise_v: float
+    pressure_pa: Floats32
+    voltage_v: Floats32
+    status: NDArray[np.uint8]
+
+    @property
+    def in_service(self) -> Bools:
+        """(t,) taxels with a node that the layout does not mask."""
+        in_service: Bools = self.status & np.uint8(Status.MASKED) == 0
+        return in_service
+
+
+@dataclass(frozen=True, slots=True)
+class RawImage:
+    """A camera's message, as it was recorded: few of them are encoded, see sources.images."""
+
+    message: Any
+
+
+Value: TypeAlias = SkinFrame | Floats32 | RawImage
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """One value of one stream.
+
+    stamp_ns: Unix time at which it was measured, ns. seen_ns: when it was recorded; rises.
+    """
+
+    stream: str
+    stamp_ns: int
+    seen_ns: int
+    value: Value
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """What is the same in all samples of a stream.
+
+    key: its name, unique. kind: TACTILE … IMAGE. feature: name for datasets, [a-z0-9_].
+    shape: of one sample; of images height, width, 3. names: of a vector's elements.
+    """
+
+    key: str
+    kind: str
+    feature: str
+    shape: tuple[int, ...]
+    names: tuple[str, ...] = ()
+    patch: Patch | None = field(default=None, compare=False)
+
+
+class Source(Protocol):
+    """A recording or a bag.
+
+    streams: by key. begin_ns, end_ns: Unix time of its first and last data, as recorded; the end
+    may be unknown (0). problem: why it has no frame, as far as it was read. notes: what was wrong,
+    one sentence each, complete when all is read.
+    """
+
+    path: Path
+    begin_ns: int
+    end_ns: int
+
+    @property
+    def streams(self) -> Mapping[str, Stream]: ...
+
+    @property
+    def problem(self) -> str | None: ...
+
+    @property
+    def notes(self) -> tuple[str, ...]: ...
+
+    def samples(self, begin_ns: int | None, end_ns: int | None) -> Iterator[Sample]:
+        """Samples of the streams in the order of seen_ns, from a time to another, both included."""
+        ...
+
+    def marks(self, topic: str) -> list[tuple[int, Any]]:
+        """Messages of a topic, and when they were recorded, ns. Raises CaptureError."""
+        ...
+
+
+def patches_of(source: Source) -> list[Stream]:
+    """The source's skin patches, in order."""
+    return [stream for stream in source.streams.values() if stream.kind == TACTILE]
+
+
+def feature_name(text: str) -> str:
+    """A name that features may have, from a topic's or a skin's."""
+    return re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_") or "skin"
+
+
+class Completeness:
+    """Which taxels of a patch have had a valid reading so far.
+
+    A recording begins with unknown taxels: a silent node is known only once it has spoken.
+
+    is_complete: there was a frame, and no taxel in service is missing.
+    """
+
+    def __init__(self) -> None:
+        self._read: Bools | None = None
+        self._wanted: Bools | None = None
+        self.is_complete = False
+
+    def take(self, frame: SkinFrame) -> None:
+        """Take in the next frame."""
+        if self.is_complete:
+            return
+        known = np.isfinite(frame.pressure_pa)
+        self._read = known if self._read is None else self._read | known
+        self._wanted = frame.in_service
+        self.is_complete = not self.missing
+
+    @property
+    def missing(self) -> list[int]:
+        """Taxels in service that have had none."""
+        if self._read is None or self._wanted is None:
+            return []
+        return np.flatnonzero(self._wanted & ~self._read).tolist()
+
+    def check(self, path: Path, patch: str) -> None:
+        """Raises CaptureError, naming the taxels, where some never had a valid reading."""
+        if not self.is_complete:
+            raise CaptureError(
+                f"{path}: patch {patch} is never complete: no valid reading of "
+                f"{shown_taxels(self.missing)}; mask them, or drop --from-first-complete"
+            )
+
+
+def shown_taxels(taxels: list[int]) -> str:
+    """Numbers of taxels for people, the first ones of many."""
+    if not taxels:
+        return "any taxel"
+    more = f" and {len(taxels) - MOST_SHOWN} more" if len(taxels) > MOST_SHOWN else ""
+    word = "taxel" if len(taxels) == 1 else "taxels"
+    return f"{word} {', '.join(map(str, taxels[:MOST_SHOWN]))}{more}"
+
+
+def check_same(first: Patch, other: Patch, path: Path) -> None:
+    """Raises CaptureError where files of one table hold patches of different taxels."""
+    if len(first) != len(other):
+        raise CaptureError(
+            f"{path}: patch {other.name} has {len(other)} taxels, but {len(first)} in the first "
+            "file; export them one by one"
+        )

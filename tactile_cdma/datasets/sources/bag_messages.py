@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Messages of a bag as samples' values. Fields are read as rosbags gives them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...base.arrays import Floats32
+from ...base.errors import CaptureError
+from ...driver.digitizer import Origin
+from ..samples import NANO, Patch, SkinFrame, feature_name
+
+ARRAY, INFO = "tactile_cdma/msg/TactileArray", "tactile_cdma/msg/TactileSkinInfo"
+CONTACTS_TYPE, WRENCH_TYPE = "tactile_cdma/msg/TactileContacts", "geometry_msgs/msg/WrenchStamped"
+IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+JOINTS = "sensor_msgs/msg/JointState"
+VECTORS = (JOINTS, "std_msgs/msg/Float32MultiArray", "std_msgs/msg/Float64MultiArray")
+"""Types that --state and --action take."""
+
+
+def stamp_ns(message: Any, seen_ns: int) -> int:
+    """When a message's content was measured; when it was recorded, if it does not say."""
+    stamp = message.header.stamp if hasattr(message, "header") else None
+    said = stamp.sec * NANO + stamp.nanosec if stamp else 0
+    return said or seen_ns
+
+
+def patch_name(topic: str) -> str:
+    """left_palm of /left_palm/skin/tactile, skin of /skin/tactile."""
+    parts = topic.strip("/").split("/")[:-1] or ["skin"]
+    return feature_name("_".join(parts[:-1] if parts[-1] == "skin" and parts[1:] else parts))
+
+
+def skin_frame(message: Any, time_ns: int) -> SkinFrame:
+    """A TactileArray; time_ns: its stamp."""
+    pressure, voltage = message.pressure, message.voltage
+    return SkinFrame(
+        sequence=int(message.sequence),
+        device_time_s=message.device_time_us * 1e-6,
+        wall_time_s=time_ns / NANO,
+        noise_v=float(message.noise_rms),
+        pressure_pa=pressure,
+        voltage_v=voltage if len(voltage) else np.full(len(pressure), np.nan, dtype=np.float32),
+        status=message.status,
+    )
+
+
+def patch(topic: str, file: str, array: Any, info: Any | None) -> Patch:
+    """A patch from its first frame and, if the bag holds it, its info."""
+    taxels = len(array.pressure)
+    about: dict[str, Any] = {"file": file, "topic": topic}
+    nowhere = np.full((taxels, 3), np.nan, dtype=np.float32)
+    if info is None:
+        places, normals = nowhere, nowhere
+        nodes, areas = np.zeros(taxels, np.uint16), np.full(taxels, np.nan, dtype=np.float32)
+        period_s = float("nan")
+    else:
+        if len(info.node) != taxels:
+            raise CaptureError(f"{topic}: {taxels} taxels, but its info has {len(info.node)}")
+        places, normals = (_points(points) for points in (info.positions, info.normals))
+        nodes, areas, period_s = info.node, info.area, float(info.frame_period)
+        about |= {
+            "origin": _origin(info.origin),
+            "measured_by": _origin(info.measured_by),
+            "skin": info.skin,
+            "digitizer_id": info.digitizer_id,
+            "calibration_id": info.calibration_id,
+            "frame_id": info.header.frame_id,
+            "tared": bool(len(info.tare)),
+        }
+    return Patch(
+        name=patch_name(topic),
+        topic=topic,
+        rows=int(array.height),
+        columns=int(array.width),
+        nodes=nodes,
+        positions_m=places,
+        normals=normals,
+        areas_m2=areas,
+        frame_period_s=period_s,
+        about=about,
+    )
+
+
+def contacts(message: Any) -> Floats32:
+    """(7,) a TactileContacts, by CONTACT_NAMES; NaN: unknown."""
+    centre = message.position
+    counts = message.touched, message.untouched, len(message.contacts)
+    values = [*map(float, counts), message.area, centre.x, centre.y, centre.z]
+    return np.array(values, dtype=np.float32)
+
+
+def wrench(message: Any) -> Floats32:
+    """(6,) a WrenchStamped, N and N m; NaN: unknown."""
+    force, torque = message.wrench.force, message.wrench.torque
+    values = [force.x, force.y, force.z, torque.x, torque.y, torque.z]
+    return np.array(values, dtype=np.float32)
+
+
+def vector(message: Any) -> Floats32:
+    """Positions of a JointState, or the data of an array."""
+    values = message.position if hasattr(message, "position") else message.data
+    return np.asarray(values, dtype=np.float32)
+
+
+def vector_names(message: Any) -> tuple[str, ...]:
+    """Names of a vector's elements."""
+    names = tuple(getattr(message, "name", ()))
+    size = len(vector(message))
+    return names if len(names) == size else tuple(f"value_{i}" for i in range(size))
+
+
+def _points(points: Any) -> Floats32:
+    return np.array([(p.x, p.y, p.z) for p in points], dtype=np.float32).reshape(-1, 3)
+
+
+def _origin(value: int) -> str:
+    return Origin(value).name.lower() if value in list(Origin) else f"unknown ({value})"

@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Bags (rosbag2, MCAP or sqlite3) as a source, read without ROS and piece by piece."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.interfaces import Connection
+from rosbags.rosbag2 import ReaderError
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
+
+from ...base.errors import CaptureError
+from ...recording.message_types import message_types
+from ..samples import (
+    ACTION,
+    CONTACT_NAMES,
+    CONTACTS,
+    IMAGE,
+    STATE,
+    TACTILE,
+    WRENCH,
+    WRENCH_NAMES,
+    RawImage,
+    Sample,
+    Stream,
+    Value,
+    feature_name,
+)
+from . import bag_messages as fields
+from . import images
+
+GENERIC = ("image", "image_raw", "image_color", "image_rect", "image_rect_color", "compressed")
+"""Ends of cameras' topics that say nothing; features are called after what is before."""
+
+
+_Take: TypeAlias = Callable[[Any, int], Value]
+"""Makes a sample's value of a message and its stamp, ns."""
+
+
+class BagSource:
+    """A bag: a folder with metadata.yaml, or one MCAP or sqlite3 file; see samples.Source.
+
+    topics: arrays to read, all if empty. cameras: image topics to read; None: all that are no
+    picture of a skin. state, action: topics of vectors, or None.
+    Raises CaptureError for a bag that cannot be read, or that holds none of what is asked for.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        topics: Sequence[str] = (),
+        cameras: Sequence[str] | None = (),
+        state: str | None = None,
+        action: str | None = None,
+    ) -> None:
+        self.path = path
+        self.problem = None
+        self._notes: list[str] = []
+        self._takes: defaultdict[str, list[tuple[str, _Take]]] = defaultdict(list)  # by topic
+        self.streams: Mapping[str, Stream] = {}
+        with self._opened() as bag:
+            self.begin_ns, self.end_ns = bag.start_time, bag.end_time
+            self.counts = {c.topic: (c.msgtype, c.msgcount) for c in bag.connections}
+            if not bag.message_count:
+                raise CaptureError(f"{path}: the bag is empty")
+            found = {stream.key: stream for stream in self._find(bag, topics, cameras)}
+            for kind, topic in ((STATE, state), (ACTION, action)):
+                if topic is not None:
+                    found[f"{kind}:{topic}"] = self._vector(bag, kind, topic)
+            self.streams = found
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return tuple(self._notes)
+
+    def samples(self, begin_ns: int | None, end_ns: int | None) -> Iterator[Sample]:
+        stop_ns = None if end_ns is None else end_ns + 1
+        with self._opened() as bag:
+            wanted = [c for c in bag.connections if c.topic in self._takes]
+            for connection, seen_ns, raw in bag.messages(wanted, begin_ns, stop_ns):
+                message = bag.deserialize(raw, connection.msgtype)
+                time_ns = fields.stamp_ns(message, seen_ns)
+                for key, take in self._takes[connection.topic]:
+                    yield Sample(key, time_ns, seen_ns, take(message, time_ns))
+
+    def marks(self, topic: str) -> list[tuple[int, Any]]:
+        with self._opened() as bag:
+            wanted = self._connections(bag, topic)
+            return [
+                (seen_ns, bag.deserialize(raw, c.msgtype))
+                for c, seen_ns, raw in bag.messages(wanted)
+            ]
+
+    def _find(
+        self, bag: AnyReader, topics: Sequence[str], cameras: Sequence[str] | None
+    ) -> Iterator[Stream]:
+        """The streams of skins and cameras."""
+        kinds = {c.topic: c.msgtype for c in bag.connections if c.msgcount}
+        arrays = [topic for topic in sorted(kinds) if kinds[topic] == fields.ARRAY]
+        for topic in topics:
+            if topic not in arrays:
+                there = ", ".join(arrays) or "none"
+                raise CaptureError(f"{self.path}: no skin's frames in {topic} (but in {there})")
+        names: set[str] = set()
+        for topic in topics or arrays:
+            stem = topic.rpartition("/")[0]
+            info = self._first(bag, f"{stem}/info") if f"{stem}/info" in kinds else None
+            if info is None:
+                self._notes.append(f"{topic}: no info, so places and calibration are unknown")
+            patch = fields.patch(topic, self.path.name, self._first(bag, topic), info)
+            if patch.name in names:
+                raise CaptureError(f"{self.path}: two patches are {patch.name}; choose by --topic")
+            names.add(patch.name)
+            self._takes[topic].append((topic, fields.skin_frame))
+            yield Stream(topic, TACTILE, patch.name, (len(patch),), patch=patch)
+            for name, kind, type_, elements, take in (
+                ("contacts", CONTACTS, fields.CONTACTS_TYPE, CONTACT_NAMES, fields.contacts),
+                ("wrench", WRENCH, fields.WRENCH_TYPE, WRENCH_NAMES, fields.wrench),
+            ):
+                beside = f"{stem}/{name}"
+                if kinds.get(beside) == type_:
+                    self._takes[beside].append((beside, _without_time(take)))
+                    yield Stream(beside, kind, patch.name, (len(elements),), elements)
+        pictures = tuple(topic.rpartition("/")[0] + "/" for topic in arrays)
+        chosen = cameras
+        if chosen is None:
+            chosen = [t for t in sorted(kinds) if kinds[t] in fields.IMAGES]
+            chosen = [topic for topic in chosen if not topic.startswith(pictures)]
+        for topic in chosen:
+            if (stream := self._camera(bag, topic, asked=cameras is not None)) is not None:
+                yield stream
+
+    def _camera(self, bag: AnyReader, topic: str, asked: bool) -> Stream | None:
+        """The stream of an image topic; None, with a note, for images that are not taken."""
+        if (kind := self._connections(bag, topic)[0].msgtype) not in fields.IMAGES:
+            raise CaptureError(f"{self.path}: {topic} is {kind}, no image")
+        first = self._first(bag, topic)
+        reason = images.problem(first)
+        if reason is not None:
+            if asked:
+                raise CaptureError(f"{self.path}: {topic}: {reason}")
+            self._notes.append(f"{topic} is left out: {reason}")
+            return None
+        shape = images.decoded(images.encoded(first, topic), topic).shape
+        self._takes[topic].append((topic, _raw_image))
+        words = topic.strip("/").split("/")
+        while len(words) > 1 and words[-1] in GENERIC:
+            words.pop()
+        return Stream(topic, IMAGE, feature_name("_".join(words)), shape)
+
+    def _vector(self, bag: AnyReader, kind: str, topic: str) -> Stream:
+        if (said := self._connections(bag, topic)[0].msgtype) not in fields.VECTORS:
+            raise CaptureError(
+                f"{self.path}: {topic} is {said}; {kind} takes {', '.join(fields.VECTORS)}"
+            )
+        names = fields.vector_names(self._first(bag, topic))
+        self._takes[topic].append((f"{kind}:{topic}", _without_time(fields.vector)))
+        return Stream(f"{kind}:{topic}", kind, kind, (len(names),), names)
+
+    def _first(self, bag: AnyReader, topic: str) -> Any:
+        """The first message of a topic that has one."""
+        for connection, _, raw in bag.messages(self._connections(bag, topic)):
+            return bag.deserialize(raw, connection.msgtype)
+        raise CaptureError(f"{self.path}: nothing was recorded of {topic}")
+
+    def _connections(self, bag: AnyReader, topic: str) -> list[Connection]:
+        found = [c for c in bag.connections if c.topic == topic]
+        if not found:
+            there = ", ".join(sorted({c.topic for c in bag.connections}))
+            raise CaptureError(f"{self.path}: no topic {topic} (there are {there})")
+        return found
+
+    @contextmanager
+    def _opened(self) -> Iterator[AnyReader]:
+        """The bag, open; raises CaptureError for whatever is wrong with it."""
+        try:
+            with AnyReader([self.path], default_typestore=_known_types()) as bag:
+                yield bag
+        except (AnyReaderError, ReaderError, SerdeError) as error:
+            raise CaptureError(f"{self.path}: {error}") from None
+        except FileNotFoundError:
+            raise CaptureError(f"{self.path}: no bag, which has a metadata.yaml") from None
+        except KeyError as error:
+            raise CaptureError(f"{self.path}: the definition of {error} is not known") from None
+
+
+def _without_time(take: Callable[[Any], Value]) -> _Take:
+    return lambda message, time_ns: take(message)
+
+
+def _raw_image(message: Any, time_ns: int) -> RawImage:
+    return RawImage(message)
+
+
+def _known_types() -> Typestore:
+    """For bags without definitions, as rosbag2 wrote them before Iron."""
+    try:
+        return message_types()
+    except CaptureError:  # ours are not installed
+        return get_typestore(Stores.ROS2_JAZZY)

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Opens a recording, raw bytes or a bag as a source, whichever a path names."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ...base.errors import CaptureError
+from ...base.optional import needed_for
+from ...config.parameters import Value
+from ...recording.recording_file import is_recording
+from ..samples import Source
+from .recording_source import RecordingSource
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What to read of a source.
+
+    asked: parameters of the skin that override a recording's. topics: of a bag's arrays, all if
+    empty. derived: contacts and wrench, too. cameras: image topics; None: all. state, action:
+    topics of vectors.
+    """
+
+    asked: dict[str, Value] = field(default_factory=dict)
+    topics: Sequence[str] = ()
+    derived: bool = False
+    cameras: Sequence[str] | None = ()
+    state: str | None = None
+    action: str | None = None
+
+
+def open_source(path: Path, wanted: Wanted) -> Source:
+    """A source for what a path names. Raises CaptureError."""
+    if is_bag(path):
+        with needed_for("a bag", "rosbags"):
+            from .bag_source import BagSource  # slow to load, and needed here only
+
+        return BagSource(path, wanted.topics, wanted.cameras, wanted.state, wanted.action)
+    source = RecordingSource(path, wanted.asked, wanted.derived)
+    of_bags = {"--topic": wanted.topics, "--image": wanted.cameras}
+    of_bags |= {"--state": wanted.state, "--action": wanted.action}
+    for option, value in of_bags.items():
+        if value:
+            raise CaptureError(f"{path}: {option} is for bags: recordings have no topics")
+    return source
+
+
+def has_times(path: Path) -> bool:
+    """Whether frames of this source have a wall time: raw bytes have none."""
+    return is_bag(path) or is_recording(path)
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is a bag: a folder, or named as one of its files."""
+    return path.is_dir() or path.suffix in (".mcap", ".db3")

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Recordings (.skin) and raw bytes as a source: decoded again, with contacts and wrench."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ... import __version__
+from ...base.errors import CaptureError
+from ...config.parameters import Value
+from ...driver.pipeline import TactileFrame
+from ...readings.contact import Contacts, ContactTracker
+from ...recording.capture import is_text
+from ...recording.offline import RawCapture
+from ...recording.recording_file import describe, is_recording, read_end
+from ..samples import (
+    CONTACT_NAMES,
+    CONTACTS,
+    NANO,
+    TACTILE,
+    WRENCH,
+    WRENCH_NAMES,
+    Patch,
+    Sample,
+    SkinFrame,
+    Stream,
+    feature_name,
+)
+
+
+class RecordingSource:
+    """A recording, or a port's raw bytes; see samples.Source. Raw bytes have no wall time."""
+
+    def __init__(self, path: Path, asked: dict[str, Value], derived: bool) -> None:
+        """asked: parameters that override the file's. derived: contacts and wrench, too."""
+        if is_text(path):
+            raise CaptureError(
+                f"{path}: text; of an oscilloscope's capture decode --json makes frames"
+            )
+        self.path, self._derived = path, derived
+        self.capture = RawCapture(path, asked)
+        self.begin_ns = self.end_ns = 0
+        if is_recording(path):
+            end = read_end(path)
+            self.begin_ns = describe(path).wall_ns
+            self.end_ns = self.begin_ns + end.time_ns if end else 0
+        self.name = feature_name(self.capture.config.skin)
+
+    @property
+    def streams(self) -> Mapping[str, Stream]:
+        """Those of the skin, as far as the file has been decoded; see patch."""
+        patch = self.patch
+        found = [Stream(TACTILE, TACTILE, self.name, (len(patch),), patch=patch)]
+        if self._derived:
+            for kind, names in ((CONTACTS, CONTACT_NAMES), (WRENCH, WRENCH_NAMES)):
+                found.append(Stream(kind, kind, self.name, (len(names),), names))
+        return {stream.key: stream for stream in found}
+
+    @property
+    def patch(self) -> Patch:
+        """The skin, as far as the file has been decoded: its digitizer introduces itself there."""
+        config, source = self.capture.config, self.capture.source
+        layout = config.layout
+        return Patch(
+            name=self.name,
+            topic="",
+            rows=layout.rows,
+            columns=layout.columns,
+            nodes=layout.nodes.astype(np.uint16),
+            positions_m=layout.positions_m.astype(np.float32),
+            normals=layout.normals.astype(np.float32),
+            areas_m2=layout.areas_m2.astype(np.float32),
+            frame_period_s=config.spec.frame_period_s,
+            about={
+                "file": self.path.name,
+                "origin": source.origin.name.lower(),
+                "measured_by": source.measured_by.name.lower(),
+                "skin": config.skin,
+                "digitizer_id": (source.digitizer_id or b"").hex().upper(),
+                "calibration_id": config.calibration.identity,
+                "parameters": self.capture.values,
+                "package_version": __version__,
+            },
+        )
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return self.capture.notes
+
+    @property
+    def problem(self) -> str | None:
+        return self.capture.pipeline.problem
+
+    def marks(self, topic: str) -> list[tuple[int, Any]]:
+        raise CaptureError(f"{self.path}: a recording has no topics; --marks is for bags")
+
+    def samples(self, begin_ns: int | None, end_ns: int | None) -> Iterator[Sample]:
+        config = self.capture.config
+        tracker = ContactTracker(config.layout, config.contact)
+        for frame, wall_s in self.capture.timed_frames():
+            stamp_ns = 0 if math.isnan(wall_s) else round(wall_s * NANO)
+            found = tracker.update(frame.readings, frame.t_middle) if self._derived else None
+            if (begin_ns is not None and stamp_ns < begin_ns) or (
+                end_ns is not None and stamp_ns > end_ns
+            ):
+                continue  # every frame is decoded: a reading rests on all words before it
+            yield Sample(TACTILE, stamp_ns, stamp_ns, skin_frame(frame, wall_s))
+            if found is not None:
+                yield Sample(CONTACTS, stamp_ns, stamp_ns, _contacts(found))
+                total = np.concatenate([found.total_force_n, found.total_torque_nm])
+                yield Sample(WRENCH, stamp_ns, stamp_ns, total.astype(np.float32))
+
+
+def skin_frame(frame: TactileFrame, wall_s: float) -> SkinFrame:
+    """A decoded frame; wall_s: Unix time of its middle."""
+    readings = frame.readings
+    return SkinFrame(
+        sequence=frame.sequence,
+        device_time_s=frame.t_middle,
+        wall_time_s=wall_s,
+        noise_v=frame.words.noise_rms_v,
+        pressure_pa=readings.pressure_pa,
+        voltage_v=readings.voltage_v,
+        status=readings.status,
+    )
+
+
+def _contacts(found: Contacts) -> np.ndarray[Any, np.dtype[np.float32]]:
+    counts = float(len(found) > 0), float(found.untouched), float(len(found))
+    return np.array([*counts, found.total_area_m2, *found.centre_m], dtype=np.float32)

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""A patch's frames at the ticks of another clock: its last samples, their mean, or the last one."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..base.arrays import Bools, Floats32
+from .samples import NANO, Completeness, Patch, SkinFrame
+
+WINDOW, MEAN, LAST = "window", "mean", "last"
+MODES = (WINDOW, MEAN, LAST)
+HOLD, ZERO, DROP = "hold", "zero", "drop"
+POLICIES = (HOLD, ZERO, DROP)
+STALE_S = 0.5
+"""A sample older than this at a tick is marked as no valid reading, s. Chosen: five frames of a
+driver that thins frames without words to 10 Hz (idle_rate_hz), far above the interval of a tick."""
+
+
+def slots(patch: Patch, fps: float, mode: str) -> int:
+    """How many samples of a patch one tick holds: with WINDOW, the most that an interval can."""
+    if mode != WINDOW or math.isnan(patch.frame_period_s):
+        return 1
+    return max(1, math.ceil(1 / (fps * patch.frame_period_s) - 1e-9))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Touch:
+    """A patch at one tick.
+
+    pressure_pa: (slots, t) float32 for WINDOW, the newest last, else (t,), without NaN.
+    valid: of the same shape, bool: there was a valid reading. age_s: (slots,) or (1,) float32, how
+    long before the tick each was measured. complete: every taxel in service is valid.
+    """
+
+    pressure_pa: Floats32
+    valid: Bools
+    age_s: Floats32
+    complete: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sample:
+    """filled: the pressure with each taxel's last valid reading, or 0, in place of NaN."""
+
+    stamp_ns: int
+    pressure_pa: Floats32
+    filled_pa: Floats32
+    in_service: Bools
+
+
+class TouchStream:
+    """Takes a patch's frames in the order of their stamps; gives what is known of it at a tick.
+
+    completeness: of all frames that were taken.
+    """
+
+    def __init__(self, taxels: int, slots: int, mode: str, policy: str) -> None:
+        self._slots, self._mode, self._policy = slots, mode, policy
+        self.completeness = Completeness()
+        self._held = np.zeros(taxels, dtype=np.float32)
+        self._wanted = np.ones(taxels, dtype=bool)
+        self._window: deque[_Sample] = deque(maxlen=slots)
+        self._interval: list[_Sample] = []
+
+    def take(self, stamp_ns: int, frame: SkinFrame) -> None:
+        """Take in the next frame."""
+        pressure, known = frame.pressure_pa, np.isfinite(frame.pressure_pa)
+        self._held = np.where(known, pressure, self._held)
+        self._wanted = frame.in_service
+        self.completeness.take(frame)
+        sample = _Sample(stamp_ns, pressure, self._held, self._wanted)
+        self._window.append(sample)
+        if self._mode == MEAN:
+            self._interval.append(sample)
+
+    def at(self, tick_ns: int) -> Touch | None:
+        """The patch at a tick after all frames that were taken; None before the first frame."""
+        if not self._window:
+            return None
+        if self._mode == MEAN:
+            samples, self._interval = self._interval or [self._window[-1]], []
+        else:
+            samples = list(self._window)
+        ages_s = np.array([(tick_ns - sample.stamp_ns) / NANO for sample in samples])
+        filled = np.array([sample.filled_pa for sample in samples])
+        valid = np.array([np.isfinite(sample.pressure_pa) for sample in samples])
+        valid &= (ages_s <= STALE_S)[:, None]
+        if self._mode == WINDOW and (missing := self._slots - len(samples)):
+            # Before the first frame: nothing was read yet.
+            ages_s = np.concatenate([ages_s[:1].repeat(missing), ages_s])
+            filled = np.concatenate([filled[:1].repeat(missing, axis=0), filled])
+            valid = np.concatenate([np.zeros((missing, filled.shape[1]), dtype=bool), valid])
+        if self._mode == MEAN:
+            filled, valid = _mean(filled, valid)
+            ages_s = ages_s.mean(keepdims=True)
+        elif self._mode == LAST:
+            filled, valid = filled[-1], valid[-1]
+        if self._policy == ZERO:
+            filled = np.where(valid, filled, np.float32(0))
+        complete = bool(valid[..., self._wanted].all())
+        return Touch(filled.astype(np.float32), valid, ages_s.astype(np.float32), complete)
+
+
+def _mean(filled: Floats32, valid: Bools) -> tuple[Floats32, Bools]:
+    """Over the valid samples of each taxel; where there is none, its last fill."""
+    counts = valid.sum(axis=0)
+    sums = np.where(valid, filled, 0.0).sum(axis=0, dtype=np.float64)
+    mean = np.where(counts > 0, sums / np.maximum(counts, 1), filled[-1])
+    return mean.astype(np.float32), counts > 0

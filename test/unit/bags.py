@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Synthetic bags: skins whose pressure is a known function of time, cameras, joints, marks.
+
+They share no code with the reader: messages are written by rosbags from their definitions.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+from tactile_cdma.recording.message_types import message_types
+
+BEGIN_NS = 1_700_000_000_123_456_789
+TAXELS = 16
+PERIOD_S = 0.0128
+ARRAY, INFO = "tactile_cdma/msg/TactileArray", "tactile_cdma/msg/TactileSkinInfo"
+
+
+def pressure_pa(t_s: Any) -> NDArray[np.float64]:
+    """(…, 16) at times t_s after BEGIN_NS: steep enough that 1 ms shows."""
+    t = np.asarray(t_s, dtype=np.float64)[..., None]
+    return 20e3 + 10e3 * np.sin(2 * np.pi * 0.9 * t + 0.3 * np.arange(TAXELS))
+
+
+@dataclass
+class BagMaker:
+    """Collects messages with their time of recording, and writes them in that order."""
+
+    messages: list[tuple[int, str, str, Any]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.types = message_types()
+
+    def make(self, kind: str, /, **fields: Any) -> Any:
+        return self.types.types[kind](**fields)
+
+    def header(self, t_s: float) -> Any:
+        seconds, nanoseconds = divmod(BEGIN_NS + round(t_s * 1e9), 10**9)
+        stamp = self.make("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id="palm")
+
+    def add(self, seen_s: float, topic: str, kind: str, /, **fields: Any) -> None:
+        """A message, recorded seen_s after BEGIN_NS."""
+        time_ns = BEGIN_NS + round(seen_s * 1e9)
+        self.messages.append((time_ns, topic, kind, self.make(kind, **fields)))
+
+    def skin(self, node: str, seconds: float, invalid: Any = None, simulated: bool = True) -> None:
+        """Frames and info of a patch. invalid: (t_s) → indices of taxels without a reading."""
+        point = lambda x: self.make("geometry_msgs/msg/Point32", x=x, y=0.0, z=0.0)  # noqa: E731
+        nothing = np.zeros(0, dtype=np.float32)
+        self.add(
+            0.0,
+            f"{node}/info",
+            INFO,
+            header=self.header(0.0),
+            info_id=1,
+            origin=2 if simulated else 1,
+            measured_by=2 if simulated else 1,
+            digitizer_id="73696D0002000000",
+            skin="palm-1",
+            nodes=TAXELS,
+            height=4,
+            width=4,
+            positions=[point(0.007 * i) for i in range(TAXELS)],
+            normals=[point(1.0) for _ in range(TAXELS)],
+            area=np.full(TAXELS, 2.5e-5, dtype=np.float32),
+            node=np.arange(1, TAXELS + 1, dtype=np.uint16),
+            code_row=np.arange(1, TAXELS + 1, dtype=np.uint32),
+            code_order=20,
+            bits=10,
+            frame_period=PERIOD_S,
+            pressure_min=0.0,
+            pressure_max=140e3,
+            calibration_id="abcd1234",
+            tare=nothing,
+            drift=nothing,
+        )
+        for i in range(round(seconds / PERIOD_S)):
+            t_s = (i + 0.5) * PERIOD_S
+            pressure = pressure_pa(t_s).astype(np.float32)
+            status = np.zeros(TAXELS, dtype=np.uint8)
+            for taxel in invalid(t_s) if invalid else ():
+                pressure[taxel], status[taxel] = np.nan, 8
+            self.add(
+                t_s + 0.005 + 0.003 * (i % 3),  # messages wait, by varying times
+                f"{node}/tactile",
+                ARRAY,
+                header=self.header(t_s),
+                sequence=i,
+                device_time_us=round(t_s * 1e6),
+                info_id=1,
+                height=4,
+                width=4,
+                pressure=pressure,
+                voltage=nothing,
+                status=status,
+                noise_rms=0.001,
+            )
+
+    def camera(self, topic: str, seconds: float, rate_hz: float, compressed: bool = False) -> None:
+        """Images of 8 × 6 pixels, whose red is the number of the image (modulo 256)."""
+        for i in range(round(seconds * rate_hz)):
+            t_s = (i + 0.25) / rate_hz
+            pixels = np.zeros((6, 8, 3), dtype=np.uint8)
+            pixels[:, :, 0], pixels[:, :, 1] = i % 256, 200
+            header = self.header(t_s)
+            if compressed:
+                file = io.BytesIO()
+                Image.fromarray(pixels).save(file, "PNG")
+                kind, data = "sensor_msgs/msg/CompressedImage", file.getvalue()
+                fields: dict[str, Any] = {"format": "rgb8; png compressed rgb8"}
+            else:
+                kind, data = "sensor_msgs/msg/Image", pixels[:, :, ::-1].tobytes()
+                fields = {
+                    "height": 6,
+                    "width": 8,
+                    "encoding": "bgr8",
+                    "is_bigendian": 0,
+                    "step": 24,
+                }
+            fields |= {"header": header, "data": np.frombuffer(data, dtype=np.uint8)}
+            self.add(t_s + 0.04, topic, kind, **fields)
+
+    def joints(self, topic: str, seconds: float) -> None:
+        """Two joints at 100 Hz: the time, and its negative."""
+        nothing = np.zeros(0)
+        for i in range(round(seconds * 100)):
+            t_s = i / 100
+            self.add(
+                t_s + 0.001,
+                topic,
+                "sensor_msgs/msg/JointState",
+                header=self.header(t_s),
+                name=["finger", "wrist"],
+                position=np.array([t_s, -t_s]),
+                velocity=nothing,
+                effort=nothing,
+            )
+
+    def contacts(self, node: str, seconds: float, end_s: float) -> None:
+        """Contacts and wrench until end_s: unknown before 1 s, from then on a force of −t N."""
+        vector = lambda *xyz: self.make(  # noqa: E731
+            "geometry_msgs/msg/Vector3", **dict(zip("xyz", xyz, strict=True))
+        )
+        for i in range(round(min(seconds, end_s) / PERIOD_S)):
+            t_s = (i + 0.5) * PERIOD_S
+            known = t_s >= 1.0
+            value = -t_s if known else np.nan
+            wrench = self.make(
+                "geometry_msgs/msg/Wrench",
+                force=vector(0.0, 0.0, value),
+                torque=vector(value, 0.0, 0.0),
+            )
+            place = dict.fromkeys("xyz", 0.01 if known else np.nan)
+            header = self.header(t_s)
+            self.add(
+                t_s + 0.004,
+                f"{node}/wrench",
+                "geometry_msgs/msg/WrenchStamped",
+                header=header,
+                wrench=wrench,
+            )
+            self.add(
+                t_s + 0.004,
+                f"{node}/contacts",
+                "tactile_cdma/msg/TactileContacts",
+                header=header,
+                sequence=i,
+                info_id=1,
+                absent=[],
+                taxels_in_service=TAXELS,
+                taxels_valid=TAXELS,
+                touched=known,
+                untouched=False,
+                area=2.5e-5 if known else np.nan,
+                position=self.make("geometry_msgs/msg/Point", **place),
+                wrench=wrench,
+                contacts=[],
+            )
+
+    def write(self, path: Path, sqlite: bool = False) -> Path:
+        plugin = StoragePlugin.SQLITE3 if sqlite else StoragePlugin.MCAP
+        with Writer(path, version=9, storage_plugin=plugin) as writer:
+            connections: dict[str, Any] = {}
+            for time_ns, topic, kind, message in sorted(self.messages, key=lambda m: m[0]):
+                if topic not in connections:
+                    connections[topic] = writer.add_connection(topic, kind, typestore=self.types)
+                data = self.types.serialize_cdr(message, kind)
+                writer.write(connections[topic], time_ns, data)
+        return path

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""`tactile-cdma info` of whatever holds a skin's frames: the same facts about the same frames."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from bags import PERIOD_S, BagMaker
+
+from tactile_cdma.commands.cli import main
+
+pytestmark = pytest.mark.xdist_group("datasets")
+SECONDS = 2.0
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Half a second without taxel 2, and 10 of 156 frames missing."""
+    maker = BagMaker()
+    maker.skin("/skin", SECONDS, lambda t_s: [2] if t_s < 0.5 else [])
+    arrays = [message for message in maker.messages if message[1] == "/skin/tactile"]
+    for lost in (*arrays[100:104], *arrays[120:126]):
+        maker.messages.remove(lost)
+    return maker.write(tmp_path_factory.mktemp("contents") / "session")
+
+
+def said(path: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, str]:
+    assert main(["info", str(path)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    return dict(line.partition(": ")[::2] for line in lines)
+
+
+@pytest.mark.parametrize("kind", ["bag", "npz", "parquet"])
+def test_rate_gaps_invalid_readings_and_where_they_come_from(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str
+) -> None:
+    path = bag
+    if kind != "bag":
+        if kind == "parquet":
+            pytest.importorskip("pyarrow")
+        path = tmp_path / f"out.{kind}"
+        assert main(["export", str(bag), "-o", str(path)]) == 0
+        assert "frames=146 lost_frames=10 taxels=16" in capsys.readouterr().out
+    lines = said(path, capsys)
+    length_s = 155 * PERIOD_S
+    assert lines["frames"] == f"146 in {length_s:.3f} s, {145 / length_s:.2f} Hz"
+    assert lines["gaps"] == (
+        f"2, 10 frame periods without a frame, the longest {7 * PERIOD_S:.3f} s after "
+        f"{119 * PERIOD_S:.3f} s"
+    )
+    unknown = sum((i + 0.5) * PERIOD_S < 0.5 for i in range(156))
+    assert lines["readings"].startswith(f"{unknown / 146 / 16:.2%} invalid (NaN), 0.00% held")
+    assert lines["complete"].startswith(f"after {unknown * PERIOD_S:.3f} s")
+    assert "--from-first-complete" in lines["complete"]
+    assert (lines["skin"], lines["calibration"]) == ("palm-1", "abcd1234")
+    assert lines["measured by"] == "simulated 73696D0002000000: nothing was touched"
+
+
+def test_a_recording_and_a_bag_of_it_say_the_same(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording, bag = tmp_path / "touch.skin", tmp_path / "touch"
+    words = ["record", "sim://?scene=moving&dead=5", recording, "--seconds", "1", "--nodes", "16"]
+    assert main(list(map(str, words))) == 0
+    assert main(["export", str(recording), "-o", str(bag), "--bag"]) == 0
+    capsys.readouterr()
+    of_recording, of_bag = said(recording, capsys), said(bag, capsys)
+    for name in ("gaps", "readings", "complete"):
+        assert of_recording[name] == of_bag[name]
+    assert of_recording["complete"] == "never: no valid reading of taxel 4"
+    assert "/skin/tactile" in of_bag and "measured by" in of_bag
+
+
+def test_a_lerobot_dataset(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("pyarrow")
+    out = str(tmp_path / "out")
+    assert main(["export", str(bag), "--lerobot", out, "--fps", "20", "--samples", "last"]) == 0
+    assert "frames=39" in capsys.readouterr().out
+    lines = said(tmp_path / "out", capsys)
+    assert lines["dataset"] == "LeRobot v3.0, 1 episodes"
+    assert lines["frames"] == "39 in 1.950 s, 20 Hz"
+    assert lines["readings"] == "last per frame; NaN: hold"
+    assert lines["observation.tactile.skin"] == f"{9 / 39 / 16:.2%} invalid"
+    assert lines["gaps"] == "none within episodes"
+
+
+@pytest.mark.parametrize("name", ["none.npz", "some.npz", "some.parquet", "some.txt", "folder"])
+def test_what_is_none_of_these(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    path = tmp_path / name
+    if name == "folder":
+        path.mkdir()
+    elif not name.startswith("none"):
+        path.write_bytes(b"PK\x03\x04 something else")
+    assert main(["info", str(path)]) == 1
+    assert len(capsys.readouterr().err.splitlines()) == 1

@@ -1,0 +1,427 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""A bag as a LeRobotDataset v3: what pandas and pyarrow read is what was recorded, at its time."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bags import BEGIN_NS, PERIOD_S, TAXELS, BagMaker, pressure_pa
+from numpy.typing import NDArray
+from PIL import Image
+
+from tactile_cdma.commands.cli import main
+
+pyarrow = pytest.importorskip("pyarrow", reason="the extra [datasets] is not installed")
+parquet = pytest.importorskip("pyarrow.parquet")
+
+pytestmark = pytest.mark.xdist_group("datasets")  # its bag is made once
+SECONDS = 3.0
+FPS = 30
+SKIN = "observation.tactile.skin"
+PALM = "observation.tactile.left_palm"
+
+
+def palm_invalid(t_s: float) -> Sequence[int]:
+    """Taxel 5 speaks after half a second, taxel 3 is silent for a while, 9 and 10 for a moment."""
+    if t_s < 0.5:
+        return [5]
+    return [3] if 1.0 < t_s < 1.2 else []
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    maker = BagMaker()
+    maker.skin("/skin", SECONDS)
+    maker.skin("/left_palm/skin", SECONDS, palm_invalid)
+    maker.camera("/front/image_raw", SECONDS, 30)
+    maker.camera("/wrist/image_raw/compressed", SECONDS, 15, compressed=True)
+    maker.joints("/joint_states", SECONDS)
+    maker.contacts("/skin", SECONDS, end_s=2.0)
+    for seen_s, text in ((0.7, "grip"), (1.5, ""), (2.0, "lift"), (2.6, "")):
+        maker.add(seen_s, "/task", "std_msgs/msg/String", data=text)
+    return maker.write(tmp_path_factory.mktemp("lerobot") / "session")
+
+
+def exported(bag: Path, folder: Path, *options: str) -> Any:
+    """The rows of the dataset, as pyarrow reads them."""
+    fps = () if "--clock" in options else ("--fps", str(FPS))
+    assert main(["export", str(bag), "--lerobot", str(folder), *fps, *options]) == 0
+    return parquet.read_table(folder / "data/chunk-000/file-000.parquet")
+
+
+def array(table: Any, name: str) -> NDArray[Any]:
+    values = np.array(table.column(name).to_pylist())
+    if not name.endswith(".valid"):
+        return values
+    assert set(np.unique(values)) <= {0, 1}
+    return values.astype(bool)
+
+
+def seconds(table: Any) -> NDArray[np.float64]:
+    """The rows' times, s after BEGIN_NS."""
+    return (array(table, "unix_time_ns") - BEGIN_NS) * 1e-9
+
+
+def meta(folder: Path, name: str) -> Any:
+    return json.loads((folder / "meta" / name).read_text())
+
+
+def worst_error_s(found: NDArray[Any], t_s: NDArray[np.float64], valid: NDArray[Any]) -> float:
+    """Largest error of time that explains found pressures, (…, 16), of which the time is t_s (…).
+
+    The pressure rises by 1 Pa in 18 µs where it is steepest.
+    """
+    steepest_pa_s = 10e3 * 2 * np.pi * 0.9
+    return float(np.abs(found - pressure_pa(t_s))[valid].max() / steepest_pa_s)
+
+
+def test_every_sample_is_at_its_time_to_less_than_a_millisecond(bag: Path, tmp_path: Path) -> None:
+    table = exported(bag, tmp_path / "out")
+    ticks_s = seconds(table)
+    assert np.diff(ticks_s) == pytest.approx(1 / FPS, abs=1e-6)
+    for name in (SKIN, PALM):
+        window, valid = array(table, name), array(table, f"{name}.valid")
+        ages_s = array(table, f"{name}.age_s")
+        assert window.shape == valid.shape == (len(table), 3, TAXELS)  # 33.3 ms, 12.8 ms a frame
+        assert worst_error_s(window, ticks_s[:, None] - ages_s, valid) < 1e-3
+        # The newest frame is less than a period old, and no frame of an interval is missing.
+        assert (ages_s[:, -1] >= 0).all() and (ages_s[:, -1] < PERIOD_S + 1e-6).all()
+        assert np.diff(ages_s[2:], axis=1) == pytest.approx(-PERIOD_S, abs=1e-5)
+        assert (ages_s[2:, 0] > 1 / FPS - PERIOD_S - 1e-6).all()
+        indices = {
+            round((t - age) / PERIOD_S - 0.5)
+            for t, row in zip(ticks_s, ages_s, strict=True)
+            for age in row
+        }
+        assert indices == set(range(max(indices) + 1))
+    assert array(table, f"{SKIN}.valid")[2:].all()
+
+
+@pytest.mark.parametrize("samples", ["mean", "last"])
+def test_one_value_per_interval(bag: Path, tmp_path: Path, samples: str) -> None:
+    table = exported(bag, tmp_path / "out", "--samples", samples, "--topic", "/skin/tactile")
+    found, ages_s = array(table, SKIN), array(table, f"{SKIN}.age_s")
+    assert found.shape == (len(table), TAXELS) and ages_s.shape == (len(table),)
+    t_s = seconds(table)
+    if samples == "last":
+        assert worst_error_s(found, t_s - ages_s, np.isfinite(found)) < 1e-3
+        return
+    frames_s = (np.arange(round(SECONDS / PERIOD_S)) + 0.5) * PERIOD_S
+    for i in range(1, len(t_s)):
+        within = frames_s[(frames_s > t_s[i - 1]) & (frames_s <= t_s[i])]
+        assert found[i] == pytest.approx(pressure_pa(within).mean(axis=0), rel=1e-5)
+        assert ages_s[i] == pytest.approx(t_s[i] - within.mean(), abs=1e-5)
+
+
+def test_a_taxel_without_a_reading_is_held_zero_or_its_row_left_out(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    only = ("--topic", "/left_palm/skin/tactile", "--samples", "last")
+    held = exported(bag, tmp_path / "hold", *only)
+    zero = exported(bag, tmp_path / "zero", *only, "--nan", "zero")
+    measured_s = seconds(held) - array(held, f"{PALM}.age_s")
+    silent = (measured_s > 1.0) & (measured_s < 1.2)
+    assert 5 <= silent.sum() <= 7
+    for table in (held, zero):
+        valid = array(table, f"{PALM}.valid")
+        assert (valid[:, 3] == ~silent).all()
+        assert (valid[:, 5] == (measured_s >= 0.5)).all()
+        assert np.delete(valid, [3, 5], axis=1).all()
+    before_s = (np.floor(1.0 / PERIOD_S - 0.5) + 0.5) * PERIOD_S
+    assert array(held, PALM)[silent, 3] == pytest.approx(pressure_pa(before_s)[3], rel=1e-6)
+    assert (array(held, PALM)[measured_s < 0.5, 5] == 0).all()
+    assert (array(zero, PALM)[silent, 3] == 0).all()
+    whole = array(zero, PALM)[~silent & (measured_s > 0.5)]
+    assert (whole == array(held, PALM)[~silent & (measured_s > 0.5)]).all()
+    capsys.readouterr()
+
+    dropped = exported(bag, tmp_path / "drop", *only, "--nan", "drop")
+    said = capsys.readouterr()
+    left = int(silent.sum() + (measured_s < 0.5).sum())
+    assert f"left_out={left}" in said.out
+    assert f"{left} rows are left out: a taxel of {PALM} had no valid reading" in said.err
+    assert len(dropped) == len(held) - left
+    assert array(dropped, f"{PALM}.valid").all()
+    # Rows of an episode follow one another: where some were left out, another one begins.
+    lengths = parquet.read_table(tmp_path / "drop/meta/episodes/chunk-000/file-000.parquet")
+    assert (
+        lengths.column("length").to_pylist()
+        == np.bincount(array(dropped, "episode_index")).tolist()
+    )
+    for episode in range(2):
+        mine = array(dropped, "episode_index") == episode
+        assert np.diff(seconds(dropped)[mine]) == pytest.approx(1 / FPS, abs=1e-6)
+    assert lengths.num_rows == 2
+
+
+def test_from_first_complete_begins_when_every_taxel_has_spoken(bag: Path, tmp_path: Path) -> None:
+    table = exported(bag, tmp_path / "out", "--from-first-complete")
+    assert 0.5 <= seconds(table)[0] < 0.5 + PERIOD_S + 1 / FPS
+    assert not array(table, f"{PALM}.valid")[:, :, 3].all()  # what is silent later stays in
+
+
+def test_a_taxel_that_never_speaks_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    maker = BagMaker()
+    maker.skin("/skin", 0.5, lambda t_s: [7])
+    bag = maker.write(tmp_path / "bag")
+    exported(bag, tmp_path / "out")
+    assert "skin: no valid reading of taxel 7" in capsys.readouterr().err
+    options = ["--fps", "30", "--from-first-complete"]
+    for output in (["--lerobot", tmp_path / "none"], ["-o", tmp_path / "none.npz"]):
+        words = ["export", bag, *output, *(options if output[0] == "--lerobot" else options[2:])]
+        assert main(list(map(str, words))) == 1
+        assert "never complete: no valid reading of taxel 7; mask" in capsys.readouterr().err
+        assert not Path(output[1]).exists()
+
+
+def test_images_joints_and_actions_ride_along(bag: Path, tmp_path: Path) -> None:
+    options = ("--state", "/joint_states", "--action", "/joint_states")
+    table = exported(bag, tmp_path / "out", *options)
+    t_s = seconds(table)
+    for name, rate_hz in (("front", 30), ("wrist", 15)):
+        images = table.column(f"observation.images.{name}").to_pylist()
+        for tick_s, image in zip(t_s, images, strict=True):
+            pixels = np.asarray(Image.open(io.BytesIO(image["bytes"])))
+            newest = min(np.floor(tick_s * rate_hz - 0.25 + 1e-6), SECONDS * rate_hz - 1)
+            assert pixels.shape == (6, 8, 3)
+            assert (pixels == [newest, 200, 0]).all()
+    joints = array(table, "observation.state")
+    assert (array(table, "action") == joints).all()
+    newest_s = np.minimum(np.floor(t_s * 100 + 1e-6) / 100, SECONDS - 0.01)
+    assert joints == pytest.approx(np.stack([newest_s, -newest_s], axis=1), abs=1e-6)
+    features = meta(tmp_path / "out", "info.json")["features"]
+    assert features["observation.state"]["names"] == ["finger", "wrist"]
+    assert features["observation.images.front"] == {
+        "dtype": "image",
+        "shape": [6, 8, 3],
+        "names": ["height", "width", "channels"],
+    }
+    colours = meta(tmp_path / "out", "stats.json")["observation.images.front"]
+    assert np.shape(colours["mean"]) == (3, 1, 1)
+    assert np.ravel(colours["mean"])[1:] == pytest.approx([200 / 255, 0])
+
+
+def test_contacts_and_wrench_are_zero_and_masked_where_they_are_unknown(
+    bag: Path, tmp_path: Path
+) -> None:
+    table = exported(bag, tmp_path / "out")
+    t_s = seconds(table)
+    measured_s = (np.floor(t_s / PERIOD_S - 0.5 + 1e-6) + 0.5) * PERIOD_S
+    measured_s = np.minimum(measured_s, (round(2.0 / PERIOD_S) - 0.5) * PERIOD_S)
+    known = (measured_s >= 1.0) & (t_s - measured_s <= 0.5)  # what is older is not the present
+    assert (~known).any() and known.any() and not known[-1]
+    force = np.where(known, -measured_s, 0)
+    wrench, valid = (array(table, f"observation.wrench.skin{end}") for end in ("", ".valid"))
+    assert wrench[:, 2] == pytest.approx(force, rel=1e-6)
+    assert (valid[:, 2] == known).all()
+    contacts, valid = (array(table, f"observation.contacts.skin{end}") for end in ("", ".valid"))
+    assert (contacts[:, 0] == known).all()
+    assert contacts[:, 4] == pytest.approx(np.where(known, 0.01, 0))
+    assert (valid[:, 4] == known).all()
+
+
+def test_a_camera_is_the_clock(bag: Path, tmp_path: Path) -> None:
+    table = exported(bag, tmp_path / "out", "--clock", "/wrist/image_raw/compressed")
+    assert meta(tmp_path / "out", "info.json")["fps"] == 15
+    t_s = seconds(table)
+    assert t_s == pytest.approx((np.arange(len(t_s)) + 0.25) / 15, abs=1e-6)
+    assert array(table, SKIN).shape[1] == 6  # 66.7 ms, 12.8 ms a frame
+    assert (
+        worst_error_s(
+            array(table, SKIN),
+            t_s[:, None] - array(table, f"{SKIN}.age_s"),
+            array(table, f"{SKIN}.valid"),
+        )
+        < 1e-3
+    )
+    reds = [
+        np.asarray(Image.open(io.BytesIO(image["bytes"])))[0, 0, 0]
+        for image in table.column("observation.images.wrist").to_pylist()
+    ]
+    assert reds == list(range(len(reds)))
+
+
+def test_metadata_is_as_lerobot_reads_it(bag: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    table = exported(bag, folder, "--marks", "/task")
+    info = meta(folder, "info.json")
+    assert info["codebase_version"] == "v3.0" and info["fps"] == FPS
+    assert info["total_frames"] == len(table) and info["total_episodes"] == 2
+    assert set(info["features"]) == set(table.column_names)
+    for name, feature in info["features"].items():
+        if feature["dtype"] == "image" or feature["shape"] == [1]:
+            continue
+        assert array(table, name).shape[1:] == tuple(feature["shape"])
+    assert (array(table, "index") == np.arange(len(table))).all()
+    episodes = parquet.read_table(folder / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    assert [episode["tasks"] for episode in episodes] == [["grip"], ["lift"]]
+    for number, (episode, bounds) in enumerate(
+        zip(episodes, [(0.7, 1.5), (2.0, 2.6)], strict=True)
+    ):
+        rows = slice(episode["dataset_from_index"], episode["dataset_to_index"])
+        assert (array(table, "episode_index")[rows] == number).all()
+        frame = array(table, "frame_index")[rows]
+        assert (frame == np.arange(episode["length"])).all()
+        assert array(table, "timestamp")[rows] == pytest.approx(frame / FPS)
+        t_s = seconds(table)[rows]
+        assert (
+            bounds[0] < t_s[0] < bounds[0] + 2 / FPS and bounds[1] - 2 / FPS < t_s[-1] <= bounds[1]
+        )
+    pandas = pytest.importorskip("pandas")
+    tasks = pandas.read_parquet(folder / "meta/tasks.parquet")
+    assert tasks.iloc[1].name == "lift" and tasks["task_index"].tolist() == [0, 1]
+    rows = pandas.read_parquet(folder / "data")
+    assert len(rows) == len(table) and np.stack(rows[f"{SKIN}.age_s"]).shape == (len(rows), 3)
+    about = meta(folder, "tactile.json")
+    assert about["units"] == {SKIN: "Pa", PALM: "Pa", "unix_time_ns": "ns"} | {
+        f"{name}.age_s": "s" for name in (SKIN, PALM)
+    }
+    assert [patch["calibration_id"] for patch in about["patches"]] == ["abcd1234"] * 2
+    assert np.shape(about["taxels"]["skin"]["position_m"]) == (TAXELS, 3)
+
+
+def test_lerobot_itself_loads_it(bag: Path, tmp_path: Path) -> None:
+    """Runs where lerobot is installed, which is by hand: with 0.4.4."""
+    loading = pytest.importorskip("lerobot.datasets.lerobot_dataset")
+    torch = pytest.importorskip("torch")
+    table = exported(bag, tmp_path / "out", "--action", "/joint_states", "--marks", "/task")
+    steps = {SKIN: [-1 / FPS, 0.0], "action": [0.0, 1 / FPS, 2 / FPS]}
+    dataset = loading.LeRobotDataset("me/touch", root=tmp_path / "out", delta_timestamps=steps)
+    assert dataset.num_episodes == 2 and len(dataset) == len(table)
+    item = dataset[10]
+    window = torch.as_tensor(array(table, SKIN)[9:11].astype(np.float32))
+    assert torch.equal(item[SKIN], window)
+    assert item["unix_time_ns"] == array(table, "unix_time_ns")[10]
+    assert item["task"] == "grip" and item["observation.images.front"].shape == (3, 6, 8)
+    [batch] = list(torch.utils.data.DataLoader(dataset, batch_size=len(dataset)))
+    assert batch[SKIN].shape == (len(table), 2, 3, TAXELS)
+    assert batch[f"{SKIN}.valid"].dtype == torch.float32
+    assert batch["action"].shape == (len(table), 3, 2)
+
+
+def test_statistics_are_of_valid_readings_and_one_for_all_taxels(bag: Path, tmp_path: Path) -> None:
+    table = exported(bag, tmp_path / "out", "--nan", "zero")
+    found = meta(tmp_path / "out", "stats.json")
+    pressures = array(table, PALM)[array(table, f"{PALM}.valid")].astype(float)
+    for name, value in (
+        ("min", pressures.min()),
+        ("max", pressures.max()),
+        ("mean", pressures.mean()),
+        ("std", pressures.std()),
+    ):
+        assert np.array(found[PALM][name]) == pytest.approx(np.full((3, TAXELS), value), rel=1e-5)
+    assert found[PALM]["min"][0][0] > 5e3  # no filled zero
+    assert np.unique(found[f"{PALM}.valid"]["std"]) == 1  # normalising must not blow up a mask
+    assert not np.any(found[f"{PALM}.valid"]["mean"])
+    ages = array(table, f"{PALM}.age_s")
+    assert found[f"{PALM}.age_s"]["mean"] == pytest.approx(ages.mean(axis=0), rel=1e-5)
+
+
+def test_episodes_by_intervals_and_by_files(bag: Path, tmp_path: Path) -> None:
+    table = exported(bag, tmp_path / "out", "--episode", "1:1.5", "--episode", "0.2:0.6")
+    lengths = np.bincount(array(table, "episode_index")).tolist()
+    assert lengths == [12, 15]
+    maker = BagMaker()
+    maker.skin("/skin", 0.5)
+    other = maker.write(tmp_path / "other", sqlite=True)
+    both = [str(path) for path in (bag, other)]
+    only = ["--topic", "/skin/tactile", "--image", "/front/image_raw"]
+    assert main(["export", *both, "--lerobot", str(tmp_path / "x"), "--fps", "30", *only]) == 1
+    assert not (tmp_path / "x").exists()
+    again = exported(other, tmp_path / "again")
+    two = ["export", str(other), str(other), "--lerobot", str(tmp_path / "two"), "--fps", "30"]
+    assert main(two) == 0
+    table = parquet.read_table(tmp_path / "two/data/chunk-000/file-000.parquet")
+    assert np.bincount(array(table, "episode_index")).tolist() == [len(again)] * 2
+
+
+def test_a_recording_has_contacts_and_wrench(tmp_path: Path) -> None:
+    recording = tmp_path / "touch.skin"
+    words = ["record", "sim://?scene=press&seed=1", recording, "--seconds", "1.5", "--nodes", "16"]
+    assert main(list(map(str, words))) == 0
+    table = exported(recording, tmp_path / "out", "--samples", "last")
+    force = array(table, "observation.wrench.skin")
+    contacts = array(table, "observation.contacts.skin")
+    touched = contacts[:, 0] == 1
+    assert touched.any()
+    assert (force[touched, 2] < 0).all()  # into the surface, whose normal is z
+    pressed = array(table, SKIN)[touched].max(axis=1)
+    assert (pressed > 0).all() and not np.isnan(contacts).any()
+    assert set(
+        meta(tmp_path / "out", "info.json")["features"]["observation.wrench.skin"]["names"]
+    ) >= {"force_z_n"}
+
+
+@pytest.mark.parametrize(
+    "interrupt", [KeyboardInterrupt, OSError(28, "No space left on device")], ids=["ctrl-c", "full"]
+)
+def test_work_that_ends_early_leaves_nothing(
+    bag: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    interrupt: BaseException,
+) -> None:
+    from tactile_cdma.datasets.lerobot.writer import DatasetWriter
+
+    add: Callable[..., None] = DatasetWriter.add
+
+    def ends(self: DatasetWriter, cells: Any) -> None:
+        if self.frames == 20:
+            raise interrupt
+        add(self, cells)
+
+    exported(bag, tmp_path / "old")
+    before = (tmp_path / "old/meta/info.json").read_bytes()
+    monkeypatch.setattr(DatasetWriter, "add", ends)
+    words = ["export", str(bag), "--fps", "30", "--lerobot"]
+    assert main([*words, str(tmp_path / "new")]) != 0
+    assert main([*words, str(tmp_path / "old"), "--force"]) != 0
+    assert [path.name for path in tmp_path.iterdir()] == ["old"]
+    assert (tmp_path / "old/meta/info.json").read_bytes() == before
+
+
+def test_what_cannot_be_is_one_clear_error(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    empty = BagMaker()
+    empty.joints("/joint_states", 0.1)
+    without_skin = empty.write(tmp_path / "joints")
+    (tmp_path / "nothing").mkdir()
+    (tmp_path / "torn.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(40))
+    out = ["--lerobot", tmp_path / "out"]
+    fps = ["--fps", "30"]
+    for words, message in (
+        ([bag, *out], "--fps N, or --clock"),
+        ([bag, *out, "--fps", "0"], "--fps is 0; it must lie within 1…1000"),
+        ([bag, "--lerobot", tmp_path, *fps], "exists already"),
+        ([bag, *out, "--clock", "/none"], "no stream /none (there are"),
+        ([bag, *out, *fps, "--topic", "/none"], "no skin's frames in /none"),
+        ([bag, *out, *fps, "--image", "/none"], "no topic /none"),
+        ([bag, *out, *fps, "--image", "/joint_states"], "no image"),
+        (
+            [bag, *out, *fps, "--state", "/front/image_raw"],
+            "state takes sensor_msgs/msg/JointState",
+        ),
+        ([bag, *out, *fps, "--marks", "/joint_states"], "marks are std_msgs/msg/Bool"),
+        ([bag, *out, *fps, "--episode", "2"], "START:END"),
+        ([bag, *out, *fps, "--episode", "50:60"], "no row is whole: no sample"),
+        ([bag, "-o", tmp_path / "x.npz", *fps], "go with --lerobot"),
+        ([bag, "-o", tmp_path / "x", "--bag"], "is a bag already"),
+        ([without_skin, *out, *fps], "no frames of a skin"),
+        ([tmp_path / "nothing", *out, *fps], "no bag"),
+        ([tmp_path / "torn.mcap", *out, *fps], "torn.mcap"),
+    ):
+        assert main(["export", *map(str, words)]) == 1, words
+        said = capsys.readouterr().err
+        assert message in said and len(said.splitlines()) == 1, said
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tables of bags: the skin's own frames as they were recorded, whatever stores and splits them."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bags import BEGIN_NS, PERIOD_S, TAXELS, BagMaker, pressure_pa
+from numpy.typing import NDArray
+
+from tactile_cdma.commands.cli import main
+
+pytestmark = pytest.mark.xdist_group("datasets")
+SECONDS = 1.6
+
+
+def unknown_at_first(t_s: float) -> list[int]:
+    return [2] if t_s < 0.3 else []
+
+
+@pytest.fixture(scope="module", params=["mcap", "sqlite3"])
+def bag(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    maker = BagMaker()
+    maker.skin("/skin", SECONDS, unknown_at_first)
+    maker.skin("/left_palm/skin", SECONDS)
+    for seen_s, begins in ((0.4, True), (0.805, False), (1.0, True)):
+        maker.add(seen_s, "/recording", "std_msgs/msg/Bool", data=begins)
+    path = tmp_path_factory.mktemp(request.param) / "session"
+    return maker.write(path, sqlite=request.param == "sqlite3")
+
+
+def export(bag: Path, output: Path, *options: str) -> None:
+    assert main(["export", str(bag), "-o", str(output), *options]) == 0
+
+
+def read(path: Path) -> dict[str, NDArray[Any]]:
+    with np.load(path) as table:
+        return dict(table)
+
+
+def t_of(table: dict[str, NDArray[Any]]) -> NDArray[np.float64]:
+    return np.asarray(table["wall_time_s"] - BEGIN_NS * 1e-9)
+
+
+def test_every_patch_has_a_file_of_all_its_frames(bag: Path, tmp_path: Path) -> None:
+    export(bag, tmp_path / "out.npz")
+    assert {path.name for path in tmp_path.iterdir()} == {"out.skin.npz", "out.left_palm.npz"}
+    table = read(tmp_path / "out.skin.npz")
+    frames = round(SECONDS / PERIOD_S)
+    assert table["sequence"].tolist() == list(range(frames))
+    assert table["pressure_pa"].dtype == np.float32
+    expected = pressure_pa((np.arange(frames) + 0.5) * PERIOD_S)
+    expected[t_of(table) < 0.3, 2] = np.nan
+    assert table["pressure_pa"] == pytest.approx(expected, rel=1e-6, nan_ok=True)
+    assert table["device_time_s"] == pytest.approx((np.arange(frames) + 0.5) * PERIOD_S)
+    assert t_of(table) == pytest.approx(table["device_time_s"], abs=1e-6)
+    assert np.isnan(table["voltage_v"]).all()  # was not published
+    assert table["status"][0].tolist() == [0, 0, 8] + [0] * 13
+    assert table["shape"].tolist() == [4, 4]
+    assert table["position_m"][:, 0] == pytest.approx(0.007 * np.arange(TAXELS))
+    about = json.loads(str(table["about"]))
+    said = {"measured_by": "simulated", "skin": "palm-1", "calibration_id": "abcd1234"}
+    assert about | said | {"topic": "/skin/tactile", "frame_id": "palm", "tared": False} == about
+
+
+def test_bounds_marks_and_completeness(bag: Path, tmp_path: Path) -> None:
+    def chosen(name: str, *options: str) -> dict[str, NDArray[Any]]:
+        export(bag, tmp_path / name, "--topic", "/skin/tactile", *options)
+        return read(tmp_path / name)
+
+    part = chosen("part.npz", "--start", "0.5", "--end", "1.1")
+    assert 0.5 <= t_of(part)[0] < 0.5 + PERIOD_S and 1.1 - PERIOD_S < t_of(part)[-1] <= 1.1
+    complete = chosen("complete.npz", "--from-first-complete")
+    assert 0.3 <= t_of(complete)[0] < 0.3 + PERIOD_S
+    assert np.isfinite(complete["pressure_pa"]).all()
+    marked = chosen("marked.npz", "--marks", "/recording")
+    for episode, (begin_s, end_s) in enumerate(((0.4, 0.805), (1.0, SECONDS))):
+        t_s = t_of(marked)[marked["episode"] == episode]
+        assert begin_s <= t_s[0] < begin_s + PERIOD_S and end_s - PERIOD_S < t_s[-1] <= end_s
+    given = chosen("given.npz", "--episode", "0.1:0.2", "--episode", "1:1.1")
+    assert np.bincount(given["episode"]).tolist() == [8, 8]
+
+
+def test_a_bag_s_file_alone_and_many_files(bag: Path, tmp_path: Path) -> None:
+    [file] = [path for path in bag.iterdir() if path.suffix in (".mcap", ".db3")]
+    topic = ["--topic", "/skin/tactile"]
+    assert main(["export", str(file), str(bag), "-o", str(tmp_path / "two.npz"), *topic]) == 0
+    table = read(tmp_path / "two.npz")
+    assert np.bincount(table["episode"]).tolist() == [round(SECONDS / PERIOD_S)] * 2
+    assert json.loads(str(table["about"]))["files"] == [file.name, bag.name]
+
+
+def test_csv_and_parquet_hold_the_same_as_npz(bag: Path, tmp_path: Path) -> None:
+    topic = ("--topic", "/skin/tactile")
+    export(bag, tmp_path / "out.npz", *topic)
+    export(bag, tmp_path / "out.csv", *topic)
+    expected = read(tmp_path / "out.npz")
+    with (tmp_path / "out.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    cells = [[row[f"pressure_pa_{i}"] or "nan" for i in range(TAXELS)] for row in rows]
+    assert np.array(cells, dtype=np.float32).tobytes() == expected["pressure_pa"].tobytes()
+    pandas = pytest.importorskip("pandas")
+    pytest.importorskip("pyarrow")
+    export(bag, tmp_path / "out.parquet", *topic)
+    frames = pandas.read_parquet(tmp_path / "out.parquet")
+    for name in ("pressure_pa", "status"):
+        assert np.stack(frames[name].to_numpy()).tobytes() == expected[name].tobytes()
+    for name in ("sequence", "device_time_s", "wall_time_s", "episode"):
+        assert frames[name].to_numpy().tobytes() == expected[name].tobytes()
+
+
+def test_a_patch_without_info_has_unknown_places(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    maker = BagMaker()
+    maker.skin("/skin", 0.3)
+    maker.messages = [message for message in maker.messages if message[1] != "/skin/info"]
+    export(maker.write(tmp_path / "bag"), tmp_path / "out.npz")
+    assert "no info, so places and calibration are unknown" in capsys.readouterr().err
+    table = read(tmp_path / "out.npz")
+    assert np.isnan(table["position_m"]).all() and not table["node"].any()
+    assert table["pressure_pa"].shape == (round(0.3 / PERIOD_S), TAXELS)
