@@ -4,7 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from array import array
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -98,3 +99,31 @@ def indenter(message: SimObject) -> Indenter:
             "make whole rows"
         )
     return HeightMap(underside_m=values.reshape(message.rows, -1), size_m=size, **common)
+
+
+def sim_objects(objects: Sequence[Indenter]) -> SimObjects:
+    """The message of these objects."""
+    return SimObjects(objects=[_message(each) for each in objects])
+
+
+def _message(thing: Indenter) -> SimObject:
+    message = SimObject(stiffness=float(thing.stiffness_pa_per_m))
+    where, turned = message.pose.position, message.pose.orientation
+    where.x, where.y, where.z = map(float, thing.position_m)
+    turned.x, turned.y, turned.z, turned.w = map(float, thing.orientation_xyzw)
+    match thing:
+        case Sphere():
+            message.shape, message.size = SimObject.SPHERE, [thing.radius_m]
+        case Cylinder():
+            message.shape = SimObject.CYLINDER
+            message.size = [thing.radius_m, thing.length_m]
+        case Box():
+            message.shape, message.size = SimObject.BOX, [float(edge) for edge in thing.size_m]
+        case HeightMap():
+            message.shape = SimObject.HEIGHT_MAP
+            message.size = [float(edge) for edge in thing.size_m]
+            message.rows = len(thing.underside_m)
+            message.underside = array("d", thing.underside_m.ravel())
+        case _:
+            raise ParameterError(f"SimObject has no shape for a {type(thing).__name__}")
+    return message
