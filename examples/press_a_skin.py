@@ -23,7 +23,7 @@ with Skin("sim://?scene=external&speed=0", nodes=64, frame_period_ms=40.0) as sk
     while np.isnan(skin.step().pressure_pa).any():
         pass  # until every node has spoken once, which they do within a second of skin time
     areas_m2 = skin.layout.areas_m2
-    for depth_m in np.linspace(0.2e-3, 3e-3, 15):
+    for depth_m in np.linspace(0.6e-3, 3e-3, 13):
         x_m = 2 * depth_m
         ball = Sphere(
             radius_m=RADIUS_M,

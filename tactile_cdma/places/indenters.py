@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..base.arrays import Floats, Floats32
+from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import ParameterError
 from .poses import Pose
 
@@ -74,6 +74,18 @@ class Indenter(ABC):
         enters_m, leaves_m = self._spans(own.apply(points_m), own.rotate(normals))
         return np.where(leaves_m > 0, np.maximum(-enters_m, 0.0), 0.0)
 
+    def may_touch(self, points_m: Floats, normals: Floats, around_m: Floats) -> Bools:
+        """Whether it may reach below a surface (m, 3) within around_m (m,), m, of each point."""
+        from_it_m = points_m - self.pose.translation_m
+        along_m = (from_it_m * normals).sum(axis=1)
+        beside_m2 = np.square(from_it_m).sum(axis=1) - np.square(along_m)
+        return np.asarray(beside_m2 <= np.square(self._reach_m + around_m))
+
+    @property
+    @abstractmethod
+    def _reach_m(self) -> float:
+        """No line touches the object that passes its origin at a greater distance, m."""
+
     @abstractmethod
     def _spans(self, points_m: Floats, directions: Floats) -> Spans:
         """Where lines pass through the object. Both (m, 3), in its own frame; unit directions."""
@@ -88,6 +100,10 @@ class Sphere(Indenter):
     def __post_init__(self) -> None:
         _positive("radius_m of Sphere", self.radius_m)
         super().__post_init__()
+
+    @property
+    def _reach_m(self) -> float:
+        return self.radius_m
 
     def _spans(self, points_m: Floats, directions: Floats) -> Spans:
         return _round_spans(points_m, directions, self.radius_m)
@@ -104,6 +120,10 @@ class Cylinder(Indenter):
         _positive("radius_m of Cylinder", self.radius_m)
         _positive("length_m of Cylinder", self.length_m)
         super().__post_init__()
+
+    @property
+    def _reach_m(self) -> float:
+        return math.hypot(self.radius_m, self.length_m / 2)
 
     def _spans(self, points_m: Floats, directions: Floats) -> Spans:
         return _both(
@@ -124,6 +144,10 @@ class Box(Indenter):
         for edge_m in self.size_m:
             _positive("size_m of Box", edge_m)
         super().__post_init__()
+
+    @property
+    def _reach_m(self) -> float:
+        return math.hypot(*self.size_m) / 2
 
     def _spans(self, points_m: Floats, directions: Floats) -> Spans:
         x, y, z = (
@@ -158,13 +182,17 @@ class HeightMap(Indenter):
         object.__setattr__(self, "underside_m", grid)
         super().__post_init__()
 
+    @property
+    def _reach_m(self) -> float:
+        return math.hypot(*self.size_m, 2 * float(np.abs(self.underside_m).max())) / 2
+
     def _spans(self, points_m: Floats, directions: Floats) -> Spans:
         rises = directions[:, 2] > 0  # seen from behind there is nothing but the solid
         below_m = points_m[:, 2] - self.underside_m.min()
         deepest_m = np.where(rises, below_m / np.where(rises, directions[:, 2], 1.0), 0.0)
         deepest_m = np.maximum(deepest_m, 0.0)
 
-        def inside(depth_m: Floats) -> np.ndarray:
+        def inside(depth_m: Floats) -> Bools:
             return self._contains(points_m - depth_m[:, None] * directions)
 
         shares = np.linspace(0.0, 1.0, SEARCH_STEPS + 1)
@@ -179,7 +207,7 @@ class HeightMap(Indenter):
         touched = found.any(axis=0)
         return np.where(touched, -low_m, np.inf), np.where(touched, np.inf, -np.inf)
 
-    def _contains(self, points_m: Floats) -> np.ndarray:
+    def _contains(self, points_m: Floats) -> Bools:
         """Which points (m, 3) are above the underside, (m,)."""
         rows, columns = self.underside_m.shape
         width_m, height_m = self.size_m
@@ -209,7 +237,9 @@ class Foundation:
     _points_m: Floats = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        normals = np.asarray(self.normals, dtype=np.float64)
+        for name in ("positions_m", "normals", "areas_m2"):
+            object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64))
+        normals = self.normals
         # Along the frame's x axis, as a grid's columns run, or y where that is the normal.
         axis = np.where(np.abs(normals[:, :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
         right = axis - (axis * normals).sum(axis=1, keepdims=True) * normals
@@ -217,20 +247,22 @@ class Foundation:
         up = np.cross(normals, right)
         steps = (np.arange(EDGE_POINTS) + 0.5) / EDGE_POINTS - 0.5
         x, y = (part.ravel()[:, None] for part in np.meshgrid(steps, steps))
-        edges_m = np.sqrt(np.asarray(self.areas_m2, dtype=np.float64))[:, None, None]
+        edges_m = np.sqrt(self.areas_m2)[:, None, None]
         offsets_m = edges_m * (x * right[:, None] + y * up[:, None])
-        object.__setattr__(self, "_points_m", np.asarray(self.positions_m)[:, None] + offsets_m)
+        object.__setattr__(self, "_points_m", self.positions_m[:, None] + offsets_m)
 
     def pressure_pa(self, indenters: Sequence[Indenter]) -> Floats:
         """Mean pressure on every taxel, (t,), Pa; where several objects meet, the greatest."""
-        taxels, points = self._points_m.shape[:2]
-        pressure_pa = np.zeros(taxels * points)
-        points_m = self._points_m.reshape(-1, 3)
-        normals = np.asarray(self.normals, dtype=np.float64).repeat(points, axis=0)
+        pressure_pa = np.zeros(self._points_m.shape[:2])
+        corners_m = np.sqrt(self.areas_m2 / 2)
         for indenter in indenters:
-            depth_m = indenter.depth_m(points_m, normals)
-            np.maximum(pressure_pa, indenter.stiffness_pa_per_m * depth_m, out=pressure_pa)
-        return np.asarray(pressure_pa.reshape(taxels, points).mean(axis=1))
+            near = indenter.may_touch(self.positions_m, self.normals, corners_m)
+            points_m = self._points_m[near]
+            normals = self.normals[near].repeat(points_m.shape[1], axis=0)
+            depth_m = indenter.depth_m(points_m.reshape(-1, 3), normals).reshape(points_m.shape[:2])
+            pressed_pa = indenter.stiffness_pa_per_m * depth_m
+            pressure_pa[near] = np.maximum(pressure_pa[near], pressed_pa)
+        return np.asarray(pressure_pa.mean(axis=1))
 
 
 def _round_spans(points_m: Floats, directions: Floats, radius_m: float) -> Spans:

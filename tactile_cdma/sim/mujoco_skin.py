@@ -125,4 +125,3 @@ def _pose_of(data: Any, geom: int) -> Pose:
     """A geom's frame in the world."""
     rotation: Floats = np.array(data.geom_xmat[geom]).reshape(3, 3)
     return Pose(rotation, np.array(data.geom_xpos[geom]))
-
