@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -224,41 +224,37 @@ class HeightMap(Indenter):
         return np.asarray(~beside & (points_m[:, 2] >= underside_m))
 
 
-@dataclass(frozen=True, eq=False)
 class Foundation:
-    """The elastic cover of t taxels: squares of the taxels' areas, tangential to the skin.
+    """The elastic cover of t taxels: squares of the taxels' areas, tangential to the skin."""
 
-    positions_m, normals: (t, 3), m, in the skin's frame. areas_m2: (t,), m².
-    """
-
-    positions_m: Floats | Floats32
-    normals: Floats | Floats32
-    areas_m2: Floats | Floats32
-    _points_m: Floats = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        for name in ("positions_m", "normals", "areas_m2"):
-            object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64))
-        normals = self.normals
+    def __init__(
+        self,
+        positions_m: Floats | Floats32,
+        normals: Floats | Floats32,
+        areas_m2: Floats | Floats32,
+    ) -> None:
+        """positions_m, normals: (t, 3), m, in the skin's frame. areas_m2: (t,), m²."""
+        self._positions_m = positions_m.astype(np.float64)
+        self._normals = normals.astype(np.float64)
+        edges_m = np.sqrt(areas_m2.astype(np.float64))
+        self._corners_m = edges_m * math.sqrt(0.5)  # how far they are from the centres
         # Along the frame's x axis, as a grid's columns run, or y where that is the normal.
-        axis = np.where(np.abs(normals[:, :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
-        right = axis - (axis * normals).sum(axis=1, keepdims=True) * normals
+        axis = np.where(np.abs(self._normals[:, :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+        right = axis - (axis * self._normals).sum(axis=1, keepdims=True) * self._normals
         right /= np.linalg.norm(right, axis=1, keepdims=True)
-        up = np.cross(normals, right)
+        up = np.cross(self._normals, right)
         steps = (np.arange(EDGE_POINTS) + 0.5) / EDGE_POINTS - 0.5
         x, y = (part.ravel()[:, None] for part in np.meshgrid(steps, steps))
-        edges_m = np.sqrt(self.areas_m2)[:, None, None]
-        offsets_m = edges_m * (x * right[:, None] + y * up[:, None])
-        object.__setattr__(self, "_points_m", self.positions_m[:, None] + offsets_m)
+        offsets_m = edges_m[:, None, None] * (x * right[:, None] + y * up[:, None])
+        self._points_m = self._positions_m[:, None] + offsets_m
 
     def pressure_pa(self, indenters: Sequence[Indenter]) -> Floats:
         """Mean pressure on every taxel, (t,), Pa; where several objects meet, the greatest."""
         pressure_pa = np.zeros(self._points_m.shape[:2])
-        corners_m = np.sqrt(self.areas_m2 / 2)
         for indenter in indenters:
-            near = indenter.may_touch(self.positions_m, self.normals, corners_m)
+            near = indenter.may_touch(self._positions_m, self._normals, self._corners_m)
             points_m = self._points_m[near]
-            normals = self.normals[near].repeat(points_m.shape[1], axis=0)
+            normals = self._normals[near].repeat(points_m.shape[1], axis=0)
             depth_m = indenter.depth_m(points_m.reshape(-1, 3), normals).reshape(points_m.shape[:2])
             pressed_pa = indenter.stiffness_pa_per_m * depth_m
             pressure_pa[near] = np.maximum(pressure_pa[near], pressed_pa)
