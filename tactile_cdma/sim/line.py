@@ -17,8 +17,6 @@ from .nodes import NodeFrame, RollCalls, frame_start_s, node_frames
 from .options import Setup, SimOptions
 from .scene import EXTERNAL, SCENES, Scene, idle
 
-_SCENES = SCENES | LOADS | {EXTERNAL: idle}  # until a program presses
-
 
 def truth(
     options: SimOptions,
@@ -28,12 +26,13 @@ def truth(
 ) -> Iterator[NodeFrame]:
     """What the nodes measure and send in every frame since START, endlessly.
 
-    scene: what touches the skin; None: what the options say.
+    scene: what touches the skin; None: what the options say, of "external" the untouched skin.
     """
+    scenes = SCENES | LOADS | {EXTERNAL: idle}
     spec = setup.spec
     return node_frames(
         spec,
-        scene or _SCENES[options.scene],
+        scene or scenes[options.scene],
         options.skin(spec.nodes, spec.first_row),
         options.rules(spec),
         options.sensors,
