@@ -39,7 +39,7 @@ PITCH_M, FRAME_S, STEPS = 7e-3, 12.8e-3, 32  # of physics per frame
 RADIUS_M, GAP_M, LIGHT_KG, HEAVY_KG = 0.020, 0.5e-3, 0.100, 0.250
 LIFT_M, LIFT_M_S, FILL_KG_S = 0.060, 0.03, 0.05
 UP_M, SLIPS_M_S = 0.040, 2e-3
-MOST_S, HOLD_S, STOPPED_S, ANSWER_S = 25.0, 1.0, 2.0, 10.0
+MOST_S, HOLD_S, STOPPED_S, ANSWER_S = 25.0, 1.5, 2.0, 10.0
 FINGER = (
     "type='box' size='0.004 0.014 0.014' friction='0.6 0.001 0.0001' mass='0.1' solref='-6000 -15'"
 )
@@ -153,9 +153,14 @@ class Controller:
 
     def begin(self):
         """Let untouched frames pass until the controller feels the whole skin."""
-        for _ in range(300):
+        ends_s = time.monotonic() + 3 * ANSWER_S
+        while time.monotonic() < ends_s:
             if any(process.poll() is not None for process in self.processes):
                 raise SystemExit("mujoco_grip: the driver or the controller has ended")
+            heard = self.node.count_subscribers("/skin/contacts") == 2  # by both of us
+            if not (heard and self.objects.get_subscription_count()):
+                rclpy.spin_once(self.node, timeout_sec=0.05)
+                continue
             answer = self.ask([], patience_s=0.2)
             if answer and not answer[3]:
                 return

@@ -21,11 +21,12 @@ from ..places.indenters import STIFFNESS_PA_PER_M, Box, Cylinder, Foundation, In
 from ..places.layout import Layout
 from ..places.poses import Pose
 
-DEEPEST_M = 0.02
-"""Depth beyond which no object is pressed; chosen, far beyond the soft cover of a finger. What has
-not enough of the skin under it for its force, as it touches the geom elsewhere, stays there."""
-HALVINGS = 24
-"""Of DEEPEST_M, to the depth that gives the force: to 1 nm."""
+ABOVE_M, FIRST_M, GROWTH, DEEPEST_M = 2e-3, 1e-4, 1.5, 0.02
+"""Where the depth that gives a force is looked for: from ABOVE_M over MuJoCo's place on, in steps
+that begin with FIRST_M, m, and grow. Chosen: MuJoCo's contacts are flatter than ABOVE_M, and the
+soft cover of a finger is thinner than DEEPEST_M."""
+HALVINGS = 20
+"""Of the step in which the force is reached: to a few nm at most."""
 
 
 class MujocoSkin:
@@ -102,13 +103,20 @@ class MujocoSkin:
         )
 
     def _pressed(self, thing: Indenter, force_n: float) -> Indenter:
-        """The object where it touches the skin with this force, moved along the skin's normal."""
+        """The object where it touches the skin with this force, moved along the skin's normal.
+
+        One that cannot have the force, as it touches the geom beside the skin, stays where it is.
+        """
         x, y, z = thing.position_m
 
         def moved(depth_m: float) -> Indenter:
             return replace(thing, position_m=(x, y, z - depth_m))
 
-        low_m, high_m = -DEEPEST_M, DEEPEST_M
+        low_m, high_m, step_m = -ABOVE_M, -ABOVE_M, FIRST_M
+        while self._force_n(moved(high_m)) < force_n:
+            low_m, high_m, step_m = high_m, high_m + step_m, GROWTH * step_m
+            if high_m > DEEPEST_M:
+                return thing
         for _ in range(HALVINGS):
             middle_m = (low_m + high_m) / 2
             if self._force_n(moved(middle_m)) < force_n:
