@@ -4,7 +4,11 @@
 
 from __future__ import annotations
 
+import re
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -130,6 +134,17 @@ def test_other_ports_are_not_pressed() -> None:
         stepped().press(BALL)
     with pytest.raises(SpecError, match="the scene is 'press'"):
         VirtualDigitizer(SimOptions(scene="press")).press([BALL])
+
+
+def test_the_example_feels_what_it_presses() -> None:
+    example = Path(__file__).resolve().parents[3] / "examples" / "press_a_skin.py"
+    done = subprocess.run([sys.executable, str(example)], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    lines = [re.findall(r"[\d.]+(?= N| mm)", line) for line in done.stdout.splitlines()]
+    depth_mm, pressed_n, felt_n, felt_mm, true_mm = np.array(lines, dtype=float).T
+    assert (len(lines), depth_mm[-1]) == (13, 3.0)
+    assert felt_n == pytest.approx(pressed_n, abs=0.04)
+    assert felt_mm == pytest.approx(true_mm, abs=0.5)
 
 
 def test_a_pose_that_is_none_is_refused_before_it_reaches_the_skin() -> None:
