@@ -40,9 +40,21 @@ RADIUS_M, GAP_M, LIGHT_KG, HEAVY_KG = 0.020, 0.5e-3, 0.100, 0.250
 LIFT_M, LIFT_M_S, FILL_KG_S = 0.060, 0.03, 0.05
 UP_M, SLIPS_M_S = 0.040, 2e-3
 MOST_S, HOLD_S, STOPPED_S, ANSWER_S = 25.0, 1.5, 2.0, 10.0
-FINGER = (
-    "type='box' size='0.004 0.014 0.014' friction='0.6 0.001 0.0001' mass='0.1' solref='-6000 -15'"
-)
+RUBBER = "friction='0.6 0.001 0.0001' solref='-6000 -15'"
+
+
+def finger(name, side, face, colour):
+    """The XML of a finger; side: -1 left, 1 right. face: name of the geom that touches."""
+    return f"""
+      <body name="{name}" gravcomp="1" pos="{side * (RADIUS_M + GAP_M + 0.004)} 0 0">
+        <joint name="{name}" type="slide" axis="{-side} 0 0" damping="40"/>
+        <geom name="{face}" type="box" size="0.004 0.014 0.014" mass="0.1" {RUBBER}
+              rgba="{colour}"/>
+        <geom type="box" pos="{0.006 * side} 0 0.02" size="0.002 0.008 0.034" mass="0.05"
+              contype="0" conaffinity="0" rgba="0.4 0.4 0.45 1"/>
+      </body>"""
+
+
 MODEL = f"""
 <mujoco>
   <option timestep="{FRAME_S / STEPS}" cone="elliptic" impratio="100"/>
@@ -55,23 +67,13 @@ MODEL = f"""
     <body name="hand" gravcomp="1" pos="0 0 {RADIUS_M}">
       <joint name="lift" type="slide" axis="0 0 1" damping="50"/>
       <geom type="box" pos="0 0 0.05" size="0.05 0.012 0.006" mass="0.5" rgba="0.3 0.3 0.35 1"/>
-      <body name="left" gravcomp="1" pos="{-RADIUS_M - GAP_M - 0.004} 0 0">
-        <joint name="left" type="slide" axis="1 0 0" damping="40"/>
-        <geom name="skin" {FINGER} rgba="0.15 0.45 0.55 1"/>
-        <geom type="box" pos="-0.006 0 0.02" size="0.002 0.008 0.034" mass="0.05" contype="0"
-              conaffinity="0" rgba="0.4 0.4 0.45 1"/>
-      </body>
-      <body name="right" gravcomp="1" pos="{RADIUS_M + GAP_M + 0.004} 0 0">
-        <joint name="right" type="slide" axis="-1 0 0" damping="40"/>
-        <geom name="bare" {FINGER} rgba="0.4 0.4 0.45 1"/>
-        <geom type="box" pos="0.006 0 0.02" size="0.002 0.008 0.034" mass="0.05" contype="0"
-              conaffinity="0" rgba="0.4 0.4 0.45 1"/>
-      </body>
+      {finger("left", -1, "skin", "0.15 0.45 0.55 1")}
+      {finger("right", 1, "bare", "0.4 0.4 0.45 1")}
     </body>
     <body name="thing" pos="0 0 {RADIUS_M}">
       <freejoint/>
       <geom name="thing" type="cylinder" size="{RADIUS_M} 0.012" euler="90 0 0" mass="{LIGHT_KG}"
-            friction="0.6 0.001 0.0001" solref="-6000 -15" rgba="0.85 0.5 0.2 1"/>
+            {RUBBER} rgba="0.85 0.5 0.2 1"/>
     </body>
   </worldbody>
   <actuator>
