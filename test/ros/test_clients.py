@@ -123,6 +123,8 @@ def test_grip_closes_until_5_kpa_holds_and_stops_what_slides(
     ):
         client.create_subscription(Float64, "/gripper/close_mm", close, 10)
         client.create_subscription(Bool, "/arm/stop", lambda m: stops.append(m.data), 10)
+        claims: list[bool] = []
+        client.create_subscription(Bool, "/gripper/gripped", lambda m: claims.append(m.data), 10)
         with example("grip"):
             wait_for(lambda: stops and not stops[-1], PATIENCE_S)
             feeling = len(stops)
@@ -130,6 +132,7 @@ def test_grip_closes_until_5_kpa_holds_and_stops_what_slides(
             # the taxel nearest to the peak reads a bit less than it
             assert 5e3 <= thing.peak_pa < 10e3
             assert not any(stops[feeling:])
+            wait_for(lambda: claims[-1], PATIENCE_S)
 
             grip_mm, before = commands_mm[-1], len(stops)
             thing.needed_pa = thing.peak_pa + 1e3  # somebody pulls
@@ -152,9 +155,11 @@ class Gripper:
     def __init__(self, client: Client) -> None:
         self.closed_mm: list[float] = []
         self.stops: list[bool] = []
+        self.claims: list[bool] = []
         self.moved_s = -math.inf  # when it was last told to close further
         client.create_subscription(Float64, "/gripper/close_mm", self._close, 10)
-        client.create_subscription(Bool, "/arm/stop", lambda m: self.stops.append(m.data), 10)
+        for topic, heard in (("/arm/stop", self.stops), ("/gripper/gripped", self.claims)):
+            client.create_subscription(Bool, topic, lambda m, to=heard: to.append(m.data), 10)
 
     def _close(self, message: Float64) -> None:
         if self.closed_mm and message.data > self.closed_mm[-1]:
@@ -188,6 +193,7 @@ def test_grip_stops_within_stale_after_s_once_all_nodes_have_died() -> None:
     assert gripper.closed_mm[-1] - closed_mm < 0.1, "what was on its way"
     assert gripper.closed_mm[-1] < 0.9 * MOST_MM, "the limit of travel has no part in it"
     assert gripper.stops[-1]
+    assert not any(gripper.claims)
 
 
 @pytest.mark.parametrize("dead", [ALL_DEAD, "6"])
@@ -197,6 +203,8 @@ def test_grip_never_closes_with_nodes_that_were_never_heard(dead: str) -> None:
         wait_for(lambda: len(gripper.stops) > 4 / 0.0128, PATIENCE_S)  # a press on and off
     assert set(gripper.closed_mm) == {0.0}
     assert all(gripper.stops)
+    assert gripper.claims
+    assert not any(gripper.claims)
 
 
 def test_grip_stops_at_its_limit_of_travel_and_without_messages() -> None:
