@@ -22,6 +22,8 @@ from .poses import Pose
 
 STIFFNESS_PA_PER_M = 1e7
 """Where no stiffness is given, Pa/m: 10 kPa per mm, a soft cover some millimetres thick. Chosen."""
+MOST_PA_PER_M, MOST_M = 1e12, 1e3
+"""Greatest stiffness, Pa/m, size and distance, m. Chosen, beyond every object; nothing overflows."""
 EDGE_POINTS = 6
 """Points per edge of a taxel over which its pressure is averaged. Chosen: the edge of a box is
 placed to a twelfth of a taxel's edge, or better."""
@@ -47,13 +49,19 @@ class Indenter(ABC):
     stiffness_pa_per_m: float = STIFFNESS_PA_PER_M
 
     def __post_init__(self) -> None:
-        _positive(f"stiffness_pa_per_m of {self._kind}", self.stiffness_pa_per_m)
+        name = f"stiffness_pa_per_m of {self._kind}"
+        _positive(name, self.stiffness_pa_per_m, MOST_PA_PER_M)
         if len(self.position_m) != 3 or len(self.orientation_xyzw) != 4:
             raise ParameterError(f"{self._kind}: a position has 3 values, an orientation has 4")
         try:
             _ = self.pose
         except ValueError as error:
             raise ParameterError(f"{self._kind}: {error}") from None
+        if max(map(abs, self.position_m)) > MOST_M:
+            raise ParameterError(
+                f"position_m of {self._kind} is {tuple(self.position_m)}; it must be within "
+                f"{MOST_M:g} m"
+            )
 
     @property
     def _kind(self) -> str:
@@ -170,10 +178,10 @@ class HeightMap(Indenter):
 
     def __post_init__(self) -> None:
         grid = np.array(self.underside_m, dtype=np.float64)  # a copy: nobody else writes to it
-        if grid.ndim != 2 or min(grid.shape) < 2 or not np.isfinite(grid).all():
+        if grid.ndim != 2 or min(grid.shape) < 2 or not (np.abs(grid) <= MOST_M).all():
             raise ParameterError(
                 f"underside_m of HeightMap has the shape {grid.shape}; it must have at least 2 "
-                "rows and 2 columns of finite values"
+                f"rows and 2 columns of values within {MOST_M:g} m"
             )
         if len(self.size_m) != 2:
             raise ParameterError(f"size_m of HeightMap has {len(self.size_m)} values, not 2")
@@ -294,6 +302,6 @@ def _both(first: Spans, second: Spans) -> Spans:
     return np.where(hits, enters_m, np.inf), np.where(hits, leaves_m, -np.inf)
 
 
-def _positive(name: str, value: float) -> None:
-    if not (value > 0 and math.isfinite(value)):
-        raise ParameterError(f"{name} is {value}; it must be a number above 0")
+def _positive(name: str, value: float, most: float = MOST_M) -> None:
+    if not 0 < value <= most:
+        raise ParameterError(f"{name} is {value}; it must be above 0, and {most:g} at most")

@@ -209,6 +209,14 @@ def test_nothing_pulls_and_what_is_away_does_not_touch(
             lambda: Sphere(radius_m=1.0, position_m=(0, 0, 0), stiffness_pa_per_m=-1.0),
             "stiffness_pa_per_m of Sphere is -1",
         ),
+        (lambda: Sphere(radius_m=1.0, position_m=(0, 2e3, 0)), "within 1000 m"),
+        (lambda: Sphere(radius_m=1e9, position_m=(0, 0, 0)), "1000 at most"),
+        (
+            lambda: HeightMap(
+                underside_m=np.full((2, 2), np.nan), size_m=(1, 1), position_m=(0, 0, 0)
+            ),
+            "within 1000 m",
+        ),
         (lambda: Box(size_m=(1, 1), position_m=(0, 0, 0)), "must have 3"),
         (lambda: Cylinder(radius_m=1, length_m=math.inf, position_m=(0, 0, 0)), "length_m"),
         (
