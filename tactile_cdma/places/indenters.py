@@ -23,7 +23,7 @@ from .poses import Pose
 STIFFNESS_PA_PER_M = 1e7
 """Where no stiffness is given, Pa/m: 10 kPa per mm, a soft cover some millimetres thick. Chosen."""
 MOST_PA_PER_M, MOST_M = 1e12, 1e3
-"""Greatest stiffness, Pa/m, size and distance, m. Chosen, beyond every object; nothing overflows."""
+"""Greatest stiffness, Pa/m; size and distance, m. Chosen beyond every object; nothing overflows."""
 EDGE_POINTS = 6
 """Points per edge of a taxel over which its pressure is averaged. Chosen: the edge of a box is
 placed to a twelfth of a taxel's edge, or better."""

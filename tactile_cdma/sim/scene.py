@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.arrays import Indices
 from ..places.indenters import Foundation, Indenter
 from ..places.layout import Layout
 
@@ -27,12 +28,13 @@ class Skin:
 
     positions_m: (n, 2) float64, place of every node about the centre of the skin, m.
     pitch_m: distance of neighbouring taxels, m. seed: places the contacts of random scenes.
-    cover: of the same nodes, for objects in the skin's own frame.
+    layout: of the skin; taxels: (n,), the taxel there that each node is behind.
     """
 
     positions_m: NDArray[np.float64]
     pitch_m: float
-    cover: Foundation
+    layout: Layout
+    taxels: Indices
     seed: int = 0
 
     @classmethod
@@ -46,14 +48,18 @@ class Skin:
         flat_m -= (flat_m.min(axis=0) + flat_m.max(axis=0)) / 2
         taxel = np.zeros(nodes, dtype=np.intp)  # of every node, among those placed
         taxel[layout.nodes[placed] - 1] = np.arange(len(placed))
-        at = placed[taxel]
-        cover = Foundation(layout.positions_m[at], layout.normals[at], layout.areas_m2[at])
-        return cls(flat_m[taxel], layout.pitch_m, cover, seed)
+        return cls(flat_m[taxel], layout.pitch_m, layout, placed[taxel], seed)
 
     @property
     def half_extent_m(self) -> NDArray[np.float64]:
         """(2,) distance from the centre of the skin to its outermost taxels, m."""
         return np.asarray(np.abs(self.positions_m).max(axis=0))
+
+    @cached_property
+    def cover(self) -> Foundation:
+        """The elastic cover over all nodes, for objects in the skin's own frame."""
+        layout, at = self.layout, self.taxels
+        return Foundation(layout.positions_m[at], layout.normals[at], layout.areas_m2[at])
 
     @cached_property
     def contacts(self) -> list[_Contact]:
