@@ -54,6 +54,20 @@ def test_pressures_come_back_within_the_resolution_of_the_converter() -> None:
         assert not skin.step().pressure_pa.any(), "released"
 
 
+def test_a_curved_skin_is_pressed_in_its_own_frame() -> None:
+    path = Path(__file__).resolve().parents[3] / "config" / "layouts" / "cylinder.yaml"
+    port = f"{STEPPED}&threshold=0&layout={path}"
+    with Skin(port, layout_file=path, nodes=72, frame_period_ms=40.0) as skin:
+        layout = skin.layout
+        cover = Foundation(layout.positions_m, layout.normals, layout.areas_m2)
+        for taxel in (0, 17, 71):
+            centre_m = layout.positions_m[taxel] + 0.0185 * layout.normals[taxel]
+            ball = Sphere(radius_m=0.02, position_m=centre_m.tolist())
+            true_pa, frame = cover.pressure_pa([ball]), skin.step(ball)
+            assert np.argmax(frame.pressure_pa) == taxel
+            assert np.abs(frame.pressure_pa - true_pa).max() <= 0.51 * LSB_PA
+
+
 def test_what_is_beyond_the_sensors_is_clamped_and_flagged() -> None:
     with stepped("threshold=0") as skin:
         box = Box(size_m=(0.1, 0.1, 0.1), position_m=(0, 0, 0.03), stiffness_pa_per_m=1e7)
