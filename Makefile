@@ -2,6 +2,7 @@
 #              PATCHES=config/body.yaml: a body of many patches
 #              FIRMWARE=1: the emulated skin, with real firmware on its nodes and in its digitizer
 # make view    the same in the Rerun viewer, which it installs; WEB=1: in a browser
+# make example-grip  a gripper in MuJoCo grips by the skin of a finger; BLIND=1: without its cue for slip
 # make check   lint and the core's tests, in less than a minute; use it while you work
 # make test    lint and all tests
 # make mutants wrong operators in the modules changed SINCE=HEAD~1: lists those that no unit test detects; COUNT=24
@@ -27,6 +28,7 @@
 
 PYTHON ?= python3
 DISTRO ?=
+BLIND ?=
 VENV ?= .venv$(addprefix -,$(filter-out jazzy,$(DISTRO)))
 PORT ?=
 PARAMS ?=
@@ -44,7 +46,7 @@ CORE = base code places wire words framing clocks readings config views driver d
 export LC_ALL ?= C.UTF-8
 
 # Variables of the command line, without those that exist: a misspelt one would be ignored.
-VARIABLES = PYTHON DISTRO VENV PORT PARAMS PATCHES WEB SECONDS FIRMWARE ONLY SEED COUNT SINCE PYTEST QUICK LC_ALL
+VARIABLES = PYTHON DISTRO VENV PORT PARAMS PATCHES WEB BLIND SECONDS FIRMWARE ONLY SEED COUNT SINCE PYTEST QUICK LC_ALL
 UNKNOWN := $(filter-out $(VARIABLES),$(foreach v,$(.VARIABLES),$(if $(filter command%,$(origin $v)),$v)))
 MEANT = from difflib import get_close_matches as near; from sys import argv; \
         print(*(f"; did you mean {name}?" for name in near(argv[1].upper(), argv[2:], 1)))
@@ -54,7 +56,7 @@ endif
 
 BIN = $(VENV)/bin
 .DEFAULT_GOAL := help
-.PHONY: help run check test mutants lint setup bench-setup view view-setup torture soak fuzz fuzz-setup fuzz-packages audit audit-packages clean firmware firmware-test firmware-thousand firmware-figures firmware-tools spice boards scope
+.PHONY: help run example-grip check test mutants lint setup bench-setup view view-setup torture soak fuzz fuzz-setup fuzz-packages audit audit-packages clean firmware firmware-test firmware-thousand firmware-figures firmware-tools spice boards scope
 
 help:
 	@sed -n '/^$$/q; s/^# //p' Makefile
@@ -72,6 +74,11 @@ view-setup:
 
 view: view-setup $(if $(filter-out 0,$(FIRMWARE)),firmware)
 	@"$(BIN)/python" tools/run.py --port "$(PORT)" --params "$(PARAMS)" --firmware "$(FIRMWARE)" --patches "$(PATCHES)" --rerun $(if $(filter-out 0,$(WEB)),web,window)
+
+example-grip:
+	@command -v $(PYTHON) >/dev/null || { echo "setup: error: no $(PYTHON); apt install python3-venv"; exit 1; }
+	@$(PYTHON) tools/setup_env.py --venv "$(VENV)" --distro "$(DISTRO)" --extra mujoco
+	@"$(BIN)/python" examples/mujoco_grip.py $(if $(filter-out 0,$(BLIND)),--blind)
 
 check: lint
 	@"$(BIN)/python" -m pytest -n 2 --dist loadgroup -q -m "not slow" --hypothesis-profile quick $(CORE:%=test/unit/%)

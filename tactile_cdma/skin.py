@@ -28,6 +28,7 @@ from .config.skin_config import SkinConfig
 from .driver.digitizer import Source
 from .driver.driver import NOT_YET, Driver
 from .driver.pipeline import Pipeline, TactileFrame
+from .places.indenters import Indenter
 from .places.layout import Layout
 from .recording.capture import read_bytes
 from .wire.port import Port
@@ -194,6 +195,24 @@ class Skin:
             frames.clear()
             return _frame(newest, self.layout)
 
+    def press(self, *objects: Indenter) -> None:
+        """Let these objects, and no others, touch a simulated skin from its next frame on.
+
+        Poses are in the frame of the skin; without objects nothing touches it any more. Raises
+        PortError where the port is not sim://?scene=external, or not open.
+        """
+        self._running().press(objects)
+
+    def step(self, *objects: Indenter) -> Frame:
+        """Let these objects, and no others, touch a simulated skin for one frame; returns it.
+
+        With sim://?scene=external&speed=0, where no frame passes otherwise: the same steps give the
+        same frames, however long the program takes in between. Raises PortError as press() and
+        read().
+        """
+        self._running().press(objects, frames=1)
+        return self.read()
+
     def tare(self, force: bool = False) -> NDArray[np.float32]:
         """Take the present reading as zero until the skin is closed.
 
@@ -233,7 +252,7 @@ class Skin:
         with inbox.changed:
             while not inbox.frames:
                 driver = self._running()
-                reason = (driver.problem or "the stream has stopped").removeprefix(f"{self.port}: ")
+                reason = driver.silence.removeprefix(f"{self.port}: ")
                 if driver.ended:
                     raise RecordingEndError(f"{self.port}: {reason}")
                 if time.monotonic() - begun_s >= limit_s:

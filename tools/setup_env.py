@@ -40,7 +40,7 @@ ROS_REQUIREMENTS = {"jazzy": "requirements-jazzy.txt", "kilted": "requirements-k
 DEFAULT_DISTRO = "jazzy"
 # What only some targets need, by the stamp of its step.
 EXTRA_REQUIREMENTS = {
-    name: f"requirements-{name}.txt" for name in ("audit", "bench", "fuzz", "view")
+    name: f"requirements-{name}.txt" for name in ("audit", "bench", "fuzz", "mujoco", "view")
 }
 
 

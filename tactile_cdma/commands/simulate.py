@@ -7,12 +7,14 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from ..base.errors import SpecError
 from ..base.interrupt import stop_event
 from ..config.arguments import positive
 from ..config.parameters import SIMULATION
 from ..sim.digitizer import VirtualDigitizer
 from ..sim.options import SimOptions
 from ..sim.pty import serve
+from ..sim.scene import EXTERNAL
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -27,6 +29,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Serve until the time is up or Ctrl-C."""
     options = SimOptions.from_url(arguments.url)
+    if options.scene == EXTERNAL:
+        raise SpecError(
+            f"scene={EXTERNAL}: nobody presses on a skin behind a tty; a program does, or "
+            "~/sim/objects, with this URL as the port itself"
+        )
     with stop_event(arguments.seconds) as stop:
         serve(
             lambda: VirtualDigitizer(options),

@@ -8,12 +8,13 @@ import math
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 from ..base.errors import PortError, RecordingEndError
 from ..config.parameters import REPLAY
 from ..config.skin_config import SkinConfig
+from ..places.indenters import Indenter
 from ..readings.stuck import StuckNodes
 from ..wire.discovery import is_away
 from ..wire.packets import MAX_REPEATED
@@ -70,6 +71,7 @@ class Driver:
         self.vitals = Vitals()
         self.stuck = StuckNodes(config.layout)
         self._first_port: Port | None = None
+        self._port: Port | None = None  # while one is open
         self.url, self._baud = url, baud
         self._on_frame, self._on_problem = on_frame, on_problem
         self._stop = threading.Event()
@@ -79,7 +81,7 @@ class Driver:
 
     def start(self, port: Port | None = None) -> None:
         """Begin to stream; port: already open, if there is one (the driver closes it)."""
-        self._first_port = port
+        self._first_port = self._port = port
         self._thread.start()
 
     def stop(self) -> None:
@@ -93,6 +95,21 @@ class Driver:
             self._thread.join(CONNECT_S)
             if self._opening:
                 return
+
+    def press(self, objects: Sequence[Indenter], frames: int = 0) -> None:
+        """As Port.press, of the port that is open; a newly opened one is untouched."""
+        port = self._port
+        if port is None:
+            raise PortError(f"{self.url}: not pressed, because it is not open")
+        port.press(objects, frames)
+
+    @property
+    def silence(self) -> str:
+        """Why no frame comes, if none does: the problem, or what else may be the cause."""
+        port = self._port
+        if port is not None and port.stepped and self.problem in (None, WAITING):
+            return "frames pass one step() at a time"
+        return self.problem or "the stream has stopped"
 
     @contextmanager
     def between_frames(self) -> Iterator[Pipeline]:
@@ -119,6 +136,7 @@ class Driver:
                     if self._stop.is_set():
                         return
                     self.connections += 1
+                    self._port = port
                     self._stream(port)
             except RecordingEndError as end:
                 self._report(str(end))
@@ -128,6 +146,8 @@ class Driver:
                 self._report(str(error))
             except Exception:  # a defect must neither go unseen nor end the skin for good
                 self._report(f"internal error, starting again: {traceback.format_exc()}")
+            finally:
+                self._port = None
             if self.pipeline.counters.frames > frames:
                 attempt = 0
             came_back = self._pause(RETRY_S[min(attempt, len(RETRY_S) - 1)])
@@ -159,7 +179,7 @@ class Driver:
     def _stream(self, port: Port) -> None:
         """Start the digitizer and decode until stopped; raises PortError when the port is lost."""
         pipeline = self.pipeline
-        session = Session(pipeline.config)
+        session = Session(pipeline.config, port.stepped)
         with self._busy:
             pipeline.reconnected()
         if self.problem in NOT_YET:

@@ -58,10 +58,13 @@ class Session:
     problem: the likely cause of having received no frame; None if none is known.
     """
 
-    def __init__(self, config: SkinConfig | None = None) -> None:
-        """config: how the digitizer is to be set; None leaves it as it is."""
+    def __init__(self, config: SkinConfig | None = None, stepped: bool = False) -> None:
+        """config: how the digitizer is to be set; None leaves it as it is.
+
+        stepped: of a simulated digitizer, whose frames pass as a program asks for them.
+        """
         self.problem: str | None = None
-        self._config = config
+        self._config, self._stepped = config, stepped
         self._writer = PacketWriter()
         self._setting = () if config is None else _setting(config)
         self._ours = config is None or config.digitizer_id is None
@@ -104,6 +107,8 @@ class Session:
             self._was_idle = False
             self._note_progress(pipeline, now_s)
         if now_s >= self._deadline_s:
+            if self._stepped and digitizer.refusal is None:
+                return b""  # another START would begin a stream anew
             self.problem = self._why(pipeline)
         else:
             self._obeyed |= bool(digitizer.streaming)

@@ -5,5 +5,10 @@
     scene ──▶ nodes ──▶ line (by channel) ──▶ packets ──▶ digitizer ──▶ sim:// (protocol_sim)
                                               schedule ──┘       └──▶ a tty (pty)
 
-pyserial finds `sim://` once 'tactile_cdma.sim' is in serial.protocol_handler_packages.
+pyserial finds `sim://` once 'tactile_cdma.sim' is in serial.protocol_handler_packages. For programs
+that press on sim://?scene=external there are the objects below; docs/simulation.md.
 """
+
+from ..places.indenters import Box, Cylinder, Foundation, HeightMap, Indenter, Sphere
+
+__all__ = ["Box", "Cylinder", "Foundation", "HeightMap", "Indenter", "Sphere"]

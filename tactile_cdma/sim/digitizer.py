@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import SpecError
+from ..places.indenters import Indenter
 from ..wire._protocol import PACKED_BITS, SIMULATED_ID, Result, SyncMode
 from ..wire.messages import (
     Command,
@@ -40,6 +41,7 @@ from .line import truth
 from .nodes import NodeFrame, RollCalls
 from .options import Setup, SimOptions
 from .packets import Block, stream
+from .scene import EXTERNAL, External
 from .schedule import REPORT_S, Schedule
 
 BUFFER_S = 0.5
@@ -60,7 +62,8 @@ class VirtualDigitizer:
     are missing from the sequence and counted in STATUS. A machine that cannot make the samples at
     this speed loses frames as a digitizer does in an overrun; the skin stands still meanwhile. At
     speed 0 packets are made as they are asked for, so there is never one to drop; without a stream
-    time then passes as usual.
+    time then passes as usual. In the scene "external" a program presses on the skin, and at speed 0
+    it also says how many frames pass.
 
     packets_dropped, samples_lost, commands_refused: as in STATUS. frames_lost: since START.
     born_s: host time of power-up, s.
@@ -82,6 +85,8 @@ class VirtualDigitizer:
         self._disturbance = disturbance
         self._roll_calls = RollCalls()
         self._parser, self._writer = PacketParser(), PacketWriter()
+        self._external = External() if self.options.scene == EXTERNAL else None
+        self._steps_left = 0  # frames that may begin, where the program says so
         self._commands = 0
         self._packs = False
         self._output = bytearray(1)  # a delimiter ends whatever was on the line before
@@ -115,6 +120,24 @@ class VirtualDigitizer:
                 self.commands_refused += 1
                 self._send(packet.ack())
 
+    def press(self, objects: Sequence[Indenter], frames: int = 0) -> None:
+        """Let these objects, and no others, touch the skin from the next frame on.
+
+        frames: at speed 0, number of frames that may pass, after those allowed before.
+        Raises SpecError where another scene is played, or frames pass by themselves.
+        """
+        if self._external is None:
+            raise SpecError(
+                f"the scene is {self.options.scene!r}; a program presses on sim://?scene={EXTERNAL}"
+            )
+        if frames and not self.options.stepped:
+            raise SpecError(
+                f"speed is {self.options.speed:g}, so frames pass by themselves; one by one they "
+                f"do with sim://?scene={EXTERNAL}&speed=0"
+            )
+        self._external.press(objects)
+        self._steps_left += frames
+
     def advance(self, wanted: int = 1) -> float:
         """Put what is due by now in the output buffer; at speed 0, at least `wanted` bytes.
 
@@ -126,6 +149,10 @@ class VirtualDigitizer:
         while (due_s := schedule.due_s) <= schedule.now_s or (
             schedule.hurried and self.pending < wanted
         ):
+            begins = schedule.frame_is_due and self.options.stepped
+            if begins and not self._steps_left:
+                break
+            self._steps_left -= begins
             schedule.now_s = max(schedule.now_s, due_s)
             if due_s == schedule.report_s:
                 self._report()
@@ -165,7 +192,8 @@ class VirtualDigitizer:
     def truth(self, frame_number: int) -> NodeFrame:
         """What the nodes measured and sent in a frame, in the present set-up; 0 is START's.
 
-        Computed anew, so that any frame may be asked for; in rising order that costs least.
+        Computed anew, so that any frame may be asked for; in rising order that costs least. What a
+        program pressed is not remembered: of the scene "external" this is the untouched skin.
         """
         if self._truth is None or (self._true_frame and self._true_frame.number > frame_number):
             called = RollCalls(self._roll_calls.starts)  # the stream begins those asked for
@@ -179,9 +207,7 @@ class VirtualDigitizer:
         match command:
             case Start():
                 self._roll_calls = RollCalls()
-                self._schedule.start(
-                    stream(self.options, self.setup, self._roll_calls, self._disturbance)
-                )
+                self._schedule.start(self._stream())
                 self.frames_lost, self._overrun = 0, False
                 self._truth = None
             case Stop():
@@ -200,6 +226,10 @@ class VirtualDigitizer:
         self._send(command.ack(result))
         if isinstance(command, GetInfo | Configure):
             self._send(self.info())
+
+    def _stream(self) -> Iterator[Block]:
+        options, calls = self.options, self._roll_calls
+        return stream(options, self.setup, calls, self._disturbance, self._external)
 
     def _configure(self, command: Configure) -> Result:
         """Adopt a set-up as far as the options leave it open; this ends a stream."""

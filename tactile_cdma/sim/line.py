@@ -15,17 +15,24 @@ from .disturbance import Disturbance
 from .loads import LOADS
 from .nodes import NodeFrame, RollCalls, frame_start_s, node_frames
 from .options import Setup, SimOptions
-from .scene import SCENES
+from .scene import EXTERNAL, SCENES, Scene, idle
 
 
 def truth(
-    options: SimOptions, setup: Setup, roll_calls: RollCalls | None = None
+    options: SimOptions,
+    setup: Setup,
+    roll_calls: RollCalls | None = None,
+    scene: Scene | None = None,
 ) -> Iterator[NodeFrame]:
-    """What the nodes measure and send in every frame since START, endlessly."""
+    """What the nodes measure and send in every frame since START, endlessly.
+
+    scene: what touches the skin; None: what the options say, of "external" the untouched skin.
+    """
+    scenes = SCENES | LOADS | {EXTERNAL: idle}
     spec = setup.spec
     return node_frames(
         spec,
-        (SCENES | LOADS)[options.scene],
+        scene or scenes[options.scene],
         options.skin(spec.nodes, spec.first_row),
         options.rules(spec),
         options.sensors,

@@ -24,7 +24,7 @@ from ..wire._protocol import SyncMode
 from .channel import MAX_JITTER, Channel
 from .loads import LOADS
 from .nodes import ClockModel, NodeRules
-from .scene import SCENES, Skin
+from .scene import EXTERNAL, SCENES, Skin
 from .sensor import IDEAL, MOST_HYSTERESIS, MOST_MISMATCH, PAPER, SensorModel
 
 SCHEME = "sim"
@@ -83,7 +83,8 @@ class SimOptions:
     """
 
     # fmt: off
-    scene: str = _option("moving", "what touches the skin", "", None, (*SCENES, *LOADS))
+    scene: str = _option("moving", "what touches the skin", "", None,
+        (*SCENES, *LOADS, EXTERNAL))
     nodes: int | None = None
     bits: int | None = None
     parity: bool | None = None
@@ -158,6 +159,11 @@ class SimOptions:
         if parts.scheme != SCHEME or parts.netloc or parts.path.strip("/") or parts.fragment:
             raise SpecError(f"{url!r} is not of the form sim://?option=value&option=value")
         return cls(**parse_options(parts.query, OPTIONS, "the simulator"))
+
+    @property
+    def stepped(self) -> bool:
+        """Whether a frame begins only when the program that presses on the skin asks for it."""
+        return self.scene == EXTERNAL and self.speed == 0
 
     @property
     def channel(self) -> Channel:
@@ -241,6 +247,11 @@ class SimOptions:
             integrated = self.integrated
             if integrated and self.timing is None:
                 sync = SyncMode.DRIVE
+        if self.stepped and (sync == SyncMode.NONE or self.start_phase):
+            raise SpecError(
+                f"scene={EXTERNAL} with speed=0 goes from frame to frame, so these need marks, and "
+                "the first one has to be whole: leave out timing=gap and start_phase, or set speed"
+            )
         samples_per_chip = self.samples_per_chip or asked.samples_per_chip
         self._check_size(spec, samples_per_chip)
         return Setup(spec, samples_per_chip, sync, integrated, asked.quiet_uv)

@@ -16,6 +16,7 @@ from .disturbance import Disturbance
 from .line import line_counts, truth
 from .nodes import RollCalls
 from .options import Setup, SimOptions
+from .scene import Scene
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +29,7 @@ class Block:
     begin_s: when the first sample is taken; if integrated, when its chip begins. due_s: when the
         packet is sent: as its last sample's period ends or, if it waits, with the packet after it.
         Both in s since START. waits: a silent gap after a silent frame.
+    last: where frames are marked, of the frame's period: what comes next is of another one.
     """
 
     first_index: int
@@ -38,6 +40,7 @@ class Block:
     begin_s: float
     due_s: float
     waits: bool
+    last: bool
 
 
 def stream(
@@ -45,18 +48,19 @@ def stream(
     setup: Setup,
     roll_calls: RollCalls | None = None,
     disturbance: Disturbance | None = None,
+    scene: Scene | None = None,
 ) -> Iterator[Block]:
     """All packets of samples since START, endlessly; a pure function of its arguments.
 
     Where frames are marked, each begins a new block and ends one; else blocks are of equal size.
-    roll_calls: may be requested while blocks are drawn.
+    roll_calls: may be requested while blocks are drawn. scene: instead of the options' one.
     """
     rate_hz, marks = setup.rate_hz, setup.sync != SyncMode.NONE
     cutter = _Cutter(setup, options.channel.volts_per_count(setup.spec))
     instant = 0.0 if setup.integrated else 0.5  # of a sample within its period
     held = np.empty(0, dtype=np.int16)  # without marks: samples that fill no packet yet
     index, epoch_s = 0, 0.0
-    for frame in truth(options, setup, roll_calls):
+    for frame in truth(options, setup, roll_calls, scene):
         whole = frame.start_s >= 0
         if setup.integrated:
             if not whole:
@@ -78,6 +82,7 @@ def stream(
                 begin_s=epoch_s + (index + instant) / rate_hz,
                 due_s=epoch_s + due / rate_hz,
                 waits=cut.waits,
+                last=cut.stop == len(counts),
             )
             index = stop
 

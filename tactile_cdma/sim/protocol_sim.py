@@ -4,9 +4,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from ..places.indenters import Indenter
 from ..wire.virtual_port import VirtualPort
 from .digitizer import VirtualDigitizer
 from .options import SimOptions
+from .scene import EXTERNAL
 
 
 class Serial(VirtualPort[VirtualDigitizer]):
@@ -16,6 +20,24 @@ class Serial(VirtualPort[VirtualDigitizer]):
     """
 
     READ_AHEAD = 4096  # to make more takes long
+
+    @property
+    def stepped(self) -> bool:
+        """Whether frames pass only as press() asks for them."""
+        with self._changed:
+            return self._opened().options.stepped
+
+    @property
+    def pressable(self) -> bool:
+        """Whether the scene is that of press()."""
+        with self._changed:
+            return self._opened().options.scene == EXTERNAL
+
+    def press(self, objects: Sequence[Indenter], frames: int) -> None:
+        """As VirtualDigitizer.press; for any thread."""
+        with self._changed:
+            self._opened().press(objects, frames)
+            self._changed.notify_all()
 
     def reset_input_buffer(self) -> None:
         """Discard what has arrived and was not read."""

@@ -1,21 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What touches the skin: pressure fields over time."""
+"""What touches the skin: pressure fields over time, or whatever a program presses on it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.arrays import Indices
+from ..places.indenters import Foundation, Indenter
 from ..places.layout import Layout
 
 PEAK_PA = 120e3
 """Peak pressure of a firm contact: well inside the second stage of the paper's sensor."""
+EXTERNAL = "external"
+"""Name of the scene in which a program says what touches the skin."""
 
 
 @dataclass(frozen=True)
@@ -24,10 +28,13 @@ class Skin:
 
     positions_m: (n, 2) float64, place of every node about the centre of the skin, m.
     pitch_m: distance of neighbouring taxels, m. seed: places the contacts of random scenes.
+    layout: of the skin; taxels: (n,), the taxel there that each node is behind.
     """
 
     positions_m: NDArray[np.float64]
     pitch_m: float
+    layout: Layout
+    taxels: Indices
     seed: int = 0
 
     @classmethod
@@ -39,14 +46,20 @@ class Skin:
         placed = np.flatnonzero(layout.nodes)
         flat_m = layout.flat_m[placed].astype(np.float64)
         flat_m -= (flat_m.min(axis=0) + flat_m.max(axis=0)) / 2
-        positions_m = flat_m[:1].repeat(nodes, axis=0)
-        positions_m[layout.nodes[placed] - 1] = flat_m
-        return cls(positions_m, layout.pitch_m, seed)
+        taxel = np.zeros(nodes, dtype=np.intp)  # of every node, among those placed
+        taxel[layout.nodes[placed] - 1] = np.arange(len(placed))
+        return cls(flat_m[taxel], layout.pitch_m, layout, placed[taxel], seed)
 
     @property
     def half_extent_m(self) -> NDArray[np.float64]:
         """(2,) distance from the centre of the skin to its outermost taxels, m."""
         return np.asarray(np.abs(self.positions_m).max(axis=0))
+
+    @cached_property
+    def cover(self) -> Foundation:
+        """The elastic cover over all nodes, for objects in the skin's own frame."""
+        layout, at = self.layout, self.taxels
+        return Foundation(layout.positions_m[at], layout.normals[at], layout.areas_m2[at])
 
     @cached_property
     def contacts(self) -> list[_Contact]:
@@ -67,6 +80,27 @@ class Skin:
 
 Scene = Callable[[float, Skin], NDArray[np.float64]]
 """(t_s, skin) → (n,) float64, Pa: pressure on every taxel t_s seconds after START."""
+
+
+class External:
+    """The scene of a program: the objects that touch the skin since it last said so.
+
+    Their pressures are computed once, so that what lies still costs nothing.
+    """
+
+    def __init__(self) -> None:
+        self._objects: tuple[Indenter, ...] = ()
+        self._pressed: tuple[Skin, NDArray[np.float64]] | None = None
+
+    def press(self, objects: Sequence[Indenter]) -> None:
+        """From now on these touch the skin, and no others."""
+        self._objects, self._pressed = tuple(objects), None
+
+    def __call__(self, t_s: float, skin: Skin) -> NDArray[np.float64]:
+        """Pressures at present, whatever t_s is; a Scene."""
+        if self._pressed is None or self._pressed[0] is not skin:
+            self._pressed = skin, skin.cover.pressure_pa(self._objects)
+        return self._pressed[1]
 
 
 def idle(t_s: float, skin: Skin) -> NDArray[np.float64]:

@@ -43,6 +43,11 @@ class Schedule:
         return min(self.report_s, self.started_s + self._next.due_s)
 
     @property
+    def frame_is_due(self) -> bool:
+        """Whether what is due next is to compute a new frame; where frames are marked."""
+        return self._next.begins and self.due_s != self.report_s
+
+    @property
     def wait_s(self) -> float:
         """Host time until something is due, s."""
         return max(0.0, self.due_s - self.now_s) / (self._speed or 1.0)
@@ -79,20 +84,27 @@ class Schedule:
 
 
 class _Step(NamedTuple):
-    """due_s: s since START. block: to be sent; None: the samples after it are to be computed."""
+    """due_s: s since START. block: to be sent; None: the samples after it are to be computed.
+
+    begins: those are of a new frame, where frames are marked.
+    """
 
     due_s: float
     block: Block | None = None
+    begins: bool = False
 
 
 def _steps(blocks: Iterator[Block], prepare_s: float) -> Iterator[_Step]:
-    """Computes the blocks that are sent next, with the one that a waiting block waits for."""
-    due_s = 0.0
+    """Computes the blocks that are sent next, with the one that a waiting block waits for.
+
+    Without a pause (prepare_s) nothing waits: no frame is computed before it is asked for.
+    """
+    due_s, begins = 0.0, True
     while True:
-        yield _Step(due_s)
+        yield _Step(due_s, begins=begins)
         ready = [next(blocks)]
-        while ready[-1].waits:
+        while ready[-1].waits and prepare_s:
             ready.append(next(blocks))
         for block in ready:
             yield _Step(block.due_s, block)
-        due_s = ready[-1].due_s + prepare_s
+        due_s, begins = ready[-1].due_s + prepare_s, ready[-1].last

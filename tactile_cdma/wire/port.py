@@ -9,14 +9,15 @@ import re
 import select
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import TypeVar
 
 import serial
 
 from ..base import kernel
-from ..base.errors import CaptureError, PortError
+from ..base.errors import CaptureError, PortError, SpecError
+from ..places.indenters import Indenter
 from .discovery import device_of
 from .port_failures import NETWORK, SOCKET, TerminalError, lost, why_not_open
 
@@ -51,6 +52,8 @@ class Port:
 
     had_waited: the bytes of the last read() were there already, so may have come long before.
     over_network: the other end is another machine, where any number of bytes may be held back.
+    pressable: a simulated skin that press() acts on. stepped: its frames pass only as press() asks
+    for them, so that silence is no fault.
     """
 
     def __init__(self, url: str, baud: int) -> None:
@@ -75,6 +78,8 @@ class Port:
             _limit_wait_for_host(self._serial, pyserial_url)
             self._serial.reset_input_buffer()  # left from before this port was opened
             self._poll = _poll(self._serial, pyserial_url)
+            self.pressable = bool(getattr(self._serial, "pressable", False))
+            self.stepped = bool(getattr(self._serial, "stepped", False))
         except (*_LOST, ValueError, KeyError, re.error) as error:
             # SpecError is a ValueError; TypeError and re.error: options of alt:// and hwgrep://
             raise PortError(f"{url}: {why_not_open(error, pyserial_url)}") from None
@@ -139,6 +144,20 @@ class Port:
             raise PortError(f"{self.url}: takes no bytes; is the digitizer powered?") from None
         except _LOST as error:
             raise lost(self.url, "writing", error) from None
+
+    def press(self, objects: Sequence[Indenter], frames: int = 0) -> None:
+        """Let these objects, and no others, touch a simulated skin from its next frame on.
+
+        frames: number of frames that may pass, of a skin that is stepped.
+        """
+        if not self.pressable:
+            raise PortError(f"{self.url}: only sim://?scene=external can be pressed by a program")
+        try:
+            self._serial.press(objects, frames)
+        except SpecError as error:
+            raise PortError(f"{self.url}: {error}") from None
+        except _LOST as error:
+            raise lost(self.url, "pressing", error) from None
 
     def close(self) -> None:
         """Close the port; closing twice is harmless."""

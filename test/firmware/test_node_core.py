@@ -18,6 +18,7 @@ from tactile_cdma.code.codes import is_feasible
 from tactile_cdma.code.encode import frame_levels, line_chips
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.hardware.node_memory import node_memory, read_node_memory
+from tactile_cdma.places.layout import Layout
 from tactile_cdma.readings.calibration import AdcScale, PressureCurve
 from tactile_cdma.sim.nodes import NodeRules, RollCalls, node_frames
 from tactile_cdma.sim.scene import Skin
@@ -212,7 +213,7 @@ def test_rules_are_those_of_the_simulator(
     truth = node_frames(
         spec,
         scene,
-        Skin(np.zeros((nodes, 2)), 1e-3),
+        Skin.of(Layout.grid(nodes, 1, nodes, 1e-3, 1e-3), nodes),
         NodeRules(threshold, heartbeat),
         roll_calls=calls,
     )

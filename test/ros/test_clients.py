@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The examples of docs/clients.md, run as printed there, beside a real driver."""
+"""The ROS programs of examples/ and docs/clients.md, run beside a real driver."""
 
 from __future__ import annotations
 
+import importlib.util
 import math
 import os
 import re
@@ -29,18 +30,20 @@ from sensor_msgs.msg import JointState  # noqa: E402
 from std_msgs.msg import Bool, Float64  # noqa: E402
 
 from skin_client import Client, running, wait_for  # noqa: E402
-from tactile_cdma.msg import TactileArray  # noqa: E402
+from tactile_cdma.msg import SimObjects, TactileArray  # noqa: E402
+from tactile_cdma.ros.common.qos import LATCHED  # noqa: E402
+from tactile_cdma.ros.driver.objects import sim_objects  # noqa: E402
+from tactile_cdma.sim import Box, Sphere  # noqa: E402
 from tactile_cdma.sim.scene import SCENES, Skin  # noqa: E402
 
 pytestmark = pytest.mark.ros
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "clients.md").read_text()
-EXAMPLES = dict(re.findall(r"<!-- client: (\w+) -->\n```python\n(.*?)```", PAGE, re.DOTALL))
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 PATIENCE_S = 60.0
 WITHOUT_SHARED_MEMORY = {**os.environ, "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
 """For children whose every line is judged: where two participants open a port in /dev/shm at once,
 Fast DDS prints an error to stdout ("open_and_lock_file failed"), and tries again."""
 TOLERANCE_NS = 20_000_000
-"""What docs/clients.md says that fusion leaves out."""
+"""What fuse_joint_states says that it leaves out."""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -51,14 +54,12 @@ def ros() -> Iterator[None]:
 
 
 @contextmanager
-def example(name: str) -> Iterator[IO[str]]:
+def example(name: str, *arguments: str) -> Iterator[IO[str]]:
     """An example in a process of its own; yields what it prints, readable at any time."""
+    command = [sys.executable, str(EXAMPLES / f"{name}.py"), *arguments]
     with TemporaryFile("w+") as output:
         process = subprocess.Popen(
-            [sys.executable, "-c", EXAMPLES[name]],
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            env=WITHOUT_SHARED_MEMORY,
+            command, stdout=output, stderr=subprocess.STDOUT, env=WITHOUT_SHARED_MEMORY
         )
         try:
             yield output
@@ -127,6 +128,8 @@ def test_grip_closes_until_5_kpa_holds_and_stops_what_slides(
     ):
         client.create_subscription(Float64, "/gripper/close_mm", close, 10)
         client.create_subscription(Bool, "/arm/stop", lambda m: stops.append(m.data), 10)
+        claims: list[bool] = []
+        client.create_subscription(Bool, "/gripper/gripped", lambda m: claims.append(m.data), 10)
         with example("grip"):
             wait_for(lambda: stops and not stops[-1], PATIENCE_S)
             feeling = len(stops)
@@ -134,6 +137,7 @@ def test_grip_closes_until_5_kpa_holds_and_stops_what_slides(
             # the taxel nearest to the peak reads a bit less than it
             assert 5e3 <= thing.peak_pa < 10e3
             assert not any(stops[feeling:])
+            wait_for(lambda: claims[-1], PATIENCE_S)
 
             grip_mm, before = commands_mm[-1], len(stops)
             thing.needed_pa = thing.peak_pa + 1e3  # somebody pulls
@@ -147,7 +151,7 @@ def test_grip_closes_until_5_kpa_holds_and_stops_what_slides(
 
 NODES = 16
 ALL_DEAD = ",".join(str(node) for node in range(1, NODES + 1))
-MOST_MM = float(re.findall(r"MOST_MM, .* = ([\d.]+),", EXAMPLES["grip"])[0])
+MOST_MM = float(re.findall(r"MOST_MM, .* = ([\d.]+),", (EXAMPLES / "grip.py").read_text())[0])
 
 
 class Gripper:
@@ -156,9 +160,11 @@ class Gripper:
     def __init__(self, client: Client) -> None:
         self.closed_mm: list[float] = []
         self.stops: list[bool] = []
+        self.claims: list[bool] = []
         self.moved_s = -math.inf  # when it was last told to close further
         client.create_subscription(Float64, "/gripper/close_mm", self._close, 10)
-        client.create_subscription(Bool, "/arm/stop", lambda m: self.stops.append(m.data), 10)
+        for topic, heard in (("/arm/stop", self.stops), ("/gripper/gripped", self.claims)):
+            client.create_subscription(Bool, topic, lambda m, to=heard: to.append(m.data), 10)
 
     def _close(self, message: Float64) -> None:
         if self.closed_mm and message.data > self.closed_mm[-1]:
@@ -192,6 +198,7 @@ def test_grip_stops_within_stale_after_s_once_all_nodes_have_died() -> None:
     assert gripper.closed_mm[-1] - closed_mm < 0.1, "what was on its way"
     assert gripper.closed_mm[-1] < 0.9 * MOST_MM, "the limit of travel has no part in it"
     assert gripper.stops[-1]
+    assert not any(gripper.claims)
 
 
 @pytest.mark.parametrize("dead", [ALL_DEAD, "6"])
@@ -201,6 +208,8 @@ def test_grip_never_closes_with_nodes_that_were_never_heard(dead: str) -> None:
         wait_for(lambda: len(gripper.stops) > 4 / 0.0128, PATIENCE_S)  # a press on and off
     assert set(gripper.closed_mm) == {0.0}
     assert all(gripper.stops)
+    assert gripper.claims
+    assert not any(gripper.claims)
 
 
 def test_grip_stops_at_its_limit_of_travel_and_without_messages() -> None:
@@ -221,7 +230,7 @@ def test_fusion_pairs_each_frame_with_the_joint_state_nearest_in_time() -> None:
     """Joint states of irregular pace, with pauses for which frames must be left out."""
     rng = np.random.default_rng(5)
     sent_ns: list[int] = []
-    with running() as (node, client), example("fusion") as output:
+    with running() as (node, client), example("fuse_joint_states") as output:
         joints = client.create_publisher(JointState, "/joint_states", 10)
         wait_for(lambda: joints.get_subscription_count() and len(client.arrays) > 10, PATIENCE_S)
         while len(pairs(output)) < 100:
@@ -254,11 +263,11 @@ def pairs(output: IO[str]) -> list[tuple[int, int, int]]:
     return [(int(frame), int(joint), int(float(number))) for frame, joint, _, number in lines]
 
 
-def test_places_gives_force_and_centre_of_the_wrench() -> None:
+def test_taxel_map_gives_force_and_centre_of_the_wrench() -> None:
     with running(port="sim://?scene=moving&seed=1&threshold=0") as (_, client):
         wrenches: list[WrenchStamped] = []
         client.create_subscription(WrenchStamped, "/skin/wrench", wrenches.append, 10)
-        with example("places") as output:
+        with example("taxel_map") as output:
             wait_for(lambda: len(forces_and_centres(output)) > 30, PATIENCE_S)
             printed = forces_and_centres(output)
             wait_for(lambda: len(wrenches) > 30)
@@ -272,8 +281,8 @@ def test_places_gives_force_and_centre_of_the_wrench() -> None:
     assert np.mean(agreeing) > 0.5  # of the same frames; the two did not begin with the same one
 
 
-def test_places_prints_no_force_of_a_skin_that_is_not_read() -> None:
-    with running(port="sim://?scene=press&dead=6"), example("places") as output:
+def test_taxel_map_prints_no_force_of_a_skin_that_is_not_read() -> None:
+    with running(port="sim://?scene=press&dead=6"), example("taxel_map") as output:
         wait_for(lambda: len(text_of(output).splitlines()) > 100, PATIENCE_S)
         lines = text_of(output).splitlines()
     assert lines[-1] == "unknown: no reading of the taxels 5"
@@ -290,7 +299,7 @@ def forces_and_centres(output: IO[str]) -> NDArray[np.float64]:
 def test_tare_prints_the_answer_of_the_driver() -> None:
     with running(port="sim://?scene=idle&seed=1&threshold=0") as (_, client):
         wait_for(lambda: len(client.arrays) > 120, PATIENCE_S)  # a tare takes a second of rest
-        command = [sys.executable, "-c", EXAMPLES["tare"]]
+        command = [sys.executable, str(EXAMPLES / "tare.py")]
         done = subprocess.run(
             command,
             capture_output=True,
@@ -300,3 +309,90 @@ def test_tare_prints_the_answer_of_the_driver() -> None:
         )
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.startswith("tared: ")
+
+
+def test_subscribe_prints_the_hardest_pressed_taxel() -> None:
+    ball = Sphere(radius_m=0.01, position_m=(-3.5e-3, 3.5e-3, 0.009))  # on node 6, taxel 5
+    with (
+        running(port="sim://?scene=external&dead=1") as (_, client),
+        example("subscribe") as output,
+    ):
+        press = client.create_publisher(SimObjects, "/skin/sim/objects", 10)
+        wait_for(lambda: press.get_subscription_count())
+        press.publish(sim_objects([ball]))
+        wait_for(lambda: len(printed_of(output, 5)) > 2, PATIENCE_S)
+        assert np.nanargmax(client.arrays[-1].pressure) == 5
+        for peak_pa, unread in printed_of(output, 5)[-2:]:
+            assert peak_pa == pytest.approx(np.nanmax(client.arrays[-1].pressure), abs=1)
+            assert unread == 1, "node 1 is dead"
+        assert client.change(Transition.TRANSITION_DEACTIVATE)
+        wait_for(lambda: text_of(output).endswith("no frame\n"), PATIENCE_S)
+
+
+def printed_of(output: IO[str], taxel: int) -> list[tuple[int, int]]:
+    """(pressure, Pa, taxels without a reading), of lines about this taxel under load."""
+    lines = re.findall(r"taxel (\d+) has (\d+) Pa, (\d+) without", text_of(output))
+    return [(int(pa), int(unread)) for found, pa, unread in lines if int(found) == taxel]
+
+
+def test_points_to_numpy_finds_what_is_pressed() -> None:
+    box = Box(size_m=(13e-3, 6e-3, 0.01), position_m=(0, 3.5e-3, 0.004), stiffness_pa_per_m=2e7)
+    with (
+        running(port="sim://?scene=external&dead=16") as (_, client),
+        example("points_to_numpy") as output,
+    ):
+        press = client.create_publisher(SimObjects, "/skin/sim/objects", 10)
+        wait_for(lambda: press.get_subscription_count())
+        press.publish(sim_objects([box]))  # two taxels of the second row, symmetrically
+        wait_for(lambda: "2 of 15 0.0 3.5 0.0" in text_of(output), PATIENCE_S)
+        press.publish(SimObjects())
+        wait_for(lambda: text_of(output).endswith("0 of 15 0.0 0.0 0.0\n"), PATIENCE_S)
+
+
+def test_two_patches_adds_their_forces_and_knows_nothing_of_an_absent_one(tmp_path: Path) -> None:
+    """Both look upwards; two boxes of 5 kPa on 14 × 14 mm, 0.98 N, and of 7 × 14 mm, 0.49 N."""
+    path = tmp_path / "body.yaml"
+    port = "'sim://?scene=external&threshold=0'"
+    path.write_text(
+        "patches:\n"
+        f"  one: {{parameters: {{port: {port}, mount_xyz_m: [0, 0, 0]}}}}\n"
+        f"  two: {{parameters: {{port: {port}, mount_xyz_m: [1, 0, 0]}}}}\n"
+    )
+    with processes(body_commands(path)) as drivers:
+        client = rclpy.create_node("client")
+        try:
+            for name, width_m in (("one", 14e-3), ("two", 7e-3)):
+                press = client.create_publisher(SimObjects, f"/{name}/skin/sim/objects", LATCHED)
+                wait_for(press.get_subscription_count, PATIENCE_S)
+                x_m = 0.0 if name == "one" else 3.5e-3
+                box = Box(size_m=(width_m, 14e-3, 0.01), position_m=(x_m, 0, 4.5e-3))
+                press.publish(sim_objects([box]))
+            with example("two_patches", "/one/skin", "/two/skin") as output:
+                both = "/one/skin 0.0 0.0 -0.98  /two/skin 0.0 0.0 -0.49  sum 0.0 0.0 -1.46"
+                wait_for(lambda: both in text_of(output), PATIENCE_S)
+                drivers[1].kill()
+                blind = "/one/skin 0.0 0.0 -0.98  /two/skin nan nan nan  sum nan nan nan"
+                wait_for(lambda: blind in text_of(output), PATIENCE_S)
+        finally:
+            client.destroy_node()
+
+
+def body_commands(path: Path) -> list[list[str]]:
+    """What `make run PATCHES=…` starts: the drivers, and the body's node."""
+    spec = importlib.util.spec_from_file_location("run", EXAMPLES.parent / "tools" / "run.py")
+    assert spec is not None and spec.loader is not None
+    run = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(run)
+    found: list[list[str]] = run.body_commands(path)
+    return found
+
+
+@contextmanager
+def processes(commands: list[list[str]]) -> Iterator[list[subprocess.Popen[bytes]]]:
+    started = [subprocess.Popen(command) for command in commands]
+    try:
+        yield started
+    finally:
+        for process in started:
+            process.kill()
+            process.wait()

@@ -176,7 +176,10 @@ def assert_policy_is_what_is_used(onlooker: Node, node: str) -> None:
 
 
 def test_the_policy_gives_the_driver_what_it_has_and_no_more() -> None:
-    with running(parent_frame="palm", use_sim_time=True) as (_, client):
+    with running(port="sim://?scene=external", parent_frame="palm", use_sim_time=True) as (
+        _,
+        client,
+    ):
         wait_for(lambda: client.get_publishers_info_by_topic("/tf_static"))
         assert_policy_is_what_is_used(client, "skin")
 

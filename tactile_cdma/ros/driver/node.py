@@ -37,6 +37,7 @@ from ..common.qos import LATCHED
 from .diagnostics import SkinReport
 from .frames import FramePublishers
 from .mount import TF_STATIC, Mount, transform_of
+from .objects import ObjectsInput
 from .parameters import NodeParameters
 from .pictures import Pictures
 from .services import RestServices
@@ -77,6 +78,7 @@ class SkinNode(ManagedNode):
         stamps = Stamps(self, self._live)
         self._frames = FramePublishers(self, self._live, stamps)
         self._pictures = Pictures(self, self._live, stamps.at)
+        self._objects = ObjectsInput(self, self._live)
         self._mount = Mount(self, self._declared.offered(LATCHED, TF_STATIC))
         self._diagnostics_publisher = self.create_publisher(
             DiagnosticArray,
@@ -143,6 +145,7 @@ class SkinNode(ManagedNode):
             path = rest_path(str(self._live["state_folder"]), self.get_fully_qualified_name())
             if not is_remote(url):  # else the driver does it, which holds up nothing
                 self._port = Port(url, int(self._live["baud"]))
+            self._objects.configure(self._port)
         except TactileError as error:
             if str(error) != self._last_failure:
                 self._last_failure = str(error)
@@ -173,6 +176,7 @@ class SkinNode(ManagedNode):
         self._pictures.start(config)
         self._driver.start(self._port)
         self._port = None  # the driver's now
+        self._objects.start(self._driver)
         self._report = SkinReport(self.get_fully_qualified_name())
         return result
 
@@ -214,6 +218,7 @@ class SkinNode(ManagedNode):
 
     def _stop_driver(self) -> None:
         if self._driver is not None and self._rest is not None:
+            self._objects.stop()
             self._driver.stop()
             self._rest.deactivate()
             self._driver = None

@@ -17,6 +17,7 @@ from tactile_cdma.calibrating.plateaus import Recording, Reference
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
+from tactile_cdma.places.layout import Layout
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
 from tactile_cdma.readings.calibration_file import read_content
 from tactile_cdma.readings.dynamics import Lag
@@ -53,7 +54,7 @@ def unseen(t_s: float, skin: Skin) -> np.ndarray:
 
 def reference(path: Path, scene: Callable[[float, Skin], np.ndarray], end_s: float) -> Path:
     """Readings of a reference sensor, 50 per second, with a clock of its own."""
-    one = Skin(np.zeros((1, 2)), 1e-3)
+    one = Skin.of(Layout.grid(1, 1, 1, 1e-3, 1e-3), 1)
     times_s = np.arange(0.5, end_s, 0.02)
     rows = [f"{t - BEHIND_S:.3f},{scene(t, one)[0] / 1e3:.4f}" for t in times_s.tolist()]
     path.write_text("time_s,pressure_kpa\n" + "\n".join(rows) + "\n")

@@ -262,6 +262,8 @@ def test_simulate_ends_by_itself_and_refuses_bad_options(
     start = time.monotonic()
     assert main(["simulate", "--pty", "--seconds", "0.3"]) == 0
     assert time.monotonic() - start < 5
+    assert main(["simulate", "--pty", "sim://?scene=external"]) == 1
+    assert "nobody presses" in capsys.readouterr().err
     assert main(["simulate", "--pty", "sim://?scene=dance"]) == 1
     assert "moving" in capsys.readouterr().err
 

@@ -91,6 +91,14 @@ def test_examples_of_the_page_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert (results.failed, results.attempted > 8) == (0, True)
 
 
+def test_examples_of_the_simulation_page_run() -> None:
+    page = ROOT / "docs" / "simulation.md"
+    text = page.read_text(encoding="utf-8").replace("```", "")
+    test = doctest.DocTestParser().get_doctest(text, {}, page.name, str(page), 0)
+    results = doctest.DocTestRunner().run(test)
+    assert (results.failed, results.attempted > 3) == (0, True)
+
+
 def test_live_frames_come_in_order_with_all_that_a_program_wants() -> None:
     with Skin("sim://?scene=all", nodes=16) as skin:
         frames = list(islice(skin, 20))

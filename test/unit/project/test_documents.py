@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 from pathlib import Path
 
@@ -43,6 +44,16 @@ def test_the_readme_lists_every_document() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     missing = [page.name for page in ROOT.glob("docs/*.md") if f"(docs/{page.name}" not in text]
     assert missing == []
+
+
+def test_every_example_says_how_to_run_it_and_a_page_lists_it() -> None:
+    pages = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    examples = sorted(ROOT.glob("examples/*.py"))
+    assert examples
+    for example in examples:
+        about = ast.get_docstring(ast.parse(example.read_text(encoding="utf-8"))) or ""
+        assert f"examples/{example.name}" in about, f"{example.name}: how is it run?"
+        assert f"(../examples/{example.name})" in pages, f"{example.name} is on no page"
 
 
 def test_the_readme_is_short() -> None:

@@ -12,7 +12,7 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.sim.loads import LOADS
 from tactile_cdma.sim.nodes import NodeRules
 from tactile_cdma.sim.options import OPTIONS, Setup, SimOptions
-from tactile_cdma.sim.scene import SCENES
+from tactile_cdma.sim.scene import EXTERNAL, SCENES
 from tactile_cdma.sim.sensor import SensorModel
 from tactile_cdma.wire._protocol import SyncMode
 from tactile_cdma.wire.messages import FrameLayout
@@ -71,7 +71,7 @@ def test_the_page_on_ports_has_every_option_and_scene() -> None:
     page = (Path(__file__).resolve().parents[3] / "docs" / "ports.md").read_text()
     section = page[page.index("## The simulated skin") :].split("\n## ")[0]
     told = set(re.findall(r"`(\w+)(?:=[\w,]+)?`", section))
-    assert told == {*(option.name for option in OPTIONS), *SCENES, *LOADS}
+    assert told == {*(option.name for option in OPTIONS), *SCENES, *LOADS, EXTERNAL}
 
 
 def test_pinned_options_win_and_the_rest_follows() -> None:

@@ -1,0 +1,21 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Calls a service: takes the skin's present reading as zero.
+
+Does the same as ros2 service call /skin/tare tactile_cdma/srv/Tare, for .venv, which has no ros2.
+It prints the pressure subtracted, or which taxels were moving or loaded.
+
+Start it beside a driver (make run):  .venv/bin/python examples/tare.py
+"""
+
+import rclpy
+
+from tactile_cdma.srv import Tare
+
+rclpy.init()
+node = rclpy.create_node("tare_client")
+client = node.create_client(Tare, "/skin/tare")
+client.wait_for_service()
+answer = client.call_async(Tare.Request(force=False))
+rclpy.spin_until_future_complete(node, answer)
+print(answer.result().message)

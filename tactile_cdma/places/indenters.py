@@ -1,0 +1,307 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Objects pressed into a skin, and the pressure that its elastic cover answers with.
+
+The cover is a Winkler foundation: every point of the surface is a spring of its own, along its
+normal, so that pressure = stiffness · depth; docs/simulation.md has what that leaves out.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..base.arrays import Bools, Floats, Floats32
+from ..base.errors import ParameterError
+from .poses import Pose
+
+STIFFNESS_PA_PER_M = 1e7
+"""Where no stiffness is given, Pa/m: 10 kPa per mm, a soft cover some millimetres thick. Chosen."""
+MOST_PA_PER_M, MOST_M = 1e12, 1e3
+"""Greatest stiffness, Pa/m; size and distance, m. Chosen beyond every object; nothing overflows."""
+EDGE_POINTS = 6
+"""Points per edge of a taxel over which its pressure is averaged. Chosen: the edge of a box is
+placed to a twelfth of a taxel's edge, or better."""
+SEARCH_STEPS, HALVINGS = 64, 30
+"""How the underside of a height map is found along a normal: looked for at so many depths, and then
+between two of them."""
+
+Spans = tuple[Floats, Floats]
+"""Where lines enter and leave an object, each (m,), m along the line: +∞ and −∞ where they miss."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Indenter(ABC):
+    """A rigid object pressed into a skin; poses are in the skin's frame.
+
+    position_m: of its origin, m. orientation_xyzw: quaternion, as in ROS messages.
+    stiffness_pa_per_m: pressure per depth, Pa/m, of cover and object together.
+    Raises ParameterError for values that are no pose, size or stiffness.
+    """
+
+    position_m: Sequence[float]
+    orientation_xyzw: Sequence[float] = (0.0, 0.0, 0.0, 1.0)
+    stiffness_pa_per_m: float = STIFFNESS_PA_PER_M
+
+    def __post_init__(self) -> None:
+        name = f"stiffness_pa_per_m of {self._kind}"
+        _positive(name, self.stiffness_pa_per_m, MOST_PA_PER_M)
+        if len(self.position_m) != 3 or len(self.orientation_xyzw) != 4:
+            raise ParameterError(f"{self._kind}: a position has 3 values, an orientation has 4")
+        try:
+            _ = self.pose
+        except ValueError as error:
+            raise ParameterError(f"{self._kind}: {error}") from None
+        if max(map(abs, self.position_m)) > MOST_M:
+            raise ParameterError(
+                f"position_m of {self._kind} is {tuple(self.position_m)}; it must be within "
+                f"{MOST_M:g} m"
+            )
+
+    @property
+    def _kind(self) -> str:
+        return type(self).__name__
+
+    @cached_property
+    def pose(self) -> Pose:
+        """The object's own frame in the skin's."""
+        return Pose.of_quaternion(self.position_m, self.orientation_xyzw)
+
+    def depth_m(self, points_m: Floats, normals: Floats) -> Floats:
+        """How far the object reaches below points of a surface, along the normals there.
+
+        points_m, normals: (m, 3), in the skin's frame. Returns (m,), m. 0 where the object is
+        beside the normal's line, above the surface, or wholly behind it.
+        """
+        own = self.pose.inverse
+        enters_m, leaves_m = self._spans(own.apply(points_m), own.rotate(normals))
+        return np.where(leaves_m > 0, np.maximum(-enters_m, 0.0), 0.0)
+
+    def may_touch(self, points_m: Floats, normals: Floats, around_m: Floats) -> Bools:
+        """Whether it may reach below a surface (m, 3) within around_m (m,), m, of each point."""
+        from_it_m = points_m - self.pose.translation_m
+        along_m = (from_it_m * normals).sum(axis=1)
+        beside_m2 = np.square(from_it_m).sum(axis=1) - np.square(along_m)
+        return np.asarray(beside_m2 <= np.square(self._reach_m + around_m))
+
+    @property
+    @abstractmethod
+    def _reach_m(self) -> float:
+        """No line touches the object that passes its origin at a greater distance, m."""
+
+    @abstractmethod
+    def _spans(self, points_m: Floats, directions: Floats) -> Spans:
+        """Where lines pass through the object. Both (m, 3), in its own frame; unit directions."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sphere(Indenter):
+    """A ball about its origin."""
+
+    radius_m: float
+
+    def __post_init__(self) -> None:
+        _positive("radius_m of Sphere", self.radius_m)
+        super().__post_init__()
+
+    @property
+    def _reach_m(self) -> float:
+        return self.radius_m
+
+    def _spans(self, points_m: Floats, directions: Floats) -> Spans:
+        return _round_spans(points_m, directions, self.radius_m)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cylinder(Indenter):
+    """A cylinder about its own z axis, its origin in the middle."""
+
+    radius_m: float
+    length_m: float
+
+    def __post_init__(self) -> None:
+        _positive("radius_m of Cylinder", self.radius_m)
+        _positive("length_m of Cylinder", self.length_m)
+        super().__post_init__()
+
+    @property
+    def _reach_m(self) -> float:
+        return math.hypot(self.radius_m, self.length_m / 2)
+
+    def _spans(self, points_m: Floats, directions: Floats) -> Spans:
+        return _both(
+            _round_spans(points_m[:, :2], directions[:, :2], self.radius_m),
+            _slab_spans(points_m[:, 2], directions[:, 2], self.length_m / 2),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Box(Indenter):
+    """A cuboid with edges along its own axes, its origin in the middle. size_m: x, y, z, m."""
+
+    size_m: Sequence[float]
+
+    def __post_init__(self) -> None:
+        if len(self.size_m) != 3:
+            raise ParameterError(f"size_m of Box has {len(self.size_m)} values; it must have 3")
+        for edge_m in self.size_m:
+            _positive("size_m of Box", edge_m)
+        super().__post_init__()
+
+    @property
+    def _reach_m(self) -> float:
+        return math.hypot(*self.size_m) / 2
+
+    def _spans(self, points_m: Floats, directions: Floats) -> Spans:
+        x, y, z = (
+            _slab_spans(points_m[:, axis], directions[:, axis], self.size_m[axis] / 2)
+            for axis in range(3)
+        )
+        return _both(_both(x, y), z)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HeightMap(Indenter):
+    """A relief that faces the skin, solid above its underside without end.
+
+    underside_m: (rows, columns), at least 2 × 2, m, its z in its own frame: columns along +x, rows
+    along +y, evenly from edge to edge, bilinear in between. size_m: extent in x and y, m.
+    """
+
+    underside_m: Floats
+    size_m: Sequence[float]
+
+    def __post_init__(self) -> None:
+        grid = np.array(self.underside_m, dtype=np.float64)  # a copy: nobody else writes to it
+        if grid.ndim != 2 or min(grid.shape) < 2 or not (np.abs(grid) <= MOST_M).all():
+            raise ParameterError(
+                f"underside_m of HeightMap has the shape {grid.shape}; it must have at least 2 "
+                f"rows and 2 columns of values within {MOST_M:g} m"
+            )
+        if len(self.size_m) != 2:
+            raise ParameterError(f"size_m of HeightMap has {len(self.size_m)} values, not 2")
+        for edge_m in self.size_m:
+            _positive("size_m of HeightMap", edge_m)
+        object.__setattr__(self, "underside_m", grid)
+        super().__post_init__()
+
+    @property
+    def _reach_m(self) -> float:
+        return math.hypot(*self.size_m, 2 * float(np.abs(self.underside_m).max())) / 2
+
+    def _spans(self, points_m: Floats, directions: Floats) -> Spans:
+        rises = directions[:, 2] > 0  # seen from behind there is nothing but the solid
+        below_m = points_m[:, 2] - self.underside_m.min()
+        deepest_m = np.where(rises, below_m / np.where(rises, directions[:, 2], 1.0), 0.0)
+        deepest_m = np.maximum(deepest_m, 0.0)
+
+        def inside(depth_m: Floats) -> Bools:
+            return self._contains(points_m - depth_m[:, None] * directions)
+
+        shares = np.linspace(0.0, 1.0, SEARCH_STEPS + 1)
+        found = np.array([inside(share * deepest_m) for share in shares]) & rises
+        last = SEARCH_STEPS - found[::-1].argmax(axis=0)  # the deepest that is inside
+        low_m = shares[last] * deepest_m
+        high_m = shares[np.minimum(last + 1, SEARCH_STEPS)] * deepest_m
+        for _ in range(HALVINGS):
+            middle_m = (low_m + high_m) / 2
+            within = inside(middle_m)
+            low_m, high_m = np.where(within, middle_m, low_m), np.where(within, high_m, middle_m)
+        touched = found.any(axis=0)
+        return np.where(touched, -low_m, np.inf), np.where(touched, np.inf, -np.inf)
+
+    def _contains(self, points_m: Floats) -> Bools:
+        """Which points (m, 3) are above the underside, (m,)."""
+        rows, columns = self.underside_m.shape
+        width_m, height_m = self.size_m
+        x = (points_m[:, 0] / width_m + 0.5) * (columns - 1)
+        y = (points_m[:, 1] / height_m + 0.5) * (rows - 1)
+        beside = (x < 0) | (x > columns - 1) | (y < 0) | (y > rows - 1)
+        column = np.clip(x, 0, columns - 2).astype(np.intp)
+        row = np.clip(y, 0, rows - 2).astype(np.intp)
+        right, up = x - column, y - row
+        grid = self.underside_m
+        underside_m = (1 - up) * (
+            (1 - right) * grid[row, column] + right * grid[row, column + 1]
+        ) + up * ((1 - right) * grid[row + 1, column] + right * grid[row + 1, column + 1])
+        return np.asarray(~beside & (points_m[:, 2] >= underside_m))
+
+
+class Foundation:
+    """The elastic cover of t taxels: squares of the taxels' areas, tangential to the skin."""
+
+    def __init__(
+        self,
+        positions_m: Floats | Floats32,
+        normals: Floats | Floats32,
+        areas_m2: Floats | Floats32,
+    ) -> None:
+        """positions_m, normals: (t, 3), m, in the skin's frame. areas_m2: (t,), m²."""
+        self._positions_m = positions_m.astype(np.float64)
+        self._normals = normals.astype(np.float64)
+        edges_m = np.sqrt(areas_m2.astype(np.float64))
+        self._corners_m = edges_m * math.sqrt(0.5)  # how far they are from the centres
+        # Along the frame's x axis, as a grid's columns run, or y where that is the normal.
+        axis = np.where(np.abs(self._normals[:, :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+        right = axis - (axis * self._normals).sum(axis=1, keepdims=True) * self._normals
+        right /= np.linalg.norm(right, axis=1, keepdims=True)
+        up = np.cross(self._normals, right)
+        steps = (np.arange(EDGE_POINTS) + 0.5) / EDGE_POINTS - 0.5
+        x, y = (part.ravel()[:, None] for part in np.meshgrid(steps, steps))
+        offsets_m = edges_m[:, None, None] * (x * right[:, None] + y * up[:, None])
+        self._points_m = self._positions_m[:, None] + offsets_m
+
+    def pressure_pa(self, indenters: Sequence[Indenter]) -> Floats:
+        """Mean pressure on every taxel, (t,), Pa; where several objects meet, the greatest."""
+        pressure_pa = np.zeros(self._points_m.shape[:2])
+        for indenter in indenters:
+            near = indenter.may_touch(self._positions_m, self._normals, self._corners_m)
+            points_m = self._points_m[near]
+            normals = self._normals[near].repeat(points_m.shape[1], axis=0)
+            depth_m = indenter.depth_m(points_m.reshape(-1, 3), normals).reshape(points_m.shape[:2])
+            pressed_pa = indenter.stiffness_pa_per_m * depth_m
+            pressure_pa[near] = np.maximum(pressure_pa[near], pressed_pa)
+        return np.asarray(pressure_pa.mean(axis=1))
+
+
+def _round_spans(points_m: Floats, directions: Floats, radius_m: float) -> Spans:
+    """Of a ball (3 coordinates) or an endless cylinder (2) about the origin."""
+    # |p + s·n|² = R² for s; n is shorter than 1 where it has a part along the cylinder's axis.
+    a = np.square(directions).sum(axis=1)
+    b = (points_m * directions).sum(axis=1)
+    c = np.square(points_m).sum(axis=1) - radius_m**2
+    along = a < 1e-18  # parallel to the cylinder: inside for ever, or never
+    root = np.sqrt(np.maximum(b * b - a * c, 0.0))
+    a_safe = np.where(along, 1.0, a)
+    hits = np.where(along, c <= 0, b * b >= a * c)
+    enters_m = np.where(along, -np.inf, (-b - root) / a_safe)
+    leaves_m = np.where(along, np.inf, (-b + root) / a_safe)
+    return np.where(hits, enters_m, np.inf), np.where(hits, leaves_m, -np.inf)
+
+
+def _slab_spans(place_m: Floats, direction: Floats, half_m: float) -> Spans:
+    """Between two planes at ±half_m on one axis. place_m, direction: (m,), along that axis."""
+    along = direction == 0
+    safe = np.where(along, 1.0, direction)
+    one, other = (-half_m - place_m) / safe, (half_m - place_m) / safe
+    inside = np.abs(place_m) <= half_m
+    enters_m = np.where(along, np.where(inside, -np.inf, np.inf), np.minimum(one, other))
+    leaves_m = np.where(along, np.where(inside, np.inf, -np.inf), np.maximum(one, other))
+    return enters_m, leaves_m
+
+
+def _both(first: Spans, second: Spans) -> Spans:
+    """Where lines are inside of two convex objects."""
+    enters_m, leaves_m = np.maximum(first[0], second[0]), np.minimum(first[1], second[1])
+    hits = enters_m <= leaves_m
+    return np.where(hits, enters_m, np.inf), np.where(hits, leaves_m, -np.inf)
+
+
+def _positive(name: str, value: float, most: float = MOST_M) -> None:
+    if not 0 < value <= most:
+        raise ParameterError(f"{name} is {value}; it must be above 0, and {most:g} at most")

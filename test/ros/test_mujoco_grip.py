@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""examples/mujoco_grip.py: grips by touch, drops without its cue, stops when it goes blind."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+pytest.importorskip("mujoco", reason="MuJoCo (the extra `mujoco`) is not installed")
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.xdist_group("mujoco")]
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "mujoco_grip.py"
+
+
+def outcome(*arguments: str) -> dict[str, str]:
+    """What the last line says."""
+    command = [sys.executable, str(EXAMPLE), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=240)
+    assert done.returncode == 0, done.stderr
+    return dict(re.findall(r"(\w+)=(\S+)", done.stdout.splitlines()[-1]))
+
+
+def test_it_grips_lifts_and_regains_a_grip_that_slips() -> None:
+    found = outcome()
+    assert [found["gripped"], found["lifted"], found["dropped"]] == ["1", "1", "0"]
+    assert 5.0 <= float(found["peak_kpa"]) < 20.0
+    assert 20 < float(found["reaction_ms"]) < 300
+
+
+def test_without_the_cue_it_drops_the_same_thing() -> None:
+    found = outcome("--blind")
+    assert [found["gripped"], found["lifted"], found["dropped"]] == ["0", "1", "1"]
+    assert found["reaction_ms"] == "none"
+
+
+@pytest.mark.parametrize(("dead_after_s", "lifted"), [(0.6, "0"), (2.0, "0"), (6.5, "1")])
+def test_with_nodes_that_die_no_grip_is_claimed(dead_after_s: float, lifted: str) -> None:
+    """While it closes, lifts (and then no further) and holds."""
+    found = outcome("--dead-after", str(dead_after_s))
+    assert [found["gripped"], found["lifted"], found["dropped"]] == ["0", lifted, "0"]

@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Objects pressed into a skin: closed forms, and volumes counted by points.
+
+On a flat Winkler foundation the force is stiffness × the volume below the surface. The count knows
+of shapes only whether a point is inside.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from tactile_cdma.base.errors import ParameterError
+from tactile_cdma.places.indenters import Box, Cylinder, Foundation, HeightMap, Indenter, Sphere
+from tactile_cdma.places.layout import Layout
+from tactile_cdma.places.layout_shapes import cylinder
+from tactile_cdma.places.poses import Pose
+
+PITCH_M, K = 2e-3, 2e7
+LAYOUT = Layout.grid(32 * 32, 32, 32, PITCH_M, PITCH_M)  # 64 × 64 mm
+COVER = Foundation(LAYOUT.positions_m, LAYOUT.normals, LAYOUT.areas_m2)
+MIDDLE = slice(480, 560)
+SMALL = Foundation(LAYOUT.positions_m[MIDDLE], LAYOUT.normals[MIDDLE], LAYOUT.areas_m2[MIDDLE])
+LYING = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))  # its z axis along −y
+Points = NDArray[np.float64]
+
+
+def force_n(*objects: Indenter) -> float:
+    return float(COVER.pressure_pa(objects) @ LAYOUT.areas_m2)
+
+
+@pytest.mark.parametrize("depth_m", [2e-4, 1e-3, 8e-3])
+@pytest.mark.parametrize("place_m", [(0.0, 0.0), (3.3e-3, -1.7e-3)])
+def test_sphere(depth_m: float, place_m: tuple[float, float]) -> None:
+    radius_m = 0.02
+    ball = Sphere(
+        radius_m=radius_m, position_m=(*place_m, radius_m - depth_m), stiffness_pa_per_m=K
+    )
+    cap_m3 = math.pi * depth_m**2 * (3 * radius_m - depth_m) / 3
+    assert force_n(ball) == pytest.approx(K * cap_m3, rel=0.02)
+    if depth_m < 0.05 * radius_m:  # the parabola of a shallow contact
+        assert force_n(ball) == pytest.approx(math.pi * K * radius_m * depth_m**2, rel=0.03)
+    assert COVER.pressure_pa([ball]).max() <= K * depth_m
+
+
+def test_cylinder_lying_and_standing() -> None:
+    radius_m, length_m, depth_m = 0.02, 0.03, 2e-3
+    common = {"radius_m": radius_m, "length_m": length_m, "stiffness_pa_per_m": K}
+    lying = Cylinder(position_m=(0, 0, radius_m - depth_m), orientation_xyzw=LYING, **common)
+    segment_m2 = radius_m**2 * math.acos(1 - depth_m / radius_m) - (radius_m - depth_m) * math.sqrt(
+        2 * radius_m * depth_m - depth_m**2
+    )
+    assert force_n(lying) == pytest.approx(K * length_m * segment_m2, rel=0.01)
+    standing = Cylinder(position_m=(0, 0, length_m / 2 - depth_m), **common)
+    assert force_n(standing) == pytest.approx(K * math.pi * radius_m**2 * depth_m, rel=0.01)
+
+
+def test_box_presses_by_area_times_depth() -> None:
+    box = Box(size_m=(0.016, 0.012, 0.01), position_m=(0, 0, 4e-3), stiffness_pa_per_m=K)
+    pressure_pa = COVER.pressure_pa([box])
+    assert pressure_pa.max() == pytest.approx(K * 1e-3)
+    assert force_n(box) == pytest.approx(K * 1e-3 * 0.016 * 0.012, rel=1e-6)
+    covered = np.all(np.abs(LAYOUT.positions_m[:, :2]) < [0.008, 0.006], axis=1)
+    assert np.array_equal(pressure_pa > 0, covered)
+
+
+def test_half_a_taxel_has_half_the_pressure() -> None:
+    # From x = 0, an edge between taxels, to the middle of the next.
+    box = Box(size_m=(1e-3, 0.02, 0.01), position_m=(0.5e-3, 0, 4e-3), stiffness_pa_per_m=K)
+    pressure_pa = COVER.pressure_pa([box]).reshape(32, 32)[15]
+    assert pressure_pa[16] == pytest.approx(K * 1e-3 / 2)
+    assert np.count_nonzero(pressure_pa) == 1
+
+
+def test_height_map_is_bilinear() -> None:
+    ramp = np.array([[-3e-3, 1e-3], [-3e-3, 1e-3]])  # deepest at −x; reaches 0 at 3/4
+    relief = HeightMap(
+        underside_m=ramp, size_m=(0.04, 0.02), position_m=(0, 0, 0), stiffness_pa_per_m=K
+    )
+    assert force_n(relief) == pytest.approx(K * 0.02 * 0.03 * 3e-3 / 2, rel=0.01)
+    row = COVER.pressure_pa([relief]).reshape(32, 32)[16]
+    x_m = LAYOUT.positions_m[:32, 0]
+    inside = np.abs(x_m) < 0.02 - PITCH_M
+    expected_pa = K * np.clip(1e-3 - 4e-3 * (x_m + 0.02) / 0.04 + 2e-3, 0, None)
+    assert row[inside] == pytest.approx(expected_pa[inside], abs=0.03 * K * PITCH_M)
+    assert not row[np.abs(x_m) > 0.02].any()
+
+
+def in_sphere(p: Points) -> NDArray[np.bool_]:
+    return np.asarray(np.linalg.norm(p, axis=1) < 0.01)
+
+
+def in_cylinder(p: Points) -> NDArray[np.bool_]:
+    return np.asarray((np.hypot(p[:, 0], p[:, 1]) < 0.008) & (np.abs(p[:, 2]) < 0.01))
+
+
+def in_box(p: Points) -> NDArray[np.bool_]:
+    return np.asarray((np.abs(p) < [0.01, 0.006, 0.008]).all(axis=1))
+
+
+HILLS = 2e-3 * np.cos(np.linspace(0, 6, 9))[:, None] * np.cos(np.linspace(0, 5, 12)) + 1e-3
+
+
+def above_hills(p: Points) -> NDArray[np.bool_]:
+    """By another interpolation: of the height at a place, first along y, then along x."""
+    y, x = np.linspace(-0.01, 0.01, 9), np.linspace(-0.012, 0.012, 12)
+    inside = (np.abs(p[:, 0]) < 0.012) & (np.abs(p[:, 1]) < 0.01)
+    along_y = np.stack([np.interp(p[:, 1], y, column) for column in HILLS.T], axis=1)
+    cell = np.clip(np.searchsorted(x, p[:, 0]) - 1, 0, 10)
+    share = (p[:, 0] - x[cell]) / (x[1] - x[0])
+    rows = np.arange(len(p))
+    height = (1 - share) * along_y[rows, cell] + share * along_y[rows, cell + 1]
+    return np.asarray(inside & (p[:, 2] > height))
+
+
+SHAPES: dict[str, tuple[Callable[..., Indenter], Callable[[Points], NDArray[np.bool_]]]] = {
+    "sphere": (lambda **pose: Sphere(radius_m=0.01, **pose), in_sphere),
+    "cylinder": (lambda **pose: Cylinder(radius_m=0.008, length_m=0.02, **pose), in_cylinder),
+    "box": (lambda **pose: Box(size_m=(0.02, 0.012, 0.016), **pose), in_box),
+    "height map": (
+        lambda **pose: HeightMap(underside_m=HILLS, size_m=(0.024, 0.02), **pose),
+        above_hills,
+    ),
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_force_is_stiffness_times_the_volume_below_the_surface(shape: str) -> None:
+    """In poses at random, 4 mm deep; the volume is counted at points under the skin."""
+    make, contains = SHAPES[shape]
+    rng = np.random.default_rng(7)
+    extent_m, depth_m = 0.05, 4e-3
+    around_m = rng.uniform(-0.025, 0.025, (200_000, 3))
+    below_m = around_m * [1, 1, 0.5 * depth_m / 0.025] - [0, 0, depth_m / 2]
+    for _ in range(2):
+        tilt = 0.15 if shape == "height map" else 1.0  # it is solid above without end
+        turned = [*rng.normal(0, tilt, 3), 1.0]
+        own = Pose.of_quaternion((0, 0, 0), turned).inverse
+        lowest_m = around_m[contains(own.apply(around_m)), 2].min()
+        place_m = (1e-3, -2e-3, -lowest_m - depth_m)
+        volume_m3 = contains(own.apply(below_m - place_m)).mean() * extent_m**2 * depth_m
+        thing = make(position_m=place_m, orientation_xyzw=turned, stiffness_pa_per_m=K)
+        assert volume_m3 > 1e-8
+        assert force_n(thing) == pytest.approx(K * volume_m3, rel=0.03)
+
+
+def test_a_curved_skin_is_pressed_along_its_normals() -> None:
+    surface = cylinder(24, 24, PITCH_M, 0.04)  # around y, its axis at z = −40 mm
+    cover = Foundation(surface.positions_m, surface.normals, surface.areas_m2)
+    # A pipe of the same axis and 1 mm less radius would touch everywhere; a ball about the axis
+    # touches along the middle row, where it is deepest.
+    around = Cylinder(
+        radius_m=0.039,
+        length_m=1.0,
+        position_m=(0, 0, -0.04),
+        orientation_xyzw=LYING,
+        stiffness_pa_per_m=K,
+    )
+    assert not cover.pressure_pa([around]).any(), "wholly behind the skin"
+    ball = Sphere(radius_m=0.01, position_m=(0, 0, 0.009), stiffness_pa_per_m=K)
+    flat_n, curved_n = force_n(ball), float(cover.pressure_pa([ball]) @ surface.areas_m2)
+    # Two bodies touch as one of the mean curvature does: 1/R and 1/R + 1/40 mm.
+    assert curved_n / flat_n == pytest.approx(math.sqrt(1 / (1 + 0.01 / 0.04)), rel=0.03)
+
+
+def test_objects_do_not_add_up_where_they_overlap() -> None:
+    ball = Sphere(radius_m=0.01, position_m=(0, 0, 0.009), stiffness_pa_per_m=K)
+    apart = Sphere(radius_m=0.01, position_m=(0.02, 0, 0.009), stiffness_pa_per_m=K)
+    assert force_n(ball, ball) == force_n(ball)
+    assert force_n(ball, apart) == pytest.approx(2 * force_n(ball), rel=0.02)
+    assert force_n() == 0
+
+
+@given(
+    st.floats(-0.05, 0.05),
+    st.floats(-0.05, 0.05),
+    st.floats(-0.05, 0.05),
+    st.sampled_from([*SHAPES]),
+)
+def test_nothing_pulls_and_what_is_away_does_not_touch(
+    x: float, y: float, z: float, shape: str
+) -> None:
+    make, _ = SHAPES[shape]
+    pressure_pa = SMALL.pressure_pa([make(position_m=(x, y, z))])
+    assert np.isfinite(pressure_pa).all()
+    assert pressure_pa.min() >= 0
+    if z > 0.025:
+        assert not pressure_pa.any()
+
+
+@pytest.mark.parametrize(
+    ("make", "reason"),
+    [
+        (lambda: Sphere(radius_m=0.0, position_m=(0, 0, 0)), "radius_m of Sphere is 0"),
+        (lambda: Sphere(radius_m=1.0, position_m=(0, math.nan, 0)), "not a translation"),
+        (lambda: Sphere(radius_m=1.0, position_m=(0, 0)), "a position has 3 values"),
+        (
+            lambda: Sphere(radius_m=1.0, position_m=(0, 0, 0), orientation_xyzw=(0, 0, 0, 0)),
+            "not a rotation",
+        ),
+        (
+            lambda: Sphere(radius_m=1.0, position_m=(0, 0, 0), stiffness_pa_per_m=-1.0),
+            "stiffness_pa_per_m of Sphere is -1",
+        ),
+        (lambda: Sphere(radius_m=1.0, position_m=(0, 2e3, 0)), "within 1000 m"),
+        (lambda: Sphere(radius_m=1e9, position_m=(0, 0, 0)), "1000 at most"),
+        (
+            lambda: HeightMap(
+                underside_m=np.full((2, 2), np.nan), size_m=(1, 1), position_m=(0, 0, 0)
+            ),
+            "within 1000 m",
+        ),
+        (lambda: Box(size_m=(1, 1), position_m=(0, 0, 0)), "must have 3"),
+        (lambda: Cylinder(radius_m=1, length_m=math.inf, position_m=(0, 0, 0)), "length_m"),
+        (
+            lambda: HeightMap(underside_m=np.zeros((1, 4)), size_m=(1, 1), position_m=(0, 0, 0)),
+            r"shape \(1, 4\)",
+        ),
+    ],
+)
+def test_what_cannot_be_is_refused(make: Callable[[], Indenter], reason: str) -> None:
+    with pytest.raises(ParameterError, match=reason):
+        make()

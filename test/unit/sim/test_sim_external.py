@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""sim://?scene=external: what a program presses, through sensors, ADC, line and decoder."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactile_cdma import Frame, ParameterError, PortError, Skin, SpecError
+from tactile_cdma.places.layout import Layout
+from tactile_cdma.sim import Box, Cylinder, Foundation, HeightMap, Indenter, Sphere
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.wire.messages import Start
+from tactile_cdma.wire.packets import PacketParser, PacketWriter
+
+STEPPED = "sim://?scene=external&speed=0"
+LAYOUT = Layout.grid(16, 4, 4, 7e-3, 7e-3)
+COVER = Foundation(LAYOUT.positions_m, LAYOUT.normals, LAYOUT.areas_m2)
+BALL = Sphere(radius_m=0.02, position_m=(1e-3, -2e-3, 0.018))
+LSB_PA = 3.3 / 1024 / 0.033e-3
+"""One code in the first stage of the sensor's curve: 0.033 V per kPa."""
+
+
+def stepped(query: str = "", **parameters: float) -> Skin:
+    return Skin(f"{STEPPED}&{query}", nodes=16, **parameters)
+
+
+def test_pressures_come_back_within_the_resolution_of_the_converter() -> None:
+    with stepped("threshold=0&noise=0") as skin:
+        for thing in (
+            BALL,
+            Box(size_m=(0.012, 0.02, 0.01), position_m=(0, 0, 4e-3), stiffness_pa_per_m=3e7),
+            Cylinder(
+                radius_m=0.01, length_m=0.02, position_m=(0, 0, 9e-3), orientation_xyzw=(1, 0, 0, 1)
+            ),
+            HeightMap(
+                underside_m=np.array([[0, -1e-3], [-2e-3, 0]]),
+                size_m=(0.03, 0.03),
+                position_m=(0, 0, 0),
+            ),
+        ):
+            true_pa = COVER.pressure_pa([thing])
+            assert 3e3 < true_pa.max() < 50e3
+            frame = skin.step(thing)
+            assert np.abs(frame.pressure_pa - true_pa).max() <= 0.51 * LSB_PA
+        assert not skin.step().pressure_pa.any(), "released"
+
+
+def test_a_curved_skin_is_pressed_in_its_own_frame() -> None:
+    path = Path(__file__).resolve().parents[3] / "config" / "layouts" / "cylinder.yaml"
+    port = f"{STEPPED}&threshold=0&layout={path}"
+    with Skin(port, layout_file=path, nodes=72, frame_period_ms=40.0) as skin:
+        layout = skin.layout
+        cover = Foundation(layout.positions_m, layout.normals, layout.areas_m2)
+        for taxel in (0, 17, 71):
+            centre_m = layout.positions_m[taxel] + 0.0185 * layout.normals[taxel]
+            ball = Sphere(radius_m=0.02, position_m=centre_m.tolist())
+            true_pa, frame = cover.pressure_pa([ball]), skin.step(ball)
+            assert np.argmax(frame.pressure_pa) == taxel
+            assert np.abs(frame.pressure_pa - true_pa).max() <= 0.51 * LSB_PA
+
+
+def test_what_is_beyond_the_sensors_is_clamped_and_flagged() -> None:
+    with stepped("threshold=0") as skin:
+        box = Box(size_m=(0.1, 0.1, 0.1), position_m=(0, 0, 0.03), stiffness_pa_per_m=1e7)
+        frame = skin.step(box)
+    assert (frame.pressure_pa == 140e3).all()
+    assert (frame.status & 2).all()
+
+
+def course(pause_s: float, query: str) -> list[Frame]:
+    """The same presses at another pace of the program."""
+    frames = []
+    with stepped(query) as skin:
+        for step in range(40):
+            if step % 8 == 3:
+                time.sleep(pause_s)
+            things: list[Indenter] = [BALL] if step % 10 > 5 else []
+            frames.append(skin.step(*things))
+    return frames
+
+
+@pytest.mark.parametrize("query", ["", "seed=3&sensor=paper&threshold=0&stretch=0.1"])
+def test_the_same_steps_give_the_same_frames_at_any_pace(query: str) -> None:
+    once, slowly = course(0.0, query), course(0.05, query)
+    for a, b in zip(once, slowly, strict=True):
+        assert a.sequence == b.sequence
+        assert np.array_equal(a.codes, b.codes)
+        assert np.array_equal(a.status, b.status)
+        assert np.array_equal(a.pressure_pa, b.pressure_pa, equal_nan=True)
+    assert [frame.sequence for frame in once] == list(range(40))
+    assert once[-1].t_device - once[0].t_device == pytest.approx(39 * 12.8e-3, abs=1e-3)
+
+
+def test_a_step_shows_in_its_own_frame_after_silent_ones() -> None:
+    """Silent frames are sent with the next one; none may be computed before it is pressed."""
+    with stepped("heartbeat=0&noise=0") as skin:
+        for _ in range(3):
+            assert not skin.step().active.any()
+        assert skin.step(BALL).active.any()
+        assert skin.step().active.any(), "their release is told, once"
+        assert not skin.step().active.any()
+
+
+def test_a_pause_longer_than_the_drivers_patience_begins_no_new_stream() -> None:
+    """In which node 3, that has died, would speak again."""
+    with stepped("threshold=0&dead=3&dead_after=0.03") as skin:
+        spoken = [bool(skin.step(BALL).active[2]) for _ in range(5)]
+        assert (spoken[0], spoken[-1]) == (True, False)
+        time.sleep(1.3)
+        after = skin.step(BALL)
+    assert after.sequence == 5
+    assert not after.active[2]
+
+
+def test_frames_wait_for_steps() -> None:
+    with stepped(timeout_s=0.3) as skin:
+        skin.step()
+        skin.press(BALL)
+        with pytest.raises(PortError, match=r"frames pass one step\(\) at a time"):
+            skin.read()
+        assert skin.step(BALL).sequence == 1
+
+
+def test_at_another_pace_it_is_pressed_from_the_next_frame_on() -> None:
+    """Twenty times faster than real time."""
+    with Skin("sim://?scene=external&speed=20&threshold=0", nodes=16) as skin:
+        assert not skin.read().pressure_pa.any()
+        skin.press(BALL)
+        pressed = next(frame for frame in skin if frame.pressure_pa.any())
+        assert np.abs(pressed.pressure_pa - COVER.pressure_pa([BALL])).max() <= 0.51 * LSB_PA
+        skin.press()
+        assert next(frame for frame in skin if not frame.pressure_pa.any())
+        with pytest.raises(PortError, match="speed is 20, so frames pass by themselves"):
+            skin.step()
+
+
+def test_other_ports_are_not_pressed() -> None:
+    with Skin("sim://?scene=press", nodes=16) as skin, pytest.raises(PortError, match="external"):
+        skin.press(BALL)
+    with pytest.raises(PortError, match="not open"):
+        stepped().press(BALL)
+    with pytest.raises(SpecError, match="the scene is 'press'"):
+        VirtualDigitizer(SimOptions(scene="press")).press([BALL])
+
+
+def test_the_example_feels_what_it_presses() -> None:
+    example = Path(__file__).resolve().parents[3] / "examples" / "press_a_skin.py"
+    done = subprocess.run([sys.executable, str(example)], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    lines = [re.findall(r"[\d.]+(?= N| mm)", line) for line in done.stdout.splitlines()]
+    depth_mm, pressed_n, felt_n, felt_mm, true_mm = np.array(lines, dtype=float).T
+    assert (len(lines), depth_mm[-1]) == (13, 3.0)
+    assert felt_n == pytest.approx(pressed_n, abs=0.04)
+    assert felt_mm == pytest.approx(true_mm, abs=0.5)
+
+
+def test_a_pose_that_is_none_is_refused_before_it_reaches_the_skin() -> None:
+    with pytest.raises(ParameterError):
+        Sphere(radius_m=-1.0, position_m=(0, 0, 0))
+
+
+@pytest.mark.parametrize("query", ["timing=gap", "start_phase=0.3"])
+def test_frames_without_marks_cannot_be_stepped(query: str) -> None:
+    with pytest.raises(SpecError, match="leave out timing=gap and start_phase"):
+        SimOptions.from_url(f"{STEPPED}&{query}")
+
+
+def test_a_host_that_wants_no_marks_is_refused() -> None:
+    with (
+        Skin(STEPPED, nodes=16, timing="gap", timeout_s=2.5) as skin,
+        pytest.raises(PortError, match="refused"),
+    ):
+        skin.step()
+
+
+@pytest.mark.parametrize("query", ["", "integrated=1", "threshold=0", "scramble=1"])
+def test_steps_give_the_packets_of_the_untouched_skin(query: str) -> None:
+    """Frame by frame the same bytes as of a stream that runs, and no more than were asked for."""
+
+    def sent(scene: str, frames: int) -> bytes:
+        options = SimOptions.from_url(f"sim://?scene={scene}&speed=0&{query}")
+        digitizer, data = VirtualDigitizer(options, clock=lambda: 0.0), b""
+        digitizer.receive(PacketWriter().encode(Start()))
+        for _ in range(frames):
+            if options.stepped:
+                digitizer.press([], 1)
+            digitizer.advance(1 << 20 if options.stepped else 1)
+            data += digitizer.take(1 << 30)
+        return data
+
+    stepwise, running = sent("external", 100), sent("idle", 1000)
+    assert len(running) > len(stepwise)
+    assert running.startswith(stepwise)
+    packets = PacketParser().feed(stepwise)
+    assert sum(getattr(packet, "sync", False) for packet in packets) == 100
