@@ -15,21 +15,34 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from launch import LaunchContext, LaunchDescription, LaunchDescriptionEntity
 from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
+from launch.logging import launch_config
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from tactile_cdma.base.errors import TactileError
 from tactile_cdma.config.arguments import check_launch_arguments, existing_params
 from tactile_cdma.config.body_file import NODE_NAME, read_body
-from tactile_cdma.config.parameters import Value
+from tactile_cdma.config.parameters import (
+    DEFAULTS,
+    SIMULATION,
+    Value,
+    Values,
+    read_file,
+    unknown,
+)
+from tactile_cdma.config.rviz_file import body_view, skin_view
+from tactile_cdma.config.skin_config import SkinConfig
 
 SHARE = Path(__file__).parent.parent  # of the installed package, or the checkout
 PARAMS = str(SHARE / "config" / "skin.yaml")
 RVIZ_TOPICS = ("heatmap", "markers", "points", "pressure_image", "wrench")
 OF_ONE_PATCH = ("port", "namespace", "frame_id")
+VIEWS = TRUE, CURVED, BODY = "true", "curved", "body"
+"""Values of `rviz` for which a file is made to measure."""
 RESPAWN_DELAY_S = 2.0
 
 
@@ -65,8 +78,8 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             "rviz",
             default_value="false",
-            choices=["true", "false"],
-            description="show the skin, or the body, in rviz2",
+            description="show it in rviz2: true, curved (a bent skin, seen in space), body (with "
+            "patches), or the path of an rviz file",
         ),
         DeclareLaunchArgument(
             "patches",
@@ -97,10 +110,10 @@ def start(context: LaunchContext, names: list[str]) -> list[LaunchDescriptionEnt
         if any(Path(word).name == Path(__file__).name for word in sys.argv):
             check_launch_arguments(sys.argv, names)
         actions = whole_body(get) if get["patches"] else one_patch(get)
+        if get["rviz"] != "false":
+            actions.append(rviz(get))
     except TactileError as error:
         raise RuntimeError(str(error)) from None  # launch prints it and ends
-    if get["rviz"] == "true":
-        actions.append(rviz(get))
     return actions
 
 
@@ -108,13 +121,32 @@ def one_patch(get: dict[str, str]) -> list[LaunchDescriptionEntity]:
     """Return the driver of a single patch."""
     if get["only"]:
         raise RuntimeError("only selects patches of a body file: also set patches:=…")
-    overrides = {"port": get["port"], "frame_id": get["frame_id"]}
+    skin_values(get)  # refuses what the driver would not take, or would take nothing from
+    return [driver(get["namespace"].strip("/"), params_path(get), overriding(get))]
+
+
+def overriding(get: dict[str, str]) -> dict[str, Value]:
+    """Return the parameters of a single skin that are given as arguments."""
+    given = {"port": get["port"], "frame_id": get["frame_id"]}
     # options stay, as in port:=sim://?scene=hand
-    if get["sim"] == "true" and not overrides["port"].startswith("sim://"):
-        overrides["port"] = "sim://"
-    parameters = {name: value for name, value in overrides.items() if value}
-    params_file = existing_params(Path(get["params_file"]).expanduser())
-    return [driver(get["namespace"].strip("/"), params_file, parameters)]
+    if get["sim"] == "true" and not given["port"].startswith(SIMULATION):
+        given["port"] = SIMULATION
+    return {name: value for name, value in given.items() if value}
+
+
+def skin_values(get: dict[str, str]) -> Values:
+    """Return all parameters of a single skin."""
+    return {**DEFAULTS, **read_file(params_path(get), node_of(get)), **overriding(get)}
+
+
+def params_path(get: dict[str, str]) -> Path:
+    """Return the path of its parameter file."""
+    return existing_params(Path(get["params_file"]).expanduser())
+
+
+def node_of(get: dict[str, str]) -> str:
+    """Return the fully qualified name of its node."""
+    return "/".join(["", *filter(None, [get["namespace"].strip("/")]), NODE_NAME])
 
 
 def whole_body(get: dict[str, str]) -> list[LaunchDescriptionEntity]:
@@ -166,20 +198,57 @@ def driver(
 
 
 def rviz(get: dict[str, str]) -> LaunchDescriptionEntity:
-    """Return rviz2 with our displays, or a log message if it is not installed."""
+    """Return rviz2 with the displays asked for, or a log message if it is not installed."""
+    frame_id, view = body_displays(get) if get["patches"] else skin_displays(get)
     try:
         get_package_prefix("rviz2")
     except PackageNotFoundError:
         return LogInfo(msg="rviz2 is not installed (apt install ros-$ROS_DISTRO-rviz2): not shown")
     namespace = get["namespace"].strip("/")
-    # skin.rviz names the topics of a skin without namespace.
-    topics = [f"/{NODE_NAME}/{topic}" for topic in RVIZ_TOPICS] if namespace else []
-    displays = "body.rviz" if get["patches"] else "skin.rviz"
+    if isinstance(view, Path):
+        # A file of the user's own may name the topics of a skin without namespace.
+        path, topics = view, [f"/{NODE_NAME}/{topic}" for topic in RVIZ_TOPICS if namespace]
+    else:
+        path, topics = Path(launch_config.log_dir) / "skin.rviz", []
+        path.write_text(view)
     return Node(
         package="rviz2",
         executable="rviz2",
         name="skin_rviz",
         namespace=namespace,
-        arguments=["-d", str(SHARE / "config" / displays)],
+        arguments=["-d", str(path), "-f", frame_id],
         remappings=[(topic, f"/{namespace}{topic}") for topic in topics],
     )
+
+
+def skin_displays(get: dict[str, str]) -> tuple[str, Path | str]:
+    """Return the fixed frame of a single skin, and an rviz file: its path or its text."""
+    values = skin_values(get)
+    frame_id = str(values["frame_id"])
+    if get["rviz"] == BODY:
+        raise RuntimeError("rviz:=body shows the patches of a body file: also set patches:=…")
+    if get["rviz"] not in VIEWS:
+        return frame_id, own_displays(get)
+    layout = SkinConfig.of(values).layout
+    bent = get["rviz"] == CURVED or bool(np.ptp(layout.normals, axis=0).any())
+    template = SHARE / "config" / ("curved_skin.rviz" if bent else "skin.rviz")
+    return frame_id, skin_view(template, layout, frame_id, node_of(get))
+
+
+def body_displays(get: dict[str, str]) -> tuple[str, Path | str]:
+    """Return the same of a body."""
+    body = read_body(Path(get["patches"]).expanduser().absolute())
+    if get["rviz"] == CURVED:
+        raise RuntimeError("rviz:=curved shows a single skin: leave patches out, or set rviz:=body")
+    if get["rviz"] not in VIEWS:
+        return body.frame_id, own_displays(get)
+    return body.frame_id, body_view(SHARE / "config" / "body.rviz", body)
+
+
+def own_displays(get: dict[str, str]) -> Path:
+    """Return the path of an rviz file of the user's own."""
+    path = Path(get["rviz"]).expanduser()
+    if not path.is_file():
+        text = unknown(get["rviz"], ("false", *VIEWS), "value of rviz")
+        raise RuntimeError(f"{text} (there are false, {', '.join(VIEWS)}, or an rviz file's path)")
+    return path

@@ -8,10 +8,13 @@ import argparse
 import math
 import threading
 from collections.abc import Collection, Iterable
+from difflib import get_close_matches
+from itertools import pairwise
 from pathlib import Path
 
 from ..base.errors import ParameterError
-from .parameters import BY_NAME, NATURAL_SIGNS, Value, read_file, unknown
+from ..base.shipped import shipped
+from .parameters import BY_NAME, NATURAL_SIGNS, Value, read_file, read_sections, unknown
 
 _NAMES = (
     *("nodes", "bits", "chip_us", "frame_period_ms", "order", "first_row", "sign_seed", "drive"),
@@ -64,10 +67,32 @@ def check_launch_arguments(words: Iterable[str], known: Collection[str]) -> None
 
 
 def existing_params(path: Path) -> Path:
-    """The path of a parameter file; raises ParameterError where there is none."""
-    if not path.is_file():
-        raise ParameterError(f"no parameter file {path}")
-    return path
+    """The path of a parameter file; raises ParameterError, with a likely one, if not."""
+    if path.is_file():
+        return path
+    near = get_close_matches(path.name, [file.name for file in path.parent.glob("*.yaml")], n=1)
+    meant = shipped(f"config/{path.name}") or (path.with_name(near[0]) if near else None)
+    raise ParameterError(
+        f"no parameter file {path}" + (f"; did you mean {meant}?" if meant else "")
+    )
+
+
+def check_params_are_for(node: str, words: Iterable[str]) -> None:
+    """Raise ParameterError where no parameter file of a command line has anything for the node.
+
+    ROS 2 itself ignores such files, and the node would run with its defaults. node: its fully
+    qualified name. words: of the command line; those of `ros2 launch` name a file with the
+    parameters that override the user's, so a single file that fits suffices.
+    """
+    files = [Path(value) for option, value in pairwise(words) if option == "--params-file"]
+    refusals = []
+    for file in files:
+        try:
+            read_sections(file, node)
+        except ParameterError as error:
+            refusals.append(error)
+    if files and len(refusals) == len(files):
+        raise refusals[0]
 
 
 def positive(text: str) -> float:

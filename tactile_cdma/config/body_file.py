@@ -107,7 +107,7 @@ def _patch(name: str, value: Marked, body_frame: str, taken: dict[tuple[str, str
     if params := content.get("params_file"):
         params_file = _path(params, params.text("params_file"))
         try:
-            values |= read_file(params_file)
+            values |= read_file(params_file, f"/{name}/{NODE_NAME}")
         except ParameterError as error:
             raise params.refuse(str(error)) from None
     if given := content.get("parameters"):

@@ -227,30 +227,55 @@ def unknown(name: str, known: Iterable[str], kind: str = "parameter") -> str:
     return f"unknown {kind} {name!r}" + (f"; did you mean {close[0]!r}?" if close else "")
 
 
-def read_file(path: Path) -> dict[str, Value]:
-    """Read a ROS 2 parameter file; every node's `ros__parameters` are merged in file order.
+def read_file(path: Path, node: str | None = None) -> dict[str, Value]:
+    """Read a ROS 2 parameter file.
 
-    Raises ParameterError, which names file and line, if it is no such file or a value is wrong.
+    node: fully qualified name of the node whose parameters are read, as ROS 2 would; None: every
+    node's `ros__parameters` are merged in file order.
+    Raises ParameterError, which names file and line, if it is no such file, has nothing for the
+    node, or a value is wrong.
     """
-    file = read_marked(path, ParameterError)
-    sections = list(_sections(file))
-    if not sections:
-        raise file.refuse("no 'ros__parameters' section; is this a ROS 2 parameter file?")
     values: dict[str, Value] = {}
-    for section in sections:
+    for section in read_sections(path, node):
         for name, value in section.items():
             if not name.startswith(STANDARD_PARAMETERS):
                 values[name] = check_marked(name, value)
     return values
 
 
-def _sections(file: Marked) -> Iterator[Mapping[str, Marked]]:
+def read_sections(path: Path, node: str | None) -> list[Mapping[str, Marked]]:
+    """The parameters of a file for a node, in file order; see read_file."""
+    file = read_marked(path, ParameterError)
+    sections = list(_sections(file))
+    if not sections:
+        raise file.refuse("no 'ros__parameters' section; is this a ROS 2 parameter file?")
+    if node is None:
+        return [section for _, section in sections]
+    taken = [section for name, section in sections if _fits(name, node)]
+    if not taken:
+        names = ", ".join(name for name, _ in sections)
+        raise file.refuse(
+            f"its parameters are for {names}, and this node is {node}: write {node} or /** there, "
+            "or start the node with that name and namespace"
+        )
+    return taken
+
+
+def _fits(name: str, node: str) -> bool:
+    """Whether a section is for a node: * stands for a name between slashes, ** for any number."""
+    parts = {"*": r"/\w+", "**": r"(/\w+)*"}
+    pattern = "".join(parts.get(part, f"/{re.escape(part)}") for part in name.split("/")[1:])
+    return re.fullmatch(pattern, node) is not None
+
+
+def _sections(file: Marked, node: str = "") -> Iterator[tuple[str, Mapping[str, Marked]]]:
+    """What a parameter file has for each node: its name, from the root on, and the parameters."""
     if isinstance(file.content, dict):
         for name, below in file.content.items():
             if name == "ros__parameters" and isinstance(below.content, dict):
-                yield below.content
+                yield node, below.content
             else:
-                yield from _sections(below)
+                yield from _sections(below, f"{node}/{name.strip('/')}")
 
 
 def check_marked(name: str, value: Marked) -> Value:

@@ -201,17 +201,21 @@ def source(watch: SourceWatch) -> Iterator[Finding]:
 def host(window: Window, drivers: int) -> Iterator[Finding]:
     """This computer. drivers: how many publish under this one's name."""
     if drivers > 1:
-        text = (
-            f"{drivers} drivers have this name, and their frames are mixed: end one, or give it "
-            "another name or ROS_DOMAIN_ID"
-        )
-        yield Finding(text, key="rivals")
+        yield Finding(rivals(drivers), key="rivals")
     if window.thread_share > BUSY_SHARE:
         text = (
             f"decoding takes {window.thread_share:.0%} of a core: ask for fewer samples_per_chip, "
             "or publish less"
         )
         yield Finding(text, key="busy")
+
+
+def rivals(drivers: int) -> str:
+    """What is wrong where several drivers publish under one name."""
+    return (
+        f"{drivers} drivers have this name, and their frames are mixed: end one, or give it "
+        "another name or ROS_DOMAIN_ID"
+    )
 
 
 def weakest(pipeline: Pipeline, window: Window) -> tuple[int, float]:

@@ -53,7 +53,7 @@ class TareResult:
 class RestKeeper:
     """Tare and drift of one skin, kept in a file from one run to the next.
 
-    Call it from any one thread but the driver's, which goes on meanwhile.
+    Call it from any one thread but the driver's, which goes on meanwhile; but hear() from that.
 
     config: in force. tared: when the tare in force was taken, in ISO 8601; empty without one.
     """
@@ -74,7 +74,8 @@ class RestKeeper:
         """
         self.config, self.tared = config, ""
         self._log, self._on_change = log, on_change
-        self._simulated = url.lower().startswith(SIMULATION)
+        # Other ports, too, may lead to a simulator or an emulator: the digitizer says it.
+        self._simulated = True if url.lower().startswith(SIMULATION) else None
         self._store = RestStore(None if url.lower().startswith(REPLAY) else path, log)
         self._driver: Driver | None = None
         self._kept: RestState | None = None  # as last read or written; in force while inactive
@@ -95,11 +96,32 @@ class RestKeeper:
             taxels = driver.pipeline.taxels
             taxels.restore(kept.rest_v, kept.drift_v)
             if kept.rest_v is not None or kept.drift_v is not None:
-                self._log.info(
+                text = (
                     f"tare and drift are those of {kept.written} in {self._store.path}: "
                     + _taken_off(taxels.baseline.tare_pa)
                 )
+                if kept.simulated:
+                    self._log.warning(
+                        f"{text}; they were found on a simulated skin, call ~/tare with clear: "
+                        "true to forget them"
+                    )
+                else:
+                    self._log.info(text)
         self._tell()
+
+    def hear(self, simulated: bool) -> None:
+        """Take in what the digitizer says that it is; in the driver's thread, between frames.
+
+        Tare and drift in force that were found on the other kind of skin are dropped.
+        """
+        self._simulated, kept = simulated, self._kept
+        if self._driver is None or kept is None or kept.simulated == simulated:
+            return
+        self._driver.pipeline.taxels.restore()
+        self._store.disown()
+        self._kept, self.tared = None, ""
+        misfit = kept.misfit(kept.skin, simulated, kept.nodes, kept.curves)
+        self._log.warning(f"{self._store.path}: tare and drift are dropped: {misfit}")
 
     def deactivate(self) -> None:
         """Save what has changed; the driver has stopped."""
@@ -236,6 +258,9 @@ class RestKeeper:
     def _present(self) -> RestState:
         """What is in force; while inactive, what was last."""
         config, rest_v, drift_v = self.config, None, None
+        simulated = self._simulated
+        if simulated is None:
+            simulated = self._kept is not None and self._kept.simulated
         if self._driver is not None:
             baseline = self._driver.pipeline.taxels.baseline
             rest_v = baseline.rest_v
@@ -244,7 +269,7 @@ class RestKeeper:
             rest_v, drift_v = self._kept.rest_v, self._kept.drift_v
         return RestState(
             skin=config.skin,
-            simulated=self._simulated,
+            simulated=simulated,
             nodes=config.spec.nodes,
             calibration=config.calibration.identity,
             curves=config.calibration.curves.checksum,

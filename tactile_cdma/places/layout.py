@@ -87,6 +87,12 @@ class Layout(Surface):
         return max((int(self.nodes.max()), *self.unplaced))
 
     @cached_property
+    def middle(self) -> int:
+        """The taxel nearest to the middle of all."""
+        from_middle_m = self.positions_m - self.positions_m.mean(axis=0)
+        return int(np.linalg.norm(from_middle_m, axis=1).argmin())
+
+    @cached_property
     def source(self) -> Indices | None:
         """(t,) index of each taxel's node in arrays of all nodes; −1: no node.
 

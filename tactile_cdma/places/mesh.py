@@ -12,6 +12,10 @@ from .layout import Layout
 CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, -1), (1, 1), (-1, 1))
 """Corners of a taxel's two triangles, in half edges right and up; anticlockwise from outside."""
 
+MOST_SQUARES = 256
+"""Taxels up to which markers have squares, 240 bytes each; chosen: larger skins have ~/points,
+which take a sixth of that."""
+
 
 def taxel_squares(layout: Layout) -> Floats32:
     """Two triangles per taxel, (t, 6, 3) float32, corners in m, anticlockwise seen from outside.

@@ -48,9 +48,12 @@ class RestState:
     rest_v: Floats32 | None
     drift_v: Floats32 | None
 
-    def misfit(self, skin: str, simulated: bool, nodes: int, curves: str) -> str | None:
-        """Why this is not the state of such a skin, or None. An empty name fits every name."""
-        if self.simulated != simulated:
+    def misfit(self, skin: str, simulated: bool | None, nodes: int, curves: str) -> str | None:
+        """Why this is not the state of such a skin, or None.
+
+        An empty name fits every name, and simulated is None as long as that is not known.
+        """
+        if simulated is not None and self.simulated != simulated:
             kinds = ("a real", "a simulated") if simulated else ("a simulated", "a real")
             return f"it is of {kinds[0]} skin, this is {kinds[1]} one"
         if self.skin and skin and self.skin != skin:

@@ -35,8 +35,8 @@ class RestStore:
         self._log = log
         self._is_others = False
 
-    def read(self, skin: str, simulated: bool, nodes: int, curves: str) -> RestState | None:
-        """The state on file if it is that of such a skin (see RestState), else None."""
+    def read(self, skin: str, simulated: bool | None, nodes: int, curves: str) -> RestState | None:
+        """The state on file if it is that of such a skin (see RestState.misfit), else None."""
         self._is_others = False
         if self.path is None:
             return None

@@ -83,7 +83,7 @@ class SimOptions:
     """
 
     # fmt: off
-    scene: str = _option("moving", "what touches the skin", "", None,
+    scene: str = _option("demo", "what touches the skin", "", None,
         (*SCENES, *LOADS, EXTERNAL))
     nodes: int | None = None
     bits: int | None = None

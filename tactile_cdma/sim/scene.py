@@ -21,6 +21,9 @@ PEAK_PA = 120e3
 EXTERNAL = "external"
 """Name of the scene in which a program says what touches the skin."""
 
+REST_S = 3.0
+"""Time without a touch at the beginning of the scene "demo", s; chosen: a tare looks at 1 s."""
+
 
 @dataclass(frozen=True)
 class Skin:
@@ -136,6 +139,11 @@ def moving(t_s: float, skin: Skin) -> NDArray[np.float64]:
     return _bump(skin, centre, radius_m, PEAK_PA * (0.8 + 0.2 * math.sin(2 * math.pi * t_s / 3.0)))
 
 
+def demo(t_s: float, skin: Skin) -> NDArray[np.float64]:
+    """At rest for REST_S, in which the skin can be tared; then one contact wandering over it."""
+    return idle(t_s, skin) if t_s < REST_S else moving(t_s - REST_S, skin)
+
+
 def all_taxels(t_s: float, skin: Skin) -> NDArray[np.float64]:
     """Every taxel pressed by 15 to 115 kPa: a slow wave that crosses the skin."""
     x = skin.positions_m[:, 0] / max(2 * float(skin.half_extent_m[0]), skin.pitch_m)
@@ -154,6 +162,7 @@ def hand(t_s: float, skin: Skin) -> NDArray[np.float64]:
 
 
 SCENES: dict[str, Scene] = {
+    "demo": demo,
     "idle": idle,
     "press": press,
     "presses": presses,

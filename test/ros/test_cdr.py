@@ -40,7 +40,7 @@ from tactile_cdma.ros.common.convert import (
 )
 from tactile_cdma.ros.common.touches import Touches
 from tactile_cdma.ros.driver.contacts import contacts_message
-from tactile_cdma.ros.driver.markers import SkinMarkers
+from tactile_cdma.ros.driver.markers import RESULTANT, SUM, SkinMarkers
 from tactile_cdma.views.cloud import BODY_POINT, POINT
 from tactile_cdma.words.decode import silent
 
@@ -246,9 +246,10 @@ def test_markers(frame_id: str, most_squares: int) -> None:
                 assert marker == bare
             else:
                 assert (marker.lifetime.sec, marker.lifetime.nanosec) == (1, 250_000_000)
-                assert marker.color == ColorRGBA(**_float32(r=0.3, g=0.85, b=1.0, a=1.0))
+                red, green = (1.0, 1.0) if marker.ns in (RESULTANT, SUM) else (0.3, 0.85)
+                assert marker.color == ColorRGBA(**_float32(r=red, g=green, b=1.0, a=1.0))
                 assert marker.pose.orientation.w == 1.0
-    assert drawn == 4 * (most_squares > 0) + 14
+    assert drawn == 4 * (most_squares > 0) + 14 + 4  # with the resultant, and its end
 
 
 def _float32(**values: float) -> dict[str, float]:

@@ -17,6 +17,8 @@ import pytest
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
 from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
+from rcl_interfaces.msg import Log  # noqa: E402
+from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
 
 from skin_client import Client, running, wait_for  # noqa: E402
 from tactile_cdma.code.encode import frame_levels, line_chips  # noqa: E402
@@ -30,6 +32,7 @@ pytestmark = pytest.mark.ros
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 STALE = DiagnosticStatus.STALE
 PATIENCE_S = 60.0
+PAST = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 HURRY_NS = 250_000_000
 """Reports come at this interval where a test need not wait for whole seconds."""
 
@@ -267,9 +270,12 @@ def test_an_unplugged_port_is_an_error_of_the_stream_and_no_news_of_the_rest(
 
 
 def test_two_drivers_of_one_name_are_told_of_by_both() -> None:
+    told: list[str] = []
     with hurrying() as (_, client), hurrying():
+        client.create_subscription(Log, "/rosout", lambda log: told.append(log.msg), PAST)
         wait_for(says(client, "host", WARN, "2 drivers have this name"), PATIENCE_S)
         wait_for(lambda: client.value("host", "drivers of this name") == "2", PATIENCE_S)
+        wait_for(lambda: sum("2 drivers have this name" in text for text in told) == 2, PATIENCE_S)
     with hurrying() as (_, client):
         wait_for(says(client, "host", OK, "ok"), PATIENCE_S)
 

@@ -16,10 +16,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 pytest.importorskip("launch_ros", reason="launch_ros comes with a ROS 2 installation, not PyPI")
 rclpy = pytest.importorskip("rclpy")
 
+from ament_index_python.packages import (  # noqa: E402
+    PackageNotFoundError,
+    get_package_prefix,
+)
 from launch import LaunchContext, LaunchDescription  # noqa: E402
 from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction  # noqa: E402
 from launch_ros.actions import Node  # noqa: E402
@@ -116,7 +121,83 @@ def test_arguments_of_a_launch_file_that_includes_this_one_are_its_own(
 
 def test_rviz_is_started_or_its_absence_told() -> None:
     (_, extra), _ = actions(rviz="true", namespace="left")
-    assert isinstance(extra, LogInfo if shutil.which("rviz2") is None else Node)
+    try:
+        get_package_prefix("rviz2")
+    except PackageNotFoundError:
+        assert isinstance(extra, LogInfo)
+    else:
+        assert isinstance(extra, Node)
+
+
+def displays(**arguments: str) -> tuple[str, Any]:
+    """The fixed frame, and what rviz would be given: a path, or the content made for it."""
+    launch_file, context = load(), LaunchContext()
+    context.launch_configurations.update(arguments)
+    for entity in launch_file.generate_launch_description().entities:
+        if isinstance(entity, DeclareLaunchArgument):
+            entity.execute(context)
+    get = context.launch_configurations
+    of = launch_file.body_displays if get["patches"] else launch_file.skin_displays
+    frame_id, view = of(get)
+    return frame_id, view if isinstance(view, Path) else yaml.safe_load(view)
+
+
+def markers_of(view: Any) -> list[str]:
+    shown = view["Visualization Manager"]["Displays"]
+    return [item["Topic"]["Value"] for item in shown if item["Class"].endswith("/MarkerArray")]
+
+
+def test_rviz_looks_at_the_frame_of_the_argument_or_of_the_parameter_file(tmp_path: Path) -> None:
+    own = tmp_path / "own.yaml"
+    own.write_text("/left/skin: {ros__parameters: {frame_id: palm}}\n")
+    for arguments, frame_id in (
+        ({}, "skin"),
+        ({"frame_id": "thumb"}, "thumb"),
+        ({"params_file": str(own), "namespace": "left"}, "palm"),
+        ({"params_file": str(own), "namespace": "left", "frame_id": "thumb"}, "thumb"),
+    ):
+        found, view = displays(rviz="true", **arguments)
+        assert found == frame_id
+        assert view["Visualization Manager"]["Global Options"]["Fixed Frame"] == frame_id
+        namespace = f"/{arguments['namespace']}" if "namespace" in arguments else ""
+        assert markers_of(view) == [f"{namespace}/skin/markers"]
+
+
+def test_rviz_shows_flat_skins_with_a_heatmap_and_bent_ones_in_space(tmp_path: Path) -> None:
+    bent = tmp_path / "bent.yaml"
+    layout = ROOT / "config" / "layouts" / "cylinder.yaml"
+    given = f"nodes: 72, frame_period_ms: 40.0, layout_file: {layout}"
+    bent.write_text(f"skin: {{ros__parameters: {{{given}}}}}\n")
+    pictures = [
+        any(item["Class"].endswith("/Image") for item in view["Visualization Manager"]["Displays"])
+        for _, view in (
+            displays(rviz="true"),
+            displays(rviz="curved"),
+            displays(rviz="true", params_file=str(bent)),
+        )
+    ]
+    assert pictures == [True, False, False]
+
+
+def test_rvizs_view_of_a_body_follows_the_body_file(tmp_path: Path) -> None:
+    path = tmp_path / "arm.yaml"
+    path.write_text(
+        "frame_id: arm\npatches:\n  thumb: {parameters: {mount_xyz_m: [3.0, 0.0, 0.0]}}\n"
+        "  palm: {parameters: {mount_xyz_m: [1.0, 0.0, 0.0]}}\n"
+    )
+    for rviz in ("true", "body"):
+        frame_id, view = displays(rviz=rviz, patches=str(path))
+        assert frame_id == "arm"
+        assert markers_of(view) == ["/thumb/skin/markers", "/palm/skin/markers"]
+        focus = view["Visualization Manager"]["Views"]["Current"]["Focal Point"]
+        assert focus == {"X": 2.0, "Y": 0.0, "Z": 0.0}
+
+
+def test_an_rviz_file_of_the_users_own_is_taken_as_it_is(tmp_path: Path) -> None:
+    own = tmp_path / "own.rviz"
+    own.write_text("Panels: []\n")
+    assert displays(rviz=str(own), frame_id="palm") == ("palm", own)
+    assert displays(rviz=str(own), patches=str(BODY_FILE)) == ("body", own)
 
 
 def test_a_body_is_a_driver_per_patch_and_the_node_that_gathers() -> None:
@@ -155,6 +236,11 @@ def test_a_computer_may_have_a_share_of_the_body() -> None:
     ("arguments", "message"),
     [
         ({"params_file": "none.yaml"}, "no parameter file none.yaml"),
+        ({"params_file": str(ROOT / "config" / "skn.yaml")}, r"did you mean .*config/skin\.yaml\?"),
+        ({"params_file": "nowhere/wired_skin.yaml"}, r"did you mean .*config/wired_skin\.yaml\?"),
+        ({"rviz": "tru"}, "unknown value of rviz 'tru'; did you mean 'true'?"),
+        ({"rviz": "body"}, "also set patches"),
+        ({"rviz": "curved", "patches": str(BODY_FILE)}, "set rviz:=body"),
         ({"patches": "none.yaml"}, "none.yaml: No such file"),
         ({"patches": str(BODY_FILE), "only": "nose"}, "no patch 'nose' to start; there are chest"),
         ({"patches": str(BODY_FILE), "port": "/dev/x"}, "port is for a single patch"),
@@ -166,6 +252,17 @@ def test_a_computer_may_have_a_share_of_the_body() -> None:
 def test_what_cannot_be_launched_is_one_error(arguments: dict[str, str], message: str) -> None:
     with pytest.raises(RuntimeError, match=message):
         actions(**arguments)
+
+
+def test_a_parameter_file_of_another_node_is_refused(tmp_path: Path) -> None:
+    own = tmp_path / "own.yaml"
+    own.write_text("/left/skin: {ros__parameters: {nodes: 9}}\n")
+    assert driver(params_file=str(own), namespace="left")[1] == own
+    with pytest.raises(RuntimeError, match="for /left/skin, and this node is /right/skin"):
+        actions(params_file=str(own), namespace="right")
+    own.write_text("/**: {ros__parameters: {node: 9}}\n")
+    with pytest.raises(RuntimeError, match="'node'; did you mean 'nodes'"):
+        actions(params_file=str(own))
 
 
 @pytest.mark.slow
@@ -209,6 +306,7 @@ def test_simulated_skin_starts_and_publishes(namespace: str) -> None:
     assert len(received[-1].pressure) == 16
     assert launch.returncode == 0, output
     assert "Traceback" not in output
+    assert 0 < output.index("opening sim://") < output.index("opened sim://"), "told what it does"
 
 
 @pytest.mark.slow

@@ -16,18 +16,21 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.places.layout_shapes import cylinder
-from tactile_cdma.places.mesh import taxel_squares
+from tactile_cdma.places.mesh import MOST_SQUARES, taxel_squares
 from tactile_cdma.readings.contact import ContactThresholds, ContactTracker
 from tactile_cdma.readings.stages import Status
 from tactile_cdma.readings.taxels import Readings
 from tactile_cdma.ros.common.cdr import Heading
 from tactile_cdma.ros.driver.markers import (
-    ARROW_M_PER_N,
     ARROWS,
     BLIND,
-    MOST_SQUARES,
+    RESULTANT,
+    SQUARE_SHARE,
+    SUM,
+    SUNK_PITCHES,
     SURFACE,
     TEXTS,
+    UNREAD_SHARE,
     SkinMarkers,
 )
 from tactile_cdma.views.heatmap import NO_READING_RGB, colours
@@ -79,7 +82,15 @@ def test_the_surface_has_a_coloured_square_for_every_taxel_with_a_node() -> None
     assert surface.header == HEADING.message
     assert components(surface.scale).tolist() == [1, 1, 1]
     corners = np.array([components(point) for point in surface.points]).reshape(-1, 6, 3)
-    assert np.allclose(corners, taxel_squares(CUFF)[:23], atol=1e-7)
+    # Below the taxels' places, with gaps between them, and smaller where there is no reading.
+    middles = corners[:, [0, 1, 2, 5]].mean(axis=1)
+    depth_m = SUNK_PITCHES * PITCH_M
+    assert np.allclose(CUFF.positions_m[:23] - depth_m * CUFF.normals[:23], middles, atol=1e-7)
+    full = taxel_squares(CUFF)[:23]
+    shares = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
+    shares /= np.linalg.norm(full[:, 1] - full[:, 0], axis=1)
+    assert np.allclose(shares, np.where(np.arange(23) == 8, UNREAD_SHARE, SQUARE_SHARE))
+    assert UNREAD_SHARE < SQUARE_SHARE < 1
     found = np.array([(c.r, c.g, c.b, c.a) for c in surface.colors]).reshape(23, 6, 4)
     pressure_pa = np.zeros(23, dtype=np.float32)
     pressure_pa[list(pressed)] = list(pressed.values())
@@ -95,23 +106,25 @@ def test_an_arrow_ends_at_the_centre_of_pressure_and_says_the_force() -> None:
     tail, head = (components(point) for point in arrow.points)
     force_n = pressure_pa * PITCH_M**2
     assert np.allclose(head, CUFF.positions_m[8], atol=1e-7)
-    # The force points into the skin, so the arrow comes from outside.
-    assert np.allclose(tail - head, CUFF.normals[8] * force_n * ARROW_M_PER_N, atol=1e-6)
-    assert text.text == f"{force_n:.3g} N"
-    assert np.allclose(components(text.pose.position), tail)
+    # The force points into the skin, so the arrow comes from outside; a square of its length bears
+    # the force at the top of the scale.
+    assert np.allclose(tail - head, CUFF.normals[8] * (force_n / MAX_PA) ** 0.5, atol=1e-6)
+    assert text.text == f"{force_n:.3g}N"
+    beyond_m = (components(text.pose.position) - tail) @ CUFF.normals[8]
+    assert beyond_m == pytest.approx(text.scale.z)
     assert (arrow.lifetime.sec, arrow.lifetime.nanosec) == (1, 500_000_000)
 
 
 def test_of_a_saturated_contact_the_force_is_at_least_that() -> None:
     [text] = of(Skin().draw({8: 140e3}, every=Status.SATURATED), TEXTS)
-    assert text.text.startswith("> ")
+    assert text.text.startswith(">")
 
 
 def test_beside_a_taxel_without_a_reading_the_force_is_at_least_that() -> None:
     nan = float("nan")
     [beside] = of(Skin().draw({8: 40e3, 9: nan}), TEXTS)
     [apart] = of(Skin().draw({8: 40e3, 11: nan}), TEXTS)
-    assert (beside.text.startswith("> "), apart.text.startswith("> ")) == (True, False)
+    assert (beside.text.startswith(">"), apart.text.startswith(">")) == (True, False)
 
 
 def test_a_skin_that_is_not_read_says_so_where_an_untouched_one_shows_nothing() -> None:
@@ -119,11 +132,11 @@ def test_a_skin_that_is_not_read_says_so_where_an_untouched_one_shows_nothing() 
     every = {taxel: float("nan") for taxel in range(24)}
     assert not of(skin.draw({}), BLIND)
     [text] = of(skin.draw(every), BLIND)
-    assert text.text == "no reading: 23 of 23 taxels"
+    assert text.text == "unread:23/23"
     [text] = of(skin.draw({3: float("nan")}), BLIND)
-    assert text.text == "no reading: 1 of 23 taxels"
+    assert text.text == "unread:1/23"
     [text] = of(skin.draw({3: float("nan")}, every=Status.LOW_SNR), BLIND)
-    assert text.text == "no reading: 1, doubtful: 22 of 23 taxels"
+    assert text.text == "unread:1/23\ndoubtful:22/23"
     assert [m.id for m in of(skin.draw({}), BLIND, Marker.DELETE)] == [text.id]
     assert not of(skin.draw({}), BLIND, Marker.DELETE)
 
@@ -140,6 +153,33 @@ def test_markers_of_contacts_that_are_gone_are_deleted_once_and_others_keep_thei
         assert [m.id for m in of(second, namespace, Marker.DELETE)] == [ids[0]]
     third = skin.draw({22: 30e3})
     assert not [m for m in third.markers if m.action == Marker.DELETE]
+
+
+def test_no_arrow_is_longer_than_the_skin_is_wide() -> None:
+    flat = Layout.grid(16, 0, 0, PITCH_M, PITCH_M)
+    [arrow] = of(Skin(flat).draw(dict.fromkeys(range(16), MAX_PA)), ARROWS)
+    tail, head = (components(point) for point in arrow.points)
+    assert np.linalg.norm(tail - head) == pytest.approx(4 * PITCH_M)
+
+
+def test_the_resultant_of_several_contacts_is_their_sum_at_the_centre_of_pressure() -> None:
+    skin = Skin()
+    assert not of(skin.draw({0: 40e3}), RESULTANT), "one contact is its own resultant"
+    drawn = skin.draw({0: 40e3, 22: 30e3})
+    [arrow], [text] = of(drawn, RESULTANT), of(drawn, SUM)
+    forces_n = -CUFF.normals[[0, 22]] * PITCH_M**2 * [[40e3], [30e3]]
+    assert text.text == f"sum={np.linalg.norm(forces_n.sum(axis=0)):.3g}N"
+    centre_m = (4 * CUFF.positions_m[0] + 3 * CUFF.positions_m[22]) / 7
+    assert np.allclose(components(arrow.points[1]), centre_m, atol=1e-6)
+    gone = skin.draw({0: 40e3})
+    assert [m.id for name in (RESULTANT, SUM) for m in of(gone, name, Marker.DELETE)] == [0, 0]
+
+
+def test_no_text_has_a_space_for_rviz_would_tear_it_apart() -> None:
+    nan = float("nan")
+    drawn = Skin().draw({0: 40e3, 9: nan, 22: 30e3}, every=Status.LOW_SNR)
+    texts = [m.text for m in drawn.markers if m.type == Marker.TEXT_VIEW_FACING]
+    assert len(texts) == 4 and not any(" " in text for text in texts)
 
 
 def test_large_skins_have_contacts_only() -> None:

@@ -9,10 +9,12 @@ rviz_common in ROS 2 Jazzy: plugins_description.xml, and the properties of each 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
@@ -29,7 +31,12 @@ from rclpy.qos import (  # noqa: E402
 )
 
 from skin_client import Client, running, wait_for  # noqa: E402
+from tactile_cdma.config.body_file import read_body  # noqa: E402
 from tactile_cdma.config.parameters import BY_NAME  # noqa: E402
+from tactile_cdma.config.rviz_file import body_view, skin_view  # noqa: E402
+from tactile_cdma.config.skin_config import SkinConfig  # noqa: E402
+from tactile_cdma.places.layout import Layout  # noqa: E402
+from tactile_cdma.places.mesh import MOST_SQUARES  # noqa: E402
 
 pytestmark = pytest.mark.ros
 CONFIG = Path(__file__).resolve().parents[2] / "config"
@@ -39,13 +46,15 @@ OF_ANY = {"Class", "Name", "Enabled"}
 OF_TOPICS = {"Topic"}
 PROPERTIES = {
     "Grid": {"Cell Size", "Plane Cell Count", "Reference Frame", "Offset"},
-    "TF": {"Show Names", "Marker Scale"},
+    "Axes": {"Length", "Radius", "Reference Frame"},
+    "TF": {"Show Names", "Show Axes", "Show Arrows", "Marker Scale"},
     "Image": {"Normalize Range"} | OF_TOPICS,
     "PointCloud2": {
         "Style",
         "Size (m)",
         "Position Transformer",
         "Color Transformer",
+        "Color",
         "Autocompute Intensity Bounds",
     }
     | OF_TOPICS,
@@ -56,7 +65,7 @@ PROPERTIES = {
 CHOICES = {
     "Style": {"Points", "Squares", "Flat Squares", "Spheres", "Boxes", "Tiles"},
     "Position Transformer": {"XYZ"},
-    "Color Transformer": {"RGB8"},
+    "Color Transformer": {"RGB8", "FlatColor"},
 }
 TYPES = {
     "Image": "sensor_msgs/msg/Image",
@@ -107,9 +116,18 @@ def test_rviz_knows_every_name(name: str) -> None:
 def test_values_are_of_the_kind_that_rviz_reads(name: str) -> None:
     for kind, display in displays(name):
         for key, value in display.items():
-            if key in {"Enabled", "Show Names", "Normalize Range", "Accept NaN Values"}:
+            if key in {
+                *(
+                    "Enabled",
+                    "Show Names",
+                    "Show Axes",
+                    "Show Arrows",
+                    "Normalize Range",
+                    "Accept NaN Values",
+                )
+            }:
                 assert type(value) is bool
-            elif key.endswith(("Size", "Scale", "Width", "(m)", "Count")):
+            elif key.endswith(("Size", "Scale", "Width", "(m)", "Count", "Length", "Radius")):
                 assert value > 0
             elif key == "Offset":
                 assert set(value) == TRIPLE
@@ -126,8 +144,8 @@ def test_colours_are_the_drivers_own(name: str) -> None:
     for kind, display in displays(name):
         if kind == "Image":
             assert display["Normalize Range"] is False
-        if kind == "PointCloud2":
-            assert display["Color Transformer"] == "RGB8"
+        if kind == "PointCloud2":  # beads on squares that have them, or the driver's own
+            assert (display["Color Transformer"] == "FlatColor") == ("Color" in display)
             assert display["Autocompute Intensity Bounds"] is False
 
 
@@ -171,6 +189,49 @@ def test_topics_are_offered_with_that_type_and_quality(name: str, client: Client
         assert fits == QoSCompatibility.OK, reason
         checked.append(topic)
     assert "markers" in checked
+
+
+def test_the_files_are_what_is_made_for_the_skins_that_they_show() -> None:
+    bent = {"nodes": 72, "frame_period_ms": 40.0}
+    bent |= {"layout_file": str(CONFIG / "layouts" / "cylinder.yaml")}
+    for name, values in (("skin.rviz", {}), ("curved_skin.rviz", bent)):
+        layout = SkinConfig.of(values).layout
+        made = skin_view(CONFIG / name, layout, "skin", "/skin")
+        assert yaml.safe_load(made) == FILES[name]
+    body = read_body(CONFIG / "body.yaml")
+    assert yaml.safe_load(body_view(CONFIG / "body.rviz", body)) == FILES["body.rviz"]
+
+
+def test_a_skin_of_many_taxels_without_squares_has_larger_points() -> None:
+    def points(nodes: int) -> tuple[float, str]:
+        layout = Layout.grid(nodes, 0, 0, 7e-3, 7e-3)
+        made = yaml.safe_load(skin_view(CONFIG / "skin.rviz", layout, "skin", "/skin"))
+        shown = made["Visualization Manager"]["Displays"]
+        [item] = [item for item in shown if "Size (m)" in item]
+        return item["Size (m)"], item["Color Transformer"]
+
+    (bead_m, bead), (ball_m, ball) = points(MOST_SQUARES), points(2 * MOST_SQUARES)
+    assert bead_m < 7e-3 / 2 < ball_m < 7e-3
+    assert (bead, ball) == ("FlatColor", "RGB8"), "where there are no squares, points have colours"
+
+
+def test_the_camera_sees_the_whole_skin() -> None:
+    """With rviz's angle of 45°, whatever the skin's size and place."""
+    for rows, offset_m in ((4, 0.0), (1, 0.2), (40, -3.0)):
+        flat = Layout.grid(rows * 8, rows, 8, 5e-3, 5e-3)
+        layout = replace(flat, positions_m=flat.positions_m + np.float32(offset_m))
+        made = yaml.safe_load(skin_view(CONFIG / "skin.rviz", layout, "skin", "/skin"))
+        view = made["Visualization Manager"]["Views"]["Current"]
+        focus = [view["Focal Point"][axis] for axis in "XYZ"]
+        reach_m = np.linalg.norm(layout.positions_m - focus, axis=1).max()
+        assert reach_m < view["Distance"] * np.tan(np.radians(45 / 2)) < 2 * reach_m
+
+
+def test_of_a_single_taxel_the_camera_keeps_a_distance() -> None:
+    made = yaml.safe_load(
+        skin_view(CONFIG / "skin.rviz", Layout.grid(1, 1, 1, 7e-3, 7e-3), "skin", "/skin")
+    )
+    assert made["Visualization Manager"]["Views"]["Current"]["Distance"] > 7e-3
 
 
 def test_the_fixed_frame_of_a_single_skin_is_the_drivers_own() -> None:

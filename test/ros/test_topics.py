@@ -24,6 +24,8 @@ from tf2_msgs.msg import TFMessage  # noqa: E402
 from skin_client import Client, running, wait_for  # noqa: E402
 from tactile_cdma.config.parameters import read_file  # noqa: E402
 from tactile_cdma.msg import TactileArray  # noqa: E402
+from tactile_cdma.places.layout_file import read_layout  # noqa: E402
+from tactile_cdma.places.layout_nodes import Wiring  # noqa: E402
 from tactile_cdma.places.poses import Pose  # noqa: E402
 from tactile_cdma.ros.body.node import BodyNode  # noqa: E402
 from tactile_cdma.ros.common.qos import LATCHED  # noqa: E402
@@ -158,7 +160,27 @@ def test_tf_is_told_where_the_skin_is_from_configure_to_cleanup() -> None:
         wait_for(lambda: not client.get_publishers_info_by_topic("/tf_static"))
         assert client.set(parent_frame="") == (True, "")
         assert client.change(Transition.TRANSITION_CONFIGURE)
-        assert not client.get_publishers_info_by_topic("/tf_static")
+        wait_for(lambda: told[-1].transforms[0].child_frame_id == "pad_middle")
+
+
+def test_a_skin_that_is_not_mounted_is_known_to_tf_by_its_middle() -> None:
+    told: list[TFMessage] = []
+    file = str(Path(__file__).resolve().parents[2] / "config" / "layouts" / "cylinder.yaml")
+    with running(nodes=72, frame_period_ms=40.0, layout_file=file, port="sim://?scene=idle") as (
+        _,
+        client,
+    ):
+        client.create_subscription(TFMessage, "/tf_static", told.append, LATCHED)
+        wait_for(lambda: told)
+    [transform] = told[-1].transforms
+    assert (transform.header.frame_id, transform.child_frame_id) == ("skin", "skin_middle")
+    layout, turn = read_layout(Path(file), Wiring(72)), transform.transform.rotation
+    place = transform.transform.translation
+    here = np.linalg.norm(layout.positions_m - [place.x, place.y, place.z], axis=1)
+    assert here.min() < 1e-6  # on a taxel, z along its normal
+    pose = Pose.of_quaternion((0, 0, 0), (turn.x, turn.y, turn.z, turn.w))
+    np.testing.assert_allclose(pose.rotation[:, 2], layout.normals[here.argmin()], atol=1e-6)
+    assert np.linalg.det(pose.rotation) == pytest.approx(1)
 
 
 @pytest.mark.parametrize(

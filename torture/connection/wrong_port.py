@@ -276,16 +276,16 @@ def unwritable(trial: Trial, rng: Rng) -> Turns:
 
 def others(trial: Trial, rng: Rng) -> Turns:
     """Another skin's digitizer, then the right one."""
-    trial.plug.plug(trial.digitizer(SimOptions(seed=7)))
+    trial.plug.plug(trial.digitizer(SimOptions(scene="moving", seed=7)))
     yield from trial.resumes()
-    other = trial.digitizer(SimOptions(seed=8 + int(rng.integers(100))))
+    other = trial.digitizer(SimOptions(scene="moving", seed=8 + int(rng.integers(100))))
     if rng.integers(2):
         trial.plug.unplug()
         trial.plug.plug(other)
     else:
         trial.plug.swap(other)
     yield from trial.told("wrong digitizer")
-    trial.plug.swap(trial.digitizer(SimOptions(seed=7)))
+    trial.plug.swap(trial.digitizer(SimOptions(scene="moving", seed=7)))
 
 
 _OURS = VirtualDigitizer(SimOptions(seed=7)).info().digitizer_id
@@ -293,6 +293,6 @@ _OURS = VirtualDigitizer(SimOptions(seed=7)).info().digitizer_id
 
 def otherwise(trial: Trial, rng: Rng) -> Turns:
     """A digitizer that cannot be configured to the parameters, then one that can."""
-    trial.plug.plug(trial.digitizer(SimOptions(seed=1, order=24)))
+    trial.plug.plug(trial.digitizer(SimOptions(scene="moving", seed=1, order=24)))
     yield from trial.told("order 24 (parameters: 20)")
     trial.plug.swap(trial.digitizer(some_skin(rng)))

@@ -86,7 +86,7 @@ def _bodies(data: bytes) -> Iterator[bytes]:
 def _true_stream() -> list[bytes]:
     """INFO and the packets of the first frames of a skin that always talks."""
     now_s = 0.0
-    digitizer = VirtualDigitizer(SimOptions(threshold=0, noise=0.0), lambda: now_s)
+    digitizer = VirtualDigitizer(SimOptions(scene="moving", threshold=0, noise=0.0), lambda: now_s)
     digitizer.receive(Session(CONFIG).open())
     for _ in range(FRAMES * 4):
         now_s += CONFIG.spec.frame_period_s / 4
@@ -179,7 +179,7 @@ def read_offline(data: bytes) -> None:
 
 def read_commands(data: bytes) -> None:
     """Commands to the virtual digitizer that make sense or not: each has one answer."""
-    digitizer = VirtualDigitizer(SimOptions(), lambda: 0.0)
+    digitizer = VirtualDigitizer(SimOptions(scene="moving"), lambda: 0.0)
     kinds = (Configure.TYPE, GetInfo.TYPE, Start.TYPE, Stop.TYPE, RollCall.TYPE, Pack.TYPE)
     for kind, payload in _changed(data, kinds):
         if kind == Configure.TYPE and int.from_bytes(payload[:2], "little") > 256:

@@ -53,7 +53,8 @@ class Rig:
         """patience_s: time without progress that counts as a hang. spoil: see ManInTheMiddle."""
         self._patience_s = patience_s
         self.config = SkinConfig.of({"drift_pa_per_min": 0.0, **stream.parameters})
-        options = SimOptions(**{"seed": seed, "speed": 0.0, **stream.options})  # type: ignore[arg-type]
+        given = {"scene": "moving", "seed": seed, "speed": 0.0, **stream.options}
+        options = SimOptions(**given)  # type: ignore[arg-type]
         # At speed 0 device time passes with the samples; the host's clock must not trigger reports.
         self._digitizer = VirtualDigitizer(options, clock=lambda: 0.0)
         self.man = ManInTheMiddle(self._digitizer, stream.begin, spoil)

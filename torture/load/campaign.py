@@ -239,7 +239,7 @@ def _full_recording(folder: Path, plan: Plan) -> Outcome:
             "-m",
             "tactile_cdma.commands.cli",
             "record",
-            "sim://?speed=0",
+            "sim://?scene=moving&speed=0",
             str(path),
         ]
         done = subprocess.run(

@@ -101,7 +101,8 @@ class Skin:
 
     def simulator(self, seed: int, range_v: float) -> SimOptions:
         """The simulator's."""
-        options: dict[str, Value] = {"speed": 0, "seed": seed, "heartbeat": 20, "rail": range_v}
+        options: dict[str, Value] = {"scene": "moving", "speed": 0, "seed": seed}
+        options |= {"heartbeat": 20, "rail": range_v}
         return SimOptions(**options | dict(self.options))  # type: ignore[arg-type]
 
 

@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from operator import mul
 from struct import Struct
 from typing import NamedTuple
 
@@ -14,27 +16,40 @@ from visualization_msgs.msg import Marker
 
 from ...base.arrays import Floats, Floats32
 from ...places.layout import Layout
-from ...places.mesh import CORNERS, taxel_squares
+from ...places.mesh import CORNERS, MOST_SQUARES, taxel_squares
 from ...readings.contact import Contacts
 from ...readings.taxels import Coverage
 from ...views.heatmap import SCALE_RGB, scale_steps
 from ..common.cdr import CdrWriter, Heading
 
-SURFACE, ARROWS, TEXTS, BLIND = "skin", "contacts", "forces", "blind"
+SURFACE, ARROWS, TEXTS, RESULTANT, SUM, BLIND = (
+    *("skin", "contacts", "forces", "resultant", "sum", "blind"),
+)
 """Namespaces of markers; rviz can hide each."""
-MOST_SQUARES = 256
-"""Taxels up to which squares are drawn, 240 bytes each; chosen: larger skins have ~/points, which
-take a sixth of that."""
-ARROW_M_PER_N = 0.005
-"""Length of an arrow per force, m/N; it ends at the centre of pressure. Chosen:
-1 N is a little shorter than the default pitch."""
-ARROW_PITCHES = 0.25, 0.5
-"""Diameters of shaft and head in pitches, chosen; the head's length is left to the viewer."""
+SQUARE_SHARE, UNREAD_SHARE = 0.9, 0.45
+"""Edge of a square in that of its taxel's area, with a reading and without. Chosen: the gaps are a
+grid that shows an untouched skin, and how a bent one is bent."""
+SUNK_PITCHES = 0.06
+"""Depth of the squares below the taxels' places, in pitches; chosen: points stand out of them."""
+ARROW_SHARES = 0.14, 0.32, 0.4
+"""Diameters of shaft and head and length of the head in the arrow's length, chosen."""
+LETTER_SHARE = 0.08
+"""Height of letters in the edge of a square of the skin's area. Chosen: legible where the skin
+fills the picture."""
+SUM_LETTERS = 2.5
+"""Distance of the resultant's text from its arrow, in letters; chosen: beyond that of a contact
+there, which is at 1."""
+ABOVE_SHARE = 0.45
+"""Height of the text about taxels without a reading above the skin, in the same; chosen: over most
+arrows."""
 CONTACT_RGBA = 0.3, 0.85, 1.0, 1.0
 """Chosen off the pressure scale, so that arrows stand out."""
+RESULTANT_RGBA = 1.0, 1.0, 1.0, 1.0
 _SCALE_RGBA = np.hstack([SCALE_RGB / 255, np.ones((len(SCALE_RGB), 1))]).astype("<f4")
+_TINY_N = 1e-12
 _NUMBERS, _SHAPE = Struct("<3i"), Struct("<10d4fiI?")
 _NOWHERE, _UPRIGHT = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
+_Rgba = tuple[float, float, float, float]
 _NO_POINTS, _NO_COLOURS = np.zeros((0, 3)), _SCALE_RGBA[:0]
 
 
@@ -42,17 +57,16 @@ class SkinMarkers:
     """Builds the markers of one skin."""
 
     def __init__(self, layout: Layout, most_squares: int = MOST_SQUARES) -> None:
-        self._shown: set[int] = set()
-        shaft, head = (pitches * layout.pitch_m for pitches in ARROW_PITCHES)
-        self._arrow_m, self._letter_m = (shaft, head, 0.0), layout.pitch_m
-        from_middle_m = layout.positions_m - layout.positions_m.mean(axis=0)
-        middle = np.linalg.norm(from_middle_m, axis=1).argmin()
-        self._above_m = layout.positions_m[middle] + layout.pitch_m * layout.normals[middle]
-        self._was_certain = True
+        self._drawn: set[tuple[str, int]] = set()  # namespaces and ids in the last message
+        edge_m = math.sqrt(float(layout.areas_m2.sum()))  # of a square of the skin's area
+        self._letter_m = LETTER_SHARE * edge_m
+        middle_m, outward = layout.positions_m[layout.middle], layout.normals[layout.middle]
+        self._above_m = (middle_m + ABOVE_SHARE * edge_m * outward).tolist()
         self._placed = np.flatnonzero(layout.nodes)
         if len(self._placed) > most_squares:
             self._placed = self._placed[:0]
-        self._corners_m = taxel_squares(layout)[self._placed].reshape(-1, 3).astype("<f8")
+        self._corners_m = _squares(layout, SQUARE_SHARE)[self._placed]
+        self._unread_m = _squares(layout, UNREAD_SHARE)[self._placed]
 
     def markers(
         self,
@@ -71,52 +85,107 @@ class SkinMarkers:
         which markers vanish that no message renews, as when the skin is no longer read.
         """
         markers = [self._surface(pressure_pa, max_pa)] if len(self._placed) else []
-        ids = contacts.ids.tolist()
-        markers += [
-            _Marker(namespace, gone, is_deleted=True)
-            for gone in self._shown.difference(ids)
-            for namespace in (ARROWS, TEXTS)
-        ]
-        self._shown = set(ids)
-        heads_m, forces_n = contacts.position_m, contacts.force_n
-        tails_m = heads_m - ARROW_M_PER_N * forces_n  # outside: forces point into the skin
-        for i, number in enumerate(ids):
-            arrow_m = np.stack([tails_m[i], heads_m[i]])
-            markers.append(_Marker(ARROWS, number, Marker.ARROW, self._arrow_m, points_m=arrow_m))
-            at_least = "> " if contacts.lower_bound[i] else ""
-            text = f"{at_least}{np.linalg.norm(forces_n[i]):.3g} N"
-            markers.append(self._text(TEXTS, number, tails_m[i], text))
+        if len(contacts):
+            markers += self._forces(contacts, max_pa)
         if not contacts.coverage.is_certain:
-            markers.append(self._text(BLIND, 0, self._above_m, _blind(contacts.coverage)))
-        elif not self._was_certain:
-            markers.append(_Marker(BLIND, 0, is_deleted=True))
-        self._was_certain = contacts.coverage.is_certain
+            markers.append(
+                self._text(BLIND, 0, self._above_m, _blind(contacts.coverage), CONTACT_RGBA)
+            )
+        drawn = {(marker.namespace, marker.number) for marker in markers}
+        markers += [_Marker(*gone, is_deleted=True) for gone in sorted(self._drawn - drawn)]
+        self._drawn = drawn
         return _message(markers, heading, lifetime_s)
 
     def _surface(self, pressure_pa: NDArray[np.float32], max_pa: float) -> _Marker:
-        steps = scale_steps(pressure_pa[self._placed], max_pa).repeat(len(CORNERS))
+        placed_pa, corners_m = pressure_pa[self._placed], self._corners_m
+        if (unread := np.isnan(placed_pa)).any():
+            corners_m = np.where(unread[:, None, None], self._unread_m, corners_m)
         return _Marker(
             *(SURFACE, 0, Marker.TRIANGLE_LIST, (1.0, 1.0, 1.0)),
-            points_m=self._corners_m,
-            rgba=_SCALE_RGBA[steps],
+            points_m=corners_m.reshape(-1, 3),
+            rgba=_SCALE_RGBA[scale_steps(placed_pa, max_pa).repeat(len(CORNERS))],
         )
 
-    def _text(self, namespace: str, number: int, place_m: Floats, text: str) -> _Marker:
+    def _forces(self, contacts: Contacts, max_pa: float) -> list[_Marker]:
+        """An arrow for each contact, which ends at its place, and its force at the other end.
+
+        Arrows are as long as the edge of the square that would bear the force at max_pa: light
+        touches show, and no arrow is longer than the skin is wide. The last is the resultant, if
+        there are several contacts.
+        """
+        markers: list[_Marker] = []
+        # Few numbers: plain Python is faster than numpy.
+        places_m, forces_n = contacts.position_m.tolist(), contacts.force_n.tolist()
+        at_least = [">" if is_lower else "" for is_lower in contacts.lower_bound.tolist()]
+        for i, number in enumerate(contacts.ids.tolist()):
+            label = at_least[i], self._letter_m
+            markers += self._force(
+                *(ARROWS, TEXTS, number), places_m[i], forces_n[i], max_pa, label, CONTACT_RGBA
+            )
+        if len(contacts) > 1 and contacts.has_resultant:
+            force_n = [sum(along) for along in zip(*forces_n, strict=True)]
+            loads_n = contacts.load_n.tolist()
+            place_m = [_mean(along, loads_n) for along in zip(*places_m, strict=True)]
+            label = "sum>" if any(at_least) else "sum=", SUM_LETTERS * self._letter_m
+            markers += self._force(
+                RESULTANT, SUM, 0, place_m, force_n, max_pa, label, RESULTANT_RGBA
+            )
+        return markers
+
+    def _force(
+        self,
+        arrows: str,
+        texts: str,
+        number: int,
+        place_m: Sequence[float],
+        force_n: Sequence[float],
+        max_pa: float,
+        label: tuple[str, float],
+        rgba: _Rgba,
+    ) -> list[_Marker]:
+        """An arrow and its text. label: what the text begins with, and its distance, m."""
+        newtons = math.hypot(*force_n)
+        length_m = math.sqrt(newtons / max_pa)
+        # Forces point into the skin; the sum of contacts that cancel each other points nowhere.
+        outward = [-along / max(newtons, _TINY_N) for along in force_n]
+        tail_m = [at + length_m * along for at, along in zip(place_m, outward, strict=True)]
+        text_m = [at + label[1] * along for at, along in zip(tail_m, outward, strict=True)]
+        size_m = [share * length_m for share in ARROW_SHARES]
+        points_m = np.array([tail_m, place_m])
+        return [
+            _Marker(arrows, number, Marker.ARROW, size_m, points_m=points_m, look=rgba),
+            self._text(texts, number, text_m, f"{label[0]}{newtons:.3g}N", rgba),
+        ]
+
+    def _text(
+        self, namespace: str, number: int, place_m: Sequence[float], text: str, rgba: _Rgba
+    ) -> _Marker:
+        # Without spaces: rviz computes their width for letters of 1 m.
         kind, size_m = Marker.TEXT_VIEW_FACING, (0.0, 0.0, self._letter_m)
-        return _Marker(namespace, number, kind, size_m, place_m.tolist(), text=text)
+        return _Marker(namespace, number, kind, size_m, place_m, look=rgba, text=text)
+
+
+def _mean(values: Sequence[float], weights: Sequence[float]) -> float:
+    return math.fsum(map(mul, values, weights)) / math.fsum(weights)
+
+
+def _squares(layout: Layout, share: float) -> Floats:
+    """(t, 6, 3) corners of squares a little below the taxels. share: of their edge."""
+    places_m = layout.positions_m[:, None].astype("<f8")
+    sunk_m = SUNK_PITCHES * layout.pitch_m * layout.normals[:, None]
+    return np.asarray(places_m + share * (taxel_squares(layout) - places_m) - sunk_m)
 
 
 def _blind(coverage: Coverage) -> str:
     """Says how much is not known."""
-    unread, doubtful = coverage.in_service - coverage.valid, coverage.doubtful
-    lacks = [f"no reading: {unread}"] * bool(unread) + [f"doubtful: {doubtful}"] * bool(doubtful)
-    return f"{', '.join(lacks)} of {coverage.in_service} taxels"
+    lacks = {"unread": coverage.in_service - coverage.valid, "doubtful": coverage.doubtful}
+    return "\n".join(f"{lack}:{n}/{coverage.in_service}" for lack, n in lacks.items() if n)
 
 
 class _Marker(NamedTuple):
     """What differs between our markers; of those that are deleted only the first two count.
 
-    points_m: (m, 3) float64. rgba: (m, 4) float32, of every point.
+    points_m: (m, 3) float64. rgba: (m, 4) float32, of every point. look: colour of all else.
     """
 
     namespace: str
@@ -126,6 +195,7 @@ class _Marker(NamedTuple):
     place_m: Sequence[float] = _NOWHERE
     points_m: Floats = _NO_POINTS
     rgba: Floats32 = _NO_COLOURS
+    look: _Rgba = CONTACT_RGBA
     text: str = ""
     is_deleted: bool = False
 
@@ -139,7 +209,7 @@ def _message(markers: Sequence[_Marker], heading: Heading, lifetime_s: float) ->
     for marker in markers:
         writer.add(header, 4)
         writer.text(marker.namespace)
-        action, look = Marker.ADD, (*CONTACT_RGBA, *lifetime)
+        action, look = Marker.ADD, (*marker.look, *lifetime)
         if marker.is_deleted:
             action, look = Marker.DELETE, (0.0, 0.0, 0.0, 0.0, 0, 0)
         writer.add(_NUMBERS.pack(marker.number, marker.kind, action), 4)

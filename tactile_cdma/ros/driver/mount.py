@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Publishes to tf where the skin is mounted, if the parameters say it."""
+"""Publishes to tf where the skin is mounted, or, if the parameters do not say it, its middle."""
 
 from __future__ import annotations
 
+import numpy as np
 from geometry_msgs.msg import Quaternion, Transform, TransformStamped
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -13,10 +14,14 @@ from tf2_msgs.msg import TFMessage
 
 from ...base.errors import SpecError
 from ...config.parameters import Values
+from ...places.layout import Layout
+from ...places.mesh import tangents
 from ...places.poses import Pose
 from ..common.convert import vector
 
 TF_STATIC = "/tf_static"
+MIDDLE = "_middle"
+"""What the name of a skin's middle has after the skin's frame_id."""
 
 
 class Mount:
@@ -26,8 +31,15 @@ class Mount:
         self._node, self._profile = node, profile
         self._publisher: Publisher | None = None
 
-    def show(self, transform: TransformStamped | None) -> None:
-        """Publish where the skin is; None: it is not mounted on another frame."""
+    def show(self, values: Values, layout: Layout) -> None:
+        """Publish where the skin is, by all parameters' values; raises SpecError as transform_of.
+
+        A skin that is not mounted by parameters gets a frame in its middle: its own frame, which a
+        robot's description may hold as well, is then known to tf, and rviz does not miss it.
+        """
+        transform = transform_of(values)
+        if transform is None and _is_frame(values["frame_id"]):
+            transform = middle_of(values, layout)
         if transform is None:
             return
         if self._publisher is None:
@@ -53,9 +65,26 @@ def transform_of(values: Values) -> TransformStamped | None:
     if parent == child:
         raise SpecError(f"parent_frame and frame_id are both {parent!r}: they must be two frames")
     for name in ("parent_frame", "frame_id"):
-        if not values[name] or values[name].startswith("/"):
+        if not _is_frame(values[name]):
             raise SpecError(f"{name} is {values[name]!r}: tf wants a name, without a leading slash")
-    pose = Pose.of_rpy(values["mount_xyz_m"], values["mount_rpy_rad"])
+    return _stamped(parent, child, Pose.of_rpy(values["mount_xyz_m"], values["mount_rpy_rad"]))
+
+
+def _is_frame(name: str) -> bool:
+    """Whether tf takes this name of a frame."""
+    return bool(name) and not name.startswith("/")
+
+
+def middle_of(values: Values, layout: Layout) -> TransformStamped:
+    """The skin's middle in its own frame, without a stamp: the middle taxel, z out of the skin."""
+    taxel = layout.middle
+    right, up = tangents(layout.normals[taxel : taxel + 1])
+    axes = np.stack([right[0], up[0], layout.normals[taxel]], axis=1)
+    pose = Pose(axes, layout.positions_m[taxel].astype(np.float64))
+    return _stamped(values["frame_id"], values["frame_id"] + MIDDLE, pose)
+
+
+def _stamped(parent: str, child: str, pose: Pose) -> TransformStamped:
     translation = vector(pose.translation_m)
     rotation = Quaternion(**dict(zip("xyzw", pose.quaternion.tolist(), strict=True)))
     return TransformStamped(

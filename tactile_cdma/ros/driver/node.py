@@ -22,7 +22,8 @@ from ...base.errors import ParameterError, TactileError
 from ...config.body_file import NODE_NAME
 from ...config.parameters import Values
 from ...config.skin_config import SkinConfig
-from ...driver.digitizer import SourceWatch
+from ...driver.checkup import rivals
+from ...driver.digitizer import Origin, SourceWatch
 from ...driver.driver import NOT_YET, Driver
 from ...driver.pipeline import TactileFrame
 from ...driver.rest_keeper import RestKeeper
@@ -71,6 +72,7 @@ class SkinNode(ManagedNode):
         self._latest: TactileFrame | None = None
         self._watch: SourceWatch | None = None  # of the port that was configured last
         self._heard: Info | None = None  # what _watch has taken in since activate
+        self._has_rivals = False  # as last logged
         self._last_failure = ""
         self._declared = NodeParameters(self, self._change)
         self._live = self._declared.values
@@ -118,7 +120,7 @@ class SkinNode(ManagedNode):
                 config = recalibrated(config, values)
             self._rest.adjust(config)
             self._frames.change(config.contact)
-            self._mount.show(transform_of(values))
+            self._mount.show(values, config.layout)
         elif not self._declared.faults:
             # Several parameters may have to change one by one: a combination that is impossible
             # is refused by configure, and only announced here.
@@ -141,8 +143,10 @@ class SkinNode(ManagedNode):
                 raise ParameterError("; ".join(self._declared.faults.values()))
             config = SkinConfig.of(self._live)
             Session(config)  # refuses what a digitizer cannot be told
-            transform = transform_of(self._live)
+            transform_of(self._live)  # refuses what tf does not take
             path = rest_path(str(self._live["state_folder"]), self.get_fully_qualified_name())
+            if not self._last_failure:  # else it is tried again
+                self.get_logger().info(f"opening {url}")
             if not is_remote(url):  # else the driver does it, which holds up nothing
                 self._port = Port(url, int(self._live["baud"]))
             self._objects.configure(self._port)
@@ -154,7 +158,7 @@ class SkinNode(ManagedNode):
         self._last_failure, self._declared.fixed = "", True
         self._watch = watch
         self._rest = RestKeeper(config, url, path, self.get_logger(), self._publish_info)
-        self._mount.show(transform)
+        self._mount.show(self._live, config.layout)
         return super().on_configure(state)
 
     @reported
@@ -264,6 +268,8 @@ class SkinNode(ManagedNode):
         assert self._watch is not None
         is_first, self._heard = self._heard is None, info
         warnings = self._watch.hear(info)
+        if self._rest is not None:
+            self._rest.hear(self._watch.source.measured_by == Origin.SIMULATED)
         for warning in warnings or ():
             self.get_logger().warning(warning)
         if is_first or warnings is not None:
@@ -274,6 +280,10 @@ class SkinNode(ManagedNode):
             entries = self._report.inactive(self._last_failure)
         else:
             drivers = self.count_publishers(self._frames.topic)
+            if (drivers > 1) != self._has_rivals:
+                self._has_rivals = drivers > 1
+                text = rivals(drivers) if self._has_rivals else "no other driver has this name now"
+                self.get_logger().warning(text)
             assert self._watch is not None
             entries = self._report.of(
                 self._driver, self._watch, self._latest, self._rest.tared, drivers

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -18,6 +19,7 @@ from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSProfile
 
 from ...base.errors import ParameterError, TactileError
+from ...config.arguments import check_params_are_for
 from ...config.parameters import (
     BY_NAME,
     PARAMETERS,
@@ -46,7 +48,11 @@ class NodeParameters:
     """
 
     def __init__(self, node: Node, change: Change) -> None:
-        """change: called before values change, for all that are set at once."""
+        """change: called before values change, for all that are set at once.
+
+        Raises ParameterError where the command line names parameter files of other nodes.
+        """
+        check_params_are_for(node.get_fully_qualified_name(), sys.argv)
         self._node, self._change = node, change
         self.faults: dict[str, str] = {}
         self.fixed = False

@@ -14,7 +14,11 @@ import pytest
 import yaml
 
 from tactile_cdma.base.errors import ParameterError, SpecError
-from tactile_cdma.config.arguments import check_launch_arguments
+from tactile_cdma.config.arguments import (
+    check_launch_arguments,
+    check_params_are_for,
+    existing_params,
+)
 from tactile_cdma.config.parameters import (
     BY_NAME,
     PARAMETERS,
@@ -187,6 +191,53 @@ def test_sections_of_namespaced_files_are_found(tmp_path: Path) -> None:
     path = tmp_path / "names.yaml"
     path.write_text(yaml.safe_dump({"/left/skin": {"ros__parameters": {"bits": 12}}}))
     assert read_file(path) == {"bits": 12}
+
+
+@pytest.mark.parametrize(
+    ("key", "node"),
+    [
+        ("/**", "/left/skin"),
+        ("skin", "/skin"),
+        ("/left/skin", "/left/skin"),
+        ("/*/skin", "/left/skin"),
+        ("/left/**", "/left/skin"),
+    ],
+)
+def test_a_node_takes_the_sections_that_fit_its_name(tmp_path: Path, key: str, node: str) -> None:
+    path = tmp_path / "names.yaml"
+    path.write_text(f"{key}: {{ros__parameters: {{bits: 12}}}}\nother: {{ros__parameters: {{}}}}\n")
+    assert read_file(path, node) == {"bits": 12}
+    with pytest.raises(ParameterError, match="this node is /elsewhere/palm: write /elsewhere/palm"):
+        path.write_text(f"{key.replace('*', 'x')}: {{ros__parameters: {{bits: 12}}}}")
+        read_file(path, "/elsewhere/palm")
+
+
+def test_of_sections_that_fit_the_last_one_counts_as_in_ros(tmp_path: Path) -> None:
+    path = tmp_path / "names.yaml"
+    path.write_text("skin: {ros__parameters: {bits: 12}}\n/**: {ros__parameters: {bits: 11}}\n")
+    assert read_file(path, "/skin") == {"bits": 11}
+
+
+def test_of_the_files_of_a_command_line_one_has_to_be_for_the_node(tmp_path: Path) -> None:
+    ours, others = tmp_path / "ours.yaml", tmp_path / "others.yaml"
+    ours.write_text("skin: {ros__parameters: {bits: 12}}")
+    others.write_text("/arm: {ros__parameters: {joints: 7}}")
+    for files in ([], [ours], [others, ours]):
+        words = [word for file in files for word in ("--params-file", str(file))]
+        check_params_are_for("/skin", ["skin_driver", "--ros-args", *words])
+    with pytest.raises(ParameterError, match=r"others\.yaml, line 1: .* for /arm"):
+        check_params_are_for("/skin", ["skin_driver", "--ros-args", "--params-file", str(others)])
+
+
+def test_a_missing_file_is_told_with_the_one_that_was_meant(tmp_path: Path) -> None:
+    (tmp_path / "my_skin.yaml").write_text("")
+    for path, meant in (
+        (tmp_path / "my_skn.yaml", "; did you mean .*my_skin.yaml"),
+        (tmp_path / "wired_skin.yaml", "; did you mean .*/config/wired_skin.yaml"),
+        (tmp_path / "void" / "x.yaml", "x.yaml$"),
+    ):
+        with pytest.raises(ParameterError, match=meant):
+            existing_params(path)
 
 
 def test_values_have_the_types_that_ros_reads(tmp_path: Path) -> None:

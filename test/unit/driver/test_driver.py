@@ -166,7 +166,8 @@ def test_a_port_that_takes_no_bytes_is_named() -> None:
 
 
 def test_a_clock_that_contradicts_the_count_of_samples_is_named() -> None:
-    digitizer, config = VirtualDigitizer(SimOptions(speed=0)), SkinConfig.of({})
+    options = SimOptions(scene="moving", speed=0)
+    digitizer, config = VirtualDigitizer(options), SkinConfig.of({})
     session, pipeline, writer = Session(config), Pipeline(config), PacketWriter()
     digitizer.receive(session.open())
     digitizer.advance(100_000)

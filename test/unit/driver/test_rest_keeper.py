@@ -127,9 +127,43 @@ def test_a_tare_outlives_the_run(preload: Callable[[float], None], tmp_path: Pat
     for run in (first, again, again):
         run.activate().stream(0.3)
         assert np.allclose(run.pressure_pa, 0, atol=15)
-        assert "tare and drift are those of" in run.log.infos[-1]
+        told = run.log.warnings.pop()
+        assert "tare and drift are those of" in told and "found on a simulated skin" in told
         run.keeper.deactivate()
     assert not again.log.warnings
+
+
+def test_a_simulators_tare_is_dropped_once_a_board_introduces_itself(
+    preload: Callable[[float], None], tmp_path: Path
+) -> None:
+    preload(PRELOAD_PA)
+    first = Run(tmp_path).activate().stream(TARE_S)
+    first.keeper.tare()
+    run = Run(tmp_path, port="/dev/ttyACM0").activate()
+    assert "found on a simulated skin" in run.log.warnings.pop()
+    run.keeper.hear(simulated=True)  # an emulator behind a tty: it stays
+    assert np.allclose(run.stream(0.3).pressure_pa, 0, atol=15) and not run.log.warnings
+    run.keeper.hear(simulated=False)
+    assert "it is of a simulated skin, this is a real one" in run.log.warnings.pop()
+    assert run.keeper.tared == ""
+    assert np.allclose(run.stream(TARE_S).pressure_pa, PRELOAD_PA, atol=15)
+    run.keeper.tare()
+    assert on_file(tmp_path)["simulated"] == "no"
+    assert (tmp_path / f"{NAME}.old").exists()
+
+
+def test_a_boards_tare_is_not_that_of_a_simulator_behind_a_tty(
+    preload: Callable[[float], None], tmp_path: Path
+) -> None:
+    preload(PRELOAD_PA)
+    board = Run(tmp_path, port="/dev/ttyACM0").activate().stream(TARE_S)
+    board.keeper.hear(simulated=False)
+    board.keeper.tare()
+    run = Run(tmp_path, port="socket://localhost:9").activate()
+    assert not run.log.warnings
+    run.keeper.hear(simulated=True)
+    assert "it is of a real skin, this is a simulated one" in run.log.warnings.pop()
+    assert np.allclose(run.stream(0.3).pressure_pa, PRELOAD_PA, atol=15)
 
 
 def test_a_tare_under_load_is_refused_unless_forced_and_can_be_cleared(

@@ -133,6 +133,18 @@ def test_a_tare_while_moving_is_refused_even_if_the_load_is_light() -> None:
     patch.taxels.tare(1000.0)
 
 
+def test_of_a_load_that_moves_only_the_nodes_under_it_are_named() -> None:
+    patch = Patch(drift_pa_per_min=0.0)
+    patch.read(SECOND)
+    patch.read(SECOND // 2, [20e3, 9e3, 0, 0, 0, 0])
+    patch.read(5 * SECOND // 8, [0, 9e3, 20e3, 0, 0, 0])
+    with pytest.raises(RestError) as refused:
+        patch.taxels.tare(1000.0)
+    assert str(refused.value).startswith("not tared, moving: node 3 (row 0, column 2)")
+    assert "node 2 (" in str(refused.value), "it does not move, but is pressed"
+    assert "node 1 (" not in str(refused.value), "it moved, but nothing is there any more"
+
+
 def test_many_nodes_are_not_all_named() -> None:
     config = SkinConfig.of({"nodes": 12, "rows": 1, "columns": 12})
     taxels = Pipeline(config).taxels
