@@ -81,7 +81,8 @@ def specs(draw: st.DrawFn) -> FrameSpec:
     }
     frame_us = round(FrameSpec(**shape, frame_period_s=100.0).frame_s * 1e6)
     assume(frame_us < 9_990_000)  # a node's longest period is 10 s
-    return FrameSpec(**shape, frame_period_s=(frame_us + draw(st.integers(900, 1100))) / 1e6)
+    period_us = max(1000, frame_us + draw(st.integers(900, 1100)))  # a node's shortest is 1 ms
+    return FrameSpec(**shape, frame_period_s=period_us / 1e6)
 
 
 @pytest.mark.parametrize("mcu", MCUS)
