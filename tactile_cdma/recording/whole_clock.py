@@ -31,6 +31,8 @@ packet among late ones, short enough for a crystal that warms up (tested at 2 pp
 REAL_TIME = 0.05
 """Largest rate difference of a device that keeps real time. Chosen: 500 × that of two crystals,
 as arrivals are late by varying amounts, and below that of any replay worth its option speed."""
+HELD_UP_S = 0.3
+"""What a bus may hold up arrivals for, s; chosen. In a short recording that looks like a rate."""
 
 
 def fitted_clocks(
@@ -135,5 +137,6 @@ def _keeps_real_time(x: NDArray[np.float64], y: NDArray[np.float64]) -> bool:
     half = len(x) // 2
     if half < RECENT // 2:
         return True
-    rate = np.median((y[half:] - y[: len(y) - half]) / (x[half:] - x[: len(x) - half]))
-    return bool(abs(rate - 1) <= REAL_TIME)
+    device_s, host_s = x[half:] - x[: len(x) - half], y[half:] - y[: len(y) - half]
+    allowed_s = np.maximum(REAL_TIME * device_s, HELD_UP_S)
+    return bool(np.median(np.abs(host_s - device_s) / allowed_s) <= 1)

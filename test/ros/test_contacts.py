@@ -122,7 +122,7 @@ def test_what_dead_nodes_would_feel_is_unknown(dead: Iterable[int], valid: int) 
         assert np.isnan(sums).all() and np.isnan(components(message.position)).all()
     assert wrenches and all(math.isnan(wrench.wrench.force.z) for wrench in wrenches)
     [text] = [marker.text for marker in markers[-1].markers if marker.ns == BLIND]
-    assert text == f"no reading: {16 - valid} of 16 taxels"
+    assert text == f"unread:{16 - valid}/16"
     [unread] = np.nonzero(np.isnan(np.frombuffer(images[-1].data, np.float32)))
     assert unread.tolist() == [node - 1 for node in dead]
     assert clouds[-1].width == valid

@@ -81,9 +81,9 @@ def test_a_simulator_that_was_asked_for_is_named_and_no_warning(
 
 
 def test_a_simulation_that_nobody_asked_for_is_warned_of_once_and_for_as_long_as_it_lasts(
-    capfd: pytest.CaptureFixture[str],
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    with running() as (_, client):
+    with running(state_folder=str(tmp_path)) as (_, client):  # no tare that would be told of, too
         wait_for(told(client, WARN, "simulated, because no port is given"))
         assert client.change(Transition.TRANSITION_DEACTIVATE)
         client.arrays.clear()
