@@ -188,7 +188,9 @@ def test_rvizs_view_of_a_body_follows_the_body_file(tmp_path: Path) -> None:
     for rviz in ("true", "body"):
         frame_id, view = displays(rviz=rviz, patches=str(path))
         assert frame_id == "arm"
-        assert markers_of(view) == ["/thumb/skin/markers", "/palm/skin/markers"]
+        names, *markers = markers_of(view)
+        assert names == "/body/names"
+        assert markers == ["/thumb/skin/markers", "/palm/skin/markers"]
         focus = view["Visualization Manager"]["Views"]["Current"]["Focal Point"]
         assert focus == {"X": 2.0, "Y": 0.0, "Z": 0.0}
 
