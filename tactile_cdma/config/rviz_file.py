@@ -24,8 +24,9 @@ from .skin_config import SkinConfig
 SKIN_SIZES = 1.65
 """Distance of the camera from a skin, in its diagonals. Chosen: with rviz's 45° it fills the
 picture, and leaves room for arrows and labels."""
-SLOPE = math.tan(math.radians(45 / 2))
-"""Half the height that rviz's camera sees at a distance, in that distance; its width is more."""
+SLOPES = 1.15 * math.tan(math.radians(45 / 2)), math.tan(math.radians(45 / 2))
+"""Half the width and half the height that rviz's camera sees at a distance, in that distance: 45°
+upwards, and the window of the views, without its panel, is 1.15 times as wide as high."""
 BODY_MARGIN = 1.1
 """Distance of the camera from a body in the least at which all taxels are seen. Chosen: names and
 arrows are seen, too."""
@@ -114,7 +115,7 @@ def _see_all(file: Mapping[str, Any], places_m: Floats, frame_id: str) -> None:
     seen_m = places_m @ axes.T
     middle_m = (seen_m.min(axis=0) + seen_m.max(axis=0)) / 2
     aside_m, nearer_m = np.hsplit(seen_m - middle_m, [2])
-    least_m = float((np.abs(aside_m) / SLOPE + nearer_m).max())
+    least_m = float((np.abs(aside_m) / SLOPES + nearer_m).max())
     _look_at(file, middle_m @ axes, BODY_MARGIN * least_m, frame_id)
 
 

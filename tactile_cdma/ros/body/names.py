@@ -16,10 +16,10 @@ from ...base.arrays import Floats
 from ...config.body_file import NODE_NAME
 from ..common.cdr import Heading
 
-LETTER_SHARE = 0.04
+LETTER_SHARE = 0.035
 """Height of letters in the diagonal of the box round all patches. Chosen: legible where the body
 fills the picture."""
-ABOVE_LETTERS = 1.2
+ABOVE_LETTERS = 2.2
 """Height of a text's middle above the top of its patch, in letters; chosen."""
 LIFETIME = Duration(sec=1)
 """Names vanish that are not renewed for this long; chosen as for the skins below them."""
