@@ -9,12 +9,11 @@ from collections.abc import Mapping
 import numpy as np
 from builtin_interfaces.msg import Duration
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
-from std_msgs.msg import ColorRGBA
+from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ...base.arrays import Floats
 from ...config.body_file import NODE_NAME
-from ..common.cdr import Heading
 
 LETTER_SHARE = 0.035
 """Height of letters in the diagonal of the box round all patches. Chosen: legible where the body
@@ -26,11 +25,11 @@ LIFETIME = Duration(sec=1)
 _RGBA = ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0)
 
 
-def body_names(places_m: Mapping[str, Floats], heading: Heading) -> MarkerArray:
-    """A marker per patch, in a namespace of the patch's name; up is the z of the heading's frame.
+def body_names(places_m: Mapping[str, Floats], frame_id: str) -> MarkerArray:
+    """A marker per patch, in a namespace of the patch's name; up is the z of the frame.
 
-    places_m: (t, 3) taxels of each patch in the heading's frame, m, by the fully qualified name of
-    its driver; t > 0.
+    places_m: (t, 3) taxels of each patch in the frame, m, by the fully qualified name of its
+    driver; t > 0. The stamp is 0, which to rviz is now: names do not wait for transforms.
     """
     corners_m = {node: (at.min(axis=0), at.max(axis=0)) for node, at in places_m.items()}
     lows_m, highs_m = zip(*corners_m.values(), strict=True)
@@ -41,7 +40,7 @@ def body_names(places_m: Mapping[str, Floats], heading: Heading) -> MarkerArray:
         name = node.strip("/").removesuffix(f"/{NODE_NAME}")
         markers.append(
             Marker(
-                header=heading.message,
+                header=Header(frame_id=frame_id),
                 ns=name,
                 type=Marker.TEXT_VIEW_FACING,
                 pose=Pose(

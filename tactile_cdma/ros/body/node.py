@@ -225,7 +225,7 @@ class BodyNode(Node):
             if pose and (taxels_m := feed.taxels_m) is not None:
                 places_m[feed.node_name] = pose.apply(taxels_m)
         if places_m:
-            self._names.publish(body_names(places_m, self._heading([])))
+            self._names.publish(body_names(places_m, self._values["frame_id"]))
 
     # Diagnostics
 
