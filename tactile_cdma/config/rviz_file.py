@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from copy import deepcopy
 from pathlib import Path
@@ -20,17 +21,20 @@ from .body_file import NODE_NAME, Body, Patch
 from .parameters import DEFAULTS, Values, read_file
 from .skin_config import SkinConfig
 
-SKIN_SIZES, BODY_SIZES = 1.65, 1.1
-"""Distance of the camera from a skin and a body, in the diagonals of these. Chosen: with rviz's 45°
-they fill the picture, and leave room for arrows and labels."""
-LEAST_SIZE_M = 0.01
-"""Size from which on the camera comes no closer, m; a single taxel's is 0."""
+SKIN_SIZES = 1.65
+"""Distance of the camera from a skin, in its diagonals. Chosen: with rviz's 45° it fills the
+picture, and leaves room for arrows and labels."""
+SLOPES = 1.15 * math.tan(math.radians(45 / 2)), math.tan(math.radians(45 / 2))
+"""Half the width and half the height that rviz's camera sees at a distance, in that distance: 45°
+upwards, and the window of the views, without its panel, is 1.15 times as wide as high."""
+BODY_MARGIN = 1.1
+"""Distance of the camera from a body in the least at which all taxels are seen. Chosen: names and
+arrows are seen, too."""
+LEAST_DISTANCE_M = 0.02
+"""Least distance of the camera, m; a single taxel has no size."""
 BEAD_PITCHES, BALL_PITCHES = 0.2, 0.9
 """Diameter of a point in pitches. Chosen: a bead on each square, and balls that nearly touch where
 a skin has no squares."""
-FRAME_SHARE = 0.3
-"""Marker Scale of tf frames in the distance of the camera from a body; letters are a tenth of it.
-Chosen: names are legible."""
 
 
 def skin_view(template: Path, layout: Layout, frame_id: str, node: str) -> str:
@@ -38,7 +42,10 @@ def skin_view(template: Path, layout: Layout, frame_id: str, node: str) -> str:
     file = _loaded(template)
     for topic in _topics(file):
         topic["Value"] = topic["Value"].replace(f"/{NODE_NAME}/", f"{node}/", 1)
-    _look_at(file, layout.positions_m.astype(np.float64), SKIN_SIZES, frame_id)
+    places_m = layout.positions_m.astype(np.float64)
+    low_m, high_m = places_m.min(axis=0), places_m.max(axis=0)
+    distance_m = SKIN_SIZES * float(np.linalg.norm(high_m - low_m))
+    _look_at(file, (low_m + high_m) / 2, distance_m, frame_id)
     if np.count_nonzero(layout.nodes) <= MOST_SQUARES:
         _set(file, "Size (m)", _rounded(BEAD_PITCHES * layout.pitch_m))
     else:
@@ -48,15 +55,13 @@ def skin_view(template: Path, layout: Layout, frame_id: str, node: str) -> str:
 
 
 def body_view(template: Path, body: Body) -> str:
-    """An rviz file of a body. template: a file of some body, with a MarkerArray for a patch."""
+    """An rviz file of a body. template: a file of some body, with the markers of a patch."""
     file = _loaded(template)
     manager = file["Visualization Manager"]
-    markers = [item for item in manager["Displays"] if item["Class"].endswith("/MarkerArray")]
+    markers = [item for item in manager["Displays"] if _shows(item, "markers")]
     others = [item for item in manager["Displays"] if item not in markers]
     manager["Displays"] = others + [_of_patch(markers[0], patch) for patch in body.patches]
-    places_m = [_places_m(patch) for patch in body.patches]
-    _look_at(file, np.concatenate(places_m), BODY_SIZES, body.frame_id)
-    _set(file, "Marker Scale", _rounded(FRAME_SHARE * manager["Views"]["Current"]["Distance"]))
+    _see_all(file, np.concatenate([_places_m(patch) for patch in body.patches]), body.frame_id)
     return yaml.safe_dump(file, sort_keys=False)
 
 
@@ -73,6 +78,10 @@ def _loaded(path: Path) -> Any:
 def _topics(file: Mapping[str, Any]) -> list[dict[str, Any]]:
     displays = file["Visualization Manager"]["Displays"]
     return [display["Topic"] for display in displays if "Topic" in display]
+
+
+def _shows(display: Mapping[str, Any], topic: str) -> bool:
+    return "Topic" in display and str(display["Topic"]["Value"]).endswith(f"/{topic}")
 
 
 def _set(file: Mapping[str, Any], key: str, value: float | str) -> None:
@@ -97,16 +106,28 @@ def _places_m(patch: Patch) -> Floats:
     return pose.apply(SkinConfig.of(values).layout.positions_m.astype(np.float64))
 
 
-def _look_at(file: Mapping[str, Any], places_m: Floats, sizes: float, frame_id: str) -> None:
-    """Look from a distance of so many sizes at places (t, 3), m, of the frame."""
+def _see_all(file: Mapping[str, Any], places_m: Floats, frame_id: str) -> None:
+    """Look at places (t, 3), m, of the frame, from as near as the view's direction allows."""
+    view = file["Visualization Manager"]["Views"]["Current"]
+    (sp, sy), (cp, cy) = np.sin((view["Pitch"], view["Yaw"])), np.cos((view["Pitch"], view["Yaw"]))
+    # Of the picture: to its right, up, and towards the camera.
+    axes = np.array([[-sy, cy, 0.0], [-sp * cy, -sp * sy, cp], [cp * cy, cp * sy, sp]])
+    seen_m = places_m @ axes.T
+    middle_m = (seen_m.min(axis=0) + seen_m.max(axis=0)) / 2
+    aside_m, nearer_m = np.hsplit(seen_m - middle_m, [2])
+    least_m = float((np.abs(aside_m) / SLOPES + nearer_m).max())
+    _look_at(file, middle_m @ axes, BODY_MARGIN * least_m, frame_id)
+
+
+def _look_at(file: Mapping[str, Any], focus_m: Floats, distance_m: float, frame_id: str) -> None:
+    """Look at a place (3,), m, of the frame from a distance."""
     manager = file["Visualization Manager"]
     manager["Global Options"]["Fixed Frame"] = frame_id
-    low_m, high_m = places_m.min(axis=0), places_m.max(axis=0)
     view = manager["Views"]["Current"]
-    size_m = max(float(np.linalg.norm(high_m - low_m)), LEAST_SIZE_M)
-    view["Distance"] = _rounded(sizes * size_m)
-    middle_m = ((low_m + high_m) / 2).tolist()
-    view["Focal Point"] = {axis: _rounded(m) for axis, m in zip("XYZ", middle_m, strict=True)}
+    view["Distance"] = _rounded(max(distance_m, LEAST_DISTANCE_M))
+    view["Focal Point"] = {
+        axis: _rounded(m) for axis, m in zip("XYZ", focus_m.tolist(), strict=True)
+    }
 
 
 def _rounded(length_m: float) -> float:

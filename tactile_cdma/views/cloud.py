@@ -21,11 +21,14 @@ _PACKED_RGB = SCALE_RGB.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], dtype
 
 
 class Cloud:
-    """The points of one skin, alone or as a patch of a body; constant fields are filled in once."""
+    """The points of one skin, alone or as a patch of a body; constant fields are filled in once.
+
+    positions_m: (t, 3) float64, of all taxels in the skin's frame, m.
+    """
 
     def __init__(self, positions_m: Floats32, normals: Floats32, patch: int | None = None) -> None:
         """positions_m, normals: (t, 3), m and unit vectors. patch: its index in a body."""
-        self._places = positions_m.astype(np.float64), normals.astype(np.float64)
+        self.positions_m, self._normals = positions_m.astype(np.float64), normals.astype(np.float64)
         self._points = np.zeros(len(positions_m), dtype=POINT if patch is None else BODY_POINT)
         self._points["taxel"] = np.arange(len(positions_m))
         if patch is not None:
@@ -46,7 +49,7 @@ class Cloud:
         """
         if pose and not (self._pose and pose.same_as(self._pose)):
             self._pose = pose
-            self._fill(pose.apply(self._places[0]), pose.rotate(self._places[1]))
+            self._fill(pose.apply(self.positions_m), pose.rotate(self._normals))
         self._points["pressure"] = pressure_pa
         self._points["rgb"] = packed_colours(pressure_pa, max_pa)
         # Records without fields are copied 15 times as fast.

@@ -32,6 +32,7 @@ from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from sensor_msgs.msg import PointCloud2  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
+from visualization_msgs.msg import MarkerArray  # noqa: E402
 
 import skin_client  # noqa: E402
 from tactile_cdma.base.errors import TactileError  # noqa: E402
@@ -237,11 +238,12 @@ def nothing_is_subscribed_to_that_nobody_asks_for(body: Body) -> None:
     wait_for(lambda: body.diagnostics and "nobody subscribes" in body.diagnostics[-1].message)
     topics = [f"{name}/{topic}" for name in NAMES for topic in ("contacts", "tactile")]
     assert [topic for topic in topics if body.client.count_subscribers(topic)] == []
-    first = body.subscribe(PointCloud2, "/body/points", lambda message: None)
-    wait_for(lambda: all(body.client.count_subscribers(f"{name}/tactile") for name in NAMES))
-    assert [name for name in NAMES if body.client.count_subscribers(f"{name}/contacts")] == []
-    body.unsubscribe(first)
-    wait_for(lambda: not any(body.client.count_subscribers(topic) for topic in topics))
+    for kind, topic in ((PointCloud2, "/body/points"), (MarkerArray, "/body/names")):
+        asked = body.subscribe(kind, topic, lambda message: None)
+        wait_for(lambda: all(body.client.count_subscribers(f"{name}/tactile") for name in NAMES))
+        assert [name for name in NAMES if body.client.count_subscribers(f"{name}/contacts")] == []
+        body.unsubscribe(asked)
+        wait_for(lambda: not any(body.client.count_subscribers(topic) for topic in topics))
 
 
 def a_patch_without_a_transform_is_absent_until_it_gets_one(body: Body) -> None:

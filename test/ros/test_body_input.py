@@ -30,6 +30,7 @@ from rclpy.serialization import deserialize_message, serialize_message  # noqa: 
 from sensor_msgs.msg import PointCloud2  # noqa: E402
 from std_msgs.msg import Header  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
+from visualization_msgs.msg import MarkerArray  # noqa: E402
 
 from skin_client import wait_for  # noqa: E402
 from tactile_cdma.msg import (  # noqa: E402
@@ -97,11 +98,13 @@ class World:
         self.a, self.b = Patch(self._client, "a"), Patch(self._client, "b")
         self.contacts: list[TactileContacts] = []
         self.clouds: list[PointCloud2] = []
+        self.named: list[MarkerArray] = []
         self.said: dict[str, str] = {}
         self._tf = self._client.create_publisher(TFMessage, "/tf", 10)
         for kind, topic, take in (
             (TactileContacts, "/body/contacts", self.contacts.append),
             (PointCloud2, "/body/points", self.clouds.append),
+            (MarkerArray, "/body/names", self.named.append),
             (DiagnosticArray, "/diagnostics", self._hear),
         ):
             self._client.create_subscription(kind, topic, take, 100)
@@ -126,6 +129,11 @@ class World:
     def points(self) -> np.ndarray:
         newest = self.clouds[-1].data if self.clouds else b""
         return np.frombuffer(newest, dtype=BODY_POINT)
+
+    def names(self) -> dict[str, tuple[float, float]]:
+        """Names in the newest message, and their places in x and y, m."""
+        newest = self.named[-1].markers if self.named else []
+        return {m.text: (m.pose.position.x, m.pose.position.y) for m in newest}
 
     def end(self) -> None:
         self._executor.shutdown()
@@ -172,6 +180,27 @@ def test_a_patch_that_falls_silent_is_drawn_no_more_and_then_nothing_is(world: W
     drawn = len(world.clouds)
     wait(world, lambda: "silent" in world.said.get("/a/skin", ""))
     assert len(world.clouds) == drawn
+
+
+def test_a_name_moves_with_its_patch_and_stays_where_one_is_missed(world: World) -> None:
+    two_points(world)
+    wait(world, lambda: world.names() == {"a": pytest.approx((0.005, 0.0))})
+    wait(world, lambda: world.names()["a"][0] == pytest.approx(0.255), lambda: world.mount(0.25))
+    wait(world, lambda: len(world.points()) == 0)
+    world.named.clear()
+    wait(world, lambda: world.names() == {"a": pytest.approx((0.255, 0.0))})
+
+
+@pytest.mark.parametrize("positions", [[], [Point32(x=math.nan), Point32()]])
+def test_a_patch_without_a_place_has_no_name(world: World, positions: list[Point32]) -> None:
+    two_points(world)
+    world.a.describe(1, positions, UP[: len(positions)])
+    wait(world, lambda: world.named.clear() is None, lambda: world.a.press([1e3, 2e3]))
+    drawn = len(world.clouds)
+    wait(world, lambda: len(world.clouds) > drawn + 10, lambda: world.a.press([1e3, 2e3]))
+    assert not world.named
+    two_points(world)
+    wait(world, lambda: world.names())
 
 
 def test_an_array_is_only_drawn_with_the_layout_that_it_is_of(world: World) -> None:

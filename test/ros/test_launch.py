@@ -188,7 +188,9 @@ def test_rvizs_view_of_a_body_follows_the_body_file(tmp_path: Path) -> None:
     for rviz in ("true", "body"):
         frame_id, view = displays(rviz=rviz, patches=str(path))
         assert frame_id == "arm"
-        assert markers_of(view) == ["/thumb/skin/markers", "/palm/skin/markers"]
+        names, *markers = markers_of(view)
+        assert names == "/body/names"
+        assert markers == ["/thumb/skin/markers", "/palm/skin/markers"]
         focus = view["Visualization Manager"]["Views"]["Current"]["Focal Point"]
         assert focus == {"X": 2.0, "Y": 0.0, "Z": 0.0}
 
@@ -216,9 +218,10 @@ def test_a_body_is_a_driver_per_patch_and_the_node_that_gathers() -> None:
     assert Path(file) == ROOT / "config" / "skin.yaml"
     assert given == {
         "frame_id": "left_palm",
-        "port": "sim://?scene=press",
+        "port": "sim://?scene=press&pitch_mm=15",
+        "pitch_mm": 15.0,
         "parent_frame": "body",
-        "mount_xyz_m": (0.42, 0.25, 0.19),
+        "mount_xyz_m": (0.31, 0.15, 0.22),
         "mount_rpy_rad": (3.1416, 0.0, 0.0),
     }
     ((body,),) = [evaluate_parameters(context, found[-1]._Node__parameters)]

@@ -33,10 +33,12 @@ from rclpy.qos import (  # noqa: E402
 from skin_client import Client, running, wait_for  # noqa: E402
 from tactile_cdma.config.body_file import read_body  # noqa: E402
 from tactile_cdma.config.parameters import BY_NAME  # noqa: E402
-from tactile_cdma.config.rviz_file import body_view, skin_view  # noqa: E402
+from tactile_cdma.config.rviz_file import body_view, patch_values, skin_view  # noqa: E402
 from tactile_cdma.config.skin_config import SkinConfig  # noqa: E402
 from tactile_cdma.places.layout import Layout  # noqa: E402
 from tactile_cdma.places.mesh import MOST_SQUARES  # noqa: E402
+from tactile_cdma.places.poses import Pose  # noqa: E402
+from tactile_cdma.ros.body.node import BodyNode  # noqa: E402
 
 pytestmark = pytest.mark.ros
 CONFIG = Path(__file__).resolve().parents[2] / "config"
@@ -47,7 +49,6 @@ OF_TOPICS = {"Topic"}
 PROPERTIES = {
     "Grid": {"Cell Size", "Plane Cell Count", "Reference Frame", "Offset"},
     "Axes": {"Length", "Radius", "Reference Frame"},
-    "TF": {"Show Names", "Show Axes", "Show Arrows", "Marker Scale"},
     "Image": {"Normalize Range"} | OF_TOPICS,
     "PointCloud2": {
         "Style",
@@ -116,16 +117,7 @@ def test_rviz_knows_every_name(name: str) -> None:
 def test_values_are_of_the_kind_that_rviz_reads(name: str) -> None:
     for kind, display in displays(name):
         for key, value in display.items():
-            if key in {
-                *(
-                    "Enabled",
-                    "Show Names",
-                    "Show Axes",
-                    "Show Arrows",
-                    "Normalize Range",
-                    "Accept NaN Values",
-                )
-            }:
+            if key in {*("Enabled", "Normalize Range", "Accept NaN Values")}:
                 assert type(value) is bool
             elif key.endswith(("Size", "Scale", "Width", "(m)", "Count", "Length", "Radius")):
                 assert value > 0
@@ -172,23 +164,33 @@ def wanted_qos(topic: dict[str, Any]) -> QoSProfile:
     )
 
 
-@files
-def test_topics_are_offered_with_that_type_and_quality(name: str, client: Client) -> None:
-    checked = []
+def check_topics(name: str, node: str, client: Client) -> set[str]:
+    """That the node offers what displays subscribe to at nodes of its name; returns topics."""
+    checked = set()
     for kind, display in displays(name):
         if kind not in TYPES:
             continue
-        *_, node, topic = display["Topic"]["Value"].split("/")
-        if node != "skin":  # the body's
+        *_, owner, topic = display["Topic"]["Value"].split("/")
+        if owner != node:
             continue
-        publishers = partial(client.get_publishers_info_by_topic, f"/skin/{topic}")
+        publishers = partial(client.get_publishers_info_by_topic, f"/{node}/{topic}")
         wait_for(lambda publishers=publishers: len(publishers()) == 1)
         [offered] = publishers()
         assert offered.topic_type == TYPES[kind]
         fits, reason = qos_check_compatible(offered.qos_profile, wanted_qos(display["Topic"]))
         assert fits == QoSCompatibility.OK, reason
-        checked.append(topic)
-    assert "markers" in checked
+        checked.add(topic)
+    return checked
+
+
+@files
+def test_topics_are_offered_with_that_type_and_quality(name: str, client: Client) -> None:
+    assert "markers" in check_topics(name, "skin", client)
+
+
+def test_so_are_the_bodys(client: Client) -> None:  # client: after rclpy.init
+    with running(BodyNode, patches=["/nobody/skin"]) as (_, other):
+        assert check_topics("body.rviz", "body", other) == {"names", "points"}
 
 
 def test_the_files_are_what_is_made_for_the_skins_that_they_show() -> None:
@@ -225,6 +227,31 @@ def test_the_camera_sees_the_whole_skin() -> None:
         focus = [view["Focal Point"][axis] for axis in "XYZ"]
         reach_m = np.linalg.norm(layout.positions_m - focus, axis=1).max()
         assert reach_m < view["Distance"] * np.tan(np.radians(45 / 2)) < 2 * reach_m
+
+
+@pytest.mark.parametrize("patches", [slice(None), slice(1), slice(3, None)])
+def test_the_camera_sees_a_whole_body_from_near(patches: slice) -> None:
+    """Taxels are within rviz's picture, 45° high, and reach close to its edge."""
+    whole = read_body(CONFIG / "body.yaml")
+    body = replace(whole, patches=whole.patches[patches])
+    made = yaml.safe_load(body_view(CONFIG / "body.rviz", body))
+    view = made["Visualization Manager"]["Views"]["Current"]
+    places_m = []
+    for patch in body.patches:
+        values = patch_values(patch)
+        pose = Pose.of_rpy(values["mount_xyz_m"], values["mount_rpy_rad"])
+        places_m.append(pose.apply(SkinConfig.of(values).layout.positions_m.astype(float)))
+    # rviz's orbit: the camera is at this place of a ball round the focal point.
+    pitch, yaw = view["Pitch"], view["Yaw"]
+    outward = np.array([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)])
+    focus_m = np.array([view["Focal Point"][axis] for axis in "XYZ"])
+    seen_m = np.concatenate(places_m) - focus_m - view["Distance"] * outward
+    right = np.cross(-outward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    up = np.cross(right, -outward)
+    slopes = np.abs(seen_m @ np.array([right, up]).T) / -(seen_m @ outward)[:, None]
+    shares = slopes.max(axis=0) / np.tan(np.radians(45 / 2)) / [820 / 708, 1.0]  # by the pixels
+    assert 0.8 < shares.max() < 0.95
 
 
 def test_of_a_single_taxel_the_camera_keeps_a_distance() -> None:

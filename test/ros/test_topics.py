@@ -113,7 +113,7 @@ BODY = {"patches": ["/nobody/skin"], "stale_after_s": 0.2}
     [
         (SkinNode, {**SKIN, "port": "sim://?scene=all&nodes=4"}, set()),
         (SkinNode, {**SKIN, "port": "sim://?nodes=4&dead=1,2,3,4"}, set()),
-        (BodyNode, BODY, {"/body/points"}),
+        (BodyNode, BODY, {"/body/points", "/body/names"}),
     ],
     ids=["a skin that is pressed", "a dead skin", "a body without patches"],
 )

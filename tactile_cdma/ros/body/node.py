@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The node of a whole body: contacts, wrench and points of all its patches in one tf frame.
+"""The node of a whole body: contacts, wrench, points and names of its patches in one tf frame.
 
 It subscribes only to what its own subscribers need.
 """
@@ -20,6 +20,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
+from visualization_msgs.msg import MarkerArray
 
 from tactile_cdma.msg import TactileContacts
 
@@ -34,13 +35,14 @@ from ..common.qos import PICTURE, RELIABLE, offered
 from ..common.touches import Touches
 from ..common.transforms import TransformListener
 from .contacts import body_contacts
+from .names import body_names
 from .parameters import body_setup, declared
 from .patch_feed import PatchFeed
 from .report import body_status
 
 NODE_NAME = "body"
 TICK_S = 0.2
-"""Interval of looks at who subscribes, s; chosen."""
+"""Interval of looks at who subscribes, and of names, s; chosen."""
 FIRST_S = 2.0
 """Longest wait for all patches before the first message, s, unless stale_after_s is longer. A patch
 that was not heard yet is not absent. Chosen: on a busy computer discovery takes a second."""
@@ -58,6 +60,7 @@ class BodyNode(Node):
         self._contacts = self._publisher(TactileContacts, "~/contacts", RELIABLE)
         self._wrench = self._publisher(WrenchStamped, "~/wrench", RELIABLE)
         self._points = self._publisher(PointCloud2, "~/points", PICTURE)
+        self._names = self._publisher(MarkerArray, "~/names", PICTURE)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._feeds = {
             name: PatchFeed(self, name, index, self._take_contacts)
@@ -92,15 +95,18 @@ class BodyNode(Node):
             self._contacts.get_subscription_count() or self._wrench.get_subscription_count()
         )
         points = bool(self._points.get_subscription_count())
+        names = bool(self._names.get_subscription_count())
         for feed in self._feeds.values():
-            feed.follow(contacts, points)
-        self._transforms.follow(contacts or points)
+            feed.follow(contacts, points or names)
+        self._transforms.follow(contacts or points or names)
         if points:
             if self._points_timer.is_canceled():
                 self._points_timer.reset()
             self._look_at_points()  # notices silent patches, however seldom points are drawn
         else:
             self._points_timer.cancel()
+        if names:
+            self._publish_names()
         if contacts:  # in case all that are awaited fell silent at once
             self._poll_contacts()
         now_s = time.monotonic()
@@ -207,6 +213,19 @@ class BodyNode(Node):
         # Kept until the next one, as by the driver's Pictures.
         self._cloud = point_cloud(BODY_POINT, clouds, self._heading(stamps_ns))
         self._points.publish(self._cloud)
+
+    # Names
+
+    def _publish_names(self) -> None:
+        """Of all patches that were heard; one that has fallen silent is missed there."""
+        places_m = {}
+        for feed in self._feeds.values():
+            feed.poll_points()
+            pose = self._pose(feed, feed.array.header.frame_id) if feed.array else None
+            if pose and (taxels_m := feed.taxels_m) is not None:
+                places_m[feed.node_name] = pose.apply(taxels_m)
+        if places_m:
+            self._names.publish(body_names(places_m, self._values["frame_id"]))
 
     # Diagnostics
 

@@ -15,6 +15,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 
+from ...base.arrays import Floats
 from ...places.poses import Pose
 from ...readings.taxels import Coverage
 from ...views.cloud import Cloud
@@ -119,7 +120,10 @@ class PatchFeed:
         )
 
     def follow(self, contacts: bool, points: bool) -> None:
-        """Subscribe to what the body's contacts and points need, and to nothing else."""
+        """Subscribe to what the body's contacts and points need, and to nothing else.
+
+        Names need what points do: the places of patches that are there.
+        """
         self._for_contacts.follow(contacts)
         self._for_points.follow(points)
         if not contacts:
@@ -145,6 +149,14 @@ class PatchFeed:
     def poll_points(self) -> None:
         """Take the latest array, and info, if there are new ones."""
         self._for_points.poll()
+
+    @property
+    def taxels_m(self) -> Floats | None:
+        """(t, 3) places of taxels in the patch's frame, m; None if not known, or not finite."""
+        if self._cloud is None:
+            return None
+        taxels_m = self._cloud[1].positions_m
+        return taxels_m if len(taxels_m) and np.isfinite(taxels_m).all() else None
 
     def points(self, max_pa: float, pose: Pose) -> NDArray[np.void] | None:
         """(m,) BODY_POINT of the latest array; None while the info that goes with it is missing.
