@@ -224,7 +224,8 @@ def build_messages(venv: Path, use_installation: bool) -> None:
     """Build this package with colcon, into the venv itself, and messages that PyPI lacks.
 
     Optimised, but with assertions, as a plain `colcon build` has them: so all tests are run with
-    these. They do not show in the benchmarks.
+    these.
+
     The kernel is part of it: a machine that can compile the messages can compile the kernel.
     """
     step(4, "building the messages and the kernel")
