@@ -107,9 +107,12 @@ def judge(stream: Stream, config: SkinConfig, seconds: float) -> Iterator[Check]
 def _heard(stream: Stream, config: SkinConfig, swing_v: float | None) -> Heard:
     """Decoded with this amplitude of a node's code; None: learnt from every frame.
 
+    From one value per chip, silence can't be told without an amplitude: there it is the stated one.
     Raises PortError where that gives no frame.
     """
-    spec = replace(config.spec, amplitude_v=None)
+    spec = config.spec
+    if config.samples_per_chip > 1:
+        spec = replace(spec, amplitude_v=None)
     # Weak nodes count as heard once the amplitude is known, and are told to be weak.
     threshold = config.threshold if swing_v is None else FAINT_SHARE
     pipeline = Pipeline(replace(config, spec=spec, threshold=threshold), background=False)

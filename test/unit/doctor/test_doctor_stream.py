@@ -183,6 +183,13 @@ def test_a_node_that_says_nothing_is_named(without_5: list[Packet]) -> None:
     assert f"--seconds {2 * SECONDS:g} listens longer" in nodes.text
 
 
+def test_silence_in_one_value_per_chip_is_told_by_the_stated_amplitude() -> None:
+    asked = SkinConfig.of({"samples_per_chip": 1, "amplitude_mv": 0.0})
+    found = checks(packets_of("sim://?scene=idle&heartbeat=0&noise=0.01", asked))
+    assert found["frames"][0].text == "78.1 of 78.1 per s, 0 lost"
+    assert found["nodes"][0].text == "frames arrive, but no node speaks: is the skin powered?"
+
+
 def test_frames_that_waited_do_not_come_faster_than_they_were_sent() -> None:
     chunks = stream_of(packets_of(ALL_TALK)).chunks
     late_s = chunks[len(chunks) // 2][1]
