@@ -4,7 +4,7 @@
 
     python firmware/boards/generate_boards.py            writes the files that have changed
     python firmware/boards/generate_boards.py --check    lists stale ones, exit code 1 if any
-    python firmware/boards/generate_boards.py --draw     checks and draws the boards, too, by kicad-cli
+    python firmware/boards/generate_boards.py --draw     with kicad-cli checks and draws them, too
 
 Values come from tactile_cdma.hardware.amplifier, part numbers and prices from parts.py.
 """

@@ -20,6 +20,7 @@ from trial import press_and_decode
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 
+
 class Skin:
     """Something that takes emulated time."""
 

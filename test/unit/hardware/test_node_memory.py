@@ -8,6 +8,7 @@ import shutil
 import struct
 import subprocess
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from tactile_cdma.hardware.node_memory import (
     FAST,
     MCUS,
     MEASURING_S,
+    describe_memory,
     node_memory,
     read_node_memory,
 )
@@ -139,7 +141,7 @@ def test_heartbeat_is_a_second_unless_told_otherwise(frame_period_s: float, hear
         ({"order": 4160, "frame_period_s": 5.0}, {}, "order is 4160; it must lie within 1…4096"),
         ({"chip_s": 19e-6}, {}, "chip_us is 19; it must lie within 35…1000"),
         ({"chip_s": 50.0001e-6}, {}, "whole nanoseconds"),
-        ({"frame_period_s": 11.0}, {}, "frame_period_ms is 11000; it must lie within 1…10000: a node"),
+        ({"frame_period_s": 11.0}, {}, "frame_period_ms is 11000; it must lie within 1…10000"),
         (
             {"frame_period_s": 10.999e-3},
             {},
@@ -154,8 +156,8 @@ def test_heartbeat_is_a_second_unless_told_otherwise(frame_period_s: float, hear
         (
             {"order": 32, "frame_period_s": 0.1, "resync_chips": 32, "guard_chips": 1},
             {"mcu": "attiny85"},
-            "guard_chips is 1, but to start anew within the frame a node takes at least 2 of 50 µs: "
-            "set guard_chips to that in the parameter file",
+            "guard_chips is 1, but to start anew within the frame a node takes at least 2 of 50 "
+            "µs: set guard_chips to that in the parameter file",
         ),
         (
             {"chip_s": 35e-6, "resync_chips": 32, "guard_chips": 2},
@@ -206,6 +208,15 @@ def test_what_a_node_cannot_do_is_refused_by_name(
     with pytest.raises(SpecError) as error:
         node_memory(spec, **{"node": 1, **options})
     assert message in str(error.value)
+
+
+def test_long_rows_are_shortened_where_they_are_printed() -> None:
+    spec = FrameSpec(nodes=16, order=68, frame_period_s=0.1)
+    record, chips = read_node_memory(node_memory(spec, 3))
+    begin = "".join("+" if chip > 0 else "-" for chip in spec.node_rows[2][:64])
+    assert f": {begin} and 4 more\n" in describe_memory(record, chips)
+    record, chips = read_node_memory(node_memory(replace(spec, order=64), 3))
+    assert " more\n" not in describe_memory(record, chips)
 
 
 def test_the_limits_themselves_are_allowed() -> None:
