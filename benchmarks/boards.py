@@ -58,7 +58,7 @@ RP2040 = Digitizer("RP2040, USB", 500e3, 1e6)
 UART = Digitizer("RP2040, UART", 500e3, 180e3)
 EXTERNAL = Digitizer("2 MS/s converter, full-speed USB", 2e6, 1e6)
 HIGH_SPEED = Digitizer("2 MS/s converter, high-speed USB", 2e6, 30e6)
-SIXTEEN = Mcu("", 4096, 250, 16_000, 125, bits_restart=True, restart_s=72e-6)
+SIXTEEN = Mcu("", 4096, 250, 16_000, 125, bits_restart=True, restart_s=80e-6)
 """Nodes as the fast ones, but at 16 MHz, which takes a supply of 4.5 V; not built or emulated."""
 PAIRS = [
     ("attiny85", MCUS["attiny85"], RP2040),

@@ -26,7 +26,7 @@
 #define BOARD_LONGEST_CHIP_NS 16000u
 #define BOARD_CHIP_STEP_NS 250u
 #define BOARD_BITS_RESTART true
-#define BOARD_RESTART_US 72u
+#define BOARD_RESTART_US 80u
 #else
 #define BOARD_CHIP_NS 35000u /* shortest that test_node_image.py runs without a wrong edge */
 #define BOARD_SCRAMBLED_CHIP_NS 35000u

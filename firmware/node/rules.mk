@@ -20,7 +20,7 @@ $(NODE_BUILD)/node-attiny85.elf: NODE_MCU := -mmcu=attiny85
 $(NODE_IMAGES): $(NODE_SOURCES) $(NODE_HEADERS)
 	@mkdir -p $(@D)
 	avr-gcc $(NODE_FLAGS) $(NODE_MCU) $(filter %.c,$^) -o $@
-	@avr-size -C --mcu=$(patsubst -mmcu=%,%,$(firstword $(NODE_MCU))) $@ | grep -E '^(Program|Data)' | sed 's/^/$(@F): /'
+	@avr-size $@ | awk 'NR == 2 {print "$(@F): " $$1 + $$2 " bytes of flash, " $$2 + $$3 " of static RAM"}'
 
 $(NODE_BUILD)/node-%.hex: $(NODE_BUILD)/node-%.elf
 	avr-objcopy -O ihex -R .eeprom $< $@

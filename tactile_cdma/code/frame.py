@@ -23,9 +23,9 @@ from .codes import (
 )
 
 BIPOLAR, UNIPOLAR = "bipolar", "unipolar"
-DEFAULT_AMPLITUDE_V = 0.3
 LEAST_SCRAMBLED = 4
 """Least order of which chips are flipped."""
+DEFAULT_AMPLITUDE_V = 0.3
 """Level of one node on the line, V, in the paper: about 300 mV."""
 MAX_STRETCH = 0.11
 """Largest relative stretch of a frame that is searched for. The paper's hardware reaches 0.10 (8.0

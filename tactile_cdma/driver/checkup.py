@@ -124,6 +124,16 @@ def nodes(pipeline: Pipeline, stuck: list[int], window: Window) -> Iterator[Find
         text = "frames arrive, but no node was heard: is the skin powered, is threshold too high?"
         yield Finding(text, Level.ERROR, event=True)
         return
+    doubled = health.nodes(NodeState.DOUBLED)
+    if len(doubled) > taxels.in_service // 2 + 1:
+        stated_mv = 1e3 * (pipeline.config.spec.amplitude_v or 0.0)
+        text = (
+            f"nearly all nodes are much stronger than amplitude_mv says, which is {stated_mv:g}: "
+            "set it to what the line shows (tactile-cdma doctor PORT measures that), or, of a "
+            f"simulator, its own to this: sim://?amplitude_mv={stated_mv:g}"
+        )
+        yield Finding(text, event=True, key="amplitude")
+        return
     unsound = {
         "never heard: {}; check supply and wiring, or mask them in the layout": dead,
         "fell silent: {}; check supply and wiring; stale_after_s must be longer than the nodes' "

@@ -112,15 +112,17 @@ class RestKeeper:
     def hear(self, simulated: bool) -> None:
         """Take in what the digitizer says that it is; in the driver's thread, between frames.
 
-        Tare and drift in force that were found on the other kind of skin are dropped.
+        Tare and drift in force that were found on the other kind of skin are dropped, also those
+        that are not on file.
         """
-        self._simulated, kept = simulated, self._kept
-        if self._driver is None or kept is None or kept.simulated == simulated:
+        found, self._simulated = self._present(), simulated
+        nothing = found.rest_v is None and found.drift_v is None and self._kept is None
+        if self._driver is None or nothing or found.simulated == simulated:
             return
         self._driver.pipeline.taxels.restore()
         self._store.disown()
         self._kept, self.tared = None, ""
-        misfit = kept.misfit(kept.skin, simulated, kept.nodes, kept.curves)
+        misfit = found.misfit(found.skin, simulated, found.nodes, found.curves)
         self._log.warning(f"{self._store.path}: tare and drift are dropped: {misfit}")
 
     def deactivate(self) -> None:

@@ -224,11 +224,20 @@ class MarkedLine:
         clipped, noise_v = self.clipped(frame.volts[: self.size]), math.sqrt(power / self.chip)
         if reason := silence_hidden(clipped, max(noise_v, math.sqrt(self.noise)), self.spec):
             return Verdict(over=frame.start + frame.volts.size, rejected=reason)
-        most = self.noise * self.chip + (self.spec.node_swing_v or 0.0) ** 2 / 4
-        if self.spec.scramble and power > most:
+        if self.spec.scramble and power > self.most_silent_power:
             # Scrambled chips that are late show in no row, but as noise that the gap has not.
             return Verdict(over=frame.start + frame.volts.size, rejected=NOISY)
         return self._decided(frame.start, fit or self.nominal, None, noise_v, clipped)
+
+    @property
+    def most_silent_power(self) -> float:
+        """Largest power of samples of a scrambled frame in which no node spoke, V².
+
+        That of the gap's noise, and a quarter of a node's; of one of unknown amplitude, as much
+        more as that noise may rise.
+        """
+        noise, swing_v = self.noise * self.chip, self.spec.node_swing_v
+        return LIMITS.rise * noise if swing_v is None else noise + swing_v**2 / 4
 
     def heard(
         self, frame: MarkedFrame, fit: Fit, levels: NodeLevels, doubtful: Bools | None = None

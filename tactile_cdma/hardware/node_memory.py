@@ -49,7 +49,7 @@ class Mcu:
 FAST = "atmega328p-fast"
 MCUS = {
     "atmega328p": Mcu("m328p", 4096, 35_000, 35_000),
-    FAST: Mcu("m328p", 4096, 500, 1750, 16_000, 250, bits_restart=True, restart_s=72e-6),
+    FAST: Mcu("m328p", 4096, 500, 1750, 16_000, 250, bits_restart=True, restart_s=80e-6),
     "attiny85": Mcu("t85", 1024, 40_000, 40_000),
 }
 MEASURING_S = 1e-3

@@ -58,7 +58,7 @@ def take_tare(
         moving = valid & (baseline.span_v > MOVING_LSB * lsb_v)
         loaded = valid & (above_pa > contact_pa)
         # Where something moves over the skin, the nodes that it has left need no naming.
-        named = loaded if loaded.any() else moving
+        named = loaded if (moving & loaded).any() else moving
         if moving.any():
             _refuse("moving", named, above_pa, layout, "wait until nothing moves them")
         remedy = "take away what touches them, or, if this is how the skin rests, "

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
@@ -86,7 +87,8 @@ class VirtualDigitizer:
         self._roll_calls = RollCalls()
         self._parser, self._writer = PacketParser(), PacketWriter()
         self._external = External() if self.options.scene == EXTERNAL else None
-        self._steps_left = 0  # frames that may begin, where the program says so
+        # What touches the skin in the frames that may begin, where the program says so.
+        self._steps: deque[Sequence[Indenter]] = deque()
         self._commands = 0
         self._packs = False
         self._output = bytearray(1)  # a delimiter ends whatever was on the line before
@@ -123,9 +125,16 @@ class VirtualDigitizer:
     def press(self, objects: Sequence[Indenter], frames: int = 0) -> None:
         """Let these objects, and no others, touch the skin from the next frame on.
 
-        frames: at speed 0, number of frames that may pass, after those allowed before.
-        Raises SpecError where another scene is played, or frames pass by themselves.
+        frames: at speed 0, number of frames that may pass with these, after those with the objects
+        of earlier calls.
+        Raises SpecError where another scene is played, frames pass by themselves, or something is
+        no object.
         """
+        if not all(isinstance(each, Indenter) for each in objects):
+            raise SpecError(
+                "objects are given one by one, as press(*objects), and each is a Sphere, Cylinder, "
+                f"Box or HeightMap, not {', '.join(type(each).__name__ for each in objects)}"
+            )
         if self._external is None:
             raise SpecError(
                 f"the scene is {self.options.scene!r}; a program presses on sim://?scene={EXTERNAL}"
@@ -135,8 +144,10 @@ class VirtualDigitizer:
                 f"speed is {self.options.speed:g}, so frames pass by themselves; one by one they "
                 f"do with sim://?scene={EXTERNAL}&speed=0"
             )
-        self._external.press(objects)
-        self._steps_left += frames
+        if frames:
+            self._steps.extend([objects] * frames)
+        else:
+            self._external.press(objects)
 
     def advance(self, wanted: int = 1) -> float:
         """Put what is due by now in the output buffer; at speed 0, at least `wanted` bytes.
@@ -150,9 +161,11 @@ class VirtualDigitizer:
             schedule.hurried and self.pending < wanted
         ):
             begins = schedule.frame_is_due and self.options.stepped
-            if begins and not self._steps_left:
-                break
-            self._steps_left -= begins
+            if begins:
+                if not self._steps:
+                    break
+                assert self._external is not None
+                self._external.press(self._steps.popleft())
             schedule.now_s = max(schedule.now_s, due_s)
             if due_s == schedule.report_s:
                 self._report()

@@ -39,6 +39,9 @@ Chosen: of a node that is a chip late one chip is inverted in half of its bits, 
 PART = 0.6
 """Share of a node's amplitude below which a word may be a part of one that is out of step. Chosen:
 one that is half a chip late has half of it on either row."""
+HIDDEN = 0.7
+"""Share of a node's level that, as noise of a scrambled chip, may be a node that is not understood.
+Chosen: such a node leaves 1."""
 OUT_OF_STEP, FEW = 0.25, 3
 """Difference of two words' delays, chips, beyond which either may be on another's row: half of the
 delay at which rows change places; most words of which their delays are told apart. Both chosen."""
@@ -69,8 +72,8 @@ def displaced(
     """As out_of_place, of words that leave over that much."""
     assert levels.rows is not None
     if spec.scramble:
-        others = late_scrambled(levels, amplitude, active, expected, spec)
-        return others if others.any() else None
+        others, hidden = late_scrambled(levels, amplitude, active, expected, spec)
+        return others if hidden or others.any() else None
     spoken = amplitude[active]
     least = float(spoken.min())
     if spoken.size <= FEW and (
@@ -90,13 +93,15 @@ def least_left(spec: FrameSpec) -> float:
 
 def late_scrambled(
     levels: NodeLevels, amplitude: Floats32, active: Bools, expected: float, spec: FrameSpec
-) -> Bools:
-    """Nodes whose words show when the chips are read early or late, (n,) bool.
+) -> tuple[Bools, bool]:
+    """Nodes whose words show when the chips are read early or late, (n,) bool; whether others may.
 
     Scrambled chips that are late by whole chips show in no row; read as late as they are, they are
-    words again. They are looked for in what the words that are in time leave over.
+    words again. They are looked for in what the words that are in time leave over. A node that is
+    later, or flips its chips otherwise, can only be told from noise by how much is left.
     """
     _, _, left = _taken_apart(levels, amplitude, active, spec)
+    left_v = math.sqrt(float(np.square(left).sum()) / spec.line_bits)  # of a chip, RMS
     chips = np.pad(chips_of(left, spec).ravel(), EDGE)
     least = LATE_SHARE * min(expected, float(amplitude[active].min()))
     found = np.zeros(spec.nodes, np.bool_)
@@ -107,7 +112,7 @@ def late_scrambled(
         # Noise, as which all else shows: mean of |r|, and how far it scatters by chance.
         by_chance = float(np.median(mean)) * (1 + BY_CHANCE * 0.76 / math.sqrt(spec.line_bits))
         found |= mean > max(least, by_chance)
-    return found
+    return found, left_v > HIDDEN * expected
 
 
 def numpy_late(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec) -> Bools:

@@ -47,7 +47,7 @@ CODES = (0, 1023, 0b0101101110)
 
 def fast(nodes: int, order: int, chip_s: float = 2e-6, bits: int = 10, **more: bool) -> FrameSpec:
     """A skin whose nodes start anew at every bit, with the least guards."""
-    guard_chips = int(np.ceil(72e-6 / chip_s))
+    guard_chips = int(np.ceil(80e-6 / chip_s))
     spec = FrameSpec(nodes=nodes, order=order, chip_s=chip_s, bits=bits, resync_chips=order,
                      guard_chips=guard_chips, frame_period_s=1.0, **more)  # fmt: skip
     return replace(spec, frame_period_s=round(spec.frame_s + 1.1e-3, 6))

@@ -12,8 +12,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from functools import lru_cache
-from inspect import signature
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
@@ -172,15 +170,9 @@ def take_message(subscription: Any) -> bool:
     """
     taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
     if taken:
-        callback = subscription.callback
-        callback(*taken if _needs_two(callback) else taken[:1])
+        both = subscription._callback_type is type(subscription).CallbackType.WithMessageInfo
+        subscription.callback(*taken if both else taken[:1])
     return bool(taken)
-
-
-@lru_cache
-def _needs_two(callback: Callable[..., object]) -> bool:
-    required = [p for p in signature(callback).parameters.values() if p.default is p.empty]
-    return len(required) == 2
 
 
 def _call_timer(timer: Any) -> None:

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -27,6 +29,8 @@ from tactile_cdma.wire.messages import FrameLayout
 from tactile_cdma.words.decode import Words, decode
 
 MASK = 0xFFFFFFFF
+MOST_LATE = 40
+"""Chips."""
 
 
 def test_the_sequence_is_that_of_the_document() -> None:
@@ -117,8 +121,8 @@ def line_of(
     """Chips of these nodes, of which one is late by whole chips; negative: early."""
     own = np.arange(spec.nodes) == late
     chips = line_chips(spec, codes, active & ~own).ravel()
-    other = np.pad(line_chips(spec, codes, active & own).ravel(), 2)
-    return chips + other[2 - by : 2 - by + chips.size]
+    other = np.pad(line_chips(spec, codes, active & own).ravel(), MOST_LATE)
+    return chips + other[MOST_LATE - by : MOST_LATE - by + chips.size]
 
 
 @pytest.mark.parametrize(("nodes", "order"), [(16, 20), (60, 64), (900, 912)])
@@ -150,6 +154,37 @@ def test_nodes_that_are_late_by_chips_are_named_and_disturb_nobody(
         sound = words(0)
         assert not sound.doubtful.any()
         np.testing.assert_array_equal(sound.active, active)
+
+
+@pytest.mark.parametrize(("nodes", "order"), [(16, 20), (60, 64), (900, 912)])
+@pytest.mark.parametrize("by", [-5, 3, 8, 40, None])
+def test_no_node_is_silent_beside_one_that_is_not_understood(
+    nodes: int, order: int, by: int | None
+) -> None:
+    """One that is later than is looked for, or (None) does not flip its chips."""
+    spec = FrameSpec(nodes=nodes, order=order, scramble=True, frame_period_s=10.0, amplitude_v=0.3)
+    rng = np.random.default_rng(nodes)
+    for _ in range(20):
+        codes, active = rng.integers(0, 1024, nodes), rng.random(nodes) < 0.5
+        active[:2], own = True, np.arange(nodes) == 0
+        if by is None:
+            chips = line_chips(spec, codes, active & ~own)
+            chips = chips + line_chips(replace(spec, scramble=False), codes, own)
+        else:
+            chips = line_of(spec, codes, active, 0, by).reshape(-1, order)
+        noisy = (chips + rng.normal(0, 0.03, chips.shape)).astype(np.float32)
+        words = decode(separate(noisy, spec), spec)
+        silent = ~words.active
+        assert silent[0] or words.doubtful[0]
+        assert words.doubtful[silent].all()
+
+
+@pytest.mark.parametrize("scene", ["idle", "press"])
+def test_silent_frames_of_unknown_amplitude_are_frames(scene: str) -> None:
+    url = f"sim://?seed=2&scene={scene}"
+    config = SkinConfig.of({"scramble": True, "amplitude_mv": 0.0})
+    frames = run(config, stream(SkinConfig.of({"scramble": True}), url, 200))
+    assert len(frames) >= 198
 
 
 @pytest.mark.parametrize("scramble", [False, True])

@@ -310,6 +310,26 @@ def test_without_a_folder_to_write_to_the_skin_goes_on(
     assert np.allclose(run.activate().stream(0.3).pressure_pa, 0, atol=15)
 
 
+def test_what_was_found_on_a_simulator_and_never_saved_is_dropped_on_a_board(
+    preload: Callable[[float], None], tmp_path: Path
+) -> None:
+    """A tare that could not be written, and drift that was not yet due."""
+    preload(PRELOAD_PA)
+    (tmp_path / "no").write_text("a file, not a folder")
+    run = Run(tmp_path / "no", port="socket://localhost:1").activate().stream(TARE_S)
+    run.keeper.hear(simulated=True)
+    run.keeper.tare()
+    assert not run.stream(0.3).pressure_pa.any()
+    run.keeper.hear(simulated=False)
+    assert np.allclose(run.stream(0.3).pressure_pa, PRELOAD_PA, atol=COUNT_PA / 2)
+    assert run.keeper.tared == ""
+    assert "tare and drift are dropped" in run.log.warnings[-1]
+    run.keeper.hear(simulated=True)
+    run.driver.pipeline.taxels.restore(None, np.full(16, 0.03, np.float32))
+    run.keeper.hear(simulated=False)
+    assert not run.drift_v.any()
+
+
 def test_of_a_replayed_recording_nothing_is_read_or_kept(
     preload: Callable[[float], None], tmp_path: Path
 ) -> None:

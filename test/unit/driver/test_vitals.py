@@ -185,3 +185,16 @@ def test_a_thread_without_reserve_is_told() -> None:
     assert list(checkup.host(window_with(thread_share=0.79), 1)) == []
     [finding] = checkup.host(window_with(thread_share=0.85), 1)
     assert finding.level == Level.WARN and "85% of a core" in finding.text
+
+
+def test_an_amplitude_that_is_far_too_low_is_told_as_such() -> None:
+    """Not as twenty pairs of nodes on one row."""
+    config, frames = SkinConfig.of({"amplitude_mv": 97.5}), []
+    url = "sim://?scene=all&threshold=0&speed=0"
+    with Driver(config, url, 2_000_000, frames.append, lambda problem: None) as driver:
+        while len(frames) < 100:
+            time.sleep(0.01)
+        with driver.between_frames() as pipeline:
+            found = [*checkup.nodes(pipeline, [], driver.vitals.take(pipeline))]
+    assert [finding.key for finding in found] == ["amplitude"]
+    assert "which is 97.5: set it" in found[0].text

@@ -191,13 +191,13 @@ def test_heartbeat_is_a_second_unless_told_otherwise(frame_period_s: float, hear
             {"chip_s": 2e-6, "order": 912, "nodes": 900, "frame_period_s": 0.02},
             {"mcu": FAST},
             "resync_chips is 0, but an atmega328p-fast, whose chips follow its own clock, "
-            "starts anew at every bit: set resync_chips to 912 and guard_chips to 36 or more in "
+            "starts anew at every bit: set resync_chips to 912 and guard_chips to 40 or more in "
             "the parameter file",
         ),
         (
-            {"chip_s": 2e-6, "order": 20, "resync_chips": 20, "guard_chips": 35},
+            {"chip_s": 2e-6, "order": 20, "resync_chips": 20, "guard_chips": 39},
             {"mcu": FAST},
-            "guard_chips is 35, but to start anew within the frame a node takes at least 36",
+            "guard_chips is 39, but to start anew within the frame a node takes at least 40",
         ),
     ],
 )

@@ -145,6 +145,14 @@ def test_of_a_load_that_moves_only_the_nodes_under_it_are_named() -> None:
     assert "node 1 (" not in str(refused.value), "it moved, but nothing is there any more"
 
 
+def test_of_a_light_load_that_moves_beside_a_heavy_one_the_moving_node_is_named() -> None:
+    patch = Patch(drift_pa_per_min=0.0)
+    patch.read(2 * SECOND, [20e3, 0, 0, 0, 0, 0])
+    patch.read(SECOND // 3, [20e3, 0, 500.0, 0, 0, 0])
+    with pytest.raises(RestError, match=r"moving: node 3 \(row 0, column 2\) 0\.\d\d kPa; wait"):
+        patch.taxels.tare(1000.0)
+
+
 def test_many_nodes_are_not_all_named() -> None:
     config = SkinConfig.of({"nodes": 12, "rows": 1, "columns": 12})
     taxels = Pipeline(config).taxels

@@ -130,6 +130,28 @@ def test_frames_wait_for_steps() -> None:
         assert skin.step(BALL).sequence == 1
 
 
+def test_what_is_asked_for_ahead_passes_in_turn() -> None:
+    """A program that does not wait for its frames loses none of its objects."""
+    depths_m = np.arange(3, 11) * 1e-4
+    balls = [Sphere(radius_m=0.02, position_m=(0, 0, 0.02 - depth)) for depth in depths_m]
+    with stepped("threshold=0&noise=0") as skin:
+        waited_pa = [skin.step(ball).pressure_pa for ball in balls]
+        driver = skin._running()
+        for ball in balls:
+            driver.press([ball], frames=1)
+        ahead_pa = [skin.read().pressure_pa for _ in balls]
+    np.testing.assert_array_equal(ahead_pa, waited_pa)
+    assert np.unique(np.max(ahead_pa, axis=1)).size == len(balls)
+
+
+def test_what_is_no_object_is_refused() -> None:
+    with stepped() as skin:
+        for wrong in ([BALL], "ball"):
+            with pytest.raises(PortError, match="objects are given one by one"):
+                skin.step(wrong)  # type: ignore[arg-type]
+        assert skin.step(BALL).pressure_pa.any()
+
+
 def test_at_another_pace_it_is_pressed_from_the_next_frame_on() -> None:
     """Twenty times faster than real time."""
     with Skin("sim://?scene=external&speed=20&threshold=0", nodes=16) as skin:
