@@ -115,7 +115,7 @@ spice: firmware-tools
 	@"$(BIN)/python" firmware/analog/spice.py
 
 boards: setup
-	@"$(BIN)/python" firmware/boards/generate_boards.py $(if $(shell command -v kicad-cli),--draw)
+	@"$(BIN)/python" firmware/boards/generate_boards.py --draw
 
 scope: firmware
 	@"$(BIN)/python" firmware/boards/scope.py

@@ -8,7 +8,8 @@ come from the clock of the driver's computer (or one synchronised to it by chron
 
 Start it beside a driver (make run) and whatever publishes /joint_states:
 .venv/bin/python examples/fuse_joint_states.py
-It prints, of each pair, both stamps (ns), the greatest pressure (Pa) and the joints' positions.
+It prints that it waits, and then, of each pair, both stamps (ns), the greatest pressure (Pa) and
+the joints' positions.
 """
 
 from collections import deque
@@ -43,6 +44,7 @@ class Fusion(Node):
             (JointState, "/joint_states", self.joints),
         ):
             self.create_subscription(kind, topic, lambda m, q=queue: self.take(m, q), QUEUE)
+        print("waiting for /skin/tactile and /joint_states …", flush=True)
 
     def take(self, message: TactileArray | JointState, queue: deque[Any]) -> None:
         queue.append(message)

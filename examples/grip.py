@@ -37,6 +37,7 @@ class Grip(Node):
         self.closed_mm, self.fast_frames, self.heard_s = 0.0, 0, -math.inf
         self.create_subscription(TactileContacts, "/skin/contacts", self.feel, 10)
         self.create_timer(SILENT_S / 2, self.watch)
+        print("waiting for /skin/contacts …", flush=True)
 
     def watch(self) -> None:
         if time.monotonic() - self.heard_s > SILENT_S:

@@ -13,15 +13,15 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 
 from emulated import EmulatedSkin, EmulationError, Node
-from skin import PressedSkin, reference_amplifier, reference_nodes
+from skin import CRYSTALS, PressedSkin, reference_amplifier, reference_nodes
 from tactile_cdma.base.errors import TactileError
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.hardware.node_memory import FAST, MCUS
 from tactile_cdma.sim.pty import serve
 from tactile_cdma.sim.scene import SCENES
 
@@ -68,16 +68,18 @@ class LiveSkin:
         return data
 
 
-def wired(nodes: Sequence[Node], count: int) -> list[Node]:
-    """Nodes of which only the first so many reach the line."""
-    return [*nodes[:count], *(replace(node, gain=0.0) for node in nodes[count:])]
+def nodes_for(config: SkinConfig) -> list[Node]:
+    """The nodes that make chips of this length: fast ones, with crystals, or slow ones."""
+    if round(config.spec.chip_s * 1e9) <= MCUS[FAST].longest_chip_ns:
+        return reference_nodes(config, CRYSTALS, mcu=FAST)
+    return reference_nodes(config)
 
 
 def main() -> int:
     """Serve until SIGINT or SIGTERM; print the tty's path when ready."""
     parser = argparse.ArgumentParser(description="The emulated skin behind a tty.")
     parser.add_argument("--params", type=Path, required=True, help="ROS 2 parameter file")
-    parser.add_argument("--scene", choices=SCENES, default="moving", help="what touches it")
+    parser.add_argument("--scene", choices=SCENES, default="demo", help="what touches it")
     parser.add_argument("--wired", type=int, help="only the first so many nodes are on the line")
     parser.add_argument("--link", type=Path, help="symbolic link to make to the tty")
     arguments = parser.parse_args()
@@ -86,9 +88,7 @@ def main() -> int:
         signal.signal(number, lambda *_: stop.set())
     try:
         config = SkinConfig.of(read_file(arguments.params))
-        nodes = reference_nodes(config)
-        if arguments.wired is not None:
-            nodes = wired(nodes, arguments.wired)
+        nodes = nodes_for(config)[: arguments.wired]
         with EmulatedSkin(nodes, reference_amplifier(config)) as emulated:
             skin = PressedSkin(config, SCENES[arguments.scene], emulated, emulated)
             serve(lambda: LiveSkin(skin), arguments.link, stop, lambda p: print(p, flush=True))

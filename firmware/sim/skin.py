@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The emulated skin of config/wired_skin.yaml: nodes with tolerances, pressed by a scene."""
+"""The emulated skin of a parameter file: nodes with tolerances, pressed by a scene."""
 
 from __future__ import annotations
 
@@ -37,6 +37,10 @@ class Spread:
     supply: float = 0.03
     skew_ns: float = 0.0
     seed: int = 1
+
+
+CRYSTALS = Spread(clock=50e-6, supply=0.01, skew_ns=200)
+"""What fast nodes ask for (firmware/README.md)."""
 
 
 def reference_nodes(
@@ -111,6 +115,7 @@ class Digitized(Protocol):
 class PressedSkin:
     """An emulated skin under a scene. Pressures are constant for a frame period at a time.
 
+    There may be fewer nodes than the configuration has: the others are not on the line.
     phase_ns: time from a multiple of the frame period to the change of pressures.
     """
 
@@ -157,7 +162,8 @@ class PressedSkin:
         self._pressed_ns.append(self.now_ns)
         self._codes.append(config.adc.code(volts))
         # Sensor and converter share a node's supply: the code is the ratio.
-        self._nodes.press(volts / config.adc.vref_v * self._supplies_v)
+        placed = volts[: self._supplies_v.size]
+        self._nodes.press(placed / config.adc.vref_v * self._supplies_v)
         period_ns = round(config.spec.frame_period_s * 1e9)
         periods = (self.now_ns - self.phase_ns) // period_ns + 1
         self._next_ns = self.phase_ns + periods * period_ns

@@ -22,7 +22,7 @@ import numpy as np
 from emulated import EmulationError
 from rp2040 import EmulatorError
 from rp2040_skin import Rp2040Skin
-from skin import PressedSkin, Spread, reference_amplifier, reference_nodes
+from skin import CRYSTALS, PressedSkin, Spread, reference_amplifier, reference_nodes
 from tactile_cdma.base.errors import TactileError
 from tactile_cdma.config.parameters import Value, read_file
 from tactile_cdma.config.skin_config import SkinConfig
@@ -32,7 +32,6 @@ from tactile_cdma.sim.scene import Skin
 from trial import Trial, press_and_decode
 
 PARAMS = Path(__file__).resolve().parents[2] / "config" / "thousand_skin.yaml"
-SPREAD = Spread(clock=50e-6, supply=0.01, skew_ns=200)
 FRAMES = 12
 SETTLING = 4
 """First frames, not counted: nodes start up and measure two periods of the sync line."""
@@ -113,7 +112,7 @@ class Outcome:
 def on_one_wire(
     values: dict[str, Value],
     frames: int = FRAMES,
-    spread: Spread = SPREAD,
+    spread: Spread = CRYSTALS,
     record: Path | None = None,
 ) -> Outcome:
     """Run a skin of these parameters until so many frames have come. record: a file to write."""
@@ -138,7 +137,7 @@ def main() -> int:
     parser.add_argument("--record", type=Path, metavar="FILE", help="record what USB carries")
     arguments = parser.parse_args()
     values = read_file(PARAMS) | (QUICK if arguments.quick else {})
-    spread, begin = replace(SPREAD, seed=arguments.seed), time.monotonic()
+    spread, begin = replace(CRYSTALS, seed=arguments.seed), time.monotonic()
     try:
         found = on_one_wire(values, FRAMES, spread, arguments.record)
     except (EmulationError, EmulatorError, OSError, TactileError) as error:

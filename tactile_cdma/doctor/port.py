@@ -75,8 +75,9 @@ def _examine(port: Port, values: dict[str, Value] | None, seconds: float) -> Ite
     if wrong := config.refusal(info.digitizer_id):
         yield problem("digitizer", wrong)
         return
-    yield ok("digitizer", described_info(info))
-    yield from judge(_listen(port, config, values is not None, seconds), config)
+    configure = values is not None
+    yield ok("digitizer", described_info(info, "was set to" if configure else "set to"))
+    yield from judge(_listen(port, config, configure, seconds), config, seconds)
 
 
 def _listen(port: Port, config: SkinConfig, configure: bool, seconds: float) -> Stream:

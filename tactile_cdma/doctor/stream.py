@@ -70,8 +70,10 @@ class Heard:
         return float(np.median(amplitude_v[self.active]))
 
 
-def judge(stream: Stream, config: SkinConfig) -> Iterator[Check]:
+def judge(stream: Stream, config: SkinConfig, seconds: float) -> Iterator[Check]:
     """All checks of a stream; amplitudes are measured before they are compared with config's.
+
+    seconds: how long it was to be listened to.
 
     Raises PortError where bytes in which there were frames hold none after all.
     """
@@ -99,15 +101,18 @@ def judge(stream: Stream, config: SkinConfig) -> Iterator[Check]:
     if clipped < CLIPPED_SHARE:  # amplitudes are too small in what is clipped
         yield from _amplitude(measured_v, config)
     yield from _polarity(heard, config)
-    yield from _nodes(heard)
+    yield from _nodes(heard, seconds)
 
 
 def _heard(stream: Stream, config: SkinConfig, swing_v: float | None) -> Heard:
     """Decoded with this amplitude of a node's code; None: learnt from every frame.
 
+    From one value per chip, silence can't be told without an amplitude: there it is the stated one.
     Raises PortError where that gives no frame.
     """
-    spec = replace(config.spec, amplitude_v=None)
+    spec = config.spec
+    if config.samples_per_chip > 1:
+        spec = replace(spec, amplitude_v=None)
     # Weak nodes count as heard once the amplitude is known, and are told to be weak.
     threshold = config.threshold if swing_v is None else FAINT_SHARE
     pipeline = Pipeline(replace(config, spec=spec, threshold=threshold), background=False)
@@ -179,7 +184,9 @@ def _rate(heard: Heard, config: SkinConfig) -> Iterator[Check]:
     if len(frames) < 2:
         yield warning("frames", f"one alone, there should be {expected_hz:.1f} per s")
         return
-    span_s = heard.arrived_s[-1] - heard.arrived_s[0]
+    # What waited before it was listened to arrives at once.
+    arriving_s = heard.arrived_s[-1] - heard.arrived_s[0]
+    span_s = max(arriving_s, frames[-1].t_start - frames[0].t_start)
     rate_hz = (len(frames) - 1) / max(span_s, config.spec.frame_period_s)
     lost = frames[-1].sequence - frames[0].sequence + 1 - len(frames)
     text = f"{rate_hz:.1f} of {expected_hz:.1f} per s, {lost} lost"
@@ -246,7 +253,7 @@ def _polarity(heard: Heard, config: SkinConfig) -> Iterator[Check]:
         )
 
 
-def _nodes(heard: Heard) -> Iterator[Check]:
+def _nodes(heard: Heard, seconds: float) -> Iterator[Check]:
     spoke = heard.active.any(axis=0)
     total = f"{np.count_nonzero(spoke)} of {spoke.size} spoke"
     if spoke.all():
@@ -256,7 +263,7 @@ def _nodes(heard: Heard) -> Iterator[Check]:
         yield warning(
             "nodes",
             f"{total}, not heard: {silent}: are they connected and powered? (one that is at rest "
-            "only speaks at its heartbeat: --seconds 10 listens longer)",
+            f"only speaks at its heartbeat: --seconds {2 * seconds:g} listens longer)",
         )
     for state, text in UNSOUND.items():
         if numbers := heard.health.nodes(state):

@@ -80,7 +80,9 @@ def stream(pipeline: Pipeline, window: Window, latest: TactileFrame | None) -> I
         lost = window.rises.stream.lost_frames
         if lost > LOST_SHARE * (lost + frames):
             text = (
-                f"{lost / (lost + frames):.0%} of the frames are lost: see the counts of the link"
+                f"{lost / (lost + frames):.0%} of the frames are lost: see lost packets, skipped "
+                "bytes, digitizer samples lost and digitizer packets dropped (entry link); a "
+                "stalled computer looks like this, too"
             )
             yield Finding(text, event=True, key="lost frames")
         rejections = window.rises.rejections

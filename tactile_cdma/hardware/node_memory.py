@@ -57,6 +57,8 @@ MEASURING_S = 1e-3
 HEARTBEAT_S = 1.0
 """Default time between two words of a node at rest, s; chosen, below stale_after_s."""
 CRC_BYTES = 4
+SHOWN_CHIPS = 64
+"""Chips of a row that are printed, what fits on a line; chosen."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,11 +140,12 @@ def node_memory(
         raise SpecError(
             f"resync_chips is {spec.resync_chips}, but an {mcu}, whose chips follow its own clock, "
             f"starts anew at every bit: set resync_chips to {spec.order} and guard_chips to "
-            f"{guard_chips} or more"
+            f"{guard_chips} or more in the parameter file"
         )
-    period_us = layout.frame_period_us
+    shortest_ms, longest_ms = (limit / 1e3 for limit in _limits("frame_period_us"))
+    period_ms = layout.frame_period_us / 1e3
     check_limits(
-        "frame_period_us", period_us, *_limits("frame_period_us"), "a node times the sync edges"
+        "frame_period_ms", period_ms, shortest_ms, longest_ms, "a node times the sync edges"
     )
     gap_s = spec.frame_period_s - spec.frame_s
     if gap_s < MEASURING_S * (1 - 1e-9):  # rounding of the difference
@@ -156,7 +159,8 @@ def node_memory(
         needed = math.ceil(board.restart_s / spec.chip_s - 1e-9)
         raise SpecError(
             f"guard_chips is {spec.guard_chips}, but to start anew within the frame a node "
-            f"takes at least {needed} of {spec.chip_s * 1e6:g} µs"
+            f"takes at least {needed} of {spec.chip_s * 1e6:g} µs: set guard_chips to that in the "
+            "parameter file"
         )
     record = NodeRecord(
         node=node,
@@ -186,20 +190,21 @@ def node_memory(
 def _check_chip(chip_ns: int, mcu: str, scramble: bool) -> None:
     """Raises SpecError for a chip that this board cannot make."""
     board, reason = MCUS[mcu], f"the {mcu} runs at 8 MHz"
-    fast = MCUS[FAST]
-    if fast.chip_ns <= chip_ns <= fast.longest_chip_ns:
-        reason += f"; an {FAST} makes such chips"
-    check_limits("chip_ns", chip_ns, board.chip_ns, board.longest_chip_ns, reason)
+    chip_us = chip_ns / 1e3
+    able = [name for name, b in MCUS.items() if b.chip_ns <= chip_ns <= b.longest_chip_ns]
+    if able:
+        reason += f"; an {able[0]} makes such chips"
+    check_limits("chip_us", chip_us, board.chip_ns / 1e3, board.longest_chip_ns / 1e3, reason)
     if scramble and chip_ns < board.scrambled_chip_ns:
         raise SpecError(
-            f"chip_ns is {chip_ns}; an {mcu} that scrambles takes {board.scrambled_chip_ns} or "
-            "more: set scramble to false or use longer chips"
+            f"chip_us is {chip_us:g}; an {mcu} that scrambles takes "
+            f"{board.scrambled_chip_ns / 1e3:g} or more: set scramble to false or use longer chips"
         )
     if odd := chip_ns % board.chip_step_ns:
-        below = chip_ns - odd
+        below_us, step_us = (chip_ns - odd) / 1e3, board.chip_step_ns / 1e3
         raise SpecError(
-            f"chip_ns is {chip_ns}; an {mcu} makes chips of whole cycles, in steps of "
-            f"{board.chip_step_ns} ns: {below} or {below + board.chip_step_ns}"
+            f"chip_us is {chip_us:g}; an {mcu} makes chips of whole cycles, in steps of "
+            f"{step_us:g} µs: {below_us:g} or {below_us + step_us:g}"
         )
 
 
@@ -254,7 +259,9 @@ def read_node_memory(data: bytes) -> tuple[NodeRecord, NDArray[np.int8]]:
 
 def describe_memory(record: NodeRecord, chips: NDArray[np.int8]) -> str:
     """A node's memory as a few lines of text."""
-    code = "".join("+" if chip > 0 else "-" for chip in chips)
+    code = "".join("+" if chip > 0 else "-" for chip in chips[:SHOWN_CHIPS])
+    if chips.size > SHOWN_CHIPS:
+        code += f" and {chips.size - SHOWN_CHIPS} more"
     restart = f"every {record.resync_chips} chips, after {record.guard_chips} of pause"
     rest = "learnt after power-up" if record.rest == NODE_LEARN_REST else f"code {record.rest}"
     change = f"more than {record.threshold} LSB from rest ({rest}) or from what it sent last"

@@ -37,13 +37,13 @@ def introduction(port: Port, patience_s: float = LISTEN_S) -> Info:
     raise PortError(f"{port.url}: {diagnose(parser.counters)}")
 
 
-def described_info(info: Info) -> str:
-    """A digitizer and its settings in one line."""
+def described_info(info: Info, settings: str = "set to") -> str:
+    """A digitizer and its settings in one line. settings: the words that introduce these."""
     frame = info.frame
     kind = ", simulated" if is_simulated(info.digitizer_id) else ""
     return (
         f"{shown_id(info.digitizer_id)}{kind}, firmware {info.firmware_major}."
-        f"{info.firmware_minor}, set to {frame.nodes} nodes × {frame.bits} bits, order "
+        f"{info.firmware_minor}, {settings} {frame.nodes} nodes × {frame.bits} bits, order "
         f"{frame.order}, {frame.chip_ns / 1e3:g} µs chips, a frame every "
         f"{frame.frame_period_us / 1e3:g} ms"
     )

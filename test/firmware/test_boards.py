@@ -133,6 +133,18 @@ def test_generated_files_are_fresh() -> None:
     assert result.returncode == 0, result.stdout + result.stderr
 
 
+def test_without_kicad_it_says_that_nothing_was_checked() -> None:
+    result = subprocess.run(
+        [sys.executable, str(GENERATOR), "--draw"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        env={"PATH": "", "PYTHONPATH": str(ROOT)},
+    )
+    assert result.stdout == f"boards={len(BOARDS)} up to date; not checked: no kicad-cli\n"
+    assert result.returncode == 0, result.stderr
+
+
 @needs_kicad
 def test_kicads_rules_find_nothing() -> None:
     assert check(KICAD) == f"boards={len(BOARDS)} violations=0"

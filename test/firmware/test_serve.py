@@ -11,11 +11,14 @@ from pathlib import Path
 import pytest
 
 from emulated import EmulatedSkin
-from serve import SLOW, STEP_S, LiveSkin, wired
+from serve import SLOW, STEP_S, LiveSkin, nodes_for
 from skin import PressedSkin, reference_amplifier, reference_nodes
+from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.sim.scene import SCENES
 from trial import press_and_decode
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
 
 
 class Skin:
@@ -47,8 +50,25 @@ def test_nodes_that_are_not_wired_are_not_heard(
 ) -> None:
     built("node")
     config = SkinConfig.of({"nodes": 4, "rows": 2, "columns": 2, "amplitude_mv": 97.5})
-    nodes = wired(reference_nodes(config, threshold=0), first)
+    nodes = reference_nodes(config, threshold=0)[:first]
     with EmulatedSkin(nodes, reference_amplifier(config)) as skin:
         trial = press_and_decode(PressedSkin(config, SCENES["moving"], skin, skin), config, 5)
     assert trial.frames >= 5
     assert trial.silent == trial.wrong == trial.frames * (4 - first)  # what is missing is wrong
+
+
+@pytest.mark.parametrize("first", [0, 1])
+@pytest.mark.parametrize("file", ["wired_skin.yaml", "wired_64.yaml", "thousand_skin.yaml"])
+def test_first_node_of_every_skin_that_can_be_built_is_heard(
+    file: str, first: int, emulator: None, built: Callable[[str], Path]
+) -> None:
+    """At its heartbeat, once a second: bring-up can be rehearsed with this parameter file."""
+    built("node")
+    config = SkinConfig.of(read_file(CONFIG / file))
+    with EmulatedSkin(nodes_for(config)[:first], reference_amplifier(config)) as skin:
+        pressed = PressedSkin(config, SCENES["idle"], skin, skin)
+        frames = round(2.2 / config.spec.frame_period_s)
+        trial = press_and_decode(pressed, config, frames)
+    assert trial.frames >= frames
+    heard = trial.frames * config.spec.nodes - trial.silent
+    assert 2 * first <= heard <= 3 * first

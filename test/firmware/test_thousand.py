@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from conftest import need
 
-from skin import Spread
+from skin import CRYSTALS, Spread
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.readings.stages import Status
-from thousand import FRAMES, PARAMS, QUICK, SPREAD, on_one_wire
+from thousand import FRAMES, PARAMS, QUICK, on_one_wire
 
 VALUES = read_file(PARAMS)
 FEW = VALUES | QUICK | {"nodes": 20, "rows": 4, "columns": 5}
@@ -48,7 +48,7 @@ def test_scrambled_nodes_are_heard() -> None:
 
 @pytest.mark.parametrize(
     "spread",
-    [replace(SPREAD, clock=3e-3), replace(SPREAD, skew_ns=4000)],
+    [replace(CRYSTALS, clock=3e-3), replace(CRYSTALS, skew_ns=4000)],
     ids=["crystals that are none", "a sync line that is too long"],
 )
 def test_nodes_out_of_time_are_counted(spread: Spread) -> None:

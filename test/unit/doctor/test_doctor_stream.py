@@ -60,7 +60,7 @@ def checks(packets: list[Packet], **values: object) -> dict[str, list[Check]]:
     info = [packet for packet in packets if isinstance(packet, Info)][-1]
     config = SkinConfig.of({**parameters_of(info), "amplitude_mv": 300.0, **values})  # type: ignore[dict-item]
     found: dict[str, list[Check]] = {}
-    for check in judge(stream_of(packets), config):
+    for check in judge(stream_of(packets), config, SECONDS):
         found.setdefault(check.subject, []).append(check)
     return found
 
@@ -180,6 +180,22 @@ def test_a_node_that_says_nothing_is_named(without_5: list[Packet]) -> None:
     [nodes] = checks(without_5)["nodes"]
     assert nodes.verdict is Verdict.WARNING
     assert "15 of 16 spoke, not heard: node 5:" in nodes.text
+    assert f"--seconds {2 * SECONDS:g} listens longer" in nodes.text
+
+
+def test_silence_in_one_value_per_chip_is_told_by_the_stated_amplitude() -> None:
+    asked = SkinConfig.of({"samples_per_chip": 1, "amplitude_mv": 0.0})
+    found = checks(packets_of("sim://?scene=idle&heartbeat=0&noise=0.01", asked))
+    assert found["frames"][0].text == "78.1 of 78.1 per s, 0 lost"
+    assert found["nodes"][0].text == "frames arrive, but no node speaks: is the skin powered?"
+
+
+def test_frames_that_waited_do_not_come_faster_than_they_were_sent() -> None:
+    chunks = stream_of(packets_of(ALL_TALK)).chunks
+    late_s = chunks[len(chunks) // 2][1]
+    waited = Stream([(data, max(t_host, late_s)) for data, t_host in chunks], None)
+    found = {check.subject: check for check in judge(waited, SkinConfig.of({}), SECONDS)}
+    assert found["frames"].text == "78.1 of 78.1 per s, 0 lost"
 
 
 def test_a_weak_node_is_named(without_5: list[Packet], node_5: list[Packet]) -> None:
@@ -251,7 +267,7 @@ def test_clipping_is_told_and_no_amplitude_is_read_from_it() -> None:
 def test_lost_packets_are_told(sound: list[Packet]) -> None:
     stream = stream_of(sound)
     torn = Stream([c for i, c in enumerate(stream.chunks) if i % 20 != 19], None)
-    found = {check.subject: check for check in judge(torn, SkinConfig.of({}))}
+    found = {check.subject: check for check in judge(torn, SkinConfig.of({}), SECONDS)}
     assert found["link"].verdict is Verdict.WARNING
     assert found["frames"].verdict is Verdict.WARNING
 
@@ -262,7 +278,7 @@ def test_broken_bytes_are_told(sound: list[Packet]) -> None:
         [(b[:9] + b"\x55" + b[10:] if i % 30 == 29 else b, t) for i, (b, t) in enumerate(chunks)],
         None,
     )
-    found = {check.subject: check for check in judge(noisy, SkinConfig.of({}))}
+    found = {check.subject: check for check in judge(noisy, SkinConfig.of({}), SECONDS)}
     assert found["link"].verdict is Verdict.WARNING
     assert "0 broken" not in found["link"].text
 
@@ -276,7 +292,7 @@ def test_a_dead_skin_is_told() -> None:
 
 def test_bytes_without_frames_are_an_error_and_no_verdict() -> None:
     with pytest.raises(PortError):
-        list(judge(Stream([(b"\0abc\0", 1.0)], None), SkinConfig.of({})))
+        list(judge(Stream([(b"\0abc\0", 1.0)], None), SkinConfig.of({}), SECONDS))
 
 
 @settings(max_examples=12, deadline=None)
@@ -292,4 +308,4 @@ def test_whatever_comes_there_is_a_verdict_or_a_reason(
     parts = np.array_split(data, 50)
     stream = Stream([(part.tobytes(), 0.01 * i) for i, part in enumerate(parts)], None)
     with suppress(PortError):
-        assert {check.subject for check in judge(stream, SkinConfig.of({}))} >= {"link"}
+        assert {check.subject for check in judge(stream, SkinConfig.of({}), SECONDS)} >= {"link"}

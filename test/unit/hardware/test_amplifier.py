@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -39,7 +40,8 @@ from tactile_cdma.hardware.amplifier import (
 )
 from tactile_cdma.hardware.tolerance import scatter
 
-README = Path(__file__).resolve().parents[3] / "firmware" / "README.md"
+ROOT = Path(__file__).resolve().parents[3]
+README, WIRED_64 = ROOT / "firmware" / "README.md", ROOT / "config" / "wired_64.yaml"
 PERIOD_S = 100.0
 fronts = st.builds(
     lambda nodes, samples, supply_v, active: design(
@@ -342,7 +344,8 @@ def test_the_command_prints_parts_and_parameters(
     text = capsys.readouterr().out
     assert "Rb 12 kΩ to supply and 12 kΩ to ground" in text
     assert "Rin 33 kΩ" in text and "Rf 3.9 kΩ" in text
-    assert "polarity: -1\namplitude_mv: 35.45" in text
+    [stated_mv] = re.findall(r"amplitude_mv: ([\d.]+)", WIRED_64.read_text())
+    assert f"polarity: -1\namplitude_mv: {stated_mv}\n" in text
 
     assert main(["amplifier", "--nodes", "64", "--adc-volts", "1.1"]) == 1
     assert "use a lower supply_v" in capsys.readouterr().err

@@ -8,6 +8,7 @@ import shutil
 import struct
 import subprocess
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from tactile_cdma.hardware.node_memory import (
     FAST,
     MCUS,
     MEASURING_S,
+    describe_memory,
     node_memory,
     read_node_memory,
 )
@@ -137,9 +139,9 @@ def test_heartbeat_is_a_second_unless_told_otherwise(frame_period_s: float, hear
         ({}, {"mcu": "z80"}, "mcu is 'z80'; it must be one of atmega328p, atmega328p-fast"),
         ({"bits": 11}, {}, "bits is 11; it must lie within 8…10: a node's converter has 10 bits"),
         ({"order": 4160, "frame_period_s": 5.0}, {}, "order is 4160; it must lie within 1…4096"),
-        ({"chip_s": 19e-6}, {}, "chip_ns is 19000; it must lie within 35000…1000000"),
+        ({"chip_s": 19e-6}, {}, "chip_us is 19; it must lie within 35…1000"),
         ({"chip_s": 50.0001e-6}, {}, "whole nanoseconds"),
-        ({"frame_period_s": 11.0}, {}, "frame_period_us is 11000000; it must lie within 1000…"),
+        ({"frame_period_s": 11.0}, {}, "frame_period_ms is 11000; it must lie within 1…10000"),
         (
             {"frame_period_s": 10.999e-3},
             {},
@@ -154,7 +156,8 @@ def test_heartbeat_is_a_second_unless_told_otherwise(frame_period_s: float, hear
         (
             {"order": 32, "frame_period_s": 0.1, "resync_chips": 32, "guard_chips": 1},
             {"mcu": "attiny85"},
-            "guard_chips is 1, but to start anew within the frame a node takes at least 2 of",
+            "guard_chips is 1, but to start anew within the frame a node takes at least 2 of 50 "
+            "µs: set guard_chips to that in the parameter file",
         ),
         (
             {"chip_s": 35e-6, "resync_chips": 32, "guard_chips": 2},
@@ -164,26 +167,32 @@ def test_heartbeat_is_a_second_unless_told_otherwise(frame_period_s: float, hear
         (
             {"chip_s": 2e-6},
             {},
-            "chip_ns is 2000; it must lie within 35000…1000000: the atmega328p runs at 8 MHz; an "
+            "chip_us is 2; it must lie within 35…1000: the atmega328p runs at 8 MHz; an "
             "atmega328p-fast makes such chips",
         ),
-        ({}, {"mcu": FAST}, "chip_ns is 50000; it must lie within 500…16000: the atmega328p-fast"),
+        (
+            {},
+            {"mcu": FAST},
+            "chip_us is 50; it must lie within 0.5…16: the atmega328p-fast runs at 8 MHz; an "
+            "atmega328p makes such chips",
+        ),
         (
             {"chip_s": 2.1e-6},
             {"mcu": FAST},
-            "chip_ns is 2100; an atmega328p-fast makes chips of whole cycles, in steps of 250 ns: "
-            "2000 or 2250",
+            "chip_us is 2.1; an atmega328p-fast makes chips of whole cycles, in steps of 0.25 µs: "
+            "2 or 2.25",
         ),
         (
             {"chip_s": 1e-6, "scramble": True},
             {"mcu": FAST},
-            "chip_ns is 1000; an atmega328p-fast that scrambles takes",
+            "chip_us is 1; an atmega328p-fast that scrambles takes 1.75 or more",
         ),
         (
             {"chip_s": 2e-6, "order": 912, "nodes": 900, "frame_period_s": 0.02},
             {"mcu": FAST},
             "resync_chips is 0, but an atmega328p-fast, whose chips follow its own clock, "
-            "starts anew at every bit: set resync_chips to 912 and guard_chips to 40 or more",
+            "starts anew at every bit: set resync_chips to 912 and guard_chips to 40 or more in "
+            "the parameter file",
         ),
         (
             {"chip_s": 2e-6, "order": 20, "resync_chips": 20, "guard_chips": 39},
@@ -199,6 +208,15 @@ def test_what_a_node_cannot_do_is_refused_by_name(
     with pytest.raises(SpecError) as error:
         node_memory(spec, **{"node": 1, **options})
     assert message in str(error.value)
+
+
+def test_long_rows_are_shortened_where_they_are_printed() -> None:
+    spec = FrameSpec(nodes=16, order=68, frame_period_s=0.1)
+    record, chips = read_node_memory(node_memory(spec, 3))
+    begin = "".join("+" if chip > 0 else "-" for chip in spec.node_rows[2][:64])
+    assert f": {begin} and 4 more\n" in describe_memory(record, chips)
+    record, chips = read_node_memory(node_memory(replace(spec, order=64), 3))
+    assert " more\n" not in describe_memory(record, chips)
 
 
 def test_the_limits_themselves_are_allowed() -> None:

@@ -134,7 +134,7 @@ def stale_after_all_spoke(config: SkinConfig, url: str, frames: int) -> float:
 
 
 def test_config_has_parameter_files_and_bodies() -> None:
-    assert {"skin", "wired_skin", "body: chest", "body: right_elbow"} <= set(SHIPPED)
+    assert {"skin", "wired_skin", "wired_64", "body: chest", "body: right_elbow"} <= set(SHIPPED)
 
 
 @pytest.mark.parametrize("name", SHIPPED)
