@@ -34,16 +34,22 @@ def patch_name(topic: str) -> str:
     return feature_name("_".join(parts[:-1] if parts[-1] == "skin" and parts[1:] else parts))
 
 
-def skin_frame(message: Any, time_ns: int) -> SkinFrame:
-    """A TactileArray; time_ns: its stamp."""
-    pressure, voltage = message.pressure, message.voltage
+def skin_frame(message: Any, time_ns: int, patch: Patch) -> SkinFrame:
+    """A TactileArray of a patch; time_ns: its stamp. Raises CaptureError for another skin's."""
+    pressure, voltage, taxels = message.pressure, message.voltage, len(patch)
+    for name, values in (("pressure", pressure), ("status", message.status), ("voltage", voltage)):
+        if len(values) != taxels and (len(values) or name != "voltage"):
+            raise CaptureError(
+                f"{patch.topic}: {len(values)} values of {name} in frame {message.sequence} of a "
+                f"patch of {taxels} taxels: did the layout change? Export what is before it (--end)"
+            )
     return SkinFrame(
         sequence=int(message.sequence),
         device_time_s=message.device_time_us * 1e-6,
         wall_time_s=time_ns / NANO,
         noise_v=float(message.noise_rms),
         pressure_pa=pressure,
-        voltage_v=voltage if len(voltage) else np.full(len(pressure), np.nan, dtype=np.float32),
+        voltage_v=voltage if len(voltage) else np.full(taxels, np.nan, dtype=np.float32),
         status=message.status,
     )
 
@@ -51,6 +57,8 @@ def skin_frame(message: Any, time_ns: int) -> SkinFrame:
 def patch(topic: str, file: str, array: Any, info: Any | None) -> Patch:
     """A patch from its first frame and, if the bag holds it, its info."""
     taxels = len(array.pressure)
+    if not taxels:
+        raise CaptureError(f"{topic}: its first frame has no taxels")
     about: dict[str, Any] = {"file": file, "topic": topic}
     nowhere = np.full((taxels, 3), np.nan, dtype=np.float32)
     if info is None:
@@ -58,8 +66,9 @@ def patch(topic: str, file: str, array: Any, info: Any | None) -> Patch:
         nodes, areas = np.zeros(taxels, np.uint16), np.full(taxels, np.nan, dtype=np.float32)
         period_s = float("nan")
     else:
-        if len(info.node) != taxels:
-            raise CaptureError(f"{topic}: {taxels} taxels, but its info has {len(info.node)}")
+        for name in ("node", "positions", "normals", "area"):
+            if (told := len(getattr(info, name))) != taxels:
+                raise CaptureError(f"{topic}: {taxels} taxels, but its info has {told} of {name}")
         places, normals = (_points(points) for points in (info.positions, info.normals))
         nodes, areas, period_s = info.node, info.area, float(info.frame_period)
         about |= {

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -119,7 +120,7 @@ class BagSource:
             if patch.name in names:
                 raise CaptureError(f"{self.path}: two patches are {patch.name}; choose by --topic")
             names.add(patch.name)
-            self._takes[topic].append((topic, fields.skin_frame))
+            self._takes[topic].append((topic, partial(fields.skin_frame, patch=patch)))
             yield Stream(topic, TACTILE, patch.name, (len(patch),), patch=patch)
             for name, kind, type_, elements, take in (
                 ("contacts", CONTACTS, fields.CONTACTS_TYPE, CONTACT_NAMES, fields.contacts),

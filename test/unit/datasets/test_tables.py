@@ -126,3 +126,38 @@ def test_a_patch_without_info_has_unknown_places(
     table = read(tmp_path / "out.npz")
     assert np.isnan(table["position_m"]).all() and not table["node"].any()
     assert table["pressure_pa"].shape == (round(0.3 / PERIOD_S), TAXELS)
+
+
+@pytest.mark.parametrize(
+    ("taxels", "field"), [(20, "pressure"), (9, "pressure"), (0, "pressure"), (3, "status")]
+)
+def test_frames_of_another_size_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], taxels: int, field: str
+) -> None:
+    """A shorter or longer row would shift all that follow it."""
+    maker = BagMaker()
+    maker.skin("/skin", 1.2)
+    for _, topic, _, message in maker.messages:
+        if topic == "/skin/tactile" and message.sequence >= 80:
+            message.status = np.zeros(taxels, dtype=np.uint8)
+            if field == "pressure":
+                message.pressure = np.arange(taxels, dtype=np.float32)
+    bag = maker.write(tmp_path / "bag")
+    for name in ("out.npz", "out.csv"):
+        assert main(["export", str(bag), "-o", str(tmp_path / name)]) == 1
+        said = capsys.readouterr().err
+        assert f"/skin/tactile: {taxels} values of {field} in frame 80 of a patch of 16" in said
+        assert len(said.splitlines()) == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["bag"]
+
+
+def test_a_patch_without_taxels_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    maker = BagMaker()
+    maker.skin("/skin", 0.3)
+    for _, topic, _, message in maker.messages:
+        if topic == "/skin/tactile":
+            message.pressure, message.status = np.zeros(0, np.float32), np.zeros(0, np.uint8)
+    assert main(["info", str(maker.write(tmp_path / "bag"))]) == 1
+    assert "/skin/tactile: its first frame has no taxels" in capsys.readouterr().err
