@@ -25,6 +25,7 @@ from ..samples import (
     CONTACT_NAMES,
     CONTACTS,
     IMAGE,
+    NANO,
     STATE,
     TACTILE,
     WRENCH,
@@ -40,7 +41,9 @@ from . import images
 
 GENERIC = ("image", "image_raw", "image_color", "image_rect", "image_rect_color", "compressed")
 """Ends of cameras' topics that say nothing; features are called after what is before."""
-
+STAMP_OFF_S = 10.0
+"""The most that a believed stamp is from the time of recording, s; chosen: far above what messages
+wait, and below any error of a clock that was never set."""
 
 _Take: TypeAlias = Callable[[Any, int], Value]
 """Makes a sample's value of a message and its stamp, ns."""
@@ -65,6 +68,7 @@ class BagSource:
         self.path = path
         self.problem = None
         self._notes: list[str] = []
+        self._off: dict[str, tuple[int, int]] = {}  # stamps not believed: how many, first error, ns
         self._takes: defaultdict[str, list[tuple[str, _Take]]] = defaultdict(list)  # by topic
         self.streams: Mapping[str, Stream] = {}
         with self._opened() as bag:
@@ -80,15 +84,27 @@ class BagSource:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        return tuple(self._notes)
+        off = (
+            f"{topic}: {number} of {self.counts[topic][1]} stamps are more than "
+            f"{STAMP_OFF_S:g} s from when the message was recorded, the first by "
+            f"{first_ns / NANO:.3f} s (another clock, or simulated time?); the time of recording "
+            "is taken for them"
+            for topic, (number, first_ns) in sorted(self._off.items())
+        )
+        return (*self._notes, *off)
 
     def samples(self, begin_ns: int | None, end_ns: int | None) -> Iterator[Sample]:
         stop_ns = None if end_ns is None else end_ns + 1
+        self._off = {}
         with self._opened() as bag:
             wanted = [c for c in bag.connections if c.topic in self._takes]
             for connection, seen_ns, raw in bag.messages(wanted, begin_ns, stop_ns):
                 message = bag.deserialize(raw, connection.msgtype)
-                time_ns = fields.stamp_ns(message, seen_ns)
+                time_ns = fields.stamp_ns(message) or seen_ns
+                if abs(off_ns := time_ns - seen_ns) > STAMP_OFF_S * NANO:
+                    time_ns = seen_ns
+                    number, first_ns = self._off.get(connection.topic, (0, off_ns))
+                    self._off[connection.topic] = number + 1, first_ns
                 for key, take in self._takes[connection.topic]:
                     yield Sample(key, time_ns, seen_ns, take(message, time_ns))
 

@@ -425,3 +425,62 @@ def test_what_cannot_be_is_one_clear_error(
         said = capsys.readouterr().err
         assert message in said and len(said.splitlines()) == 1, said
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("topic", "camera_off_s", "expected"),
+    [
+        ("/skin/tactile", 0, 1),
+        ("/front/image", -1_699_999_900, 30),
+        ("/front/image", 600, 30),
+        ("/front/image", -5, 0),
+    ],
+)
+def test_stamps_far_from_their_recording_are_not_believed(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    topic: str,
+    camera_off_s: int,
+    expected: int,
+) -> None:
+    """One stamp in 2036; a camera whose clock counts from its start; one that runs ahead."""
+    maker = BagMaker()
+    maker.skin("/skin", 1.0)
+    maker.camera("/front/image", 1.0, 30)
+    for _, of, _, message in maker.messages:
+        if of == topic == "/front/image":
+            message.header.stamp.sec += camera_off_s
+        elif of == topic and message.sequence == 40:
+            message.header.stamp.sec = 2_100_000_000
+    bag = maker.write(tmp_path / "bag")
+    table = exported(bag, tmp_path / "out", "--samples", "last", "--image", "/front/image")
+    said = capsys.readouterr().err
+    number = {"/skin/tactile": 78, "/front/image": 30}[topic]
+    note = f"{topic}: {expected} of {number} stamps are more than 10 s from when"
+    assert (note in said) == (expected > 0)
+    t_s = seconds(table)
+    assert 27 <= np.count_nonzero(t_s > 0) <= 31 and (t_s <= 1.04).all()
+    found, ages_s = array(table, SKIN), array(table, f"{SKIN}.age_s")
+    # A stamp that is not believed is late by what its message waited.
+    limit_s = 0.012 if topic == "/skin/tactile" else 1e-3
+    assert worst_error_s(found, t_s - ages_s, np.isfinite(found)) < limit_s
+
+
+@pytest.mark.parametrize("period_s", [0.0, -1.0, 1e-9, float("inf"), float("nan")])
+def test_a_frame_period_that_cannot_be_is_unknown(tmp_path: Path, period_s: float) -> None:
+    maker = BagMaker()
+    maker.skin("/skin", 0.5)
+    maker.messages[0][3].frame_period = period_s
+    table = exported(maker.write(tmp_path / "bag"), tmp_path / "out")
+    assert array(table, f"{SKIN}.age_s").shape == (len(table),)  # one frame per row
+
+
+def test_rows_hold_a_bounded_number_of_frames(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    maker = BagMaker()
+    maker.skin("/skin", 0.5)
+    maker.messages[0][3].frame_period = 1e-4
+    words = ["export", maker.write(tmp_path / "bag"), "--lerobot", tmp_path / "out", "--fps", "1"]
+    assert main(list(map(str, words))) == 1
+    assert "10000 frames of skin per row, 0.0001 s apart; at most 1000" in capsys.readouterr().err
