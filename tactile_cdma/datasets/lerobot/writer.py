@@ -65,6 +65,15 @@ class DatasetWriter:
     def episodes(self) -> int:
         return len(self._episodes)
 
+    @property
+    def not_finite(self) -> dict[str, int]:
+        """How many elements of a feature were NaN or infinite, where there were some."""
+        return {
+            name: one.not_finite
+            for name, one in self._statistics.items()
+            if isinstance(one, Statistics) and one.not_finite
+        }
+
     def begin(self, task: str) -> None:
         """Begin an episode; it has to get a row."""
         self._flush()

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 JOINTS = "sensor_msgs/msg/JointState"
 VECTORS = (JOINTS, "std_msgs/msg/Float32MultiArray", "std_msgs/msg/Float64MultiArray")
 """Types that --state and --action take."""
+_THEN = ", then "
 PERIODS_S = (50e-6, 60.0)
 """Frame periods that are believed, s; chosen: 8 bits of 12 chips take 48 µs at 0.5 µs per chip."""
 
@@ -74,12 +76,7 @@ def patch(topic: str, file: str, array: Any, info: Any | None) -> Patch:
         nodes, areas, period_s = info.node, info.area, float(info.frame_period)
         if not PERIODS_S[0] <= period_s <= PERIODS_S[1]:
             period_s = float("nan")
-        about |= {
-            "origin": _origin(info.origin),
-            "measured_by": _origin(info.measured_by),
-            "skin": info.skin,
-            "digitizer_id": info.digitizer_id,
-            "calibration_id": info.calibration_id,
+        about |= _facts(info) | {
             "frame_id": info.header.frame_id,
             "tared": bool(len(info.tare)),
         }
@@ -97,6 +94,22 @@ def patch(topic: str, file: str, array: Any, info: Any | None) -> Patch:
     )
 
 
+def with_later(first: Patch, info: Any, later: Any) -> tuple[Patch, list[str]]:
+    """A patch of which a bag holds another info: about names both, as does each of the notes.
+
+    Its taxels stay those of the first info.
+    """
+    about, notes = dict(first.about), []
+    for name, said in _facts(later).items():
+        if said not in str(about[name]).split(_THEN):
+            about[name] = f"{about[name]}{_THEN}{said}"
+            notes.append(f"{first.topic}: {name} changes within the bag: {about[name]}")
+    places = np.array_equal(_points(info.positions), _points(later.positions), equal_nan=True)
+    if not places or not np.array_equal(info.node, later.node):
+        notes.append(f"{first.topic}: its taxels change within the bag; the first ones are written")
+    return replace(first, about=about), notes
+
+
 def contacts(message: Any) -> Floats32:
     """(7,) a TactileContacts, by CONTACT_NAMES; NaN: unknown."""
     centre = message.position
@@ -112,21 +125,47 @@ def wrench(message: Any) -> Floats32:
     return np.array(values, dtype=np.float32)
 
 
-def vector(message: Any) -> Floats32:
-    """Positions of a JointState, or the data of an array."""
-    values = message.position if hasattr(message, "position") else message.data
-    return np.asarray(values, dtype=np.float32)
+def vector(message: Any, topic: str, names: tuple[str, ...]) -> Floats32:
+    """Positions of a JointState, or the data of an array, in the order of the names.
+
+    Raises CaptureError for other names or another number of values.
+    """
+    values, its = _values(message), vector_names(message)
+    if its != names:
+        if sorted(its) != sorted(names):
+            raise CaptureError(
+                f"{topic}: a message has {', '.join(its) or 'no value'}, the first one "
+                f"{', '.join(names)}: do two programs publish there?"
+            )
+        values = values[[its.index(name) for name in names]]
+    return values
 
 
 def vector_names(message: Any) -> tuple[str, ...]:
     """Names of a vector's elements."""
     names = tuple(getattr(message, "name", ()))
-    size = len(vector(message))
+    size = len(_values(message))
     return names if len(names) == size else tuple(f"value_{i}" for i in range(size))
+
+
+def _values(message: Any) -> Floats32:
+    values = message.position if hasattr(message, "position") else message.data
+    return np.asarray(values, dtype=np.float32)
 
 
 def _points(points: Any) -> Floats32:
     return np.array([(p.x, p.y, p.z) for p in points], dtype=np.float32).reshape(-1, 3)
+
+
+def _facts(info: Any) -> dict[str, str]:
+    """What a TactileSkinInfo says of where readings come from."""
+    return {
+        "origin": _origin(info.origin),
+        "measured_by": _origin(info.measured_by),
+        "skin": info.skin,
+        "digitizer_id": info.digitizer_id,
+        "calibration_id": info.calibration_id,
+    }
 
 
 def _origin(value: int) -> str:

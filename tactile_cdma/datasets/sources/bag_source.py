@@ -129,10 +129,13 @@ class BagSource:
         names: set[str] = set()
         for topic in topics or arrays:
             stem = topic.rpartition("/")[0]
-            info = self._first(bag, f"{stem}/info") if f"{stem}/info" in kinds else None
-            if info is None:
+            infos = self._all(bag, f"{stem}/info") if f"{stem}/info" in kinds else iter(())
+            if (info := next(infos, None)) is None:
                 self._notes.append(f"{topic}: no info, so places and calibration are unknown")
             patch = fields.patch(topic, self.path.name, self._first(bag, topic), info)
+            for later in infos:
+                patch, notes = fields.with_later(patch, info, later)
+                self._notes += notes
             if patch.name in names:
                 raise CaptureError(f"{self.path}: two patches are {patch.name}; choose by --topic")
             names.add(patch.name)
@@ -179,14 +182,20 @@ class BagSource:
                 f"{self.path}: {topic} is {said}; {kind} takes {', '.join(fields.VECTORS)}"
             )
         names = fields.vector_names(self._first(bag, topic))
-        self._takes[topic].append((f"{kind}:{topic}", _without_time(fields.vector)))
+        take = partial(fields.vector, topic=topic, names=names)
+        self._takes[topic].append((f"{kind}:{topic}", _without_time(take)))
         return Stream(f"{kind}:{topic}", kind, kind, (len(names),), names)
 
     def _first(self, bag: AnyReader, topic: str) -> Any:
         """The first message of a topic that has one."""
-        for connection, _, raw in bag.messages(self._connections(bag, topic)):
-            return bag.deserialize(raw, connection.msgtype)
+        for message in self._all(bag, topic):
+            return message
         raise CaptureError(f"{self.path}: nothing was recorded of {topic}")
+
+    def _all(self, bag: AnyReader, topic: str) -> Iterator[Any]:
+        """All messages of a topic."""
+        for connection, _, raw in bag.messages(self._connections(bag, topic)):
+            yield bag.deserialize(raw, connection.msgtype)
 
     def _connections(self, bag: AnyReader, topic: str) -> list[Connection]:
         found = [c for c in bag.connections if c.topic == topic]

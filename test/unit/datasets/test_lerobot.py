@@ -484,3 +484,47 @@ def test_rows_hold_a_bounded_number_of_frames(
     words = ["export", maker.write(tmp_path / "bag"), "--lerobot", tmp_path / "out", "--fps", "1"]
     assert main(list(map(str, words))) == 1
     assert "10000 frames of skin per row, 0.0001 s apart; at most 1000" in capsys.readouterr().err
+
+
+def test_joints_are_taken_by_their_names(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    maker = BagMaker()
+    maker.skin("/skin", 1.0)
+    maker.joints("/joints", 1.0)
+    joints = [message for _, topic, _, message in maker.messages if topic == "/joints"]
+    for message in joints[1::2]:
+        message.name, message.position = message.name[::-1], message.position[::-1].copy()
+    joints[50].position = joints[50].position * np.nan
+    state = ("--state", "/joints")
+    table = exported(maker.write(tmp_path / "bag"), tmp_path / "out", *state)
+    found = array(table, "observation.state")
+    finger, wrist = found[np.isfinite(found).all(axis=1)].T
+    assert (finger >= 0).all() and (wrist == -finger).all() and finger.max() > 0.9
+    joints[80].name = ["finger", "thumb"]
+    words = ["export", maker.write(tmp_path / "other"), "--lerobot", tmp_path / "none"]
+    assert main(list(map(str, [*words, "--fps", FPS, *state]))) == 1
+    said = capsys.readouterr().err
+    assert "/joints: a message has finger, thumb, the first one finger, wrist" in said
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_values_that_are_not_finite_stay_out_of_the_statistics(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], bad: float
+) -> None:
+    maker = BagMaker()
+    maker.skin("/skin", 1.0)
+    maker.joints("/joints", 1.0)
+    for seen_ns, topic, _, message in maker.messages:
+        if topic == "/joints" and seen_ns < BEGIN_NS + 500_000_000:
+            message.position[0] = bad
+    table = exported(maker.write(tmp_path / "bag"), tmp_path / "out", "--state", "/joints")
+    finger, wrist = array(table, "observation.state").T
+    finite = np.isfinite(finger)
+    assert 0 < finite.sum() < len(finite)
+    found = meta(tmp_path / "out", "stats.json")["observation.state"]
+    for name, of in (("min", np.min), ("max", np.max), ("mean", np.mean), ("std", np.std)):
+        expected = [of(finger[finite]), of(wrist)]
+        assert found[name] == pytest.approx(expected, rel=1e-5, abs=1e-7)
+    note = f"observation.state: {(~finite).sum()} values are not finite"
+    assert note in capsys.readouterr().err
