@@ -6,15 +6,13 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
-from rosbags.rosbag2 import ReaderError
-from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -98,23 +96,19 @@ class BagSource:
         self._off = {}
         with self._opened() as bag:
             wanted = [c for c in bag.connections if c.topic in self._takes]
-            for connection, seen_ns, raw in bag.messages(wanted, begin_ns, stop_ns):
-                message = bag.deserialize(raw, connection.msgtype)
+            for topic, seen_ns, message in self._messages(bag, wanted, begin_ns, stop_ns):
                 time_ns = fields.stamp_ns(message) or seen_ns
                 if abs(off_ns := time_ns - seen_ns) > STAMP_OFF_S * NANO:
                     time_ns = seen_ns
-                    number, first_ns = self._off.get(connection.topic, (0, off_ns))
-                    self._off[connection.topic] = number + 1, first_ns
-                for key, take in self._takes[connection.topic]:
+                    number, first_ns = self._off.get(topic, (0, off_ns))
+                    self._off[topic] = number + 1, first_ns
+                for key, take in self._takes[topic]:
                     yield Sample(key, time_ns, seen_ns, take(message, time_ns))
 
     def marks(self, topic: str) -> list[tuple[int, Any]]:
         with self._opened() as bag:
             wanted = self._connections(bag, topic)
-            return [
-                (seen_ns, bag.deserialize(raw, c.msgtype))
-                for c, seen_ns, raw in bag.messages(wanted)
-            ]
+            return [(seen_ns, message) for _, seen_ns, message in self._messages(bag, wanted)]
 
     def _find(
         self, bag: AnyReader, topics: Sequence[str], cameras: Sequence[str] | None
@@ -194,8 +188,8 @@ class BagSource:
 
     def _all(self, bag: AnyReader, topic: str) -> Iterator[Any]:
         """All messages of a topic."""
-        for connection, _, raw in bag.messages(self._connections(bag, topic)):
-            yield bag.deserialize(raw, connection.msgtype)
+        for _, _, message in self._messages(bag, self._connections(bag, topic)):
+            yield message
 
     def _connections(self, bag: AnyReader, topic: str) -> list[Connection]:
         found = [c for c in bag.connections if c.topic == topic]
@@ -204,18 +198,47 @@ class BagSource:
             raise CaptureError(f"{self.path}: no topic {topic} (there are {there})")
         return found
 
+    def _messages(
+        self,
+        bag: AnyReader,
+        connections: Sequence[Connection],
+        begin_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> Iterator[tuple[str, int, Any]]:
+        """Messages with their topic and when they were recorded, ns."""
+        with self._intact():
+            for connection, seen_ns, raw in bag.messages(connections, begin_ns, stop_ns):
+                yield connection.topic, seen_ns, bag.deserialize(raw, connection.msgtype)
+
     @contextmanager
     def _opened(self) -> Iterator[AnyReader]:
         """The bag, open; raises CaptureError for whatever is wrong with it."""
+        with self._intact():
+            bag = AnyReader([self.path], default_typestore=_known_types())
+            bag.open()
+        with closing(bag):
+            yield bag
+
+    @contextmanager
+    def _intact(self) -> Iterator[None]:
+        """Turns what rosbags raises for a bag into CaptureError: for a damaged one, anything."""
         try:
-            with AnyReader([self.path], default_typestore=_known_types()) as bag:
-                yield bag
-        except (AnyReaderError, ReaderError, SerdeError) as error:
-            raise CaptureError(f"{self.path}: {error}") from None
+            yield
         except FileNotFoundError:
-            raise CaptureError(f"{self.path}: no bag, which has a metadata.yaml") from None
+            missing = "neither a bag (metadata.yaml) nor a dataset (meta/info.json)"
+            reason = missing if self.path.is_dir() else "no such file"
+            raise CaptureError(f"{self.path}: {reason}") from None
         except KeyError as error:
             raise CaptureError(f"{self.path}: the definition of {error} is not known") from None
+        except PermissionError as error:
+            raise CaptureError(f"{self.path}: {error.strerror}") from None
+        except Exception as error:
+            reason = str(error) or type(error).__name__
+            is_mcap = any(self.path.glob("*.mcap")) or self.path.suffix == ".mcap"
+            remedy = "; `mcap recover` saves what is whole" if is_mcap else ""
+            raise CaptureError(
+                f"{self.path}: no bag, or damaged or cut short: {reason}{remedy}"
+            ) from None
 
 
 def _without_time(take: Callable[[Any], Value]) -> _Take:

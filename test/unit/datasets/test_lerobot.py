@@ -418,7 +418,7 @@ def test_what_cannot_be_is_one_clear_error(
         ([bag, "-o", tmp_path / "x.npz", *fps], "go with --lerobot"),
         ([bag, "-o", tmp_path / "x", "--bag"], "is a bag already"),
         ([without_skin, *out, *fps], "no frames of a skin"),
-        ([tmp_path / "nothing", *out, *fps], "no bag"),
+        ([tmp_path / "nothing", *out, *fps], "neither a bag (metadata.yaml) nor a dataset"),
         ([tmp_path / "torn.mcap", *out, *fps], "torn.mcap"),
     ):
         assert main(["export", *map(str, words)]) == 1, words

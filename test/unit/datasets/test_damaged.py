@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Damaged bags, tables and datasets: one clear error, whatever the libraries make of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from bags import BagMaker
+
+from tactile_cdma.commands.cli import main
+
+pytestmark = pytest.mark.xdist_group("datasets")
+MCAP, SQLITE, METADATA = "session.mcap", "session.db3", "metadata.yaml"
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, bytes]]:
+    """Files of a bag of either kind, by the name of the one with messages."""
+    maker = BagMaker()
+    maker.skin("/skin", 1.0)
+    folder = tmp_path_factory.mktemp("damaged")
+    return {
+        name: {file.name: file.read_bytes() for file in path.iterdir()}
+        for name, path in (
+            (MCAP, maker.write(folder / "mcap" / "session")),
+            (SQLITE, maker.write(folder / "sqlite" / "session", sqlite=True)),
+        )
+    }
+
+
+def told(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    assert main(words) == 1
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1
+    return said
+
+
+@pytest.mark.parametrize(
+    ("kind", "damaged", "damage"),
+    [
+        (MCAP, MCAP, lambda raw: raw[: len(raw) // 2]),
+        (MCAP, MCAP, lambda raw: raw.replace(b"/skin/tactile", b"\xff" * 13)),
+        (MCAP, METADATA, lambda raw: raw.replace(b"nanoseconds:", b"nanoseconds: x")),
+        (SQLITE, SQLITE, lambda raw: raw[: len(raw) // 2]),
+        (SQLITE, SQLITE, lambda raw: raw[:8192] + bytes(len(raw) - 8192)),
+        (SQLITE, SQLITE, lambda raw: raw.replace(b"/skin/tactile", b"\xff" * 13)),
+    ],
+)
+def test_a_damaged_bag(
+    bags: dict[str, dict[str, bytes]],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    kind: str,
+    damaged: str,
+    damage: Callable[[bytes], bytes],
+) -> None:
+    path = tmp_path / "session"
+    path.mkdir()
+    for name, content in bags[kind].items():
+        (path / name).write_bytes(damage(content) if name == damaged else content)
+        assert name != damaged or damage(content) != content
+    for words in (["info", str(path)], ["export", str(path), "-o", str(tmp_path / "out.npz")]):
+        said = told(words, capsys)
+        assert f"{path}: no bag, or damaged or cut short: " in said
+        assert ("`mcap recover`" in said) == (kind == MCAP)
+    assert not (tmp_path / "out.npz").exists()
