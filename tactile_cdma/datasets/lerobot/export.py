@@ -24,11 +24,10 @@ from ..samples import NANO, TACTILE, Source, Stream, check_taxels, patches_of, s
 from ..sources.opening import Wanted, has_times, open_source
 from ..tables import known
 from ..touch import HOLD, STALE_S, WINDOW, TouchStream, slots
+from . import ABOUT
 from .features import Feature, cells, column, features_of, obstacle
 from .writer import DatasetWriter
 
-ABOUT = "meta/tactile.json"
-"""What LeRobot's own files have no place for: taxels, calibrations, units, choices made."""
 RATE_S = 5.0
 """How much of a file is read to learn the rate of a clock's topic, s; chosen."""
 

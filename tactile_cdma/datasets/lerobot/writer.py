@@ -19,6 +19,7 @@ import numpy as np
 
 from ..arrow import array_column, array_type, pyarrow
 from ..sources.images import decoded
+from . import INFO
 from .features import PNG_OR_JPEG, Feature
 from .statistics import ImageStatistics, MaskStatistics, Statistics
 
@@ -135,7 +136,7 @@ class DatasetWriter:
             "video_path": None,
             "features": {feature.name: feature.content() for feature in self._features},
         }
-        self.write_json("meta/info.json", info)
+        self.write_json(INFO, info)
         statistics = {name: one.content() for name, one in self._statistics.items()}
         self.write_json("meta/stats.json", statistics)
         self._write_tasks()

@@ -18,6 +18,7 @@ from rosbags.typesys.store import Typestore
 
 from ...base.errors import CaptureError
 from ...recording.message_types import message_types
+from ..lerobot import INFO
 from ..samples import (
     ACTION,
     CONTACT_NAMES,
@@ -225,7 +226,7 @@ class BagSource:
         try:
             yield
         except FileNotFoundError:
-            missing = "neither a bag (metadata.yaml) nor a dataset (meta/info.json)"
+            missing = f"neither a bag (metadata.yaml) nor a dataset ({INFO})"
             reason = missing if self.path.is_dir() else "no such file"
             raise CaptureError(f"{self.path}: {reason}") from None
         except KeyError as error:
