@@ -58,20 +58,23 @@ class ParquetTable:
         with ExitStack() as stack:
             file = stack.enter_context(replacing(self._path))
             self._writer = self._library.parquet.ParquetWriter(file, self._schema)
-            stack.push(self._close)  # first: a writer that is left open writes to a closed file
+            stack.push(self._abandon)  # before the file: what is left open writes to it later
+            stack.push(self._finish)
             self._stack = stack.pop_all()
         return self
 
     def __exit__(self, *problem: Any) -> None:
         self._stack.__exit__(*problem)
 
-    def _close(self, kind: Any, *_: Any) -> None:
+    def _finish(self, kind: Any, *_: Any) -> None:
         if kind is None:
             self._flush()
             self._writer.close()
-            return
-        with suppress(Exception):  # the exception that is on its way is the one to tell
-            self._writer.close()
+
+    def _abandon(self, kind: Any, *_: Any) -> None:
+        if kind is not None:
+            with suppress(Exception):  # the exception that is on its way is the one to tell
+                self._writer.close()
 
     def _flush(self) -> None:
         if self._rows:
