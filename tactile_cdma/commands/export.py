@@ -169,7 +169,7 @@ def _lerobot(arguments: argparse.Namespace, progress: Progress) -> int:
     _tell(outcome.notes)
     print(
         f"episodes={outcome.episodes} frames={outcome.frames} fps={outcome.fps} "
-        f"left_out={outcome.left_out.total()}"
+        f"left_out={outcome.left_out.total()} folder={folder}"
     )
     return 0
 
@@ -204,7 +204,10 @@ def _tables(arguments: argparse.Namespace, progress: Progress) -> int:
         count, taxels = _write(frames, sources, name, path)
         patch = "" if len(names) == 1 else f"patch={name} "
         left_out = f" left_out={frames.left_out}" if arguments.from_first_complete else ""
-        print(f"{patch}frames={count} lost_frames={frames.missing} taxels={taxels}{left_out}")
+        print(
+            f"{patch}frames={count} lost_frames={frames.missing} taxels={taxels}{left_out} "
+            f"file={path}"
+        )
         notes += [f"{source.path}: {note}" for source in sources for note in source.notes]
     _tell(notes)
     return 0
@@ -247,7 +250,7 @@ def _bag(arguments: argparse.Namespace) -> int:
     with naming(output, CaptureError):
         count = write_bag(output, chain([first], frames), capture.config, capture.source, frame_id)
     lost, taxels = capture.pipeline.counters.lost_frames, len(capture.config.layout.nodes)
-    print(f"frames={count} lost_frames={lost} taxels={taxels}")
+    print(f"frames={count} lost_frames={lost} taxels={taxels} folder={output}")
     _tell(f"{path}: {note}" for note in source.notes)
     return 0
 

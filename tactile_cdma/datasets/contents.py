@@ -25,6 +25,7 @@ from .progress import Progress, fraction
 from .samples import NANO, SkinFrame, patches_of
 from .sources.opening import Wanted, is_bag, open_source
 from .survey import FrameSurvey
+from .tables import about_path
 
 Lines = Iterator[tuple[str, str]]
 _READ_ROWS = 1024
@@ -45,6 +46,11 @@ def contents(path: Path, progress: Progress) -> Lines:
         return _lerobot(path)
     if is_bag(path):
         return _bag(path, progress)
+    if path.suffix == ".csv":
+        raise CaptureError(
+            f"{path}: CSV cannot be read back: {about_path(path).name} beside a table says where "
+            "it comes from; export to NPZ or Parquet"
+        )
     readers = {".npz": _npz, ".parquet": _parquet}
     if path.suffix not in readers:
         raise CaptureError(
@@ -126,7 +132,9 @@ def _parquet(path: Path) -> Lines:
     survey = FrameSurvey()
     try:
         with naming(path, CaptureError), library.parquet.ParquetFile(path) as file:
-            metadata = json.loads((file.schema_arrow.metadata or {})[METADATA])
+            metadata = json.loads((file.schema_arrow.metadata or {}).get(METADATA, "{}"))
+            if not {"about", "shape"} <= metadata.keys():
+                raise CaptureError(f"{path}: Parquet, but not made by tactile-cdma export")
             rows, columns = metadata["shape"]
             yield "table", f"Parquet, {rows} × {columns} taxels"
             yield from source_lines(metadata["about"])
@@ -136,8 +144,8 @@ def _parquet(path: Path) -> Lines:
                     found[name] = found[name].reshape(batch.num_rows, -1)
                 for i in range(batch.num_rows):
                     survey.take(_frame({name: values[i] for name, values in found.items()}))
-    except (KeyError, ValueError, TypeError, library.ArrowException) as error:
-        raise CaptureError(f"{path}: no table of tactile-cdma: {error}") from None
+    except (*_DAMAGE, library.ArrowException) as error:
+        raise CaptureError(f"{path}: no table of tactile-cdma, or damaged: {error!r}") from None
     yield from survey.lines()
 
 
