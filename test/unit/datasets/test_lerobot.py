@@ -531,3 +531,14 @@ def test_values_that_are_not_finite_stay_out_of_the_statistics(
         assert found[name] == pytest.approx(expected, rel=1e-5, abs=1e-7)
     note = f"observation.state: {(~finite).sum()} values are not finite"
     assert note in capsys.readouterr().err
+
+
+def test_no_row_is_later_than_the_recording(tmp_path: Path) -> None:
+    """A stamp 9 s ahead is believed, since clocks may differ, but makes no rows of its own."""
+    maker = BagMaker()
+    maker.skin("/skin", 1.0)
+    for _, topic, _, message in maker.messages:
+        if topic == "/skin/tactile" and message.sequence == 40:
+            message.header.stamp.sec += 9
+    t_s = seconds(exported(maker.write(tmp_path / "bag"), tmp_path / "out"))
+    assert len(t_s) == 29 and t_s[-1] <= 78 * PERIOD_S + 0.01
