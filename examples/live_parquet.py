@@ -61,10 +61,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="logs a skin to Parquet and shows it")
     parser.add_argument("port", help="device, sim:// or replay://FILE")
     parser.add_argument("output", type=Path, help="the Parquet file")
+    parser.add_argument("--force", action="store_true", help="overwrite an existing file")
     parser.add_argument("--nodes", type=int, default=16)
     parser.add_argument("--seconds", type=float, default=float("inf"))
     parser.add_argument("--picture", type=Path, help="keep the last picture in this file")
     arguments = parser.parse_args()
+    if arguments.output.exists() and not arguments.force:
+        parser.error(f"{arguments.output}: exists already; --force overwrites it")
 
     skin = Skin(arguments.port, nodes=arguments.nodes)
     shape = skin.layout.rows, skin.layout.columns

@@ -19,6 +19,7 @@ from ..config.arguments import add_skin_options, finite, given
 from ..config.parameters import BY_NAME
 from ..datasets.episodes import find_episodes, parse_interval
 from ..datasets.frames import PatchFrames, paths_of
+from ..datasets.lerobot import INFO
 from ..datasets.lerobot.export import Plan, write_lerobot
 from ..datasets.parquet_table import write_parquet
 from ..datasets.progress import Progress
@@ -107,13 +108,27 @@ def _add_lerobot_options(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read and write; returns the exit code."""
     with terminable(), Progress() as progress:
-        if arguments.lerobot is not None and arguments.bag:
-            raise ParameterError("--bag and --lerobot are two outputs: ask for one")
+        _check(arguments)
         if arguments.lerobot is not None:
             return _lerobot(arguments, progress)
         if arguments.bag:
             return _bag(arguments)
         return _tables(arguments, progress)
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    """Raises ParameterError for options that contradict each other, or themselves."""
+    if arguments.lerobot is not None and arguments.bag:
+        raise ParameterError("--bag and --lerobot are two outputs: ask for one")
+    if arguments.episode and arguments.marks is not None:
+        raise ParameterError("--episode and --marks both say where episodes are: ask for one")
+    if None not in (arguments.start, arguments.end) and arguments.start >= arguments.end:
+        word = "is" if arguments.start == arguments.end else "is after"
+        raise ParameterError(f"--start {arguments.start:g} {word} --end {arguments.end:g}")
+    try:
+        arguments.task.encode()
+    except UnicodeEncodeError:
+        raise ParameterError("--task is not UTF-8: no program could read it back") from None
 
 
 def _lerobot(arguments: argparse.Namespace, progress: Progress) -> int:
@@ -122,7 +137,7 @@ def _lerobot(arguments: argparse.Namespace, progress: Progress) -> int:
         raise ParameterError("--lerobot needs --fps N, or --clock with the topic of a camera")
     if arguments.fps is not None and not 1 <= arguments.fps <= 1000:
         raise ParameterError(f"--fps is {arguments.fps}; it must lie within 1…1000")
-    if folder.exists() and not (arguments.force and (folder / "meta/info.json").is_file()):
+    if folder.exists() and not (arguments.force and (folder / INFO).is_file()):
         raise CaptureError(f"{folder}: exists already; --force replaces a dataset, nothing else")
     plan = Plan(
         fps=arguments.fps,
@@ -154,7 +169,7 @@ def _lerobot(arguments: argparse.Namespace, progress: Progress) -> int:
     _tell(outcome.notes)
     print(
         f"episodes={outcome.episodes} frames={outcome.frames} fps={outcome.fps} "
-        f"left_out={outcome.left_out.total()}"
+        f"left_out={outcome.left_out.total()} folder={folder}"
     )
     return 0
 
@@ -189,7 +204,10 @@ def _tables(arguments: argparse.Namespace, progress: Progress) -> int:
         count, taxels = _write(frames, sources, name, path)
         patch = "" if len(names) == 1 else f"patch={name} "
         left_out = f" left_out={frames.left_out}" if arguments.from_first_complete else ""
-        print(f"{patch}frames={count} lost_frames={frames.missing} taxels={taxels}{left_out}")
+        print(
+            f"{patch}frames={count} lost_frames={frames.missing} taxels={taxels}{left_out} "
+            f"file={path}"
+        )
         notes += [f"{source.path}: {note}" for source in sources for note in source.notes]
     _tell(notes)
     return 0
@@ -232,7 +250,7 @@ def _bag(arguments: argparse.Namespace) -> int:
     with naming(output, CaptureError):
         count = write_bag(output, chain([first], frames), capture.config, capture.source, frame_id)
     lost, taxels = capture.pipeline.counters.lost_frames, len(capture.config.layout.nodes)
-    print(f"frames={count} lost_frames={lost} taxels={taxels}")
+    print(f"frames={count} lost_frames={lost} taxels={taxels} folder={output}")
     _tell(f"{path}: {note}" for note in source.notes)
     return 0
 

@@ -72,6 +72,7 @@ def _say_frames(path: Path, asked: dict[str, Value]) -> None:
     counters, packets, spec = pipeline.counters, pipeline.parser.counters, pipeline.config.spec
     print(
         f"skin: {spec.nodes} nodes, {spec.bits} bits, order {spec.order}, "
+        f"{spec.chip_s * 1e6:g} µs chips{', scrambled' if spec.scramble else ''}, "
         f"a frame every {spec.frame_period_s * 1e3:g} ms"
     )
     print(f"calibration: {capture.config.calibration.identity or 'default curve'}")

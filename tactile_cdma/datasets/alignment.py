@@ -89,8 +89,10 @@ class Aligner:
         yield from self._rows(self._passed_ns(sample.seen_ns))
 
     def finish(self) -> Iterator[Row]:
-        """Rows that waited for more samples."""
-        yield from self._rows(max((stamp for stamp, _ in self._newest.values()), default=0))
+        """Rows that waited for more samples; none after the last one was recorded."""
+        newest_ns = max((stamp for stamp, _ in self._newest.values()), default=0)
+        seen_ns = max((seen for _, seen in self._newest.values()), default=0)
+        yield from self._rows(min(newest_ns, seen_ns))
 
     def _passed_ns(self, now_ns: int) -> int:
         """The time that all streams have passed from which samples are still to be expected."""
@@ -99,7 +101,7 @@ class Aligner:
         if len(self._newest) < len(self._streams) and now_ns - self._begun_ns <= wait_ns:
             return 0
         going = (stamp for stamp, seen in self._newest.values() if now_ns - seen <= wait_ns)
-        return min(going)
+        return min(now_ns, *going)
 
     def _tick(self, time_ns: int) -> None:
         """A tick at a stamp of the clock's stream, where that lies in an episode and is new."""

@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 import json
+import tokenize
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -16,12 +18,14 @@ from numpy.typing import NDArray
 from ..base.errors import CaptureError, TactileError
 from ..base.named_file import naming
 from .arrow import pyarrow
+from .lerobot import ABOUT, INFO
 from .lerobot.features import TIME
 from .parquet_table import METADATA
 from .progress import Progress, fraction
 from .samples import NANO, SkinFrame, patches_of
 from .sources.opening import Wanted, is_bag, open_source
 from .survey import FrameSurvey
+from .tables import about_path
 
 Lines = Iterator[tuple[str, str]]
 _READ_ROWS = 1024
@@ -29,15 +33,24 @@ _READ_ROWS = 1024
 _PER_TAXEL = ("pressure_pa", "status")
 _USED = ("sequence", "device_time_s", "wall_time_s", *_PER_TAXEL)
 """Columns that a survey needs."""
-LEROBOT_INFO, LEROBOT_ABOUT = Path("meta/info.json"), Path("meta/tactile.json")
+_DAMAGE = (
+    *(KeyError, ValueError, TypeError, AttributeError, EOFError, MemoryError),
+    *(NotImplementedError, zipfile.BadZipFile, zlib.error, tokenize.TokenError),
+)
+"""What numpy and zipfile raise for a damaged file, or for one of another content."""
 
 
 def contents(path: Path, progress: Progress) -> Lines:
     """Of anything but recordings. Raises CaptureError for what is none of these."""
-    if (path / LEROBOT_INFO).is_file():
+    if (path / INFO).is_file():
         return _lerobot(path)
     if is_bag(path):
         return _bag(path, progress)
+    if path.suffix == ".csv":
+        raise CaptureError(
+            f"{path}: CSV cannot be read back: {about_path(path).name} beside a table says where "
+            "it comes from; export to NPZ or Parquet"
+        )
     readers = {".npz": _npz, ".parquet": _parquet}
     if path.suffix not in readers:
         raise CaptureError(
@@ -94,8 +107,8 @@ def _npz(path: Path) -> Lines:
             columns_of = zip(*(_rows_of(archive, name) for name in _USED), strict=True)
             for values in columns_of:
                 survey.take(_frame(dict(zip(_USED, values, strict=True))))
-    except (KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise CaptureError(f"{path}: no table of tactile-cdma: {error}") from None
+    except _DAMAGE as error:
+        raise CaptureError(f"{path}: no table of tactile-cdma, or damaged: {error!r}") from None
     yield from survey.lines()
 
 
@@ -119,7 +132,9 @@ def _parquet(path: Path) -> Lines:
     survey = FrameSurvey()
     try:
         with naming(path, CaptureError), library.parquet.ParquetFile(path) as file:
-            metadata = json.loads((file.schema_arrow.metadata or {})[METADATA])
+            metadata = json.loads((file.schema_arrow.metadata or {}).get(METADATA, "{}"))
+            if not {"about", "shape"} <= metadata.keys():
+                raise CaptureError(f"{path}: Parquet, but not made by tactile-cdma export")
             rows, columns = metadata["shape"]
             yield "table", f"Parquet, {rows} × {columns} taxels"
             yield from source_lines(metadata["about"])
@@ -129,8 +144,8 @@ def _parquet(path: Path) -> Lines:
                     found[name] = found[name].reshape(batch.num_rows, -1)
                 for i in range(batch.num_rows):
                     survey.take(_frame({name: values[i] for name, values in found.items()}))
-    except (KeyError, ValueError, TypeError, library.ArrowException) as error:
-        raise CaptureError(f"{path}: no table of tactile-cdma: {error}") from None
+    except (*_DAMAGE, library.ArrowException) as error:
+        raise CaptureError(f"{path}: no table of tactile-cdma, or damaged: {error!r}") from None
     yield from survey.lines()
 
 
@@ -148,8 +163,8 @@ def _frame(row: Mapping[str, Any]) -> SkinFrame:
 
 def _lerobot(path: Path) -> Lines:
     try:
-        info = json.loads((path / LEROBOT_INFO).read_text("utf-8"))
-        about_path = path / LEROBOT_ABOUT
+        info = json.loads((path / INFO).read_text("utf-8"))
+        about_path = path / ABOUT
         about = json.loads(about_path.read_text("utf-8")) if about_path.is_file() else {}
         features, frames, fps = info["features"], info["total_frames"], info["fps"]
         yield "dataset", f"LeRobot {info['codebase_version']}, {info['total_episodes']} episodes"
@@ -163,21 +178,25 @@ def _lerobot(path: Path) -> Lines:
         for patch in about.get("patches", ()):
             yield "patch", f"{patch['patch']} of {patch['file']}"
             yield from source_lines(patch)
-        yield from _lerobot_data(path, features, fps)
-    except TactileError:  # a missing library is a ValueError as well
+        yield from _lerobot_data(path, features, fps, frames)
+    except TactileError:
         raise
-    except (KeyError, ValueError, TypeError, AttributeError) as error:
-        raise CaptureError(f"{path}: no dataset of LeRobot v3: {error!r}") from None
+    except (*_DAMAGE, OSError) as error:
+        raise CaptureError(f"{path}: no dataset of LeRobot v3, or damaged: {error!r}") from None
 
 
-def _lerobot_data(path: Path, features: Mapping[str, Any], fps: float) -> Lines:
-    """Shares of invalid readings, and gaps: ticks that are missing between rows."""
+def _lerobot_data(path: Path, features: Mapping[str, Any], fps: float, frames: int) -> Lines:
+    """Shares of invalid readings, and gaps: ticks that are missing between rows.
+
+    frames: how many rows there should be.
+    """
     library = pyarrow()
     masks = {name: np.zeros(2, dtype=np.int64) for name in features if name.endswith(".valid")}
     clock = ("episode_index", TIME) if TIME in features else ()
-    gaps, last = 0, (-1, 0)
+    rows, gaps, last = 0, 0, (-1, 0)
     for file in sorted(path.glob("data/*/*.parquet")):
         with library.parquet.ParquetFile(file) as data:
+            rows += data.metadata.num_rows
             for batch in data.iter_batches(_READ_ROWS, columns=[*masks, *clock]):
                 for name, counts in masks.items():
                     values = _flat(batch.column(name))
@@ -186,6 +205,8 @@ def _lerobot_data(path: Path, features: Mapping[str, Any], fps: float) -> Lines:
                 for moment in zip(*times, strict=True):
                     gaps += last[0] == moment[0] and moment[1] - last[1] > 1.5 * NANO / fps
                     last = moment
+    if rows != frames:
+        yield "problem", f"data/ holds {rows} rows of the {frames} that {INFO} counts"
     if clock:
         yield "gaps", f"{gaps} between rows of an episode" if gaps else "none within episodes"
     for name, (invalid, number) in masks.items():

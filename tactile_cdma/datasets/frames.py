@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from ..base.errors import CaptureError
 from .episodes import FOREVER_NS, Episode
 from .progress import Progress, fraction
 from .samples import (
@@ -17,6 +16,7 @@ from .samples import (
     SkinFrame,
     Source,
     Stream,
+    check_patches,
     check_same,
     patches_of,
 )
@@ -51,19 +51,19 @@ class PatchFrames:
         first: Patch | None = None
         before = 0
         for source in self._sources:
-            stream = self._stream(source)
-            assert stream.patch is not None
-            first = first or stream.patch
-            check_same(first, stream.patch, source.path)
-            episodes = self._episodes(source)
-            yield from self._of(source, stream.key, episodes, before)
+            check_patches(self._sources[0], source)
+            episodes, checked = self._episodes(source), False
+            for row in self._of(source, self._stream(source).key, episodes, before):
+                if not checked:  # the digitizer of a recording is known from its first frame on
+                    patch, checked = self._stream(source).patch, True
+                    assert patch is not None
+                    first = first or patch
+                    check_same(first, patch, source.path)
+                yield row
             before += len(episodes)
 
     def _stream(self, source: Source) -> Stream:
-        for stream in patches_of(source):
-            if stream.feature == self._name:
-                return stream
-        raise CaptureError(f"{source.path}: no patch {self._name}, which the first file has")
+        return next(stream for stream in patches_of(source) if stream.feature == self._name)
 
     def _of(
         self, source: Source, key: str, episodes: Sequence[Episode], before: int

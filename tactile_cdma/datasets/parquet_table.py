@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +46,7 @@ class ParquetTable:
         )
         self._most = max(1, min(GROUP_ROWS, GROUP_BYTES // row_bytes))
         self._rows: list[Mapping[str, Any]] = []
-        self._replacing = replacing(path)
+        self._path = path
 
     def add(self, row: Mapping[str, Any]) -> None:
         """Add a row. Arrays are copied when their group is written: hand over such that stay."""
@@ -54,15 +55,26 @@ class ParquetTable:
             self._flush()
 
     def __enter__(self) -> ParquetTable:
-        file = self._replacing.__enter__()
-        self._writer = self._library.parquet.ParquetWriter(file, self._schema)
+        with ExitStack() as stack:
+            file = stack.enter_context(replacing(self._path))
+            self._writer = self._library.parquet.ParquetWriter(file, self._schema)
+            stack.push(self._abandon)  # before the file: what is left open writes to it later
+            stack.push(self._finish)
+            self._stack = stack.pop_all()
         return self
 
     def __exit__(self, *problem: Any) -> None:
-        if problem[0] is None:
+        self._stack.__exit__(*problem)
+
+    def _finish(self, kind: Any, *_: Any) -> None:
+        if kind is None:
             self._flush()
             self._writer.close()
-        self._replacing.__exit__(*problem)
+
+    def _abandon(self, kind: Any, *_: Any) -> None:
+        if kind is not None:
+            with suppress(Exception):  # the exception that is on its way is the one to tell
+                self._writer.close()
 
     def _flush(self) -> None:
         if self._rows:

@@ -23,6 +23,7 @@ WRENCH_NAMES = ("force_x_n", "force_y_n", "force_z_n", "torque_x_nm", "torque_y_
 NANO = 1_000_000_000
 MOST_SHOWN = 8
 """Taxels that a message names; chosen."""
+_ALONE = "export them one by one"
 TACTILE, CONTACTS, WRENCH, STATE, ACTION, IMAGE = (
     *("tactile", "contacts", "wrench"),
     *("state", "action", "image"),
@@ -206,10 +207,45 @@ def shown_taxels(taxels: list[int]) -> str:
     return f"{word} {', '.join(map(str, taxels[:MOST_SHOWN]))}{more}"
 
 
-def check_same(first: Patch, other: Patch, path: Path) -> None:
-    """Raises CaptureError where files of one table hold patches of different taxels."""
-    if len(first) != len(other):
+def check_patches(first: Source, other: Source) -> None:
+    """Raises CaptureError where one of two files has patches that the other has not."""
+    mine, its = (sorted(stream.feature for stream in patches_of(one)) for one in (first, other))
+    if mine != its:
         raise CaptureError(
-            f"{path}: patch {other.name} has {len(other)} taxels, but {len(first)} in the first "
-            "file; export them one by one"
+            f"{other.path}: its patches are {', '.join(its) or 'none'}, in the first file "
+            f"{', '.join(mine)}: choose by --topic, or export them one by one"
         )
+
+
+def check_taxels(first: Patch, other: Patch, path: Path) -> None:
+    """Raises CaptureError where a patch's taxels differ from those in the first file.
+
+    path: of the file that holds the other one.
+    """
+    if (mine := (first.rows, first.columns)) != (its := (other.rows, other.columns)):
+        raise CaptureError(
+            f"{path}: patch {other.name} has {its[0]} × {its[1]} taxels, in the first file "
+            f"{mine[0]} × {mine[1]}; {_ALONE}"
+        )
+    for what, one, another in (
+        ("nodes", first.nodes, other.nodes),
+        ("positions", first.positions_m, other.positions_m),
+        ("normals", first.normals, other.normals),
+        ("areas", first.areas_m2, other.areas_m2),
+    ):
+        if not np.array_equal(one, another, equal_nan=True):
+            raise CaptureError(
+                f"{path}: {what} of the taxels of patch {other.name} are not those in the first "
+                f"file; {_ALONE}"
+            )
+
+
+def check_same(first: Patch, other: Patch, path: Path) -> None:
+    """Raises CaptureError where one table cannot hold both: other taxels, origin, calibration."""
+    check_taxels(first, other, path)
+    for key in ("origin", "measured_by", "calibration_id"):
+        if (its := other.about.get(key)) != (mine := first.about.get(key)):
+            raise CaptureError(
+                f"{path}: {key} of patch {other.name} is {its!r}, in the first file {mine!r}; "
+                f"{_ALONE}"
+            )

@@ -11,22 +11,34 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..base.arrays import Bools, Floats32
+from ..base.errors import ParameterError
 from .samples import NANO, Completeness, Patch, SkinFrame
 
 WINDOW, MEAN, LAST = "window", "mean", "last"
 MODES = (WINDOW, MEAN, LAST)
 HOLD, ZERO, DROP = "hold", "zero", "drop"
 POLICIES = (HOLD, ZERO, DROP)
+MOST_SLOTS = 1000
+"""Samples of a patch per tick; chosen: 12 s of frames that come every 12.8 ms."""
 STALE_S = 0.5
 """A sample older than this at a tick is marked as no valid reading, s. Chosen: five frames of a
 driver that thins frames without words to 10 Hz (idle_rate_hz), far above the interval of a tick."""
 
 
 def slots(patch: Patch, fps: float, mode: str) -> int:
-    """How many samples of a patch one tick holds: with WINDOW, the most that an interval can."""
+    """How many samples of a patch one tick holds: with WINDOW, the most that an interval can.
+
+    Raises ParameterError for more than MOST_SLOTS.
+    """
     if mode != WINDOW or math.isnan(patch.frame_period_s):
         return 1
-    return max(1, math.ceil(1 / (fps * patch.frame_period_s) - 1e-9))
+    count = max(1, math.ceil(1 / (fps * patch.frame_period_s) - 1e-9))
+    if count > MOST_SLOTS:
+        raise ParameterError(
+            f"{count} frames of {patch.name} per row, {patch.frame_period_s:g} s apart; at most "
+            f"{MOST_SLOTS} are kept: ask for more rows per s, or for --samples mean or last"
+        )
+    return count
 
 
 @dataclass(frozen=True, slots=True, eq=False)

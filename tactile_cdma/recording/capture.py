@@ -43,16 +43,25 @@ class ScopeCapture:
     notes: tuple[str, ...]
 
 
+_TABLES = {b"PK\x03\x04": "NPZ", b"PAR1": "Parquet", b"sequence,device_time_s,": "CSV"}
+"""How tables of frames begin."""
+
+
 def is_text(path: Path) -> bool:
     """Whether a capture is a CSV file rather than raw packets (which end with a zero byte each).
 
-    Raises CaptureError where it cannot be read or is empty.
+    Raises CaptureError where it cannot be read, is empty, or is a table that was exported.
     """
     # open_named refuses pipes: a capture is read more than once
     with naming(path, CaptureError), open_named(path) as file:
         head = file.read(65_536)
     if not head:
         raise CaptureError(f"{path}: the file is empty")
+    for beginning, kind in _TABLES.items():
+        if head.startswith(beginning):
+            raise CaptureError(
+                f"{path}: {kind}, such as export writes: it holds no samples to decode"
+            )
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise CaptureError(f"{path}: UTF-16 text; save it as plain CSV")
     return b"\0" not in head

@@ -20,15 +20,14 @@ from ..arrow import pyarrow
 from ..episodes import FOREVER_NS, Episode, find_episodes
 from ..frames import LATENESS_NS
 from ..progress import Progress, fraction
-from ..samples import NANO, TACTILE, Source, Stream, patches_of, shown_taxels
+from ..samples import NANO, TACTILE, Source, Stream, check_taxels, patches_of, shown_taxels
 from ..sources.opening import Wanted, has_times, open_source
 from ..tables import known
 from ..touch import HOLD, STALE_S, WINDOW, TouchStream, slots
+from . import ABOUT
 from .features import Feature, cells, column, features_of, obstacle
 from .writer import DatasetWriter
 
-ABOUT = "meta/tactile.json"
-"""What LeRobot's own files have no place for: taxels, calibrations, units, choices made."""
 RATE_S = 5.0
 """How much of a file is read to learn the rate of a clock's topic, s; chosen."""
 
@@ -96,6 +95,10 @@ def write_lerobot(
         writer.finish()
         content = _about(layout, plan, about) | {"files": [path.name for path in paths]}
         writer.write_json(ABOUT, content)
+        outcome.notes += [
+            f"{name}: {count} values are not finite, and not in its statistics"
+            for name, count in writer.not_finite.items()
+        ]
         outcome.episodes, outcome.frames = writer.episodes, writer.frames
     return outcome
 
@@ -137,6 +140,12 @@ class _Layout:
                     f"{mine.get(name, 'none')}: choose topics that all files have, or export them "
                     "one by one"
                 )
+        mine_by, its_by = (
+            {stream.feature: stream.patch for stream in streams.values() if stream.patch}
+            for streams in (self.streams, source.streams)
+        )
+        for feature, patch in mine_by.items():
+            check_taxels(patch, its_by[feature], source.path)
 
 
 def _export(

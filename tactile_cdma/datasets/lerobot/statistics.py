@@ -16,8 +16,8 @@ class Statistics:
     """Minimum, maximum, mean and standard deviation of one feature, per element.
 
     shape: of the feature. pooled: one value for all elements, so that a taxel that nothing ever
-    touched is not scaled up to noise. Sums are float64: 2⁵³ exceeds 10¹¹ readings of 10⁵ Pa by far
-    less than their rounding matters.
+    touched is not scaled up to noise. not_finite: elements that were NaN or infinite. Sums are
+    float64: 2⁵³ exceeds 10¹¹ readings of 10⁵ Pa by far less than their rounding matters.
     """
 
     def __init__(self, shape: tuple[int, ...], pooled: bool = False) -> None:
@@ -26,22 +26,26 @@ class Statistics:
         self._count = np.zeros(kept)
         self._sum, self._squares = np.zeros(kept), np.zeros(kept)
         self._low, self._high = np.full(kept, np.inf), np.full(kept, -np.inf)
+        self.not_finite = 0
 
     def add(self, values: NDArray[Any], valid: NDArray[np.bool_] | None = None) -> None:
-        """Take in one value of the feature; elements that are not valid are left out."""
+        """Take in one value of the feature; elements that are not valid are left out.
+
+        So are those that are not finite, which are counted.
+        """
         values = np.asarray(values, dtype=np.float64)
-        if self._pooled:
-            kept = values.ravel() if valid is None else values[valid]
-            if not kept.size:
-                return
-            count, total, squares = kept.size, kept.sum(), np.square(kept).sum()
-            low, high = kept.min(), kept.max()
-        else:
-            count, total, squares, low, high = 1, values, np.square(values), values, values
-        self._count += count
-        self._sum += total
-        self._squares += squares
-        self._low, self._high = np.minimum(self._low, low), np.maximum(self._high, high)
+        kept = np.isfinite(values)
+        self.not_finite += int(np.count_nonzero(~kept))
+        if valid is not None:
+            kept &= valid
+        axes = tuple(range(values.ndim)) if self._pooled else ()
+        known = np.where(kept, values, 0.0)
+        self._count += kept.sum(axis=axes)
+        self._sum += known.sum(axis=axes)
+        self._squares += np.square(known).sum(axis=axes)
+        low, high = (np.where(kept, values, limit) for limit in (np.inf, -np.inf))
+        self._low = np.minimum(self._low, low.min(axis=axes))
+        self._high = np.maximum(self._high, high.max(axis=axes))
 
     def content(self) -> dict[str, Any]:
         """As in meta/stats.json; zeros where there was no value."""

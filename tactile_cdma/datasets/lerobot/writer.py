@@ -19,6 +19,7 @@ import numpy as np
 
 from ..arrow import array_column, array_type, pyarrow
 from ..sources.images import decoded
+from . import INFO
 from .features import PNG_OR_JPEG, Feature
 from .statistics import ImageStatistics, MaskStatistics, Statistics
 
@@ -64,6 +65,15 @@ class DatasetWriter:
     @property
     def episodes(self) -> int:
         return len(self._episodes)
+
+    @property
+    def not_finite(self) -> dict[str, int]:
+        """How many elements of a feature were NaN or infinite, where there were some."""
+        return {
+            name: one.not_finite
+            for name, one in self._statistics.items()
+            if isinstance(one, Statistics) and one.not_finite
+        }
 
     def begin(self, task: str) -> None:
         """Begin an episode; it has to get a row."""
@@ -126,7 +136,7 @@ class DatasetWriter:
             "video_path": None,
             "features": {feature.name: feature.content() for feature in self._features},
         }
-        self.write_json("meta/info.json", info)
+        self.write_json(INFO, info)
         statistics = {name: one.content() for name, one in self._statistics.items()}
         self.write_json("meta/stats.json", statistics)
         self._write_tasks()

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,13 +20,15 @@ IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 JOINTS = "sensor_msgs/msg/JointState"
 VECTORS = (JOINTS, "std_msgs/msg/Float32MultiArray", "std_msgs/msg/Float64MultiArray")
 """Types that --state and --action take."""
+_THEN = ", then "
+PERIODS_S = (50e-6, 60.0)
+"""Frame periods that are believed, s; chosen: 8 bits of 12 chips take 48 µs at 0.5 µs per chip."""
 
 
-def stamp_ns(message: Any, seen_ns: int) -> int:
-    """When a message's content was measured; when it was recorded, if it does not say."""
+def stamp_ns(message: Any) -> int:
+    """When a message's content was measured; 0 if it does not say."""
     stamp = message.header.stamp if hasattr(message, "header") else None
-    said = stamp.sec * NANO + stamp.nanosec if stamp else 0
-    return said or seen_ns
+    return stamp.sec * NANO + stamp.nanosec if stamp else 0
 
 
 def patch_name(topic: str) -> str:
@@ -34,16 +37,22 @@ def patch_name(topic: str) -> str:
     return feature_name("_".join(parts[:-1] if parts[-1] == "skin" and parts[1:] else parts))
 
 
-def skin_frame(message: Any, time_ns: int) -> SkinFrame:
-    """A TactileArray; time_ns: its stamp."""
-    pressure, voltage = message.pressure, message.voltage
+def skin_frame(message: Any, time_ns: int, patch: Patch) -> SkinFrame:
+    """A TactileArray of a patch; time_ns: its stamp. Raises CaptureError for another skin's."""
+    pressure, voltage, taxels = message.pressure, message.voltage, len(patch)
+    for name, values in (("pressure", pressure), ("status", message.status), ("voltage", voltage)):
+        if len(values) != taxels and (len(values) or name != "voltage"):
+            raise CaptureError(
+                f"{patch.topic}: {len(values)} values of {name} in frame {message.sequence} of a "
+                f"patch of {taxels} taxels: did the layout change? Export what is before it (--end)"
+            )
     return SkinFrame(
         sequence=int(message.sequence),
         device_time_s=message.device_time_us * 1e-6,
         wall_time_s=time_ns / NANO,
         noise_v=float(message.noise_rms),
         pressure_pa=pressure,
-        voltage_v=voltage if len(voltage) else np.full(len(pressure), np.nan, dtype=np.float32),
+        voltage_v=voltage if len(voltage) else np.full(taxels, np.nan, dtype=np.float32),
         status=message.status,
     )
 
@@ -51,6 +60,8 @@ def skin_frame(message: Any, time_ns: int) -> SkinFrame:
 def patch(topic: str, file: str, array: Any, info: Any | None) -> Patch:
     """A patch from its first frame and, if the bag holds it, its info."""
     taxels = len(array.pressure)
+    if not taxels:
+        raise CaptureError(f"{topic}: its first frame has no taxels")
     about: dict[str, Any] = {"file": file, "topic": topic}
     nowhere = np.full((taxels, 3), np.nan, dtype=np.float32)
     if info is None:
@@ -58,16 +69,14 @@ def patch(topic: str, file: str, array: Any, info: Any | None) -> Patch:
         nodes, areas = np.zeros(taxels, np.uint16), np.full(taxels, np.nan, dtype=np.float32)
         period_s = float("nan")
     else:
-        if len(info.node) != taxels:
-            raise CaptureError(f"{topic}: {taxels} taxels, but its info has {len(info.node)}")
+        for name in ("node", "positions", "normals", "area"):
+            if (told := len(getattr(info, name))) != taxels:
+                raise CaptureError(f"{topic}: {taxels} taxels, but its info has {told} of {name}")
         places, normals = (_points(points) for points in (info.positions, info.normals))
         nodes, areas, period_s = info.node, info.area, float(info.frame_period)
-        about |= {
-            "origin": _origin(info.origin),
-            "measured_by": _origin(info.measured_by),
-            "skin": info.skin,
-            "digitizer_id": info.digitizer_id,
-            "calibration_id": info.calibration_id,
+        if not PERIODS_S[0] <= period_s <= PERIODS_S[1]:
+            period_s = float("nan")
+        about |= _facts(info) | {
             "frame_id": info.header.frame_id,
             "tared": bool(len(info.tare)),
         }
@@ -85,6 +94,22 @@ def patch(topic: str, file: str, array: Any, info: Any | None) -> Patch:
     )
 
 
+def with_later(first: Patch, info: Any, later: Any) -> tuple[Patch, list[str]]:
+    """A patch of which a bag holds another info: about names both, as does each of the notes.
+
+    Its taxels stay those of the first info.
+    """
+    about, notes = dict(first.about), []
+    for name, said in _facts(later).items():
+        if said not in str(about[name]).split(_THEN):
+            about[name] = f"{about[name]}{_THEN}{said}"
+            notes.append(f"{first.topic}: {name} changes within the bag: {about[name]}")
+    places = np.array_equal(_points(info.positions), _points(later.positions), equal_nan=True)
+    if not places or not np.array_equal(info.node, later.node):
+        notes.append(f"{first.topic}: its taxels change within the bag; the first ones are written")
+    return replace(first, about=about), notes
+
+
 def contacts(message: Any) -> Floats32:
     """(7,) a TactileContacts, by CONTACT_NAMES; NaN: unknown."""
     centre = message.position
@@ -100,21 +125,47 @@ def wrench(message: Any) -> Floats32:
     return np.array(values, dtype=np.float32)
 
 
-def vector(message: Any) -> Floats32:
-    """Positions of a JointState, or the data of an array."""
-    values = message.position if hasattr(message, "position") else message.data
-    return np.asarray(values, dtype=np.float32)
+def vector(message: Any, topic: str, names: tuple[str, ...]) -> Floats32:
+    """Positions of a JointState, or the data of an array, in the order of the names.
+
+    Raises CaptureError for other names or another number of values.
+    """
+    values, its = _values(message), vector_names(message)
+    if its != names:
+        if sorted(its) != sorted(names):
+            raise CaptureError(
+                f"{topic}: a message has {', '.join(its) or 'no value'}, the first one "
+                f"{', '.join(names)}: do two programs publish there?"
+            )
+        values = values[[its.index(name) for name in names]]
+    return values
 
 
 def vector_names(message: Any) -> tuple[str, ...]:
     """Names of a vector's elements."""
     names = tuple(getattr(message, "name", ()))
-    size = len(vector(message))
+    size = len(_values(message))
     return names if len(names) == size else tuple(f"value_{i}" for i in range(size))
+
+
+def _values(message: Any) -> Floats32:
+    values = message.position if hasattr(message, "position") else message.data
+    return np.asarray(values, dtype=np.float32)
 
 
 def _points(points: Any) -> Floats32:
     return np.array([(p.x, p.y, p.z) for p in points], dtype=np.float32).reshape(-1, 3)
+
+
+def _facts(info: Any) -> dict[str, str]:
+    """What a TactileSkinInfo says of where readings come from."""
+    return {
+        "origin": _origin(info.origin),
+        "measured_by": _origin(info.measured_by),
+        "skin": info.skin,
+        "digitizer_id": info.digitizer_id,
+        "calibration_id": info.calibration_id,
+    }
 
 
 def _origin(value: int) -> str:

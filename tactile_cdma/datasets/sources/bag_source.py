@@ -6,24 +6,25 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
-from rosbags.rosbag2 import ReaderError
-from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from ...base.errors import CaptureError
 from ...recording.message_types import message_types
+from ..lerobot import INFO
 from ..samples import (
     ACTION,
     CONTACT_NAMES,
     CONTACTS,
     IMAGE,
+    NANO,
     STATE,
     TACTILE,
     WRENCH,
@@ -39,7 +40,9 @@ from . import images
 
 GENERIC = ("image", "image_raw", "image_color", "image_rect", "image_rect_color", "compressed")
 """Ends of cameras' topics that say nothing; features are called after what is before."""
-
+STAMP_OFF_S = 10.0
+"""The most that a believed stamp is from the time of recording, s; chosen: far above what messages
+wait, and below any error of a clock that was never set."""
 
 _Take: TypeAlias = Callable[[Any, int], Value]
 """Makes a sample's value of a message and its stamp, ns."""
@@ -64,6 +67,7 @@ class BagSource:
         self.path = path
         self.problem = None
         self._notes: list[str] = []
+        self._off: dict[str, tuple[int, int]] = {}  # stamps not believed: how many, first error, ns
         self._takes: defaultdict[str, list[tuple[str, _Take]]] = defaultdict(list)  # by topic
         self.streams: Mapping[str, Stream] = {}
         with self._opened() as bag:
@@ -79,25 +83,33 @@ class BagSource:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        return tuple(self._notes)
+        off = (
+            f"{topic}: {number} of {self.counts[topic][1]} stamps are more than "
+            f"{STAMP_OFF_S:g} s from when the message was recorded, the first by "
+            f"{first_ns / NANO:.3f} s (another clock, or simulated time?); the time of recording "
+            "is taken for them"
+            for topic, (number, first_ns) in sorted(self._off.items())
+        )
+        return (*self._notes, *off)
 
     def samples(self, begin_ns: int | None, end_ns: int | None) -> Iterator[Sample]:
         stop_ns = None if end_ns is None else end_ns + 1
+        self._off = {}
         with self._opened() as bag:
             wanted = [c for c in bag.connections if c.topic in self._takes]
-            for connection, seen_ns, raw in bag.messages(wanted, begin_ns, stop_ns):
-                message = bag.deserialize(raw, connection.msgtype)
-                time_ns = fields.stamp_ns(message, seen_ns)
-                for key, take in self._takes[connection.topic]:
+            for topic, seen_ns, message in self._messages(bag, wanted, begin_ns, stop_ns):
+                time_ns = fields.stamp_ns(message) or seen_ns
+                if abs(off_ns := time_ns - seen_ns) > STAMP_OFF_S * NANO:
+                    time_ns = seen_ns
+                    number, first_ns = self._off.get(topic, (0, off_ns))
+                    self._off[topic] = number + 1, first_ns
+                for key, take in self._takes[topic]:
                     yield Sample(key, time_ns, seen_ns, take(message, time_ns))
 
     def marks(self, topic: str) -> list[tuple[int, Any]]:
         with self._opened() as bag:
             wanted = self._connections(bag, topic)
-            return [
-                (seen_ns, bag.deserialize(raw, c.msgtype))
-                for c, seen_ns, raw in bag.messages(wanted)
-            ]
+            return [(seen_ns, message) for _, seen_ns, message in self._messages(bag, wanted)]
 
     def _find(
         self, bag: AnyReader, topics: Sequence[str], cameras: Sequence[str] | None
@@ -112,14 +124,17 @@ class BagSource:
         names: set[str] = set()
         for topic in topics or arrays:
             stem = topic.rpartition("/")[0]
-            info = self._first(bag, f"{stem}/info") if f"{stem}/info" in kinds else None
-            if info is None:
+            infos = self._all(bag, f"{stem}/info") if f"{stem}/info" in kinds else iter(())
+            if (info := next(infos, None)) is None:
                 self._notes.append(f"{topic}: no info, so places and calibration are unknown")
             patch = fields.patch(topic, self.path.name, self._first(bag, topic), info)
+            for later in infos:
+                patch, notes = fields.with_later(patch, info, later)
+                self._notes += notes
             if patch.name in names:
                 raise CaptureError(f"{self.path}: two patches are {patch.name}; choose by --topic")
             names.add(patch.name)
-            self._takes[topic].append((topic, fields.skin_frame))
+            self._takes[topic].append((topic, partial(fields.skin_frame, patch=patch)))
             yield Stream(topic, TACTILE, patch.name, (len(patch),), patch=patch)
             for name, kind, type_, elements, take in (
                 ("contacts", CONTACTS, fields.CONTACTS_TYPE, CONTACT_NAMES, fields.contacts),
@@ -162,14 +177,20 @@ class BagSource:
                 f"{self.path}: {topic} is {said}; {kind} takes {', '.join(fields.VECTORS)}"
             )
         names = fields.vector_names(self._first(bag, topic))
-        self._takes[topic].append((f"{kind}:{topic}", _without_time(fields.vector)))
+        take = partial(fields.vector, topic=topic, names=names)
+        self._takes[topic].append((f"{kind}:{topic}", _without_time(take)))
         return Stream(f"{kind}:{topic}", kind, kind, (len(names),), names)
 
     def _first(self, bag: AnyReader, topic: str) -> Any:
         """The first message of a topic that has one."""
-        for connection, _, raw in bag.messages(self._connections(bag, topic)):
-            return bag.deserialize(raw, connection.msgtype)
+        for message in self._all(bag, topic):
+            return message
         raise CaptureError(f"{self.path}: nothing was recorded of {topic}")
+
+    def _all(self, bag: AnyReader, topic: str) -> Iterator[Any]:
+        """All messages of a topic."""
+        for _, _, message in self._messages(bag, self._connections(bag, topic)):
+            yield message
 
     def _connections(self, bag: AnyReader, topic: str) -> list[Connection]:
         found = [c for c in bag.connections if c.topic == topic]
@@ -178,18 +199,47 @@ class BagSource:
             raise CaptureError(f"{self.path}: no topic {topic} (there are {there})")
         return found
 
+    def _messages(
+        self,
+        bag: AnyReader,
+        connections: Sequence[Connection],
+        begin_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> Iterator[tuple[str, int, Any]]:
+        """Messages with their topic and when they were recorded, ns."""
+        with self._intact():
+            for connection, seen_ns, raw in bag.messages(connections, begin_ns, stop_ns):
+                yield connection.topic, seen_ns, bag.deserialize(raw, connection.msgtype)
+
     @contextmanager
     def _opened(self) -> Iterator[AnyReader]:
         """The bag, open; raises CaptureError for whatever is wrong with it."""
+        with self._intact():
+            bag = AnyReader([self.path], default_typestore=_known_types())
+            bag.open()
+        with closing(bag):
+            yield bag
+
+    @contextmanager
+    def _intact(self) -> Iterator[None]:
+        """Turns what rosbags raises for a bag into CaptureError: for a damaged one, anything."""
         try:
-            with AnyReader([self.path], default_typestore=_known_types()) as bag:
-                yield bag
-        except (AnyReaderError, ReaderError, SerdeError) as error:
-            raise CaptureError(f"{self.path}: {error}") from None
+            yield
         except FileNotFoundError:
-            raise CaptureError(f"{self.path}: no bag, which has a metadata.yaml") from None
+            missing = f"neither a bag (metadata.yaml) nor a dataset ({INFO})"
+            reason = missing if self.path.is_dir() else "no such file"
+            raise CaptureError(f"{self.path}: {reason}") from None
         except KeyError as error:
             raise CaptureError(f"{self.path}: the definition of {error} is not known") from None
+        except PermissionError as error:
+            raise CaptureError(f"{self.path}: {error.strerror}") from None
+        except Exception as error:
+            reason = str(error) or type(error).__name__
+            is_mcap = any(self.path.glob("*.mcap")) or self.path.suffix == ".mcap"
+            remedy = "; `mcap recover` saves what is whole" if is_mcap else ""
+            raise CaptureError(
+                f"{self.path}: no bag, or damaged or cut short: {reason}{remedy}"
+            ) from None
 
 
 def _without_time(take: Callable[[Any], Value]) -> _Take:

@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -54,24 +56,33 @@ def encoded(message: Any, topic: str) -> bytes:
 
 
 def check_size(message: Any, topic: str, shape: tuple[int, ...]) -> None:
-    """Raises CaptureError for a plain image of another size than its first: (height, width, 3).
-
-    A compressed one would have to be decoded to know.
-    """
-    if hasattr(message, "encoding") and (message.height, message.width) != shape[:2]:
+    """Raises CaptureError for an image of another size than its first: (height, width, 3)."""
+    if hasattr(message, "encoding"):
+        width, height = message.width, message.height
+    else:
+        with _opened(bytes(message.data), topic) as image:  # reads the header, no pixels
+            width, height = image.size
+    if (height, width) != shape[:2]:
         raise CaptureError(
-            f"{topic}: an image of {message.width} × {message.height} pixels after others of "
+            f"{topic}: an image of {width} × {height} pixels after others of "
             f"{shape[1]} × {shape[0]}: a dataset has one size; choose by --start and --end"
         )
 
 
 def decoded(file: bytes, topic: str) -> NDArray[np.uint8]:
     """(height, width, 3) the pixels of an encoded image. Raises CaptureError for a broken one."""
+    with _opened(file, topic) as image:
+        return np.asarray(image.convert("RGB"))
+
+
+@contextmanager
+def _opened(file: bytes, topic: str) -> Iterator[Any]:
+    """An encoded image; raises CaptureError for a broken one, then or when it is read."""
     from PIL import Image
 
     try:
         with Image.open(io.BytesIO(file), formats=("PNG", "JPEG")) as image:
-            return np.asarray(image.convert("RGB"))
+            yield image
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise CaptureError(f"{topic}: an image that cannot be read: {error}") from None
 

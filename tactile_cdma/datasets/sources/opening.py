@@ -13,7 +13,7 @@ from ...base.optional import needed_for
 from ...config.parameters import Value
 from ...recording.recording_file import is_recording
 from ..samples import Source
-from .recording_source import RecordingSource
+from .recording_source import RecordingSource, check_bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +50,14 @@ def open_source(path: Path, wanted: Wanted) -> Source:
 
 
 def has_times(path: Path) -> bool:
-    """Whether frames of this source have a wall time: raw bytes have none."""
-    return is_bag(path) or is_recording(path)
+    """Whether frames of this source have a wall time: raw bytes have none.
+
+    Raises CaptureError for what is none of these.
+    """
+    if is_bag(path) or is_recording(path):
+        return True
+    check_bytes(path)
+    return False
 
 
 def is_bag(path: Path) -> bool:

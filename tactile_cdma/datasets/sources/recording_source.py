@@ -39,10 +39,7 @@ class RecordingSource:
 
     def __init__(self, path: Path, asked: dict[str, Value], derived: bool) -> None:
         """asked: parameters that override the file's. derived: contacts and wrench, too."""
-        if is_text(path):
-            raise CaptureError(
-                f"{path}: text; of an oscilloscope's capture decode --json makes frames"
-            )
+        check_bytes(path)
         self.path, self._derived = path, derived
         self.capture = RawCapture(path, asked)
         self.begin_ns = self.end_ns = 0
@@ -115,6 +112,12 @@ class RecordingSource:
                 yield Sample(CONTACTS, stamp_ns, stamp_ns, _contacts(found))
                 total = np.concatenate([found.total_force_n, found.total_torque_nm])
                 yield Sample(WRENCH, stamp_ns, stamp_ns, total.astype(np.float32))
+
+
+def check_bytes(path: Path) -> None:
+    """Raises CaptureError for a file that is no recording and no raw bytes, as far as is seen."""
+    if is_text(path):
+        raise CaptureError(f"{path}: text; of an oscilloscope's capture decode --json makes frames")
 
 
 def skin_frame(frame: TactileFrame, wall_s: float) -> SkinFrame:

@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 from bags import PERIOD_S, BagMaker
 
 from tactile_cdma.commands.cli import main
+from tactile_cdma.datasets.parquet_table import ParquetTable
 
 pytestmark = pytest.mark.xdist_group("datasets")
 SECONDS = 2.0
@@ -84,6 +86,60 @@ def test_a_lerobot_dataset(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     assert lines["readings"] == "last per frame; NaN: hold"
     assert lines["observation.tactile.skin"] == f"{9 / 39 / 16:.2%} invalid"
     assert lines["gaps"] == "none within episodes"
+
+
+def test_tables_are_not_taken_for_captures(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kinds = {"npz": "NPZ", "csv": "CSV"}
+    if find_spec("pyarrow"):
+        kinds["parquet"] = "Parquet"
+    for suffix, kind in kinds.items():
+        table = tmp_path / f"out.{suffix}"
+        assert main(["export", str(bag), "-o", str(table)]) == 0
+        assert f"file={table}" in capsys.readouterr().out
+        for words in (
+            ["export", str(table), "-o", str(tmp_path / "y.csv")],
+            ["decode", str(table)],
+        ):
+            assert main(words) == 1
+            assert f"{table}: {kind}, such as export writes" in capsys.readouterr().err
+    assert main(["info", str(tmp_path / "out.csv")]) == 1
+    assert "CSV cannot be read back: out.about.json" in capsys.readouterr().err
+
+
+def test_text_is_told_whatever_the_output(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("pyarrow")
+    text = tmp_path / "text.txt"
+    text.write_text("0.0,1.0\n0.1,1.0\n")
+    for output in (["-o", tmp_path / "x.npz"], ["--lerobot", tmp_path / "x", "--fps", "30"]):
+        assert main(list(map(str, ["export", text, *output]))) == 1
+        assert f"{text}: text; of an oscilloscope's capture" in capsys.readouterr().err
+
+
+def test_parquet_of_another_program(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("pyarrow")
+    path = tmp_path / "other.parquet"
+    for metadata in ({}, {"port": "sim://"}):
+        with ParquetTable(path, {"pressure_pa": ("f4", (16,))}, metadata):
+            pass
+        assert main(["info", str(path)]) == 1
+        said = capsys.readouterr().err
+        assert "other.parquet: Parquet, but not made by tactile-cdma export" in said
+
+
+@pytest.mark.parametrize("scramble", ["--scramble", "--no-scramble"])
+def test_a_recording_s_chips(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], scramble: str
+) -> None:
+    path = tmp_path / "touch.skin"
+    words = ["record", "sim://?scene=moving", path, "--seconds", "0.5", scramble]
+    assert main(list(map(str, words))) == 0
+    capsys.readouterr()
+    expected = ", scrambled" if scramble == "--scramble" else ""
+    assert f", 50 µs chips{expected}, a frame every 12.8 ms" in said(path, capsys)["skin"]
 
 
 @pytest.mark.parametrize("name", ["none.npz", "some.npz", "some.parquet", "some.txt", "folder"])

@@ -70,9 +70,14 @@ def test_what_is_no_image_is_named() -> None:
 
 
 def test_another_size_is_told() -> None:
-    message = image("rgb8", PIXELS)
-    check_size(message, "/camera", (5, 7, 3))
-    with pytest.raises(
-        CaptureError, match="/camera: an image of 7 × 5 pixels after others of 5 × 7"
-    ):
-        check_size(message, "/camera", (7, 5, 3))
+    file = io.BytesIO()
+    Image.fromarray(PIXELS).save(file, "PNG")
+    data = np.frombuffer(file.getvalue(), dtype=np.uint8)
+    for message in (image("rgb8", PIXELS), SimpleNamespace(format="png", data=data)):
+        check_size(message, "/camera", (5, 7, 3))
+        with pytest.raises(
+            CaptureError, match="/camera: an image of 7 × 5 pixels after others of 5 × 7"
+        ):
+            check_size(message, "/camera", (7, 5, 3))
+    with pytest.raises(CaptureError, match="/camera: an image that cannot be read"):
+        check_size(SimpleNamespace(format="png", data=data[:20]), "/camera", (5, 7, 3))

@@ -414,14 +414,131 @@ def test_what_cannot_be_is_one_clear_error(
         ),
         ([bag, *out, *fps, "--marks", "/joint_states"], "marks are std_msgs/msg/Bool"),
         ([bag, *out, *fps, "--episode", "2"], "START:END"),
+        ([bag, *out, *fps, "--episode", "1:2", "--marks", "/task"], "both say where episodes are"),
+        ([bag, *out, *fps, "--start", "5", "--end", "2"], "--start 5 is after --end 2"),
+        ([bag, *out, *fps, "--task", "grip \udcff"], "--task is not UTF-8"),
         ([bag, *out, *fps, "--episode", "50:60"], "no row is whole: no sample"),
         ([bag, "-o", tmp_path / "x.npz", *fps], "go with --lerobot"),
         ([bag, "-o", tmp_path / "x", "--bag"], "is a bag already"),
         ([without_skin, *out, *fps], "no frames of a skin"),
-        ([tmp_path / "nothing", *out, *fps], "no bag"),
+        ([tmp_path / "nothing", *out, *fps], "neither a bag (metadata.yaml) nor a dataset"),
         ([tmp_path / "torn.mcap", *out, *fps], "torn.mcap"),
     ):
         assert main(["export", *map(str, words)]) == 1, words
         said = capsys.readouterr().err
         assert message in said and len(said.splitlines()) == 1, said
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("topic", "camera_off_s", "expected"),
+    [
+        ("/skin/tactile", 0, 1),
+        ("/front/image", -1_699_999_900, 30),
+        ("/front/image", 600, 30),
+        ("/front/image", -5, 0),
+    ],
+)
+def test_stamps_far_from_their_recording_are_not_believed(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    topic: str,
+    camera_off_s: int,
+    expected: int,
+) -> None:
+    """One stamp in 2036; a camera whose clock counts from its start; one that runs ahead."""
+    maker = BagMaker()
+    maker.skin("/skin", 1.0)
+    maker.camera("/front/image", 1.0, 30)
+    for _, of, _, message in maker.messages:
+        if of == topic == "/front/image":
+            message.header.stamp.sec += camera_off_s
+        elif of == topic and message.sequence == 40:
+            message.header.stamp.sec = 2_100_000_000
+    bag = maker.write(tmp_path / "bag")
+    table = exported(bag, tmp_path / "out", "--samples", "last", "--image", "/front/image")
+    said = capsys.readouterr().err
+    number = {"/skin/tactile": 78, "/front/image": 30}[topic]
+    note = f"{topic}: {expected} of {number} stamps are more than 10 s from when"
+    assert (note in said) == (expected > 0)
+    t_s = seconds(table)
+    assert 27 <= np.count_nonzero(t_s > 0) <= 31 and (t_s <= 1.04).all()
+    found, ages_s = array(table, SKIN), array(table, f"{SKIN}.age_s")
+    # A stamp that is not believed is late by what its message waited.
+    limit_s = 0.012 if topic == "/skin/tactile" else 1e-3
+    assert worst_error_s(found, t_s - ages_s, np.isfinite(found)) < limit_s
+
+
+@pytest.mark.parametrize("period_s", [0.0, -1.0, 1e-9, float("inf"), float("nan")])
+def test_a_frame_period_that_cannot_be_is_unknown(tmp_path: Path, period_s: float) -> None:
+    maker = BagMaker()
+    maker.skin("/skin", 0.5)
+    maker.messages[0][3].frame_period = period_s
+    table = exported(maker.write(tmp_path / "bag"), tmp_path / "out")
+    assert array(table, f"{SKIN}.age_s").shape == (len(table),)  # one frame per row
+
+
+def test_rows_hold_a_bounded_number_of_frames(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    maker = BagMaker()
+    maker.skin("/skin", 0.5)
+    maker.messages[0][3].frame_period = 1e-4
+    words = ["export", maker.write(tmp_path / "bag"), "--lerobot", tmp_path / "out", "--fps", "1"]
+    assert main(list(map(str, words))) == 1
+    assert "10000 frames of skin per row, 0.0001 s apart; at most 1000" in capsys.readouterr().err
+
+
+def test_joints_are_taken_by_their_names(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    maker = BagMaker()
+    maker.skin("/skin", 1.0)
+    maker.joints("/joints", 1.0)
+    joints = [message for _, topic, _, message in maker.messages if topic == "/joints"]
+    for message in joints[1::2]:
+        message.name, message.position = message.name[::-1], message.position[::-1].copy()
+    joints[50].position = joints[50].position * np.nan
+    state = ("--state", "/joints")
+    table = exported(maker.write(tmp_path / "bag"), tmp_path / "out", *state)
+    found = array(table, "observation.state")
+    finger, wrist = found[np.isfinite(found).all(axis=1)].T
+    assert (finger >= 0).all() and (wrist == -finger).all() and finger.max() > 0.9
+    joints[80].name = ["finger", "thumb"]
+    words = ["export", maker.write(tmp_path / "other"), "--lerobot", tmp_path / "none"]
+    assert main(list(map(str, [*words, "--fps", FPS, *state]))) == 1
+    said = capsys.readouterr().err
+    assert "/joints: a message has finger, thumb, the first one finger, wrist" in said
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_values_that_are_not_finite_stay_out_of_the_statistics(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], bad: float
+) -> None:
+    maker = BagMaker()
+    maker.skin("/skin", 1.0)
+    maker.joints("/joints", 1.0)
+    for seen_ns, topic, _, message in maker.messages:
+        if topic == "/joints" and seen_ns < BEGIN_NS + 500_000_000:
+            message.position[0] = bad
+    table = exported(maker.write(tmp_path / "bag"), tmp_path / "out", "--state", "/joints")
+    finger, wrist = array(table, "observation.state").T
+    finite = np.isfinite(finger)
+    assert 0 < finite.sum() < len(finite)
+    found = meta(tmp_path / "out", "stats.json")["observation.state"]
+    for name, of in (("min", np.min), ("max", np.max), ("mean", np.mean), ("std", np.std)):
+        expected = [of(finger[finite]), of(wrist)]
+        assert found[name] == pytest.approx(expected, rel=1e-5, abs=1e-7)
+    note = f"observation.state: {(~finite).sum()} values are not finite"
+    assert note in capsys.readouterr().err
+
+
+def test_no_row_is_later_than_the_recording(tmp_path: Path) -> None:
+    """A stamp 9 s ahead is believed, since clocks may differ, but makes no rows of its own."""
+    maker = BagMaker()
+    maker.skin("/skin", 1.0)
+    for _, topic, _, message in maker.messages:
+        if topic == "/skin/tactile" and message.sequence == 40:
+            message.header.stamp.sec += 9
+    t_s = seconds(exported(maker.write(tmp_path / "bag"), tmp_path / "out"))
+    assert len(t_s) == 29 and t_s[-1] <= 78 * PERIOD_S + 0.01

@@ -126,3 +126,110 @@ def test_a_patch_without_info_has_unknown_places(
     table = read(tmp_path / "out.npz")
     assert np.isnan(table["position_m"]).all() and not table["node"].any()
     assert table["pressure_pa"].shape == (round(0.3 / PERIOD_S), TAXELS)
+
+
+@pytest.mark.parametrize(
+    ("taxels", "field"), [(20, "pressure"), (9, "pressure"), (0, "pressure"), (3, "status")]
+)
+def test_frames_of_another_size_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], taxels: int, field: str
+) -> None:
+    """A shorter or longer row would shift all that follow it."""
+    maker = BagMaker()
+    maker.skin("/skin", 1.2)
+    for _, topic, _, message in maker.messages:
+        if topic == "/skin/tactile" and message.sequence >= 80:
+            message.status = np.zeros(taxels, dtype=np.uint8)
+            if field == "pressure":
+                message.pressure = np.arange(taxels, dtype=np.float32)
+    bag = maker.write(tmp_path / "bag")
+    for name in ("out.npz", "out.csv"):
+        assert main(["export", str(bag), "-o", str(tmp_path / name)]) == 1
+        said = capsys.readouterr().err
+        assert f"/skin/tactile: {taxels} values of {field} in frame 80 of a patch of 16" in said
+        assert len(said.splitlines()) == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["bag"]
+
+
+def test_a_patch_without_taxels_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    maker = BagMaker()
+    maker.skin("/skin", 0.3)
+    for _, topic, _, message in maker.messages:
+        if topic == "/skin/tactile":
+            message.pressure, message.status = np.zeros(0, np.float32), np.zeros(0, np.uint8)
+    assert main(["info", str(maker.write(tmp_path / "bag"))]) == 1
+    assert "/skin/tactile: its first frame has no taxels" in capsys.readouterr().err
+
+
+def other_skin(path: Path, skin: str = "/skin", /, **fields: Any) -> Path:
+    """A bag whose skin differs by some fields of its info."""
+    maker = BagMaker()
+    maker.skin(skin, 0.2)
+    for name, value in fields.items():
+        setattr(maker.messages[0][3], name, value)
+    return maker.write(path)
+
+
+@pytest.mark.parametrize(
+    ("node", "fields", "message"),
+    [
+        ("/skin", {"node": np.arange(TAXELS, 0, -1, dtype=np.uint16)}, "nodes of the taxels"),
+        ("/skin", {"area": np.full(TAXELS, 1e-6, dtype=np.float32)}, "areas of the taxels"),
+        ("/skin", {"origin": 1}, "origin of patch skin is 'board', in the first file 'sim"),
+        ("/skin", {"measured_by": 1}, "measured_by of patch skin is 'board'"),
+        ("/skin", {"calibration_id": "other"}, "calibration_id of patch skin is 'other'"),
+        ("/left_palm/skin", {}, "its patches are left_palm, in the first file skin"),
+    ],
+)
+def test_files_of_different_skins_are_not_one_table(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    node: str,
+    fields: dict[str, Any],
+    message: str,
+) -> None:
+    first, other = other_skin(tmp_path / "first"), other_skin(tmp_path / "other", node, **fields)
+    assert main(["export", str(first), str(other), "-o", str(tmp_path / "out.npz")]) == 1
+    said = capsys.readouterr().err
+    assert f"{other}: {message}" in said and "export them one by one" in said
+    assert not (tmp_path / "out.npz").exists()
+
+
+def test_rows_and_columns_of_files_must_agree(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, maker = other_skin(tmp_path / "first"), BagMaker()
+    maker.skin("/skin", 0.2)
+    for _, topic, _, message in maker.messages:
+        if topic == "/skin/tactile":
+            message.height, message.width = 2, 8
+    other = maker.write(tmp_path / "other")
+    words = ["export", str(first), str(other)]
+    assert main([*words, "-o", str(tmp_path / "out.npz")]) == 1
+    assert "has 2 × 8 taxels, in the first file 4 × 4" in capsys.readouterr().err
+    pytest.importorskip("pyarrow")
+    assert main([*words, "--lerobot", str(tmp_path / "out"), "--fps", "30"]) == 1
+    assert "has 2 × 8 taxels, in the first file 4 × 4" in capsys.readouterr().err
+
+
+def test_a_bag_whose_info_changes_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    maker, real = BagMaker(), BagMaker()
+    maker.skin("/skin", 1.0)
+    real.skin("/skin", 0.0, simulated=False)
+    [(time_ns, *rest, info)] = real.messages
+    info.calibration_id, info.node = "other", info.node[::-1].copy()
+    maker.messages.append((time_ns + 500_000_000, *rest, info))
+    bag = maker.write(tmp_path / "bag")
+    assert main(["info", str(bag)]) == 0
+    said = capsys.readouterr().out
+    assert "measured by: simulated, then board" in said and "nothing was touched" not in said
+    assert "calibration: abcd1234, then other" in said
+    assert "note: /skin/tactile: its taxels change within the bag" in said
+    export(bag, tmp_path / "out.npz")
+    about = json.loads(str(read(tmp_path / "out.npz")["about"]))
+    assert about["origin"] == "simulated, then board" and about["skin"] == "palm-1"
+    assert "measured_by changes within the bag" in capsys.readouterr().err

@@ -50,6 +50,10 @@ def test_every_frame_is_logged_while_the_picture_lives(tmp_path: Path) -> None:
     )  # first stamps waited
     assert max(max(row) for row in table["pressure_pa"][50:]) > 1e3
     assert picture.read_bytes().startswith(b"\x89PNG")
+    before = output.read_bytes()
+    with pytest.raises(AssertionError, match="exists already; --force overwrites it"):
+        run("live_parquet.py", port, str(output), "--seconds", "1")
+    assert output.read_bytes() == before
 
 
 @pytest.mark.skipif(not find_spec("torch"), reason="torch is not installed")
