@@ -127,7 +127,7 @@ def shown_by_the_viewer(
 ) -> str:
     """What the viewer writes to a terminal up to a text, then until keys have ended it.
 
-    once: a text before that, and what to do when it is shown.
+    once: a pattern before that, and what to do when it is shown.
     """
     master, terminal = pty.openpty()
     viewer = subprocess.Popen(
@@ -145,7 +145,7 @@ def shown_by_the_viewer(
             assert time.monotonic() < deadline, shown[-2000:]
             if select.select([master], [], [], 0.1)[0]:
                 shown += os.read(master, 65_536)
-            if once and once[0] in shown.decode(errors="ignore"):
+            if once and re.search(once[0], shown.decode(errors="ignore")):
                 once[1]()
                 once = None
         os.write(master, keys)
@@ -204,7 +204,7 @@ def test_the_picture_of_a_skin_that_stops_turns_to_no_reading() -> None:
     with running(port="sim://?scene=all&threshold=0") as (_, client):
         stop = partial(client.change, Transition.TRANSITION_DEACTIVATE)
         shown = shown_by_the_viewer(
-            "no frame for", b"q", ("speaking 16", stop), TERM="xterm", NO_COLOR="1"
+            "no frame for", b"q", (r"force \d+\.\d\d N", stop), TERM="xterm", NO_COLOR="1"
         )
     pictures = shown.split("\x1b[H")
     drawn = [picture for picture in pictures if "frames/s" in picture]
