@@ -246,7 +246,7 @@ def test_simulate_serves_a_tty_until_interrupted(tmp_path: Path) -> None:
     try:
         assert process.stdout is not None
         assert str(link) in process.stdout.readline()
-        assert main(["record", str(link), str(raw), "--seconds", "0.5"]) == 0
+        assert main(["record", str(link), str(raw), "--seconds", "2"]) == 0
         process.send_signal(signal.SIGINT)
         assert process.wait(5) == 0
     finally:
