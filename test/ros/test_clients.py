@@ -39,7 +39,7 @@ from tactile_cdma.sim.scene import SCENES, Skin  # noqa: E402
 pytestmark = pytest.mark.ros
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 PATIENCE_S = 60.0
-OF_DDS = re.compile(r"^.*\[RTPS_.*\n", re.MULTILINE)
+OF_DDS = re.compile(r"^.*RTPS_TRANSPORT_SHM.*\n", re.MULTILINE)
 """What Fast DDS itself prints to stdout where two participants open a port in /dev/shm at once."""
 TOLERANCE_NS = 20_000_000
 """What fuse_joint_states says that it leaves out."""
