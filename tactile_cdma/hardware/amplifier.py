@@ -30,7 +30,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -72,6 +72,8 @@ E24 = (  # of the resistors; capacitors have every other value
 E12 = E24[::2]
 EXACT = 1 + 1e-9
 """Forgives rounding where values of a series are compared."""
+FINE = 1e-3
+"""Of the room, to which its use is found: far finer than neighbours in E24."""
 FILTER_OHM = 300.0
 """Least resistance of the filter, Ω, an easy load for the amplifier; the design stays below ten
 times that, for the converter. Chosen."""
@@ -245,25 +247,20 @@ def design(
     series_ohm, bias_ohm = _attenuator(2 * NODE_LEVEL_V / supply_v)
     level_v = supply_v * bias_ohm / (4 * series_ohm + 2 * bias_ohm)
     sample_s = first_sample_s(spec.chip_s, samples_per_chip, adc_hz)
-    left_v, used_v = room_v, math.inf
-    while used_v > room_v:  # the margin depends on the gain, a little
-        used_v = room_v
-        level = used_v / level_v
-        stages, low_pass_s = _stages(spec, active, level, sample_s, (series_ohm, bias_ohm))
-        room_v = left_v - SIGMAS * rest_deviation_v(stages, supply_v)
-    filter_f = 10.0 ** math.floor(math.log10(low_pass_s / FILTER_OHM))
+    stages, tau = _within(room_v, spec, active, level_v, supply_v, sample_s, (series_ohm, bias_ohm))
+    filter_f = 10.0 ** math.floor(math.log10(tau / FILTER_OHM))
     return FrontEnd(
         nodes=spec.nodes,
         talking=talking,
         supply_v=supply_v,
         adc_volts=adc_volts,
         adc_bits=adc_bits,
-        room_v=room_v,
+        room_v=room_v - _margin_v(stages, supply_v),
         series_ohm=series_ohm,
         bias_ohm=bias_ohm,
         nodes_stage=stages[0],
         groups_stage=stages[1] if len(stages) > 1 else None,
-        filter_ohm=_below(low_pass_s / filter_f),
+        filter_ohm=_below(tau / filter_f),
         filter_f=filter_f,
         sample_s=sample_s,
     )
@@ -294,6 +291,7 @@ def step_left(t_s: float, poles_s: Sequence[float]) -> float:
     return float(np.sum(np.exp(-t_s / tau) / ratio.prod(axis=1)))
 
 
+@cache
 def low_pass_s(sample_s: float, stages: int, attenuator: float) -> float:
     """Time constant of each feedback and of the filter with which a step settles in time, s.
 
@@ -331,6 +329,35 @@ def rest_deviation_v(stages: Sequence[Stage], supply_v: float) -> float:
         inputs = stage.gain * math.sqrt(stage.inputs) * deviation
         deviation = math.hypot(inputs, stage.noise_gain * divider_v(BIAS_TOLERANCE))
     return deviation
+
+
+def _margin_v(stages: Sequence[Stage], supply_v: float) -> float:
+    return SIGMAS * rest_deviation_v(stages, supply_v)
+
+
+def _within(
+    room_v: float,
+    spec: FrameSpec,
+    active: float,
+    level_v: float,
+    supply_v: float,
+    sample_s: float,
+    attenuator: tuple[float, float],
+) -> tuple[list[Stage], float]:
+    """The stages of the largest swing that leaves their own margin free, by bisection.
+
+    A larger gain takes a larger margin: most of the room, where few of many nodes talk.
+    """
+    low_v, high_v = 0.0, room_v
+    best: tuple[list[Stage], float] | None = None
+    while best is None or high_v - low_v > FINE * room_v:
+        swing_v = (low_v + high_v) / 2
+        stages, tau = _stages(spec, active, swing_v / level_v, sample_s, attenuator)
+        if swing_v + _margin_v(stages, supply_v) <= room_v:
+            low_v, best = swing_v, (stages, tau)
+        else:
+            high_v = swing_v
+    return best
 
 
 def _stages(

@@ -87,10 +87,11 @@ def test_the_tests_run_with_the_assertions_of_a_plain_build() -> None:
 def imported_from(workspace: Path) -> Path:
     """Use messages and code as a user does; the file that the package was imported from.
 
-    With the workspace sourced, and this checkout not on the path.
+    With the workspace sourced, and no checkout on the path: .venv has its own there.
     """
     program = (
-        f"import sys; sys.path = [path for path in sys.path if path != {str(ROOT)!r}];"
+        "import os, sys;"
+        "sys.path = [path for path in sys.path if not os.path.exists(path + '/package.xml')];"
         "from tactile_cdma.msg import TactileArray, TactileSkinInfo;"
         "from rclpy.serialization import deserialize_message, serialize_message;"
         "sent = TactileArray(pressure=[1.0, 2.0]);"
