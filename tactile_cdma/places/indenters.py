@@ -82,8 +82,19 @@ class Indenter(ABC):
         enters_m, leaves_m = self._spans(own.apply(points_m), own.rotate(normals))
         return np.where(leaves_m > 0, np.maximum(-enters_m, 0.0), 0.0)
 
+    @abstractmethod
     def may_touch(self, points_m: Floats, normals: Floats, around_m: Floats) -> Bools:
         """Whether it may reach below a surface (m, 3) within around_m (m,), m, of each point."""
+
+    @abstractmethod
+    def _spans(self, points_m: Floats, directions: Floats) -> Spans:
+        """Where lines pass through the object. Both (m, 3), in its own frame; unit directions."""
+
+
+class _Body(Indenter):
+    """An object that has an end on all sides."""
+
+    def may_touch(self, points_m: Floats, normals: Floats, around_m: Floats) -> Bools:
         from_it_m = points_m - self.pose.translation_m
         along_m = (from_it_m * normals).sum(axis=1)
         beside_m2 = np.square(from_it_m).sum(axis=1) - np.square(along_m)
@@ -94,13 +105,9 @@ class Indenter(ABC):
     def _reach_m(self) -> float:
         """No line touches the object that passes its origin at a greater distance, m."""
 
-    @abstractmethod
-    def _spans(self, points_m: Floats, directions: Floats) -> Spans:
-        """Where lines pass through the object. Both (m, 3), in its own frame; unit directions."""
-
 
 @dataclass(frozen=True, kw_only=True)
-class Sphere(Indenter):
+class Sphere(_Body):
     """A ball about its origin."""
 
     radius_m: float
@@ -118,7 +125,7 @@ class Sphere(Indenter):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cylinder(Indenter):
+class Cylinder(_Body):
     """A cylinder about its own z axis, its origin in the middle."""
 
     radius_m: float
@@ -141,7 +148,7 @@ class Cylinder(Indenter):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Box(Indenter):
+class Box(_Body):
     """A cuboid with edges along its own axes, its origin in the middle. size_m: x, y, z, m."""
 
     size_m: Sequence[float]
@@ -190,9 +197,20 @@ class HeightMap(Indenter):
         object.__setattr__(self, "underside_m", grid)
         super().__post_init__()
 
-    @property
-    def _reach_m(self) -> float:
-        return math.hypot(*self.size_m, 2 * float(np.abs(self.underside_m).max())) / 2
+    def may_touch(self, points_m: Floats, normals: Floats, around_m: Floats) -> Bools:
+        """By the part of each line that is above the lowest point, seen along the own z axis."""
+        own = self.pose.inverse
+        points_m, directions = own.apply(points_m), own.rotate(normals)
+        beside, rise = directions[:, :2], directions[:, 2]
+        slant2 = np.square(beside).sum(axis=1)
+        rises = rise > 0
+        # Lines around this one begin higher by up to around_m · √slant2.
+        above_m = points_m[:, 2] - self.underside_m.min() + around_m * np.sqrt(slant2)
+        length_m = np.maximum(above_m, 0.0) / np.where(rises, rise, 1.0)
+        nearest_m = (points_m[:, :2] * beside).sum(axis=1) / np.maximum(slant2, 1e-18)
+        nearest_m = np.clip(nearest_m, 0.0, length_m)
+        passes_m = np.linalg.norm(points_m[:, :2] - nearest_m[:, None] * beside, axis=1)
+        return np.asarray(rises & (passes_m <= math.hypot(*self.size_m) / 2 + around_m))
 
     def _spans(self, points_m: Floats, directions: Floats) -> Spans:
         rises = directions[:, 2] > 0  # seen from behind there is nothing but the solid

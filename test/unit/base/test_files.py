@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -152,6 +153,9 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.rglob("*")] == ["data", "one"]
     with whole_folder(folder) as unfinished:
         (unfinished / "two").write_text("2")
+    assert [path.name for path in tmp_path.rglob("*")] == ["data", "two"]
+    with pytest.raises(FileNotFoundError), whole_folder(folder) as unfinished:
+        shutil.rmtree(unfinished)  # by somebody else: what was there has been moved away by then
     assert [path.name for path in tmp_path.rglob("*")] == ["data", "two"]
 
 

@@ -122,6 +122,14 @@ def test_a_stream_that_stops_is_not_waited_for_and_what_comes_late_is_counted() 
     assert aligner.late == {"state": 1, "beat": 0}
 
 
+def test_what_comes_later_than_something_newer_does_not_replace_it() -> None:
+    aligner = Aligner({"state": stream("state")}, {}, ALWAYS, 10)
+    samples = [state(0, 0, 0.0), state(250, 250, 1.0), state(330, 330, 2.0), state(240, 340, 3.0)]
+    rows = rows_of(aligner, [*samples, state(520, 520, 4.0)])
+    assert [number(row) for row in rows] == [0.0, 0.0, 1.0, 2.0, 2.0]
+    assert aligner.late == {"state": 1}
+
+
 def test_memory_does_not_grow_with_the_bag() -> None:
     aligner = Aligner({key: stream(key) for key in ("state", "beat")}, {}, ALWAYS, 30)
     most = 0
@@ -225,6 +233,8 @@ def test_episodes_are_intervals_or_between_marks() -> None:
     texts = _Marked((110, _Message("grip")), (120, _Message("lift")), (130, _Message("")))
     assert found(texts, marks="/task") == [(110, 120, "grip"), (120, 130, "lift")]
     assert found(_Marked((150, _Message())), marks="/next") == [(150, 200, "press")]
+    one, other = find_episodes(texts, "press", marks="/task")  # type: ignore[arg-type]
+    assert one.end_ns == other.begin_ns - 1  # a tick at the mark is in one of them
     for source, choices in (
         (_Marked(), {"intervals": [(1.0, 5.0), (4.0, 6.0)]}),
         (_Marked(), {"marks": "/record"}),

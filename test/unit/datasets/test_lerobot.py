@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from tactile_cdma.commands.cli import main
+from tactile_cdma.datasets.lerobot import writer
 
 pyarrow = pytest.importorskip("pyarrow", reason="the extra [datasets] is not installed")
 parquet = pytest.importorskip("pyarrow.parquet")
@@ -342,6 +343,23 @@ def test_episodes_by_intervals_and_by_files(bag: Path, tmp_path: Path) -> None:
     assert main(two) == 0
     table = parquet.read_table(tmp_path / "two/data/chunk-000/file-000.parquet")
     assert np.bincount(array(table, "episode_index")).tolist() == [len(again)] * 2
+
+
+def test_episodes_begin_new_files_where_one_is_large(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(writer, "FILE_MB", 0)
+    monkeypatch.setattr(writer, "CHUNK_FILES", 2)
+    exported(bag, tmp_path / "out", "--episode=0.2:0.6", "--episode=1:1.5", "--episode=2:2.3")
+    index = parquet.read_table(tmp_path / "out/meta/episodes/chunk-000/file-000.parquet")
+    places = [(0, 0), (0, 1), (1, 0)]
+    for number, (episode, place) in enumerate(zip(index.to_pylist(), places, strict=True)):
+        assert (episode["data/chunk_index"], episode["data/file_index"]) == place
+        rows = parquet.read_table(
+            tmp_path / "out" / "data/chunk-{:03d}/file-{:03d}.parquet".format(*place)
+        )
+        assert (array(rows, "episode_index") == number).all()
+        assert len(rows) == episode["length"] == [12, 15, 9][number]
 
 
 def test_a_recording_has_contacts_and_wrench(tmp_path: Path) -> None:

@@ -38,7 +38,7 @@ from tactile_cdma.hardware.amplifier import (
     rest_deviation_v,
     step_left,
 )
-from tactile_cdma.hardware.tolerance import scatter
+from tactile_cdma.hardware.tolerance import MOST_DRAWN, SKINS, scatter
 
 ROOT = Path(__file__).resolve().parents[3]
 README, WIRED_64 = ROOT / "firmware" / "README.md", ROOT / "config" / "wired_64.yaml"
@@ -203,6 +203,7 @@ def test_inexact_parts_stay_within_what_was_allowed_for(nodes: int, chip_s: floa
     """Skins drawn at random, against the deviation by hand; 1 % would not do for half of it."""
     front = design(FrameSpec(nodes=nodes, chip_s=chip_s, frame_period_s=PERIOD_S), 4)
     drawn = scatter(front)
+    assert drawn.skins == SKINS
     assert drawn.rest_v == pytest.approx(rest_deviation_v(front.stages, 3.3), rel=0.1)
     assert drawn.left < 0.01
     assert 0.02 < drawn.level < 0.06
@@ -211,6 +212,11 @@ def test_inexact_parts_stay_within_what_was_allowed_for(nodes: int, chip_s: floa
     assert coarse.left > 0.3
     margin_v = 3.3 / 2 - RAIL_V - front.room_v
     assert margin_v == pytest.approx(SIGMAS * drawn.rest_v, rel=0.1)
+
+
+def test_of_large_skins_fewer_are_drawn() -> None:
+    front = skin(4000)[1]
+    assert scatter(front).skins == MOST_DRAWN // 4000 < SKINS
 
 
 def test_the_share_of_skins_is_that_of_exact_sums() -> None:

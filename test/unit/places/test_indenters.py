@@ -195,6 +195,28 @@ def test_nothing_pulls_and_what_is_away_does_not_touch(
         assert not pressure_pa.any()
 
 
+@pytest.mark.parametrize("shape", SHAPES)
+def test_what_reaches_below_a_surface_may_touch_what_is_around(shape: str) -> None:
+    """Taxels whose centres are as far from what is pressed as their corners may be."""
+    rng, pressed = np.random.default_rng(1), 0
+    up = np.broadcast_to([0.0, 0.0, 1.0], (200, 3))
+    for _ in range(500):
+        turn = rng.normal(size=4)
+        object_ = SHAPES[shape][0](
+            position_m=rng.uniform(-0.02, 0.02, 3), orientation_xyzw=turn / np.linalg.norm(turn)
+        )
+        points_m, centres_m = np.zeros((2, 200, 3))
+        points_m[:, :2] = rng.uniform(-0.06, 0.06, (200, 2))
+        centres_m[:, :2] = points_m[:, :2] + rng.uniform(-3e-3, 3e-3, (200, 2))
+        beside_m = np.linalg.norm(centres_m - points_m, axis=1)
+        reached = object_.depth_m(points_m, up) > 0
+        pressed += np.count_nonzero(reached)
+        may_touch = object_.may_touch(centres_m, up, beside_m * (1 + 1e-9))
+        assert may_touch[reached].all()
+        assert not may_touch.all()
+    assert pressed > 500
+
+
 @pytest.mark.parametrize(
     ("make", "reason"),
     [
