@@ -53,10 +53,10 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
 def whole_folder(path: Path) -> Iterator[Path]:
     """An empty folder beside `path` to write in; it gets that name when the context ends.
 
-    What was there is replaced. Raises OSError. After that, or any exception in the context, nothing
-    has changed.
+    What was there is replaced; a link keeps pointing to the folder that is replaced. Raises
+    OSError. After that, or any exception in the context, nothing has changed.
     """
-    path = Path(os.path.abspath(path))
+    path = Path(os.path.realpath(path))
     unfinished = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     replaced = path.with_name(f"{unfinished.name}.old")
     unfinished.mkdir()

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -30,6 +30,9 @@ from ..datasets.tables import about_path, taxels_path, write_csv, write_npz
 from ..datasets.touch import HOLD, MODES, POLICIES, WINDOW
 
 _WRITERS = {".npz": write_npz, ".csv": write_csv, ".parquet": write_parquet}
+_CHOICES = ("topic", "start", "end", "episode", "marks", "from_first_complete")
+_OF_LEROBOT = ("fps", "clock", "samples", "nan", "image", "state", "action", "task")
+"""Options that not every output has, by their destination."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -90,19 +93,18 @@ def _add_lerobot_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--samples",
         choices=MODES,
-        default=WINDOW,
-        help="frames of the skin per row: all of the interval, their mean, the last (%(default)s)",
+        help="frames of the skin per row: all of the interval, their mean, the last; "
+        f"default: {WINDOW}",
     )
     group.add_argument(
         "--nan",
         choices=POLICIES,
-        default=HOLD,
-        help="taxels without a reading: last valid one, 0, or leave the row out (%(default)s)",
+        help=f"taxels without a reading: last valid one, 0, or leave the row out; default: {HOLD}",
     )
     group.add_argument("--image", action="append", metavar="TOPIC", help="repeat it; default: all")
     group.add_argument("--state", metavar="TOPIC", help="observation.state: joints, or an array")
     group.add_argument("--action", metavar="TOPIC", help="action: joints, or an array")
-    group.add_argument("--task", default="", help="what was done, in words")
+    group.add_argument("--task", help="what was done, in words")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -126,9 +128,17 @@ def _check(arguments: argparse.Namespace) -> None:
         word = "is" if arguments.start == arguments.end else "is after"
         raise ParameterError(f"--start {arguments.start:g} {word} --end {arguments.end:g}")
     try:
-        arguments.task.encode()
+        (arguments.task or "").encode()
     except UnicodeEncodeError:
         raise ParameterError("--task is not UTF-8: no program could read it back") from None
+
+
+def _refuse(arguments: argparse.Namespace, names: Iterable[str], reason: str) -> None:
+    """Raises ParameterError where one of these options was given."""
+    for name in names:
+        value = getattr(arguments, name)
+        if value is not None and value is not False and value != []:
+            raise ParameterError(f"--{name.replace('_', '-')} {reason}")
 
 
 def _lerobot(arguments: argparse.Namespace, progress: Progress) -> int:
@@ -142,9 +152,9 @@ def _lerobot(arguments: argparse.Namespace, progress: Progress) -> int:
     plan = Plan(
         fps=arguments.fps,
         clock=arguments.clock,
-        mode=arguments.samples,
-        policy=arguments.nan,
-        task=arguments.task,
+        mode=arguments.samples or WINDOW,
+        policy=arguments.nan or HOLD,
+        task=arguments.task or "",
         intervals=[parse_interval(text) for text in arguments.episode],
         marks=arguments.marks,
         start_s=arguments.start,
@@ -176,8 +186,7 @@ def _lerobot(arguments: argparse.Namespace, progress: Progress) -> int:
 
 def _tables(arguments: argparse.Namespace, progress: Progress) -> int:
     output: Path = arguments.output
-    if arguments.fps is not None or arguments.clock is not None:
-        raise ParameterError("a table has the skin's frames; --fps, --clock go with --lerobot")
+    _refuse(arguments, _OF_LEROBOT, "goes with --lerobot: a table has the skin's own frames")
     if output.suffix not in _WRITERS:
         suffixes = ", ".join(f"*{suffix}" for suffix in _WRITERS)
         raise CaptureError(f"{output}: name it {suffixes}, or ask for --bag or --lerobot")
@@ -198,29 +207,30 @@ def _tables(arguments: argparse.Namespace, progress: Progress) -> int:
         start_s=arguments.start,
         end_s=arguments.end,
     )
+    # Nothing tells whether a frame that a bag does not hold was lost or, as idle, not published.
+    missing = "missing" if any(map(is_bag, arguments.files)) else "lost"
     notes: list[str] = []
     for name, path in paths.items():
         frames = PatchFrames(sources, name, episodes, progress, arguments.from_first_complete)
-        count, taxels = _write(frames, sources, name, path)
+        count, taxels = _write(frames, sources, path)
         patch = "" if len(names) == 1 else f"patch={name} "
         left_out = f" left_out={frames.left_out}" if arguments.from_first_complete else ""
         print(
-            f"{patch}frames={count} lost_frames={frames.missing} taxels={taxels}{left_out} "
+            f"{patch}frames={count} {missing}_frames={frames.missing} taxels={taxels}{left_out} "
             f"file={path}"
         )
+        notes += frames.notes
         notes += [f"{source.path}: {note}" for source in sources for note in source.notes]
     _tell(notes)
     return 0
 
 
-def _write(frames: PatchFrames, sources: list[Source], name: str, path: Path) -> tuple[int, int]:
+def _write(frames: PatchFrames, sources: Sequence[Source], path: Path) -> tuple[int, int]:
     """Write one patch; returns how many frames and taxels. Raises CaptureError for no frame."""
     with naming(path, CaptureError):
         rows = iter(frames)
-        if (first := next(rows, None)) is None:
+        if (first := next(rows, None)) is None or (patch := frames.patch) is None:
             raise CaptureError(f"{sources[0].path}: {sources[0].problem or 'no frame found'}")
-        patch = next(stream.patch for stream in patches_of(sources[0]) if stream.feature == name)
-        assert patch is not None
         about = dict(patch.about)
         if len(sources) > 1:
             about["files"] = [source.path.name for source in sources]
@@ -236,6 +246,8 @@ def _bag(arguments: argparse.Namespace) -> int:
     output: Path = arguments.output
     if output is None or len(arguments.files) > 1:
         raise ParameterError("--bag makes one folder, -o OUT, of one recording")
+    _refuse(arguments, _CHOICES, "does not go with --bag, which writes all of a recording")
+    _refuse(arguments, _OF_LEROBOT, "goes with --lerobot, not with --bag")
     [path] = arguments.files
     if is_bag(path):
         raise CaptureError(f"{path}: is a bag already")

@@ -14,6 +14,7 @@ from ..config.arguments import add_skin_options, given
 from ..config.parameters import Value
 from ..datasets.contents import contents
 from ..datasets.progress import Progress
+from ..datasets.sources.opening import refuse_parameters
 from ..datasets.sources.recording_source import skin_frame
 from ..datasets.survey import FrameSurvey
 from ..recording.container import Description
@@ -34,7 +35,9 @@ def run(arguments: argparse.Namespace) -> int:
     path: Path = arguments.file
     if path.is_dir() or not is_recording(path):
         with Progress() as progress:
-            for name, value in contents(path, progress):
+            lines = contents(path, progress)
+            refuse_parameters(path, given(arguments))
+            for name, value in lines:
                 print(f"{name}: {plain(value)}")
         return 0
     description, found = describe(path), survey(path)
@@ -76,10 +79,10 @@ def _say_frames(path: Path, asked: dict[str, Value]) -> None:
         f"a frame every {spec.frame_period_s * 1e3:g} ms"
     )
     print(f"calibration: {capture.config.calibration.identity or 'default curve'}")
-    print(f"frames: {counters.frames}, lost {counters.lost_frames}")
     for name, value in survey.lines():
-        if name != "frames":
-            print(f"{name}: {value}")
+        if name == "frames" and counters.frames:
+            value = f"{counters.frames}, lost {counters.lost_frames}"
+        print(f"{name}: {value}")
     print(
         f"packets: {packets.packets}, lost {packets.lost_packets}, CRC errors {packets.crc_errors}"
     )

@@ -33,11 +33,14 @@ _READ_ROWS = 1024
 _PER_TAXEL = ("pressure_pa", "status")
 _USED = ("sequence", "device_time_s", "wall_time_s", *_PER_TAXEL)
 """Columns that a survey needs."""
+_EPISODE = "episode"
+"""A column that it takes where it is there: earlier versions wrote none."""
 _DAMAGE = (
-    *(KeyError, ValueError, TypeError, AttributeError, EOFError, MemoryError),
+    *(LookupError, ArithmeticError, ValueError, TypeError, AttributeError, EOFError, MemoryError),
     *(NotImplementedError, zipfile.BadZipFile, zlib.error, tokenize.TokenError),
 )
-"""What numpy and zipfile raise for a damaged file, or for one of another content."""
+"""What json, numpy and zipfile raise for a damaged file, or for one of another content, and what
+computing with its numbers raises."""
 
 
 def contents(path: Path, progress: Progress) -> Lines:
@@ -104,9 +107,9 @@ def _npz(path: Path) -> Lines:
         yield from source_lines(about)
         survey = FrameSurvey()
         with zipfile.ZipFile(path) as archive:
-            columns_of = zip(*(_rows_of(archive, name) for name in _USED), strict=True)
-            for values in columns_of:
-                survey.take(_frame(dict(zip(_USED, values, strict=True))))
+            names = [*_USED, *([_EPISODE] if f"{_EPISODE}.npy" in archive.namelist() else [])]
+            for values in zip(*(_rows_of(archive, name) for name in names), strict=True):
+                _survey_row(survey, dict(zip(names, values, strict=True)))
     except _DAMAGE as error:
         raise CaptureError(f"{path}: no table of tactile-cdma, or damaged: {error!r}") from None
     yield from survey.lines()
@@ -138,19 +141,20 @@ def _parquet(path: Path) -> Lines:
             rows, columns = metadata["shape"]
             yield "table", f"Parquet, {rows} × {columns} taxels"
             yield from source_lines(metadata["about"])
-            for batch in file.iter_batches(_READ_ROWS, columns=list(_USED)):
-                found = {name: _flat(batch.column(name)) for name in _USED}
+            names = [*_USED, *([_EPISODE] if _EPISODE in file.schema_arrow.names else [])]
+            for batch in file.iter_batches(_READ_ROWS, columns=names):
+                found = {name: _flat(batch.column(name)) for name in names}
                 for name in _PER_TAXEL:
                     found[name] = found[name].reshape(batch.num_rows, -1)
                 for i in range(batch.num_rows):
-                    survey.take(_frame({name: values[i] for name, values in found.items()}))
+                    _survey_row(survey, {name: values[i] for name, values in found.items()})
     except (*_DAMAGE, library.ArrowException) as error:
         raise CaptureError(f"{path}: no table of tactile-cdma, or damaged: {error!r}") from None
     yield from survey.lines()
 
 
-def _frame(row: Mapping[str, Any]) -> SkinFrame:
-    return SkinFrame(
+def _survey_row(survey: FrameSurvey, row: Mapping[str, Any]) -> None:
+    frame = SkinFrame(
         sequence=int(row["sequence"]),
         device_time_s=float(row["device_time_s"]),
         wall_time_s=float(row["wall_time_s"]),
@@ -159,13 +163,15 @@ def _frame(row: Mapping[str, Any]) -> SkinFrame:
         voltage_v=row["pressure_pa"],
         status=row["status"],
     )
+    survey.take(frame, int(row.get(_EPISODE, 0)))
 
 
 def _lerobot(path: Path) -> Lines:
+    library = pyarrow()
     try:
         info = json.loads((path / INFO).read_text("utf-8"))
-        about_path = path / ABOUT
-        about = json.loads(about_path.read_text("utf-8")) if about_path.is_file() else {}
+        ours = path / ABOUT
+        about = json.loads(ours.read_text("utf-8")) if ours.is_file() else {}
         features, frames, fps = info["features"], info["total_frames"], info["fps"]
         yield "dataset", f"LeRobot {info['codebase_version']}, {info['total_episodes']} episodes"
         yield "frames", f"{frames} in {frames / fps:.3f} s, {fps} Hz"
@@ -181,7 +187,7 @@ def _lerobot(path: Path) -> Lines:
         yield from _lerobot_data(path, features, fps, frames)
     except TactileError:
         raise
-    except (*_DAMAGE, OSError) as error:
+    except (*_DAMAGE, library.ArrowException, OSError) as error:
         raise CaptureError(f"{path}: no dataset of LeRobot v3, or damaged: {error!r}") from None
 
 

@@ -18,6 +18,7 @@ from .samples import (
     Stream,
     check_patches,
     check_same,
+    missing_between,
     patches_of,
 )
 
@@ -31,8 +32,9 @@ class PatchFrames:
 
     episodes: of a file. from_first_complete: in every file, begin where every taxel in service has
     had a valid reading. left_out: frames before that. missing: frame periods between two frames of
-    an episode without one, by the sequence: lost, or not published. Raises CaptureError where files
-    do not fit together, or a patch is never complete.
+    an episode without one, by the sequence: lost, or not published. patch: that of the first frame,
+    from then on. notes: what was odd, complete when all is read. Raises CaptureError where files do
+    not fit together, or a patch is never complete.
     """
 
     def __init__(
@@ -46,9 +48,10 @@ class PatchFrames:
         self._sources, self._name, self._progress = sources, name, progress
         self._episodes, self._from_first_complete = episodes, from_first_complete
         self.left_out = self.missing = 0
+        self.patch: Patch | None = None
+        self.notes: list[str] = []
 
     def __iter__(self) -> Iterator[tuple[int, SkinFrame]]:
-        first: Patch | None = None
         before = 0
         for source in self._sources:
             check_patches(self._sources[0], source)
@@ -57,9 +60,11 @@ class PatchFrames:
                 if not checked:  # the digitizer of a recording is known from its first frame on
                     patch, checked = self._stream(source).patch, True
                     assert patch is not None
-                    first = first or patch
-                    check_same(first, patch, source.path)
+                    self.patch = self.patch or patch
+                    check_same(self.patch, patch, source.path)
                 yield row
+            if not checked:
+                self.notes.append(f"{source.path}: no frame of {self._name} in its episodes")
             before += len(episodes)
 
     def _stream(self, source: Source) -> Stream:
@@ -69,7 +74,8 @@ class PatchFrames:
         self, source: Source, key: str, episodes: Sequence[Episode], before: int
     ) -> Iterator[tuple[int, SkinFrame]]:
         """Frames of one file; before: number of its first episode."""
-        seen, last = Completeness(), (-1, 0)
+        seen, last = Completeness(), (-1, 0, 0)  # number, sequence, stamp
+        restarts, restarts_ns = 0, 0
         last_ns = episodes[-1].end_ns
         until_ns = last_ns + LATENESS_NS if last_ns < FOREVER_NS else None
         for sample in source.samples(None, until_ns):
@@ -86,11 +92,20 @@ class PatchFrames:
                     continue
             for number, episode in enumerate(episodes):
                 if episode.begin_ns <= sample.stamp_ns <= episode.end_ns:
-                    if last[0] == number and frame.sequence > last[1]:
-                        self.missing += frame.sequence - last[1] - 1
-                    last = (number, frame.sequence)
+                    if last[0] == number:
+                        if (missing := missing_between(last[1], frame.sequence)) is None:
+                            restarts += 1
+                            restarts_ns += sample.stamp_ns - last[2]
+                        self.missing += missing or 0
+                    last = (number, frame.sequence, sample.stamp_ns)
                     yield before + number, frame
                     break
+        if restarts:
+            self.notes.append(
+                f"{source.path}: {self._name}: {restarts} where the sequence begins anew (did the "
+                f"driver restart?); what is missing in the {restarts_ns / NANO:.3f} s between "
+                "these frames is not known"
+            )
         if self._from_first_complete:
             seen.check(source.path, self._name)
 

@@ -22,7 +22,7 @@ CONTACT_NAMES = ("touched", "untouched", "contacts", "area_m2", "x_m", "y_m", "z
 WRENCH_NAMES = ("force_x_n", "force_y_n", "force_z_n", "torque_x_nm", "torque_y_nm", "torque_z_nm")
 NANO = 1_000_000_000
 MOST_SHOWN = 8
-"""Taxels that a message names; chosen."""
+"""Taxels, or names, that a message lists; chosen."""
 _ALONE = "export them one by one"
 TACTILE, CONTACTS, WRENCH, STATE, ACTION, IMAGE = (
     *("tactile", "contacts", "wrench"),
@@ -243,9 +243,18 @@ def check_taxels(first: Patch, other: Patch, path: Path) -> None:
 def check_same(first: Patch, other: Patch, path: Path) -> None:
     """Raises CaptureError where one table cannot hold both: other taxels, origin, calibration."""
     check_taxels(first, other, path)
+    for difference in differences(other.name, first.about, other.about):
+        raise CaptureError(f"{path}: {difference}; {_ALONE}")
+
+
+def differences(patch: str, first: Mapping[str, Any], other: Mapping[str, Any]) -> Iterator[str]:
+    """How another file's readings of a patch come from elsewhere than the first's, by about."""
     for key in ("origin", "measured_by", "calibration_id"):
-        if (its := other.about.get(key)) != (mine := first.about.get(key)):
-            raise CaptureError(
-                f"{path}: {key} of patch {other.name} is {its!r}, in the first file {mine!r}; "
-                f"{_ALONE}"
-            )
+        mine, its = (about.get(key, "unknown") for about in (first, other))
+        if mine != its:
+            yield f"{key} of patch {patch} is {its!r}, in the first file {mine!r}"
+
+
+def missing_between(before: int, after: int) -> int | None:
+    """Frame periods without a frame between two frames, by their sequence; None: began anew."""
+    return after - before - 1 if after > before else None

@@ -9,34 +9,38 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..readings.stages import Status
-from .samples import Completeness, SkinFrame, shown_taxels
+from .samples import Completeness, SkinFrame, missing_between, shown_taxels
 
 
 class FrameSurvey:
-    """Takes all frames of a patch in order; memory does not grow."""
+    """Takes all frames of a patch in order; memory does not grow.
+
+    Times are those of the episodes, one after the other: what is between two of them counts
+    neither as time nor as a gap.
+    """
 
     def __init__(self) -> None:
-        self._frames = self._missing = self._gaps = 0
+        self._frames = self._episodes = self._missing = 0
+        self._gaps, self._restarts = _Pauses(), _Pauses()
+        self._before_s = 0.0  # length of the episodes before
         self._first_s = self._last_s = float("nan")
-        self._longest_s, self._longest_at_s = 0.0, 0.0
-        self._sequence: int | None = None
+        self._sequence, self._episode = 0, 0
         self._readings = self._invalid = self._held = self._saturated = 0
         self._completeness = Completeness()
         self._complete_s: float | None = None
 
-    def take(self, frame: SkinFrame) -> None:
-        """Take in the next frame."""
+    def take(self, frame: SkinFrame, episode: int = 0) -> None:
+        """Take in the next frame, of the episode of that number."""
         time_s = frame.device_time_s if np.isnan(frame.wall_time_s) else frame.wall_time_s
-        if not self._frames:
-            self._first_s = self._last_s = time_s
-        step_s, missing = time_s - self._last_s, 0
-        if self._sequence is not None and frame.sequence > self._sequence:
-            missing = frame.sequence - self._sequence - 1
-        if missing:
-            self._gaps += 1
+        if not self._frames or episode != self._episode:
+            self._before_s = self._length_s
+            self._episodes += 1
+            self._first_s, self._episode = time_s, episode
+        elif (missing := missing_between(self._sequence, frame.sequence)) is None:
+            self._restarts.take(time_s - self._last_s, self._length_s)
+        elif missing:
+            self._gaps.take(time_s - self._last_s, self._length_s)
             self._missing += missing
-            if step_s > self._longest_s:
-                self._longest_s, self._longest_at_s = step_s, self._last_s - self._first_s
         self._frames += 1
         self._last_s, self._sequence = time_s, frame.sequence
         in_service = frame.in_service
@@ -49,20 +53,18 @@ class FrameSurvey:
         if self._complete_s is None:
             self._completeness.take(frame)
             if self._completeness.is_complete:
-                self._complete_s = time_s - self._first_s
+                self._complete_s = self._length_s
 
     def lines(self) -> Iterator[tuple[str, str]]:
-        """Names and texts."""
-        length_s = self._last_s - self._first_s
-        rate = f", {(self._frames - 1) / length_s:.2f} Hz" if length_s > 0 else ""
-        yield "frames", f"{self._frames} in {length_s:.3f} s{rate}"
-        gaps = "none"
-        if self._gaps:
-            gaps = (
-                f"{self._gaps}, {self._missing} frame periods without a frame, the longest "
-                f"{self._longest_s:.3f} s after {self._longest_at_s:.3f} s"
-            )
-        yield "gaps", gaps
+        """Names and texts; without a frame nothing can be said of gaps and readings."""
+        if not self._frames:
+            yield "frames", "none"
+            return
+        length_s = self._length_s
+        of = f" of {self._episodes} episodes" if self._episodes > 1 else ""
+        rate = f", {(self._frames - self._episodes) / length_s:.2f} Hz" if length_s > 0 else ""
+        yield "frames", f"{self._frames} in {length_s:.3f} s{of}{rate}"
+        yield "gaps", "; ".join(self._said_gaps()) or "none"
         yield (
             "readings",
             f"{_share(self._invalid, self._readings)} invalid (NaN), "
@@ -70,6 +72,22 @@ class FrameSurvey:
             f"{_share(self._saturated, self._readings)} saturated",
         )
         yield "complete", self._complete()
+
+    @property
+    def _length_s(self) -> float:
+        return self._before_s + (self._last_s - self._first_s if self._frames else 0.0)
+
+    def _said_gaps(self) -> Iterator[str]:
+        if self._gaps.number:
+            yield (
+                f"{self._gaps.number}, {self._missing} frame periods without a frame, "
+                f"{self._gaps.longest}"
+            )
+        if self._restarts.number:
+            yield (
+                f"{self._restarts.number} where the sequence begins anew (did the driver restart?),"
+                f" {self._restarts.longest}"
+            )
 
     def _complete(self) -> str:
         if self._complete_s is None:
@@ -80,6 +98,23 @@ class FrameSurvey:
             f"after {self._complete_s:.3f} s: until then a node that had not spoken was unknown; "
             "export --from-first-complete leaves that out"
         )
+
+
+class _Pauses:
+    """Intervals between two frames: their number, and the longest."""
+
+    def __init__(self) -> None:
+        self.number = 0
+        self._longest_s, self._longest_at_s = float("-inf"), 0.0
+
+    def take(self, length_s: float, at_s: float) -> None:
+        self.number += 1
+        if length_s > self._longest_s:
+            self._longest_s, self._longest_at_s = length_s, at_s
+
+    @property
+    def longest(self) -> str:
+        return f"the longest {self._longest_s:.3f} s after {self._longest_at_s:.3f} s"
 
 
 def _share(some: int, of: int) -> str:

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,18 @@ from ..arrow import pyarrow
 from ..episodes import FOREVER_NS, Episode, find_episodes
 from ..frames import LATENESS_NS
 from ..progress import Progress, fraction
-from ..samples import NANO, TACTILE, Source, Stream, check_taxels, patches_of, shown_taxels
+from ..samples import (
+    CONTACTS,
+    NANO,
+    TACTILE,
+    WRENCH,
+    Source,
+    Stream,
+    check_taxels,
+    differences,
+    patches_of,
+    shown_taxels,
+)
 from ..sources.opening import Wanted, has_times, open_source
 from ..tables import known
 from ..touch import HOLD, STALE_S, WINDOW, TouchStream, slots
@@ -77,23 +88,39 @@ def write_lerobot(
     for path in paths:
         if not has_times(path):
             raise CaptureError(f"{path}: bytes alone have no times, which a dataset needs")
-    first = open_source(paths[0], wanted)
-    if not patches_of(first):
+    sources = [open_source(path, wanted) for path in paths]
+    if not patches_of(sources[0]):
         raise CaptureError(f"{paths[0]}: no frames of a skin in this bag")
-    layout = _Layout.of(first, plan)
+    lacking = _lacking(sources, plan.clock)
+    layout = _Layout.of(sources[0], plan, lacking)
+    for source in sources:
+        layout.check(source)
     outcome = Outcome(fps=layout.fps)
+    outcome.notes += [f"{path}: no {name}, which is left out" for name, path in lacking.items()]
     with whole_folder(folder) as unfinished:
         writer = DatasetWriter(unfinished, layout.features, layout.fps)
+        files: list[str] = []
         about: list[dict[str, Any]] = []
-        for path in paths:
-            source = first if path == paths[0] else open_source(path, wanted)
-            layout.check(source)
-            about += _export(source, plan, layout, writer, outcome, progress)
+        firsts: dict[str, dict[str, Any]] = {}  # by patch
+        for source in sources:
+            before = writer.frames
+            patches = _export(source, plan, layout, writer, outcome, progress)
+            if writer.frames == before:
+                outcome.notes.append(f"{source.path}: no row in its episodes")
+                continue
+            files.append(source.path.name)
+            about += patches
+            for patch in patches:
+                first = firsts.setdefault(patch["patch"], patch)
+                outcome.notes += [
+                    f"{source.path}: {difference}"
+                    for difference in differences(patch["patch"], first, patch)
+                ]
         if not writer.frames:
             reason = "; ".join(outcome.left_out) or "no sample lies in an episode"
             raise CaptureError(f"{paths[0]}: no row is whole: {reason}")
         writer.finish()
-        content = _about(layout, plan, about) | {"files": [path.name for path in paths]}
+        content = _about(layout, plan, about) | {"files": files}
         writer.write_json(ABOUT, content)
         outcome.notes += [
             f"{name}: {count} values are not finite, and not in its statistics"
@@ -103,17 +130,38 @@ def write_lerobot(
     return outcome
 
 
+def _lacking(sources: Sequence[Source], clock: str | None) -> dict[str, Path]:
+    """Columns of contacts and wrench, but for the clock's, that a file does not have: which one."""
+    columns = [{column(stream) for stream in source.streams.values()} for source in sources]
+    derived = {
+        column(stream)
+        for source in sources
+        for stream in source.streams.values()
+        if stream.kind in (CONTACTS, WRENCH) and stream.key != clock
+    }
+    return {
+        name: source.path
+        for name in sorted(derived)
+        for source, its in zip(sources, columns, strict=True)
+        if name not in its
+    }
+
+
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """What all files of a dataset have in common, as the first one has it."""
+    """What all files of a dataset have in common, as the first one has it.
+
+    lacking: columns that are left out.
+    """
 
     streams: Mapping[str, Stream]
+    lacking: Collection[str]
     slots: Mapping[str, int]
     features: Sequence[Feature]
     fps: int
 
     @classmethod
-    def of(cls, source: Source, plan: Plan) -> _Layout:
+    def of(cls, source: Source, plan: Plan, lacking: Collection[str]) -> _Layout:
         if plan.clock is not None and plan.clock not in source.streams:
             there = ", ".join(source.streams)
             raise CaptureError(f"{source.path}: no stream {plan.clock} (there are {there})")
@@ -124,22 +172,29 @@ class _Layout:
             for key, stream in patches.items()
             if stream.patch
         }
-        streams = source.streams
-        return cls(streams, counts, features_of(streams.values(), counts, plan.mode), fps)
+        streams = _streams(source, lacking)
+        features = features_of(streams.values(), counts, plan.mode)
+        return cls(streams, lacking, counts, features, fps)
 
     def check(self, source: Source) -> None:
         """Raises CaptureError for a file whose streams differ."""
         mine, its = (
             {column(stream): stream.shape for stream in streams.values()}
-            for streams in (self.streams, source.streams)
+            for streams in (self.streams, _streams(source, self.lacking))
         )
         for name in sorted(mine.keys() | its.keys()):
-            if mine.get(name) != its.get(name):
-                raise CaptureError(
-                    f"{source.path}: {name} has shape {its.get(name, 'none')}, in the first file "
-                    f"{mine.get(name, 'none')}: choose topics that all files have, or export them "
-                    "one by one"
-                )
+            if name not in its:
+                problem = f"does not have {name}, which the first file has"
+            elif name not in mine:
+                problem = f"has {name}, which the first file does not have"
+            elif mine[name] != its[name]:
+                problem = f"{name} has shape {its[name]}, in the first file {mine[name]}"
+            else:
+                continue
+            raise CaptureError(
+                f"{source.path}: {problem}: choose topics that all files have, or export them one "
+                "by one"
+            )
         mine_by, its_by = (
             {stream.feature: stream.patch for stream in streams.values() if stream.patch}
             for streams in (self.streams, source.streams)
@@ -163,10 +218,11 @@ def _export(
         stream.key: TouchStream(stream.shape[0], layout.slots[stream.key], plan.mode, plan.policy)
         for stream in patches_of(source)
     }
-    aligner = Aligner(source.streams, touch, episodes, layout.fps, plan.clock)
-    streams = list(source.streams.values())
+    taken = _streams(source, layout.lacking)
+    aligner = Aligner(taken, touch, episodes, layout.fps, plan.clock)
+    streams = list(taken.values())
     going: int | None = None  # the episode that the last row belonged to
-    for row in _rows(source, aligner, episodes, progress):
+    for row in _rows(source, taken, aligner, episodes, progress):
         reason = obstacle(row, streams, plan.policy)
         if plan.from_first_complete and not all(
             one.completeness.is_complete for one in touch.values()
@@ -196,8 +252,17 @@ def _export(
     ]
 
 
+def _streams(source: Source, lacking: Collection[str]) -> dict[str, Stream]:
+    """The streams of a file, but for columns that another file lacks."""
+    return {key: one for key, one in source.streams.items() if column(one) not in lacking}
+
+
 def _rows(
-    source: Source, aligner: Aligner, episodes: Sequence[Episode], progress: Progress
+    source: Source,
+    streams: Collection[str],
+    aligner: Aligner,
+    episodes: Sequence[Episode],
+    progress: Progress,
 ) -> Iterator[Any]:
     end_ns = episodes[-1].end_ns
     until_ns = end_ns + LATENESS_NS if end_ns < FOREVER_NS else None
@@ -207,7 +272,8 @@ def _rows(
             fraction(sample.seen_ns, source.begin_ns, source.end_ns),
             f"{source.path.name}: {(sample.seen_ns - source.begin_ns) / NANO:.0f} s",
         )
-        yield from aligner.feed(sample)
+        if sample.stream in streams:
+            yield from aligner.feed(sample)
     yield from aligner.finish()
 
 

@@ -20,7 +20,7 @@ IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 JOINTS = "sensor_msgs/msg/JointState"
 VECTORS = (JOINTS, "std_msgs/msg/Float32MultiArray", "std_msgs/msg/Float64MultiArray")
 """Types that --state and --action take."""
-_THEN = ", then "
+_THEN, _TARED, _CHANGES = ", then ", "tared", "changes"
 PERIODS_S = (50e-6, 60.0)
 """Frame periods that are believed, s; chosen: 8 bits of 12 chips take 48 µs at 0.5 µs per chip."""
 
@@ -78,7 +78,7 @@ def patch(topic: str, file: str, array: Any, info: Any | None) -> Patch:
             period_s = float("nan")
         about |= _facts(info) | {
             "frame_id": info.header.frame_id,
-            "tared": bool(len(info.tare)),
+            _TARED: bool(len(info.tare)),
         }
     return Patch(
         name=patch_name(topic),
@@ -104,6 +104,12 @@ def with_later(first: Patch, info: Any, later: Any) -> tuple[Patch, list[str]]:
         if said not in str(about[name]).split(_THEN):
             about[name] = f"{about[name]}{_THEN}{said}"
             notes.append(f"{first.topic}: {name} changes within the bag: {about[name]}")
+    if about[_TARED] != _CHANGES and not np.array_equal(info.tare, later.tare, equal_nan=True):
+        about[_TARED] = _CHANGES
+        notes.append(
+            f"{first.topic}: the tare changes within the bag: pressures before and after that have "
+            "different zeros"
+        )
     places = np.array_equal(_points(info.positions), _points(later.positions), equal_nan=True)
     if not places or not np.array_equal(info.node, later.node):
         notes.append(f"{first.topic}: its taxels change within the bag; the first ones are written")

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from functools import partial
@@ -37,6 +37,7 @@ from ..samples import (
 )
 from . import bag_messages as fields
 from . import images
+from .bag_times import FAR_NS, believed_span
 
 GENERIC = ("image", "image_raw", "image_color", "image_rect", "image_rect_color", "compressed")
 """Ends of cameras' topics that say nothing; features are called after what is before."""
@@ -51,8 +52,8 @@ _Take: TypeAlias = Callable[[Any, int], Value]
 class BagSource:
     """A bag: a folder with metadata.yaml, or one MCAP or sqlite3 file; see samples.Source.
 
-    topics: arrays to read, all if empty. cameras: image topics to read; None: all that are no
-    picture of a skin. state, action: topics of vectors, or None.
+    topics: arrays to read, all if empty. derived: contacts and wrench, too. cameras: image topics
+    to read; None: all that are no picture of a skin. state, action: topics of vectors, or None.
     Raises CaptureError for a bag that cannot be read, or that holds none of what is asked for.
     """
 
@@ -60,21 +61,23 @@ class BagSource:
         self,
         path: Path,
         topics: Sequence[str] = (),
+        derived: bool = False,
         cameras: Sequence[str] | None = (),
         state: str | None = None,
         action: str | None = None,
     ) -> None:
-        self.path = path
+        self.path, self._derived = path, derived
         self.problem = None
         self._notes: list[str] = []
         self._off: dict[str, tuple[int, int]] = {}  # stamps not believed: how many, first error, ns
+        self._astray: Counter[str] = Counter()  # messages whose time of recording is not believed
         self._takes: defaultdict[str, list[tuple[str, _Take]]] = defaultdict(list)  # by topic
         self.streams: Mapping[str, Stream] = {}
         with self._opened() as bag:
-            self.begin_ns, self.end_ns = bag.start_time, bag.end_time
             self.counts = {c.topic: (c.msgtype, c.msgcount) for c in bag.connections}
             if not bag.message_count:
                 raise CaptureError(f"{path}: the bag is empty")
+            self.begin_ns, self.end_ns = self._span(bag)
             found = {stream.key: stream for stream in self._find(bag, topics, cameras)}
             for kind, topic in ((STATE, state), (ACTION, action)):
                 if topic is not None:
@@ -90,14 +93,20 @@ class BagSource:
             "is taken for them"
             for topic, (number, first_ns) in sorted(self._off.items())
         )
-        return (*self._notes, *off)
+        astray = (
+            f"{topic}: {number} of {self.counts[topic][1]} messages were recorded more than "
+            f"{FAR_NS / NANO / 3600:g} h before or after the others, by the bag (damaged, or was "
+            "the clock set meanwhile?); they are left out"
+            for topic, number in sorted(self._astray.items())
+        )
+        return (*self._notes, *off, *astray)
 
     def samples(self, begin_ns: int | None, end_ns: int | None) -> Iterator[Sample]:
         stop_ns = None if end_ns is None else end_ns + 1
         self._off = {}
         with self._opened() as bag:
             wanted = [c for c in bag.connections if c.topic in self._takes]
-            for topic, seen_ns, message in self._messages(bag, wanted, begin_ns, stop_ns):
+            for topic, seen_ns, message in self._believed(bag, wanted, begin_ns, stop_ns):
                 time_ns = fields.stamp_ns(message) or seen_ns
                 if abs(off_ns := time_ns - seen_ns) > STAMP_OFF_S * NANO:
                     time_ns = seen_ns
@@ -108,8 +117,16 @@ class BagSource:
 
     def marks(self, topic: str) -> list[tuple[int, Any]]:
         with self._opened() as bag:
-            wanted = self._connections(bag, topic)
-            return [(seen_ns, message) for _, seen_ns, message in self._messages(bag, wanted)]
+            found = self._believed(bag, self._connections(bag, topic))
+            return [(seen_ns, message) for _, seen_ns, message in found]
+
+    def _span(self, bag: AnyReader) -> tuple[int, int]:
+        """When the first and the last message were recorded, by what most of them say."""
+        begin_ns, end_ns = bag.start_time, bag.end_time
+        if 0 <= end_ns - begin_ns <= FAR_NS:
+            return begin_ns, end_ns
+        with self._intact():  # reads all of the bag, as seldom as that is needed
+            return believed_span(seen_ns for _, seen_ns, _ in bag.messages())
 
     def _find(
         self, bag: AnyReader, topics: Sequence[str], cameras: Sequence[str] | None
@@ -124,7 +141,8 @@ class BagSource:
         names: set[str] = set()
         for topic in topics or arrays:
             stem = topic.rpartition("/")[0]
-            infos = self._all(bag, f"{stem}/info") if f"{stem}/info" in kinds else iter(())
+            has_info = kinds.get(f"{stem}/info") == fields.INFO
+            infos = self._all(bag, f"{stem}/info") if has_info else iter(())
             if (info := next(infos, None)) is None:
                 self._notes.append(f"{topic}: no info, so places and calibration are unknown")
             patch = fields.patch(topic, self.path.name, self._first(bag, topic), info)
@@ -141,7 +159,7 @@ class BagSource:
                 ("wrench", WRENCH, fields.WRENCH_TYPE, WRENCH_NAMES, fields.wrench),
             ):
                 beside = f"{stem}/{name}"
-                if kinds.get(beside) == type_:
+                if self._derived and kinds.get(beside) == type_:
                     self._takes[beside].append((beside, _without_time(take)))
                     yield Stream(beside, kind, patch.name, (len(elements),), elements)
         pictures = tuple(topic.rpartition("/")[0] + "/" for topic in arrays)
@@ -207,9 +225,27 @@ class BagSource:
         stop_ns: int | None = None,
     ) -> Iterator[tuple[str, int, Any]]:
         """Messages with their topic and when they were recorded, ns."""
+        if not connections:  # to rosbags, none means all
+            return
         with self._intact():
             for connection, seen_ns, raw in bag.messages(connections, begin_ns, stop_ns):
                 yield connection.topic, seen_ns, bag.deserialize(raw, connection.msgtype)
+
+    def _believed(
+        self,
+        bag: AnyReader,
+        connections: Sequence[Connection],
+        begin_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> Iterator[tuple[str, int, Any]]:
+        """The same, without those that were not recorded when the bag says: these are counted."""
+        for connection in connections:
+            self._astray.pop(connection.topic, None)
+        for topic, seen_ns, message in self._messages(bag, connections, begin_ns, stop_ns):
+            if self.begin_ns - FAR_NS <= seen_ns <= self.end_ns + FAR_NS:
+                yield topic, seen_ns, message
+            else:
+                self._astray[topic] += 1
 
     @contextmanager
     def _opened(self) -> Iterator[AnyReader]:

@@ -4,15 +4,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ...base.errors import CaptureError
+from ...base.errors import CaptureError, ParameterError
 from ...base.optional import needed_for
 from ...config.parameters import Value
 from ...recording.recording_file import is_recording
-from ..samples import Source
+from ..samples import MOST_SHOWN, Source
 from .recording_source import RecordingSource, check_bytes
 
 
@@ -39,7 +39,10 @@ def open_source(path: Path, wanted: Wanted) -> Source:
         with needed_for("a bag", "rosbags"):
             from .bag_source import BagSource  # slow to load, and needed here only
 
-        return BagSource(path, wanted.topics, wanted.cameras, wanted.state, wanted.action)
+        refuse_parameters(path, wanted.asked)
+        return BagSource(
+            path, wanted.topics, wanted.derived, wanted.cameras, wanted.state, wanted.action
+        )
     source = RecordingSource(path, wanted.asked, wanted.derived)
     of_bags = {"--topic": wanted.topics, "--image": wanted.cameras}
     of_bags |= {"--state": wanted.state, "--action": wanted.action}
@@ -47,6 +50,16 @@ def open_source(path: Path, wanted: Wanted) -> Source:
         if value:
             raise CaptureError(f"{path}: {option} is for bags: recordings have no topics")
     return source
+
+
+def refuse_parameters(path: Path, asked: Mapping[str, Value]) -> None:
+    """Raises ParameterError where parameters are to override those of what is decoded already."""
+    if asked:
+        names = ", ".join(sorted(asked)[:MOST_SHOWN]) + (", …" if len(asked) > MOST_SHOWN else "")
+        raise ParameterError(
+            f"{path}: --params and the skin's options ({names}) are for recordings, which are "
+            "decoded with them; what this holds was decoded before"
+        )
 
 
 def has_times(path: Path) -> bool:

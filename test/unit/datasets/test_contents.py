@@ -44,7 +44,7 @@ def test_rate_gaps_invalid_readings_and_where_they_come_from(
             pytest.importorskip("pyarrow")
         path = tmp_path / f"out.{kind}"
         assert main(["export", str(bag), "-o", str(path)]) == 0
-        assert "frames=146 lost_frames=10 taxels=16" in capsys.readouterr().out
+        assert "frames=146 missing_frames=10 taxels=16" in capsys.readouterr().out
     lines = said(path, capsys)
     length_s = 155 * PERIOD_S
     assert lines["frames"] == f"146 in {length_s:.3f} s, {145 / length_s:.2f} Hz"

@@ -436,7 +436,7 @@ def test_what_cannot_be_is_one_clear_error(
         ([bag, *out, *fps, "--start", "5", "--end", "2"], "--start 5 is after --end 2"),
         ([bag, *out, *fps, "--task", "grip \udcff"], "--task is not UTF-8"),
         ([bag, *out, *fps, "--episode", "50:60"], "no row is whole: no sample"),
-        ([bag, "-o", tmp_path / "x.npz", *fps], "go with --lerobot"),
+        ([bag, "-o", tmp_path / "x.npz", *fps], "--fps goes with --lerobot"),
         ([bag, "-o", tmp_path / "x", "--bag"], "is a bag already"),
         ([without_skin, *out, *fps], "no frames of a skin"),
         ([tmp_path / "nothing", *out, *fps], "neither a bag (metadata.yaml) nor a dataset"),
