@@ -194,6 +194,7 @@ class BagMaker:
             for time_ns, topic, kind, message in sorted(self.messages, key=lambda m: m[0]):
                 if topic not in connections:
                     connections[topic] = writer.add_connection(topic, kind, typestore=self.types)
-                data = self.types.serialize_cdr(message, kind)
+                whole = not isinstance(message, bytes)  # else as it is, damaged perhaps
+                data = self.types.serialize_cdr(message, kind) if whole else message
                 writer.write(connections[topic], time_ns, data)
         return path

@@ -151,7 +151,8 @@ def _lacking(sources: Sequence[Source], clock: str | None) -> dict[str, Path]:
 class _Layout:
     """What all files of a dataset have in common, as the first one has it.
 
-    lacking: columns that are left out.
+    lacking: columns that are left out. slots: of the patches, by feature: a recording's streams
+    have other keys than a bag's.
     """
 
     streams: Mapping[str, Stream]
@@ -174,7 +175,8 @@ class _Layout:
         }
         streams = _streams(source, lacking)
         features = features_of(streams.values(), counts, plan.mode)
-        return cls(streams, lacking, counts, features, fps)
+        by_feature = {patches[key].feature: count for key, count in counts.items()}
+        return cls(streams, lacking, by_feature, features, fps)
 
     def check(self, source: Source) -> None:
         """Raises CaptureError for a file whose streams differ."""
@@ -215,7 +217,9 @@ def _export(
     task = plan.task or "unnamed"
     episodes = find_episodes(source, task, plan.intervals, plan.marks, plan.start_s, plan.end_s)
     touch = {
-        stream.key: TouchStream(stream.shape[0], layout.slots[stream.key], plan.mode, plan.policy)
+        stream.key: TouchStream(
+            stream.shape[0], layout.slots[stream.feature], plan.mode, plan.policy
+        )
         for stream in patches_of(source)
     }
     taken = _streams(source, layout.lacking)
@@ -302,7 +306,7 @@ def _about(layout: _Layout, plan: Plan, patches: list[dict[str, Any]]) -> dict[s
                 "position_m": known(patch.positions_m),
                 "normal": known(patch.normals),
                 "area_m2": known(patch.areas_m2),
-                "samples": layout.slots[stream.key],
+                "samples": layout.slots[stream.feature],
             }
     return {
         "package_version": __version__,

@@ -159,6 +159,17 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.rglob("*")] == ["data", "two"]
 
 
+def test_a_link_keeps_pointing_to_the_replaced_folder(tmp_path: Path) -> None:
+    real, link = tmp_path / "real" / "set", tmp_path / "link"
+    real.mkdir(parents=True)
+    (real / "old").touch()
+    link.symlink_to(real)
+    with whole_folder(link) as unfinished:
+        (unfinished / "new").touch()
+    assert link.is_symlink() and sorted(tmp_path.iterdir()) == [link, real.parent]
+    assert list(real.parent.iterdir()) == [real] and list(real.iterdir()) == [real / "new"]
+
+
 def test_sigterm_interrupts_as_ctrl_c_does() -> None:
     before = signal.getsignal(signal.SIGTERM)
     with pytest.raises(KeyboardInterrupt), terminable():

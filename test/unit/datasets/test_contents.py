@@ -15,6 +15,8 @@ from tactile_cdma.datasets.parquet_table import ParquetTable
 
 pytestmark = pytest.mark.xdist_group("datasets")
 SECONDS = 2.0
+NANO = 10**9
+EPISODES = ((0.2, 0.5), (1.5, 1.7))
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +76,99 @@ def test_a_recording_and_a_bag_of_it_say_the_same(
         assert of_recording[name] == of_bag[name]
     assert of_recording["complete"] == "never: no valid reading of taxel 4"
     assert "/skin/tactile" in of_bag and "measured by" in of_bag
+
+
+def test_nothing_is_said_of_gaps_and_readings_without_a_frame(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = tmp_path / "touch.skin"
+    words = ["record", "sim://?scene=moving", recording, "--seconds", "0.4", "--nodes", "16"]
+    assert main(list(map(str, words))) == 0
+    capsys.readouterr()
+    assert said(recording, capsys)["frames"].endswith(", lost 0")
+    assert main(["info", str(recording), "--order", "24"]) == 0
+    blind = capsys.readouterr().out
+    assert "frames: none" in blind and "packets: " in blind
+    assert "gaps" not in blind and "readings" not in blind and "complete" not in blind
+
+
+@pytest.mark.parametrize("again_s", [30.0, 1.0])
+def test_a_driver_that_restarted_is_told_with_its_gap(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], again_s: float
+) -> None:
+    """1 s of frames, and as many from another run; by chance a frame is missing in the second."""
+    maker, later = BagMaker(), BagMaker()
+    maker.skin("/skin", 1.0)
+    later.skin("/skin", 1.0)
+    arrays = [message for message in later.messages if message[1] == "/skin/tactile"]
+    for seen_ns, topic, kind, array in arrays:
+        array.header.stamp.sec += round(again_s) + 1
+        if array.sequence != 50:
+            maker.messages.append((seen_ns + round(again_s + 1) * NANO, topic, kind, array))
+    bag, table = maker.write(tmp_path / "bag"), tmp_path / "out.npz"
+    pause_s = again_s + 1 - 77 * PERIOD_S
+    told = (
+        f"1, 1 frame periods without a frame, the longest {2 * PERIOD_S:.3f} s after "
+        f"{again_s + 1 + 49 * PERIOD_S:.3f} s; 1 where the sequence begins anew (did the driver "
+        f"restart?), the longest {pause_s:.3f} s after {77 * PERIOD_S:.3f} s"
+    )
+    assert said(bag, capsys)["gaps"] == told
+    assert main(["export", str(bag), "-o", str(table)]) == 0
+    output = capsys.readouterr()
+    assert "frames=155 missing_frames=1 " in output.out
+    assert f"{bag}: skin: 1 where the sequence begins anew" in output.err
+    assert f"missing in the {pause_s:.3f} s" in output.err
+    assert said(table, capsys)["gaps"] == told
+
+
+@pytest.mark.parametrize("kind", ["npz", "parquet"])
+def test_what_is_between_episodes_is_no_gap(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str
+) -> None:
+    if kind == "parquet":
+        pytest.importorskip("pyarrow")
+    table = tmp_path / f"out.{kind}"
+    episodes = [word for a, b in EPISODES for word in ("--episode", f"{a}:{b}")]
+    assert main(["export", str(bag), str(bag), "-o", str(table), *episodes]) == 0
+    assert "missing_frames=12 " in capsys.readouterr().out
+    lines = said(table, capsys)
+    # 4 frames from 100 on, and 6 from 120 on, of which the episode holds those around the latter.
+    frames = [[i for i in range(156) if a <= (i + 0.5) * PERIOD_S <= b] for a, b in EPISODES]
+    there = [[i for i in some if not 120 <= i < 126] for some in frames]
+    length_s = 2 * sum(some[-1] - some[0] for some in there) * PERIOD_S
+    count = 2 * sum(map(len, there))
+    rate_hz = (count - 4) / length_s
+    assert lines["frames"] == f"{count} in {length_s:.3f} s of 4 episodes, {rate_hz:.2f} Hz"
+    at_s = sum([there[0][-1] - there[0][0], 119 - there[1][0]]) * PERIOD_S
+    assert lines["gaps"] == (
+        f"2, 12 frame periods without a frame, the longest {7 * PERIOD_S:.3f} s after {at_s:.3f} s"
+    )
+
+
+def test_frames_that_were_never_published_are_not_called_lost(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As of a skin at rest with idle_rate_hz."""
+    maker = BagMaker()
+    maker.skin("/skin", 1.0)
+    maker.messages = [
+        one for one in maker.messages if one[1] != "/skin/tactile" or one[3].sequence % 8 == 0
+    ]
+    bag = maker.write(tmp_path / "bag")
+    assert main(["export", str(bag), "-o", str(tmp_path / "out.npz")]) == 0
+    output = capsys.readouterr().out
+    assert "frames=10 missing_frames=63 " in output and "lost" not in output
+
+
+def test_a_bag_without_a_skin_is_not_deserialised(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    maker = BagMaker()
+    maker.joints("/joint_states", 0.1)
+    time_ns, topic, kind, _ = maker.messages[3]
+    maker.messages[3] = (time_ns, topic, kind, b"\x00\x01\x00\x00odd")
+    lines = said(maker.write(tmp_path / "bag"), capsys)
+    assert lines["/joint_states"].startswith("sensor_msgs/msg/JointState, 10 messages")
 
 
 def test_a_lerobot_dataset(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

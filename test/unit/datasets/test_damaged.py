@@ -119,6 +119,28 @@ def test_a_damaged_npz(
     assert f"{path}: no table of tactile-cdma, or damaged: " in told(["info", str(path)], capsys)
 
 
+@pytest.mark.parametrize(
+    ("value", "damaged"), [('"fps": 30', '"fps": 0'), ('"total_frames": 2', '"total_frames": "2')]
+)
+def test_a_dataset_with_damaged_metadata(
+    bags: dict[str, dict[str, bytes]],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    value: str,
+    damaged: str,
+) -> None:
+    pytest.importorskip("pyarrow")
+    (tmp_path / MCAP).write_bytes(bags[MCAP][MCAP])
+    out = tmp_path / "out"
+    assert main(["export", str(tmp_path / MCAP), "--lerobot", str(out), "--fps", "30"]) == 0
+    capsys.readouterr()
+    info = out / "meta/info.json"
+    text = info.read_text()
+    assert value in text
+    info.write_text(text.replace(value, damaged))
+    assert f"{out}: no dataset of LeRobot v3, or damaged: " in told(["info", str(out)], capsys)
+
+
 def test_a_dataset_without_its_data(
     bags: dict[str, dict[str, bytes]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

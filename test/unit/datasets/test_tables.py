@@ -214,6 +214,50 @@ def test_rows_and_columns_of_files_must_agree(
     assert "has 2 × 8 taxels, in the first file 4 × 4" in capsys.readouterr().err
 
 
+def test_an_info_of_another_type_is_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    maker = BagMaker()
+    maker.skin("/skin", 0.3)
+    del maker.messages[0]
+    maker.add(0.0, "/skin/info", "std_msgs/msg/String", data="left palm")
+    export(maker.write(tmp_path / "bag"), tmp_path / "out.npz")
+    assert "no info, so places and calibration are unknown" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("begins_tared", [False, True])
+def test_a_tare_within_a_bag_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], begins_tared: bool
+) -> None:
+    tares = [np.full(TAXELS, 300.0, dtype=np.float32), np.full(TAXELS, 500.0, dtype=np.float32)]
+    if not begins_tared:
+        tares[0] = np.zeros(0, dtype=np.float32)
+    maker, later = BagMaker(), BagMaker()
+    maker.skin("/skin", 1.0)
+    maker.messages[0][3].tare = tares[0]
+    for seen_s, tare in ((0.1, tares[0]), (0.5, tares[1]), (0.7, tares[1]), (0.8, tares[0])):
+        later.skin("/skin", 0.0)
+        time_ns, *rest, info = later.messages.pop()
+        info.tare = tare
+        maker.messages.append((time_ns + round(seen_s * 1e9), *rest, info))
+    export(maker.write(tmp_path / "bag"), tmp_path / "out.npz")
+    assert capsys.readouterr().err.count("/skin/tactile: the tare changes within the bag") == 1
+    assert json.loads(str(read(tmp_path / "out.npz")["about"]))["tared"] == "changes"
+
+
+def test_the_same_tare_again_is_no_change(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    maker, again = BagMaker(), BagMaker()
+    for one, seconds in ((maker, 0.3), (again, 0.0)):
+        one.skin("/skin", seconds)
+        one.messages[0][3].tare = np.full(TAXELS, 300.0, dtype=np.float32)
+    maker.messages += again.messages
+    export(maker.write(tmp_path / "bag"), tmp_path / "out.npz")
+    assert not capsys.readouterr().err
+    assert json.loads(str(read(tmp_path / "out.npz")["about"]))["tared"] is True
+
+
 def test_a_bag_whose_info_changes_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Several files as one dataset or table: what they do not have in common is told."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bags import BagMaker
+
+from tactile_cdma.commands.cli import main
+
+pytest.importorskip("pyarrow", reason="the extra [datasets] is not installed")
+
+pytestmark = pytest.mark.xdist_group("datasets")
+SECONDS = 1.5
+
+
+def bag(path: Path, contacts: bool = False, seconds: float = SECONDS, **info: Any) -> Path:
+    """A bag of a skin; info: fields of its TactileSkinInfo."""
+    maker = BagMaker()
+    maker.skin("/skin", seconds)
+    for name, value in info.items():
+        setattr(maker.messages[0][3], name, value)
+    if contacts:
+        maker.contacts("/skin", seconds, seconds)
+    return maker.write(path)
+
+
+def recording(path: Path) -> Path:
+    words = ["record", "sim://?scene=moving", path, "--seconds", "1", "--nodes", "16"]
+    assert main(list(map(str, words))) == 0
+    return path
+
+
+def dataset(folder: Path, *words: object) -> None:
+    assert main(["export", "--lerobot", str(folder), "--fps", "30", *map(str, words)]) == 0
+
+
+def meta(folder: Path, name: str) -> Any:
+    return json.loads((folder / "meta" / name).read_text())
+
+
+def test_readings_from_elsewhere_are_told_and_kept_apart(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first = bag(tmp_path / "first")
+    others = [
+        bag(tmp_path / "board", origin=1, measured_by=1),
+        bag(tmp_path / "curves", calibration_id="other"),
+        bag(tmp_path / "same"),
+    ]
+    dataset(tmp_path / "out", first, *others)
+    told = capsys.readouterr().err.splitlines()
+    assert told == [
+        f"tactile-cdma: {path}: {key} of patch skin is {its!r}, in the first file {mine!r}"
+        for path, key, its, mine in (
+            (others[0], "origin", "board", "simulated"),
+            (others[0], "measured_by", "board", "simulated"),
+            (others[1], "calibration_id", "other", "abcd1234"),
+        )
+    ]
+    patches = meta(tmp_path / "out", "tactile.json")["patches"]
+    kept = {one["file"]: (one["measured_by"], one["calibration_id"]) for one in patches}
+    assert kept == {
+        "first": ("simulated", "abcd1234"),
+        "board": ("board", "abcd1234"),
+        "curves": ("simulated", "other"),
+        "same": ("simulated", "abcd1234"),
+    }
+
+
+def test_a_recording_s_digitizer_is_compared_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is known only when its frames are decoded."""
+    skin = recording(tmp_path / "touch.skin")
+    assert main(["export", str(skin), "-o", str(tmp_path / "bag"), "--bag"]) == 0
+    capsys.readouterr()
+    dataset(tmp_path / "out", tmp_path / "bag", skin)
+    # Without contacts and wrench, which the bag does not hold.
+    assert capsys.readouterr().err.splitlines() == [
+        f"tactile-cdma: {tmp_path}/bag: no observation.{kind}.skin, which is left out"
+        for kind in ("contacts", "wrench")
+    ]
+
+
+@pytest.mark.parametrize("lacking_first", [False, True])
+def test_contacts_that_not_all_files_have_are_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], lacking_first: bool
+) -> None:
+    files = [bag(tmp_path / "with", contacts=True), bag(tmp_path / "without")]
+    dataset(tmp_path / "out", *files[:: -1 if lacking_first else 1])
+    said = capsys.readouterr().err
+    for kind in ("contacts", "wrench"):
+        assert f"{files[1]}: no observation.{kind}.skin, which is left out" in said
+    features = meta(tmp_path / "out", "info.json")["features"]
+    assert {name.split(".")[1] for name in features if "." in name} == {"tactile"}
+    dataset(tmp_path / "both", files[0], files[0])
+    assert "observation.contacts.skin" in meta(tmp_path / "both", "info.json")["features"]
+    assert not capsys.readouterr().err
+
+
+def test_other_streams_have_to_be_in_all_files(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    maker = BagMaker()
+    maker.skin("/skin", SECONDS)
+    maker.camera("/front/image_raw", SECONDS, 30)
+    with_camera, without = maker.write(tmp_path / "with"), bag(tmp_path / "without")
+    contacts = bag(tmp_path / "contacts", contacts=True)
+    fps = ["--fps", "30"]
+    for files, options, problem in (
+        ([with_camera, without], fps, "does not have observation.images.front, which the first"),
+        ([without, with_camera], fps, "has observation.images.front, which the first file does"),
+        ([contacts, without], ["--clock", "/skin/wrench"], "does not have observation.wrench.skin"),
+    ):
+        words = ["export", *files, "--lerobot", tmp_path / "out", *options]
+        assert main(list(map(str, words))) == 1
+        assert f"{files[1]}: {problem}" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_tables_do_not_read_contacts(tmp_path: Path) -> None:
+    maker = BagMaker()
+    maker.skin("/skin", 0.3)
+    maker.contacts("/skin", 0.3, 0.3)
+    for i, (time_ns, topic, kind, _) in enumerate(maker.messages):
+        if topic == "/skin/contacts":
+            maker.messages[i] = (time_ns, topic, kind, b"\x00\x01\x00\x00odd")
+    words = ["export", str(maker.write(tmp_path / "bag")), "-o", str(tmp_path / "out.npz")]
+    assert main(words) == 0
+
+
+def test_a_file_that_contributes_nothing_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short = bag(tmp_path / "short", seconds=0.5, calibration_id="other")
+    whole = bag(tmp_path / "whole")
+    late = ["--episode", "1:1.4"]
+    dataset(tmp_path / "out", short, whole, *late)
+    assert capsys.readouterr().err == f"tactile-cdma: {short}: no row in its episodes\n"
+    about = meta(tmp_path / "out", "tactile.json")
+    assert about["files"] == ["whole"] and [one["file"] for one in about["patches"]] == ["whole"]
+
+    table = tmp_path / "out.npz"
+    assert main(["export", str(short), str(whole), "-o", str(table), *late]) == 0
+    assert capsys.readouterr().err == f"tactile-cdma: {short}: no frame of skin in its episodes\n"
+    with np.load(table) as found:
+        about = json.loads(str(found["about"]))
+        assert set(found["episode"]) == {1} and about["files"] == ["short", "whole"]
+    # What is said of the readings is of the file that they come from.
+    assert (about["file"], about["calibration_id"]) == ("whole", "abcd1234")
