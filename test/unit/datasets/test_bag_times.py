@@ -16,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.commands.cli import main
+from tactile_cdma.datasets.sources.bag_source import BagSource
 from tactile_cdma.datasets.sources.bag_times import FAR_NS, believed_span
 
 pytestmark = pytest.mark.xdist_group("datasets")
@@ -91,6 +92,14 @@ def test_one_damaged_time_costs_one_message(
     assert f"tactile-cdma: {bag}: {note}" in capsys.readouterr().err
     rows = parquet.read_table(tmp_path / "out/data/chunk-000/file-000.parquet")
     assert 28 <= len(rows) <= 30
+
+
+def test_what_is_left_out_is_counted_anew_in_every_reading(tmp_path: Path) -> None:
+    source = BagSource(written(tmp_path / "bag", 1, sqlite=False))
+    for _ in range(2):
+        assert sum(1 for _ in source.samples(None, None)) == FRAMES - 1
+        [note] = source.notes
+        assert note.startswith(f"/skin/tactile: 1 of {FRAMES} messages")
 
 
 def test_damaged_times_of_marks_are_not_believed(

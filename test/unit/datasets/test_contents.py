@@ -70,7 +70,9 @@ def test_a_recording_and_a_bag_of_it_say_the_same(
     words = ["record", "sim://?scene=moving&dead=5", recording, "--seconds", "1.5", "--nodes", "16"]
     assert main(list(map(str, words))) == 0
     assert main(["export", str(recording), "-o", str(bag), "--bag"]) == 0
-    capsys.readouterr()
+    for path, word in ((recording, "lost"), (bag, "missing")):
+        assert main(["export", str(path), "-o", str(tmp_path / f"{word}.npz")]) == 0
+        assert f" {word}_frames=0 taxels=16 file=" in capsys.readouterr().out
     of_recording, of_bag = said(recording, capsys), said(bag, capsys)
     for name in ("gaps", "readings", "complete"):
         assert of_recording[name] == of_bag[name]

@@ -240,8 +240,12 @@ def test_a_tare_within_a_bag_is_told(
         time_ns, *rest, info = later.messages.pop()
         info.tare = tare
         maker.messages.append((time_ns + round(seen_s * 1e9), *rest, info))
-    export(maker.write(tmp_path / "bag"), tmp_path / "out.npz")
-    assert capsys.readouterr().err.count("/skin/tactile: the tare changes within the bag") == 1
+    bag = maker.write(tmp_path / "bag")
+    export(bag, tmp_path / "out.npz")
+    note = "/skin/tactile: the tare changes within the bag"
+    assert f"tactile-cdma: {bag}: {note}" in capsys.readouterr().err
+    assert main(["info", str(bag)]) == 0
+    assert capsys.readouterr().out.count(note) == 1
     assert json.loads(str(read(tmp_path / "out.npz")["about"]))["tared"] == "changes"
 
 
