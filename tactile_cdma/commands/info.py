@@ -86,6 +86,7 @@ def _say_frames(path: Path, asked: dict[str, Value]) -> None:
     print(
         f"packets: {packets.packets}, lost {packets.lost_packets}, CRC errors {packets.crc_errors}"
     )
-    print(f"samples: {counters.samples}, lost {counters.lost_samples}")
+    lost = f"{counters.samples}, lost {counters.lost_samples}"
+    print(f"samples: {lost if counters.samples else 'none'}")
     if pipeline.problem:
         print(f"problem: {pipeline.problem}")

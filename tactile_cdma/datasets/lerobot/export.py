@@ -15,7 +15,7 @@ import numpy as np
 from ... import __version__
 from ...base.errors import CaptureError
 from ...base.whole_file import whole_folder
-from ..alignment import Aligner
+from ..alignment import Aligner, Row
 from ..arrow import pyarrow
 from ..episodes import FOREVER_NS, Episode, find_episodes
 from ..frames import LATENESS_NS
@@ -39,6 +39,9 @@ from . import ABOUT
 from .features import Feature, cells, column, features_of, obstacle
 from .writer import DatasetWriter
 
+PAUSE_S = 10.0
+"""Rows end so long after the last sample of any stream, s, until there is another: the recorder was
+paused, or a time of recording is wrong. Chosen: far above the intervals of what is recorded."""
 RATE_S = 5.0
 """How much of a file is read to learn the rate of a clock's topic, s; chosen."""
 
@@ -226,8 +229,10 @@ def _export(
     aligner = Aligner(taken, touch, episodes, layout.fps, plan.clock)
     streams = list(taken.values())
     going: int | None = None  # the episode that the last row belonged to
-    for row in _rows(source, taken, aligner, episodes, progress):
+    for row, is_in_pause in _rows(source, taken, aligner, episodes, progress):
         reason = obstacle(row, streams, plan.policy)
+        if is_in_pause:
+            reason = f"nothing had been recorded for {PAUSE_S:g} s"
         if plan.from_first_complete and not all(
             one.completeness.is_complete for one in touch.values()
         ):
@@ -267,7 +272,9 @@ def _rows(
     aligner: Aligner,
     episodes: Sequence[Episode],
     progress: Progress,
-) -> Iterator[Any]:
+) -> Iterator[tuple[Row, bool]]:
+    """Rows of a file, and whether each lies in a pause."""
+    last_ns = source.begin_ns
     end_ns = episodes[-1].end_ns
     until_ns = end_ns + LATENESS_NS if end_ns < FOREVER_NS else None
     # From the file's beginning on: what is held in an episode may be known from before it.
@@ -276,9 +283,14 @@ def _rows(
             fraction(sample.seen_ns, source.begin_ns, source.end_ns),
             f"{source.path.name}: {(sample.seen_ns - source.begin_ns) / NANO:.0f} s",
         )
-        if sample.stream in streams:
-            yield from aligner.feed(sample)
-    yield from aligner.finish()
+        if sample.stream not in streams:
+            continue
+        pause_ns = last_ns + round(PAUSE_S * NANO)
+        for row in aligner.feed(sample):
+            yield row, pause_ns < row.tick.time_ns < sample.stamp_ns
+        last_ns = sample.seen_ns
+    for row in aligner.finish():
+        yield row, False
 
 
 def _rate(source: Source, key: str) -> int:

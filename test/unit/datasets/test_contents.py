@@ -92,6 +92,7 @@ def test_nothing_is_said_of_gaps_and_readings_without_a_frame(
     blind = capsys.readouterr().out
     assert "frames: none" in blind and "packets: " in blind
     assert "gaps" not in blind and "readings" not in blind and "complete" not in blind
+    assert "samples: none" in blind
 
 
 @pytest.mark.parametrize("again_s", [30.0, 1.0])

@@ -136,6 +136,48 @@ def test_tables_do_not_read_contacts(tmp_path: Path) -> None:
     assert main(words) == 0
 
 
+@pytest.mark.parametrize("stray_s", [-3600, 9, 3600])
+def test_no_rows_are_made_for_a_pause(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], stray_s: int
+) -> None:
+    """An hour off is too little to say which times are wrong: the recorder may have paused."""
+    maker = BagMaker()
+    maker.skin("/skin", SECONDS)
+    for i, (seen_ns, topic, kind, message) in enumerate(maker.messages):
+        if topic == "/skin/tactile" and message.sequence == 40:
+            message.header.stamp.sec += stray_s
+            maker.messages[i] = (seen_ns + stray_s * 10**9, topic, kind, message)
+    dataset(tmp_path / "out", maker.write(tmp_path / "bag"))
+    said = capsys.readouterr().err
+    info = meta(tmp_path / "out", "info.json")
+    if stray_s == 9:  # which is no pause
+        assert 270 <= info["total_frames"] <= 290 and not said
+        return
+    # 10 s after the last sample a pause begins, but for the ticks that waited for that.
+    left_out = 30 * (3600 - 12)
+    [note] = [line for line in said.splitlines() if "nothing had been recorded for 10 s" in line]
+    assert left_out - 60 < int(note.split()[1]) < left_out + 120
+    assert 300 < info["total_frames"] < 400
+    assert info["total_episodes"] == (2 if stray_s < 0 else 1)  # no row comes after the last sample
+
+
+def test_an_image_ends_a_pause(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every image is a row, also the first one after a pause, before the skin's next frame."""
+    maker, later = BagMaker(), BagMaker()
+    for one in (maker, later):
+        one.skin("/skin", SECONDS)
+        one.camera("/front", SECONDS, 30)
+    for seen_ns, topic, kind, message in later.messages:
+        if topic == "/front" or (topic == "/skin/tactile" and message.sequence > 10):
+            message.header.stamp.sec += 20
+            maker.messages.append((seen_ns + 20 * 10**9, topic, kind, message))
+    bag = maker.write(tmp_path / "bag")
+    words = ["export", bag, "--lerobot", tmp_path / "out", "--clock", "/front"]
+    assert main(list(map(str, words))) == 0
+    said = capsys.readouterr()
+    assert "episodes=1 frames=90 fps=30 left_out=0 " in said.out and not said.err
+
+
 def test_a_file_that_contributes_nothing_is_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
