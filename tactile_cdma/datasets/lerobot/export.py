@@ -15,7 +15,7 @@ import numpy as np
 from ... import __version__
 from ...base.errors import CaptureError
 from ...base.whole_file import whole_folder
-from ..alignment import Aligner
+from ..alignment import Aligner, stale_s
 from ..arrow import pyarrow
 from ..episodes import FOREVER_NS, Episode, find_episodes
 from ..frames import LATENESS_NS
@@ -23,7 +23,7 @@ from ..progress import Progress, fraction
 from ..samples import NANO, TACTILE, Source, Stream, check_taxels, patches_of, shown_taxels
 from ..sources.opening import Wanted, has_times, open_source
 from ..tables import known
-from ..touch import HOLD, STALE_S, WINDOW, TouchStream, slots
+from ..touch import HOLD, WINDOW, TouchStream, slots
 from . import ABOUT
 from .features import Feature, cells, column, features_of, obstacle
 from .writer import DatasetWriter
@@ -114,10 +114,8 @@ class _Layout:
 
     @classmethod
     def of(cls, source: Source, plan: Plan) -> _Layout:
-        if plan.clock is not None and plan.clock not in source.streams:
-            there = ", ".join(source.streams)
-            raise CaptureError(f"{source.path}: no stream {plan.clock} (there are {there})")
-        fps = plan.fps or _rate(source, str(plan.clock))
+        clock = _clock(source, plan)
+        fps = plan.fps or _rate(source, str(clock))
         patches = {stream.key: stream for stream in patches_of(source)}
         counts = {
             key: slots(stream.patch, fps, plan.mode)
@@ -163,11 +161,12 @@ def _export(
         stream.key: TouchStream(stream.shape[0], layout.slots[stream.key], plan.mode, plan.policy)
         for stream in patches_of(source)
     }
-    aligner = Aligner(source.streams, touch, episodes, layout.fps, plan.clock)
+    aligner = Aligner(source.streams, touch, episodes, layout.fps, _clock(source, plan))
     streams = list(source.streams.values())
     going: int | None = None  # the episode that the last row belonged to
+    last_ns = 0
     for row in _rows(source, aligner, episodes, progress):
-        reason = obstacle(row, streams, plan.policy)
+        reason = obstacle(row, source, plan.policy)
         if plan.from_first_complete and not all(
             one.completeness.is_complete for one in touch.values()
         ):
@@ -176,9 +175,10 @@ def _export(
             outcome.left_out[reason] += 1
             going = None
             continue
-        if row.tick.episode != going:
+        if row.tick.episode != going or row.tick.since_ns > last_ns:  # the clock had stopped
             going = row.tick.episode
             writer.begin(episodes[going].task)
+        last_ns = row.tick.time_ns
         writer.add(cells(row, streams))
     for key, one in touch.items():
         name = source.streams[key].feature
@@ -209,6 +209,17 @@ def _rows(
         )
         yield from aligner.feed(sample)
     yield from aligner.finish()
+
+
+def _clock(source: Source, plan: Plan) -> str | None:
+    """The key of a stream of the clock's topic; None without one. Raises CaptureError."""
+    if plan.clock is None:
+        return None
+    keys = {stream.topic: key for key, stream in source.streams.items()}
+    if plan.clock not in keys:
+        there = ", ".join(keys)
+        raise CaptureError(f"{source.path}: {plan.clock} is not exported (but {there})")
+    return keys[plan.clock]
 
 
 def _rate(source: Source, key: str) -> int:
@@ -242,7 +253,7 @@ def _about(layout: _Layout, plan: Plan, patches: list[dict[str, Any]]) -> dict[s
         "package_version": __version__,
         "samples": plan.mode,
         "nan": plan.policy,
-        "stale_s": STALE_S,
+        "stale_s": stale_s(layout.fps),
         "clock": plan.clock or f"{layout.fps} per s from the beginning of each episode",
         "from_first_complete": plan.from_first_complete,
         "units": {one.name: one.unit for one in layout.features if one.unit},
