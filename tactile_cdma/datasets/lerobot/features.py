@@ -103,10 +103,8 @@ def obstacle(row: Row, source: Source, policy: str) -> str | None:
             if (last_ns := row.stopped.get(stream.key)) is None:
                 return f"{column(stream)} had not begun"
             last_s = (last_ns - source.begin_ns) / NANO
-            return (
-                f"{column(stream)}, which is {stream.topic}, had stopped, the first time "
-                f"{last_s:.3f} s after the beginning of {source.path}"
-            )
+            since = f"first at {last_s:.3f} s of {source.path}"
+            return f"{column(stream)} ({stream.topic}) had stopped, {since}"
         if isinstance(value, Touch) and policy == DROP and not value.complete:
             return f"a taxel of {column(stream)} had no valid reading"
     return None

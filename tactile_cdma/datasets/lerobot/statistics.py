@@ -16,9 +16,10 @@ class Statistics:
     """Minimum, maximum, mean and standard deviation of one feature, per element.
 
     shape: of the feature. pooled: one value for all elements, so that a taxel that nothing ever
-    touched is not scaled up to noise. not_finite: elements that were NaN or infinite. What is
-    summed are differences to an origin, the first value (pooled: the mean of the first ones): the square of a Unix time in ns has 37
-    digits, and float64 keeps 16.
+    touched is not scaled up to noise. not_finite: elements that were NaN or infinite.
+
+    Summed are differences to the first value, pooled to the mean of the first ones: the square of a
+    Unix time in ns has 37 digits, of which float64 keeps 16.
     """
 
     def __init__(self, shape: tuple[int, ...], pooled: bool = False) -> None:
