@@ -8,7 +8,8 @@
 
 Needs pyarrow (the extra [datasets]). One thread logs the frames as they come, 78 per second; the
 main thread draws the newest one, so that no frame waits for the picture. The file appears when the
-log ends, with all frames until then: also where a recording is over, or the port is lost. Without a screen (MPLBACKEND=Agg), --picture FILE keeps the last picture. Afterwards:
+log ends, also by the end of a recording or the loss of the port. Without a screen
+(MPLBACKEND=Agg), --picture FILE keeps the last picture. Afterwards:
 
     pandas.read_parquet("touch.parquet")["pressure_pa"].iloc[-1]     # (16,) Pa; NaN: no reading
 """
@@ -90,7 +91,9 @@ def main() -> None:
         logged = pool.submit(log, skin, arguments.output, newest, stop)
         end_s = time.monotonic() + arguments.seconds
         try:
-            while time.monotonic() < end_s and not logged.done():
+            going = True
+            while going:
+                going = time.monotonic() < end_s and not logged.done()
                 if newest:
                     image.set_data(newest[-1].pressure_pa.reshape(shape) / 1e3)
                     figure.canvas.draw()

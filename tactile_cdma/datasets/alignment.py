@@ -181,6 +181,8 @@ class Aligner:
             while waiting and waiting[0][0] <= until_ns:
                 stamp_ns, _, value = heapq.heappop(waiting)
                 if key in self._last:
+                    if key in self._touch and self._has_stopped(key, stamp_ns):
+                        self._touch[key].restart()
                     self._steps_ns[key].append(stamp_ns - self._taken_ns[key])
                 self._last[key], self._taken_ns[key] = value, stamp_ns
                 if isinstance(value, SkinFrame):

@@ -108,7 +108,7 @@ class Sample:
 class Stream:
     """What is the same in all samples of a stream.
 
-    key: its name, unique: its topic, where one stream is made of that. kind: TACTILE … IMAGE. feature: name for datasets, [a-z0-9_].
+    key: its name, unique. kind: TACTILE … IMAGE. feature: name for datasets, [a-z0-9_].
     shape: of one sample; of images height, width, 3. names: of a vector's elements.
     """
 
@@ -121,7 +121,7 @@ class Stream:
 
     @property
     def topic(self) -> str:
-        """The topic it is made of; a recording has none, and names its kind here."""
+        """The topic that it is made of; its kind for a recording, which has no topics."""
         return self.key.removeprefix(f"{self.kind}:")
 
 

@@ -43,8 +43,9 @@ class Touch:
     """A patch at one tick.
 
     pressure_pa: (slots, t) float32 for WINDOW, the newest last, else (t,), without NaN.
-    valid: of the same shape, bool: there was a valid reading; none of a patch that stopped. age_s: (slots,) or (1,) float32, how
-    long before the tick each was measured. complete: every taxel in service is valid.
+    valid: of the same shape, bool: there was a valid reading; none of a patch that stopped. age_s:
+    (slots,) or (1,) float32, how long before the tick each was measured. complete: every taxel in
+    service is valid.
     """
 
     pressure_pa: Floats32
@@ -88,6 +89,10 @@ class TouchStream:
         if self._mode == MEAN:
             self._interval.append(sample)
 
+    def restart(self) -> None:
+        """Begin the window anew after a stop: what was before that is not of the present."""
+        self._window.clear()
+
     def forget(self, until_ns: int) -> None:
         """Leave what was measured up to a time out of the next mean."""
         while self._interval and self._interval[0].stamp_ns <= until_ns:
@@ -106,7 +111,7 @@ class TouchStream:
         valid = np.array([np.isfinite(sample.pressure_pa) for sample in samples])
         valid &= not has_stopped
         if self._mode == WINDOW and (missing := self._slots - len(samples)):
-            # Before the first frame: nothing was read yet.
+            # Before the first frame, or the first one after a stop: nothing was read.
             ages_s = np.concatenate([ages_s[:1].repeat(missing), ages_s])
             filled = np.concatenate([filled[:1].repeat(missing, axis=0), filled])
             valid = np.concatenate([np.zeros((missing, filled.shape[1]), dtype=bool), valid])

@@ -361,6 +361,11 @@ def test_two_patches_adds_their_forces_and_knows_nothing_of_an_absent_one(tmp_pa
             with example("two_patches", "/one/skin", "/two/skin") as output:
                 both = "/one/skin 0.0 0.0 -0.98  /two/skin 0.0 0.0 -0.49  sum 0.0 0.0 -1.46"
                 wait_for(lambda: both in text_of(output), PATIENCE_S)
+                # What is none of the body's is unknown, such as a misspelt name.
+                with example("two_patches", "/one/skin", "/tow/skin") as other:
+                    alone = "/one/skin 0.0 0.0 -0.98  /tow/skin nan nan nan  sum nan nan nan"
+                    wait_for(lambda: alone in text_of(other), PATIENCE_S)
+                    assert "/tow/skin 0.0" not in text_of(other)
                 drivers[1].kill()
                 blind = "/one/skin 0.0 0.0 -0.98  /two/skin nan nan nan  sum nan nan nan"
                 wait_for(lambda: blind in text_of(output), PATIENCE_S)

@@ -215,6 +215,19 @@ def test_a_patch_that_stopped_is_not_felt_any_more(
     assert held_ms - 101 < max(ages[True]) <= held_ms < min(ages[False])
 
 
+@pytest.mark.parametrize("pause_ms", [400, 2000])
+def test_a_window_begins_anew_after_a_stop(pause_ms: int) -> None:
+    """What was felt before it is not of the present; a short pause loses frames, and no more."""
+    begin_ms = 2000 + pause_ms
+    samples = [*skin_samples(0, 2000), *skin_samples(begin_ms, begin_ms + 1000)]
+    aligner = Aligner({"skin": SKIN}, skin_taken(WINDOW, 8), ALWAYS, 10)
+    rows = {row.tick.time_ns // MS: touch_of(row) for row in rows_of(aligner, samples)}
+    first, second = rows[begin_ms], rows[begin_ms + 100]
+    assert first.valid[:, 0].tolist() == [pause_ms == 400] * 7 + [True]
+    assert (first.age_s[:7] > 0.4).all() == (pause_ms == 400)
+    assert second.valid.all() and (second.age_s <= 0.1).all()
+
+
 @pytest.mark.parametrize("clock", [None, "camera"])
 def test_the_first_mean_of_an_episode_is_of_its_own_interval(clock: str | None) -> None:
     skin = skin_samples(0, 9000)
