@@ -17,6 +17,7 @@ from ..config.skin_config import SkinConfig
 from ..places.indenters import Indenter
 from ..readings.stuck import StuckNodes
 from ..wire.discovery import is_away
+from ..wire.messages import Info
 from ..wire.packets import MAX_REPEATED
 from ..wire.port import Port
 from ..wire.port_failures import is_remote
@@ -47,7 +48,8 @@ class Driver:
     """Runs one skin in a thread of its own until stopped.
 
     on_frame is called in that thread for every frame; on_problem with one sentence whenever the
-    reason for not receiving frames changes, and with None when frames flow again.
+    reason for not receiving frames changes, and with None when frames flow again; on_info with what
+    the digitizer says that it is, where that fits and is new, before a frame of it is decoded.
 
     url: of the port. connections: how often it was opened. problem: as told by on_problem.
     vitals: what the thread measures of itself. stuck: finds nodes that do not move.
@@ -61,10 +63,12 @@ class Driver:
         baud: int,
         on_frame: Callable[[TactileFrame], None],
         on_problem: Callable[[str | None], None],
+        on_info: Callable[[Info], None] = lambda info: None,
     ) -> None:
         # A recording may be played in a loop.
         most_repeated = 0 if url.lower().startswith(REPLAY) else MAX_REPEATED
         self.pipeline = Pipeline(config, most_repeated=most_repeated)
+        self.pipeline.on_info = on_info
         self.problem: str | None = None
         self.connections = 0
         self.ended = False
