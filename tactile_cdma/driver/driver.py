@@ -22,6 +22,7 @@ from ..wire.packets import MAX_REPEATED
 from ..wire.port import Port
 from ..wire.port_failures import is_remote
 from .backlog import Backlog
+from .checkup import REJECTED_FOR
 from .pipeline import Pipeline, TactileFrame
 from .session import Session
 from .steady import Event
@@ -80,6 +81,7 @@ class Driver:
         self._on_frame, self._on_problem = on_frame, on_problem
         self._stop = threading.Event()
         self._opening = False
+        self._rejected = 0  # before the last press()
         self._busy = threading.Lock()
         self._thread = threading.Thread(target=self._run, name=f"skin {url}", daemon=True)
 
@@ -105,6 +107,7 @@ class Driver:
         port = self._port
         if port is None:
             raise PortError(f"{self.url}: not pressed, because it is not open")
+        self._rejected = self.pipeline.rejections.total
         port.press(objects, frames)
 
     @property
@@ -112,7 +115,10 @@ class Driver:
         """Why no frame comes, if none does: the problem, or what else may be the cause."""
         port = self._port
         if port is not None and port.stepped and self.problem in (None, WAITING):
-            return "frames pass one step() at a time"
+            rejections = self.pipeline.rejections
+            if rejections.total > self._rejected:
+                return f"frames are rejected, mostly {REJECTED_FOR[rejections.leading]}"
+            return self.pipeline.problem or "frames pass one step() at a time"
         return self.problem or "the stream has stopped"
 
     @contextmanager
