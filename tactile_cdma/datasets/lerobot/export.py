@@ -233,7 +233,12 @@ def _rate(source: Source, key: str) -> int:
     steps = np.diff(np.unique(stamps))
     if not len(steps):
         raise CaptureError(f"{source.path}: {key} has no two stamps in its first {RATE_S:g} s")
-    return max(1, round(NANO / float(np.median(steps))))
+    if not (rate := round(NANO / float(np.median(steps)))):
+        raise CaptureError(
+            f"{source.path}: {np.median(steps) / NANO:.3f} s from message to message of {key}; a "
+            "dataset has 1 row per s at least: --fps 1"
+        )
+    return rate
 
 
 def _about(layout: _Layout, plan: Plan, patches: list[dict[str, Any]]) -> dict[str, Any]:
