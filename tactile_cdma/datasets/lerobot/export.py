@@ -114,7 +114,7 @@ class _Layout:
 
     @classmethod
     def of(cls, source: Source, plan: Plan) -> _Layout:
-        clock = _clock(source, plan)
+        clock = _clock(source, source.streams, plan)
         fps = plan.fps or _rate(source, str(clock))
         patches = {stream.key: stream for stream in patches_of(source)}
         counts = {
@@ -161,12 +161,13 @@ def _export(
         stream.key: TouchStream(stream.shape[0], layout.slots[stream.key], plan.mode, plan.policy)
         for stream in patches_of(source)
     }
-    aligner = Aligner(source.streams, touch, episodes, layout.fps, _clock(source, plan))
+    clock = _clock(source, source.streams, plan)
+    aligner = Aligner(source.streams, touch, episodes, layout.fps, clock)
     streams = list(source.streams.values())
     going: int | None = None  # the episode that the last row belonged to
     last_ns = 0
     for row in _rows(source, aligner, episodes, progress):
-        reason = obstacle(row, source, plan.policy)
+        reason = obstacle(row, streams, source, plan.policy)
         if plan.from_first_complete and not all(
             one.completeness.is_complete for one in touch.values()
         ):
@@ -211,11 +212,11 @@ def _rows(
     yield from aligner.finish()
 
 
-def _clock(source: Source, plan: Plan) -> str | None:
+def _clock(source: Source, streams: Mapping[str, Stream], plan: Plan) -> str | None:
     """The key of a stream of the clock's topic; None without one. Raises CaptureError."""
     if plan.clock is None:
         return None
-    keys = {stream.topic: key for key, stream in source.streams.items()}
+    keys = {stream.topic: key for key, stream in streams.items()}
     if plan.clock not in keys:
         there = ", ".join(keys)
         raise CaptureError(f"{source.path}: {plan.clock} is not exported (but {there})")

@@ -91,13 +91,13 @@ def column(stream: Stream) -> str:
     return f"observation.{group}.{stream.feature}"
 
 
-def obstacle(row: Row, source: Source, policy: str) -> str | None:
+def obstacle(row: Row, streams: Iterable[Stream], source: Source, policy: str) -> str | None:
     """Why a row has to be left out, in words; None if it is whole.
 
     Touch, contacts and wrench have masks, and may have stopped. An image or a vector without one
     would be taken for the present one.
     """
-    for stream in source.streams.values():
+    for stream in streams:
         value = row.values.get(stream.key)
         if value is None and stream.kind not in (CONTACTS, WRENCH):
             if (last_ns := row.stopped.get(stream.key)) is None:

@@ -332,6 +332,18 @@ def test_a_clock_that_paused_ends_an_episode(tmp_path: Path) -> None:
     assert array(table, f"{SKIN}.age_s")[1:].max() < 0.06
 
 
+def test_a_clock_slower_than_a_row_per_second_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    maker = BagMaker()
+    maker.skin("/skin", 1.0)
+    maker.camera("/slow/image", 8.0, 0.4)
+    words = ["export", maker.write(tmp_path / "bag"), "--lerobot", tmp_path / "out"]
+    assert main([*map(str, words), "--clock", "/slow/image"]) == 1
+    said = capsys.readouterr().err
+    assert "2.500 s from message to message of /slow/image; a dataset has 1 row per s" in said
+
+
 @pytest.mark.parametrize("fps", ["1", "2"])
 def test_slow_rows_are_whole_where_every_reading_was_valid(
     bag: Path, tmp_path: Path, fps: str
