@@ -249,6 +249,15 @@ def test_the_first_mean_of_an_episode_is_of_its_own_interval(clock: str | None) 
             assert touch_of(row).age_s[0] < 0.03
 
 
+def test_an_episode_includes_what_is_measured_at_its_beginning() -> None:
+    skin = skin_samples(0, 1000)
+    aligner = Aligner({"skin": SKIN}, skin_taken(MEAN), [Episode(128 * MS, FOREVER_NS, "")], 10)
+    first, *_ = rows_of(aligner, skin)
+    assert first.tick.time_ns == 228 * MS
+    expected = mean_felt(127, 228, skin)
+    assert touch_of(first).pressure_pa[0] == pytest.approx(expected, rel=1e-6)
+
+
 @pytest.mark.parametrize("mode", MODES)
 def test_after_a_pause_of_the_clock_a_row_is_of_the_present(mode: str) -> None:
     """One image lost: the mean is of the longer interval. Three seconds without: of their end."""
