@@ -17,7 +17,7 @@ from itertools import count
 from statistics import median
 
 from .episodes import Episode
-from .samples import NANO, Sample, SkinFrame, Stream, Value
+from .samples import ACTION, NANO, Sample, SkinFrame, Stream, Value
 from .touch import Touch, TouchStream
 
 WAIT_S = 2.0
@@ -56,8 +56,8 @@ class Row:
     """What is known at a tick: by stream, the patches' touch and the other streams' last value.
 
     stopped: the streams whose last sample is too old for the present, with the stamp of the last
-    one before that first happened, ns. Of them only touch is among the values, with nothing valid.
-    A stream that has not begun is in neither.
+    one before that first happened, ns. Of them only touch is among the values, with nothing valid,
+    and actions: a command is in force until the next one. Who has not begun is in neither.
     """
 
     tick: Tick
@@ -82,6 +82,7 @@ class Aligner:
         clock: str | None = None,
     ) -> None:
         self._touch, self._episodes = touch, episodes
+        self._commands = {key for key, stream in streams.items() if stream.kind == ACTION}
         self._clock, self._fps = clock, fps
         self._grid: Iterator[Tick] = iter(())
         self._ticks: deque[Tick] = deque()
@@ -168,7 +169,7 @@ class Aligner:
                 stopped[key] = self._stopped_ns.setdefault(key, self._taken_ns[key])
             if key in self._touch:
                 values[key] = self._touch[key].at(tick.time_ns, has_stopped)
-            elif not has_stopped:
+            elif not has_stopped or key in self._commands:
                 values[key] = value
         return Row(tick, values, stopped)
 

@@ -20,7 +20,7 @@ from ..arrow import pyarrow
 from ..episodes import FOREVER_NS, Episode, find_episodes
 from ..frames import LATENESS_NS
 from ..progress import Progress, fraction
-from ..samples import NANO, TACTILE, Source, Stream, check_taxels, patches_of, shown_taxels
+from ..samples import ACTION, NANO, TACTILE, Source, Stream, check_taxels, patches_of, shown_taxels
 from ..sources.opening import Wanted, has_times, open_source
 from ..tables import known
 from ..touch import HOLD, WINDOW, TouchStream, slots
@@ -164,8 +164,10 @@ def _export(
     clock = _clock(source, source.streams, plan)
     aligner = Aligner(source.streams, touch, episodes, layout.fps, clock)
     streams = list(source.streams.values())
+    actions = [stream for stream in streams if stream.kind == ACTION]
     going: int | None = None  # the episode that the last row belonged to
     last_ns = 0
+    repeated: Counter[str] = Counter()  # commands that are older than others of their topics
     for row in _rows(source, aligner, episodes, progress):
         reason = obstacle(row, streams, source, plan.policy)
         if plan.from_first_complete and not all(
@@ -180,6 +182,7 @@ def _export(
             going = row.tick.episode
             writer.begin(episodes[going].task)
         last_ns = row.tick.time_ns
+        repeated.update(one.topic for one in actions if one.key in row.stopped)
         writer.add(cells(row, streams))
     for key, one in touch.items():
         name = source.streams[key].feature
@@ -188,6 +191,11 @@ def _export(
         elif missing := one.completeness.missing:
             taxels = shown_taxels(missing)
             outcome.notes.append(f"{source.path}: {name}: no valid reading of {taxels} at any time")
+    for topic, rows in repeated.items():
+        outcome.notes.append(
+            f"{source.path}: action: the last command of {topic} is repeated in {rows} rows: it "
+            "stopped, or is sent only when it changes"
+        )
     outcome.late.update(aligner.late)
     outcome.notes += [f"{source.path}: {note}" for note in source.notes]
     return [

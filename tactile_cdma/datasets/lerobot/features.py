@@ -94,8 +94,8 @@ def column(stream: Stream) -> str:
 def obstacle(row: Row, streams: Iterable[Stream], source: Source, policy: str) -> str | None:
     """Why a row has to be left out, in words; None if it is whole.
 
-    Touch, contacts and wrench have masks, and may have stopped. An image or a vector without one
-    would be taken for the present one.
+    Touch, contacts and wrench have masks, and may have stopped; an old command is still in force.
+    An image or a state would be taken for the present one.
     """
     for stream in streams:
         value = row.values.get(stream.key)

@@ -279,14 +279,13 @@ def stopping(*stops: tuple[str, float, float]) -> BagMaker:
     return maker
 
 
-@pytest.mark.parametrize("of", ["--state", "--action", "--image"])
+@pytest.mark.parametrize("of", ["--state", "--image"])
 @pytest.mark.parametrize("end_s", [7.0, 4.0])
 def test_rows_without_a_present_image_or_vector_are_left_out(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], of: str, end_s: float
 ) -> None:
     topic, name = {
         "--state": ("/joints", "observation.state"),
-        "--action": ("/joints", "action"),
         "--image": ("/front/image", "observation.images.front"),
     }[of]
     bag = stopping((topic, 2.5, end_s)).write(tmp_path / "bag")
@@ -311,6 +310,19 @@ def test_rows_without_a_present_image_or_vector_are_left_out(
     assert found and int(found[1]) == pytest.approx(left, abs=3)
     assert f"left_out={found[1]} " in said.out or of == "--image"
     assert 2.4 < float(found[2]) < 2.5
+
+
+def test_an_old_command_is_still_in_force(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = stopping(("/joints", 2.5, 4.0)).write(tmp_path / "bag")
+    table = exported(bag, tmp_path / "out", "--action", "/joints", "--task", "press")
+    t_s, action = seconds(table), array(table, "action")[:, 0]
+    assert not array(table, "episode_index").any()
+    newest_s = np.where((t_s > 2.5) & (t_s < 4.0), 2.5, t_s)
+    assert np.abs(action - newest_s).max() < 0.03
+    old = np.count_nonzero(t_s - action > 0.5)
+    assert f"the last command of /joints is repeated in {old} rows" in capsys.readouterr().err
 
 
 def test_touch_of_a_patch_that_stopped_is_marked(tmp_path: Path) -> None:
