@@ -28,6 +28,10 @@ MEASURED_NS = 950_000
 """Time before a frame at which a node has ended the last one and not yet measured."""
 SLOW = ("atmega328p", "attiny85")
 """Boards that time every chip by an interrupt."""
+EDGE_NS = 280
+"""Largest error of an edge that a timer makes: two cycles at 7.2 MHz, or an ATtiny85's tick."""
+BUSY_NS = 7_500
+"""… of an ATtiny85 whose alarm rings just before a restart pulse."""
 CLOCK_KNOWN = 2
 """Frames in which a node measures its clock before it transmits."""
 
@@ -103,6 +107,24 @@ def expected(
     edges["t_ns"] = np.round(start_ns + slot_start * nominal_ns + since * (chip_ns or nominal_ns))
     edges["level"] = levels[changed]
     return edges
+
+
+def assert_says(
+    bench: Bench,
+    start_ns: int,
+    code: int,
+    number: int = 1,
+    node: int = 0,
+    *,
+    most_ns: int = EDGE_NS,
+) -> None:
+    """Check that a node, numbered from 1, transmitted a code in the frame begun at a time."""
+    heard = bench.heard(node, start_ns)
+    wanted = expected(bench.spec, number - 1, code, start_ns)
+    np.testing.assert_array_equal(heard["level"], wanted["level"])
+    worst_ns = np.abs(heard["t_ns"] - wanted["t_ns"]).max()
+    busy = bench.spec.resync_chips and bench.skin.nodes[node].mcu == "attiny85"
+    assert worst_ns <= (BUSY_NS if busy else most_ns)
 
 
 def volts(code: int, bits: int) -> float:
