@@ -128,7 +128,7 @@ def test_a_planted_defect_is_found(defect: str, tmp_path: Path) -> None:
         "-o",
         program,
     )
-    found = fuzz(program, "standalone", 10_000, 1, 10, 2)
+    found = fuzz(program, "standalone", 3000, 1, 3, 2)
     assert found.fault == fault, found.said
 
 
