@@ -13,12 +13,15 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from conftest import FIRMWARE
 from core_digitizer import Board, CoreDigitizer
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.config.parameters import read_file
+from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.sim.nodes import RollCalls
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.packets import stream
@@ -449,21 +452,8 @@ def test_packets_follow_the_rules_exactly(
     digitizer.close()
 
 
-THOUSAND = FrameLayout(
-    nodes=900,
-    bits=10,
-    order=912,
-    chip_ns=2000,
-    frame_period_us=19_960,
-    first_row=1,
-    sign_seed=1,
-    signs=Signs.SEEDED,
-    drive=Drive.BIPOLAR,
-    polarity=Polarity.INVERTED,
-    samples_per_chip=1,
-    resync_chips=912,
-    guard_chips=40,
-)
+THOUSAND_FILE = FIRMWARE.parent / "config" / "thousand_skin.yaml"
+THOUSAND = FrameLayout.of(SkinConfig.of(read_file(THOUSAND_FILE)).spec, 1)
 WHOLE = 9120
 
 
