@@ -316,6 +316,32 @@ def test_spikes_in_pauses_begin_no_bit(build: Path, mcu: str) -> None:
             assert_says_rest(skin, mcu, start)
 
 
+@pytest.mark.parametrize("mcu", LONG_PAUSES)
+@pytest.mark.parametrize("width_us", [1, 26, 40])
+def test_what_hides_no_restart(build: Path, mcu: str, width_us: int) -> None:
+    """Spikes hide none from slow chips; other pulses that end and are served in time hide none."""
+    spec, first_us = LONG_PAUSES[mcu], max(55, width_us + 25)
+    before_us = np.arange(first_us, 120, 7) if width_us > 1 else np.arange(1.7, 30)
+    node = Node(image(build, mcu), mcu, node_memory(spec, 1, mcu=mcu, **SPEECH))
+    with EmulatedNodes([node]) as emulated:
+        emulated.press(volts(REST, 10))
+        skin = Bench(emulated, spec)
+        for number in range(CLOCK_KNOWN):
+            skin.frame(number)
+        for number, early_us in enumerate(before_us, CLOCK_KNOWN):
+            start = POWER_UP_NS + number * skin.period_ns
+            skin.pulse(start - LEAD_NS)
+            for slot in range(1, slots(spec)):
+                at = slot * (spec.resync_chips + spec.guard_chips) * spec.chip_s
+                rise = start + round(at * 1e9) - LEAD_NS
+                hides = mcu == FAST and width_us == 1 and 9 <= early_us <= 14
+                if slot == 3 and not hides:
+                    skin.pulse(rise - round(early_us * 1000), 1000 * width_us)
+                skin.pulse(rise, RESTART * UNIT_NS)
+            skin.skin.run(start + skin.period_ns - MEASURED_NS)
+            assert_says_rest(skin, mcu, start)
+
+
 @pytest.mark.parametrize("width_us", [26, 40])
 def test_pulses_that_nobody_answers_bend_no_chip_of_a_bits_end(build: Path, width_us: int) -> None:
     """In the last 64 µs of a bit: a restart's pulse could come then, so the node gets ready."""
