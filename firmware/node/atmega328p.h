@@ -125,7 +125,7 @@ static BOARD_INLINE void board_sync_off(void)
 
 /* Ticks: 7/8 of the shortest pulse, so that a node's clock may be 1/8 off. A pulse that is over at a look
  * before this was a glitch; at a later one, which another interrupt delayed, it may have been a restart's. An
- * undelayed look, the first thing after the saving of registers, is 75 to 90 ticks after the rising edge. */
+ * undelayed look, the first thing after registers are saved, is some 80 ticks after the rising edge. */
 #define BOARD_LATE_LOOK (TP_SYNC_UNIT_US * BOARD_TICKS_PER_US * 7u / 8u)
 
 static BOARD_INLINE bool board_sync_edge(uint32_t *when)

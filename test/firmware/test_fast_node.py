@@ -303,7 +303,7 @@ def test_spikes_in_pauses_begin_no_bit(build: Path, mcu: str) -> None:
         skin = Bench(emulated, spec)
         for number in range(CLOCK_KNOWN):
             skin.frame(number)
-        for number, after_us in enumerate(range(7, 200 - 64 - 14, 7), CLOCK_KNOWN):
+        for number, after_us in enumerate(range(14, 200 - 64 - 14, 7), CLOCK_KNOWN):
             start = POWER_UP_NS + number * skin.period_ns
             skin.pulse(start - LEAD_NS)
             for slot in range(1, slots(spec)):
