@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -55,18 +55,27 @@ class Bench:
         self.skin.sync(rise_ns + length_ns, False)
 
     def frame(
-        self, number: int, units: int = FRAME, late_ns: int = 0, skip: Sequence[int] = ()
+        self,
+        number: int,
+        units: int = FRAME,
+        late_ns: int = 0,
+        skip: Sequence[int] = (),
+        before: Mapping[int, tuple[int, int]] | None = None,
     ) -> int:
         """All pulses of a frame, in its turn; run to its end. Returns when its first chip is due.
 
-        late_ns: it comes so much after its time. skip: restart pulses that don't come.
+        late_ns: it comes so much after its time. skip: restart pulses that don't come. before:
+        other pulses, by the sub-slot before whose own they come: how long before, and their length.
         """
         start = POWER_UP_NS + number * self.period_ns + late_ns
-        self.pulse(start - LEAD_NS, units * UNIT_NS)
-        for slot in range(1, slots(self.spec)):
+        for slot in range(slots(self.spec)):
+            at = slot * (self.spec.resync_chips + self.spec.guard_chips) * self.spec.chip_s
+            rise = start + round(at * 1e9) - LEAD_NS
+            if before and slot in before:
+                early_ns, length_ns = before[slot]
+                self.pulse(rise - early_ns, length_ns)
             if slot not in skip:
-                at = slot * (self.spec.resync_chips + self.spec.guard_chips) * self.spec.chip_s
-                self.pulse(start + round(at * 1e9) - LEAD_NS, RESTART * UNIT_NS)
+                self.pulse(rise, (RESTART if slot else units) * UNIT_NS)
         self.skin.run(start + self.period_ns - MEASURED_NS)
         return start
 

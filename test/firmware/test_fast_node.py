@@ -293,9 +293,9 @@ LONG_PAUSES = {
 """Of 200 µs, in none of which the timer overflows: it does 4.6 ms after frames begin."""
 
 
-@pytest.mark.parametrize("mcu", LONG_PAUSES)
-def test_spikes_in_pauses_begin_no_bit(build: Path, mcu: str) -> None:
-    """Its interrupt finds it over. Not in the first pause, in which the node has other work."""
+@contextmanager
+def long_pauses(build: Path, mcu: str) -> Iterator[Bench]:
+    """A node that knows its clock."""
     spec = LONG_PAUSES[mcu]
     node = Node(image(build, mcu), mcu, node_memory(spec, 1, mcu=mcu, **SPEECH))
     with EmulatedNodes([node]) as emulated:
@@ -303,61 +303,40 @@ def test_spikes_in_pauses_begin_no_bit(build: Path, mcu: str) -> None:
         skin = Bench(emulated, spec)
         for number in range(CLOCK_KNOWN):
             skin.frame(number)
-        for number, after_us in enumerate(range(14, 200 - 64 - 14, 7), CLOCK_KNOWN):
-            start = POWER_UP_NS + number * skin.period_ns
-            skin.pulse(start - LEAD_NS)
-            for slot in range(1, slots(spec)):
-                at = slot * (spec.resync_chips + spec.guard_chips) * spec.chip_s
-                begin = start + round(at * 1e9)
-                if slot > 1:
-                    skin.pulse(begin - 200_000 + 1000 * after_us, 1_000)
-                skin.pulse(begin - LEAD_NS, RESTART * UNIT_NS)
-            skin.skin.run(start + skin.period_ns - MEASURED_NS)
-            assert_says_rest(skin, mcu, start)
+        yield skin
+
+
+@pytest.mark.parametrize("mcu", LONG_PAUSES)
+def test_spikes_in_pauses_begin_no_bit(build: Path, mcu: str) -> None:
+    """Its interrupt finds it over. Not in the first pause, in which the node has other work."""
+    with long_pauses(build, mcu) as skin:
+        for number, early_us in enumerate(range(15, 200 - 64 - 14, 7), CLOCK_KNOWN):
+            spikes = dict.fromkeys(range(2, slots(skin.spec)), (1000 * early_us, 1000))
+            assert_says_rest(skin, mcu, skin.frame(number, before=spikes))
 
 
 @pytest.mark.parametrize("mcu", LONG_PAUSES)
 @pytest.mark.parametrize("width_us", [1, 26, 40])
 def test_what_hides_no_restart(build: Path, mcu: str, width_us: int) -> None:
     """Spikes hide none from slow chips; other pulses that end and are served in time hide none."""
-    spec, first_us = LONG_PAUSES[mcu], max(55, width_us + 25)
-    before_us = np.arange(first_us, 120, 7) if width_us > 1 else np.arange(1.7, 30)
-    node = Node(image(build, mcu), mcu, node_memory(spec, 1, mcu=mcu, **SPEECH))
-    with EmulatedNodes([node]) as emulated:
-        emulated.press(volts(REST, 10))
-        skin = Bench(emulated, spec)
-        for number in range(CLOCK_KNOWN):
-            skin.frame(number)
-        for number, early_us in enumerate(before_us, CLOCK_KNOWN):
-            start = POWER_UP_NS + number * skin.period_ns
-            skin.pulse(start - LEAD_NS)
-            for slot in range(1, slots(spec)):
-                at = slot * (spec.resync_chips + spec.guard_chips) * spec.chip_s
-                rise = start + round(at * 1e9) - LEAD_NS
-                hides = mcu == FAST and width_us == 1 and 9 <= early_us <= 14
-                if slot == 3 and not hides:
-                    skin.pulse(rise - round(early_us * 1000), 1000 * width_us)
-                skin.pulse(rise, RESTART * UNIT_NS)
-            skin.skin.run(start + skin.period_ns - MEASURED_NS)
-            assert_says_rest(skin, mcu, start)
+    early_us = np.arange(max(55, width_us + 25), 120, 7) if width_us > 1 else np.arange(1.7, 30)
+    if mcu == FAST:
+        early_us = early_us[(early_us < 9) | (early_us > 14)]
+    with long_pauses(build, mcu) as skin:
+        for number, early in enumerate(early_us, CLOCK_KNOWN):
+            other = {3: (round(1000 * early), 1000 * width_us)}
+            assert_says_rest(skin, mcu, skin.frame(number, before=other))
 
 
 @pytest.mark.parametrize("width_us", [26, 40])
 def test_pulses_that_nobody_answers_bend_no_chip_of_a_bits_end(build: Path, width_us: int) -> None:
     """In the last 64 µs of a bit: a restart's pulse could come then, so the node gets ready."""
-    spec = fast(15, 16, 16e-6)
-    with bench(build, spec) as skin:
+    with bench(build, fast(15, 16, 16e-6)) as skin:
         for number in range(CLOCK_KNOWN):
             skin.frame(number)
-        for number, at_us in enumerate(range(193, 213, 3), CLOCK_KNOWN):
-            start = POWER_UP_NS + number * skin.period_ns
-            skin.pulse(start - LEAD_NS)
-            skin.pulse(start + 1000 * at_us, 1000 * width_us)
-            for slot in range(1, slots(spec)):
-                at = slot * (spec.resync_chips + spec.guard_chips) * spec.chip_s
-                skin.pulse(start + round(at * 1e9) - LEAD_NS, RESTART * UNIT_NS)
-            skin.skin.run(start + skin.period_ns - MEASURED_NS)
-            np.testing.assert_array_equal(said(skin, start), wanted(spec, 1, REST))
+        for number, early_us in enumerate(range(60, 80, 3), CLOCK_KNOWN):
+            start = skin.frame(number, before={1: (1000 * early_us, 1000 * width_us)})
+            np.testing.assert_array_equal(said(skin, start), wanted(skin.spec, 1, REST))
 
 
 def test_pulses_at_any_time_of_the_timer(build: Path) -> None:
