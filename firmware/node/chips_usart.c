@@ -20,8 +20,8 @@
 
 #define CHIP_STEP_CYCLES 2u
 #define STEPS_PER_US (BOARD_TICKS_PER_US / CHIP_STEP_CYCLES)
-/* Cycles from the transmitter's start to the first chip, plus UBRR0 and the octet's unused chips. Counted
- * in the instructions of begin(); of the data sheet's silence it assumes that an idle transmitter takes an
+/* Cycles from the end of board_spin to the first chip, without UBRR0 and the octet's unused chips. Counted
+ * in the instructions of chips_begin; of the data sheet's silence it assumes that an idle transmitter takes an
  * octet at the next clock of its divider, and that two of these make a chip. Measure it on an
  * oscilloscope (docs/firmware.md): an error is common to all nodes. */
 #define START_CYCLES 21u
