@@ -4,10 +4,12 @@
 
     python examples/live_parquet.py sim:// touch.parquet --seconds 10
     python examples/live_parquet.py /dev/ttyACM0 touch.parquet       # Ctrl-C ends
+    python examples/live_parquet.py 'replay://a.skin?speed=0' touch.parquet
 
 Needs pyarrow (the extra [datasets]). One thread logs the frames as they come, 78 per second; the
 main thread draws the newest one, so that no frame waits for the picture. The file appears when the
-log ends. Without a screen (MPLBACKEND=Agg), --picture FILE keeps the last picture. Afterwards:
+log ends, also by the end of a recording or the loss of the port. Without a screen
+(MPLBACKEND=Agg), --picture FILE keeps the last picture. Afterwards:
 
     pandas.read_parquet("touch.parquet")["pressure_pa"].iloc[-1]     # (16,) Pa; NaN: no reading
 """
@@ -15,6 +17,7 @@ log ends. Without a screen (MPLBACKEND=Agg), --picture FILE keeps the last pictu
 from __future__ import annotations
 
 import argparse
+import sys
 import threading
 import time
 from collections import deque
@@ -24,7 +27,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from tactile_cdma import Frame, Skin
+from tactile_cdma import Frame, PortError, Skin
 from tactile_cdma.datasets.parquet_table import ParquetTable
 
 PICTURES_HZ = 10
@@ -32,7 +35,7 @@ FULL_SCALE_KPA = 50
 
 
 def log(skin: Skin, output: Path, newest: deque[Frame], stop: threading.Event) -> int:
-    """Write every frame until told to stop; returns how many."""
+    """Write every frame until told to stop, or there are no more; returns how many."""
     taxels, frames = (len(skin.layout),), 0
     columns = {
         "unix_time_s": ("f8", ()),
@@ -42,17 +45,23 @@ def log(skin: Skin, output: Path, newest: deque[Frame], stop: threading.Event) -
     }
     about = {"port": skin.port, "digitizer": skin.source.digitizer}
     with ParquetTable(output, columns, about) as table:
-        while not stop.is_set():
-            frame = skin.read()
-            row = {
-                "unix_time_s": time.time() - (time.monotonic() - frame.t_host),
-                "sequence": frame.sequence,
-                "pressure_pa": frame.pressure_pa,
-                "status": frame.status,
-            }
-            table.add(row)
-            newest.append(frame)
-            frames += 1
+        try:
+            for frame in skin:  # until a recording ends
+                row = {
+                    "unix_time_s": time.time() - (time.monotonic() - frame.t_host),
+                    "sequence": frame.sequence,
+                    "pressure_pa": frame.pressure_pa,
+                    "status": frame.status,
+                }
+                table.add(row)
+                newest.append(frame)
+                frames += 1
+                if stop.is_set():
+                    break
+        except PortError as error:
+            if not frames:
+                raise  # no file without a frame
+            print(f"the log ends here: {error}", file=sys.stderr)
     return frames
 
 
@@ -82,7 +91,9 @@ def main() -> None:
         logged = pool.submit(log, skin, arguments.output, newest, stop)
         end_s = time.monotonic() + arguments.seconds
         try:
-            while time.monotonic() < end_s and not logged.done():
+            going = True
+            while going:
+                going = time.monotonic() < end_s and not logged.done()
                 if newest:
                     image.set_data(newest[-1].pressure_pa.reshape(shape) / 1e3)
                     figure.canvas.draw()

@@ -3,6 +3,7 @@
 """Feeds a torch module with the last 32 frames of a skin, at every frame (78 Hz), without copies.
 
     python examples/live_torch.py sim://?scene=moving --seconds 10
+    python examples/live_torch.py replay://a.skin
 
 The frames lie in a ring that torch shares: what arrives is written once, and the module sees the
 last 32 frames as one contiguous tensor, (1, 2, 32, taxels): pressure in units of SCALE_PA, and 1
@@ -14,12 +15,13 @@ network's answer (latency), and how much of that was the network (network).
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 
 import numpy as np
 import torch
 
-from tactile_cdma import Skin
+from tactile_cdma import PortError, RecordingEndError, Skin
 from tactile_cdma.datasets.recent import RecentFrames
 
 FRAMES = 32
@@ -63,7 +65,13 @@ def main() -> None:
         held = np.zeros(taxels, dtype=np.float32)
         begun_s, latencies_s, networks_s, shared = time.monotonic(), [], [], True
         while time.monotonic() - begun_s < arguments.seconds:
-            frame = skin.newest()  # control has no use for older ones
+            try:
+                frame = skin.newest()  # control has no use for older ones
+            except RecordingEndError:
+                break
+            except PortError as error:  # a policy has to stop here
+                print(error, file=sys.stderr)
+                break
             valid = np.isfinite(frame.pressure_pa)
             held = np.where(valid, frame.pressure_pa / np.float32(SCALE_PA), held)
             recent.push(np.stack([held, valid]))
@@ -76,7 +84,9 @@ def main() -> None:
             now_s = time.monotonic()
             networks_s.append(now_s - asked_s)
             latencies_s.append(now_s - frame.t_host)
-        latency_ms, network_ms = (1e3 * np.median(values) for values in (latencies_s, networks_s))
+        latency_ms, network_ms = (
+            1e3 * np.median(values or [np.nan]) for values in (latencies_s, networks_s)
+        )
         print(
             f"answers={len(latencies_s)} dropped={skin.dropped} shared={int(shared)} "
             f"latency_ms={latency_ms:.1f} network_ms={network_ms:.2f}"

@@ -76,7 +76,10 @@ def install(packages: list[str]) -> None:
     command = [*apt_get, "install", "-y", "--no-install-recommends", *packages]
     print(f"firmware: {' '.join(command)}", flush=True)
     subprocess.run([*apt_get, "update"], stdout=subprocess.DEVNULL, check=False)
-    subprocess.run(command, stdout=subprocess.DEVNULL, check=False)
+    if subprocess.run(command, stdout=subprocess.DEVNULL, check=False).returncode:
+        for package in packages:  # apt installs none where one cannot be had
+            one = [*command[: -len(packages)], package]
+            subprocess.run(one, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False)
 
 
 def install_libfuzzer() -> None:

@@ -11,12 +11,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ngspice import SpiceError, noise_v, waveform
 from tactile_cdma.code.encode import frame_levels, line_chips
+from tactile_cdma.config.parameters import Value, read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.hardware.amplifier import RAIL_V, FrontEnd, design
@@ -24,18 +26,15 @@ from tactile_cdma.wire._protocol import SyncMode
 from tactile_cdma.wire.messages import FrameLayout, Info, Packet, Samples
 from tactile_cdma.wire.packets import PacketWriter
 
-FAST = {
-    "chip_us": 2.0,
-    "order": 912,
-    "frame_period_ms": 19.96,
-    "resync_chips": 912,
-    "guard_chips": 40,
-    "samples_per_chip": 1,
-}
-SKINS: dict[int, dict[str, int | float]] = {
+THOUSAND = Path(__file__).resolve().parents[2] / "config" / "thousand_skin.yaml"
+SKINS: dict[int, dict[str, Value]] = {
     16: {},
     64: {"frame_period_ms": 36.0},
-    900: FAST,
+    900: {
+        name: value
+        for name, value in read_file(THOUSAND).items()
+        if name not in ("port", "amplitude_mv")  # which is computed here
+    },
 }
 """Parameters by number of nodes; the rest are the driver's defaults."""
 PERIODS = 3

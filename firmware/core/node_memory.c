@@ -33,7 +33,8 @@ static bool fits(const struct tp_node_record *record, const struct node_limits *
     return record->order <= limits->order && record->chip_ns >= least_ns &&
            record->chip_ns <= limits->longest_chip_ns &&
            record->chip_ns % limits->chip_step_ns == 0 &&
-           (!limits->bits_restart || record->resync_chips == record->order) &&
+           (!limits->bits_restart ||
+            (record->resync_chips == record->order && record->order % 2 == 0)) &&
            used_ns <= 1000u * (uint64_t)record->frame_period_us &&
            (span == chips || guard_ns >= 1000ul * limits->restart_us);
 }

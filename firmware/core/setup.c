@@ -76,7 +76,8 @@ static bool sample_raw(struct setup *setup, const struct dg_board *board)
 }
 
 /* Means of chips: averages as many evenly spaced samples as the converter can take. Few of them would
- * include one that is taken before the line has settled: then a single late one is better. */
+ * include one that is taken before the line has settled: then a single late one is better. It stays late
+ * only where a chip is a whole number of ticks; otherwise samples would drift through the chips. */
 static bool sample_means(struct setup *setup, const struct dg_board *board)
 {
     uint64_t chip_ticks = chip_length(setup) / STRIDE_MILLI;
@@ -89,7 +90,7 @@ static bool sample_means(struct setup *setup, const struct dg_board *board)
         return false;
     if (mean < SETUP_LEAST_MEAN && setup->asked.frame.samples_per_chip == 1)
         mean = 1;
-    if (chip_ticks / mean > board->max_ticks)
+    if (chip_ticks / mean > board->max_ticks || (mean == 1 && chip_length(setup) % STRIDE_MILLI != 0))
         return false;
     setup->ticks_per_sample = (uint32_t)(chip_ticks / mean);
     setup->sample_rate_uhz = (1000000000000000ull + chip_ns / 2) / chip_ns;

@@ -170,7 +170,7 @@ static void send_samples(struct stream *stream, const uint16_t *words, uint32_t 
 /* Sends QUIET in place of the words; wait: delays it until the next packet. */
 static void leave_out(struct stream *stream, uint32_t size, bool wait)
 {
-    int32_t sum = 0; /* |sum| ≤ 2¹³ words · 2¹⁵ < 2³¹ */
+    int64_t sum = 0;
     uint64_t squares = 0;
 
     for (uint32_t i = 0; i < size; i++) {

@@ -16,7 +16,6 @@
 
 #define MOST_ORDER 1024
 
-/* What the scanner finds in bytes, in pieces of a size; size 0: at once. */
 /* A sample by docs/protocol.md: a word, or 12 bits from half byte 3·i on. */
 static int sample_of(const struct scanner_packet *packet, size_t i)
 {
@@ -35,6 +34,7 @@ static int sample_of(const struct scanner_packet *packet, size_t i)
     return sample;
 }
 
+/* What the scanner finds in bytes, in pieces of a size; size 0: at once. */
 static struct scanner_counts scan(const uint8_t *bytes, size_t size, size_t piece, bool compare)
 {
     static uint8_t body[FRAMING_MAX_RUN];

@@ -17,7 +17,27 @@
 #define TICKS_PER_US 8
 #define UNIT_TICKS (TP_SYNC_UNIT_US * TICKS_PER_US)
 
-static const struct node_limits limits = {8 * ROW_OCTETS, 30000, 30000, 1000000, 1, false, 900, 96};
+static const struct node_limits slow = {
+    .order = 8 * ROW_OCTETS,
+    .chip_ns = 30000,
+    .scrambled_chip_ns = 36000,
+    .longest_chip_ns = 90000,
+    .chip_step_ns = 1,
+    .bits_restart = false,
+    .measuring_us = 900,
+    .restart_us = 96,
+};
+static const struct node_limits fast = {
+    .order = 8 * ROW_OCTETS,
+    .chip_ns = 500,
+    .scrambled_chip_ns = 1750,
+    .longest_chip_ns = 16000,
+    .chip_step_ns = 250,
+    .bits_restart = true,
+    .measuring_us = 900,
+    .restart_us = 80,
+};
+static const struct node_limits *limits;
 static uint8_t memory[MEMORY];
 
 static uint8_t read_memory(uint16_t address)
@@ -44,6 +64,11 @@ static struct tp_node_record record_of(struct input *input)
         .heartbeat = input_u8(input),
     };
 
+    if (limits == &fast) {
+        record.chip_ns = 250u * (1 + input_u8(input) % 65) + (input_u8(input) % 32 == 0);
+        record.resync_chips = (uint16_t)(record.order - (input_u8(input) % 32 == 0));
+        record.guard_chips = (uint8_t)(80000 / record.chip_ns + input_u8(input) % 3);
+    }
     record.node = (uint16_t)(1 + input_u8(input) % record.nodes);
     record.turn = (uint16_t)(record.heartbeat ? input_u8(input) % record.heartbeat : 0);
     if (flags & 8) {
@@ -60,13 +85,16 @@ static struct tp_node_record record_of(struct input *input)
     return record;
 }
 
-/* Any bytes, or a record and a row that fit their CRC. */
+/* Any bytes, or a record and a row that fit their CRC; for one of two boards. */
 static void write_memory(struct input *input)
 {
     const uint8_t *bytes;
 
+    uint8_t kind = input_u8(input);
+
     memset(memory, 0xFF, sizeof memory);
-    if (input_u8(input) % 8 == 0) {
+    limits = kind & 0x80 ? &fast : &slow;
+    if (kind % 8 == 0) {
         size_t size = input_bytes(input, &bytes, MEMORY);
         memcpy(memory, bytes, size);
         return;
@@ -81,30 +109,43 @@ static void write_memory(struct input *input)
     memcpy(memory + size, &crc, sizeof crc);
 }
 
-/* Conditions that an accepted memory must meet. */
-static void check_record(const struct tp_node_record *record)
+/* Whether the board can do what a record asks for. */
+static bool is_within_limits(const struct tp_node_record *record)
 {
-    size_t size = sizeof *record + (record->order + 7u) / 8;
     uint64_t chips = (uint64_t)(record->bits + record->parity) * record->order;
     uint64_t slots = record->resync_chips ? (chips - 1) / record->resync_chips : 0;
-    uint64_t used_ns = (chips + slots * record->guard_chips) * record->chip_ns;
+    uint64_t guard_ns = (uint64_t)record->guard_chips * record->chip_ns;
+    uint64_t used_ns = chips * record->chip_ns + slots * guard_ns;
+
+    if (record->order > limits->order || record->chip_ns > limits->longest_chip_ns ||
+        record->chip_ns < (record->scramble ? limits->scrambled_chip_ns : limits->chip_ns))
+        return false;
+    if (limits == &fast && (record->chip_ns % 250 || record->order % 2 ||
+                            record->resync_chips != record->order))
+        return false;
+    return (slots == 0 || guard_ns >= 1000ull * limits->restart_us) &&
+           used_ns + 964000 <= record->frame_period_us * 1000ull;
+}
+
+/* Conditions that an intact memory meets, accepted or not. */
+static void check_record(const struct tp_node_record *record, bool accepted)
+{
+    size_t size = sizeof *record + (record->order + 7u) / 8;
     uint32_t crc;
 
     memcpy(&crc, memory + size, sizeof crc);
     MUST(crc == framing_crc(memory, size), WRONG_VALUE);
-    MUST(record->order >= 1 && record->order <= limits.order, WRONG_VALUE);
+    MUST(record->order >= 1, WRONG_VALUE);
     MUST(record->bits >= 8 && record->bits <= 10 && record->node <= record->nodes, WRONG_VALUE);
-    MUST(used_ns + 964000 <= record->frame_period_us * 1000ull, WRONG_VALUE);
+    MUST(accepted == is_within_limits(record), WRONG_VALUE);
 }
 
-/* Octet of the scrambler whose state before the frame is this one. */
-static uint8_t octet_at(uint32_t state, uint32_t octet)
+/* The scrambler's next state, whose top octet is the next one of the sequence. */
+static uint32_t scrambled(uint32_t state)
 {
-    for (uint32_t i = 0; i <= octet; i++) {
-        uint8_t old = (uint8_t)(state ^ state << 1), newest = (uint8_t)(state >> 24);
-        state = state >> 8 | (uint32_t)(uint8_t)(newest ^ newest >> 3 ^ old ^ old >> 1) << 24;
-    }
-    return (uint8_t)(state >> 24);
+    uint8_t old = (uint8_t)(state ^ state << 1), newest = (uint8_t)(state >> 24);
+
+    return state >> 8 | (uint32_t)(uint8_t)(newest ^ newest >> 3 ^ old ^ old >> 1) << 24;
 }
 
 /* Compares every chip of a word with the definition of a frame. */
@@ -113,8 +154,7 @@ static void check_chips(const struct tp_node_record *record, const uint8_t *row,
     struct sequencer sequencer;
     uint32_t bits = record->bits + record->parity;
     uint16_t word = code & (uint16_t)((1u << record->bits) - 1);
-    uint32_t octets = (record->order + 7u) / 8, flipped_at = UINT32_MAX;
-    uint8_t flipped = 0;
+    uint32_t octets = (record->order + 7u) / 8, flipped_at = UINT32_MAX, state = record->scramble;
 
     if (record->parity)
         word = (uint16_t)(word << 1 | __builtin_parity(word));
@@ -123,11 +163,12 @@ static void check_chips(const struct tp_node_record *record, const uint8_t *row,
     for (uint32_t chip = 0, all = bits * record->order; chip < all; chip++) {
         uint32_t place = 8 * octets - record->order + chip % record->order;
         uint32_t octet = chip / record->order * octets + place / 8;
-        if (octet != flipped_at)
-            flipped = octet_at(record->scramble, flipped_at = octet);
+        if (octet != flipped_at) /* the next one */
+            state = scrambled(state);
+        flipped_at = octet;
         bool one = word >> (bits - 1 - chip / record->order) & 1;
         bool plus = row[place / 8] >> place % 8 & 1;
-        bool high = ((one == plus) == (record->sign > 0)) != (flipped >> place % 8 & 1);
+        bool high = ((one == plus) == (record->sign > 0)) != (state >> 24 >> place % 8 & 1);
         bool guard = record->resync_chips && (chip + 1) % record->resync_chips == 0;
         enum sequencer_next next = chip + 1 == all ? SEQUENCER_END
                                    : guard         ? SEQUENCER_GUARD
@@ -213,8 +254,10 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
     check_pulse(input_u32(&input) % (8 * UNIT_TICKS));
     check_pulse(input_u32(&input));
     write_memory(&input);
-    if (node_memory_load(&record, row, &limits, read_memory) == NODE_MEMORY_GOOD) {
-        check_record(&record);
+    enum node_memory_fault fault = node_memory_load(&record, row, limits, read_memory);
+    if (fault == NODE_MEMORY_GOOD || fault == NODE_MEMORY_UNFIT)
+        check_record(&record, fault == NODE_MEMORY_GOOD);
+    if (fault == NODE_MEMORY_GOOD) {
         check_chips(&record, row, input_u16(&input));
         check_turns(&input, &record);
     }

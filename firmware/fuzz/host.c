@@ -38,7 +38,7 @@ static enum tp_result configured(struct host *host, const uint8_t *payload)
     enum tp_result result = settings_of(&host->settings, host->board, &asked);
     if (result == TP_RESULT_OK) {
         host->restarted |= host->running;
-        host->running = host->call_asked = false;
+        host->running = host->call_asked = host->packs = false;
     }
     return result;
 }
@@ -66,6 +66,12 @@ static enum tp_result done(struct host *host, uint8_t type, const uint8_t *paylo
     return TP_RESULT_OK;
 }
 
+/* Whether words are counts, so that 12 bits hold them: they are no means. */
+static bool sends_counts(const struct settings *settings)
+{
+    return !settings->asked.integrated || settings->chip == (wide)1000 * settings->ticks_per_sample;
+}
+
 static void command(struct host *host, const uint8_t *body, size_t size)
 {
     struct tp_header header;
@@ -75,6 +81,7 @@ static void command(struct host *host, const uint8_t *body, size_t size)
     enum tp_result result = done(host, header.type, body + sizeof header, size - sizeof header);
     answer.ack = (struct tp_ack){header.type, header.sequence, (uint8_t)result};
     answer.settings = host->settings;
+    answer.packed = host->packs && sends_counts(&host->settings);
     answer.info = header.type == TP_CONFIGURE
                       ? result == TP_RESULT_OK || result == TP_RESULT_UNSUPPORTED
                       : header.type == TP_GET_INFO && result == TP_RESULT_OK;
@@ -141,10 +148,23 @@ static void check_ack(struct host *host, const struct tp_ack *ack)
     host->info_due = host->answers[host->answered++].info;
 }
 
+/* Whether the samples heard now may be packed, or not: as the last answer says, or one whose ACK was
+ * dropped. */
+static void check_kind(const struct host *host, bool packed)
+{
+    size_t next = host->answered, dropped = host->missing - host->unanswered;
+    bool may_be = next ? host->answers[next - 1].packed == packed : !packed;
+
+    for (; !may_be && dropped > 0 && next < host->answers_size; next++, dropped--)
+        may_be = host->answers[next].packed == packed;
+    MUST(may_be, WRONG_VALUE);
+}
+
 static void check_samples(const struct host *host, const uint8_t *payload, size_t size)
 {
     struct tp_samples head;
 
+    check_kind(host, false);
     MUST(size > sizeof head && (size - sizeof head) % 2 == 0, WRONG_VALUE);
     memcpy(&head, payload, sizeof head);
     struct line_packet packet = {
@@ -162,6 +182,7 @@ static void check_packed(const struct host *host, const uint8_t *payload, size_t
     static uint8_t words[2 * TP_MAX_SAMPLES];
     struct tp_packed head;
 
+    check_kind(host, true);
     MUST(size > sizeof head && (size - sizeof head) % 3 != 1, WRONG_VALUE);
     memcpy(&head, payload, sizeof head);
     struct line_packet packet = {
@@ -171,7 +192,7 @@ static void check_packed(const struct host *host, const uint8_t *payload, size_t
         .count = (uint32_t)((size - sizeof head) * 2 / 3),
         .words = words,
     };
-    MUST(host->packs && packet.count <= TP_MAX_SAMPLES, WRONG_VALUE);
+    MUST(packet.count <= TP_MAX_SAMPLES, WRONG_VALUE);
     for (uint32_t i = 0; i < packet.count; i++) { /* 12 bits from half byte 3·i on */
         const uint8_t *at = payload + sizeof head + 3 * i / 2;
         unsigned value = i % 2 ? at[0] >> 4 | (unsigned)at[1] << 4 : at[0] | (at[1] & 15u) << 8;

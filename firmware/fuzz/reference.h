@@ -134,6 +134,7 @@ struct host_answer {
     struct tp_ack ack;
     bool info;                /* and INFO after it … */
     struct settings settings; /* … which says this */
+    bool packed;              /* samples that follow are PACKED */
 };
 
 /* Bytes up to a zero. */
@@ -148,7 +149,7 @@ struct host {
     bool running;             /* … */
     bool restarted;           /* since the harness has looked */
     bool call_asked;          /* … and not yet begun */
-    bool packs;               /* packed samples were ever asked for */
+    bool packs;               /* packed samples were asked for since the last CONFIGURE */
     uint32_t refused, errors;
     struct host_run sent;
 

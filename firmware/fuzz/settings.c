@@ -60,6 +60,8 @@ static bool sampled(struct settings *settings, const struct dg_board *board)
             return false;
         if (mean < 4 && wanted == 1) /* too few to leave out what is not settled */
             mean = 1;
+        if (mean == 1 && chip % 1000) /* that one would not stay where the line is settled */
+            return false;
         ticks = chip / 1000 / mean;
     } else {
         ticks = (chip + 500 * wanted) / (1000 * wanted);

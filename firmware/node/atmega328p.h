@@ -123,23 +123,29 @@ static BOARD_INLINE void board_sync_off(void)
     TIMSK1 &= (uint8_t)~_BV(ICIE1);
 }
 
-/* Ticks: 7/8 of the shortest pulse, so that a node's clock may be 1/8 off. The interrupt normally looks
- * 13 µs after the rising edge. */
+/* Ticks: 7/8 of the shortest pulse, so that a node's clock may be 1/8 off. A pulse that is over at a look
+ * before this was a glitch; at a later one, which another interrupt delayed, it may have been a restart's. An
+ * undelayed look, the first thing after registers are saved, is some 80 ticks after the rising edge. */
 #define BOARD_LATE_LOOK (TP_SYNC_UNIT_US * BOARD_TICKS_PER_US * 7u / 8u)
 
 static BOARD_INLINE bool board_sync_edge(uint32_t *when)
 {
+    bool low = !(PINB & _BV(BOARD_SYNC));
+    uint16_t look = TCNT1, edge = ICR1;
     bool rising = TCCR1B & _BV(ICES1);
 
-    *when = board_time(ICR1) - BOARD_CANCELLER_CYCLES;
-    TCCR1B = rising ? BOARD_COUNTING : BOARD_COUNTING | _BV(ICES1);
-    TIFR1 = _BV(ICF1); /* changing the edge may look like one */
-    if (rising && !(PINB & _BV(BOARD_SYNC)) && !(TIFR1 & _BV(ICF1))) {
-        /* already low: a glitch, unless another interrupt delayed this one beyond a restart pulse */
-        TCCR1B = BOARD_COUNTING | _BV(ICES1);
-        return (uint16_t)(TCNT1 - (uint16_t)*when) >= BOARD_LATE_LOOK;
+    if (!rising || !low) { /* listens for the other edge; else still for a rising one */
+        TCCR1B = rising ? BOARD_COUNTING : BOARD_COUNTING | _BV(ICES1);
+        TIFR1 = _BV(ICF1); /* changing the edge may look like one */
     }
-    return rising;
+    *when = board_time(edge) - BOARD_CANCELLER_CYCLES;
+    if (!rising)
+        return false;
+    if (low)
+        return (uint16_t)(look - (uint16_t)*when) >= BOARD_LATE_LOOK;
+    if (!(PINB & _BV(BOARD_SYNC)) && !(TIFR1 & _BV(ICF1)))
+        TCCR1B = BOARD_COUNTING | _BV(ICES1); /* it fell just before that was listened for */
+    return true;
 }
 
 static BOARD_INLINE bool board_sync_fell(uint16_t rise, uint16_t *length)

@@ -20,14 +20,14 @@
 
 #define CHIP_STEP_CYCLES 2u
 #define STEPS_PER_US (BOARD_TICKS_PER_US / CHIP_STEP_CYCLES)
-/* Cycles from the transmitter's start to the first chip, plus UBRR0 and the octet's unused chips. Counted
- * in the instructions of begin(); of the data sheet's silence it assumes that an idle transmitter takes an
+/* Cycles from the end of board_spin to the first chip, without UBRR0 and the octet's unused chips. Counted
+ * in the instructions of chips_begin; of the data sheet's silence it assumes that an idle transmitter takes an
  * octet at the next clock of its divider, and that two of these make a chip. Measure it on an
  * oscilloscope (docs/firmware.md): an error is common to all nodes. */
-#define START_CYCLES 19u
+#define START_CYCLES 21u
 
 static const uint8_t *row, *row_end;
-static uint8_t unused;  /* of the first octet's chips; even, as orders are */
+static uint8_t unused;  /* of the first octet's chips; even, as node_memory.c takes no odd orders */
 static uint8_t divider; /* UBRR0 */
 static bool negative;
 static uint8_t bits, parity;
@@ -79,7 +79,6 @@ uint16_t chips_aim(uint32_t rise)
     first = row[0] ^ flip ^ flips[0];
     second = row[1] ^ flip ^ flips[1]; /* of a row of one octet nobody sends it */
     wait = (uint8_t)(3u + unused / 2u);
-    UBRR0 = 0;
     return start - START_CYCLES - CHIP_STEP_CYCLES * unused - divider;
 }
 
@@ -98,7 +97,8 @@ bool chips_begin(uint16_t at)
     __asm__ volatile("" : "+r"(on), "+r"(octet_0), "+r"(octet_1), "+r"(rate), "+r"(turns),
                           "+r"(octet), "+r"(end), "+r"(mask), "+r"(chips), "+r"(flipping));
     board_spin(at);
-    __asm__ volatile("sts %[control], %[on]   \n\t"
+    __asm__ volatile("sts %[clock], __zero_reg__ \n\t" /* not before: the last bit's chips need theirs */
+                     "sts %[control], %[on]   \n\t"
                      "sts %[data], %[octet_0] \n\t"
                      "sts %[data], %[octet_1] \n\t"
                      "1: nop                  \n\t" /* 4 cycles each, 3 the last time */

@@ -48,7 +48,6 @@ struct virtual_board *board_create(struct skin *skin, double offset_v, double cl
     board->tick_ns = 1e3 / TICKS_PER_US / (1 + clock_error);
     board->link_rate = link_rate;
     board->description = (struct dg_board){
-        .id = TP_SIMULATED_ID "emul",
         .ticks_per_us = TICKS_PER_US,
         .min_ticks = 96, /* as an RP2040's converter */
         .max_ticks = 65536,
@@ -57,6 +56,7 @@ struct virtual_board *board_create(struct skin *skin, double offset_v, double cl
         .min_count = 0,
         .max_count = COUNTS - 1,
     };
+    memcpy(board->description.id, TP_SIMULATED_ID "emul", sizeof board->description.id);
     dg_init(&board->dg, &board->description, board->output, sizeof board->output, board->samples,
             TP_MAX_SAMPLES, 0);
     return board;

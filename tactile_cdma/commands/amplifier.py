@@ -20,7 +20,16 @@ from ..code.encode import line_chips
 from ..code.frame import FrameSpec
 from ..config.arguments import add_skin_options, given
 from ..config.skin_config import SkinConfig
-from ..hardware.amplifier import ADC_HZ, BIAS_TOLERANCE, EXACT, TOLERANCE, FrontEnd, Stage, design
+from ..hardware.amplifier import (
+    ADC_HZ,
+    BIAS_TOLERANCE,
+    EXACT,
+    TOLERANCE,
+    FrontEnd,
+    Stage,
+    design,
+    largest_sum,
+)
 from ..hardware.tolerance import scatter
 from ..sim.nodes import NodeRules, node_frames
 from ..sim.options import SimOptions
@@ -160,6 +169,7 @@ def describe(spec: FrameSpec, front: FrontEnd) -> str:
     worst = max(scenes, key=lambda name: scenes[name].peak)
     clipped = [f"{name} {_share(load.clipped)}" for name, load in scenes.items() if load.clipped]
     spread = scatter(front)
+    used = largest_sum(spec, front.talking) / front.room
     lines = {
         "node": f"R1 {_si(front.series_ohm)}Ω from the pin; Rb {_si(front.bias_ohm)}Ω to supply "
         f"and {_si(front.bias_ohm)}Ω to ground",
@@ -173,7 +183,7 @@ def describe(spec: FrameSpec, front: FrontEnd) -> str:
         f"{_si(front.sample_s)}s",
         "level": f"A = {_si(front.amplitude_v)}V, one node on the digitized line",
         "range": f"±{_si(front.room_v)}V = ±{front.room:.3g}·A = ±{front.full_scale:.3g}·√n·A, "
-        f"n = {front.talking} nodes at once",
+        f"n = {front.talking} nodes at once use {used:.0%}",
         "tolerance": f"resistors {TOLERANCE:.1%}, those of half the supply {BIAS_TOLERANCE:.1%}: "
         f"rest ±{_si(spread.rest_v)}V rms, levels within {spread.level:.1%}; of {spread.skins} "
         f"skins {_share(spread.left)} leave the range",

@@ -3,7 +3,8 @@
 """Streams of samples, in the order in which they were recorded ──▶ rows at the ticks of one clock.
 
 A row holds what was measured up to its tick and nothing later: what a policy could have known.
-Memory is bounded: a tick is done as soon as every stream that goes on has passed it.
+Memory is bounded: a tick is done as soon as every stream that goes on has passed it, and what comes
+before the interval of the next one is reduced to what is still known then.
 """
 
 from __future__ import annotations
@@ -13,41 +14,63 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
+from statistics import median
 
 from .episodes import Episode
-from .samples import CONTACTS, NANO, WRENCH, Sample, SkinFrame, Stream, Value
-from .touch import STALE_S, Touch, TouchStream
+from .samples import ACTION, NANO, Sample, SkinFrame, Stream, Value
+from .touch import Touch, TouchStream
 
 WAIT_S = 2.0
 """A stream from which nothing was recorded for so long is not waited for, s; chosen: far above the
 time that messages need to the recorder, and little to hold."""
+STALE_S = 0.5
+"""A stream has not stopped before its last sample is older, s. Chosen: five frames of a driver that
+thins frames without words to 10 Hz (idle_rate_hz), and little to repeat an image."""
+STEPS, LAST_STEPS = 3, 15
+"""Nor before it is older than so many of the stream's own steps, by the median of the last ones:
+of a slow stream one sample may be lost, and the next one late. Chosen."""
+REACH = 2
+"""An interval of a clock that is a stream, with a tick lost, in intervals: a mean goes no further
+back, or STALE_S, where that is more. Chosen."""
+
+
+def stale_s(fps: float) -> float:
+    """The age that a stream's last sample may have at least, at so many ticks per s, s."""
+    return max(STALE_S, 1 / fps)
 
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """A moment of the clock, Unix time in ns, of the episode of that number."""
+    """A moment of the clock, Unix time in ns, of the episode of that number.
+
+    since_ns: its interval is what comes after that, which is the tick before.
+    """
 
     time_ns: int
     episode: int
+    since_ns: int
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
     """What is known at a tick: by stream, the patches' touch and the other streams' last value.
 
-    A stream that has not begun is absent, and so are contacts and wrench older than STALE_S.
+    stopped: the streams whose last sample is too old for the present, with the stamp of the last
+    one before that first happened, ns. Of them only touch is among the values, with nothing valid,
+    and actions: a command is in force until the next one. Who has not begun is in neither.
     """
 
     tick: Tick
     values: Mapping[str, Touch | Value]
+    stopped: Mapping[str, int]
 
 
 class Aligner:
     """Samples in, rows out; feed() each sample, then finish().
 
     streams: by key. touch: of the patches, by key. clock: key of the stream whose stamps are the
-    ticks; None: fps ticks per s from the beginning of each episode or of the data. late: samples
-    per stream that came after a tick that they belong to.
+    ticks, about fps per s; None: exactly fps from the beginning of each episode or of the data.
+    late: samples per stream that came after a tick that they belong to.
     """
 
     def __init__(
@@ -58,7 +81,8 @@ class Aligner:
         fps: float,
         clock: str | None = None,
     ) -> None:
-        self._streams, self._touch, self._episodes = streams, touch, episodes
+        self._touch, self._episodes = touch, episodes
+        self._commands = {key for key, stream in streams.items() if stream.kind == ACTION}
         self._clock, self._fps = clock, fps
         self._grid: Iterator[Tick] = iter(())
         self._ticks: deque[Tick] = deque()
@@ -67,8 +91,13 @@ class Aligner:
         self._last: dict[str, Value] = {}
         self._newest: dict[str, tuple[int, int]] = {}  # stamp, and when it was recorded
         self._taken_ns = dict.fromkeys(streams, -1)
-        self._done_ns = -1
+        self._steps_ns: dict[str, deque[int]] = {key: deque(maxlen=LAST_STEPS) for key in streams}
+        self._done_ns = self._drained_ns = -1
         self._begun_ns: int | None = None
+        self._stopped_ns: dict[str, int] = {}
+        self._last_tick: Tick | None = None
+        self._interval_ns, self._stale_ns = round(NANO / fps), round(stale_s(fps) * NANO)
+        self._reach_ns = max(round(STALE_S * NANO), REACH * self._interval_ns)
         self.late = dict.fromkeys(streams, 0)
 
     def feed(self, sample: Sample) -> Iterator[Row]:
@@ -78,7 +107,7 @@ class Aligner:
             self._begun_ns = sample.seen_ns
             if self._clock is None:
                 self._grid = _grid(self._episodes, self._fps, stamp_ns)
-        if stamp_ns <= self._done_ns:
+        if stamp_ns <= (self._drained_ns if key == self._clock else self._done_ns):
             self.late[key] += 1
         if stamp_ns > self._taken_ns[key]:  # else there is something newer already
             heapq.heappush(self._waiting[key], (stamp_ns, next(self._order), sample.value))
@@ -98,22 +127,29 @@ class Aligner:
         """The time that all streams have passed from which samples are still to be expected."""
         wait_ns = round(WAIT_S * NANO)
         assert self._begun_ns is not None
-        if len(self._newest) < len(self._streams) and now_ns - self._begun_ns <= wait_ns:
+        if len(self._newest) < len(self._waiting) and now_ns - self._begun_ns <= wait_ns:
             return 0
         going = (stamp for stamp, seen in self._newest.values() if now_ns - seen <= wait_ns)
         return min(now_ns, *going)
 
     def _tick(self, time_ns: int) -> None:
         """A tick at a stamp of the clock's stream, where that lies in an episode and is new."""
-        last_ns = self._ticks[-1].time_ns if self._ticks else self._done_ns
+        last_ns = self._ticks[-1].time_ns if self._ticks else self._drained_ns
         within = (n for n, e in enumerate(self._episodes) if e.begin_ns <= time_ns <= e.end_ns)
         if time_ns > last_ns and (number := next(within, None)) is not None:
-            self._ticks.append(Tick(time_ns, number))
+            since_ns, before = time_ns - self._interval_ns, self._last_tick
+            if before is not None and before.episode == number:
+                since_ns = max(before.time_ns, time_ns - self._reach_ns)
+            self._last_tick = Tick(time_ns, number, since_ns)
+            self._ticks.append(self._last_tick)
 
     def _rows(self, passed_ns: int) -> Iterator[Row]:
         """Rows of all ticks before a time that every stream has passed."""
         while (tick := self._next(passed_ns)) is not None:
             yield self._row(tick)
+        # The grid's next tick is known; of a clock that is a stream only that it is not before.
+        since_ns = self._ticks[0].since_ns if self._ticks else passed_ns - self._reach_ns
+        self._reduce(min(passed_ns, since_ns))
 
     def _next(self, passed_ns: int) -> Tick | None:
         if not self._ticks and (tick := next(self._grid, None)) is not None:
@@ -123,25 +159,48 @@ class Aligner:
         return None
 
     def _row(self, tick: Tick) -> Row:
+        self._reduce(tick.since_ns)
+        self._drain(tick.time_ns)
+        self._done_ns = tick.time_ns
         values: dict[str, Touch | Value] = {}
+        stopped: dict[str, int] = {}
+        for key, value in self._last.items():
+            if has_stopped := self._has_stopped(key, tick.time_ns):
+                stopped[key] = self._stopped_ns.setdefault(key, self._taken_ns[key])
+            if key in self._touch:
+                values[key] = self._touch[key].at(tick.time_ns, has_stopped)
+            elif not has_stopped or key in self._commands:
+                values[key] = value
+        return Row(tick, values, stopped)
+
+    def _drain(self, until_ns: int) -> None:
+        """Take in all samples up to a time."""
+        if until_ns <= self._drained_ns:
+            return
+        self._drained_ns = until_ns
         for key, waiting in self._waiting.items():
-            while waiting and waiting[0][0] <= tick.time_ns:
+            while waiting and waiting[0][0] <= until_ns:
                 stamp_ns, _, value = heapq.heappop(waiting)
+                if key in self._last:
+                    if key in self._touch and self._has_stopped(key, stamp_ns):
+                        self._touch[key].restart()
+                    self._steps_ns[key].append(stamp_ns - self._taken_ns[key])
                 self._last[key], self._taken_ns[key] = value, stamp_ns
                 if isinstance(value, SkinFrame):
                     self._touch[key].take(stamp_ns, value)
-            if key in self._touch:
-                if (touch := self._touch[key].at(tick.time_ns)) is not None:
-                    values[key] = touch
-            elif key in self._last and not self._expired(key, tick.time_ns):
-                values[key] = self._last[key]
-        self._done_ns = tick.time_ns
-        return Row(tick, values)
 
-    def _expired(self, key: str, time_ns: int) -> bool:
-        """Whether the last contacts or wrench are too old to be taken for present ones."""
-        is_of_skin = self._streams[key].kind in (CONTACTS, WRENCH)
-        return is_of_skin and time_ns - self._taken_ns[key] > STALE_S * NANO
+    def _reduce(self, until_ns: int) -> None:
+        """Keep of all samples up to a time only what is still known later."""
+        self._drain(until_ns)
+        for touch in self._touch.values():
+            touch.forget(until_ns)
+
+    def _has_stopped(self, key: str, time_ns: int) -> bool:
+        """Whether a stream's last sample is too old to be taken for the present one."""
+        age_ns, steps_ns = time_ns - self._taken_ns[key], self._steps_ns[key]
+        if age_ns <= self._stale_ns:
+            return False
+        return not steps_ns or age_ns > STEPS * median(steps_ns)
 
 
 def _grid(episodes: Iterable[Episode], fps: float, first_ns: int) -> Iterator[Tick]:
@@ -151,8 +210,10 @@ def _grid(episodes: Iterable[Episode], fps: float, first_ns: int) -> Iterator[Ti
     """
     for number, episode in enumerate(episodes):
         begin_ns = max(episode.begin_ns, first_ns)
+        since_ns = begin_ns - 1
         for i in count(1):
             time_ns = begin_ns + round(i * NANO / fps)
             if time_ns > episode.end_ns:
                 break
-            yield Tick(time_ns, number)
+            yield Tick(time_ns, number, since_ns)
+            since_ns = time_ns

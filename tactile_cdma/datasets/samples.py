@@ -119,6 +119,11 @@ class Stream:
     names: tuple[str, ...] = ()
     patch: Patch | None = field(default=None, compare=False)
 
+    @property
+    def topic(self) -> str:
+        """The topic that it is made of; its kind for a recording, which has no topics."""
+        return self.key.removeprefix(f"{self.kind}:")
+
 
 class Source(Protocol):
     """A recording or a bag.

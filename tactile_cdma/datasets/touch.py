@@ -20,9 +20,6 @@ HOLD, ZERO, DROP = "hold", "zero", "drop"
 POLICIES = (HOLD, ZERO, DROP)
 MOST_SLOTS = 1000
 """Samples of a patch per tick; chosen: 12 s of frames that come every 12.8 ms."""
-STALE_S = 0.5
-"""A sample older than this at a tick is marked as no valid reading, s. Chosen: five frames of a
-driver that thins frames without words to 10 Hz (idle_rate_hz), far above the interval of a tick."""
 
 
 def slots(patch: Patch, fps: float, mode: str) -> int:
@@ -46,8 +43,9 @@ class Touch:
     """A patch at one tick.
 
     pressure_pa: (slots, t) float32 for WINDOW, the newest last, else (t,), without NaN.
-    valid: of the same shape, bool: there was a valid reading. age_s: (slots,) or (1,) float32, how
-    long before the tick each was measured. complete: every taxel in service is valid.
+    valid: of the same shape, bool: there was a valid reading; none of a patch that stopped. age_s:
+    (slots,) or (1,) float32, how long before the tick each was measured. complete: every taxel in
+    service is valid.
     """
 
     pressure_pa: Floats32
@@ -69,7 +67,7 @@ class _Sample:
 class TouchStream:
     """Takes a patch's frames in the order of their stamps; gives what is known of it at a tick.
 
-    completeness: of all frames that were taken.
+    Memory is bounded where forget() follows the ticks. completeness: of all frames that were taken.
     """
 
     def __init__(self, taxels: int, slots: int, mode: str, policy: str) -> None:
@@ -78,7 +76,7 @@ class TouchStream:
         self._held = np.zeros(taxels, dtype=np.float32)
         self._wanted = np.ones(taxels, dtype=bool)
         self._window: deque[_Sample] = deque(maxlen=slots)
-        self._interval: list[_Sample] = []
+        self._interval: deque[_Sample] = deque()
 
     def take(self, stamp_ns: int, frame: SkinFrame) -> None:
         """Take in the next frame."""
@@ -91,20 +89,29 @@ class TouchStream:
         if self._mode == MEAN:
             self._interval.append(sample)
 
-    def at(self, tick_ns: int) -> Touch | None:
-        """The patch at a tick after all frames that were taken; None before the first frame."""
-        if not self._window:
-            return None
+    def restart(self) -> None:
+        """Begin the window anew after a stop: what was before that is not of the present."""
+        self._window.clear()
+
+    def forget(self, until_ns: int) -> None:
+        """Leave what was measured up to a time out of the next mean."""
+        while self._interval and self._interval[0].stamp_ns <= until_ns:
+            self._interval.popleft()
+
+    def at(self, tick_ns: int, has_stopped: bool = False) -> Touch:
+        """The patch at a tick after all frames that were taken, of which there has to be one.
+
+        has_stopped: the newest frame is too old for the present, so that nothing is valid.
+        """
+        samples = list(self._window)
         if self._mode == MEAN:
-            samples, self._interval = self._interval or [self._window[-1]], []
-        else:
-            samples = list(self._window)
+            samples = list(self._interval) or samples[-1:]
         ages_s = np.array([(tick_ns - sample.stamp_ns) / NANO for sample in samples])
         filled = np.array([sample.filled_pa for sample in samples])
         valid = np.array([np.isfinite(sample.pressure_pa) for sample in samples])
-        valid &= (ages_s <= STALE_S)[:, None]
+        valid &= not has_stopped
         if self._mode == WINDOW and (missing := self._slots - len(samples)):
-            # Before the first frame: nothing was read yet.
+            # Before the first frame, or the first one after a stop: nothing was read.
             ages_s = np.concatenate([ages_s[:1].repeat(missing), ages_s])
             filled = np.concatenate([filled[:1].repeat(missing, axis=0), filled])
             valid = np.concatenate([np.zeros((missing, filled.shape[1]), dtype=bool), valid])

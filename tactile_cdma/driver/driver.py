@@ -17,10 +17,12 @@ from ..config.skin_config import SkinConfig
 from ..places.indenters import Indenter
 from ..readings.stuck import StuckNodes
 from ..wire.discovery import is_away
+from ..wire.messages import Info
 from ..wire.packets import MAX_REPEATED
 from ..wire.port import Port
 from ..wire.port_failures import is_remote
 from .backlog import Backlog
+from .checkup import REJECTED_FOR
 from .pipeline import Pipeline, TactileFrame
 from .session import Session
 from .steady import Event
@@ -47,7 +49,8 @@ class Driver:
     """Runs one skin in a thread of its own until stopped.
 
     on_frame is called in that thread for every frame; on_problem with one sentence whenever the
-    reason for not receiving frames changes, and with None when frames flow again.
+    reason for not receiving frames changes, and with None when frames flow again; on_info with what
+    the digitizer says that it is, where that fits and is new, before a frame of it is decoded.
 
     url: of the port. connections: how often it was opened. problem: as told by on_problem.
     vitals: what the thread measures of itself. stuck: finds nodes that do not move.
@@ -61,10 +64,12 @@ class Driver:
         baud: int,
         on_frame: Callable[[TactileFrame], None],
         on_problem: Callable[[str | None], None],
+        on_info: Callable[[Info], None] = lambda info: None,
     ) -> None:
         # A recording may be played in a loop.
         most_repeated = 0 if url.lower().startswith(REPLAY) else MAX_REPEATED
         self.pipeline = Pipeline(config, most_repeated=most_repeated)
+        self.pipeline.on_info = on_info
         self.problem: str | None = None
         self.connections = 0
         self.ended = False
@@ -76,6 +81,7 @@ class Driver:
         self._on_frame, self._on_problem = on_frame, on_problem
         self._stop = threading.Event()
         self._opening = False
+        self._rejected = 0  # before the last press()
         self._busy = threading.Lock()
         self._thread = threading.Thread(target=self._run, name=f"skin {url}", daemon=True)
 
@@ -101,6 +107,7 @@ class Driver:
         port = self._port
         if port is None:
             raise PortError(f"{self.url}: not pressed, because it is not open")
+        self._rejected = self.pipeline.rejections.total
         port.press(objects, frames)
 
     @property
@@ -108,7 +115,10 @@ class Driver:
         """Why no frame comes, if none does: the problem, or what else may be the cause."""
         port = self._port
         if port is not None and port.stepped and self.problem in (None, WAITING):
-            return "frames pass one step() at a time"
+            rejections = self.pipeline.rejections
+            if rejections.total > self._rejected:
+                return f"frames are rejected, mostly {REJECTED_FOR[rejections.leading]}"
+            return self.pipeline.problem or "frames pass one step() at a time"
         return self.problem or "the stream has stopped"
 
     @contextmanager

@@ -53,7 +53,8 @@ class Pipeline:
     """Decodes the digitizer's bytes: bytes → packets → timeline → levels → words → readings.
 
     problem: why nothing can be decoded at present, in one sentence; None while all is well.
-    digitizer: what the digitizer has said about itself.
+    digitizer: what the digitizer has said about itself. on_info: called with that where it fits and
+    is new, before what follows is decoded.
     """
 
     def __init__(
@@ -73,6 +74,7 @@ class Pipeline:
         self.parser = PacketParser(most_repeated)
         self.digitizer = DigitizerState()
         self.problem: str | None = None
+        self.on_info: Callable[[Info], None] = lambda info: None
         self.timeline = Timeline(self.counters, clocks)
         self.health = NodeHealth(config.spec)
         nodes = config.spec.nodes
@@ -310,6 +312,8 @@ class Pipeline:
                 self._steady = self._levels.steady(self.parser)
             except SpecError as error:
                 self.problem = f"the digitizer's sampling does not fit: {error}"
+        if self.problem is None:
+            self.on_info(info)
 
     def _drop_levels(self) -> None:
         self.close()

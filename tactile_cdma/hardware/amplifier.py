@@ -72,6 +72,8 @@ E24 = (  # of the resistors; capacitors have every other value
 E12 = E24[::2]
 EXACT = 1 + 1e-9
 """Forgives rounding where values of a series are compared."""
+LEAST_USED = 1 / 4
+"""Of the room, that the sum of all nodes has to reach; chosen: two bits of the converter."""
 FINE = 1e-3
 """Of the room, to which its use is found: far finer than neighbours in E24."""
 FILTER_OHM = 300.0
@@ -346,17 +348,25 @@ def _within(
 ) -> tuple[list[Stage], float]:
     """The stages of the largest swing that leaves their own margin free, by bisection.
 
-    A larger gain takes a larger margin: most of the room, where few of many nodes talk.
+    A larger gain takes a larger margin: most of the room, where few of many nodes talk. It needs
+    faster amplifiers, too. Raises SpecError where LEAST_USED needs too fast ones.
     """
     low_v, high_v = 0.0, room_v
     best: tuple[list[Stage], float] | None = None
-    while best is None or high_v - low_v > FINE * room_v:
+    while high_v - low_v > FINE * room_v:
         swing_v = (low_v + high_v) / 2
-        stages, tau = _stages(spec, active, swing_v / level_v, sample_s, attenuator)
-        if swing_v + _margin_v(stages, supply_v) <= room_v:
-            low_v, best = swing_v, (stages, tau)
+        found = _stages(spec, active, swing_v / level_v, sample_s, attenuator)
+        if found is not None and swing_v + _margin_v(found[0], supply_v) <= room_v:
+            low_v, best = swing_v, found
         else:
             high_v = swing_v
+    talking = math.ceil(active * spec.nodes)
+    all_v = low_v * largest_sum(spec, spec.nodes) / largest_sum(spec, talking)
+    if best is None or all_v < LEAST_USED * room_v:
+        raise SpecError(
+            f"with a sample {sample_s * 1e6:.3g} µs after a chip's begin, even groups of few nodes "
+            f"need amplifiers of more than {MOST_GAIN_BANDWIDTH_HZ / 1e6:g} MHz: use longer chips"
+        )
     return best
 
 
@@ -366,32 +376,30 @@ def _stages(
     level: float,
     sample_s: float,
     attenuator: tuple[float, float],
-) -> tuple[list[Stage], float]:
+) -> tuple[list[Stage], float] | None:
     """Amplifiers, and the time constant of each. level: the room in units of a follower's level.
 
-    Nodes are divided into as few groups as an amplifier of MOST_GAIN_BANDWIDTH_HZ allows.
+    Nodes are divided into as few groups as an amplifier of MOST_GAIN_BANDWIDTH_HZ allows; None
+    where it allows no number of groups.
     """
     tau = low_pass_s(sample_s, 1, attenuator_s(*attenuator))
-    whole = _stage(spec.nodes, level / _peak(spec, math.ceil(active * spec.nodes)), tau)
+    whole = _stage(spec.nodes, level / largest_sum(spec, math.ceil(active * spec.nodes)), tau)
     if whole.gain_bandwidth_hz <= MOST_GAIN_BANDWIDTH_HZ:
         return [whole], tau
     tau = low_pass_s(sample_s, 2, attenuator_s(*attenuator))
     for groups in range(2, spec.nodes + 1):
         size = -(-spec.nodes // groups)
-        group_peak = _peak(spec, math.ceil(active * size))
+        group_peak = largest_sum(spec, math.ceil(active * size))
         first = _stage(size, level / group_peak, tau)
-        total = level / _peak(spec, math.ceil(active * spec.nodes))
+        total = level / largest_sum(spec, math.ceil(active * spec.nodes))
         second = _stage(-(-spec.nodes // size), total / first.gain, tau)
         if max(first.gain_bandwidth_hz, second.gain_bandwidth_hz) <= MOST_GAIN_BANDWIDTH_HZ:
             return [first, second], tau
-    raise SpecError(
-        f"with a sample {sample_s * 1e6:.3g} µs after a chip's begin, even groups of few nodes "
-        f"need amplifiers of more than {MOST_GAIN_BANDWIDTH_HZ / 1e6:g} MHz: use longer chips"
-    )
+    return None
 
 
-def _peak(spec: FrameSpec, talking: int) -> float:
-    """Peak of the sum of so many nodes, in units of one."""
+def largest_sum(spec: FrameSpec, talking: int) -> float:
+    """Of so many nodes, in units of one."""
     if spec.sign_seed is None:
         return float(talking)
     return min(float(talking), CREST * math.sqrt(talking))

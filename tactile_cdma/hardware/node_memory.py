@@ -135,6 +135,11 @@ def node_memory(
     check_limits("order", spec.order, 1, board.order, f"the {mcu} holds no longer code row")
     layout = FrameLayout.of(spec, samples_per_chip=1)  # whole nanoseconds and microseconds
     _check_chip(layout.chip_ns, mcu, spec.scramble)
+    if board.bits_restart and spec.order % 2:
+        raise SpecError(
+            f"order is {spec.order}, but an {mcu}, which sends chips in octets, fills up the first "
+            "one by pairs: set order to an even number"
+        )
     if board.bits_restart and spec.resync_chips != spec.order:
         guard_chips = math.ceil(board.restart_s / spec.chip_s - 1e-9)
         raise SpecError(

@@ -58,9 +58,8 @@ def take_tare(
         moving = valid & (baseline.span_v > MOVING_LSB * lsb_v)
         loaded = valid & (above_pa > contact_pa)
         # Where something moves over the skin, the nodes that it has left need no naming.
-        named = loaded if (moving & loaded).any() else moving
-        if moving.any():
-            _refuse("moving", named, above_pa, layout, "wait until nothing moves them")
+        named = moving & loaded if (moving & loaded).any() else moving
+        _refuse("moving", named, above_pa, layout, "wait until nothing moves them")
         remedy = "take away what touches them, or, if this is how the skin rests, "
         _refuse("under load", loaded, above_pa, layout, remedy + "tare with force: true")
     begin_v = curves.voltage_v[0].astype(np.float32)

@@ -127,8 +127,8 @@ class VirtualDigitizer:
 
         frames: at speed 0, number of frames that may pass with these, after those with the objects
         of earlier calls.
-        Raises SpecError where another scene is played, frames pass by themselves, or something is
-        no object.
+        Raises SpecError where another scene is played, frames pass by themselves or, without a
+        number, one by one, or something is no object.
         """
         if not all(isinstance(each, Indenter) for each in objects):
             raise SpecError(
@@ -144,6 +144,8 @@ class VirtualDigitizer:
                 f"speed is {self.options.speed:g}, so frames pass by themselves; one by one they "
                 f"do with sim://?scene={EXTERNAL}&speed=0"
             )
+        if self.options.stepped and not frames:
+            raise SpecError("speed is 0, so frames pass one by one: step(*objects) lets one pass")
         if frames:
             self._steps.extend([objects] * frames)
         else:

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -28,6 +28,10 @@ MEASURED_NS = 950_000
 """Time before a frame at which a node has ended the last one and not yet measured."""
 SLOW = ("atmega328p", "attiny85")
 """Boards that time every chip by an interrupt."""
+EDGE_NS = 280
+"""Largest error of an edge that a timer makes: two cycles at 7.2 MHz, or an ATtiny85's tick."""
+BUSY_NS = 7_500
+"""… of an ATtiny85 whose alarm rings just before a restart pulse."""
 CLOCK_KNOWN = 2
 """Frames in which a node measures its clock before it transmits."""
 
@@ -51,18 +55,27 @@ class Bench:
         self.skin.sync(rise_ns + length_ns, False)
 
     def frame(
-        self, number: int, units: int = FRAME, late_ns: int = 0, skip: Sequence[int] = ()
+        self,
+        number: int,
+        units: int = FRAME,
+        late_ns: int = 0,
+        skip: Sequence[int] = (),
+        before: Mapping[int, tuple[int, int]] | None = None,
     ) -> int:
         """All pulses of a frame, in its turn; run to its end. Returns when its first chip is due.
 
-        late_ns: it comes so much after its time. skip: restart pulses that don't come.
+        late_ns: it comes so much after its time. skip: restart pulses that don't come. before:
+        other pulses, by the sub-slot before whose own they come: how long before, and their length.
         """
         start = POWER_UP_NS + number * self.period_ns + late_ns
-        self.pulse(start - LEAD_NS, units * UNIT_NS)
-        for slot in range(1, slots(self.spec)):
+        for slot in range(slots(self.spec)):
+            at = slot * (self.spec.resync_chips + self.spec.guard_chips) * self.spec.chip_s
+            rise = start + round(at * 1e9) - LEAD_NS
+            if before and slot in before:
+                early_ns, length_ns = before[slot]
+                self.pulse(rise - early_ns, length_ns)
             if slot not in skip:
-                at = slot * (self.spec.resync_chips + self.spec.guard_chips) * self.spec.chip_s
-                self.pulse(start + round(at * 1e9) - LEAD_NS, RESTART * UNIT_NS)
+                self.pulse(rise, (RESTART if slot else units) * UNIT_NS)
         self.skin.run(start + self.period_ns - MEASURED_NS)
         return start
 
@@ -103,6 +116,24 @@ def expected(
     edges["t_ns"] = np.round(start_ns + slot_start * nominal_ns + since * (chip_ns or nominal_ns))
     edges["level"] = levels[changed]
     return edges
+
+
+def assert_says(
+    bench: Bench,
+    start_ns: int,
+    code: int,
+    number: int = 1,
+    node: int = 0,
+    *,
+    most_ns: int = EDGE_NS,
+) -> None:
+    """Check that a node, numbered from 1, transmitted a code in the frame begun at a time."""
+    heard = bench.heard(node, start_ns)
+    wanted = expected(bench.spec, number - 1, code, start_ns)
+    np.testing.assert_array_equal(heard["level"], wanted["level"])
+    worst_ns = np.abs(heard["t_ns"] - wanted["t_ns"]).max()
+    busy = bench.spec.resync_chips and bench.skin.nodes[node].mcu == "attiny85"
+    assert worst_ns <= (BUSY_NS if busy else most_ns)
 
 
 def volts(code: int, bits: int) -> float:

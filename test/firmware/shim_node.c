@@ -4,25 +4,8 @@
 #include "discipline.h"
 #include "event.h"
 #include "frame.h"
-#include "node_memory.h"
 #include "sequencer.h"
 #include "sync_pulse.h"
-
-static const uint8_t *memory;
-static size_t memory_size;
-
-static uint8_t read_memory(uint16_t address)
-{
-    return address < memory_size ? memory[address] : 0xFF;
-}
-
-int shim_load(const uint8_t *bytes, size_t size, const struct node_limits *limits,
-              struct tp_node_record *record, uint8_t *row)
-{
-    memory = bytes;
-    memory_size = size;
-    return node_memory_load(record, row, limits, read_memory);
-}
 
 /* Levels of a frame of `span` chips: 1, -1, in a guard 0. Returns how many it has. */
 uint32_t shim_frame(const struct tp_node_record *record, const uint8_t *row, uint16_t code,

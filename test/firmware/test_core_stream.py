@@ -13,12 +13,15 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from conftest import FIRMWARE
 from core_digitizer import Board, CoreDigitizer
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.config.parameters import read_file
+from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.sim.nodes import RollCalls
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.packets import stream
@@ -341,9 +344,9 @@ HALF = Fraction(1, 2)
 @st.composite
 def layouts(draw: st.DrawFn) -> FrameLayout:
     """Frames of any awkward length, in which pulses of the sync line have time."""
-    short = draw(st.booleans())  # 2000 ns is a sample's period, and the others are nearly two
+    short = draw(st.booleans())  # 2000 ns is the shortest period of samples: a chip has but one
     chip_ns = draw(
-        st.sampled_from([2000, 2000, 2001, 3999]) if short else st.integers(20_000, 60_000)
+        st.sampled_from([2000, 2000, 2125, 3875, 3999]) if short else st.integers(20_000, 60_000)
     )
     resync_chips = draw(st.sampled_from([0, 0, 7, 11]))
     frame = FrameLayout(
@@ -365,6 +368,15 @@ def layouts(draw: st.DrawFn) -> FrameLayout:
     span = Rules(Configure(frame), 1, 1).places[-1] + 1
     rest_us = draw(st.integers(0, 200) | st.integers(0, 20_000))
     return replace(frame, frame_period_us=math.ceil(span * chip_ns / 1000) + rest_us)
+
+
+SHORT_NS = 4 * 2000
+"""Chips shorter than this are not averaged but sampled once."""
+
+
+def drifts(frame: FrameLayout) -> bool:
+    """Whether such a chip's sample would not stay in its place, as 48 ticks per µs do not fit."""
+    return frame.chip_ns < SHORT_NS and frame.chip_ns * 48 % 1000 > 0
 
 
 @settings(max_examples=150, deadline=None)
@@ -396,6 +408,7 @@ def test_packets_follow_the_rules_exactly(
     digitizer = CoreDigitizer(core, capacity=capacity, output=1 << 20, now_us=START_US)
     digitizer.send(asked, *[Pack()] * packs, Start())
     accepted = not any(isinstance(p, Ack) and p.result for p in digitizer.packets())
+    assert not (accepted and integrated and drifts(frame))
     if not accepted:
         digitizer.close()
         assume(False)
@@ -423,7 +436,7 @@ def test_packets_follow_the_rules_exactly(
                 digitizer.samples(counts[number:stop])
             number, missing = stop, not missing
     sent = digitizer.take()
-    fits = not integrated or frame.chip_ns == 2000
+    fits = not integrated or frame.chip_ns < SHORT_NS
     kinds = {body[0] for body in map(cobs_decode, sent.split(b"\0")[:-1]) if body}
     assert kinds <= {PacketType.QUIET, PacketType.PACKED if packs and fits else PacketType.SAMPLES}
     got = of_line(digitizer.parser.feed(sent))
@@ -439,21 +452,8 @@ def test_packets_follow_the_rules_exactly(
     digitizer.close()
 
 
-THOUSAND = FrameLayout(
-    nodes=900,
-    bits=10,
-    order=912,
-    chip_ns=2000,
-    frame_period_us=19_950,
-    first_row=1,
-    sign_seed=1,
-    signs=Signs.SEEDED,
-    drive=Drive.BIPOLAR,
-    polarity=Polarity.INVERTED,
-    samples_per_chip=1,
-    resync_chips=912,
-    guard_chips=40,
-)
+THOUSAND_FILE = FIRMWARE.parent / "config" / "thousand_skin.yaml"
+THOUSAND = FrameLayout.of(SkinConfig.of(read_file(THOUSAND_FILE)).spec, 1)
 WHOLE = 9120
 
 
@@ -464,7 +464,7 @@ def test_a_frame_longer_than_a_packet(core: ctypes.CDLL, packs: bool) -> None:
     digitizer = CoreDigitizer(core, capacity=2 * MAX_SAMPLES, output=1 << 20, now_us=START_US)
     digitizer.send(asked, *[Pack()] * packs, Start())
     digitizer.packets()
-    period, first = 9975, 500
+    period, first = 9980, 500
     line = 2048 + (np.arange(first + 6 * period) % 2)
     touched = first + 2 * period
     line[touched + 9000] = 3000  # beyond the first packet, within a chip of the last bit
@@ -517,10 +517,49 @@ def test_a_chips_only_sample_is_taken_late(core: ctypes.CDLL) -> None:
     first = 48 * FIRST_MARK_US - 3 * 96 // 8
     places = Rules(Configure(THOUSAND), 96, 1).places[::912]
     assert announced[:10] == [first + 96 * place for place in places]
-    assert announced[10] == first + 48 * 19_950
+    assert announced[10] == first + 48 * 19_960
     several = replace(THOUSAND, chip_ns=8000, frame_period_us=80_000)
     digitizer.send(Configure(several, SyncMode.DRIVE, True), Start())
     assert digitizer.pulses(1)[0].announces == 48 * FIRST_MARK_US
     assert digitizer.ticks_per_sample == 96
     digitizer.send(Configure(replace(several, chip_ns=6000), SyncMode.DRIVE, True), Start())
     assert digitizer.ticks_per_sample == 288
+
+
+@pytest.mark.parametrize(
+    ("chip_ns", "result"),
+    [
+        (2000, 0),
+        (2001, 4),
+        (2100, 4),  # 100.8 ticks: of 9120 chips the last ones would be sampled 72 chips early
+        (2125, 0),
+        (3999, 4),
+        (7999, 4),
+        (8001, 0),  # the mean of four samples, which need not stay in their places
+    ],
+)
+def test_a_chips_only_sample_stays_in_its_place(
+    core: ctypes.CDLL, chip_ns: int, result: int
+) -> None:
+    frame = replace(THOUSAND, chip_ns=chip_ns, frame_period_us=100_000)
+    assert drifts(frame) == bool(result)
+    digitizer = CoreDigitizer(core, output=1 << 20)
+    digitizer.send(Configure(frame, SyncMode.DRIVE, True))
+    (ack,) = [packet for packet in digitizer.packets() if isinstance(packet, Ack)]
+    assert ack.result == result
+    digitizer.close()
+
+
+def test_the_sums_of_a_long_silent_frame(core: ctypes.CDLL) -> None:
+    """Of 81,920 words of nearly 2¹⁵: the sum is beyond 2³¹."""
+    frame = replace(THOUSAND, order=8192, resync_chips=0, guard_chips=0, frame_period_us=200_000)
+    digitizer = configured(
+        core, Configure(frame, SyncMode.DRIVE, True, 5000), capacity=90_000, output=1 << 22
+    )
+    digitizer.samples(np.full(500 + 81_920, 4095))
+    (quiet,) = of_line(digitizer.packets())
+    assert isinstance(quiet, Quiet)
+    level = 8 * 4095
+    sums = (quiet.count, quiet.sum, quiet.sum_of_squares)
+    assert sums == (81_920, 81_920 * level, 81_920 * level**2)
+    digitizer.close()

@@ -11,22 +11,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import FIRMWARE
 from emulated_node import (
     CALL,
     CLOCK_KNOWN,
     FRAME,
     LEAD_NS,
+    MEASURED_NS,
     POWER_UP_NS,
     RESTART,
     UNIT_NS,
     Bench,
     EmulatedNodes,
     Node,
+    assert_says,
     image,
     slots,
     volts,
 )
+from node_limits import limits
 from numpy.typing import NDArray
 
 from tactile_cdma.code.encode import frame_levels, line_chips
@@ -34,8 +36,8 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.hardware.node_memory import FAST, MCUS, node_memory
 
 CYCLE_NS = 125
-EDGE_NS = 2 * CYCLE_NS
-"""Largest error of an edge: the pulse is captured at a cycle, and the first chip begins at one."""
+ROUNDING_NS = 10
+"""Of the emulation's times of edges and cycles."""
 PRELUDE_NS = 4_000
 """Longest time before a sub-slot, beside half a chip, for which the transmitter drives the line."""
 PPM = 1e-6
@@ -47,7 +49,7 @@ CODES = (0, 1023, 0b0101101110)
 
 def fast(nodes: int, order: int, chip_s: float = 2e-6, bits: int = 10, **more: bool) -> FrameSpec:
     """A skin whose nodes start anew at every bit, with the least guards."""
-    guard_chips = int(np.ceil(80e-6 / chip_s))
+    guard_chips = int(np.ceil(MCUS[FAST].restart_s / chip_s - 1e-9))
     spec = FrameSpec(nodes=nodes, order=order, chip_s=chip_s, bits=bits, resync_chips=order,
                      guard_chips=guard_chips, frame_period_s=1.0, **more)  # fmt: skip
     return replace(spec, frame_period_s=round(spec.frame_s + 1.1e-3, 6))
@@ -106,8 +108,9 @@ def bench(
 def said(bench: Bench, start_ns: int, node: int = 0, chip_ns: float | None = None) -> NDArray:
     """Levels of all places of a frame at its pin, (span,), 0 where released; sampled at mid-chip.
 
-    Checks that edges lie where a chip of the node's clock ends, to a cycle, and that the line is
-    released but for sub-slots and what precedes them. Restarts count from their own pulse.
+    Checks that edges lie where a chip of the node's clock ends or less than a cycle later, as the
+    pulse is captured at a cycle, and that the line is released but for sub-slots and what precedes
+    them. Restarts count from their own pulse.
     """
     spec, own_ns = bench.spec, chip_ns or bench.spec.chip_s * 1e9
     edges = bench.heard(node, start_ns)
@@ -120,13 +123,14 @@ def said(bench: Bench, start_ns: int, node: int = 0, chip_ns: float | None = Non
         left &= ~inside
         if not inside.any():
             continue
-        counted = times_ns[inside & (times_ns > -EDGE_NS)]
-        assert np.abs(counted - np.round(counted / own_ns) * own_ns).max() <= EDGE_NS
+        counted = times_ns[inside & (times_ns > -ROUNDING_NS)] + ROUNDING_NS
+        assert counted.size, "it came early"
+        late_ns = counted - np.append(np.floor(counted[:-1] / own_ns), spec.order) * own_ns
+        assert late_ns.min() >= 0 and late_ns.max() <= CYCLE_NS + 2 * ROUNDING_NS
         middles_ns = begin_ns + (np.arange(spec.order) + 0.5) * own_ns
         before = np.searchsorted(edges["t_ns"], middles_ns, side="right") - 1
         levels[slot * pitch_chips :][: spec.order] = edges["level"][before]
         assert edges["level"][inside][-1] == 0
-        assert abs(counted[-1] - spec.order * own_ns) <= EDGE_NS
     assert not left.any()
     return levels
 
@@ -188,13 +192,18 @@ def test_before_a_bit_nodes_send_no_common_level(build: Path) -> None:
             skin.frame(number)
         start = skin.frame(CLOCK_KNOWN)
         skin.skin.run(start + 1_000_000)
-        # from the first level of the guard on, every 2 cycles
-        instants = start - 2_875 + 250 * np.arange(8) + 100
-        high = np.zeros(8)
+        instants = start + np.arange(-PRELUDE_NS, 0, CYCLE_NS) + CYCLE_NS // 2
+        levels = np.zeros((60, instants.size))
         for node in range(60):
-            edges = skin.skin.edges(node)
-            high += edges["level"][np.searchsorted(edges["t_ns"], instants, side="right") - 1]
-        assert np.abs(high).max() < 5 * np.sqrt(60)
+            edges = skin.heard(node, start)
+            heard = edges["t_ns"][0] < instants
+            place = np.searchsorted(edges["t_ns"], instants[heard], side="right") - 1
+            levels[node, heard] = edges["level"][place]
+        driven = (levels != 0).all(axis=0)
+        common = np.abs(levels.sum(axis=0)) >= 5 * np.sqrt(60)
+        assert np.count_nonzero(driven) == 26 and driven[-26:].all()
+        # from their start to their first octet they drive high
+        assert np.flatnonzero(common).tolist() == np.flatnonzero(driven)[:3].tolist()
 
 
 def test_silent_nodes_leave_the_line_released(build: Path) -> None:
@@ -260,10 +269,74 @@ def test_spikes_in_pulses_cost_nothing(build: Path, mcu: str, width_ns: int) -> 
                 skin.pulse(rise - 5_000, width_ns)
                 skin.pulse(rise, dip - rise)
                 skin.pulse(dip + width_ns, length - (dip + width_ns - rise))
-            skin.skin.run(start + skin.period_ns - 950_000)
-            assert bool(len(skin.heard(0, start))) == (number >= CLOCK_KNOWN)
-        if mcu == FAST:
-            np.testing.assert_array_equal(said(skin, start), wanted(spec, 1, REST))
+            skin.skin.run(start + skin.period_ns - MEASURED_NS)
+            if number < CLOCK_KNOWN:
+                assert not len(skin.heard(0, start))
+            else:
+                assert_says_rest(skin, mcu, start)
+
+
+def assert_says_rest(bench: Bench, mcu: str, start_ns: int) -> None:
+    """Check that a skin's first node transmitted its code at rest in a frame."""
+    if mcu == FAST:
+        np.testing.assert_array_equal(said(bench, start_ns), wanted(bench.spec, 1, REST))
+    else:
+        assert_says(bench, start_ns, REST)
+
+
+TIMER_TURN_S = 2**16 / 8e6
+LONG_PAUSES = {
+    "atmega328p": FrameSpec(nodes=4, order=16, resync_chips=16, guard_chips=4,
+                            frame_period_s=2 * TIMER_TURN_S),
+    FAST: replace(fast(31, 32), guard_chips=100, frame_period_s=TIMER_TURN_S),
+}  # fmt: skip
+"""Of 200 µs, in none of which the timer overflows: it does 4.6 ms after frames begin."""
+
+
+@contextmanager
+def long_pauses(build: Path, mcu: str) -> Iterator[Bench]:
+    """A node that knows its clock."""
+    spec = LONG_PAUSES[mcu]
+    node = Node(image(build, mcu), mcu, node_memory(spec, 1, mcu=mcu, **SPEECH))
+    with EmulatedNodes([node]) as emulated:
+        emulated.press(volts(REST, 10))
+        skin = Bench(emulated, spec)
+        for number in range(CLOCK_KNOWN):
+            skin.frame(number)
+        yield skin
+
+
+@pytest.mark.parametrize("mcu", LONG_PAUSES)
+def test_spikes_in_pauses_begin_no_bit(build: Path, mcu: str) -> None:
+    """Its interrupt finds it over. Not in the first pause, in which the node has other work."""
+    with long_pauses(build, mcu) as skin:
+        for number, early_us in enumerate(range(15, 200 - 64 - 14, 7), CLOCK_KNOWN):
+            spikes = dict.fromkeys(range(2, slots(skin.spec)), (1000 * early_us, 1000))
+            assert_says_rest(skin, mcu, skin.frame(number, before=spikes))
+
+
+@pytest.mark.parametrize("mcu", LONG_PAUSES)
+@pytest.mark.parametrize("width_us", [1, 26, 40])
+def test_what_hides_no_restart(build: Path, mcu: str, width_us: int) -> None:
+    """Spikes hide none from slow chips; other pulses that end and are served in time hide none."""
+    early_us = np.arange(max(55, width_us + 25), 120, 7) if width_us > 1 else np.arange(1.7, 30)
+    if mcu == FAST:
+        early_us = early_us[(early_us < 9) | (early_us > 14)]
+    with long_pauses(build, mcu) as skin:
+        for number, early in enumerate(early_us, CLOCK_KNOWN):
+            other = {3: (round(1000 * early), 1000 * width_us)}
+            assert_says_rest(skin, mcu, skin.frame(number, before=other))
+
+
+@pytest.mark.parametrize("width_us", [26, 40])
+def test_pulses_that_nobody_answers_bend_no_chip_of_a_bits_end(build: Path, width_us: int) -> None:
+    """In the last 64 µs of a bit: a restart's pulse could come then, so the node gets ready."""
+    with bench(build, fast(15, 16, 16e-6)) as skin:
+        for number in range(CLOCK_KNOWN):
+            skin.frame(number)
+        for number, early_us in enumerate(range(60, 80, 3), CLOCK_KNOWN):
+            start = skin.frame(number, before={1: (1000 * early_us, 1000 * width_us)})
+            np.testing.assert_array_equal(said(skin, start), wanted(skin.spec, 1, REST))
 
 
 def test_pulses_at_any_time_of_the_timer(build: Path) -> None:
@@ -291,12 +364,17 @@ def test_glitches_and_wrong_pulses_bend_no_chip(build: Path) -> None:
             for slot in range(1, slots(spec)):
                 at = slot * (spec.resync_chips + spec.guard_chips) * spec.chip_s
                 skin.pulse(start + round(at * 1e9) - LEAD_NS, RESTART * UNIT_NS)
-            skin.skin.run(start + skin.period_ns - 950_000)
+            skin.skin.run(start + skin.period_ns - MEASURED_NS)
             np.testing.assert_array_equal(said(skin, start), wanted(spec, 1, REST))
 
 
-def test_constants_agree_with_the_header(build: Path) -> None:
-    """The shortest chip that was tried is the one that the board promises."""
-    text = (FIRMWARE / "node" / "atmega328p.h").read_text()
-    assert "#define BOARD_CHIP_NS 500u" in text
-    assert min(spec.chip_s for spec in SHAPES.values()) == 500e-9
+def test_the_limits_themselves_were_tried() -> None:
+    """Those of the board's header."""
+    promised, shapes = limits(FAST), SHAPES.values()
+    assert promised.chip_ns == round(min(spec.chip_s for spec in shapes) * 1e9)
+    assert promised.longest_chip_ns == round(max(spec.chip_s for spec in shapes) * 1e9)
+    scrambled = [spec.chip_s for spec in shapes if spec.scramble]
+    assert promised.scrambled_chip_ns == round(min(scrambled) * 1e9)
+    assert promised.order == max(spec.order for spec in shapes)
+    guards = [spec.guard_chips * spec.chip_s for spec in shapes]
+    assert promised.restart_us == round(min(guards) * 1e6)

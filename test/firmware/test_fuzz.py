@@ -16,26 +16,73 @@ from torture.commands.c_fuzzing import BUILD, best_kind, build, fuzz, harnesses
 from torture.fuzz import corpus
 
 SECONDS, HANG_S = 20, 30
-DEFECTS = {  # file; what is there; what is there instead; what must be found
+HARNESSES = {  # sources of firmware/fuzz and of the core
+    "framing": ("fuzz_framing framing", "packet cobs crc32"),
+    "setup": ("fuzz_setup settings", "setup"),
+    "node": ("fuzz_node framing", "discipline event sequencer node_memory crc32"),
+    "digitizer": (
+        "fuzz_digitizer commands framing host line settings",
+        "digitizer stream setup pulses packet cobs crc32",
+    ),
+}
+DEFECTS = {  # harness, file; what is there; what is there instead; what must be found
     "a field is read from the wrong place": (
+        "framing",
         "packet.c",
         "reader->payload[place - sizeof reader->header] = byte",
         "reader->payload[place - 1] = byte",
         "crash",
     ),
     "the end of a packet is off by one": (
+        "framing",
         "packet.c",
         "reader->payload_size = reader->raw - sizeof reader->header",
         "reader->payload_size = reader->raw",
         "wrong value",
     ),
     "a wrong CRC is not counted": (
+        "framing",
         "packet.c",
         "        reader->errors++;\n        return false;",
         "        return false;",
         "uncounted loss",
     ),
-    "a loop without end": ("cobs.c", "            from++;\n", "", "hang"),
+    "a loop without end": ("framing", "cobs.c", "            from++;\n", "", "hang"),
+    "a chip's only sample drifts": (
+        "setup",
+        "setup.c",
+        " || (mean == 1 && chip_length(setup) % STRIDE_MILLI != 0)",
+        "",
+        "wrong value",
+    ),
+    "chips are left out in pairs, of an odd row": (
+        "node",
+        "node_memory.c",
+        " && record->order % 2 == 0",
+        "",
+        "wrong value",
+    ),
+    "chips too short to be flipped are": (
+        "node",
+        "node_memory.c",
+        "record->scramble ? limits->scrambled_chip_ns : limits->chip_ns",
+        "limits->chip_ns",
+        "wrong value",
+    ),
+    "nobody packs": (
+        "digitizer",
+        "digitizer.c",
+        "dg->stream.packs = true",
+        "dg->stream.packs = false",
+        "wrong value",
+    ),
+    "a new configuration packs": (
+        "digitizer",
+        "digitizer.c",
+        "    dg->stream.packs = false;\n",
+        "",
+        "wrong value",
+    ),
 }
 
 
@@ -61,16 +108,27 @@ def test_a_slice_of_what_libfuzzer_tries(name: str) -> None:
 
 @pytest.mark.parametrize("defect", DEFECTS)
 def test_a_planted_defect_is_found(defect: str, tmp_path: Path) -> None:
-    file, right, wrong, fault = DEFECTS[defect]
+    harness, file, right, wrong, fault = DEFECTS[defect]
     text = (CORE / file).read_text()
     assert text.count(right) == 1
     (tmp_path / file).write_text(text.replace(right, wrong))
-    sound = [CORE / name for name in ("packet.c", "cobs.c", "crc32.c") if name != file]
-    own = [FIRMWARE / "fuzz" / f"{name}.c" for name in ("fuzz_framing", "framing", "standalone")]
-    program = tmp_path / "framing"
-    sources = [*own, *sound, tmp_path / file]
-    run(need("cc"), *STRICT, "-I", FIRMWARE / "fuzz", "-g", *SANITIZE, *sources, "-o", program)
-    found = fuzz(program, "standalone", 1000, 1, 2, 2)
+    own, core = (names.split() for names in HARNESSES[harness])
+    sources = [FIRMWARE / "fuzz" / f"{name}.c" for name in [*own, "standalone"]]
+    sources += [(tmp_path if f"{name}.c" == file else CORE) / f"{name}.c" for name in core]
+    program = tmp_path / harness
+    run(
+        need("cc"),
+        *STRICT,
+        "-I",
+        FIRMWARE / "fuzz",
+        "-g",
+        *SANITIZE,
+        *sources,
+        "-lm",
+        "-o",
+        program,
+    )
+    found = fuzz(program, "standalone", 3000, 1, 3, 2)
     assert found.fault == fault, found.said
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from node_limits import BLANK, CORRUPT, GOOD, INVALID, UNFIT, Limits, load
 from numpy.typing import NDArray
 
 from tactile_cdma.code.codes import is_feasible
@@ -24,39 +25,13 @@ from tactile_cdma.sim.nodes import NodeRules, RollCalls, node_frames
 from tactile_cdma.sim.scene import Skin
 from tactile_cdma.wire.messages import WIRE
 
-GOOD, BLANK, CORRUPT, INVALID, UNFIT = range(5)
 FRAME, CALL, MISSED = range(3)
 ORDERS = [order for order in range(1, 421) if is_feasible(order)] + [1024, 4096]
 SPEC = FrameSpec(nodes=4, order=16)
-CHIP_NS, SCRAMBLED_CHIP_NS, LONGEST_CHIP_NS = 30_000, 33_000, 900_000
-MEASURING_US, RESTART_US = 900, 80
+LIMITS = Limits(4096, 30_000, 33_000, 900_000, 1, False, 900, 80)
+SHORT_ROWS = Limits(1024, 30_000, 33_000, 900_000, 1, False, 900, 80)
+FAST_LIMITS = Limits(4096, 500, 1750, 16_000, 250, True, 900, 80)
 RECORD_BYTES = WIRE["NodeRecord"].size
-
-
-class Limits(ctypes.Structure):
-    """struct node_limits."""
-
-    _fields_ = (
-        ("order", ctypes.c_uint16),
-        ("chip_ns", ctypes.c_uint16),
-        ("scrambled_chip_ns", ctypes.c_uint16),
-        ("longest_chip_ns", ctypes.c_uint32),
-        ("chip_step_ns", ctypes.c_uint16),
-        ("bits_restart", ctypes.c_bool),
-        ("measuring_us", ctypes.c_uint16),
-        ("restart_us", ctypes.c_uint16),
-    )
-
-
-def load(core: ctypes.CDLL, memory: bytes, order: int = 4096) -> tuple[int, bytes, bytes]:
-    """The fault that the node finds in a memory; its record and its row."""
-    record = ctypes.create_string_buffer(RECORD_BYTES)
-    row = ctypes.create_string_buffer((order + 7) // 8)
-    limits = Limits(
-        order, CHIP_NS, SCRAMBLED_CHIP_NS, LONGEST_CHIP_NS, 1, False, MEASURING_US, RESTART_US
-    )
-    fault = core.shim_load(memory, len(memory), ctypes.byref(limits), record, row)
-    return fault, record.raw, row.raw
 
 
 def record_of(**changes: int) -> bytes:
@@ -100,7 +75,7 @@ def test_chips_are_those_of_the_host(core: ctypes.CDLL, data: st.DataObject) -> 
     node = data.draw(st.integers(1, spec.nodes))
     code = data.draw(st.integers(0, 2**spec.bits - 1))
     memory = node_memory(spec, node)
-    fault, record, row = load(core, memory)
+    fault, record, row = load(core, memory, LIMITS)
     assert fault == GOOD
     levels = np.zeros(spec.span_chips, np.int8)
     span = core.shim_frame(record, row, code, levels.ctypes, spec.span_chips)
@@ -112,7 +87,7 @@ def test_chips_are_those_of_the_host(core: ctypes.CDLL, data: st.DataObject) -> 
 
 def test_memory_is_read_as_written(core: ctypes.CDLL) -> None:
     memory = node_memory(SPEC, 3, threshold=7, heartbeat=50)
-    fault, record, row = load(core, memory + bytes(100))
+    fault, record, row = load(core, memory + bytes(100), LIMITS)
     assert fault == GOOD
     assert record == memory[:RECORD_BYTES]
     assert row[:2] == memory[RECORD_BYTES : RECORD_BYTES + 2]
@@ -120,14 +95,14 @@ def test_memory_is_read_as_written(core: ctypes.CDLL) -> None:
 
 @pytest.mark.parametrize("memory", [b"", b"\xff" * 1024, b"\0" * 1024])
 def test_blank_memory(core: ctypes.CDLL, memory: bytes) -> None:
-    assert load(core, memory)[0] == BLANK
+    assert load(core, memory, LIMITS)[0] == BLANK
 
 
 @given(st.integers(0, 8 * len(record_of()) - 1))
 def test_no_flipped_bit_is_believed(core: ctypes.CDLL, bit: int) -> None:
     memory = bytearray(record_of())
     memory[bit // 8] ^= 1 << bit % 8
-    assert load(core, bytes(memory))[0] in (BLANK, CORRUPT, INVALID)
+    assert load(core, bytes(memory), LIMITS)[0] in (BLANK, CORRUPT, INVALID)
 
 
 @pytest.mark.parametrize(
@@ -163,13 +138,35 @@ def test_no_flipped_bit_is_believed(core: ctypes.CDLL, bit: int) -> None:
     ],
 )
 def test_what_a_node_takes(core: ctypes.CDLL, changes: dict[str, int], fault: int) -> None:
-    assert load(core, record_of(**changes))[0] == fault
+    assert load(core, record_of(**changes), LIMITS)[0] == fault
 
 
 def test_row_that_is_too_long_for_the_board(core: ctypes.CDLL) -> None:
     memory = node_memory(FrameSpec(nodes=4, order=1032, frame_period_s=1.0), 1)
-    assert load(core, memory)[0] == GOOD
-    assert load(core, memory, order=1024)[0] == UNFIT
+    assert load(core, memory, LIMITS)[0] == GOOD
+    assert load(core, memory, SHORT_ROWS)[0] == UNFIT
+
+
+@pytest.mark.parametrize(
+    ("changes", "fault"),
+    [
+        ({}, GOOD),
+        ({"resync_chips": 8}, UNFIT),
+        ({"resync_chips": 0, "guard_chips": 0}, UNFIT),
+        ({"chip_ns": 2250}, GOOD),
+        ({"chip_ns": 2100}, UNFIT),
+        ({"chip_ns": 16_250}, UNFIT),
+        ({"guard_chips": 39}, UNFIT),
+        # of an octet that one chip fills, chips could not be left out in pairs
+        ({"order": 2, "resync_chips": 2}, GOOD),
+        ({"order": 1, "resync_chips": 1}, UNFIT),
+    ],
+)
+def test_what_a_node_of_fast_chips_takes(
+    core: ctypes.CDLL, changes: dict[str, int], fault: int
+) -> None:
+    usual = {"chip_ns": 2000, "resync_chips": 16, "guard_chips": 40}
+    assert load(core, record_of(**{**usual, **changes}), FAST_LIMITS)[0] == fault
 
 
 def talks(

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +19,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from sensor_msgs.msg import Image
 
 from tactile_cdma.msg import TactileArray, TactileSkinInfo
@@ -106,6 +107,26 @@ def wait_for(condition: Callable[[], object], timeout_s: float = 60.0) -> None:
     while not _holds(condition):
         assert time.monotonic() < deadline, "waited in vain"
         time.sleep(0.01)
+
+
+def wait_sending(
+    sent: Sequence[tuple[Publisher, Any]], condition: Callable[[], object], timeout_s: float = 60.0
+) -> None:
+    """Send messages until the condition holds.
+
+    Discovery goes both ways: a subscriber that is seen may not yet hear.
+    """
+    next_s = 0.0
+
+    def held() -> bool:
+        nonlocal next_s
+        if time.monotonic() > next_s:
+            for publisher, message in sent:
+                publisher.publish(message)
+            next_s = time.monotonic() + 0.5
+        return _holds(condition)
+
+    wait_for(held, timeout_s)
 
 
 def _holds(condition: Callable[[], object]) -> bool:

@@ -29,7 +29,7 @@ from rclpy.time import Time  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 from std_msgs.msg import Bool, Float64  # noqa: E402
 
-from skin_client import Client, running, wait_for  # noqa: E402
+from skin_client import Client, running, wait_for, wait_sending  # noqa: E402
 from tactile_cdma.msg import SimObjects, TactileArray  # noqa: E402
 from tactile_cdma.ros.common.qos import LATCHED  # noqa: E402
 from tactile_cdma.ros.driver.objects import sim_objects  # noqa: E402
@@ -310,8 +310,8 @@ def test_subscribe_prints_the_hardest_pressed_taxel() -> None:
     ):
         press = client.create_publisher(SimObjects, "/skin/sim/objects", 10)
         wait_for(lambda: press.get_subscription_count())
-        press.publish(sim_objects([ball]))
-        wait_for(lambda: len(printed_of(output, 5)) > 2, PATIENCE_S)
+        pressed = [(press, sim_objects([ball]))]
+        wait_sending(pressed, lambda: len(printed_of(output, 5)) > 2, PATIENCE_S)
         assert np.nanargmax(client.arrays[-1].pressure) == 5
         for peak_pa, unread in printed_of(output, 5)[-2:]:
             assert peak_pa == pytest.approx(np.nanmax(client.arrays[-1].pressure), abs=1)
@@ -334,8 +334,8 @@ def test_points_to_numpy_finds_what_is_pressed() -> None:
     ):
         press = client.create_publisher(SimObjects, "/skin/sim/objects", 10)
         wait_for(lambda: press.get_subscription_count())
-        press.publish(sim_objects([box]))  # two taxels of the second row, symmetrically
-        wait_for(lambda: "2 of 15 0.0 3.5 0.0" in text_of(output), PATIENCE_S)
+        pressed = [(press, sim_objects([box]))]  # two taxels of the second row, symmetrically
+        wait_sending(pressed, lambda: "2 of 15 0.0 3.5 0.0" in text_of(output), PATIENCE_S)
         press.publish(SimObjects())
         wait_for(lambda: text_of(output).endswith("0 of 15 0.0 0.0 0.0\n"), PATIENCE_S)
 
@@ -352,15 +352,21 @@ def test_two_patches_adds_their_forces_and_knows_nothing_of_an_absent_one(tmp_pa
     with processes(body_commands(path)) as drivers:
         client = rclpy.create_node("client")
         try:
+            pressed = []
             for name, width_m in (("one", 14e-3), ("two", 7e-3)):
                 press = client.create_publisher(SimObjects, f"/{name}/skin/sim/objects", LATCHED)
                 wait_for(press.get_subscription_count, PATIENCE_S)
                 x_m = 0.0 if name == "one" else 3.5e-3
                 box = Box(size_m=(width_m, 14e-3, 0.01), position_m=(x_m, 0, 4.5e-3))
-                press.publish(sim_objects([box]))
+                pressed.append((press, sim_objects([box])))
             with example("two_patches", "/one/skin", "/two/skin") as output:
                 both = "/one/skin 0.0 0.0 -0.98  /two/skin 0.0 0.0 -0.49  sum 0.0 0.0 -1.46"
-                wait_for(lambda: both in text_of(output), PATIENCE_S)
+                wait_sending(pressed, lambda: both in text_of(output), PATIENCE_S)
+                # What is none of the body's is unknown, such as a misspelt name.
+                with example("two_patches", "/one/skin", "/tow/skin") as other:
+                    alone = "/one/skin 0.0 0.0 -0.98  /tow/skin nan nan nan  sum nan nan nan"
+                    wait_for(lambda: alone in text_of(other), PATIENCE_S)
+                    assert "/tow/skin 0.0" not in text_of(other)
                 drivers[1].kill()
                 blind = "/one/skin 0.0 0.0 -0.98  /two/skin nan nan nan  sum nan nan nan"
                 wait_for(lambda: blind in text_of(output), PATIENCE_S)

@@ -17,7 +17,7 @@ from lifecycle_msgs.msg import Transition  # noqa: E402
 from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
 from std_msgs.msg import Header  # noqa: E402
 
-from skin_client import Client, running, wait_for  # noqa: E402
+from skin_client import Client, running, wait_for, wait_sending  # noqa: E402
 from tactile_cdma.base.errors import ParameterError  # noqa: E402
 from tactile_cdma.msg import SimObject, SimObjects, TactileContacts  # noqa: E402
 from tactile_cdma.places.layout import Layout  # noqa: E402
@@ -126,11 +126,10 @@ def test_a_skin_that_is_stepped_publishes_a_frame_per_message() -> None:
         wait_for(
             lambda: press.get_subscription_count() and client.count_publishers("/skin/contacts")
         )
-        # Discovery goes both ways: until the first frame is heard, some may be missed.
-        while not found:
-            press.publish(SimObjects())
-            time.sleep(0.05)
-        time.sleep(0.3)
+        # What was sent until the first frame was heard may still be on its way.
+        wait_sending([(press, SimObjects())], lambda: found)
+        press.publish(ball(1e-3))
+        wait_for(lambda: found[-1].wrench.force.z < -0.1)
         before = len(found)
         for depth_m in depths_m:
             heard = len(found)

@@ -234,8 +234,9 @@ def _discovery(network: Network, folder: Path) -> Outcome:
             ("ROS_STATIC_PEERS", {"ROS_STATIC_PEERS": brain}),
             ("ROS_DISCOVERY_SERVER", {"ROS_DISCOVERY_SERVER": f"{brain}:{SERVER_PORT}"}),
         ):
-            tally += _met(network, folder, environment)
-            words.append(f"{name} {'failed' if tally.hangs else 'worked'}")
+            met = _met(network, folder, environment)
+            tally += met
+            words.append(f"{name} {'failed' if met.hangs else 'worked'}")
     return tally.outcome("no multicast", ", ".join(words))
 
 

@@ -15,12 +15,13 @@ import numpy as np
 from ... import __version__
 from ...base.errors import CaptureError
 from ...base.whole_file import whole_folder
-from ..alignment import Aligner, Row
+from ..alignment import Aligner, Row, stale_s
 from ..arrow import pyarrow
 from ..episodes import FOREVER_NS, Episode, find_episodes
 from ..frames import LATENESS_NS
 from ..progress import Progress, fraction
 from ..samples import (
+    ACTION,
     CONTACTS,
     NANO,
     TACTILE,
@@ -34,7 +35,7 @@ from ..samples import (
 )
 from ..sources.opening import Wanted, has_times, open_source
 from ..tables import known
-from ..touch import HOLD, STALE_S, WINDOW, TouchStream, slots
+from ..touch import HOLD, WINDOW, TouchStream, slots
 from . import ABOUT
 from .features import Feature, cells, column, features_of, obstacle
 from .writer import DatasetWriter
@@ -140,7 +141,7 @@ def _lacking(sources: Sequence[Source], clock: str | None) -> dict[str, Path]:
         column(stream)
         for source in sources
         for stream in source.streams.values()
-        if stream.kind in (CONTACTS, WRENCH) and stream.key != clock
+        if stream.kind in (CONTACTS, WRENCH) and stream.topic != clock
     }
     return {
         name: source.path
@@ -166,17 +167,15 @@ class _Layout:
 
     @classmethod
     def of(cls, source: Source, plan: Plan, lacking: Collection[str]) -> _Layout:
-        if plan.clock is not None and plan.clock not in source.streams:
-            there = ", ".join(source.streams)
-            raise CaptureError(f"{source.path}: no stream {plan.clock} (there are {there})")
-        fps = plan.fps or _rate(source, str(plan.clock))
+        streams = _streams(source, lacking)
+        clock = _clock(source, streams, plan)
+        fps = plan.fps or _rate(source, str(clock))
         patches = {stream.key: stream for stream in patches_of(source)}
         counts = {
             key: slots(stream.patch, fps, plan.mode)
             for key, stream in patches.items()
             if stream.patch
         }
-        streams = _streams(source, lacking)
         features = features_of(streams.values(), counts, plan.mode)
         by_feature = {patches[key].feature: count for key, count in counts.items()}
         return cls(streams, lacking, by_feature, features, fps)
@@ -226,12 +225,16 @@ def _export(
         for stream in patches_of(source)
     }
     taken = _streams(source, layout.lacking)
-    aligner = Aligner(taken, touch, episodes, layout.fps, plan.clock)
+    clock = _clock(source, taken, plan)
+    aligner = Aligner(taken, touch, episodes, layout.fps, clock)
     streams = list(taken.values())
+    actions = [stream for stream in streams if stream.kind == ACTION]
     going: int | None = None  # the episode that the last row belonged to
+    last_ns = 0
+    repeated: Counter[str] = Counter()  # commands that are older than others of their topics
     for row, is_in_pause in _rows(source, taken, aligner, episodes, progress):
-        reason = obstacle(row, streams, plan.policy)
-        if is_in_pause:
+        reason = obstacle(row, streams, source, plan.policy)
+        if is_in_pause and reason is None:
             reason = f"nothing had been recorded for {PAUSE_S:g} s"
         if plan.from_first_complete and not all(
             one.completeness.is_complete for one in touch.values()
@@ -241,9 +244,11 @@ def _export(
             outcome.left_out[reason] += 1
             going = None
             continue
-        if row.tick.episode != going:
+        if row.tick.episode != going or row.tick.since_ns > last_ns:  # the clock had stopped
             going = row.tick.episode
             writer.begin(episodes[going].task)
+        last_ns = row.tick.time_ns
+        repeated.update(one.topic for one in actions if one.key in row.stopped)
         writer.add(cells(row, streams))
     for key, one in touch.items():
         name = source.streams[key].feature
@@ -252,6 +257,11 @@ def _export(
         elif missing := one.completeness.missing:
             taxels = shown_taxels(missing)
             outcome.notes.append(f"{source.path}: {name}: no valid reading of {taxels} at any time")
+    for topic, rows in repeated.items():
+        outcome.notes.append(
+            f"{source.path}: action: the last command of {topic} is repeated in {rows} rows: it "
+            "stopped, or is sent only when it changes"
+        )
     outcome.late.update(aligner.late)
     outcome.notes += [f"{source.path}: {note}" for note in source.notes]
     return [
@@ -293,6 +303,17 @@ def _rows(
         yield row, False
 
 
+def _clock(source: Source, streams: Mapping[str, Stream], plan: Plan) -> str | None:
+    """The key of a stream of the clock's topic; None without one. Raises CaptureError."""
+    if plan.clock is None:
+        return None
+    keys = {stream.topic: key for key, stream in streams.items()}
+    if plan.clock not in keys:
+        there = ", ".join(keys)
+        raise CaptureError(f"{source.path}: {plan.clock} is not exported (but {there})")
+    return keys[plan.clock]
+
+
 def _rate(source: Source, key: str) -> int:
     """Ticks per s of a stream, from the first of its stamps; raises CaptureError."""
     until_ns = source.begin_ns + round(RATE_S * NANO)
@@ -304,7 +325,12 @@ def _rate(source: Source, key: str) -> int:
     steps = np.diff(np.unique(stamps))
     if not len(steps):
         raise CaptureError(f"{source.path}: {key} has no two stamps in its first {RATE_S:g} s")
-    return max(1, round(NANO / float(np.median(steps))))
+    if not (rate := round(NANO / float(np.median(steps)))):
+        raise CaptureError(
+            f"{source.path}: {np.median(steps) / NANO:.3f} s from message to message of {key}; a "
+            "dataset has 1 row per s at least: --fps 1"
+        )
+    return rate
 
 
 def _about(layout: _Layout, plan: Plan, patches: list[dict[str, Any]]) -> dict[str, Any]:
@@ -324,7 +350,7 @@ def _about(layout: _Layout, plan: Plan, patches: list[dict[str, Any]]) -> dict[s
         "package_version": __version__,
         "samples": plan.mode,
         "nan": plan.policy,
-        "stale_s": STALE_S,
+        "stale_s": stale_s(layout.fps),
         "clock": plan.clock or f"{layout.fps} per s from the beginning of each episode",
         "from_first_complete": plan.from_first_complete,
         "units": {one.name: one.unit for one in layout.features if one.unit},

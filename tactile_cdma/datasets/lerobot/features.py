@@ -12,7 +12,18 @@ import numpy as np
 
 from ...base.arrays import Bools, Floats32
 from ..alignment import Row
-from ..samples import ACTION, CONTACTS, IMAGE, STATE, TACTILE, WRENCH, RawImage, Stream
+from ..samples import (
+    ACTION,
+    CONTACTS,
+    IMAGE,
+    NANO,
+    STATE,
+    TACTILE,
+    WRENCH,
+    RawImage,
+    Source,
+    Stream,
+)
 from ..sources.images import check_size, encoded
 from ..touch import DROP, WINDOW, Touch
 
@@ -80,12 +91,20 @@ def column(stream: Stream) -> str:
     return f"observation.{group}.{stream.feature}"
 
 
-def obstacle(row: Row, streams: Iterable[Stream], policy: str) -> str | None:
-    """Why a row has to be left out, in words; None if it is whole."""
+def obstacle(row: Row, streams: Iterable[Stream], source: Source, policy: str) -> str | None:
+    """Why a row has to be left out, in words; None if it is whole.
+
+    Touch, contacts and wrench have masks, and may have stopped; an old command is still in force.
+    An image or a state would be taken for the present one.
+    """
     for stream in streams:
         value = row.values.get(stream.key)
         if value is None and stream.kind not in (CONTACTS, WRENCH):
-            return f"{column(stream)} had not begun"
+            if (last_ns := row.stopped.get(stream.key)) is None:
+                return f"{column(stream)} had not begun"
+            last_s = (last_ns - source.begin_ns) / NANO
+            since = f"first at {last_s:.3f} s of {source.path}"
+            return f"{column(stream)} ({stream.topic}) had stopped, {since}"
         if isinstance(value, Touch) and policy == DROP and not value.complete:
             return f"a taxel of {column(stream)} had no valid reading"
     return None

@@ -16,14 +16,16 @@ class Statistics:
     """Minimum, maximum, mean and standard deviation of one feature, per element.
 
     shape: of the feature. pooled: one value for all elements, so that a taxel that nothing ever
-    touched is not scaled up to noise. not_finite: elements that were NaN or infinite. Sums are
-    float64: 2⁵³ exceeds 10¹¹ readings of 10⁵ Pa by far less than their rounding matters.
+    touched is not scaled up to noise. not_finite: elements that were NaN or infinite.
+
+    Summed are differences to the first value, pooled to the mean of the first ones: the square of a
+    Unix time in ns has 37 digits, of which float64 keeps 16.
     """
 
     def __init__(self, shape: tuple[int, ...], pooled: bool = False) -> None:
         self._shape, self._pooled = shape, pooled
         kept = () if pooled else shape
-        self._count = np.zeros(kept)
+        self._count, self._origin = np.zeros(kept), np.full(kept, np.nan)
         self._sum, self._squares = np.zeros(kept), np.zeros(kept)
         self._low, self._high = np.full(kept, np.inf), np.full(kept, -np.inf)
         self.not_finite = 0
@@ -39,10 +41,13 @@ class Statistics:
         if valid is not None:
             kept &= valid
         axes = tuple(range(values.ndim)) if self._pooled else ()
-        known = np.where(kept, values, 0.0)
-        self._count += kept.sum(axis=axes)
-        self._sum += known.sum(axis=axes)
-        self._squares += np.square(known).sum(axis=axes)
+        count = kept.sum(axis=axes)
+        first = np.where(kept, values, 0.0).sum(axis=axes) / np.maximum(count, 1)
+        self._origin = np.where(np.isnan(self._origin) & (count > 0), first, self._origin)
+        differences = np.where(kept, values - self._origin, 0.0)
+        self._count += count
+        self._sum += differences.sum(axis=axes)
+        self._squares += np.square(differences).sum(axis=axes)
         low, high = (np.where(kept, values, limit) for limit in (np.inf, -np.inf))
         self._low = np.minimum(self._low, low.min(axis=axes))
         self._high = np.maximum(self._high, high.max(axis=axes))
@@ -50,13 +55,13 @@ class Statistics:
     def content(self) -> dict[str, Any]:
         """As in meta/stats.json; zeros where there was no value."""
         count = np.maximum(self._count, 1)
-        mean = self._sum / count
+        mean = self._sum / count  # of the differences
         variance = np.maximum(self._squares / count - np.square(mean), 0.0)
         some = self._count > 0
         values = {
             "min": np.where(some, self._low, 0.0),
             "max": np.where(some, self._high, 0.0),
-            "mean": mean,
+            "mean": np.where(some, self._origin + mean, 0.0),
             "std": np.sqrt(variance),
         }
         content = {name: self._full(value).tolist() for name, value in values.items()}

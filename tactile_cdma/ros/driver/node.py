@@ -168,7 +168,9 @@ class SkinNode(ManagedNode):
         result = super().on_activate(state)
         config, spec = self._rest.config, self._rest.config.spec
         url, baud = self._watch.source.port, int(self._live["baud"])
-        self._driver = Driver(config, url, baud, self._publish_frame, self._log_problem)
+        self._driver = Driver(
+            config, url, baud, self._publish_frame, self._log_problem, self._hear_source
+        )
         begun = "opened" if self._port else "connecting to"
         self.get_logger().info(
             f"{begun} {url} for {spec.nodes} nodes: order {spec.order}, "
@@ -251,20 +253,19 @@ class SkinNode(ManagedNode):
         assert self._rest is not None and self._rest.baseline is not None
         assert self._watch is not None
         if self._heard is None:
-            return  # _hear_source makes up for it, before the first frame
+            return  # _hear_source makes up for it
         self._frames.publish_info(self._rest.config, self._watch.source, self._rest.baseline)
 
     def _publish_frame(self, frame: TactileFrame) -> None:
         """In the driver's thread."""
-        assert self._driver is not None
-        info = self._driver.pipeline.digitizer.info
-        if info is not None and info is not self._heard:
-            self._hear_source(info)
         self._latest = frame
         self._pictures.take(frame, self._frames.publish(frame))
 
     def _hear_source(self, info: Info) -> None:
-        """The digitizer has described itself, before a frame: who it is goes ahead of that."""
+        """The digitizer has described itself: who it is goes ahead of its frames.
+
+        In the driver's thread; what was found on another kind of skin is in no frame of this one.
+        """
         assert self._watch is not None
         is_first, self._heard = self._heard is None, info
         warnings = self._watch.hear(info)

@@ -3,6 +3,7 @@
 """tactile-cdma calibrate: from a table, a capture or live loads to a file for the driver."""
 
 import re
+import signal
 import subprocess
 import sys
 import threading
@@ -294,6 +295,15 @@ def hear(process: subprocess.Popen[str], end: str) -> str:
     return said
 
 
+def interrupt(process: subprocess.Popen[str]) -> None:
+    """Ctrl-C while the program waits for an answer.
+
+    Python's input() loses one that comes while it flushes its prompt.
+    """
+    time.sleep(0.2)
+    process.send_signal(signal.SIGINT)
+
+
 def rest(process: subprocess.Popen[str]) -> str:
     """The program's output until it ends, without further input.
 
@@ -368,7 +378,7 @@ def test_answers_are_loads_and_none_is_lost(
             press.pressure_pa = 20e3
             assert "2.639 V, 1 of 1 nodes moved" in take(cal, "20,0")
             hear(cal, "(Enter: end) ")
-            cal.send_signal(2)
+            interrupt(cal)
             said = rest(cal)
             assert "interrupted" in said and "add to it with --append" in said
             assert cal.returncode == 1
@@ -394,7 +404,7 @@ def test_answers_are_loads_and_none_is_lost(
 def test_interrupted_before_the_first_load(tmp_path: Path) -> None:
     with dialogue("--port", "sim://", "-o", tmp_path / "skin.yaml") as cal:
         hear(cal, "(Enter: end) ")
-        cal.send_signal(2)
+        interrupt(cal)
         assert "interrupted; no load was taken" in rest(cal)
     assert not list(tmp_path.iterdir())
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from simulated import run, stream
+from simulated import configuration, run, stream
 
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.clocks.decorrelate import Decorrelator
@@ -24,8 +24,11 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.framing.gap_timing import GapTiming
 from tactile_cdma.framing.line_timing import LineTiming
 from tactile_cdma.framing.timing import SampleBlock
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire._protocol import Signs
-from tactile_cdma.wire.messages import FrameLayout
+from tactile_cdma.wire.messages import FrameLayout, Start
+from tactile_cdma.wire.packets import PacketWriter
 from tactile_cdma.words.decode import Words, decode
 
 MASK = 0xFFFFFFFF
@@ -101,18 +104,43 @@ def test_the_wire_carries_it() -> None:
 @pytest.mark.parametrize("samples_per_chip", [1, 4])
 @pytest.mark.parametrize("parity", [False, True])
 def test_a_scrambled_skin_is_decoded(samples_per_chip: int, parity: bool) -> None:
-    """And, told nothing of it, hardly a word is."""
+    """And not by parameters that the digitizer's description contradicts."""
     values = {"scramble": True, "samples_per_chip": samples_per_chip, "parity": parity}
     config = SkinConfig.of(values)
-    data = stream(config, "sim://?seed=1&scene=all&threshold=0&offset=0.2&noise=0.02", 40)
+    url = "sim://?seed=1&scene=all&threshold=0&offset=0.2&noise=0.02"
+    data = stream(config, url, 40)
+    digitizer = VirtualDigitizer(SimOptions.from_url(url), clock=lambda: 0.0)
+    for command in (configuration(config), Start()):
+        digitizer.receive(PacketWriter().encode(command))
     frames = run(config, data)
-    plain = run(SkinConfig.of({**values, "scramble": False}), data)
     assert len(frames) >= 38
-    assert all(f.words.active.all() for f in frames)
+    seen = set()
+    for frame in frames:
+        truth = digitizer.truth(round(frame.t_start / config.spec.frame_period_s))
+        assert frame.t_start == pytest.approx(truth.start_s, abs=config.spec.chip_s)
+        np.testing.assert_array_equal(frame.words.active, truth.active)
+        np.testing.assert_array_equal(frame.words.codes, truth.codes)
+        seen |= {*truth.codes.tolist()}
+    assert len(seen) > 40
     doubtful = sum(f.words.doubtful.any() for f in frames)
     # of chip means the level at rest is a guess: now and then a frame is said to be in doubt
     assert doubtful <= (1 if samples_per_chip == 1 else 0)
-    assert not plain  # the digitizer's description contradicts the parameters
+    assert not run(SkinConfig.of({**values, "scramble": False}), data)
+
+
+@pytest.mark.parametrize(("nodes", "order"), [(16, 20), (60, 64), (900, 912)])
+def test_who_does_not_know_of_it_hears_hardly_a_word(nodes: int, order: int) -> None:
+    spec = FrameSpec(nodes=nodes, order=order, scramble=True, frame_period_s=10.0, amplitude_v=0.3)
+    rng, right = np.random.default_rng(nodes), {True: 0, False: 0}
+    for _ in range(20):
+        codes = rng.integers(0, 1024, nodes)
+        chips = line_chips(spec, codes).astype(np.float32)
+        for scramble in right:
+            heard = replace(spec, scramble=scramble)
+            words = decode(separate(chips, heard), heard)
+            right[scramble] += np.count_nonzero(words.active & (words.codes == codes))
+    assert right[True] == 20 * nodes
+    assert right[False] <= 20 * nodes / 200
 
 
 def line_of(

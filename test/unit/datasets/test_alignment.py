@@ -4,9 +4,12 @@
 
 from __future__ import annotations
 
+import weakref
 from bisect import bisect_right
+from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,16 +18,26 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tactile_cdma.base.errors import CaptureError, ParameterError
-from tactile_cdma.datasets.alignment import WAIT_S, Aligner, Row
+from tactile_cdma.datasets.alignment import STALE_S, WAIT_S, Aligner, Row
 from tactile_cdma.datasets.episodes import FOREVER_NS, Episode, find_episodes, parse_interval
-from tactile_cdma.datasets.samples import IMAGE, NANO, STATE, Sample, SkinFrame, Stream
+from tactile_cdma.datasets.samples import (
+    ACTION,
+    CONTACTS,
+    IMAGE,
+    NANO,
+    STATE,
+    TACTILE,
+    RawImage,
+    Sample,
+    SkinFrame,
+    Stream,
+)
 from tactile_cdma.datasets.touch import (
     DROP,
     HOLD,
     LAST,
     MEAN,
     MODES,
-    STALE_S,
     WINDOW,
     ZERO,
     Touch,
@@ -91,9 +104,11 @@ def test_a_row_holds_the_newest_value_up_to_its_tick(
     assert [row.tick.time_ns for row in rows] == expected_ticks
     for row in rows:
         before = bisect_right(stamps_ms, row.tick.time_ns / MS)
-        assert ("state" in row.values) == (before > 0)
-        if before:
+        assert ("state" in row.values or "state" in row.stopped) == (before > 0)
+        if "state" in row.values:
             assert number(row) == stamps_ms[before - 1]
+        elif before:
+            assert row.tick.time_ns / MS - stamps_ms[before - 1] > STALE_S * 1e3
 
 
 def test_ticks_are_a_topic_s_stamps_where_it_is_the_clock() -> None:
@@ -117,7 +132,7 @@ def test_a_stream_that_stops_is_not_waited_for_and_what_comes_late_is_counted() 
     assert held == []  # it may go on
     rows = list(aligner.feed(state(waited + 100, waited + 100, 0, "beat")))
     assert len(rows) == (waited + 100) // 100
-    assert all(number(row) == 1.0 for row in rows)
+    assert [number(row) for row in rows if "state" in row.values] == [1.0] * 5  # of STALE_S
     list(aligner.feed(state(500, waited + 110, 2.0)))
     assert aligner.late == {"state": 1, "beat": 0}
 
@@ -130,19 +145,208 @@ def test_what_comes_later_than_something_newer_does_not_replace_it() -> None:
     assert aligner.late == {"state": 1}
 
 
-def test_memory_does_not_grow_with_the_bag() -> None:
-    aligner = Aligner({key: stream(key) for key in ("state", "beat")}, {}, ALWAYS, 30)
-    most = 0
-    for i in range(20_000):
-        for key in ("state", "beat"):
-            list(aligner.feed(state(i * 10, i * 10 + 5, 0.0, key)))
-        most = max(most, *(len(waiting) for waiting in aligner._waiting.values()))
-    assert most < 10
+PERIOD_MS = 12.8
+SKIN = Stream("skin", TACTILE, "skin", (2,))
 
 
-def touch_at(taken: TouchStream, ms: float) -> Touch:
-    touch = taken.at(round(ms * MS))
-    assert touch is not None
+def felt(ms: float) -> float:
+    """The pressure of the tests' skin at a time, Pa."""
+    return 500 + 0.1 * ms
+
+
+def skin_samples(begin_ms: float, end_ms: float, period_ms: float = PERIOD_MS) -> list[Sample]:
+    stamps = np.arange(begin_ms, end_ms, period_ms)
+    return [
+        Sample("skin", round(t * MS), round((t + 6) * MS), skin_frame(felt(t), 1.0)) for t in stamps
+    ]
+
+
+def in_order(*streams: Sequence[Sample]) -> list[Sample]:
+    return sorted((sample for one in streams for sample in one), key=lambda sample: sample.seen_ns)
+
+
+def skin_taken(mode: str, slots: int = 1, policy: str = DROP) -> dict[str, TouchStream]:
+    return {"skin": TouchStream(2, slots if mode == WINDOW else 1, mode, policy)}
+
+
+def touch_of(row: Row) -> Touch:
+    touch = row.values["skin"]
+    assert isinstance(touch, Touch)
+    return touch
+
+
+def mean_felt(begin_ms: float, end_ms: float, samples: Sequence[Sample]) -> float:
+    """Of what was measured after a time, up to another one."""
+    stamps_ms = np.array([sample.stamp_ns / MS for sample in samples if sample.stream == "skin"])
+    return float(felt(stamps_ms[(stamps_ms > begin_ms) & (stamps_ms <= end_ms)]).mean())
+
+
+@pytest.mark.parametrize("fps", [1, 2, 30])
+@pytest.mark.parametrize("mode", MODES)
+def test_all_frames_of_an_interval_are_valid_however_long_it_is(mode: str, fps: int) -> None:
+    samples, episode = skin_samples(0, 6000), Episode(5 * MS, FOREVER_NS, "")  # no frame at a tick
+    slots = int(np.ceil(1000 / fps / PERIOD_MS))
+    aligner = Aligner({"skin": SKIN}, skin_taken(mode, slots), [episode], fps)
+    rows = rows_of(aligner, samples)[1:]  # the first one's window begins before the first frame
+    assert len(rows) >= 4
+    for row in rows:
+        touch, tick_ms = touch_of(row), row.tick.time_ns / MS
+        assert touch.complete and touch.valid.all() and not row.stopped
+        if mode == MEAN:
+            expected = mean_felt(tick_ms - 1000 / fps, tick_ms, samples)
+            assert touch.pressure_pa[0] == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize(("period_ms", "held_ms"), [(PERIOD_MS, STALE_S * 1e3), (1000, 3000)])
+def test_a_patch_that_stopped_is_not_felt_any_more(
+    mode: str, period_ms: float, held_ms: float
+) -> None:
+    """A slow one is believed for some of its own steps: its frames are good until the next one."""
+    samples = [*skin_samples(0, 8000, period_ms), *skin_samples(16_000, 16_001)]
+    aligner = Aligner({"skin": SKIN}, skin_taken(mode), ALWAYS, 10)
+    ages = {True: [0.0], False: [np.inf]}
+    for row in rows_of(aligner, samples):
+        if row.tick.time_ns > period_ms * MS:  # before that its steps are not known
+            last_ms = max(s.stamp_ns for s in samples if s.stamp_ns <= row.tick.time_ns) / MS
+            is_valid = bool(touch_of(row).valid.all())
+            assert is_valid == touch_of(row).valid.any() == ("skin" not in row.stopped)
+            ages[is_valid].append(row.tick.time_ns / MS - last_ms)
+    assert held_ms - 101 < max(ages[True]) <= held_ms < min(ages[False])
+
+
+@pytest.mark.parametrize("pause_ms", [400, 2000])
+def test_a_window_begins_anew_after_a_stop(pause_ms: int) -> None:
+    """What was felt before it is not of the present; a short pause loses frames, and no more."""
+    begin_ms = 2000 + pause_ms
+    samples = [*skin_samples(0, 2000), *skin_samples(begin_ms, begin_ms + 1000)]
+    aligner = Aligner({"skin": SKIN}, skin_taken(WINDOW, 8), ALWAYS, 10)
+    rows = {row.tick.time_ns // MS: touch_of(row) for row in rows_of(aligner, samples)}
+    first, second = rows[begin_ms], rows[begin_ms + 100]
+    assert first.valid[:, 0].tolist() == [pause_ms == 400] * 7 + [True]
+    assert (first.age_s[:7] > 0.4).all() == (pause_ms == 400)
+    assert second.valid.all() and (second.age_s <= 0.1).all()
+
+
+@pytest.mark.parametrize("clock", [None, "camera"])
+def test_the_first_mean_of_an_episode_is_of_its_own_interval(clock: str | None) -> None:
+    skin = skin_samples(0, 9000)
+    camera = [state(t, t + 40, 0.0, "camera") for t in range(7, 9000, 33)]
+    episodes = [Episode(e * MS, (e + 1000) * MS, "") for e in (4000, 7000)]
+    streams = {"skin": SKIN, "camera": stream("camera")}
+    aligner = Aligner(streams, skin_taken(MEAN), episodes, 30, clock)
+    rows = rows_of(aligner, in_order(skin, camera))
+    for number in (0, 1):
+        first, second, *_ = (row for row in rows if row.tick.episode == number)
+        first_ms, second_ms = first.tick.time_ns / MS, second.tick.time_ns / MS
+        assert 0 < second_ms - first_ms < 34 and first_ms - episodes[number].begin_ns / MS < 34
+        for row, begin_ms, end_ms in (
+            (first, first_ms - 1000 / 30, first_ms),
+            (second, first_ms, second_ms),
+        ):
+            expected = mean_felt(begin_ms, end_ms, skin)
+            assert touch_of(row).pressure_pa[0] == pytest.approx(expected, rel=1e-6)
+            assert touch_of(row).age_s[0] < 0.03
+
+
+def test_an_episode_includes_what_is_measured_at_its_beginning() -> None:
+    skin = skin_samples(0, 1000)
+    aligner = Aligner({"skin": SKIN}, skin_taken(MEAN), [Episode(128 * MS, FOREVER_NS, "")], 10)
+    first, *_ = rows_of(aligner, skin)
+    assert first.tick.time_ns == 228 * MS
+    expected = mean_felt(127, 228, skin)
+    assert touch_of(first).pressure_pa[0] == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_after_a_pause_of_the_clock_a_row_is_of_the_present(mode: str) -> None:
+    """One image lost: the mean is of the longer interval. Three seconds without: of their end."""
+    skin = skin_samples(0, 7000)
+    stamps = [t for t in range(0, 7000, 100) if t != 1500 and not 3000 < t < 6000]
+    camera = [state(t, t + 2, 0.0, "camera") for t in stamps]
+    streams = {"skin": SKIN, "camera": stream("camera")}
+    aligner = Aligner(streams, skin_taken(mode, 8), ALWAYS, 10, "camera")
+    rows = {row.tick.time_ns // MS: row for row in rows_of(aligner, in_order(skin, camera))}
+    assert list(rows) == stamps
+    for tick_ms in (1600, 6000):
+        touch = touch_of(rows[tick_ms])
+        assert touch.complete and (touch.age_s >= 0).all() and (touch.age_s < STALE_S).all()
+    if mode == MEAN:
+        for tick_ms, begin_ms in ((1600, 1400), (6000, 5500), (6100, 6000)):
+            expected = mean_felt(begin_ms, tick_ms, skin)
+            assert touch_of(rows[tick_ms]).pressure_pa[0] == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_clock_that_comes_too_late_makes_no_row_of_what_is_newer() -> None:
+    clock = [state(t, t + 10, t, "clock") for t in range(0, 1000, 100)]
+    late = [state(t, t + 5000, t, "clock") for t in (1000, 1100)]
+    again = [state(t, t + 10, t, "clock") for t in range(7000, 7400, 100)]
+    beat = [state(t, t, t) for t in range(0, 8000, 10)]
+    streams = {"clock": stream("clock"), "state": stream("state")}
+    aligner = Aligner(streams, {}, ALWAYS, 10, "clock")
+    rows = rows_of(aligner, in_order(clock, late, again, beat))
+    assert [row.tick.time_ns // MS for row in rows] == [
+        *range(0, 1000, 100),
+        *range(7000, 7400, 100),
+    ]
+    assert all(number(row) == row.tick.time_ns / MS for row in rows)
+    assert aligner.late == {"clock": 2, "state": 0}
+
+
+@pytest.mark.parametrize("kind", [STATE, ACTION, IMAGE, CONTACTS])
+def test_a_stream_that_stopped_is_not_repeated(kind: str) -> None:
+    """Nor is one that pauses; one that always was slow goes on in between."""
+    stamps = [*range(0, 2500, 10), *range(5000, 6000, 10)]
+    samples = [state(t, t, t, "it") for t in stamps]
+    slow = [state(t, t, t, "slow") for t in range(0, 8001, 1000)]
+    beat = [state(t, t, t, "beat") for t in range(0, 9000, 10)]
+    streams = {key: Stream(key, kind, key, (1,)) for key in ("it", "slow", "beat")}
+    rows = rows_of(Aligner(streams, {}, ALWAYS, 20), in_order(samples, slow, beat))
+    assert rows[-1].tick.time_ns > 8900 * MS
+    for row in rows:
+        tick_ms = row.tick.time_ns / MS
+        last_ms = max(t for t in stamps if t <= tick_ms)
+        is_there = tick_ms - last_ms <= STALE_S * 1e3
+        assert ("it" in row.values) == (is_there or kind == ACTION)  # a command is in force
+        assert row.stopped.get("it") == (None if is_there else 2490 * MS)
+        if is_there or kind == ACTION:
+            assert number(row, "it") == last_ms
+        if tick_ms > 1000:
+            assert number(row, "slow") == min(tick_ms // 1000 * 1000, 8000)
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("clock", [None, "clock"])
+def test_memory_does_not_grow_with_the_bag(clock: str | None, mode: str) -> None:
+    """Nor before, between and after episodes, nor where the clock pauses."""
+    episodes = [Episode(a * NANO, b * NANO, "") for a, b in ((30, 33), (60, 120))]
+    camera = Stream("camera", IMAGE, "camera", (6, 8, 3))
+    streams = {"skin": SKIN, "camera": camera, "clock": stream("clock")}
+    aligner = Aligner(streams, skin_taken(mode, 8), episodes, 10, clock)
+    held: deque[weakref.ref[Any]] = deque()
+    most = rows = 0
+    for ms in range(0, 150_000, 100):
+        message = _Message()
+        frame = skin_frame(float(ms), 1.0)
+        held += (weakref.ref(message), weakref.ref(frame.pressure_pa))
+        now = [
+            Sample("camera", ms * MS, ms * MS, RawImage(message)),
+            Sample("skin", ms * MS, ms * MS, frame),
+        ]
+        if not 80_000 < ms < 110_000:
+            now.append(state(ms, ms, 0.0, "clock"))
+        del message, frame
+        rows += sum(1 for sample in now for _ in aligner.feed(sample))
+        del now[:]
+        most = max(most, sum(one() is not None for one in held))
+        if ms % 10_000 == 0:
+            held = deque(one for one in held if one() is not None)
+    assert rows == (630 if clock is None else 333)
+    assert most <= 2 * 10 * (WAIT_S + 1)  # while a clock that paused may still go on
+
+
+def touch_at(taken: TouchStream, ms: float, has_stopped: bool = False) -> Touch:
+    touch = taken.at(round(ms * MS), has_stopped)
     assert not np.isnan(touch.pressure_pa).any()
     return touch
 
@@ -150,7 +354,6 @@ def touch_at(taken: TouchStream, ms: float) -> Touch:
 @pytest.mark.parametrize("policy", [HOLD, ZERO])
 def test_a_window_holds_all_samples_of_an_interval_the_newest_last(policy: str) -> None:
     taken = TouchStream(taxels=2, slots=3, mode=WINDOW, policy=policy)
-    assert taken.at(0) is None
     taken.take(0, skin_frame(1, np.nan))
     first = touch_at(taken, 5)
     assert first.pressure_pa.tolist() == [[1, 0]] * 3 if policy == HOLD else [[0, 0]] * 2 + [[1, 0]]
@@ -166,13 +369,13 @@ def test_a_window_holds_all_samples_of_an_interval_the_newest_last(policy: str) 
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_old_samples_are_no_valid_readings(mode: str) -> None:
+def test_nothing_of_a_patch_that_stopped_is_a_valid_reading(mode: str) -> None:
     taken = TouchStream(taxels=1, slots=1, mode=mode, policy=DROP)
     taken.take(0, skin_frame(3.0))
-    assert touch_at(taken, STALE_S * 1e3 - 1).complete
-    stale = touch_at(taken, STALE_S * 1e3 + 1)
-    assert not stale.complete and not stale.valid.any()
-    assert stale.pressure_pa.ravel().tolist() == [3.0]
+    assert touch_at(taken, 400).complete
+    stopped = touch_at(taken, 600, has_stopped=True)
+    assert not stopped.complete and not stopped.valid.any()
+    assert stopped.pressure_pa.ravel().tolist() == [3.0]
 
 
 def test_masked_taxels_do_not_count() -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -251,6 +252,123 @@ def test_a_camera_is_the_clock(bag: Path, tmp_path: Path) -> None:
     assert reds == list(range(len(reds)))
 
 
+def test_vectors_are_the_clock(bag: Path, tmp_path: Path) -> None:
+    folder, joints = tmp_path / "out", "/joint_states"
+    cameras = ("--image", "/front/image_raw")
+    table = exported(
+        bag, folder, "--clock", joints, "--state", joints, "--action", joints, *cameras
+    )
+    assert meta(folder, "info.json")["fps"] == 100
+    assert meta(folder, "tactile.json")["clock"] == joints
+    t_s = seconds(table)
+    assert len(t_s) > 250 and t_s == pytest.approx(t_s[0] + np.arange(len(t_s)) / 100, abs=1e-6)
+    assert array(table, "observation.state")[:, 0] == pytest.approx(t_s, abs=1e-6)
+
+
+def stopping(*stops: tuple[str, float, float]) -> BagMaker:
+    """Six seconds in which topics are silent between two times, s."""
+    maker = BagMaker()
+    maker.skin("/skin", 6.0)
+    maker.camera("/front/image", 6.0, 30)
+    maker.joints("/joints", 6.0)
+    for topic, begin_s, end_s in stops:
+        begin_ns, end_ns = (BEGIN_NS + round(t_s * 1e9) for t_s in (begin_s, end_s))
+        maker.messages = [
+            one for one in maker.messages if one[1] != topic or not begin_ns < one[0] < end_ns
+        ]
+    return maker
+
+
+@pytest.mark.parametrize("of", ["--state", "--image"])
+@pytest.mark.parametrize("end_s", [7.0, 4.0])
+def test_rows_without_a_present_image_or_vector_are_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], of: str, end_s: float
+) -> None:
+    topic, name = {
+        "--state": ("/joints", "observation.state"),
+        "--image": ("/front/image", "observation.images.front"),
+    }[of]
+    bag = stopping((topic, 2.5, end_s)).write(tmp_path / "bag")
+    table = exported(bag, tmp_path / "out", of, topic, "--task", "press")
+    said, t_s = capsys.readouterr(), seconds(table)
+    episode = array(table, "episode_index")
+    last_s = max(t for t in t_s if t < 3.5)
+    assert 2.5 + 0.5 - 0.1 < last_s < 2.5 + 0.5 + 1e-6
+    if end_s == 7.0:
+        assert last_s == t_s[-1] and not episode.any()
+        left = round((5.9 - last_s) * FPS)
+    else:
+        after_s = t_s[t_s > last_s]
+        assert end_s - 0.05 < after_s[0] < end_s + 2 / FPS and after_s[-1] > 5.9
+        assert (episode == (t_s > last_s)).all()
+        left = round((after_s[0] - last_s) * FPS) - 1
+    [line] = [one for one in said.err.splitlines() if "had stopped" in one]
+    found = re.fullmatch(
+        rf".* (\d+) rows are left out: {name} \({topic}\) had stopped, first at (\S+) s of {bag}",
+        line,
+    )
+    assert found and int(found[1]) == pytest.approx(left, abs=3)
+    assert f"left_out={found[1]} " in said.out or of == "--image"
+    assert 2.4 < float(found[2]) < 2.5
+
+
+def test_an_old_command_is_still_in_force(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = stopping(("/joints", 2.5, 4.0)).write(tmp_path / "bag")
+    table = exported(bag, tmp_path / "out", "--action", "/joints", "--task", "press")
+    t_s, action = seconds(table), array(table, "action")[:, 0]
+    assert not array(table, "episode_index").any()
+    newest_s = np.where((t_s > 2.5) & (t_s < 4.0), 2.5, t_s)
+    assert np.abs(action - newest_s).max() < 0.03
+    old = np.count_nonzero(t_s - action > 0.5)
+    assert f"the last command of /joints is repeated in {old} rows" in capsys.readouterr().err
+
+
+def test_touch_of_a_patch_that_stopped_is_marked(tmp_path: Path) -> None:
+    bag = stopping(("/skin/tactile", 2.5, 7.0)).write(tmp_path / "bag")
+    table = exported(bag, tmp_path / "out")
+    t_s, valid = seconds(table), array(table, f"{SKIN}.valid")
+    assert t_s[-1] > 5.9 and (valid[2:].all(axis=(1, 2)) == (t_s[2:] < 2.5 + 0.5 - 0.005)).all()
+    assert not valid[t_s > 3].any()
+
+
+def test_a_clock_that_paused_ends_an_episode(tmp_path: Path) -> None:
+    """Rows of an episode follow one another by fps; one lost image is none too long a step."""
+    bag = stopping(("/front/image", 1.51, 1.56), ("/front/image", 2.5, 4.0)).write(tmp_path / "bag")
+    table = exported(bag, tmp_path / "out", "--clock", "/front/image")
+    t_s, episode = seconds(table), array(table, "episode_index")
+    steps_s = np.diff(t_s)
+    assert np.count_nonzero(steps_s > 1.5 / 30) == 2
+    [pause] = np.flatnonzero(steps_s > 1)
+    assert np.flatnonzero(np.diff(episode)).tolist() == [pause]
+    assert array(table, f"{SKIN}.age_s")[1:].max() < 0.06
+
+
+def test_a_clock_slower_than_a_row_per_second_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    maker = BagMaker()
+    maker.skin("/skin", 1.0)
+    maker.camera("/slow/image", 8.0, 0.4)
+    words = ["export", maker.write(tmp_path / "bag"), "--lerobot", tmp_path / "out"]
+    assert main([*map(str, words), "--clock", "/slow/image"]) == 1
+    said = capsys.readouterr().err
+    assert "2.500 s from message to message of /slow/image; a dataset has 1 row per s" in said
+
+
+@pytest.mark.parametrize("fps", ["1", "2"])
+def test_slow_rows_are_whole_where_every_reading_was_valid(
+    bag: Path, tmp_path: Path, fps: str
+) -> None:
+    only = ("--topic", "/skin/tactile", "--image", "/front/image_raw", "--nan", "drop")
+    words = ["export", bag, "--lerobot", tmp_path / "out", "--fps", fps, *only]
+    assert main(list(map(str, words))) == 0
+    table = parquet.read_table(tmp_path / "out/data/chunk-000/file-000.parquet")
+    rows, slots = {"1": (2, 79), "2": (5, 40)}[fps]  # the last frame is at 2.99 s
+    assert array(table, SKIN).shape == (rows, slots, TAXELS)
+
+
 def test_metadata_is_as_lerobot_reads_it(bag: Path, tmp_path: Path) -> None:
     folder = tmp_path / "out"
     table = exported(bag, folder, "--marks", "/task")
@@ -325,6 +443,12 @@ def test_statistics_are_of_valid_readings_and_one_for_all_taxels(bag: Path, tmp_
     assert not np.any(found[f"{PALM}.valid"]["mean"])
     ages = array(table, f"{PALM}.age_s")
     assert found[f"{PALM}.age_s"]["mean"] == pytest.approx(ages.mean(axis=0), rel=1e-5)
+    times_ns = array(table, "unix_time_ns")
+    expected_ns = (times_ns - times_ns[0]).std()
+    assert found["unix_time_ns"]["std"][0] == pytest.approx(expected_ns, rel=1e-6)
+    assert found["unix_time_ns"]["mean"][0] - BEGIN_NS == pytest.approx(
+        (times_ns - BEGIN_NS).mean(), abs=1e3
+    )
 
 
 def test_episodes_by_intervals_and_by_files(bag: Path, tmp_path: Path) -> None:
@@ -422,7 +546,7 @@ def test_what_cannot_be_is_one_clear_error(
         ([bag, *out], "--fps N, or --clock"),
         ([bag, *out, "--fps", "0"], "--fps is 0; it must lie within 1…1000"),
         ([bag, "--lerobot", tmp_path, *fps], "exists already"),
-        ([bag, *out, "--clock", "/none"], "no stream /none (there are"),
+        ([bag, *out, "--clock", "/none"], "/none is not exported (but /left_palm/skin/tactile, "),
         ([bag, *out, *fps, "--topic", "/none"], "no skin's frames in /none"),
         ([bag, *out, *fps, "--image", "/none"], "no topic /none"),
         ([bag, *out, *fps, "--image", "/joint_states"], "no image"),
@@ -464,10 +588,11 @@ def test_stamps_far_from_their_recording_are_not_believed(
     camera_off_s: int,
     expected: int,
 ) -> None:
-    """One stamp in 2036; a camera whose clock counts from its start; one that runs ahead."""
+    """One stamp in 2036; a camera whose clock counts from its start; one ahead, one 5 s behind."""
+    seconds_s = 6.0 if camera_off_s == -5 else 1.0
     maker = BagMaker()
-    maker.skin("/skin", 1.0)
-    maker.camera("/front/image", 1.0, 30)
+    maker.skin("/skin", seconds_s)
+    maker.camera("/front/image", seconds_s, 30)
     for _, of, _, message in maker.messages:
         if of == topic == "/front/image":
             message.header.stamp.sec += camera_off_s
@@ -480,7 +605,8 @@ def test_stamps_far_from_their_recording_are_not_believed(
     note = f"{topic}: {expected} of {number} stamps are more than 10 s from when"
     assert (note in said) == (expected > 0)
     t_s = seconds(table)
-    assert 27 <= np.count_nonzero(t_s > 0) <= 31 and (t_s <= 1.04).all()
+    held_s = 0.5 if camera_off_s == -5 else 0.0  # then it has stopped: no stamp is later
+    assert 27 <= np.count_nonzero(t_s > 0) - 30 * held_s <= 31 and (t_s <= 1.04 + held_s).all()
     found, ages_s = array(table, SKIN), array(table, f"{SKIN}.age_s")
     # A stamp that is not believed is late by what its message waited.
     limit_s = 0.012 if topic == "/skin/tactile" else 1e-3

@@ -175,7 +175,7 @@ def test_an_image_ends_a_pause(tmp_path: Path, capsys: pytest.CaptureFixture[str
     words = ["export", bag, "--lerobot", tmp_path / "out", "--clock", "/front"]
     assert main(list(map(str, words))) == 0
     said = capsys.readouterr()
-    assert "episodes=1 frames=90 fps=30 left_out=0 " in said.out and not said.err
+    assert "episodes=2 frames=90 fps=30 left_out=0 " in said.out and not said.err
 
 
 def test_a_file_that_contributes_nothing_is_told(

@@ -152,6 +152,17 @@ def test_a_simulators_tare_is_dropped_once_a_board_introduces_itself(
     assert (tmp_path / f"{NAME}.old").exists()
 
 
+def test_no_frame_has_a_tare_that_is_dropped(
+    preload: Callable[[float], None], tmp_path: Path
+) -> None:
+    preload(PRELOAD_PA)
+    Run(tmp_path).activate().stream(TARE_S).keeper.tare()
+    run = Run(tmp_path, port="/dev/ttyACM0").activate()
+    run.driver.pipeline.on_info = lambda info: run.keeper.hear(simulated=False)
+    read_pa = [frame.readings.pressure_pa for frame in run.stream(0.3).frames]
+    assert np.allclose(read_pa, PRELOAD_PA, atol=15)
+
+
 def test_a_boards_tare_is_not_that_of_a_simulator_behind_a_tty(
     preload: Callable[[float], None], tmp_path: Path
 ) -> None:

@@ -7,10 +7,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import pytest
 from test_identity import Talk
 
+from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.driver.session import PATIENCE_S, SOON_S, Session
@@ -113,8 +115,7 @@ def test_other_bytes_after_packets_are_said() -> None:
     assert "another device" in (line.session.problem or "")
 
 
-THOUSAND = {"nodes": 900, "order": 912, "chip_us": 2.0, "frame_period_ms": 19.95,
-            "resync_chips": 912, "guard_chips": 40, "samples_per_chip": 1}  # fmt: skip
+THOUSAND = read_file(Path(__file__).resolve().parents[3] / "config" / "thousand_skin.yaml")
 
 
 def test_a_busy_link_is_asked_to_pack() -> None:

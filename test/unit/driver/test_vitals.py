@@ -192,7 +192,9 @@ def test_an_amplitude_that_is_far_too_low_is_told_as_such() -> None:
     config, frames = SkinConfig.of({"amplitude_mv": 97.5}), []
     url = "sim://?scene=all&threshold=0&speed=0"
     with Driver(config, url, 2_000_000, frames.append, lambda problem: None) as driver:
+        deadline_s = time.monotonic() + 60
         while len(frames) < 100:
+            assert time.monotonic() < deadline_s
             time.sleep(0.01)
         with driver.between_frames() as pipeline:
             found = [*checkup.nodes(pipeline, [], driver.vitals.take(pipeline))]

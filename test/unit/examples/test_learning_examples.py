@@ -8,14 +8,35 @@ import os
 import re
 import subprocess
 import sys
-from importlib.util import find_spec
+import threading
+from collections import deque
+from collections.abc import Callable
+from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import pytest
 
+from tactile_cdma import Decoder, Frame, PortError, Skin, read_recording
 from tactile_cdma.commands.cli import main
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.sim.pty import serve
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
+
+
+needs_pyarrow = pytest.mark.skipif(
+    not find_spec("pyarrow"), reason="the extra [datasets] is not installed"
+)
+needs_torch = pytest.mark.skipif(not find_spec("torch"), reason="torch is not installed")
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recorded") / "touch.skin"
+    port = "sim://?scene=moving&seed=1"
+    assert main(["record", port, str(path), "--seconds", "3", "--nodes", "16"]) == 0
+    return path
 
 
 def run(name: str, *words: str) -> dict[str, float]:
@@ -33,7 +54,7 @@ def run(name: str, *words: str) -> dict[str, float]:
     return {name: float(value) for name, value in re.findall(r"(\w+)=([\d.]+)", last)}
 
 
-@pytest.mark.skipif(not find_spec("pyarrow"), reason="the extra [datasets] is not installed")
+@needs_pyarrow
 def test_every_frame_is_logged_while_the_picture_lives(tmp_path: Path) -> None:
     import pyarrow.parquet
 
@@ -56,7 +77,78 @@ def test_every_frame_is_logged_while_the_picture_lives(tmp_path: Path) -> None:
     assert output.read_bytes() == before
 
 
-@pytest.mark.skipif(not find_spec("torch"), reason="torch is not installed")
+@needs_pyarrow
+def test_a_recording_is_logged_to_its_end(recording: Path, tmp_path: Path) -> None:
+    import pyarrow.parquet
+
+    output, picture = tmp_path / "touch.parquet", tmp_path / "touch.png"
+    port = f"replay://{recording}?speed=0"
+    figures = run("live_parquet.py", port, str(output), "--picture", str(picture))
+    sequence = pyarrow.parquet.read_table(output).column("sequence").to_pylist()
+    frames = sum(
+        len(decoder.feed(data, t_host))
+        for decoder in [Decoder(nodes=16)]
+        for data, t_host in read_recording(recording)
+    )
+    assert len(sequence) == figures["frames"] == frames > 200
+
+
+@needs_pyarrow
+def test_what_was_logged_before_a_port_was_lost_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import pyarrow.parquet
+
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    spec = spec_from_file_location("live_parquet", EXAMPLES / "live_parquet.py")
+    assert spec and spec.loader
+    example = module_from_spec(spec)
+    spec.loader.exec_module(example)
+    output, link = tmp_path / "touch.parquet", tmp_path / "skin"
+    plugged, unplug, newest = threading.Event(), threading.Event(), Newest(50)
+    newest.reached = unplug.set
+    board = threading.Thread(
+        target=serve,
+        args=(lambda: VirtualDigitizer(SimOptions()), link, unplug, lambda _: plugged.set()),
+    )
+    board.start()
+    assert plugged.wait(10)
+    try:
+        with Skin(str(link), nodes=16, timeout_s=1.0) as skin:
+            frames = example.log(skin, output, newest, threading.Event())
+            before = output.read_bytes()
+            with pytest.raises(PortError):  # it never comes back: no file without a frame
+                example.log(skin, output, newest, threading.Event())
+    finally:
+        unplug.set()
+        board.join()
+    assert pyarrow.parquet.read_table(output).num_rows == frames >= 50
+    assert f"the log ends here: {link}: " in capsys.readouterr().err
+    assert output.read_bytes() == before
+
+
+class Newest(deque[Frame]):
+    """What the example hands its newest frame to; tells when it has had so many."""
+
+    def __init__(self, count: int) -> None:
+        super().__init__(maxlen=1)
+        self._left = count
+        self.reached: Callable[[], None] = lambda: None
+
+    def append(self, frame: Frame) -> None:
+        super().append(frame)
+        self._left -= 1
+        if not self._left:
+            self.reached()
+
+
+@needs_torch
+def test_a_network_answers_until_a_recording_ends(recording: Path) -> None:
+    figures = run("live_torch.py", f"replay://{recording}", "--seconds", "60")
+    assert figures["answers"] > 50 and figures["shared"] == 1
+
+
+@needs_torch
 def test_a_network_answers_every_frame_from_shared_memory() -> None:
     figures = run("live_torch.py", "sim://?scene=moving", "--seconds", "3")
     assert figures["shared"] == 1
@@ -64,15 +156,12 @@ def test_a_network_answers_every_frame_from_shared_memory() -> None:
     assert 0 < figures["network_ms"] < figures["latency_ms"]
 
 
-@pytest.mark.skipif(
-    not (find_spec("torch") and find_spec("pyarrow")), reason="torch or pyarrow is not installed"
-)
-def test_a_network_learns_from_a_dataset(tmp_path: Path) -> None:
-    recording, dataset = str(tmp_path / "touch.skin"), str(tmp_path / "touch")
-    port = "sim://?scene=moving&seed=1"
-    assert main(["record", port, recording, "--seconds", "3", "--nodes", "16"]) == 0
+@needs_torch
+@needs_pyarrow
+def test_a_network_learns_from_a_dataset(recording: Path, tmp_path: Path) -> None:
+    dataset = str(tmp_path / "touch")
     episodes = ["--episode", "0:1.3", "--episode", "1.4:2.7"]
-    assert main(["export", recording, "--lerobot", dataset, "--fps", "30", *episodes]) == 0
+    assert main(["export", str(recording), "--lerobot", dataset, "--fps", "30", *episodes]) == 0
     figures = run("dataset_torch.py", dataset)
     assert figures["episodes"] == 2
     assert 50 < figures["pairs"] <= 2 * (39 - 1)

@@ -198,6 +198,20 @@ def test_nodes_are_grouped_where_one_amplifier_is_too_slow() -> None:
         design(FrameSpec(nodes=9, chip_s=0.1e-6, frame_period_s=PERIOD_S), 1)
 
 
+def test_where_amplifiers_are_too_slow_for_the_whole_range_a_part_is_used() -> None:
+    """Few of many nodes at once get no less than all of them, until the parts are too slow."""
+    for nodes, active in ((16, 0.01), (64, 0.1), (900, 0.001)):
+        spec = FrameSpec(nodes=nodes, chip_s=2e-6, frame_period_s=PERIOD_S)
+        front, every = design(spec, 4, active=active), design(spec, 4)
+        assert front.amplitude_v > every.amplitude_v
+        assert all(each.gain_bandwidth_hz <= MOST_GAIN_BANDWIDTH_HZ for each in front.stages)
+    slow = design(FrameSpec(nodes=16, chip_s=0.5e-6, frame_period_s=PERIOD_S), 4)
+    assert 2 * 16 < slow.room < 4 * 16
+    assert max(each.gain_bandwidth_hz for each in slow.stages) > 0.8 * MOST_GAIN_BANDWIDTH_HZ
+    with pytest.raises(SpecError, match="use longer chips"):
+        design(FrameSpec(nodes=64, chip_s=0.5e-6, frame_period_s=PERIOD_S), 4)
+
+
 @pytest.mark.parametrize(("nodes", "chip_s"), [(16, 50e-6), (64, 50e-6), (900, 2e-6)])
 def test_inexact_parts_stay_within_what_was_allowed_for(nodes: int, chip_s: float) -> None:
     """Skins drawn at random, against the deviation by hand; 1 % would not do for half of it."""

@@ -188,6 +188,12 @@ def test_heartbeat_is_a_second_unless_told_otherwise(frame_period_s: float, hear
             "chip_us is 1; an atmega328p-fast that scrambles takes 1.75 or more",
         ),
         (
+            {"chip_s": 2e-6, "order": 1, "nodes": 1, "first_row": 0},
+            {"mcu": FAST},
+            "order is 1, but an atmega328p-fast, which sends chips in octets, fills up the first "
+            "one by pairs",
+        ),
+        (
             {"chip_s": 2e-6, "order": 912, "nodes": 900, "frame_period_s": 0.02},
             {"mcu": FAST},
             "resync_chips is 0, but an atmega328p-fast, whose chips follow its own clock, "

@@ -122,12 +122,25 @@ def test_a_pause_longer_than_the_drivers_patience_begins_no_new_stream() -> None
 
 
 def test_frames_wait_for_steps() -> None:
-    with stepped(timeout_s=0.3) as skin:
+    with stepped() as skin:
         skin.step()
-        skin.press(BALL)
+        skin.timeout_s = 0.3
         with pytest.raises(PortError, match=r"frames pass one step\(\) at a time"):
             skin.read()
+        with pytest.raises(PortError, match=r"speed is 0, .* step\(\*objects\) lets one pass"):
+            skin.press(BALL)
+        skin.timeout_s = 1.0
         assert skin.step(BALL).sequence == 1
+
+
+def test_a_step_whose_frame_is_rejected_says_why() -> None:
+    """An amplifier with too little room for the sum of all nodes."""
+    box = Box(size_m=(0.1, 0.1, 0.1), position_m=(0, 0, 0.049))
+    with (
+        stepped("threshold=0&rail=0.5", timeout_s=0.5) as skin,
+        pytest.raises(PortError, match="frames are rejected, mostly with the line at a rail"),
+    ):
+        skin.step(box)
 
 
 def test_what_is_asked_for_ahead_passes_in_turn() -> None:

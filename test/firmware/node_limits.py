@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""A node's limits, and its memory as the firmware's core reads it."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import re
+
+from conftest import FIRMWARE
+
+from tactile_cdma.wire.messages import WIRE
+
+READER = ctypes.CFUNCTYPE(ctypes.c_uint8, ctypes.c_uint16)
+GOOD, BLANK, CORRUPT, INVALID, UNFIT = range(5)
+"""The enum node_memory_fault."""
+EEPROM_BYTES = 1024
+
+
+class Limits(ctypes.Structure):
+    """The struct node_limits."""
+
+    _fields_ = (
+        ("order", ctypes.c_uint16),
+        ("chip_ns", ctypes.c_uint16),
+        ("scrambled_chip_ns", ctypes.c_uint16),
+        ("longest_chip_ns", ctypes.c_uint32),
+        ("chip_step_ns", ctypes.c_uint16),
+        ("bits_restart", ctypes.c_bool),
+        ("measuring_us", ctypes.c_uint16),
+        ("restart_us", ctypes.c_uint16),
+    )
+
+
+def limits(mcu: str) -> Limits:
+    """What a node's sources say, which no compiler for the host takes."""
+    node, (part, *fast) = FIRMWARE / "node", mcu.split("-")
+    board = (node / f"{part}.h").read_text()
+    choice = re.search(r"#ifdef NODE_FAST\n(.*)#else\n(.*?)#endif", board, re.DOTALL)
+    if choice:
+        board = board.replace(choice[0], choice[1 if fast else 2], 1)
+    names = "|".join(name.upper() for name, *_ in Limits._fields_)
+    values = dict(re.findall(rf"#define BOARD_({names}) (\d+|true|false)", board))
+    values |= dict(re.findall(r"\.(measuring_us) = (\d+)", (node / "main.c").read_text()))
+    assert len(values) == len(Limits._fields_)
+    return Limits(**{name.lower(): json.loads(value) for name, value in values.items()})
+
+
+def load(core: ctypes.CDLL, memory: bytes, board: Limits) -> tuple[int, bytes, bytes]:
+    """What the firmware finds: its fault, and the bytes of record and row."""
+    eeprom = memory + b"\xff" * (EEPROM_BYTES - len(memory))
+    record = ctypes.create_string_buffer(WIRE["NodeRecord"].size)
+    row = ctypes.create_string_buffer((board.order + 7) // 8)
+    fault = core.node_memory_load(record, row, ctypes.byref(board), READER(eeprom.__getitem__))
+    return fault, record.raw, row.raw
