@@ -68,8 +68,10 @@ class RestState:
         return None
 
 
-def rest_path(folder: str, node: str) -> Path:
-    """The file of a ROS node. node: its fully qualified name.
+def rest_path(folder: str, node: str, simulated: bool = False) -> Path:
+    """The file of a ROS node. node: its fully qualified name. simulated: by its port, sim://.
+
+    Simulated skins have files of their own: trying one must not cost a board its tare.
 
     folder: may begin with ~; empty: $ROS_HOME/tactile_cdma, or ~/.ros/tactile_cdma.
     Raises RestError for the home of a user who does not exist.
@@ -79,7 +81,8 @@ def rest_path(folder: str, node: str) -> Path:
         parent = expanded(text)
     except ValueError as error:
         raise RestError(f"no folder for tare and drift: {text}: {error}") from None
-    return parent / f"{node.strip('/').replace('/', '.')}{_SUFFIX}"
+    kind = "-simulated" if simulated else ""  # no name has a hyphen
+    return parent / f"{node.strip('/').replace('/', '.')}{kind}{_SUFFIX}"
 
 
 def calibration_path(rest: Path) -> Path:

@@ -21,8 +21,9 @@ PEAK_PA = 120e3
 EXTERNAL = "external"
 """Name of the scene in which a program says what touches the skin."""
 
-REST_S = 3.0
-"""Time without a touch at the beginning of the scene "demo", s; chosen: a tare looks at 1 s."""
+REST_S, EVERY_S, BEGUN_S = 5.0, 20.0, 2.0
+"""Of the scene "demo", s: time without a touch, how often, and how much of the first has passed
+when it begins. Chosen: a tare wants every node to be heard, once per s, and then looks at 1 s."""
 
 
 @dataclass(frozen=True)
@@ -140,8 +141,9 @@ def moving(t_s: float, skin: Skin) -> NDArray[np.float64]:
 
 
 def demo(t_s: float, skin: Skin) -> NDArray[np.float64]:
-    """At rest for REST_S, in which the skin can be tared; then one contact wandering over it."""
-    return idle(t_s, skin) if t_s < REST_S else moving(t_s - REST_S, skin)
+    """One contact wandering over the skin, which rests at first and again, so it can be tared."""
+    since_s = (t_s + BEGUN_S) % EVERY_S
+    return idle(t_s, skin) if since_s < REST_S else moving(since_s - REST_S, skin)
 
 
 def all_taxels(t_s: float, skin: Skin) -> NDArray[np.float64]:

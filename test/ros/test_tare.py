@@ -96,7 +96,7 @@ def test_a_tare_shows_in_readings_info_and_file_and_no_frame_is_lost(
     assert {message.info_id for message in client.arrays} == {1, 2}
     assert has_no_gap(client.arrays)
     [path] = tmp_path.iterdir()
-    assert path.name == "skin.rest.yaml"
+    assert path.name == "skin-simulated.rest.yaml"
     assert np.allclose(yaml.safe_load(path.read_text())["rest_v"], REST_V)
     with running(port=IDLE, state_folder=str(tmp_path)) as (_, client):
         for _ in range(
@@ -128,7 +128,7 @@ def test_a_tare_under_load_is_refused_unless_forced_and_can_be_cleared(tmp_path:
         assert min(client.arrays[-1].pressure) > 10e3
         wait_for(lambda: len(client.infos) == 3)
     assert [len(info.tare) for info in client.infos] == [0, 16, 0]
-    assert yaml.safe_load((tmp_path / "skin.rest.yaml").read_text())["rest_v"] is None
+    assert yaml.safe_load((tmp_path / "skin-simulated.rest.yaml").read_text())["rest_v"] is None
 
 
 def test_services_answer_in_every_state(tmp_path: Path) -> None:
@@ -146,10 +146,10 @@ def test_services_answer_in_every_state(tmp_path: Path) -> None:
         response = tare(client)
         assert not response.success
         assert "not tared" in response.message
-        (tmp_path / "skin.rest.yaml").unlink()
+        (tmp_path / "skin-simulated.rest.yaml").unlink()
         saved = save()
         assert saved.success
-        for name in ("skin.rest.yaml", "skin.calibration.yaml"):
+        for name in ("skin-simulated.rest.yaml", "skin-simulated.calibration.yaml"):
             assert str(tmp_path / name) in saved.message
             assert (tmp_path / name).exists()
         assert client.change(Transition.TRANSITION_DEACTIVATE)
@@ -181,7 +181,7 @@ def test_drift_is_followed_and_told_of_while_frames_come(
         assert np.allclose(client.infos[2].drift, 3.3 / 1024, rtol=0.1)
         wait_for(lambda: client.arrays[-1].info_id == client.infos[2].info_id == 3)
         wait_for(lambda: np.allclose(client.arrays[-1].pressure, 0, atol=2))
-    state = yaml.safe_load((tmp_path / "skin.rest.yaml").read_text())
+    state = yaml.safe_load((tmp_path / "skin-simulated.rest.yaml").read_text())
     assert np.allclose(state["drift_v"], 3.3 / 1024, rtol=0.1)
 
 
@@ -214,7 +214,9 @@ def test_the_calibration_is_read_again_while_frames_go_on(
         assert client.call(Trigger, "save_calibration", Trigger.Request()).success
         for _ in range(5):
             before = len(client.arrays)
-            assert client.set(calibration_file=str(tmp_path / "skin.calibration.yaml")) == (
+            assert client.set(
+                calibration_file=str(tmp_path / "skin-simulated.calibration.yaml")
+            ) == (
                 True,
                 "",
             )
@@ -284,5 +286,5 @@ def test_other_curves_forget_the_tare_and_a_bad_file_changes_nothing(
         wait_for(lambda: len(client.arrays) > before + 90)
         assert tare_at_last(client).success
     assert has_no_gap(client.arrays)
-    kept = yaml.safe_load((tmp_path / "skin.rest.yaml.old").read_text())
+    kept = yaml.safe_load((tmp_path / "skin-simulated.rest.yaml.old").read_text())
     assert np.allclose(kept["rest_v"], REST_V)  # for when the curves before come back

@@ -20,7 +20,7 @@ from std_msgs.msg import Header
 
 from ...base.errors import ParameterError, TactileError
 from ...config.body_file import NODE_NAME
-from ...config.parameters import Values
+from ...config.parameters import SIMULATION, Values
 from ...config.skin_config import SkinConfig
 from ...driver.checkup import rivals
 from ...driver.digitizer import Origin, SourceWatch
@@ -144,7 +144,8 @@ class SkinNode(ManagedNode):
             config = SkinConfig.of(self._live)
             Session(config)  # refuses what a digitizer cannot be told
             transform_of(self._live)  # refuses what tf does not take
-            path = rest_path(str(self._live["state_folder"]), self.get_fully_qualified_name())
+            folder, simulated = str(self._live["state_folder"]), url.lower().startswith(SIMULATION)
+            path = rest_path(folder, self.get_fully_qualified_name(), simulated)
             if not self._last_failure:  # else it is tried again
                 self.get_logger().info(f"opening {url}")
             if not is_remote(url):  # else the driver does it, which holds up nothing

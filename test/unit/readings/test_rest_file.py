@@ -75,13 +75,15 @@ def test_files_are_named_after_their_node_below_ros_home(
     below_home = tmp_path / "home" / ".ros" / "tactile_cdma"
     assert rest_path("", "/left/hand/skin") == below_home / "left.hand.skin.rest.yaml"
     assert rest_path("~/skins", "/skin") == tmp_path / "home" / "skins" / "skin.rest.yaml"
+    simulated = rest_path("~/skins", "/skin", simulated=True)
+    assert simulated == tmp_path / "home" / "skins" / "skin-simulated.rest.yaml"
 
 
 def test_no_two_nodes_share_a_file() -> None:
     nodes = ("/skin", "/a/rest/skin", "/a/calibration/skin", "/rest", "/calibration")
-    rests = [rest_path("/state", node) for node in nodes]
+    rests = [rest_path("/state", node, kind) for node in nodes for kind in (False, True)]
     assert calibration_path(rests[0]) == Path("/state/skin.calibration.yaml")
-    assert len({*rests, *map(calibration_path, rests)}) == 2 * len(nodes)
+    assert len({*rests, *map(calibration_path, rests)}) == 4 * len(nodes)
 
 
 def test_a_home_that_nobody_has_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

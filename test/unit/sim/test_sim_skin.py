@@ -20,7 +20,7 @@ from tactile_cdma.readings.calibration import AdcScale, PressureCurve
 from tactile_cdma.readings.stages import Status
 from tactile_cdma.sim.nodes import NodeFrame, NodeRules, node_frames
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.sim.scene import PEAK_PA, REST_S, SCENES, Skin
+from tactile_cdma.sim.scene import BEGUN_S, EVERY_S, PEAK_PA, REST_S, SCENES, Skin
 
 SPEC = FrameSpec()
 CONFIG = Path(__file__).resolve().parents[3] / "config"
@@ -55,9 +55,10 @@ def test_scenes_are_what_they_are_called() -> None:
     moving = pressures("moving")
     assert np.all(moving.max(axis=0) > 0), "the contact visits every taxel"
     assert np.all(np.count_nonzero(moving, axis=1) < 16)
-    at_rest = SECONDS < REST_S
+    at_rest = (SECONDS + BEGUN_S) % EVERY_S < REST_S
     demo = pressures("demo")
     assert not demo[at_rest].any() and demo[~at_rest].any(axis=1).all(), "time for a tare"
+    assert at_rest[SECONDS < 3].all()
     assert SimOptions().scene == "demo"
     assert pressures("all").min() > 10e3
     assert np.mean(pressures("hand") > 0) > 0.8, "a small skin is covered"
