@@ -24,7 +24,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from tactile_cdma.base.errors import TactileError
-from tactile_cdma.config.arguments import check_launch_arguments, existing_params
+from tactile_cdma.config.arguments import check_launch_arguments, existing
 from tactile_cdma.config.body_file import NODE_NAME, read_body
 from tactile_cdma.config.parameters import (
     DEFAULTS,
@@ -141,7 +141,7 @@ def skin_values(get: dict[str, str]) -> Values:
 
 def params_path(get: dict[str, str]) -> Path:
     """Return the path of its parameter file."""
-    return existing_params(Path(get["params_file"]).expanduser())
+    return existing(Path(get["params_file"]).expanduser())
 
 
 def node_of(get: dict[str, str]) -> str:
@@ -155,7 +155,7 @@ def whole_body(get: dict[str, str]) -> list[LaunchDescriptionEntity]:
     given += ["params_file"] * (get["params_file"] != PARAMS)
     if given:
         raise RuntimeError(f"{given[0]} is for a single patch; the body file sets it")
-    path = Path(get["patches"]).expanduser().absolute()
+    path = existing(Path(get["patches"]).expanduser(), "body file").absolute()
     patches = read_body(path).only(get["only"])
     actions = [
         driver(patch.name, patch.params_file, patch.parameters, respawn=True) for patch in patches

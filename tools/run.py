@@ -23,7 +23,7 @@ from tempfile import TemporaryDirectory
 from types import FrameType
 
 from tactile_cdma.base.errors import TactileError
-from tactile_cdma.config.arguments import existing_params
+from tactile_cdma.config.arguments import existing
 from tactile_cdma.config.body_file import Patch, read_body
 from tactile_cdma.config.parameters import unknown
 
@@ -63,7 +63,7 @@ def main() -> int:
     if arguments.patches and (firmware or arguments.port or arguments.params):
         parser.error("PATCHES names a body file, which says ports and parameters itself")
     try:
-        params = existing_params(Path(arguments.params or (WIRED_PARAMS if firmware else PARAMS)))
+        params = existing(Path(arguments.params or (WIRED_PARAMS if firmware else PARAMS)))
     except TactileError as error:
         parser.error(str(error))
     # A parameter file of the user's own names the port, unless one is given besides.

@@ -63,18 +63,28 @@ def check_launch_arguments(words: Iterable[str], known: Collection[str]) -> None
         name, assignment, _ = word.partition(":=")
         if assignment and name not in known:
             names = ", ".join(sorted(known))
-            raise ParameterError(f"{unknown(name, known, 'launch argument')} (there are {names})")
+            is_parameter = (
+                "; it is a parameter: write it into params_file" if name in BY_NAME else ""
+            )
+            raise ParameterError(
+                f"{unknown(name, known, 'launch argument')}{is_parameter} (there are {names})"
+            )
 
 
-def existing_params(path: Path) -> Path:
-    """The path of a parameter file; raises ParameterError, with a likely one, if not."""
+def existing(path: Path, kind: str = "parameter file") -> Path:
+    """The path of a file; raises ParameterError, with a likely one, if there is none."""
     if path.is_file():
         return path
-    near = get_close_matches(path.name, [file.name for file in path.parent.glob("*.yaml")], n=1)
-    meant = shipped(f"config/{path.name}") or (path.with_name(near[0]) if near else None)
-    raise ParameterError(
-        f"no parameter file {path}" + (f"; did you mean {meant}?" if meant else "")
-    )
+    path = path.absolute()
+    beside = {file.stem: file for file in path.parent.glob(f"*{path.suffix}")}
+    near = get_close_matches(path.stem, beside, n=1)
+    meant = shipped(f"config/{path.name}") or (beside[near[0]] if near else None)
+    raise ParameterError(f"no {kind} {path}" + (f"; did you mean {meant}?" if meant else ""))
+
+
+def params_of(words: Iterable[str]) -> list[Path]:
+    """The parameter files that a command line of ROS 2 names."""
+    return [Path(value) for option, value in pairwise(words) if option == "--params-file"]
 
 
 def check_params_are_for(node: str, words: Iterable[str]) -> None:
@@ -84,7 +94,7 @@ def check_params_are_for(node: str, words: Iterable[str]) -> None:
     qualified name. words: of the command line; those of `ros2 launch` name a file with the
     parameters that override the user's, so a single file that fits suffices.
     """
-    files = [Path(value) for option, value in pairwise(words) if option == "--params-file"]
+    files = params_of(words)
     refusals = []
     for file in files:
         try:

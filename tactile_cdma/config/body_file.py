@@ -17,6 +17,7 @@ from ..base.marked_yaml import Mapping as Keys
 from ..base.marked_yaml import Marked, read_marked
 from ..base.named_file import expanded
 from ..wire.identity import parse_id, shown_id
+from .arguments import existing
 from .parameters import DEFAULTS, REPLAY, SIMULATION, Value, Values, check_marked, read_file
 
 NODE_NAME = "skin"
@@ -107,6 +108,7 @@ def _patch(name: str, value: Marked, body_frame: str, taken: dict[tuple[str, str
     if params := content.get("params_file"):
         params_file = _path(params, params.text("params_file"))
         try:
+            existing(params_file)
             values |= read_file(params_file, f"/{name}/{NODE_NAME}")
         except ParameterError as error:
             raise params.refuse(str(error)) from None

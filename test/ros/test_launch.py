@@ -238,13 +238,14 @@ def test_a_computer_may_have_a_share_of_the_body() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"params_file": "none.yaml"}, "no parameter file none.yaml"),
+        ({"params_file": "none.yaml"}, "no parameter file .*/none.yaml"),
         ({"params_file": str(ROOT / "config" / "skn.yaml")}, r"did you mean .*config/skin\.yaml\?"),
         ({"params_file": "nowhere/wired_skin.yaml"}, r"did you mean .*config/wired_skin\.yaml\?"),
         ({"rviz": "tru"}, "unknown value of rviz 'tru'; did you mean 'true'?"),
         ({"rviz": "body"}, "also set patches"),
         ({"rviz": "curved", "patches": str(BODY_FILE)}, "set rviz:=body"),
-        ({"patches": "none.yaml"}, "none.yaml: No such file"),
+        ({"patches": "none.yaml"}, "no body file .*/none.yaml"),
+        ({"patches": "nowhere/body.yaml"}, r"did you mean .*config/body\.yaml\?"),
         ({"patches": str(BODY_FILE), "only": "nose"}, "no patch 'nose' to start; there are chest"),
         ({"patches": str(BODY_FILE), "port": "/dev/x"}, "port is for a single patch"),
         ({"patches": str(BODY_FILE), "sim": "true"}, "sim is for a single patch"),

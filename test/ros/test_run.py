@@ -116,7 +116,7 @@ def test_a_wrong_time_is_refused_in_words_of_make(
     [
         (["--prot=/dev/ttyACM0"], "unknown argument 'prot'; did you mean 'port'?"),
         (["--par", "a.yaml"], "unknown argument 'par'"),
-        (["--params", "none.yaml"], "no parameter file none.yaml"),
+        (["--params", "none.yaml"], f"no parameter file {Path.cwd() / 'none.yaml'}"),
         (["touch.skin"], "unknown argument 'touch.skin'"),
     ],
 )
@@ -212,16 +212,20 @@ def test_a_parameter_file_with_a_wrong_key_is_reported_and_the_node_lives(tmp_pa
         assert node.wait(10) == 0
 
 
-def test_a_parameter_file_that_is_no_yaml_is_one_error(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [("/**: [", "line"), ("/**: {ros_parameters: {nodes: 9}}", "no 'ros__parameters' section")],
+)
+def test_a_parameter_file_that_is_none_is_one_error(tmp_path: Path, text: str, said: str) -> None:
     path = tmp_path / "broken.yaml"
-    path.write_text("/**: [")
+    path.write_text(text)
     command = [sys.executable, "-m", "tactile_cdma.ros.driver.node", "--ros-args"]
     done = subprocess.run(
         [*command, "--params-file", str(path)], capture_output=True, text=True, timeout=60
     )
     assert done.returncode == 1
     assert "Traceback" not in done.stderr
-    assert str(path) in done.stderr
+    assert str(path) in done.stderr and said in done.stderr
 
 
 def test_an_argument_that_ros_does_not_know_is_one_error() -> None:

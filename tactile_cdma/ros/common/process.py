@@ -11,8 +11,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from itertools import pairwise
-from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Generic, TypeVar
 
@@ -23,7 +21,8 @@ from rclpy.signals import SignalHandlerOptions
 
 from ...base.errors import TactileError
 from ...base.interrupt import stop_event
-from ...config.arguments import existing_params
+from ...config.arguments import existing, params_of
+from ...config.parameters import read_sections
 from .executor import LeanExecutor
 
 WAKE_S = 0.1
@@ -44,10 +43,14 @@ def run_node(make: Callable[[], Node], program: str) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, _: signals.put(number))
     try:
-        for option, value in pairwise(sys.argv):
-            if option == "--params-file":
-                existing_params(Path(value))  # rcl's own words for it are hard to understand
-        rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+        for path in params_of(sys.argv):
+            existing(path)  # rcl's own words for it are hard to understand
+        try:
+            rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+        except RCLError:
+            for path in params_of(sys.argv):
+                read_sections(path, None)  # so are these, of a file that is none
+            raise
         node = make()
     except (RCLError, UnknownROSArgsError, TactileError) as error:
         unknown = "unknown arguments: " if isinstance(error, UnknownROSArgsError) else ""

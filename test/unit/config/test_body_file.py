@@ -103,7 +103,7 @@ def test_patches_can_be_selected_by_name(tmp_path: Path) -> None:
             "patches:\n  a: {parameters: {mount_rpy_rad: 1}}",
             "must be a list of numbers, got 1",
         ),
-        ("patches:\n  a: {params_file: none.yaml}", "none.yaml: No such file"),
+        ("patches:\n  a: {params_file: none.yaml}", ": no parameter file "),
         (
             "patches:\n  a: {parameters: {port: /dev/x}}\n  b: {parameters: {port: /dev/x}}",
             "line 3: patch 'b' has port '/dev/x', and so has 'a'",
