@@ -256,3 +256,13 @@ def test_a_line_of_a_body_says_what_is_unknown(fields: dict[str, Any], text: str
     message = TactileContacts(taxels_in_service=80, **fields)
     message.wrench.force.z = 2.0 if message.touched else 0.0 if message.untouched else math.nan
     assert body_line(message, 50.0, "") == text
+
+
+def test_a_patch_that_is_not_there_is_answered_with_those_that_are() -> None:
+    command = [sys.executable, "-m", "tactile_cdma.ros.viewers.view", "palm", "--seconds", "1"]
+    with running(port="sim://"):
+        done = subprocess.run(
+            command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60
+        )
+    assert done.returncode == 1
+    assert "no frame on /palm/skin/tactile: there is /skin/tactile" in done.stderr

@@ -27,6 +27,8 @@ from .executor import LeanExecutor
 
 WAKE_S = 0.1
 """Longest time, s, after which a program without messages notices that it is told to end."""
+PATIENCE_S = 10.0
+"""Longest wait for a first message; chosen: discovery on a busy computer takes seconds."""
 N = TypeVar("N", bound=Node)
 
 

@@ -18,7 +18,7 @@ from rclpy.utilities import remove_ros_args
 from tactile_cdma.msg import TactileContact, TactileContacts
 
 from ...base.listing import listed
-from ..common.process import Viewing, viewing
+from ..common.process import PATIENCE_S, Viewing, viewing
 from ..common.qos import RELIABLE
 from .complaints import Complaints
 from .patches import NODE_NAME
@@ -96,8 +96,15 @@ def _length(vector: Vector3) -> float:
 
 
 def _report(program: Viewing[BodyViewer], seconds: float) -> None:
+    """Print a line per second for some seconds, counted from the first message."""
     viewer = program.node
-    end_s = time.monotonic() + seconds
+    patience_s = time.monotonic() + PATIENCE_S
+    while viewer.latest is None and time.monotonic() < patience_s:
+        if not program.spin(LINE_S):
+            return
+        if viewer.latest is None:
+            print(line(None, 0.0, viewer.complaint), flush=True)
+    end_s = time.monotonic() + (seconds if viewer.latest else seconds - PATIENCE_S)
     while (left_s := end_s - time.monotonic()) > 0 and program.spin(min(LINE_S, left_s)):
         if left_s < LINE_S:
             return

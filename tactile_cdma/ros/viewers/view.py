@@ -31,7 +31,7 @@ from ...readings.taxels import Coverage
 from ...views.history import History
 from ...views.terminal import Look, Numbers, Reading, scale, screen, sparkline, status_lines
 from ..common.convert import nanoseconds
-from ..common.process import Viewing, viewing
+from ..common.process import PATIENCE_S, Viewing, viewing
 from ..common.qos import LATCHED, QUEUE
 from .complaints import LEVELS, Complaints
 from .keys import typed_keys
@@ -42,8 +42,6 @@ DRAW_PERIOD_S = 0.1
 """Chosen: 10 pictures a second look alive, and a terminal over a network keeps up."""
 HISTORY_S = 20.0
 """Time that the curve shows; chosen."""
-PATIENCE_S = 10.0
-"""Longest wait for a first frame; chosen: discovery on a busy computer takes seconds."""
 RIVALS_S = 0.5
 """Interval of checks for a second driver; chosen."""
 OLD_S = 1.0
@@ -84,6 +82,12 @@ class Viewer(Node):
     def complaint(self) -> str:
         """The worst known of the driver: that there are two, or what its diagnostics say."""
         return self.rivals or self.complaints.worst
+
+    @property
+    def other_topics(self) -> list[str]:
+        """Those of other skins that are seen."""
+        kind, topics = "tactile_cdma/msg/TactileArray", self.get_topic_names_and_types()
+        return sorted(name for name, kinds in topics if kind in kinds and name != self._topic)
 
     def _count_drivers(self) -> None:
         drivers = self.count_publishers(self._topic)
@@ -264,8 +268,11 @@ def main() -> int:
         else:
             report(program, arguments.seconds or (math.inf if terminal else 10.0))
         viewer.tally.end(time.monotonic())
+        others = viewer.other_topics
     if not viewer.tally.received:
         reason = viewer.complaint or "is the driver running and active, and as this user?"
+        if others and not viewer.complaint:
+            reason = f"there is {', '.join(others)}"
         print(f"no frame on {topic}: {reason}", file=sys.stderr)
     print(summary(viewer.tally))
     return 0 if viewer.tally.received else 1
