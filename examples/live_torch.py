@@ -2,7 +2,7 @@
 
 """Feeds a torch module with the last 32 frames of a skin, at every frame (78 Hz), without copies.
 
-    python examples/live_torch.py sim://?scene=moving --seconds 10
+    python examples/live_torch.py 'sim://?scene=moving' --seconds 10
     python examples/live_torch.py replay://a.skin
 
 The frames lie in a ring that torch shares: what arrives is written once, and the module sees the

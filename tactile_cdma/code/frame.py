@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -130,7 +131,8 @@ class FrameSpec:
             raise SpecError(
                 f"a frame of {self.line_bits} bits × {self.order} chips × {self.chip_s * 1e6:g} µs "
                 f"{guard_text}lasts {self.frame_s * 1e3:g} ms, longer than its period of "
-                f"{self.frame_period_s * 1e3:g} ms"
+                f"{self.frame_period_s * 1e3:g} ms: set frame_period_ms to "
+                f"{math.ceil(self.frame_s * 1e4) / 10:g} or more, or use shorter chips"
             )
 
     @cached_property

@@ -43,6 +43,8 @@ DRAWS = 200
 """Frames of random codes in the estimate of clipping; chosen."""
 FRAMES = 12
 """Frames of every scene in it, SCENE_STEP_S apart."""
+MEASURE_MS = 1.0
+"""Pause after a frame in which nodes measure; chosen, as in config/wired_64.yaml."""
 SCENE_STEP_S = 0.37
 """s; chosen, so that FRAMES of them span a period of most scenes."""
 
@@ -201,6 +203,8 @@ def describe(spec: FrameSpec, front: FrontEnd) -> str:
         f"{name + ':' if name.strip() else '':<11}{text}" for name, text in lines.items()
     )
     parameters = f"polarity: {front.polarity}\namplitude_mv: {front.amplitude_v * 1e3:.2f}"
+    if spec.frame_s > FrameSpec.frame_period_s:
+        parameters += f"\nframe_period_ms: {math.ceil(spec.frame_s * 1e3 + MEASURE_MS)}"
     return f"{head}\n\n{body}\n\nfor the parameter file:\n{parameters}"
 
 

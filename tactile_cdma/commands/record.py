@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=positive, help="duration [s] (until Ctrl-C)")
     parser.add_argument("--baud", type=int, default=BY_NAME["baud"].default)
     parser.add_argument("--force", action="store_true", help="overwrite an existing file")
-    add_skin_options(parser)
+    add_skin_options(parser, "the driver's; without any of these the digitizer is left as it is")
 
 
 def run(arguments: argparse.Namespace) -> int:

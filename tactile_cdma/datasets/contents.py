@@ -81,7 +81,7 @@ def _bag(path: Path, progress: Progress) -> Lines:
     messages = sum(number for _, number in source.counts.values())
     yield "bag", f"{length_s:.3f} s, {messages} messages in {len(source.counts)} topics"
     for topic, (kind, number) in sorted(source.counts.items()):
-        rate = f", {number / length_s:.2f} Hz" if length_s > 0 and number > 1 else ""
+        rate = f", {(number - 1) / length_s:.2f} Hz" if length_s > 0 and number > 1 else ""
         yield topic, f"{kind}, {number} messages{rate}"
     surveys = {stream.key: FrameSurvey() for stream in patches_of(source)}
     for sample in source.samples(None, None):

@@ -299,7 +299,7 @@ def test_tare_prints_the_answer_of_the_driver() -> None:
         command = [sys.executable, str(EXAMPLES / "tare.py")]
         done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     assert (done.returncode, done.stderr) == (0, "")
-    assert OF_DDS.sub("", done.stdout).startswith("tared: ")
+    assert OF_DDS.sub("", done.stdout).startswith("waiting for /skin/tare …\ntared: ")
 
 
 def test_subscribe_prints_the_hardest_pressed_taxel() -> None:
