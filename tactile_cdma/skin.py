@@ -254,6 +254,9 @@ class Skin:
                 driver = self._running()
                 reason = driver.silence.removeprefix(f"{self.port}: ")
                 if driver.ended:
+                    problem = driver.pipeline.problem
+                    if problem and not driver.pipeline.counters.frames:
+                        raise PortError(f"{self.port}: no frame in it: {problem}")
                     raise RecordingEndError(f"{self.port}: {reason}")
                 if time.monotonic() - begun_s >= limit_s:
                     raise PortError(f"{self.port}: no frame for {limit_s:g} s: {reason}")

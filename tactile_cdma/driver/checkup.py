@@ -124,9 +124,17 @@ def nodes(pipeline: Pipeline, stuck: list[int], window: Window) -> Iterator[Find
         text = "frames arrive, but no node was heard: is the skin powered, is threshold too high?"
         yield Finding(text, Level.ERROR, event=True)
         return
-    doubled = health.nodes(NodeState.DOUBLED)
-    if len(doubled) > taxels.in_service // 2 + 1:
-        stated_mv = 1e3 * (pipeline.config.spec.amplitude_v or 0.0)
+    most, stated_mv = taxels.in_service // 2 + 1, 1e3 * (pipeline.config.spec.amplitude_v or 0.0)
+    if len(health.nodes(NodeState.WEAK)) > most:
+        found_mv = 1e3 * float(np.nanmedian(health.amplitude_v))
+        text = (
+            f"nearly all nodes are much weaker than amplitude_mv says: {found_mv:.3g} instead of "
+            f"{stated_mv:g}. Are these the parameters of this skin (tactile-cdma doctor PORT "
+            "checks amplitude and polarity), or is its supply low?"
+        )
+        yield Finding(text, Level.ERROR, event=True, key="weak")
+        return
+    if len(health.nodes(NodeState.DOUBLED)) > most:
         text = (
             f"nearly all nodes are much stronger than amplitude_mv says, which is {stated_mv:g}: "
             "set it to what the line shows (tactile-cdma doctor PORT measures that), or, of a "

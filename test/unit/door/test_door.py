@@ -296,3 +296,11 @@ def test_a_closed_skin_says_so_and_can_be_opened_again() -> None:
             assert skin.read().pressure_pa.shape == (16,)
     with pytest.raises(PortError, match="not open"):
         skin.newest()
+
+
+def test_a_recording_of_another_skin_is_no_empty_one(recording: Path) -> None:
+    with (
+        Skin(f"replay://{recording}?speed=0", nodes=9, order=24) as skin,
+        pytest.raises(PortError, match=r"no frame in it: the digitizer is set to nodes \d+ \(para"),
+    ):
+        next(iter(skin))

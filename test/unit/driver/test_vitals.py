@@ -187,10 +187,18 @@ def test_a_thread_without_reserve_is_told() -> None:
     assert finding.level == Level.WARN and "85% of a core" in finding.text
 
 
-def test_an_amplitude_that_is_far_too_low_is_told_as_such() -> None:
-    """Not as twenty pairs of nodes on one row."""
-    config, frames = SkinConfig.of({"amplitude_mv": 97.5}), []
-    url = "sim://?scene=all&threshold=0&speed=0"
+@pytest.mark.parametrize(
+    ("stated_mv", "options", "key", "said"),
+    [
+        (97.5, "", "amplitude", "which is 97.5: set it"),  # not twenty pairs of nodes on one row
+        (300.0, "&amplitude_mv=97.5", "weak", "instead of 300. Are these the parameters"),
+    ],
+)
+def test_an_amplitude_that_is_far_off_is_told_as_such(
+    stated_mv: float, options: str, key: str, said: str
+) -> None:
+    config, frames = SkinConfig.of({"amplitude_mv": stated_mv}), []
+    url = f"sim://?scene=all&threshold=0&speed=0{options}"
     with Driver(config, url, 2_000_000, frames.append, lambda problem: None) as driver:
         deadline_s = time.monotonic() + 60
         while len(frames) < 100:
@@ -198,5 +206,5 @@ def test_an_amplitude_that_is_far_too_low_is_told_as_such() -> None:
             time.sleep(0.01)
         with driver.between_frames() as pipeline:
             found = [*checkup.nodes(pipeline, [], driver.vitals.take(pipeline))]
-    assert [finding.key for finding in found] == ["amplitude"]
-    assert "which is 97.5: set it" in found[0].text
+    assert [finding.key for finding in found] == [key]
+    assert said in found[0].text
