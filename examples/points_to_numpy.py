@@ -27,6 +27,7 @@ class Points(Node):
     def __init__(self) -> None:
         super().__init__("points")
         self.create_subscription(PointCloud2, "/skin/points", self.take, 2)
+        print("waiting for /skin/points …", flush=True)
 
     def take(self, cloud: PointCloud2) -> None:
         points = np.frombuffer(cloud.data, POINT)

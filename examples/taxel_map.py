@@ -29,6 +29,7 @@ class Places(Node):
         self.info_id = None
         self.create_subscription(TactileSkinInfo, "/skin/info", self.learn, LATCHED)
         self.create_subscription(TactileArray, "/skin/tactile", self.feel, qos_profile_sensor_data)
+        print("waiting for /skin/info and /skin/tactile …", flush=True)
 
     def learn(self, info: TactileSkinInfo) -> None:
         self.info_id = info.info_id

@@ -79,10 +79,11 @@ def _bag(path: Path, progress: Progress) -> Lines:
     assert isinstance(source, BagSource)
     length_s = (source.end_ns - source.begin_ns) / NANO
     messages = sum(number for _, number in source.counts.values())
-    yield "bag", f"{length_s:.3f} s, {messages} messages in {len(source.counts)} topics"
+    topics = _counted(len(source.counts), "topic")
+    yield "bag", f"{length_s:.3f} s, {_counted(messages, 'message')} in {topics}"
     for topic, (kind, number) in sorted(source.counts.items()):
         rate = f", {(number - 1) / length_s:.2f} Hz" if length_s > 0 and number > 1 else ""
-        yield topic, f"{kind}, {number} messages{rate}"
+        yield topic, f"{kind}, {_counted(number, 'message')}{rate}"
     surveys = {stream.key: FrameSurvey() for stream in patches_of(source)}
     for sample in source.samples(None, None):
         progress.at(fraction(sample.seen_ns, source.begin_ns, source.end_ns), path.name)
@@ -173,7 +174,8 @@ def _lerobot(path: Path) -> Lines:
         ours = path / ABOUT
         about = json.loads(ours.read_text("utf-8")) if ours.is_file() else {}
         features, frames, fps = info["features"], info["total_frames"], info["fps"]
-        yield "dataset", f"LeRobot {info['codebase_version']}, {info['total_episodes']} episodes"
+        episodes = _counted(info["total_episodes"], "episode")
+        yield "dataset", f"LeRobot {info['codebase_version']}, {episodes}"
         yield "frames", f"{frames} in {frames / fps:.3f} s, {fps} Hz"
         for name, feature in features.items():
             unit = about.get("units", {}).get(name, "")
@@ -217,6 +219,10 @@ def _lerobot_data(path: Path, features: Mapping[str, Any], fps: float, frames: i
         yield "gaps", f"{gaps} between rows of an episode" if gaps else "none within episodes"
     for name, (invalid, number) in masks.items():
         yield name.removesuffix(".valid"), f"{invalid / max(int(number), 1):.2%} invalid"
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def _flat(column: Any) -> NDArray[Any]:

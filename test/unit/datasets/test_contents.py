@@ -180,7 +180,7 @@ def test_a_lerobot_dataset(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     assert main(["export", str(bag), "--lerobot", out, "--fps", "20", "--samples", "last"]) == 0
     assert "frames=39" in capsys.readouterr().out
     lines = said(tmp_path / "out", capsys)
-    assert lines["dataset"] == "LeRobot v3.0, 1 episodes"
+    assert lines["dataset"] == "LeRobot v3.0, 1 episode"
     assert lines["frames"] == "39 in 1.950 s, 20 Hz"
     assert lines["readings"] == "last per frame; NaN: hold"
     assert lines["observation.tactile.skin"] == f"{9 / 39 / 16:.2%} invalid"
