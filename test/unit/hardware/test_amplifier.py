@@ -364,7 +364,7 @@ def test_the_command_prints_parts_and_parameters(
     assert "Rb 12 kΩ to supply and 12 kΩ to ground" in text
     assert "Rin 33 kΩ" in text and "Rf 3.9 kΩ" in text
     [stated_mv] = re.findall(r"amplitude_mv: ([\d.]+)", WIRED_64.read_text())
-    assert f"polarity: -1\namplitude_mv: {stated_mv}\n" in text
+    assert f"polarity: -1\namplitude_mv: {stated_mv}\nframe_period_ms: 35\n" in text
 
     assert main(["amplifier", "--nodes", "64", "--adc-volts", "1.1"]) == 1
     assert "use a lower supply_v" in capsys.readouterr().err
