@@ -308,9 +308,12 @@ def long_pauses(build: Path, mcu: str) -> Iterator[Bench]:
 
 @pytest.mark.parametrize("mcu", LONG_PAUSES)
 def test_spikes_in_pauses_begin_no_bit(build: Path, mcu: str) -> None:
-    """Its interrupt finds it over. Not in the first pause, in which the node has other work."""
+    """Its interrupt finds it over. Not in the first pause, in which the node has other work.
+
+    Nor just before a pulse, which is then served late: by 15 µs with gcc-avr 14.
+    """
     with long_pauses(build, mcu) as skin:
-        for number, early_us in enumerate(range(15, 200 - 64 - 14, 7), CLOCK_KNOWN):
+        for number, early_us in enumerate(range(18, 200 - 64 - 14, 7), CLOCK_KNOWN):
             spikes = dict.fromkeys(range(2, slots(skin.spec)), (1000 * early_us, 1000))
             assert_says_rest(skin, mcu, skin.frame(number, before=spikes))
 
@@ -321,7 +324,7 @@ def test_what_hides_no_restart(build: Path, mcu: str, width_us: int) -> None:
     """Spikes hide none from slow chips; other pulses that end and are served in time hide none."""
     early_us = np.arange(max(55, width_us + 25), 120, 7) if width_us > 1 else np.arange(1.7, 30)
     if mcu == FAST:
-        early_us = early_us[(early_us < 9) | (early_us > 14)]
+        early_us = early_us[(early_us < 9) | (early_us > 16)]  # 14 with gcc-avr 12, 15 with 14
     with long_pauses(build, mcu) as skin:
         for number, early in enumerate(early_us, CLOCK_KNOWN):
             other = {3: (round(1000 * early), 1000 * width_us)}
