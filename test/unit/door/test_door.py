@@ -22,6 +22,7 @@ import tactile_cdma
 from tactile_cdma import Decoder, Frame, Origin, Skin, Status, read_recording
 from tactile_cdma.base.errors import ParameterError, PortError, RestError, SpecError
 from tactile_cdma.commands.cli import main
+from tactile_cdma.recording.recording_file import Recorder
 
 pytestmark = pytest.mark.xdist_group("door")
 ROOT = Path(__file__).resolve().parents[3]
@@ -304,3 +305,24 @@ def test_a_recording_of_another_skin_is_no_empty_one(recording: Path) -> None:
         pytest.raises(PortError, match=r"no frame in it: the digitizer is set to nodes \d+ \(para"),
     ):
         next(iter(skin))
+
+
+def test_a_recording_that_had_frames_and_an_empty_one_end_quietly(
+    recording: Path, tmp_path: Path
+) -> None:
+    """The first though its digitizer is set otherwise in the end."""
+    other, both, empty = (tmp_path / f"{name}.skin" for name in ("other", "both", "empty"))
+    url = "sim://?scene=moving&order=24&speed=0"
+    assert main(["record", url, str(other), "--seconds", "1", "--order", "24"]) == 0
+    with Recorder(both, url, 9600, {}) as recorder:
+        for path in (recording, other):
+            for data, t_host in read_recording(path):
+                recorder.write(data, t_host)
+    with Recorder(empty, url, 9600, {}) as recorder:
+        recorder.write(b"no packets", 0.0)  # one without bytes is refused
+    with Skin(f"replay://{both}?speed=0") as skin:
+        assert sum(1 for _ in skin) > 100
+        with skin._driver.between_frames() as pipeline:  # type: ignore[union-attr]
+            assert "order 24 (parameters: 20)" in (pipeline.problem or "")
+    with Skin(f"replay://{empty}?speed=0") as skin:
+        assert list(skin) == []

@@ -19,6 +19,7 @@ from tactile_cdma.driver.timeline import StreamCounters
 from tactile_cdma.driver.vitals import Counts, Vitals, Window
 from tactile_cdma.wire.messages import Status
 from tactile_cdma.wire.packets import Counters, PacketWriter
+from tactile_cdma.words.health import NodeState
 
 CONFIG = SkinConfig.of({})
 
@@ -208,3 +209,21 @@ def test_an_amplitude_that_is_far_off_is_told_as_such(
             found = [*checkup.nodes(pipeline, [], driver.vitals.take(pipeline))]
     assert [finding.key for finding in found] == [key]
     assert said in found[0].text
+
+
+@pytest.mark.parametrize(("weak", "level"), [(0, None), (1, Level.WARN), (16, Level.ERROR)])
+def test_only_where_nearly_all_nodes_are_weak_the_amplitude_is_suspected(
+    weak: int, level: Level | None
+) -> None:
+    frames: list[TactileFrame] = []
+    url = "sim://?scene=all&threshold=0&speed=0"
+    with Driver(CONFIG, url, 2_000_000, frames.append, lambda problem: None) as driver:
+        deadline_s = time.monotonic() + 60
+        while len(frames) < 100:
+            assert time.monotonic() < deadline_s
+            time.sleep(0.01)
+        with driver.between_frames() as pipeline:
+            pipeline.health.state[:weak] = NodeState.WEAK
+            found = [*checkup.nodes(pipeline, [], driver.vitals.take(pipeline))]
+    assert [finding.level for finding in found] == ([] if level is None else [level])
+    assert all(("amplitude_mv" in f.text) == (level == Level.ERROR) for f in found)
