@@ -24,7 +24,8 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from tactile_cdma.base.errors import TactileError
-from tactile_cdma.config.arguments import check_launch_arguments, existing
+from tactile_cdma.base.named_file import existing
+from tactile_cdma.config.arguments import check_launch_arguments
 from tactile_cdma.config.body_file import NODE_NAME, read_body
 from tactile_cdma.config.parameters import (
     DEFAULTS,

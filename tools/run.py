@@ -23,7 +23,7 @@ from tempfile import TemporaryDirectory
 from types import FrameType
 
 from tactile_cdma.base.errors import TactileError
-from tactile_cdma.config.arguments import existing
+from tactile_cdma.base.named_file import existing
 from tactile_cdma.config.body_file import Patch, read_body
 from tactile_cdma.config.parameters import unknown
 

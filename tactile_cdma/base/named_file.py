@@ -9,10 +9,23 @@ import os
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
+from difflib import get_close_matches
 from pathlib import Path
 from typing import BinaryIO
 
-from .errors import TactileError
+from .errors import ParameterError, TactileError
+from .shipped import shipped
+
+
+def existing(path: Path, kind: str = "parameter file") -> Path:
+    """The path of a file; raises ParameterError, with a likely one, if there is none."""
+    if path.is_file():
+        return path
+    path = path.absolute()
+    beside = {file.stem: file for file in path.parent.glob(f"*{path.suffix}")}
+    near = get_close_matches(path.stem, beside, n=1)
+    meant = shipped(f"config/{path.name}") or (beside[near[0]] if near else None)
+    raise ParameterError(f"no {kind} {path}" + (f"; did you mean {meant}?" if meant else ""))
 
 
 def open_named(path: Path) -> BinaryIO:

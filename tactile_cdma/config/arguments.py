@@ -8,12 +8,10 @@ import argparse
 import math
 import threading
 from collections.abc import Collection, Iterable
-from difflib import get_close_matches
 from itertools import pairwise
 from pathlib import Path
 
 from ..base.errors import ParameterError
-from ..base.shipped import shipped
 from .parameters import BY_NAME, NATURAL_SIGNS, Value, read_file, read_sections, unknown
 
 _NAMES = (
@@ -69,17 +67,6 @@ def check_launch_arguments(words: Iterable[str], known: Collection[str]) -> None
             raise ParameterError(
                 f"{unknown(name, known, 'launch argument')}{is_parameter} (there are {names})"
             )
-
-
-def existing(path: Path, kind: str = "parameter file") -> Path:
-    """The path of a file; raises ParameterError, with a likely one, if there is none."""
-    if path.is_file():
-        return path
-    path = path.absolute()
-    beside = {file.stem: file for file in path.parent.glob(f"*{path.suffix}")}
-    near = get_close_matches(path.stem, beside, n=1)
-    meant = shipped(f"config/{path.name}") or (beside[near[0]] if near else None)
-    raise ParameterError(f"no {kind} {path}" + (f"; did you mean {meant}?" if meant else ""))
 
 
 def params_of(words: Iterable[str]) -> list[Path]:

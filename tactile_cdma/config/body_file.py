@@ -15,9 +15,8 @@ from pathlib import Path
 from ..base.errors import BodyError, ParameterError
 from ..base.marked_yaml import Mapping as Keys
 from ..base.marked_yaml import Marked, read_marked
-from ..base.named_file import expanded
+from ..base.named_file import existing, expanded
 from ..wire.identity import parse_id, shown_id
-from .arguments import existing
 from .parameters import DEFAULTS, REPLAY, SIMULATION, Value, Values, check_marked, read_file
 
 NODE_NAME = "skin"

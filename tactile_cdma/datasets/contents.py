@@ -215,6 +215,8 @@ def _lerobot_data(path: Path, features: Mapping[str, Any], fps: float, frames: i
                     last = moment
     if rows != frames:
         yield "problem", f"data/ holds {rows} rows of the {frames} that {INFO} counts"
+    if not rows:
+        return  # nothing can be said of gaps and readings
     if clock:
         yield "gaps", f"{gaps} between rows of an episode" if gaps else "none within episodes"
     for name, (invalid, number) in masks.items():

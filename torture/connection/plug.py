@@ -11,6 +11,7 @@ import socket
 import struct
 import time
 import tty
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -22,7 +23,7 @@ TICK_S = 10e-3
 MOST = 65_536
 
 
-class Plug:
+class Plug(ABC):
     """The far end of a port.
 
     device: a digitizer or any other device; None: nothing.
@@ -40,9 +41,9 @@ class Plug:
         self._outgoing = b""
 
     @property
+    @abstractmethod
     def url(self) -> str:
         """The port that the driver opens."""
-        raise NotImplementedError
 
     def plug(self, device: Digitizer) -> None:
         """Create the port, with this device behind it."""
@@ -72,9 +73,9 @@ class Plug:
             self.now_s += min(host_s - self._host_s, TICK_S)
         self._host_s = host_s
 
+    @abstractmethod
     def _carry(self, device: Digitizer, outgoing: bytes) -> bytes:
         """Exchange bytes with the client; returns the output it did not take."""
-        raise NotImplementedError
 
 
 class Tty(Plug):

@@ -21,7 +21,8 @@ from rclpy.signals import SignalHandlerOptions
 
 from ...base.errors import TactileError
 from ...base.interrupt import stop_event
-from ...config.arguments import existing, params_of
+from ...base.named_file import existing
+from ...config.arguments import params_of
 from ...config.parameters import read_sections
 from .executor import LeanExecutor
 

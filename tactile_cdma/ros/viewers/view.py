@@ -268,11 +268,10 @@ def main() -> int:
         else:
             report(program, arguments.seconds or (math.inf if terminal else 10.0))
         viewer.tally.end(time.monotonic())
-        others = viewer.other_topics
+        others = [] if viewer.tally.received else viewer.other_topics
     if not viewer.tally.received:
-        reason = viewer.complaint or "is the driver running and active, and as this user?"
-        if others and not viewer.complaint:
-            reason = f"there is {', '.join(others)}"
+        seen = f"there is {', '.join(others)}" if others else ""
+        reason = viewer.complaint or seen or "is the driver running and active, and as this user?"
         print(f"no frame on {topic}: {reason}", file=sys.stderr)
     print(summary(viewer.tally))
     return 0 if viewer.tally.received else 1

@@ -13,8 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from tactile_cdma.base.errors import ParameterError
 from tactile_cdma.base.interrupt import terminable
-from tactile_cdma.base.named_file import expanded, open_named, read_named
+from tactile_cdma.base.named_file import existing, expanded, open_named, read_named
 from tactile_cdma.base.whole_file import replace_file, replacing, whole_folder
 
 
@@ -54,6 +55,18 @@ def test_paths_of_users_begin_in_the_home_folder(monkeypatch: pytest.MonkeyPatch
     for text, reason in (("~nobody-of-this-name/a", "no such user"), ("~\0", "no file can have")):
         with pytest.raises(ValueError, match=reason):
             expanded(text)
+
+
+def test_a_missing_file_is_told_with_the_one_that_was_meant(tmp_path: Path) -> None:
+    (tmp_path / "my_skin.yaml").write_text("")
+    for path, meant in (
+        (tmp_path / "my_skn.yaml", "; did you mean .*my_skin.yaml"),
+        (tmp_path / "wired_skin.yaml", "; did you mean .*/config/wired_skin.yaml"),
+        (tmp_path / "skn_my.yaml", "skn_my.yaml$"),  # only its ending is like the other's
+        (tmp_path / "void" / "x.yaml", "x.yaml$"),
+    ):
+        with pytest.raises(ParameterError, match=meant):
+            existing(path)
 
 
 def test_a_file_is_made_and_replaced(tmp_path: Path) -> None:

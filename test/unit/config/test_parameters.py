@@ -17,7 +17,6 @@ from tactile_cdma.base.errors import ParameterError, SpecError
 from tactile_cdma.config.arguments import (
     check_launch_arguments,
     check_params_are_for,
-    existing,
 )
 from tactile_cdma.config.parameters import (
     BY_NAME,
@@ -227,18 +226,6 @@ def test_of_the_files_of_a_command_line_one_has_to_be_for_the_node(tmp_path: Pat
         check_params_are_for("/skin", ["skin_driver", "--ros-args", *words])
     with pytest.raises(ParameterError, match=r"others\.yaml, line 1: .* for /arm"):
         check_params_are_for("/skin", ["skin_driver", "--ros-args", "--params-file", str(others)])
-
-
-def test_a_missing_file_is_told_with_the_one_that_was_meant(tmp_path: Path) -> None:
-    (tmp_path / "my_skin.yaml").write_text("")
-    for path, meant in (
-        (tmp_path / "my_skn.yaml", "; did you mean .*my_skin.yaml"),
-        (tmp_path / "wired_skin.yaml", "; did you mean .*/config/wired_skin.yaml"),
-        (tmp_path / "skn_my.yaml", "skn_my.yaml$"),  # only its ending is like the other's
-        (tmp_path / "void" / "x.yaml", "x.yaml$"),
-    ):
-        with pytest.raises(ParameterError, match=meant):
-            existing(path)
 
 
 def test_values_have_the_types_that_ros_reads(tmp_path: Path) -> None:

@@ -156,4 +156,6 @@ def test_a_dataset_without_its_data(
     assert f"{out}: no dataset of LeRobot v3, or damaged" in told(["info", str(out)], capsys)
     shutil.rmtree(out / "data")
     assert main(["info", str(out)]) == 0
-    assert "problem: data/ holds 0 rows of the 2" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "problem: data/ holds 0 rows of the 2" in said
+    assert "gaps" not in said and "invalid" not in said, "nothing was read"
