@@ -33,12 +33,12 @@ from rclpy.qos import (  # noqa: E402
 from skin_client import Client, running, wait_for  # noqa: E402
 from tactile_cdma.config.body_file import read_body  # noqa: E402
 from tactile_cdma.config.parameters import BY_NAME  # noqa: E402
-from tactile_cdma.config.rviz_file import body_view, patch_values, skin_view  # noqa: E402
 from tactile_cdma.config.skin_config import SkinConfig  # noqa: E402
 from tactile_cdma.places.layout import Layout  # noqa: E402
 from tactile_cdma.places.mesh import MOST_SQUARES  # noqa: E402
 from tactile_cdma.places.poses import Pose  # noqa: E402
 from tactile_cdma.ros.body.node import BodyNode  # noqa: E402
+from tactile_cdma.ros.rviz_file import body_view, patch_values, skin_view  # noqa: E402
 
 pytestmark = pytest.mark.ros
 CONFIG = Path(__file__).resolve().parents[2] / "config"
