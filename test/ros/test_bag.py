@@ -142,7 +142,7 @@ def test_without_rosbags_skin_bag_is_one_clear_error(tmp_path: Path) -> None:
 
 def test_the_bag_knows_our_types_as_ros_does(tmp_path: Path) -> None:
     """By their hashes, or others take them for other types."""
-    from tactile_cdma.recording.message_types import message_types
+    from tactile_cdma.messages.types import message_types
 
     with running(port=PORT) as (_, client):
         wait_for(lambda: client.arrays and client.infos)

@@ -21,11 +21,11 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from tactile_cdma.driver.pipeline import TactileFrame
+from tactile_cdma.messages.fields import array_fields
 from tactile_cdma.msg import TactileArray, TactileContact, TactileContacts
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.readings.contact import ContactThresholds, ContactTracker
 from tactile_cdma.readings.taxels import Readings
-from tactile_cdma.recording.message_fields import array_fields
 from tactile_cdma.ros.common.cdr import CdrError, Heading
 from tactile_cdma.ros.common.convert import (
     image,
