@@ -34,7 +34,7 @@ from tactile_cdma.msg import SimObjects, TactileArray  # noqa: E402
 from tactile_cdma.ros.common.qos import LATCHED  # noqa: E402
 from tactile_cdma.ros.driver.objects import sim_objects  # noqa: E402
 from tactile_cdma.sim import Box, Sphere  # noqa: E402
-from tactile_cdma.sim.scene import SCENES, Skin  # noqa: E402
+from tactile_cdma.sim.scene import SCENES, SkinGeometry  # noqa: E402
 
 pytestmark = pytest.mark.ros
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -94,7 +94,7 @@ class GrippedThing:
     def slides(self) -> bool:
         return 0.0 < self.peak_pa < self.needed_pa
 
-    def __call__(self, t_s: float, skin: Skin) -> NDArray[np.float64]:
+    def __call__(self, t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
         if self.slides:
             self.centre_m += self.speed_m_s * (t_s - self._t_s)
             if abs(self.centre_m) > self.MOST_M:  # and back, for the skin is small

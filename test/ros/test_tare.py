@@ -24,7 +24,7 @@ from tactile_cdma.msg import TactileArray  # noqa: E402
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve  # noqa: E402
 from tactile_cdma.readings.calibration_file import write_calibration  # noqa: E402
 from tactile_cdma.ros.driver.node import APART_NODES  # noqa: E402
-from tactile_cdma.sim.scene import SCENES, Skin  # noqa: E402
+from tactile_cdma.sim.scene import SCENES, SkinGeometry  # noqa: E402
 from tactile_cdma.srv import Tare  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -46,7 +46,7 @@ def preload(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
     """Mounts the idle skin under a pressure, Pa; may be called again while it runs."""
     load_pa = [0.0]
 
-    def scene(t_s: float, skin: Skin) -> np.ndarray:
+    def scene(t_s: float, skin: SkinGeometry) -> np.ndarray:
         return np.full(len(skin.positions_m), load_pa[0])
 
     def mount(pressure_pa: float) -> None:
