@@ -11,32 +11,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy")
-
-import rclpy
 from lifecycle_msgs.msg import Transition
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 from std_srvs.srv import Trigger
 
-from skin_client import running, wait_for
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.recording.offline import described_parameters, raw_frames
 from tactile_cdma.srv import Tare
+from test.support.skin_client import running
+from test.support.waiting import wait_for
 
-pytestmark = [pytest.mark.ros, pytest.mark.xdist_group("bag")]
+pytestmark = pytest.mark.xdist_group("bag")
 ROOT = Path(__file__).resolve().parents[2]
 PORT = "sim://?scene=moving&seed=6&dead=3"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros() -> object:
-    rclpy.init()
-    yield
-    rclpy.shutdown()
 
 
 def assert_same(read: object, live: object) -> None:

@@ -13,9 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
-
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Vector3, Wrench, WrenchStamped
 from rclpy.serialization import deserialize_message, serialize_message
@@ -44,7 +41,6 @@ from tactile_cdma.ros.driver.markers import RESULTANT, SUM, SkinMarkers
 from tactile_cdma.views.cloud import BODY_POINT, POINT
 from tactile_cdma.words.decode import silent
 
-pytestmark = pytest.mark.ros
 NAMES = ("", "a", "ab", "abc", "abcd", "/left_palm/skin", "Häutchen", "皮")
 STAMP = Time(sec=2**31 - 1, nanosec=999_999_999)
 FLOATS = (0.0, -0.0, 1 / 3, float("nan"), float("inf"), -1e300, 5e-324)
