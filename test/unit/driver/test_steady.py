@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from simulated import stream
 
 from tactile_cdma.base import kernel
 from tactile_cdma.code.transform import compiled_transform
@@ -25,6 +24,7 @@ from tactile_cdma.framing.line_timing import CARRIED_FRAMES
 from tactile_cdma.wire._protocol import Result
 from tactile_cdma.wire.messages import Ack, Info, Packed, Quiet, Samples, Status
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from test.support.simulated import stream
 
 pytestmark = pytest.mark.skipif(kernel.compiled is None, reason="the kernel is not used")
 
