@@ -207,7 +207,7 @@ def _range(clipped: float) -> Iterator[Check]:
         yield what(
             "range",
             f"{clipped:.1%} of the samples at a rail of the digitizer: less gain "
-            "(tactile-cdma amplifier), or row signs (sign_seed)",
+            "(make amplifier), or row signs (sign_seed)",
         )
 
 

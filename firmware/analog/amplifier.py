@@ -34,8 +34,8 @@ from functools import cache, cached_property
 
 import numpy as np
 
-from ..base.errors import SpecError, check_limits
-from ..code.frame import BIPOLAR, DEFAULT_AMPLITUDE_V, FrameSpec
+from tactile_cdma.base.errors import SpecError, check_limits
+from tactile_cdma.code.frame import BIPOLAR, DEFAULT_AMPLITUDE_V, FrameSpec
 
 CREST = 5.5
 """Peak of the sum in √n·A with random signs: above that of all simulated scenes (5.4)."""
