@@ -14,8 +14,8 @@
 # make scope   what an oscilloscope should show while a skin is put to work, from emulation and SPICE
 # make firmware-figures measure them: share of time awake, load of the digitizer
 # make setup   only create the environment in .venv; all other targets do this first
-# make bench-error, -doubt, -speed, -skip, -timing, -scale, -ros, -crest, -pressure, -contact,
-#              -pictures, -stuck, -body, -pareto, -boards, -sensor (prints only)
+# make bench-error, -doubt, -speed, -skip, -timing, -scale, -ros, -pressure, -contact, -pictures,
+#              -body, -pareto
 #              up to 7 min each, writes docs/img; QUICK=1: less than 40 s each, writes build/benchmarks
 #              bench-doubt ONLY=hum: conditions with this in their name
 # make torture faults of every kind, results compared with the truth; SEED=n, ONLY="line day"
@@ -42,7 +42,7 @@ COUNT ?= 1000000
 SINCE ?= HEAD~1
 PYTEST ?= -n 4 --dist loadgroup --timeout 300
 # Folders that `make check` tests: from bytes to frames.
-CORE = base code places wire words framing clocks readings config views driver door
+CORE = base code places wire words framing clocks readings config views driver skin
 export LC_ALL ?= C.UTF-8
 
 # Variables of the command line, without those that exist: a misspelt one would be ignored.

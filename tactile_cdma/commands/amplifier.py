@@ -36,9 +36,9 @@ from ..sim.options import SimOptions
 from ..sim.scene import SCENES
 
 LOSS = 1.02
-"""Noise power with a sensible converter over that without: 0.09 dB, as in bench-crest."""
+"""Noise power with a sensible converter over that without: 0.09 dB; chosen."""
 LEAST_RHO = 3.0
-"""ρ of the noisiest line that a sensible converter is chosen for, as in bench-crest."""
+"""ρ of the noisiest line that a sensible converter suffices for; chosen."""
 DRAWS = 200
 """Frames of random codes in the estimate of clipping; chosen."""
 FRAMES = 12

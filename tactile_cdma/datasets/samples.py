@@ -32,7 +32,7 @@ TACTILE, CONTACTS, WRENCH, STATE, ACTION, IMAGE = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Patch:
+class PatchInfo:
     """What is the same in all frames of one skin patch with t taxels.
 
     name: as features are called, [a-z0-9_]. topic: of its frames; empty for a recording.
@@ -117,7 +117,7 @@ class Stream:
     feature: str
     shape: tuple[int, ...]
     names: tuple[str, ...] = ()
-    patch: Patch | None = field(default=None, compare=False)
+    patch: PatchInfo | None = field(default=None, compare=False)
 
     @property
     def topic(self) -> str:
@@ -125,7 +125,7 @@ class Stream:
         return self.key.removeprefix(f"{self.kind}:")
 
 
-class Source(Protocol):
+class SampleSource(Protocol):
     """A recording or a bag.
 
     streams: by key. begin_ns, end_ns: Unix time of its first and last data, as recorded; the end
@@ -155,7 +155,7 @@ class Source(Protocol):
         ...
 
 
-def patches_of(source: Source) -> list[Stream]:
+def patches_of(source: SampleSource) -> list[Stream]:
     """The source's skin patches, in order."""
     return [stream for stream in source.streams.values() if stream.kind == TACTILE]
 
@@ -212,7 +212,7 @@ def shown_taxels(taxels: list[int]) -> str:
     return f"{word} {', '.join(map(str, taxels[:MOST_SHOWN]))}{more}"
 
 
-def check_patches(first: Source, other: Source) -> None:
+def check_patches(first: SampleSource, other: SampleSource) -> None:
     """Raises CaptureError where one of two files has patches that the other has not."""
     mine, its = (sorted(stream.feature for stream in patches_of(one)) for one in (first, other))
     if mine != its:
@@ -222,7 +222,7 @@ def check_patches(first: Source, other: Source) -> None:
         )
 
 
-def check_taxels(first: Patch, other: Patch, path: Path) -> None:
+def check_taxels(first: PatchInfo, other: PatchInfo, path: Path) -> None:
     """Raises CaptureError where a patch's taxels differ from those in the first file.
 
     path: of the file that holds the other one.
@@ -245,7 +245,7 @@ def check_taxels(first: Patch, other: Patch, path: Path) -> None:
             )
 
 
-def check_same(first: Patch, other: Patch, path: Path) -> None:
+def check_same(first: PatchInfo, other: PatchInfo, path: Path) -> None:
     """Raises CaptureError where one table cannot hold both: other taxels, origin, calibration."""
     check_taxels(first, other, path)
     for difference in differences(other.name, first.about, other.about):
